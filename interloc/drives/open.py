@@ -9,19 +9,21 @@ from pathlib import Path
 from typing import Unpack, cast
 
 from interloc.drives.checks import check_flat_road, check_turns, sample_indices
-from interloc.drives.files import each_read_once
+from interloc.drives.files import SourceFile, each_read_once
 from interloc.drives.findings import Findings
 from interloc.drives.folder import FolderDrive, Scans
 from interloc.drives.formats import FORMATS, ScanFormat, find_format, installed_formats
 from interloc.drives.georeference.geodetic import check_georeference
 from interloc.drives.labels import SEMANTICKITTI, LabelJudgement
 from interloc.drives.layouts import SCAN_FOLDERS, not_a_drive, recognise_layout
-from interloc.drives.options import DriveArguments, DriveOptions, LabelFolder, ReadingOptions
+from interloc.drives.odometry import how_made, track_file
+from interloc.drives.options import ODOMETRY, DriveArguments, DriveOptions, LabelFolder, ReadingOptions
 from interloc.drives.scans.raw import RawScans
 from interloc.drives.scans.recorded import Recording
 from interloc.drives.scans.reduced import ReducedScans
 from interloc.drives.scans.reduced_format import ReducedManifest, is_reduced, read_manifest
 from interloc.drives.trajectory import Trajectory
+from interloc.processes import Progress
 
 SAMPLED_SCANS = 5
 """How many scans are looked into, unless all are."""
@@ -50,7 +52,10 @@ def open_drive(
     layout
         "auto", or the name of one of the `interloc.drives.formats`.
     poses, points, fix, crs : str or None
-        Where poses, scans and fixes are, and the coordinate system of LAS files: see `ReadingOptions`.
+        Where poses, scans and fixes are, and the coordinate system of LAS files: see `ReadingOptions`. The poses
+        "odometry" are computed from the points.
+    deskew : {"auto", "on", "off"}
+        Whether the motion within scans is taken out of points that carry times.
     model
         Folder of a network (`interloc.labelling`) that labels the scans as they are read; label files do not count.
     provider
@@ -124,10 +129,12 @@ def read_drive(
     label_folders: Sequence[LabelFolder] = (),
     thorough: bool = False,
     needs_labels: bool = True,
+    progress: Progress | None = None,
 ) -> dict[LabelFolder, DriveReading]:
     """Read all of a drive but its points, and check it; look into some scans, or into all of them (`thorough`).
 
     The drive is opened once, and its small files are read once, for all label folders (`options.labels` by default).
+    Where the poses are computed from the points, `progress` is called with the scans done and the scans in all.
 
     Raises
     ------
@@ -140,6 +147,13 @@ def read_drive(
     with each_read_once():
         with findings.stage():
             opened = read_manifest(root) if is_reduced(root) else open_recording(root, options, findings)
+        track: SourceFile | None = None
+        if options.poses == ODOMETRY and isinstance(opened, Recording):
+            trajectory = Trajectory()  # unless it can be computed
+            with findings.stage():
+                track, trajectory = track_file(opened, options, findings, progress), None
+                options = options.model_copy(update={"poses": str(track.path), "pose_frame": "lidar"})
+                opened = open_recording(root, options, findings)
         for folder in dict.fromkeys(label_folders or (options.labels,)):
             scans: Scans | None = None
             with findings.stage():
@@ -150,7 +164,13 @@ def read_drive(
             if scans is None or scans.frames is None:
                 readings[folder] = DriveReading(scans)
                 continue
-            trajectory = trajectory or scans.read_trajectory(options, findings)
+            if trajectory is None:
+                trajectory = scans.read_trajectory(options, findings)
+                if track is not None and trajectory.poses is not None:
+                    trajectory = replace(trajectory, poses=replace(trajectory.poses, reason=how_made(track)))
+            if isinstance(scans, RawScans):
+                with findings.stage():
+                    scans = scans.deskewed(trajectory, options, findings)
             sample = sample_indices(scans.usable, len(scans.usable) if thorough else SAMPLED_SCANS)
             labels = scans.judge_labels(sample, options, findings)
             reading = DriveReading(scans, trajectory, sample, labels, _drive_of(scans, trajectory, labels))

@@ -25,6 +25,10 @@ from interloc.errors import ConfigError
 
 LabelFolder = Literal["labels", "predictions"]
 PoseFrame = Literal["auto", "camera", "lidar"]
+Deskew = Literal["auto", "on", "off"]
+ODOMETRY = "odometry"
+"""In place of a file of poses: they are computed from the points."""
+
 CRS_PATTERN = r"^[A-Za-z]+:[0-9]+$"
 
 
@@ -80,7 +84,7 @@ class ReadingOptions(BaseModel):
         None,
         max_length=1000,
         description="Where the poses are, if not where the layout has them: a file of poses (KITTI or TUM), the "
-        "trajectory of LAS files, or the topic of a bag.",
+        "trajectory of LAS files, or the topic of a bag; or the word odometry: they are computed from the points.",
         examples=["/odometry"],
     )
     points: str | None = Field(
@@ -93,6 +97,11 @@ class ReadingOptions(BaseModel):
         pattern=CRS_PATTERN,
         description="Coordinate system of LAS files that do not name theirs.",
         examples=["EPSG:25832"],
+    )
+    deskew: Deskew = Field(
+        "auto",
+        description="Take the motion within a scan out of points that carry times; auto does it where the points of a "
+        "spinning LiDAR show that it is still in them.",
     )
 
     @classmethod
@@ -160,6 +169,7 @@ class DriveArguments(TypedDict, total=False):
     points: str | None
     fix: str | None
     crs: str | None
+    deskew: Deskew
     model: str | os.PathLike[str] | None
     provider: str
     name: str | None

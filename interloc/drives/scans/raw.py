@@ -25,6 +25,7 @@ from interloc.drives.findings import DriveFileError, Findings
 from interloc.drives.labels import SEMANTICKITTI, LabelJudgement, LabelScheme, judge_labels
 from interloc.drives.layouts import DriveParts
 from interloc.drives.options import DriveOptions, LabelFolder
+from interloc.drives.scans.deskewed import deskewed
 from interloc.drives.scans.recorded import PointSource, Recording, ScanFacts, ScanPoints
 from interloc.drives.trajectory import Trajectory, read_trajectory
 from interloc.kernels.points import select_points
@@ -162,6 +163,10 @@ class RawScans:
         if self.recording.read_trajectory is not None:
             return self.recording.read_trajectory(options, findings)
         return read_trajectory(self.parts, self.recording.frames, options, findings)
+
+    def deskewed(self, trajectory: Trajectory, options: DriveOptions, findings: Findings) -> RawScans:
+        """Return the scans without the motion within them, where that is asked for or certain."""
+        return replace(self, recording=deskewed(self.recording, trajectory, options, findings))
 
     def judge_labels(self, sample: list[int], options: DriveOptions, findings: Findings) -> LabelJudgement:
         """Count the ids of the scans at some positions, and find out what they mean."""

@@ -33,10 +33,14 @@ class ScanPoints:
         x y z in L, metres, and the remission, in the unit of the format; 0 where it has none.
     labels : (N,) uint32 or None
         Label ids, where the points carry them themselves.
+    times_s : (N,) float32 or None
+        When each point was measured, seconds after the time of the scan, where the points carry that
+        (`interloc.drives.scans.point_times`).
     """
 
     values: Float32Array
     labels: UInt32Array | None = None
+    times_s: Float32Array | None = None
 
 
 class PointSource(Protocol):
