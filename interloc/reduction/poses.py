@@ -88,7 +88,7 @@ def write_poses(
             raise DriveFileError(
                 str(root), "is a reduced drive, which holds no scans. Expected the drive that it was made from."
             )
-    reading = read_drive(root, chosen, findings, needs_labels=False, progress=progress)[chosen.labels]
+    (reading,) = read_drive(root, chosen, findings, needs_labels=False, progress=progress).values()
     scans, trajectory = reading.scans, reading.trajectory
     assert scans is not None
     assert scans.frames is not None

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from interloc.geometry import invert_transform
-from tests.streets import poses_along, seen, street, write_scans
+from tests.street_points import poses_along, seen, street, write_scans
 
 pytest.importorskip("small_gicp", reason="poses from points need small_gicp")
 

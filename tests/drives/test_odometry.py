@@ -17,7 +17,7 @@ from interloc.drives.trajectory import Trajectory
 from interloc.errors import DriveError
 from interloc.geometry import invert_transform
 from tests.bags import BagWriter
-from tests.streets import TURN_S, poses_along, seen, seen_driving, street, write_scans
+from tests.street_points import TURN_S, poses_along, seen, seen_driving, street, write_scans
 
 pytest.importorskip("small_gicp", reason="poses from points need small_gicp")
 
@@ -32,7 +32,8 @@ def cache(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPa
 
 def reading_of(root: Path, findings: Findings | None = None) -> DriveReading:
     options = DriveOptions.of(poses="odometry")
-    return read_drive(root, options, findings or Findings(stop_at_first=True), needs_labels=False)["labels"]
+    (reading,) = read_drive(root, options, findings or Findings(stop_at_first=True), needs_labels=False).values()
+    return reading
 
 
 def trajectory_of(root: Path) -> Trajectory:

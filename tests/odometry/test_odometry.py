@@ -13,7 +13,7 @@ from interloc.geometry import invert_transform
 from interloc.odometry import registration
 from interloc.odometry.odometry import Odometry
 from interloc.odometry.registration import register
-from tests.streets import TURN_S, poses_along, seen, seen_driving, street
+from tests.street_points import TURN_S, poses_along, seen, seen_driving, street
 
 
 def follow(

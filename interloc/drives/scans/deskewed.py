@@ -67,6 +67,14 @@ class DeskewedScans:
         return replace(points, values=values)
 
 
+def is_to_deskew(recording: Recording, options: DriveOptions, findings: Findings) -> bool:
+    """Tell whether `deskewed` may have something to do."""
+    if options.deskew == "on" and not recording.has_times:
+        name = recording.parts.file(recording.parts.scans).name
+        findings.warning(name, "cannot be deskewed: its points carry no times.")
+    return options.deskew != "off" and recording.has_times
+
+
 def deskewed(recording: Recording, trajectory: Trajectory, options: DriveOptions, findings: Findings) -> Recording:
     """Return a recording whose points are without the motion within scans, as the option `deskew` asks for.
 
@@ -74,13 +82,12 @@ def deskewed(recording: Recording, trajectory: Trajectory, options: DriveOptions
     points show that no driver has done it before.
     """
     source, frames, poses, times_s = recording.points, recording.frames, trajectory.poses, trajectory.times_s
-    if options.deskew == "off" or source is None or frames is None or poses is None or len(frames) < 2:
+    if source is None or frames is None or poses is None or len(frames) < 2:
         return recording
     name = recording.parts.file(recording.parts.scans).name
-    if times_s is None or all(source.read(int(frames[row])).times_s is None for row in _sampled(len(frames))[:2]):
-        if options.deskew == "on":
-            what = "the times of the scans are not known" if times_s is None else "the points carry no times"
-            findings.warning(name, f"cannot be deskewed: {what}.")
+    if times_s is None:
+        say = findings.warning if options.deskew == "on" else findings.note
+        say(name, "cannot be deskewed: its points carry times, but those of the scans are not known.")
         return recording
     velocities = _velocities(poses.T_world_lidar, times_s)
     found = DeskewedScans(source, frames, velocities)

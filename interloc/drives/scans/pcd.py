@@ -149,6 +149,7 @@ def open_pcd_files(parts: DriveParts, options: DriveOptions, findings: Findings)
         usable=np.flatnonzero(sizes[order] > 0) if options.check else None,
         carries_labels=label is not None,
         has_remission=header is None or header.field_among(INTENSITY_FIELDS) is not None,
+        has_times=header is not None and header.field_among(TIME_FIELDS) is not None,
         read_trajectory=trajectory,
     )
 

@@ -110,6 +110,8 @@ class Recording:
     scheme : str or None
         Name of the scheme of these labels, where the format defines it.
     has_remission : bool
+    has_times : bool
+        The points carry the time at which each was measured.
     read_trajectory : callable or None
         Reads poses, times and georeference where these are not files of `parts`.
     topics : tuple of Topic
@@ -125,6 +127,7 @@ class Recording:
     carries_labels: bool = False
     scheme: str | None = None
     has_remission: bool = True
+    has_times: bool = False
     read_trajectory: Callable[[DriveOptions, Findings], Trajectory] | None = None
     topics: tuple[Topic, ...] = ()
 

@@ -150,6 +150,7 @@ def open_scan_clouds(
         carries_labels=has_road,
         scheme="las" if has_road else None,
         has_remission=has_intensity,
+        has_times=clouds[0].has_time,
         read_trajectory=trajectory,
     )
 

@@ -78,6 +78,11 @@ class CloudLayout:
         """True where each point carries a remission."""
         return "remission" in (self.dtype.names or ())
 
+    @property
+    def has_times(self) -> bool:
+        """True where each point carries the time at which it was measured."""
+        return "time" in (self.dtype.names or ())
+
 
 def read_layout(data: bytes, kind: str, encoding: Encoding, *, complete: bool = True) -> CloudLayout:
     """Read what a message says of its points.
@@ -219,7 +224,7 @@ def read_points(data: bytes, kind: str, encoding: Encoding) -> ScanPoints:
         values[~np.isfinite(values[:, 3]), 3] = 0.0
     labels = _labels(cells["label"])[returned] if layout.has_labels else None
     times_s = None
-    if "time" in (layout.dtype.names or ()):
+    if layout.has_times:
         times_s = point_times(cells["time"][returned], layout.header.stamp_ns / 1e9)
     return ScanPoints(values if returned.all() else values[returned], labels, times_s)
 
