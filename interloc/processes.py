@@ -105,7 +105,7 @@ def run_in_processes(
     except BaseException as error:
         pool.shutdown(wait=False, cancel_futures=True)
         _stop(set(active_children()) - others)  # `shutdown` does not wait for them a second time
-        if isinstance(error, BrokenProcessPool):
+        if isinstance(error, BrokenProcessPool | EOFError):  # the latter where the process that forks them was
             raise InterLocError(
                 "a worker process was ended from outside. Usual cause: too little memory; try fewer --workers."
                 + (f" {hint}" if hint else "")

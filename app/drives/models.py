@@ -19,7 +19,7 @@ from app.work.documents import UploadOptions
 from interloc.config import KeyframeConfig
 from interloc.drives.inspect import DriveReport
 from interloc.drives.layouts import ScanFolder
-from interloc.drives.options import LabelFolder
+from interloc.drives.options import LABELS, LabelChoice, LabelFolder
 from interloc.drives.scans.reduced_format import MAX_SCANS
 
 MAX_LISTED = 300_000
@@ -55,6 +55,7 @@ class DriveOptionsModel(UploadOptions):
         "begins with a slash.",
         examples=["poses.tum", "/odometry"],
     )
+    labels: LabelChoice = Field("auto", description=LABELS)
     model: str | None = Field(
         None,
         max_length=255,

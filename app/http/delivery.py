@@ -5,6 +5,7 @@ from __future__ import annotations
 import gzip
 import hashlib
 import shutil
+import threading
 from contextlib import suppress
 from email.utils import formatdate
 from pathlib import Path
@@ -15,6 +16,7 @@ from starlette.datastructures import Headers
 from starlette.staticfiles import NotModifiedResponse, StaticFiles
 from starlette.types import Message, Receive, Scope, Send
 
+from app.context import Context
 from app.http.headers import accepts_gzip
 from app.http.problem_types import CHANGED_MEANWHILE, NO_SUCH_RANGE
 from app.http.problems import Problem
@@ -62,6 +64,7 @@ _LEVEL_AT_ONCE = 1  # of gzip: the client waits for it
 _GZIP_MARK = '-gzip"'  # end of the ETag of what is compressed: another representation has another tag
 _MAX_BYTES_AT_ONCE = 4 * 1024 * 1024  # read where the answer is made, without further trips to the thread pool
 
+_PACKING = threading.BoundedSemaphore(2)  # copies made at once: what takes a second for a large file
 _STATIC_FILES = StaticFiles(check_dir=False)
 
 
@@ -187,7 +190,8 @@ def answer_tagged(request: Request, content: bytes, media_type: str = "applicati
 
 def service_address(request: Request) -> str:
     """Return the address of the service as its client sees it, without a slash at its end."""
-    return str(request.base_url).rstrip("/")
+    context: Context = request.app.state.context
+    return context.settings.public_url or str(request.base_url).rstrip("/")
 
 
 def tag_of(content: bytes) -> str:
@@ -227,11 +231,13 @@ def not_modified(request: Request, headers: dict[str, str]) -> Response | None:
 
 
 def _gzip_copy(path: Path, folder: Path, version: str) -> Path | None:
-    """Return the gzip copy of a file, made if need be; None where it cannot be made, as on a full disk."""
+    """Return the gzip copy of a file, made if need be; None where it cannot be made, as on a full disk, or not now."""
     name = hashlib.sha256(str(path).encode()).hexdigest()[:16]
     copy = folder / f"{name}.{version}"
     if copy.exists():
         return copy
+    if not _PACKING.acquire(blocking=False):
+        return None
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with (
@@ -242,6 +248,8 @@ def _gzip_copy(path: Path, folder: Path, version: str) -> Path | None:
             shutil.copyfileobj(source, packer, 1024 * 1024)
     except (OSError, OutputError):
         return None
+    finally:
+        _PACKING.release()
     for other in folder.glob(f"{name}.*.gz"):  # of an older version
         if other != copy:
             with suppress(OSError):

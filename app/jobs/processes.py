@@ -17,6 +17,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from importlib import import_module
+from itertools import chain, repeat
 from multiprocessing import get_all_start_methods, get_context
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -31,8 +32,10 @@ EXTRA_SLOTS = 2
 _MEMORY_SHARE = 0.75  # of the memory of the machine; the rest is for the server, the database and the page cache
 _MIN_MEMORY_BYTES = 1024**3
 _PROC, _CGROUPS = Path("/proc"), Path("/sys/fs/cgroup")
+_UNKNOWN = 255  # code of a process whose end nobody can tell, because the process that forked it is dead
 _LOOK_S = 0.2  # interval at which time and memory of a piece of work are looked at
 _START_S = 120.0  # within which a process is ready, however busy the machine: one that hangs is replaced
+_PAUSES_S = (0.1, 0.2, 0.5, 1.0, 2.0)  # before the start of a process is tried again; the last one from then on
 _log = logging.getLogger(__name__)
 # A worker inherits none of the threads, locks and connections of the server. Forked from a process that has imported
 # everything, and does nothing else, it is there at once, also in the place of one that was killed.
@@ -167,7 +170,7 @@ class ProcessExecutor:
             _context.set_forkserver_preload([WARM])
         self._lock = threading.Lock()
         self._hand_out = HandOut(slots)
-        self.is_stopping = False
+        self.stopping = threading.Event()
         self._slots = [_Slot(self, number) for number in range(slots + EXTRA_SLOTS)]
         self._idle = list(self._slots)
         for slot in self._slots:
@@ -185,7 +188,7 @@ class ProcessExecutor:
         """Do a piece of work; see `WorkExecutor.submit`."""
         work = Work((fn, args), client, seconds, urgent)
         with self._lock:
-            if self.is_stopping:
+            if self.stopping.is_set():
                 raise RuntimeError("the executor was stopped")
             self._hand_out.add(work)
             self._begin_what_may()
@@ -200,12 +203,12 @@ class ProcessExecutor:
     @property
     def alive(self) -> int:
         """Number of slots that can work; a process that died is replaced when there is work for it."""
-        return sum(slot.thread.is_alive() for slot in self._slots)
+        return sum(slot.can_start and slot.thread.is_alive() for slot in self._slots)
 
     def stop(self) -> None:
         """End all workers at once; running work is lost, waiting work is cancelled."""
         with self._lock:
-            self.is_stopping = True
+            self.stopping.set()
             self._hand_out.clear()
         for slot in self._slots:
             slot.inbox.put(None)
@@ -221,7 +224,7 @@ class ProcessExecutor:
             self._begin_what_may()
 
     def _begin_what_may(self) -> None:
-        if self.is_stopping:
+        if self.stopping.is_set():
             return
         while self._idle and (work := self._hand_out.take()) is not None:
             slot = min(self._idle, key=lambda slot: slot.number)  # the first ones have their drives open already
@@ -234,6 +237,7 @@ class _Slot:
 
     def __init__(self, executor: ProcessExecutor, number: int) -> None:
         self.number = number
+        self.can_start = True
         self.inbox: queue.SimpleQueue[Work | None] = queue.SimpleQueue()
         self._executor = executor
         self._worker: tuple[Any, Connection] | None = None
@@ -252,11 +256,11 @@ class _Slot:
                 self._work.is_given_up = True
             if self._worker is not None:
                 self._is_killed = True
-                self._worker[0].kill()
+                _kill(*self._worker)
 
     def _serve(self) -> None:
-        with suppress(OSError, WorkerLostError):
-            self._start()  # ahead of the first work: importing everything takes some seconds
+        with suppress(WorkerLostError):  # ahead of the first work: importing everything takes some seconds
+            self._start(self.inbox.empty)
         while (work := self.inbox.get()) is not None:
             with self._lock:
                 self._work = work
@@ -274,7 +278,7 @@ class _Slot:
 
     def _do(self, work: Work) -> Any:  # noqa: ANN401 - whatever the work returns
         content = pickle.dumps(work.call)
-        process, connection = self._usable_worker()
+        process, connection = self._usable_worker(work)
         if work.is_given_up:
             raise WorkerLostError("nobody waits for it any more")
         try:
@@ -290,7 +294,7 @@ class _Slot:
             self._end()
             late = isinstance(error, TimeoutError)
             reason = f"was not ready within {_START_S:g} s" if late else _reason(process.exitcode)
-            if not (work.is_given_up or self._executor.is_stopping):
+            if not (work.is_given_up or self._executor.stopping.is_set()):
                 self._executor.count_loss()
                 _log.warning("a worker process (%s) died: %s", process.pid, reason)
             raise WorkerLostError(f"its worker process {reason}") from error
@@ -314,7 +318,7 @@ class _Slot:
             if memory > self._executor.memory_bytes:
                 raise WorkerLimitError("memory", self._executor.memory_bytes, memory)
 
-    def _usable_worker(self) -> tuple[Any, Connection]:
+    def _usable_worker(self, work: Work) -> tuple[Any, Connection]:
         """Return the worker, or a new one where it was killed, has died, or is left large by earlier work."""
         if self._worker is not None and not self._is_killed:
             process, connection = self._worker
@@ -323,11 +327,34 @@ class _Slot:
             if process.is_alive() and not has_hung_up and not is_large:
                 return self._worker
         self._end()
-        return self._start()
+        until = time.monotonic() + work.seconds
+        return self._start(lambda: not work.is_given_up and time.monotonic() < until)
 
-    def _start(self) -> tuple[Any, Connection]:
+    def _start(self, is_wanted: Callable[[], bool]) -> tuple[Any, Connection]:
+        """Start a worker, as often as it takes: the process that forks them may be killed too, and is replaced then.
+
+        Raises
+        ------
+        WorkerLostError
+            It is not wanted any more, or the executor is being stopped.
+        """
+        for pause_s in chain(_PAUSES_S, repeat(_PAUSES_S[-1])):
+            try:
+                worker = self._try_to_start()
+            except Exception as error:  # whatever it is: the slot goes on
+                if self.can_start:
+                    _log.warning("no worker process could be started, and it is tried again: %r", error)
+                self.can_start = False
+                if self._executor.stopping.wait(pause_s) or not is_wanted():
+                    raise WorkerLostError(f"could not be started ({error})") from error
+            else:
+                self.can_start = True
+                return worker
+        raise AssertionError
+
+    def _try_to_start(self) -> tuple[Any, Connection]:
         with self._lock:
-            if self._executor.is_stopping:
+            if self._executor.stopping.is_set():
                 raise WorkerLostError("the service is being stopped")
             ours, theirs = _context.Pipe()
             process = _context.Process(target=_work, args=(theirs,), daemon=True)
@@ -343,11 +370,21 @@ class _Slot:
             worker, self._worker = self._worker, None
         if worker is not None:
             process, connection = worker
+            if process.exitcode == _UNKNOWN:
+                _kill(process, connection)
             connection.close()
             process.join(1)
             if process.is_alive():
                 process.kill()
                 process.join()
+
+
+def _kill(process: Any, connection: Connection) -> None:  # noqa: ANN401 - contexts have no common type
+    """Kill a worker, also one that outlived the process that forked it and told us of its end."""
+    process.kill()
+    if process.exitcode == _UNKNOWN and not connection.poll():  # it has not hung up
+        with suppress(OSError):
+            os.kill(process.pid, signal.SIGKILL)
 
 
 def _reason(code: int | None) -> str:

@@ -128,7 +128,12 @@ class Runner:
                 self._context.jobs_changed.clear()
 
     def _claim(self) -> bool:
-        """Take one job if there is room for it; return whether there was one."""
+        """Take one job if there are workers, and room for it; return whether there was one."""
+        assert self._executor is not None
+        if not self._executor.alive:
+            self._context.lacks_workers.set()
+            return False
+        self._context.lacks_workers.clear()
         with self._lock:
             kinds = [attempt.claim.job.kind for attempt, _ in self._attempts.values()]
         urgent = sum(kind in URGENT for kind in kinds)
@@ -138,7 +143,6 @@ class Runner:
         )
         if claim is None:
             return False
-        assert self._executor is not None
         attempt = self._attempt(self._context, self._queue, self._executor, claim)
         thread = threading.Thread(target=self._work, args=(attempt,), name=f"job-{claim.job.id}", daemon=True)
         with self._lock:

@@ -21,6 +21,7 @@ from interloc.output.vector_files import suffixes_here
 
 _LAYERS = [layer.address for layer in LAYERS.values() if not layer.is_osm]
 _MAP_LAYERS = [layer.address for layer in LAYERS.values() if layer.is_osm and layer.name != PLACES]
+_NO_WORKER = "It waits for a worker: none can be started at present. The service keeps trying; its log says why."
 
 
 def find_job(session: Session, job_id: str) -> tuple[Job, str]:
@@ -53,9 +54,11 @@ def job_models(session: Session, context: Context, rows: Iterable[tuple[Job, str
     """Return jobs as clients see them, given with the names of their drives."""
     rows = list(rows)
     now = context.database.clock(session)
-    told = (
-        outlook(session, now, context.settings.jobs_at_once) if any(_waits_for_its_turn(job) for job, _ in rows) else {}
-    )
+    waiting = [job for job, _ in rows if _waits_for_its_turn(job)]
+    if context.lacks_workers.is_set():
+        told = dict.fromkeys((job.id for job in waiting), _NO_WORKER)
+    else:
+        told = outlook(session, now, context.settings.jobs_at_once) if waiting else {}
     links = _Links(context.settings.root_path)
     return [_job_model(job, name, links, now, job.message or told.get(job.id)) for job, name in rows]
 

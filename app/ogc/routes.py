@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from functools import wraps
 from typing import Annotated, Any
 
@@ -17,6 +18,7 @@ from app.http.openapi import TAGGED, get_and_head
 from app.http.parameters import OF_ITS_DATA, refuse_others
 from app.http.problem_types import NO_SUCH_COLLECTION, NO_SUCH_FEATURE
 from app.http.problems import Problem, ProblemDocument
+from app.http.turns import IN_TURN
 from app.ogc.collections import Collection
 from app.ogc.description import describe_interface
 from app.ogc.documents import GEOJSON, OPENAPI, SCHEMA, Place
@@ -33,7 +35,7 @@ from app.ogc.models import (
     OgcSchema,
 )
 from app.ogc.pages import page_of
-from app.ogc.parameters import AskedDep, Format, FormatDep
+from app.ogc.parameters import AskedDep, Format, FormatDep, page_token
 from app.results.folder import ResultsDep
 from app.results.routes.results import PROBLEMS, JobId
 
@@ -177,8 +179,11 @@ def _items(
     values = {name: value for name, value in request.query_params.items() if name in found.queryables}
     query = asked.query(found, values)
     with served.database.reading() as session:
-        page = find_page(session, served.source, found, query)
-    content = served.place.items(found, page, request.query_params.multi_items())
+        source = replace(served.source, until=asked.until).pinned(session)
+        page = find_page(session, source, found, query)
+    content = served.place.items(
+        found, page, request.query_params.multi_items(), token=lambda key: page_token(key, source.until)
+    )
     return served.answer(content, form, GEOJSON)
 
 
@@ -226,6 +231,7 @@ def _add(
             summary=summary,
             operation_id=f"read_{name}{endpoint.__name__}",
             openapi_extra=extra,
+            dependencies=IN_TURN if endpoint in {_items, _feature} else [],
             response_class=Response,
             responses={**_answers(model, f"{summary}."), **missing, **problems},
         )(_bound(endpoint, source))

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import get_args
-
 from pydantic import BaseModel, Field
 
 from app.jobs.models import MAX_COMPARED_JOBS, Near
@@ -12,7 +10,7 @@ from app.settings import Settings
 from interloc.drives.georeference.oxts import ODOMETRY_OF_RAW
 from interloc.drives.labels import SCHEMES
 from interloc.drives.layouts import PCD_ENDINGS, SCAN_FOLDERS
-from interloc.drives.options import LabelFolder
+from interloc.drives.options import LABEL_FILES
 from interloc.osm.container import MAP_ENDINGS, SIMULATOR
 from interloc.osm.intersections import DRIVABLE_OR_SERVICE
 from interloc.osm.policies import POLICIES
@@ -185,5 +183,5 @@ _FILE_KINDS = FileKinds(
     recordings=list(RECORDING_ENDINGS),
     scans=list(PCD_ENDINGS),
     scan_folders=list(SCAN_FOLDERS),
-    label_folders=list(get_args(LabelFolder)),
+    label_folders=list(LABEL_FILES),
 )

@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from interloc.config import DetectorConfig
 from interloc.drives.inspect import DriveReport
-from interloc.drives.options import LabelFolder, ReadingOptions
+from interloc.drives.options import LabelChoice, LabelFolder, ReadingOptions
 from interloc.osm.policies import Policy
 
 
@@ -56,6 +56,9 @@ class IntersectionsJob(JobRequest):
 
 class UploadOptions(ReadingOptions):
     """How the files of a drive are read; paths are those among its files."""
+
+    labels: LabelChoice = "auto"
+    """Which labels count; auto: all of which there are files."""
 
     model: str | None = None
     """Name of the network that labels the scans."""

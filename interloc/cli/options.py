@@ -127,9 +127,10 @@ label_folders_option = click.option(
     "--labels",
     "label_folders",
     multiple=True,
-    type=click.Choice(["labels", "predictions"]),
-    show_default="all that are there",
-    help="Folder of the labels; may be given twice.",
+    type=click.Choice(["labels", "predictions", "geometry"]),
+    show_default="all of which there are files",
+    help="Which labels: the files of labels/ or predictions/, or geometry, which finds the road by the points and the "
+    "path driven. May be given several times.",
 )
 
 map_options = together(OSM, OVERPASS, POLICY, TOLERANCE)

@@ -174,6 +174,7 @@ def _as_it_is(root: Path, reduction: Reduction, options: PushOptions, maps: list
         for frame in plan.frames:
             for path in source.files(int(frame)):
                 scans[path.relative_to(root).as_posix()] = path
+    by_geometry = {"labels": "geometry"} if "geometry" in reduction.scans else {}
     given = manifest.files.geo or manifest.files.oxts if options.reading.oxts is not None else None
     return PreparedDrive(
         name=manifest.name,
@@ -185,7 +186,7 @@ def _as_it_is(root: Path, reduction: Reduction, options: PushOptions, maps: list
             *(_small_file(name, source) for name, source in plan.copies.sources.items()),
             *(UploadFile(name, path) for name, path in scans.items()),
         ],
-        options={**options.reading.model_dump(), "oxts": given},
+        options={**options.reading.model_dump(), "oxts": given, **by_geometry},
         maps=maps,
     )
 
@@ -198,7 +199,7 @@ def _as_reduced(root: Path, options: PushOptions, maps: list[UploadFile]) -> Pre
             f"{root} is a reduced drive: --oxts, --model, --raw, --keep-raw and --all-scans belong to the drive that "
             "it was made from. Give that drive, or leave these options out."
         )
-    chosen = options.label_folders or tuple(labels.folder for labels in manifest.labels) or label_folders_in(root)
+    chosen = options.label_folders or tuple(labels.folder for labels in manifest.labels)
     opened = read_drive(root, DriveOptions.of(options.reading), Findings(stop_at_first=True), label_folders=chosen)
     kept = [labels for labels in manifest.labels if labels.folder in chosen]
     sent = ReducedManifest.model_validate({**dict(manifest), "name": options.name or manifest.name, "labels": kept})
@@ -210,7 +211,7 @@ def _as_reduced(root: Path, options: PushOptions, maps: list[UploadFile]) -> Pre
         scans=len(manifest.frames),
         scans_sent=len(frames),
         source_bytes=_source_bytes(sent),
-        is_georeferenced=opened[chosen[0]].trajectory.georeference is not None,
+        is_georeferenced=next(iter(opened.values())).trajectory.georeference is not None,
         files=[
             *(UploadFile(name, root / name) for name in names),
             *(UploadFile(name, root / name) for name in ground),
@@ -250,7 +251,7 @@ def _files_below(root: Path, name: str) -> list[str]:
 
 
 def _with_all_problems(error: InterLocError, root: Path, options: PushOptions) -> InterLocError:
-    folders = options.label_folders or label_folders_in(root)[: 1 if options.model is not None else None]
+    folders = options.label_folders or label_folders_in(root, options.for_drive)
     findings = Findings(stop_at_first=False)
     read_drive(root, options.for_drive, findings, label_folders=folders)
     problems = [f"{each.path}: {each.message}" for each in findings.found if each.severity == "error"]

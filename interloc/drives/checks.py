@@ -20,8 +20,10 @@ MAX_STEP_M, MAX_STEP_SLOPE = 0.6, 0.02
 
 MAX_TILT_RAD = np.radians(40.0)
 
+NEAR_M = 25.0
+"""Around the sensor, where heights are sure."""
+
 _CELL_M = 1.0
-_RANGE_M = 25.0
 _PAIR_STEP_M = 6.0
 _FAR_M = 30.0
 _PLACES = 3
@@ -31,6 +33,7 @@ _TURN_RAD = np.radians(12.0)
 _MAX_CURVATURE, _NOISE_RAD = np.radians(15.0), np.radians(5.0)  # per metre: no vehicle turns faster; a jump does
 _OVERLAP_M = 15.0
 _OTHER_TURNS_DEG = np.arange(-60.0, 61.0, 4.0)
+_AROUND_OPPOSITE_DEG = np.arange(-8.0, 9.0, 4.0)
 _AS_POSES = len(_OTHER_TURNS_DEG) // 2
 _EXPLAINED, _BETTER, _SAME_TURN_DEG = 0.7, 0.15, 10.0
 
@@ -129,7 +132,7 @@ def _pairs(poses: FloatArray, usable: IntArray) -> list[tuple[int, int]]:
 
 def _near(road: Float32Array) -> FloatArray:
     """Return the road points around the sensor, where heights are sure."""
-    return road[np.hypot(road[:, 0], road[:, 1]) < _RANGE_M].astype(np.float64)
+    return road[np.hypot(road[:, 0], road[:, 1]) < NEAR_M].astype(np.float64)
 
 
 def _height_step(a: FloatArray, b: FloatArray) -> float | None:
@@ -179,22 +182,29 @@ def check_turns(
         with findings.stage():
             here, there = _near(drive.ground_points(i).road), _near(drive.ground_points(j).road)
             relative = invert_transform(poses[i]) @ poses[j]
-            fits = _road_overlap(here, there, relative)
+            opposite = -2.0 * float(np.degrees(yaw_of(relative[:3, :3])))  # as of poses that are mirrored
+            others_deg = np.concatenate([_OTHER_TURNS_DEG, opposite + _AROUND_OPPOSITE_DEG])
+            fits = _road_overlap(here, there, relative, np.radians(others_deg))
             best = int(np.argmax(fits))
             turn = float(np.degrees(yaw_of(relative[:3, :3])))
-            other = float(_OTHER_TURNS_DEG[best])
+            other = float(others_deg[best])
             if fits[best] > _EXPLAINED and fits[best] - fits[_AS_POSES] > better and abs(other) > _SAME_TURN_DEG:
                 others.append((turn, turn + other, i, j))
     if len(others) < (1 if suspected else 2):
         return
     turn, seen, i, j = others[0]
+    mirrored = sum(abs(turn + seen) < _SAME_TURN_DEG for turn, seen, *_ in others) > len(others) / 2
+    usual = (
+        "poses in a frame with z down (NED, FRD), whose left is the right of the points"
+        if mirrored
+        else "poses of another sequence, or scans and poses that start at other frames"
+    )
     findings.error(
         DriveFileError(
             pose_file,
             f"the scans do not move as the poses do: from scan {drive.frames[i]} to {drive.frames[j]} the poses turn "
             f"by {turn:.0f} degrees, the road in the scans by {seen:.0f} ({len(others)} of {len(pairs)} places looked "
-            "at are like that). Usual cause: poses of another sequence, or scans and poses that "
-            "start at other frames.",
+            f"at are like that). Usual cause: {usual}.",
         )
     )
 
@@ -222,8 +232,8 @@ def _moving_pairs(poses: FloatArray, usable: IntArray, *, everywhere: bool) -> l
     return list(dict.fromkeys((int(usable[a]), int(usable[b])) for _, a, b in chosen))
 
 
-def _road_overlap(here: FloatArray, there: FloatArray, relative: FloatArray) -> FloatArray:
-    """Return which share of the road near one scan lies on the road of another, for each of `_OTHER_TURNS_DEG`.
+def _road_overlap(here: FloatArray, there: FloatArray, relative: FloatArray, others_rad: FloatArray) -> FloatArray:
+    """Return which share of the road near one scan lies on the road of another, turned by each of some angles more.
 
     Parameters
     ----------
@@ -231,17 +241,22 @@ def _road_overlap(here: FloatArray, there: FloatArray, relative: FloatArray) -> 
         Road points of the two scans, metres.
     relative : (4, 4) float64
         Pose of the second scan in the first.
+    others_rad : (K,) float64
+
+    Returns
+    -------
+    (K,) float64
     """
-    size = 2 * int(_RANGE_M + 2)
+    size = 2 * int(NEAR_M + 2)
     covered = np.pad(_covered(here, size), 1)
     road: BoolArray = np.logical_or.reduce(sliding_window_view(covered, (3, 3)), axis=(2, 3))  # a cell more all around
     near = there[np.hypot(there[:, 0], there[:, 1]) < _OVERLAP_M]
     if not len(near):
-        return np.zeros(len(_OTHER_TURNS_DEG))
+        return np.zeros(len(others_rad))
     cells = np.argwhere(_covered(near, size)).astype(np.float64) - size // 2 + 0.5
     yaw = yaw_of(relative[:3, :3])
-    shares = np.zeros(len(_OTHER_TURNS_DEG))
-    for number, other in enumerate(np.radians(_OTHER_TURNS_DEG)):
+    shares = np.zeros(len(others_rad))
+    for number, other in enumerate(others_rad):
         seen = rotate_2d(cells, yaw + other) + rotate_2d(relative[:2, 3], other / 2)  # as if driven along an arc
         at = np.floor(seen).astype(np.int64) + size // 2
         inside = ((at >= 0) & (at < size)).all(axis=1)

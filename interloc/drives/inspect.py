@@ -115,7 +115,7 @@ def inspect_drive(
     """
     root, findings = Path(path), Findings(stop_at_first=False)
     chosen = DriveOptions.of(options, **{**arguments, "check": True})
-    reading = read_drive(root, chosen, findings, thorough=thorough)[chosen.labels]
+    (reading,) = read_drive(root, chosen, findings, thorough=thorough).values()
     return report_of(root, chosen, reading, findings)
 
 

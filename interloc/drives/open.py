@@ -5,10 +5,11 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache
 from pathlib import Path
 from typing import Unpack, cast
 
-from interloc.drives.checks import check_flat_road, check_turns, sample_indices
+from interloc.drives.checks import NEAR_M, check_flat_road, check_turns, sample_indices
 from interloc.drives.files import each_read_once
 from interloc.drives.findings import Findings
 from interloc.drives.folder import FolderDrive, Scans
@@ -16,10 +17,11 @@ from interloc.drives.formats import FORMATS, ScanFormat, find_format, installed_
 from interloc.drives.georeference.geodetic import check_georeference
 from interloc.drives.labels import SEMANTICKITTI, LabelJudgement
 from interloc.drives.layouts import SCAN_FOLDERS, not_a_drive, recognise_layout
-from interloc.drives.options import DriveArguments, DriveOptions, LabelFolder, ReadingOptions
-from interloc.drives.scans.raw import RawScans
+from interloc.drives.options import LABEL_FILES, DriveArguments, DriveOptions, LabelFolder, ReadingOptions
+from interloc.drives.plausibility import RoadSeen, check_motion, check_points
+from interloc.drives.scans.raw import RawScans, trajectory_of
 from interloc.drives.scans.recorded import Recording
-from interloc.drives.scans.reduced import ReducedScans
+from interloc.drives.scans.reduced import ReducedScans, reduced_trajectory
 from interloc.drives.scans.reduced_format import ReducedManifest, is_reduced, read_manifest
 from interloc.drives.trajectory import Trajectory
 
@@ -40,8 +42,8 @@ def open_drive(
         (`interloc.drives.scans.reduced_format`).
     options : ReadingOptions or None
         All of the following at once; those that are named beside it count.
-    labels : {"labels", "predictions"}
-        Folder of the labels.
+    labels : {"auto", "labels", "predictions", "geometry"}
+        The files of labels/ or predictions/, or labels made of the points; "auto" takes the first that there is.
     label_scheme
         "auto", "semantickitti", "learning" (0..19, road = 9), "kitti360", or the ids of road, as a collection or as
         text ("40,60").
@@ -81,9 +83,9 @@ def open_drive(
         An unknown option or choice.
     """
     chosen = DriveOptions.of(options, **arguments)
-    drive = read_drive(Path(path), chosen, Findings(stop_at_first=True))[chosen.labels].drive
-    assert drive is not None  # else a fault was raised
-    return drive
+    (reading,) = read_drive(Path(path), chosen, Findings(stop_at_first=True)).values()
+    assert reading.drive is not None  # else a fault was raised
+    return reading.drive
 
 
 @dataclass(frozen=True)
@@ -127,7 +129,8 @@ def read_drive(
 ) -> dict[LabelFolder, DriveReading]:
     """Read all of a drive but its points, and check it; look into some scans, or into all of them (`thorough`).
 
-    The drive is opened once, and its small files are read once, for all label folders (`options.labels` by default).
+    The drive is opened once, and its small files are read once, for all label folders (those of `options.labels` by
+    default).
 
     Raises
     ------
@@ -135,25 +138,32 @@ def read_drive(
         The first fault, where `findings` stops at it.
     """
     opened: Recording | ReducedManifest | None = None
-    trajectory: Trajectory | None = None
     readings: dict[LabelFolder, DriveReading] = {}
+
+    @cache
+    def trajectory() -> Trajectory:
+        assert opened is not None
+        if isinstance(opened, ReducedManifest):
+            return reduced_trajectory(opened, root, options, findings)
+        return trajectory_of(opened, options, findings)
+
     with each_read_once():
         with findings.stage():
             opened = read_manifest(root) if is_reduced(root) else open_recording(root, options, findings)
-        for folder in dict.fromkeys(label_folders or (options.labels,)):
+        for folder in dict.fromkeys(label_folders or (_label_folder(opened, options, findings),)):
             scans: Scans | None = None
             with findings.stage():
                 if isinstance(opened, ReducedManifest):
                     scans = ReducedScans.of(opened, root, folder, options, findings)
                 elif opened is not None:
-                    scans = RawScans.of(opened, folder, options, findings, needs_labels=needs_labels)
+                    scans = RawScans.of(opened, folder, options, findings, trajectory, needs_labels=needs_labels)
             if scans is None or scans.frames is None:
                 readings[folder] = DriveReading(scans)
                 continue
-            trajectory = trajectory or scans.read_trajectory(options, findings)
+            where = trajectory()
             sample = sample_indices(scans.usable, len(scans.usable) if thorough else SAMPLED_SCANS)
             labels = scans.judge_labels(sample, options, findings)
-            reading = DriveReading(scans, trajectory, sample, labels, _drive_of(scans, trajectory, labels))
+            reading = DriveReading(scans, where, sample, labels, _drive_of(scans, where, labels))
             readings[folder] = _checked(reading, findings) if options.check else reading
     return readings
 
@@ -185,6 +195,20 @@ def open_recording(root: Path, options: DriveOptions, findings: Findings) -> Rec
     raise not_a_drive(root, options)
 
 
+def _label_folder(opened: Recording | ReducedManifest | None, options: DriveOptions, findings: Findings) -> LabelFolder:
+    """Return the labels that were asked for; where that was left open, the first that there are."""
+    if options.labels != "auto":
+        return options.labels
+    if isinstance(opened, ReducedManifest):
+        return opened.labels[0].folder
+    if opened is None or options.model is not None:
+        return "labels"
+    there = [folder for folder in LABEL_FILES if opened.parts.label_folder(folder).is_dir()]
+    if there == ["predictions"]:
+        findings.note("predictions", "are the labels: there is no labels/.")
+    return there[0] if there else "labels"
+
+
 def _drive_of(scans: Scans, trajectory: Trajectory, labels: LabelJudgement) -> FolderDrive | None:
     poses = trajectory.poses
     if scans.frames is None or poses is None or not scans.is_complete:
@@ -211,11 +235,17 @@ def _checked(reading: DriveReading, findings: Findings) -> DriveReading:
     pose_file = "oxts" if drive.pose_frame == "oxts" else "poses"  # those of a bag are in no file
     if scans.parts.poses is not None:
         pose_file = scans.parts.file(scans.parts.poses).name
+    seen = []
     for index in reading.sample:
         with findings.stage():
-            drive.ground_points(index)
+            if len(road := drive.ground_points(index).road):
+                seen.append(RoadSeen.of(index, road, NEAR_M))
+    check_points(drive.T_world_lidar, seen, scans.parts.file(scans.parts.scans).name, findings)
+    check_motion(drive.T_world_lidar, pose_file, findings)
     reading = replace(reading, flatness_m=check_flat_road(drive, scans.usable, pose_file, findings))
     check_turns(drive, scans.usable, pose_file, findings, suspected=reading.trajectory.is_odd)
+    if isinstance(scans, RawScans):
+        scans.tell_doubts(findings)
     if drive.georeference is None or drive.pose_frame == "oxts":
         return reading
     error = check_georeference(drive.T_world_lidar, drive.georeference, findings)

@@ -23,8 +23,18 @@ from interloc.drives.formats import FORMATS, find_format, installed_formats
 from interloc.drives.labels import named_scheme
 from interloc.errors import ConfigError
 
-LabelFolder = Literal["labels", "predictions"]
+LabelFolder = Literal["labels", "predictions", "geometry"]
+"""Labels that a drive can have: in files of two folders, or made of its points."""
+
+LABEL_FILES: tuple[LabelFolder, ...] = ("labels", "predictions")
+"""Folders of label files."""
+
+LabelChoice = Literal["auto", "labels", "predictions", "geometry"]
 PoseFrame = Literal["auto", "camera", "lidar"]
+LABELS = (
+    "Which labels: the files of labels/ or predictions/, or geometry, which finds the road by the points and the path "
+    "driven; auto takes the first that there is, labels of the points themselves before geometry."
+)
 CRS_PATTERN = r"^[A-Za-z]+:[0-9]+$"
 
 
@@ -133,7 +143,7 @@ class ReadingOptions(BaseModel):
 class DriveOptions(ReadingOptions):
     """Options of `open_drive` and `inspect_drive`."""
 
-    labels: LabelFolder = Field("labels", description="Folder of the labels.")
+    labels: LabelChoice = Field("auto", description=LABELS)
     model: Path | None = Field(
         None,
         description="Folder of a network (model.onnx, arch_cfg.yaml, data_cfg.yaml) that labels the scans; label files "
@@ -151,7 +161,7 @@ class DriveOptions(ReadingOptions):
 class DriveArguments(TypedDict, total=False):
     """`DriveOptions` as keyword arguments."""
 
-    labels: LabelFolder
+    labels: LabelChoice
     label_scheme: str | Collection[int]
     pose_frame: PoseFrame
     layout: LayoutChoice

@@ -6,10 +6,10 @@ import re
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Literal, get_args
+from typing import Literal
 
 from interloc.drives.layouts import KITTI360_POSES, POSE_FILES, SCAN_FOLDERS, pcd_ending
-from interloc.drives.options import LabelFolder
+from interloc.drives.options import LABEL_FILES
 from interloc.drives.scans.las.open import SUFFIXES as LAS_SUFFIXES
 from interloc.drives.scans.las.tracks import TRACK_SUFFIXES
 from interloc.drives.scans.rosbag.bag import SUFFIXES as BAG_SUFFIXES
@@ -80,10 +80,10 @@ class ListedDrive:
             is_scan, is_label = _GROUND.fullmatch(inside) is not None, False
         elif self.kind == "bin":
             is_scan = folder in SCAN_FOLDERS and name.endswith(".bin")
-            is_label = folder in get_args(LabelFolder) and name.endswith(".label")
+            is_label = folder in LABEL_FILES and name.endswith(".label")
         else:
             is_scan = _recorded_kind(inside) == self.kind and not _home_of(inside, self.kind)
-            is_label = folder in get_args(LabelFolder) and name.endswith(".label")
+            is_label = folder in LABEL_FILES and name.endswith(".label")
         if is_scan:
             self.scans[inside] = path
         elif is_label:

@@ -14,7 +14,7 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Literal, get_args
+from typing import Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
@@ -28,13 +28,13 @@ from interloc.drives.findings import DriveFileError, Finding, Findings, by_sever
 from interloc.drives.georeference.geodetic import check_georeference
 from interloc.drives.layouts import PCD_ENDINGS, POSE_FILES, DriveParts, find_layout
 from interloc.drives.open import SAMPLED_SCANS
-from interloc.drives.options import DriveOptions, LabelFolder, LayoutName
+from interloc.drives.options import LABEL_FILES, DriveOptions, LabelFolder, LayoutName
 from interloc.drives.scans.bin_files import BinScans, open_bin_files
 from interloc.drives.scans.las.tracks import find_tracks
 from interloc.drives.scans.pcd import LABEL_FIELDS, PcdScans, number_scans, open_pcd_files, read_pcd_header
-from interloc.drives.scans.raw import RawScans
+from interloc.drives.scans.raw import RawScans, trajectory_of
 from interloc.drives.scans.recorded import Recording
-from interloc.drives.scans.reduced import ReducedScans
+from interloc.drives.scans.reduced import ReducedScans, reduced_trajectory
 from interloc.drives.scans.reduced_format import read_manifest, to_runs
 from interloc.drives.scans.rosbag.bag import find_bag
 from interloc.drives.trajectory import LidarPoses, Trajectory, read_trajectory
@@ -48,7 +48,6 @@ _MEMORY = Path("/dev/shm")  # noqa: S108 - a folder of a random name is made the
 _PAGE_BYTES = 4096
 _MAX_POSITIONS = 20_000
 _MAX_TRACK_BYTES = 4_000_000  # of what may be the trajectory of a cloud; of a longer one the head is enough
-_FOLDERS: tuple[LabelFolder, ...] = get_args(LabelFolder)
 
 
 class LookedNumbers(BaseModel):
@@ -290,11 +289,7 @@ class _Look:
         found.frames_to_look_into = _sample(recording.frames)
         if found.wanted:
             return
-        if recording.read_trajectory is not None:
-            trajectory = recording.read_trajectory(options, self.findings)
-        else:
-            trajectory = read_trajectory(parts, recording.frames, options, self.findings)
-        self._show(trajectory, keyframes)
+        self._show(trajectory_of(recording, options, self.findings), keyframes)
 
     def _open_pcd(self, parts: DriveParts, options: DriveOptions) -> Recording:
         """List PCD files; the header of the first tells whether they carry labels."""
@@ -310,7 +305,7 @@ class _Look:
             return recording
         self.findings.found += unheard.found
         self._found.carries_labels = recording.carries_labels
-        if not recording.carries_labels and not any((parts.root / folder).is_dir() for folder in _FOLDERS):
+        if not recording.carries_labels and not any((parts.root / folder).is_dir() for folder in LABEL_FILES):
             names = ", ".join(read_pcd_header(first)[0].dtype.names or ()) if has_header else ""
             fault = first.fault(
                 f"has no label: {f'its fields are {names}' if names else 'it holds no named fields'}. Expected one of "
@@ -322,12 +317,12 @@ class _Look:
     def _read_labels(self, recording: Recording, options: DriveOptions) -> None:
         """Check the label files of each folder; where there are none, say how they are made."""
         found = self._found
-        there = [folder for folder in _FOLDERS if (self.place / folder).is_dir()]
+        there = [folder for folder in LABEL_FILES if (self.place / folder).is_dir()]
         for folder in there:
             self._list_labels(folder, recording, options)
         if not there and not recording.carries_labels and not found.unlabelled and found.carries_labels is None:
             findings = Findings(stop_at_first=False)
-            RawScans.of(recording, options.labels, options, findings)
+            RawScans.of(recording, "labels", options, findings, Trajectory)
             found.unlabelled += findings.found
 
     def _list_labels(self, folder: LabelFolder, recording: Recording | None, options: DriveOptions) -> None:
@@ -339,7 +334,7 @@ class _Look:
             self.findings.found += findings.found
             return
         if recording is not None:
-            RawScans.of(recording, folder, options, findings)
+            RawScans.of(recording, folder, options, findings, Trajectory)
         self._found.labels[folder] = LookedLabels(**self._numbers(files), problems=findings.found)
 
     def _numbers(self, files: NumberedFiles) -> dict[str, object]:
@@ -364,7 +359,7 @@ class _Look:
         """Look into what only the service reads: a bag, or LAS files."""
         self._take_whole()
         found, place = self._found, self.place
-        for folder in _FOLDERS:
+        for folder in LABEL_FILES:
             if (place / folder).is_dir():
                 self._list_labels(folder, None, options)
                 found.frames_to_look_into = found.frames_to_look_into or _sample_of(found.labels.get(folder))
@@ -405,9 +400,9 @@ class _Look:
             return
         manifest = read_manifest(self.place)
         for labels in manifest.labels:
-            scans = ReducedScans.of(manifest, self.place, labels.folder, options, self.findings)
+            ReducedScans.of(manifest, self.place, labels.folder, options, self.findings)
             if self._found.track is None:
-                self._show(scans.read_trajectory(options, self.findings), keyframes)
+                self._show(reduced_trajectory(manifest, self.place, options, self.findings), keyframes)
 
     def _show(self, trajectory: Trajectory, keyframes: KeyframeConfig) -> None:
         """Tell where the drive went, and how poses and georeference fit together."""

@@ -7,12 +7,11 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import get_args
 
 from interloc.config import KeyframeConfig
 from interloc.drives.findings import DriveFileError, Findings
 from interloc.drives.open import DriveReading, read_drive
-from interloc.drives.options import DriveOptions, LabelFolder, ReadingOptions
+from interloc.drives.options import LABEL_FILES, DriveOptions, LabelFolder, ReadingOptions
 from interloc.drives.scans.raw import RawScans
 from interloc.drives.scans.reduced_format import (
     MANIFEST,
@@ -90,8 +89,8 @@ def prepare_reduction(
         Folder of the drive, with its scans.
     options : ReadingOptions or None
         How the drive is read.
-    label_folders : sequence of {"labels", "predictions"}, or None
-        By which labels ground points are chosen; None: by all that are there.
+    label_folders : sequence of {"labels", "predictions", "geometry"}, or None
+        By which labels ground points are chosen; None: by all of which there are files.
     keyframes : KeyframeConfig or None
         Scans to keep: the keyframes by these settings; None: all.
 
@@ -104,9 +103,7 @@ def prepare_reduction(
     """
     root, findings, chosen = Path(root), Findings(stop_at_first=True), DriveOptions.of(options)
     with findings.stage():
-        folders = label_folders or label_folders_in(root)
-        if chosen.model is not None:
-            folders = ("predictions",)  # what a network says counts as such
+        folders = label_folders or label_folders_in(root, chosen)
         if is_reduced(root):
             raise DriveFileError(str(root), "is a reduced drive already. Expected a drive with its scans.")
     readings = read_drive(root, chosen, findings, label_folders=folders)
@@ -198,8 +195,11 @@ def in_threads(work: Callable[[int], None], items: Sequence[int], threads: int, 
         pool.shutdown(cancel_futures=True)
 
 
-def label_folders_in(root: Path) -> tuple[LabelFolder, ...]:
-    """Return the label folders that a drive has; "labels", which will be missed, where it has none."""
-    folders: tuple[LabelFolder, ...] = get_args(LabelFolder)
+def label_folders_in(root: Path, options: DriveOptions) -> tuple[LabelFolder, ...]:
+    """Return by which labels a drive can be reduced: the one that was asked for, or all of which there are files."""
+    if options.model is not None:
+        return ("predictions",)  # what a network says counts as such
+    if options.labels != "auto":
+        return (options.labels,)
     inside = root if root.is_dir() else root.parent
-    return tuple(folder for folder in folders if (inside / folder).is_dir()) or folders[:1]
+    return tuple(folder for folder in LABEL_FILES if (inside / folder).is_dir())

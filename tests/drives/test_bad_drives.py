@@ -122,8 +122,13 @@ def test_missing_label(sequence: Path) -> None:
 
 def test_missing_labels_name_the_predictions(tmp_path: Path, make: ModuleType) -> None:
     root = make.write_semantickitti(tmp_path / "07", labels="predictions")
-    assert "There is predictions/: choose it" in refusal(root)
-    assert open_drive(root, labels="predictions").scans.label_source == "predictions"
+    assert "There is predictions/: choose it" in refusal(root, labels="labels")
+
+
+def test_without_labels_the_predictions_are_used_and_named(tmp_path: Path, make: ModuleType) -> None:
+    report = inspect_drive(make.write_semantickitti(tmp_path / "07", labels="predictions"))
+    assert report.label_folder == "predictions"
+    assert [str(each.path) for each in report.problems if "there is no labels/" in each.message] == ["predictions"]
 
 
 def test_fewer_poses_than_scans(sequence: Path) -> None:

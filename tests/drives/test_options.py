@@ -13,7 +13,7 @@ from interloc.errors import ConfigError
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ({"labels": "else"}, "labels 'else': expected 'labels' or 'predictions'"),
+        ({"labels": "else"}, "labels 'else': expected 'auto', 'labels', 'predictions' or 'geometry'"),
         ({"pose_frame": "imu"}, "pose frame 'imu': expected 'auto', 'camera' or 'lidar'"),
         (
             {"layout": "nuscenes"},
@@ -38,4 +38,4 @@ def test_ids_of_road_are_kept_as_text() -> None:
 
 def test_arguments_come_before_given_options() -> None:
     given = DriveOptions(labels="predictions", layout="kitti_raw", name="08")
-    assert DriveOptions.of(given, labels="labels") == DriveOptions(layout="kitti_raw", name="08")
+    assert DriveOptions.of(given, labels="auto") == DriveOptions(layout="kitti_raw", name="08")

@@ -328,7 +328,9 @@ def test_a_made_up_map_is_not_of_openstreetmap(tmp_path: Path) -> None:
     assert "made up by a simulator" in page
     for path in folder.glob("*.geojson"):
         assert "contributors" not in path.read_text()
-        assert ("made up" in path.read_text()) == (path.stem not in {"trajectory", "keyframes", "roads", "junctions", "road_surface"})
+        assert ("made up" in path.read_text()) == (
+            path.stem not in {"trajectory", "keyframes", "roads", "junctions", "road_surface"}
+        )
     write_vector_file(folder, tmp_path / "a.gpkg")
     assert b"contributors" not in (tmp_path / "a.gpkg").read_bytes()
     write_vector_file(folder, tmp_path / "a.qgz")

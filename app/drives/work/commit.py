@@ -239,7 +239,7 @@ def _read_once(
 ) -> tuple[dict[LabelFolder, DriveReading], Findings]:
     """Read a drive by its label folders, once for all steps and parts of a job in this process."""
     findings = Findings(stop_at_first=False)
-    folders: Sequence[LabelFolder] = label_folders_in(root) if options.model is None else ("predictions",)
+    folders: Sequence[LabelFolder] = label_folders_in(root, options)
     if is_reduced(root):
         with suppress(DriveFileError):  # of a manifest that cannot be read, which reading lists
             folders = [labels.folder for labels in read_manifest(root).labels]

@@ -6,7 +6,6 @@ import time
 from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
-from typing import get_args
 
 import numpy as np
 
@@ -22,7 +21,7 @@ from interloc.detection.warm import are_cold, warm_up
 from interloc.drive import Drive
 from interloc.drives.folder import FolderDrive
 from interloc.drives.open import open_drive
-from interloc.drives.options import LabelFolder
+from interloc.drives.options import LabelChoice
 from interloc.drives.scans.reduced_format import MANIFEST
 from interloc.errors import DriveError
 from interloc.evaluation.coverage import map_bounds, track_bounds
@@ -134,19 +133,14 @@ def open_input(folder: Path, name: str, request: IntersectionsJob) -> tuple[Driv
             f"The files of drive {name} are no longer on the disk of the service, though it was committed. "
             "Upload it again, and tell the operator."
         )
-    drive, keyframes = _open_once(root, name, request.labels or _first_labels(root), request.config)
+    drive, keyframes = _open_once(root, name, request.labels or "auto", request.config)
     return drive.without_georeference() if request.georeference == "map" else drive, keyframes
 
 
 @lru_cache(maxsize=4)  # a worker does many parts of few drives; their files do not change any more
-def _open_once(root: Path, name: str, labels: LabelFolder, config: DetectorConfig) -> tuple[FolderDrive, IntArray]:
+def _open_once(root: Path, name: str, labels: LabelChoice, config: DetectorConfig) -> tuple[FolderDrive, IntArray]:
     drive = open_drive(root, name=name, labels=labels, check=False)  # the commit has checked it
     return drive, select_keyframes(drive.T_world_lidar, config.keyframes)
-
-
-def _first_labels(root: Path) -> LabelFolder:
-    folders: tuple[LabelFolder, ...] = get_args(LabelFolder)
-    return next((name for name in folders if (root / "ground" / name).is_dir()), folders[0])
 
 
 def _cut(keyframes: int, config: DetectorConfig) -> list[Part]:

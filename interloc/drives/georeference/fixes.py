@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,6 +17,7 @@ MIN_EXTENT_M = 10.0
 _AROUND_M = 50.0
 """Fixes count for a scan by how far was driven between the two: this is the standard deviation."""
 
+_MAX_LAT_DEG = 89.0
 _BIN_M = 1.0
 _STATION_M = 5.0
 _ROUNDS = 4
@@ -42,6 +43,13 @@ class Fixes:
     alt_m: FloatArray
     position: FloatArray
     distance_m: FloatArray
+
+    @property
+    def swapped(self) -> Fixes | None:
+        """The same with latitude and longitude exchanged; None where that is no place on Earth."""
+        if not len(self.lon_deg) or np.abs(self.lon_deg).max() >= _MAX_LAT_DEG:
+            return None
+        return replace(self, lat_deg=self.lon_deg, lon_deg=self.lat_deg)
 
 
 def extent_m(fixes: Fixes) -> float:

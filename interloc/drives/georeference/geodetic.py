@@ -10,15 +10,46 @@ from interloc.arrays import FloatArray, IntArray
 from interloc.drive import Georeference
 from interloc.drives.files import SourceFile
 from interloc.drives.findings import Findings, GeoreferenceFileError
-from interloc.drives.poses.motion import body_steps, rows_apart
+from interloc.drives.poses.motion import body_steps, body_turns, rows_apart
 from interloc.geometry import ecef_from_geodetic, invert_transform
 
 MAX_GEOREFERENCE_ERROR = 0.1
 """Of the distance between two scans; all KITTI drives stay under 0.02, and those of other drives are over 0.1."""
 
+MIN_TURNED_RAD = np.radians(30.0)
+"""Root of the sum of squared turns over which the turns of poses and georeference are compared."""
+
+_MIN_TURN_SHARE = 0.5
+_E7, _LEAST_E7 = 1e7, 2e7
+"""Some receivers write multiples of 1e-7 degrees; beyond two degrees these are larger than any coordinate in metres."""
+
+
+def in_degrees(lat: FloatArray, lon: FloatArray) -> tuple[FloatArray, FloatArray, bool]:
+    """Bring latitudes and longitudes to degrees, longitudes to -180 up to 180.
+
+    Parameters
+    ----------
+    lat, lon : (N,) float64
+        Degrees, longitudes of any turn; or multiples of 1e-7 degrees, most of them.
+
+    Returns
+    -------
+    lat, lon : (N,) float64
+    bool
+        True where they were multiples of 1e-7 degrees.
+    """
+    with np.errstate(invalid="ignore"):
+        larger = np.maximum(np.abs(lat), np.abs(lon))
+        larger = larger[np.isfinite(larger) & (larger > 0)]
+        is_e7 = bool(len(larger) and np.median(larger) > _LEAST_E7 and larger.max() <= 360 * _E7)
+        if is_e7:
+            lat, lon = lat / _E7, lon / _E7
+        turned = np.where(np.abs(lon) > 180, np.where(np.abs(lon) <= 360, (lon + 180) % 360 - 180, lon), lon)
+    return lat, turned, is_e7
+
 
 def checked_fixes(file: SourceFile, rows: FloatArray, frames: IntArray) -> FloatArray:
-    """Refuse positions that are not on Earth, and angles in degrees.
+    """Refuse positions that are not on Earth, and angles in degrees; bring longitudes to -180 up to 180.
 
     Parameters
     ----------
@@ -34,6 +65,8 @@ def checked_fixes(file: SourceFile, rows: FloatArray, frames: IntArray) -> Float
     GeoreferenceError
         One of them is out of range, or has no fix.
     """
+    rows = rows.copy()
+    rows[:, 0], rows[:, 1], _ = in_degrees(rows[:, 0], rows[:, 1])
     lat, lon, alt, angles = np.abs(rows[:, 0]), np.abs(rows[:, 1]), np.abs(rows[:, 2]), np.abs(rows[:, 3:6])
     off = (lat > 89) | (lon > 360) | (alt > 20_000)
     if off.any():
@@ -99,7 +132,9 @@ def check_georeference(poses: FloatArray, georeference: Georeference, findings: 
         return float(np.median(np.linalg.norm(theirs - ours, axis=1) / np.linalg.norm(ours, axis=1)))
 
     error = error_of(georeference)
-    if error > MAX_GEOREFERENCE_ERROR:
+    if error <= MAX_GEOREFERENCE_ERROR:
+        _check_turns(poses[rows], ecef_poses(georeference)[rows], georeference.source, findings)
+    else:
         cause = (
             "Usual cause: the georeference of another drive, rows that start at another frame, or angles in another "
             "convention (expected: yaw 0 = east, counter-clockwise, radians)."
@@ -115,3 +150,21 @@ def check_georeference(poses: FloatArray, georeference: Georeference, findings: 
             )
         )
     return error
+
+
+def _check_turns(ours: FloatArray, theirs: FloatArray, source: str, findings: Findings) -> None:
+    """Check that two tracks of (P, 4, 4) poses turn alike: their steps are the same where left and right are not."""
+    turns, expected = body_turns(ours), body_turns(theirs)
+    squares = float((expected**2).sum())
+    share = float((turns * expected).sum()) / max(squares, 1e-12)
+    if np.sqrt(squares) < MIN_TURNED_RAD or share > _MIN_TURN_SHARE:
+        return
+    how = "to the other side" if share < -_MIN_TURN_SHARE else "otherwise"
+    findings.error(
+        GeoreferenceFileError(
+            source,
+            f"turns {how} than the poses ({share:.0%} of its turns are in them). Usual cause: one of the two has its z "
+            "axis down (NED, FRD), so that left and right are mirrored, or an attitude that is not filled in. "
+            "Expected x forward, y left, z up in both.",
+        )
+    )

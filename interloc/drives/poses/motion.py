@@ -81,13 +81,11 @@ def body_motion(poses: FloatArray) -> BodyMotion | None:
     if extent < MIN_MOTION_M:
         return None
     rows = rows_apart(position, min(_STEP_M, extent / 2))
-    rotation = poses[rows, :3, :3]
     step = body_steps(poses[rows])
     length = np.linalg.norm(step, axis=1)
     unit = step / length[:, None]
     along = (unit**2).mean(axis=0)
-    relative = np.einsum("nji,njk->nik", rotation[:-1], rotation[1:])
-    turn = _rotation_vectors(relative)
+    turn = body_turns(poses[rows])
     squares = (turn**2).sum(axis=0)
     return BodyMotion(
         distance_m=float(length.sum()),
@@ -103,6 +101,12 @@ def body_steps(poses: FloatArray) -> FloatArray:
     """Return the (P - 1, 3) motions from pose to pose of (P, 4, 4) T_world_body, each in the frame of its body."""
     steps: FloatArray = np.einsum("nji,nj->ni", poses[:-1, :3, :3], np.diff(poses[:, :3, 3], axis=0))
     return steps
+
+
+def body_turns(poses: FloatArray) -> FloatArray:
+    """Return the (P - 1, 3) turns from pose to pose, axis times angle in radians, each in the frame of its body."""
+    rotation = poses[:, :3, :3]
+    return _rotation_vectors(np.einsum("nji,njk->nik", rotation[:-1], rotation[1:]))
 
 
 def rows_apart(position: FloatArray, step_m: float) -> list[int]:

@@ -359,6 +359,92 @@ def test_the_limits_of_a_container_are_found(
     assert list(_cgroup_limits(tmp_path, tmp_path / "groups")) == limits
 
 
+_PRELOADED = """
+import os, pathlib, signal
+
+died = pathlib.Path(__file__).with_suffix(".died")
+if not died.exists() or died.stat().st_size < 2:  # at the first two starts
+    with died.open("a") as file:
+        file.write("x")
+    os.kill(os.getpid(), signal.SIGKILL)
+
+def work_for_ever(path):
+    path.write_text("begun")
+    while True:
+        pass
+"""
+_SERVER = """
+import os, pathlib, signal, sys, time
+from multiprocessing import active_children, forkserver
+from app.jobs import processes
+import preloaded
+
+preloaded.died.unlink()
+if __name__ == "__main__":
+    processes.WARM = "preloaded"
+    executor = processes.ProcessExecutor(1)
+    pid = executor.submit(os.getpid).result(60)  # though what forks the workers died twice as it started
+    assert executor.alive == 3
+    begun = pathlib.Path(sys.argv[1])
+    endless = executor.submit(preloaded.work_for_ever, begun)
+    while not begun.exists():
+        time.sleep(0.01)
+    parent = forkserver._forkserver._forkserver_pid
+    os.kill(parent, signal.SIGKILL)
+    os.waitid(os.P_PID, parent, os.WEXITED | os.WNOWAIT)
+    assert not [child for child in active_children() if child.pid == pid]  # as far as can be told
+    executor.kill(endless)
+    assert isinstance(endless.exception(60), processes.WorkerLostError)
+    assert executor.submit(os.getpid).result(60) != pid
+    executor.stop()
+    print(pid)
+"""
+
+
+def test_the_process_that_forks_the_workers_may_be_killed_at_any_time(tmp_path: Path) -> None:
+    preloaded = tmp_path / "preloaded.py"
+    preloaded.write_text(_PRELOADED)
+    (tmp_path / "preloaded.died").write_text("xx")  # for the server itself
+    path = os.pathsep.join([str(Path(__file__).parents[3]), str(tmp_path)])
+    command = [sys.executable, "-c", _SERVER, str(tmp_path / "begun")]
+    found = subprocess.run(command, env={**os.environ, "PYTHONPATH": path}, check=True, capture_output=True, text=True)
+    assert (tmp_path / "preloaded.died").read_text() == "xx"
+    wait_until(lambda: is_gone(int(found.stdout)), "the worker to be gone", 20)
+
+
+class NothingStarts:
+    """A context whose processes do not start, as where there is no memory for one more."""
+
+    Pipe = processes._context.Pipe
+
+    @staticmethod
+    def get_start_method() -> str:
+        return "none"
+
+    class Process:
+        def __init__(self, **_: object) -> None:
+            pass
+
+        def start(self) -> None:
+            raise EOFError("unexpected EOF")
+
+
+def test_work_waits_while_no_worker_can_be_started(monkeypatch: pytest.MonkeyPatch) -> None:
+    with monkeypatch.context() as patched:
+        patched.setattr(processes, "_context", NothingStarts)
+        executor = ProcessExecutor(1)
+        try:
+            waiting = executor.submit(pid_of)
+            hopeless = executor.submit(pid_of, client="other", seconds=0.0)
+            with pytest.raises(WorkerLostError, match="could not be started"):
+                hopeless.result(60)
+            assert executor.alive == 0
+            patched.undo()
+            assert waiting.result(60) in pids_of(executor)
+        finally:
+            executor.stop()
+
+
 def test_no_dask_scheduler_is_told(tmp_path: Path) -> None:
     settings = Settings(data_dir=tmp_path, dask="tcp://127.0.0.1:9")
     with pytest.raises(ConfigError, match=r"no Dask scheduler answers at tcp://127\.0\.0\.1:9"):

@@ -6,6 +6,7 @@ import gzip
 import json
 import re
 import threading
+import unicodedata
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -14,13 +15,15 @@ from typing import Any
 import httpx
 import pytest
 
+from app.jobs import processes
 from app.settings import Settings
 from app.store.database import Database
 from app.store.models import Drive, Job
 from app.store.tokens import add_token
 from interloc.cli.main import run
 from tests.app.conftest import running_server
-from tests.app.processes import API, Gate, ended, half_way, job_of, submit, upload, wait_until
+from tests.app.jobs.test_executors import NothingStarts
+from tests.app.processes import API, Gate, archive_of, ended, half_way, job_of, submit, upload, wait_until
 from tests.app.street import write_street
 from tests.osm.test_overpass import Town
 
@@ -179,6 +182,17 @@ def test_a_request_that_cannot_be_done_is_refused_at_once(
     detail = problem(client.post(f"{API}/jobs", json={"drive_id": drive, **request_}), status)
     assert words in detail
     assert len(detail) < 1000
+
+
+def test_a_map_is_found_whether_its_umlauts_are_one_letter_or_two(client: httpx.Client, drive: str) -> None:
+    """As macOS spells names, and as everybody else does."""
+    stored = unicodedata.normalize("NFD", "Süd 1.osm")
+    client.put(f"{API}/drives/{drive}/files/{stored}", content=b"<osm><way>").raise_for_status()
+    order = {"drive_id": drive, "osm": {"file": "Süd 1.osm"}}
+    job = client.post(f"{API}/jobs", json=order).raise_for_status().json()
+    assert job["request"]["osm"]["file"] == stored
+    detail = problem(client.post(f"{API}/jobs", json=order | {"osm": {"file": "Nord.osm"}}), 422)
+    assert "It has 'Su\u0308d 1.osm', 'map.osm'" in detail
 
 
 def test_a_drive_that_is_not_committed_has_no_jobs(client: httpx.Client) -> None:
@@ -388,7 +402,7 @@ def test_a_job_of_another_version_that_cannot_be_read_fails_and_the_next_one_is_
 
 
 def test_a_damaged_map_is_told_before_the_long_work(client: httpx.Client, data_dir: Path, drive: str) -> None:
-    client.put(f"{API}/drives/{drive}/files/broken.osm", content=b"<osm><way>").raise_for_status()
+    client.put(f"{API}/drives/{drive}/files/broken.osm", content=b'<osm version="0.6"><way>').raise_for_status()
     job = ended(client, submit(client, drive, osm={"file": "broken.osm"}))
     assert (job["state"], job["error"]["status"]) == ("failed", 422)
     assert "broken.osm: is damaged" in job["error"]["detail"]
@@ -473,3 +487,22 @@ def test_presets_can_be_read(client: httpx.Client) -> None:
     paper = client.get(f"{API}/presets/paper").json()
     assert paper["config"]["candidates"]["kind"] == "harris"
     assert client.get(f"{API}/presets/best").status_code == 422
+
+
+def test_a_job_that_waits_for_a_worker_says_so(serve: Serve, street: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with monkeypatch.context() as patched:
+        patched.setattr(processes, "_context", NothingStarts)
+        client = serve()
+        drive_id = client.post(f"{API}/drives", json={"name": "street"}).json()["id"]
+        client.post(
+            f"{API}/drives/{drive_id}/archive", content=archive_of(street), headers={"Prefer": "wait=0"}
+        ).raise_for_status()
+        wait_until(lambda: client.get("/readyz").json()["reasons"].get("workers"), "it to be seen that none starts")
+
+        def look() -> dict[str, Any]:
+            (job,) = client.get(f"{API}/jobs", params={"kind": "unpack"}).json()["jobs"]
+            return job
+
+        wait_until(lambda: "waits for a worker" in (look()["message"] or ""), "the job to say what it waits for")
+        assert look()["state"] == "accepted"
+    assert ended(client, look()["id"])["state"] == "successful"

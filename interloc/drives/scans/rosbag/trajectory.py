@@ -2,28 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
-from interloc.arrays import BoolArray, FloatArray, IntArray
+from interloc.arrays import FloatArray, IntArray
 from interloc.drives.findings import DriveFileError, Findings
-from interloc.drives.georeference.fixes import (
-    MIN_EXTENT_M,
-    MIN_FIXES,
-    Fixes,
-    extent_m,
-    georeference_from_fixes,
-)
-from interloc.drives.georeference.geodetic import check_georeference
 from interloc.drives.georeference.read import read_georeference
 from interloc.drives.layouts import DriveParts
 from interloc.drives.options import DriveOptions
 from interloc.drives.scans.rosbag.bag import Bag, BagTopic
-from interloc.drives.scans.rosbag.frames import FrameTree, latest_of_each, read_tree
-from interloc.drives.scans.rosbag.messages import NO_FIX, TRANSFORMS, read_fix
+from interloc.drives.scans.rosbag.fixes import BagFixes
+from interloc.drives.scans.rosbag.frames import FrameTree, read_tree
+from interloc.drives.scans.rosbag.messages import TRANSFORMS
 from interloc.drives.scans.rosbag.motion import LidarMotion, read_motion
 from interloc.drives.scans.rosbag.stamps import ScanTimes
 from interloc.drives.scans.rosbag.topics import PointsTopic, choose_fix, pose_topics, topic_list
@@ -208,86 +200,9 @@ def read_bag_trajectory(
         reason = "the bag holds no GNSS fixes (sensor_msgs/NavSatFix)"
     elif georeference is None and not reason and found.fix is not None:
         with findings.stage():
-            fixes, reason = _fixes(bag, found.fix, points, found, found.motion, world, findings)
-            if fixes is not None:
-                source = f"{found.fix.name} (GNSS), heading from the motion"
-                georeference = georeference_from_fixes(fixes[0], world, fixes[1], source)
-                doubts = Findings(stop_at_first=False)
-                check_georeference(relative, georeference, doubts)
-                if doubts.found:
-                    georeference, reason = None, f"{found.fix.name} {doubts.found[0].message}"
-                    findings.warning(bag.name, reason)
+            fixes = BagFixes(bag, found.fix, points.frame_id, found.tree, by_log=found.by_log)
+            georeference, reason = fixes.georeference(found.motion, found.times_s, world, findings)
         if georeference is None:
             findings.note(bag.name, f"no georeference: {reason}")
     poses = LidarPoses(relative, "lidar", found.motion.reason)
     return Trajectory(poses, found.motion.count, found.times_s, georeference, "" if georeference else reason)
-
-
-def _fixes(
-    bag: Bag,
-    topic: BagTopic,
-    points: PointsTopic,
-    found: BagMotion,
-    motion: LidarMotion,
-    world: FloatArray,
-    findings: Findings,
-) -> tuple[tuple[Fixes, FloatArray] | None, str]:
-    """Read the fixes within the poses, and the distance driven until every scan; or why there are none."""
-    assert topic.encoding is not None
-    messages = []
-    for number, message in enumerate(bag.messages(topic)):
-        try:
-            messages.append(read_fix(message, topic.encoding))
-        except WireError as error:
-            raise DriveFileError(bag.name, f"{topic.name}, message {number}: {error}.") from error
-    stamps = np.array([fix.header.stamp_ns for fix in messages], dtype=np.int64)
-    log_s = topic.log_ns / 1e9
-    times_s = log_s if found.by_log or bool((stamps <= 0).any()) else stamps / 1e9
-    positions = np.array([fix.position for fix in messages], dtype=np.float64).reshape(-1, 3)
-    sound = _sound_fixes(positions, [fix.status for fix in messages])
-    if not sound.any():
-        return None, f"{topic.name}: none of {len(messages):,} fixes has a position"
-    positions[~np.isfinite(positions[:, 2]), 2] = 0.0
-    covered = sound & motion.covers(times_s)
-    if not covered.any() and (by_log := sound & motion.covers(log_s)).any():
-        findings.warning(bag.name, f"the stamps of {topic.name} are of another clock; the times of recording are used.")
-        times_s, covered = log_s, by_log
-    rows = np.flatnonzero(covered)[latest_of_each(times_s[covered])]
-    if len(rows) < MIN_FIXES:
-        return None, (
-            f"{topic.name}: {len(rows)} of {len(messages):,} fixes have a position while the pose is known; "
-            f"expected at least {MIN_FIXES}"
-        )
-    at_fixes = motion.at(times_s[rows])
-    antenna_frame = messages[int(rows[0])].header.frame_id
-    T_lidar_antenna = found.tree.between(points.frame_id, antenna_frame) if antenna_frame else None
-    antenna = np.zeros(3) if T_lidar_antenna is None else T_lidar_antenna[:3, 3]
-    places = at_fixes[:, :3, :3] @ antenna + at_fixes[:, :3, 3]
-    distance_m = _distances(
-        np.concatenate([times_s[rows], found.times_s]), np.concatenate([at_fixes[:, :3, 3], world[:, :3, 3]])
-    )
-    fixes = Fixes(positions[rows, 0], positions[rows, 1], positions[rows, 2], places, distance_m[: len(rows)])
-    if extent_m(fixes) < MIN_EXTENT_M or float(np.ptp(places, axis=0).max()) < MIN_EXTENT_M / 2:
-        return None, (
-            f"{topic.name}: the fixes reach over {extent_m(fixes):.1f} m; expected at least {MIN_EXTENT_M:.0f} m, "
-            "or the heading is not known"
-        )
-    return (fixes, distance_m[len(rows) :]), ""
-
-
-def _sound_fixes(positions: FloatArray, status: Sequence[int]) -> BoolArray:
-    lat, lon = positions[:, 0], positions[:, 1]
-    with np.errstate(invalid="ignore"):
-        on_earth = (np.abs(lat) < 89) & (np.abs(lon) <= 360) & ((lat != 0) | (lon != 0))
-        height = ~(np.abs(positions[:, 2]) > 20_000)
-    sound: BoolArray = (np.array(status) > NO_FIX) & on_earth & height
-    return sound
-
-
-def _distances(times_s: FloatArray, positions: FloatArray) -> FloatArray:
-    """Return the distance driven until each of (M,) times at (M, 3) positions, in the order in which they are given."""
-    order = np.argsort(times_s, kind="stable")
-    steps = np.linalg.norm(np.diff(positions[order], axis=0), axis=1)
-    distances = np.empty(len(times_s))
-    distances[order] = np.concatenate([[0.0], np.cumsum(steps)])
-    return distances

@@ -319,7 +319,9 @@ def test_different_clocks_are_noticed(tmp_path: Path) -> None:
 # Fixes
 
 
-def drive_with_fixes(path: Path, *, noise_m: float = 0.0, drift: float = 0.0, antenna: Any = None) -> Any:
+def drive_with_fixes(
+    path: Path, *, noise_m: float = 0.0, drift: float = 0.0, antenna: Any = None, written: Any = None
+) -> Any:
     """Write a drive along an S of 400 m; return the bag and the true position and heading of every scan."""
     count = 200
     rng = np.random.default_rng(5)
@@ -350,7 +352,7 @@ def drive_with_fixes(path: Path, *, noise_m: float = 0.0, drift: float = 0.0, an
             bag.cloud("/points", time, cells_of(scans_of(1, 5)[0]))
             if row % 5 == 0:
                 position = (lonlat[row, 1], lonlat[row, 0], 110.0 + lever[2])
-                bag.fix("/fix", time, position)
+                bag.fix("/fix", time, position) if written is None else written(bag, time, position)
             if row % 50 == 1:
                 bag.fix("/fix", time, (np.nan, np.nan, np.nan))
                 bag.fix("/fix", time + 0.01, (48.0, 8.0, 0.0), status=-1)
@@ -380,6 +382,31 @@ def test_fixes_and_motion_make_a_georeference(
     assert np.linalg.norm(there - enu, axis=1).max() < metres
     assert np.degrees(np.abs(wrap_angle(yaw_of(found.R_enu_lidar) - heading))).max() < degrees
     assert np.allclose(found.alt_m, 110.0, atol=0.01)
+
+
+@pytest.mark.parametrize(
+    ("written", "words"),
+    [
+        (lambda bag, time, p: bag.fix("/fix", time, (p[1], p[0], p[2])), "latitude and longitude are exchanged"),
+        (lambda bag, time, p: bag.fix("/fix", time, (p[0] * 1e7, p[1] * 1e7, p[2])), "multiples of 1e-7 degrees"),
+        (lambda bag, time, p: bag.fix("/fix", time, (p[0], p[1] - 360.0, p[2])), ""),
+        (lambda bag, time, p: bag.fix("/fix", time, p, status=-2), ""),
+    ],
+)
+def test_fixes_in_other_forms_are_read_as_what_they_are(tmp_path: Path, written: Any, words: str) -> None:
+    path, enu, _ = drive_with_fixes(tmp_path / "drive", written=written)
+    _, trajectory, findings = opened(path)
+    found = trajectory.georeference
+    assert found is not None
+    there = enu_from_lonlat(49.0, 8.4, np.stack([found.lon_deg, found.lat_deg], axis=-1))
+    assert np.linalg.norm(there - enu, axis=1).max() < 0.01
+    assert words in said(findings)
+    assert bool(words) == any(finding.severity == "warning" for finding in findings.found)
+
+
+def test_fixes_in_metres_are_named(tmp_path: Path) -> None:
+    path, *_ = drive_with_fixes(tmp_path / "drive", written=lambda bag, time, _: bag.fix("/fix", time, (5.4e6, 4e5, 1)))
+    assert "metres of UTM" in opened(path)[1].georeference_reason
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,92 @@
+"""Units, frames and mirrors: what cannot be points or poses of a LiDAR on a vehicle is refused with its cause."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from interloc.arrays import FloatArray
+from interloc.drives.inspect import inspect_drive
+from interloc.drives.plausibility import turning_with_path
+from interloc.geometry import rotation_from_rpy
+from tests import streets
+
+HALF_TURN_ABOUT_X = np.diag([1.0, -1.0, -1.0, 1.0])
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return streets.write_street(tmp_path_factory.mktemp("streets") / "street")
+
+
+@pytest.fixture
+def street(tmp_path: Path, written: Path) -> Path:
+    return Path(shutil.copytree(written, tmp_path / "street"))
+
+
+def errors(path: Path) -> str:
+    return "\n".join(p.message for p in inspect_drive(path).problems if p.severity == "error")
+
+
+def write_poses(path: Path, poses: FloatArray) -> None:
+    (path / "poses.txt").write_text(streets.pose_text(poses))
+
+
+def test_a_sound_street_has_no_findings(street: Path) -> None:
+    streets.write_geo(street, streets.poses())
+    assert inspect_drive(street).problems == []
+
+
+@pytest.mark.parametrize("scale", [1000.0, 100.0, 0.001])
+def test_points_in_another_unit(street: Path, scale: float) -> None:
+    streets.change_points(street, scale * np.eye(3))
+    assert "Expected x y z in metres" in errors(street)
+
+
+def test_points_in_the_frame_of_the_world(street: Path) -> None:
+    streets.change_points(street, poses_applied=streets.poses())
+    assert "in the frame of the world already" in errors(street)
+
+
+def test_a_sensor_upside_down(street: Path) -> None:
+    streets.change_points(street, HALF_TURN_ABOUT_X[:3, :3])
+    write_poses(street, streets.poses() @ HALF_TURN_ABOUT_X)
+    assert "the road lies 1.7 m above the sensor" in errors(street)
+
+
+@pytest.mark.parametrize("scale", [1000.0, 100.0])
+def test_poses_in_another_unit(street: Path, scale: float) -> None:
+    scaled = streets.poses().copy()
+    scaled[:, :3, 3] *= scale
+    write_poses(street, scaled)
+    assert "Expected positions in metres" in errors(street)
+
+
+@pytest.mark.parametrize("yaw", [0.0, 1.0])
+def test_an_orientation_that_stays_the_same(street: Path, yaw: float) -> None:
+    constant = streets.poses().copy()
+    constant[:, :3, :3] = rotation_from_rpy(0.0, 0.0, yaw)
+    write_poses(street, constant)
+    assert "these are positions, not poses" in errors(street)
+
+
+def test_a_georeference_that_turns_to_the_other_side(street: Path) -> None:
+    """The poses are mirrored (z down): their steps along x are the same, left and right are not."""
+    streets.write_geo(street, streets.poses())
+    write_poses(street, HALF_TURN_ABOUT_X @ streets.poses() @ HALF_TURN_ABOUT_X)
+    assert "geo.csv" in "".join(p.path for p in inspect_drive(street).problems)
+    assert "turns to the other side than the poses" in errors(street)
+
+
+def test_how_a_body_turns_with_its_path() -> None:
+    true = streets.poses()
+    turned, share = turning_with_path(true)
+    assert np.degrees(turned) > 60
+    assert share == pytest.approx(1.0, abs=0.1)
+    mirrored = true.copy()
+    mirrored[:, :3, :3] = np.swapaxes(true[:, :3, :3], 1, 2)
+    assert turning_with_path(mirrored)[1] == pytest.approx(-1.0, abs=0.1)
+    assert turning_with_path(true[:2]) == (0.0, 1.0)
