@@ -27,6 +27,7 @@ from interloc.drives.options import (
     ReadingOptions,
 )
 from interloc.drives.plausibility import RoadSeen, check_motion, check_points
+from interloc.drives.scan_motion import check_scan_motion
 from interloc.drives.scans.deskewed import deskewed, is_to_deskew
 from interloc.drives.scans.raw import RawScans, trajectory_of
 from interloc.drives.scans.recorded import Recording
@@ -276,10 +277,14 @@ def _checked(reading: DriveReading, findings: Findings) -> DriveReading:
         with findings.stage():
             if len(road := drive.ground_points(index).road):
                 seen.append(RoadSeen.of(index, road, NEAR_M))
+    errors = findings.errors
     check_points(drive.T_world_lidar, seen, scans.parts.file(scans.parts.scans).name, findings)
     check_motion(drive.T_world_lidar, pose_file, findings)
     reading = replace(reading, flatness_m=check_flat_road(drive, scans.usable, pose_file, findings))
-    check_turns(drive, scans.usable, pose_file, findings, suspected=reading.trajectory.is_odd)
+    if findings.errors == errors:  # else what follows is the same fault in other words
+        check_scan_motion(drive, scans.usable, pose_file, findings)
+    if findings.errors == errors:
+        check_turns(drive, scans.usable, pose_file, findings, suspected=reading.trajectory.is_odd)
     if isinstance(scans, RawScans):
         scans.tell_doubts(findings)
     if drive.georeference is None or drive.pose_frame == "oxts":
