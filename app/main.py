@@ -22,6 +22,7 @@ from app.http.openapi import DESCRIPTION, TAGS, Description, operation_id
 from app.http.parameters import refuse_unknown_parameters
 from app.http.problems import ProblemDocument, add_handlers
 from app.http.security import client_of
+from app.http.turns import Turns
 from app.jobs import routes as jobs
 from app.jobs.runner import Runner
 from app.jobs.watcher import JobWatcher
@@ -92,6 +93,7 @@ def create_app(settings: Settings | None = None, context: Context | None = None)
             parts.runner = runner = Runner(opened, finish_drive=finish_drive, index_result=index_result)
             parts.watcher = JobWatcher(opened)
             parts.results = Results(opened)
+            parts.turns = Turns()
             parts.on_demand = OnDemand(runner)
             parts.probe = system.Probe(opened, runner)
             runner.start()

@@ -87,6 +87,19 @@ def wrap_bearing(degrees: ArrayLike) -> FloatArray:
     return np.where(wrapped >= 360.0, 0.0, wrapped)
 
 
+def wrap_longitude(degrees: ArrayLike) -> FloatArray:
+    """Bring longitudes into [-180, 180); those that lie in it stay as they are to the last bit."""
+    lon = np.asarray(degrees, dtype=np.float64)
+    return np.where((lon >= -180.0) & (lon < 180.0), lon, (lon + 180.0) % 360.0 - 180.0)
+
+
+def middle_of(lonlat: FloatArray) -> tuple[float, float]:
+    """Return the median longitude and latitude of (N, 2) places that are near each other, also across 180 degrees."""
+    first = lonlat[0, 0]
+    lon = wrap_longitude(first + np.median(wrap_longitude(lonlat[:, 0] - first)))
+    return float(lon), float(np.median(lonlat[:, 1]))
+
+
 def thin(xy: FloatArray, step_m: float) -> IntArray:
     """Return the rows of (N, 2) positions that lie `step_m` or more from the one kept before; first and last stay."""
     kept: list[int] = []
@@ -159,14 +172,17 @@ def lonlat_from_enu(lat_deg: ArrayLike, lon_deg: ArrayLike, enu_xy: FloatArray) 
     east, north = enu_xy[..., 0], enu_xy[..., 1]
     lon = np.asarray(lon_deg, dtype=np.float64) + east * (1.0 + curvature * north) / east_scale
     lat = np.asarray(lat_deg, dtype=np.float64) + (north - 0.5 * curvature * east**2) / north_scale
-    return np.stack([lon, lat], axis=-1)
+    return np.stack([wrap_longitude(lon), lat], axis=-1)
 
 
 def enu_from_lonlat(lat_deg: ArrayLike, lon_deg: ArrayLike, lonlat: FloatArray) -> FloatArray:
-    """Return (..., 2) east, north in metres of (..., 2) longitudes, latitudes: inverse of `lonlat_from_enu`."""
+    """Return (..., 2) east, north in metres of (..., 2) longitudes, latitudes: inverse of `lonlat_from_enu`.
+
+    Longitudes on both sides of the 180th meridian are neighbours.
+    """
     north_scale, east_scale = _metres_per_degree(lat_deg)
     curvature = _curvature(lat_deg)
-    east_arc = (lonlat[..., 0] - np.asarray(lon_deg, dtype=np.float64)) * east_scale
+    east_arc = wrap_longitude(lonlat[..., 0] - np.asarray(lon_deg, dtype=np.float64)) * east_scale
     north_arc = (lonlat[..., 1] - np.asarray(lat_deg, dtype=np.float64)) * north_scale
     east, north = east_arc, north_arc
     for _ in range(6):  # each round gains a factor of distance / Earth's radius: exact within some ten kilometres

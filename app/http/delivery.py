@@ -5,6 +5,7 @@ from __future__ import annotations
 import gzip
 import hashlib
 import shutil
+import threading
 from contextlib import suppress
 from email.utils import formatdate
 from pathlib import Path
@@ -62,6 +63,7 @@ _LEVEL_AT_ONCE = 1  # of gzip: the client waits for it
 _GZIP_MARK = '-gzip"'  # end of the ETag of what is compressed: another representation has another tag
 _MAX_BYTES_AT_ONCE = 4 * 1024 * 1024  # read where the answer is made, without further trips to the thread pool
 
+_PACKING = threading.BoundedSemaphore(2)  # copies made at once: what takes a second for a large file
 _STATIC_FILES = StaticFiles(check_dir=False)
 
 
@@ -227,11 +229,13 @@ def not_modified(request: Request, headers: dict[str, str]) -> Response | None:
 
 
 def _gzip_copy(path: Path, folder: Path, version: str) -> Path | None:
-    """Return the gzip copy of a file, made if need be; None where it cannot be made, as on a full disk."""
+    """Return the gzip copy of a file, made if need be; None where it cannot be made, as on a full disk, or not now."""
     name = hashlib.sha256(str(path).encode()).hexdigest()[:16]
     copy = folder / f"{name}.{version}"
     if copy.exists():
         return copy
+    if not _PACKING.acquire(blocking=False):
+        return None
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with (
@@ -242,6 +246,8 @@ def _gzip_copy(path: Path, folder: Path, version: str) -> Path | None:
             shutil.copyfileobj(source, packer, 1024 * 1024)
     except (OSError, OutputError):
         return None
+    finally:
+        _PACKING.release()
     for other in folder.glob(f"{name}.*.gz"):  # of an older version
         if other != copy:
             with suppress(OSError):

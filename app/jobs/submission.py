@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import unicodedata
 from typing import Any
 
+from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from app.context import Context
@@ -42,16 +44,10 @@ def check_request(session: Session, context: Context, new: NewJob) -> dict[str, 
     if context.storage.free_bytes() < context.settings.min_free_bytes:
         raise disk_full()
     if isinstance(new.osm, OsmFile):
-        if session.get(DriveFile, (new.drive_id, new.osm.file)) is None:
-            raise Problem(
-                MAP_NOT_FOUND,
-                f"osm.file: there is no {new.osm.file!r} among the files of drive {new.drive_id}. Upload it first: "
-                f"PUT /api/v1/drives/{new.drive_id}/files/{{path}}.",
-            )
-        if not is_map(new.osm.file):
-            raise Problem(
-                NOT_A_MAP, f"osm.file: {new.osm.file!r}; expected a name that ends in {', '.join(MAP_ENDINGS)}."
-            )
+        name = _map_file(session, new.drive_id, new.osm.file)
+        new = new.model_copy(update={"osm": OsmFile(file=name)})
+        if not is_map(name):
+            raise Problem(NOT_A_MAP, f"osm.file: {name!r}; expected a name that ends in {', '.join(MAP_ENDINGS)}.")
     elif new.osm is not None and not context.settings.overpass:
         raise Problem(
             OVERPASS_SWITCHED_OFF,
@@ -62,6 +58,24 @@ def check_request(session: Session, context: Context, new: NewJob) -> dict[str, 
     _check_drive(session, context.storage, new)
     request = new.model_dump(mode="json", exclude={"drive_id", "config"})
     return request | {"config": _config_of(new).model_dump(mode="json")}
+
+
+def _map_file(session: Session, drive_id: str, name: str) -> str:
+    """Return the name of a map as it was uploaded; an umlaut may be one letter, or a letter and its dots (macOS)."""
+    if session.get(DriveFile, (drive_id, name)) is not None:
+        return name
+    maps = session.scalars(
+        select(DriveFile.path).where(DriveFile.drive_id == drive_id, DriveFile.path.icontains(".osm", autoescape=True))
+    ).all()
+    for each in maps:
+        if unicodedata.normalize("NFC", each) == unicodedata.normalize("NFC", name):
+            return each
+    known = f"It has {', '.join(map(repr, maps[:5]))}. " if maps else ""
+    raise Problem(
+        MAP_NOT_FOUND,
+        f"osm.file: there is no {name!r} among the files of drive {drive_id}. {known}Upload it first: "
+        f"PUT /api/v1/drives/{drive_id}/files/{{path}}.",
+    )
 
 
 def _check_placing(new: NewJob) -> None:

@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import reduce
-from threading import BoundedSemaphore
 from typing import Any
 
 import numpy as np
@@ -26,8 +25,6 @@ from app.ogc.filters import Filter
 from app.ogc.work import IDS, TIMES
 from app.results.newest import newest_results
 from app.store.models import Drive, FeatureChunk, Job
-
-_AT_ONCE = BoundedSemaphore(2)  # a query over a million features takes a hundred megabytes while it runs
 
 Interval = tuple[float, float]
 """First and last second since 1970; infinite where it is open."""
@@ -189,9 +186,8 @@ def find_page(session: Session, source: Source, collection: Collection, query: Q
         400: the filter takes too long.
     """
     candidates = _candidates(session, source, collection, *_conditions(query))
-    with _AT_ONCE:
-        masks = list(_masks(candidates, query))
-        matched = np.flatnonzero(reduce(np.logical_and, masks)) if masks else np.arange(len(candidates))
+    masks = list(_masks(candidates, query))
+    matched = np.flatnonzero(reduce(np.logical_and, masks)) if masks else np.arange(len(candidates))
     start = 0 if query.after is None else int(np.searchsorted(matched, candidates.place_after(query.after)))
     stop = min(start + query.limit, len(matched))
     page = matched[start:stop]

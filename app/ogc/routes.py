@@ -17,6 +17,7 @@ from app.http.openapi import TAGGED, get_and_head
 from app.http.parameters import OF_ITS_DATA, refuse_others
 from app.http.problem_types import NO_SUCH_COLLECTION, NO_SUCH_FEATURE
 from app.http.problems import Problem, ProblemDocument
+from app.http.turns import IN_TURN
 from app.ogc.collections import Collection
 from app.ogc.description import describe_interface
 from app.ogc.documents import GEOJSON, OPENAPI, SCHEMA, Place
@@ -226,6 +227,7 @@ def _add(
             summary=summary,
             operation_id=f"read_{name}{endpoint.__name__}",
             openapi_extra=extra,
+            dependencies=IN_TURN if endpoint in {_items, _feature} else [],
             response_class=Response,
             responses={**_answers(model, f"{summary}."), **missing, **problems},
         )(_bound(endpoint, source))

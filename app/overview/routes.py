@@ -13,6 +13,7 @@ from app.http.openapi import TAGGED, get_and_head, headers_named
 from app.http.paging import After, lies_in, next_link
 from app.http.parameters import BoxFilter
 from app.http.security import ClientDep
+from app.http.turns import IN_TURN
 from app.overview.features import drive_features
 from app.overview.models import Overview
 from app.results.models import MEDIA_TYPE
@@ -28,6 +29,7 @@ router = APIRouter(tags=["Drives"])
     router,
     "/overview",
     summary="Show all drives on one map",
+    dependencies=IN_TURN,
     response_class=Response,
     responses={
         **TAGGED,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from threading import BoundedSemaphore
 from typing import Any
 
 from app.http.parameters import Box
@@ -11,7 +10,8 @@ from interloc.output.geojson import box_around, encode, flat_positions, read_jso
 
 MAX_FEATURES = 10_000
 
-_AT_ONCE = BoundedSemaphore(2)  # a layer takes ten times its size in memory while it is read
+MAX_BYTES_AT_ONCE = 1024**2
+"""Size of a file up to which the server reads it itself: a layer takes ten times that in memory, and a while."""
 
 
 def select_features(path: Path, box: Box | None, limit: int | None) -> bytes:
@@ -26,18 +26,17 @@ def select_features(path: Path, box: Box | None, limit: int | None) -> bytes:
     limit
         Maximum number of features; None: all.
     """
-    with _AT_ONCE:
-        collection = read_json(path)
-        features: list[dict[str, Any]] = collection.pop("features")
-        if box is not None:
-            features = [feature for feature in features if _touches(_extent(feature), box)]
-        kept = features if limit is None else features[:limit]
-        collection.pop("bbox", None)
-        around = box_around(feature["geometry"] for feature in kept)
-        if around is not None:
-            collection["bbox"] = around
-        counts = {"numberMatched": len(features), "numberReturned": len(kept)}
-        return encode({**collection, **counts, "features": kept}).encode()
+    collection = read_json(path)
+    features: list[dict[str, Any]] = collection.pop("features")
+    if box is not None:
+        features = [feature for feature in features if _touches(_extent(feature), box)]
+    kept = features if limit is None else features[:limit]
+    collection.pop("bbox", None)
+    around = box_around(feature["geometry"] for feature in kept)
+    if around is not None:
+        collection["bbox"] = around
+    counts = {"numberMatched": len(features), "numberReturned": len(kept)}
+    return encode({**collection, **counts, "features": kept}).encode()
 
 
 def _extent(feature: dict[str, Any]) -> Box | None:

@@ -11,7 +11,7 @@ import numpy as np
 from interloc.arrays import FloatArray, IntArray
 from interloc.evaluation.evaluate import Evaluation
 from interloc.evaluation.metrics import STANDARD_THRESHOLD_M
-from interloc.geometry import enu_from_lonlat
+from interloc.geometry import enu_from_lonlat, middle_of
 from interloc.output.geojson import DEGREE_DECIMALS, rounded
 
 GROUP_M = 6.0
@@ -53,7 +53,7 @@ def _false_detections(evaluation: Evaluation, explain: Explain) -> list[dict[str
     false = np.flatnonzero(~(matching.error_m < STANDARD_THRESHOLD_M))
     if len(false) == 0:
         return []
-    lon, lat = np.median(detections.lonlat, axis=0)
+    lon, lat = middle_of(detections.lonlat)
     xy = enu_from_lonlat(lat, lon, detections.lonlat[false])
     nodes_xy = enu_from_lonlat(lat, lon, evaluation.nodes.lonlat)
     kinds = evaluation.verdicts.false_kind

@@ -18,7 +18,7 @@ from interloc.evaluation.evaluate import Evaluation, evaluate
 from interloc.evaluation.label_errors import parse_level
 from interloc.evaluation.metrics import STANDARD_THRESHOLD_M
 from interloc.evaluation.reliability import squared_errors
-from interloc.geometry import enu_from_lonlat
+from interloc.geometry import enu_from_lonlat, middle_of
 from interloc.osm.graph import RoadGraph
 from interloc.osm.intersections import road_ways
 from interloc.osm.policies import Policy
@@ -120,7 +120,7 @@ def map_picture(evaluation: Evaluation, result: DriveResult) -> MapPicture:
     """Return what the map of an evaluated drive shows (paper, Fig. 6)."""
     assert result.trajectory_lonlat is not None
     assert evaluation.detections.lonlat is not None
-    lon, lat = np.median(result.trajectory_lonlat, axis=0)
+    lon, lat = middle_of(result.trajectory_lonlat)
     track = _thin(enu_from_lonlat(lat, lon, result.trajectory_lonlat))
     low, high = track.min(axis=0) - MAP_MARGIN_M, track.max(axis=0) + MAP_MARGIN_M
 

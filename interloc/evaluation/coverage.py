@@ -10,8 +10,8 @@ import numpy as np
 
 from interloc.arrays import FloatArray
 from interloc.errors import MapError
-from interloc.geometry import ecef_from_geodetic, enu_from_lonlat, lonlat_from_enu
-from interloc.osm.graph import Bounds, RoadGraph, within
+from interloc.geometry import ecef_from_geodetic, enu_from_lonlat, lonlat_from_enu, middle_of, wrap_longitude
+from interloc.osm.graph import Bounds, RoadGraph, bounds_of, within
 from interloc.osm.intersections import road_ways
 
 logger = logging.getLogger(__name__)
@@ -19,7 +19,8 @@ logger = logging.getLogger(__name__)
 TRACK_OFF_ROAD_M = 5.0
 """A larger median distance of the track from the roads is suspicious: on KITTI it is 0.4 to 1.1 m."""
 
-_SURROUNDINGS_M = 3000.0  # more than the 0.02 degrees around the track within which roads are looked for
+_AROUND_DEG = 0.02
+_SURROUNDINGS_M = 3000.0  # more than the degrees around the track within which roads are looked for
 
 
 def track_bounds(lonlat: FloatArray, *, margin_m: float = 200.0) -> Bounds:
@@ -32,13 +33,12 @@ def track_bounds(lonlat: FloatArray, *, margin_m: float = 200.0) -> Bounds:
     margin_m
         More than half the diagonal of the ROI (85 m for 120 m), so that no road is missed.
     """
-    west_south, east_north = lonlat.min(axis=0), lonlat.max(axis=0)
+    west, south, east, north = bounds_of(lonlat)
     # Degrees of longitude are shorter at the corner that is further from the equator.
-    lat = west_south[1] if abs(west_south[1]) > abs(east_north[1]) else east_north[1]
-    margin = lonlat_from_enu(lat, 0.0, np.array([margin_m, margin_m])) - np.array([0.0, lat])
-    west, south = west_south - margin
-    east, north = east_north + margin
-    return float(west), float(south), float(east), float(north)
+    lat = max(south, north, key=abs)
+    lon_margin, lat_margin = (lonlat_from_enu(lat, 0.0, np.array([margin_m, margin_m])) - np.array([0.0, lat])).tolist()
+    west, east = wrap_longitude([west - lon_margin, east + lon_margin]).tolist()
+    return west, south - lat_margin, east, north + lat_margin
 
 
 def map_bounds(lonlat: FloatArray) -> Bounds:
@@ -73,11 +73,13 @@ def track_to_road(track_lonlat: FloatArray, graph: RoadGraph) -> FloatArray:
 
     edges = graph.edges_of(road_ways(graph, "drive+service"))
     # The plane is accurate only around the drive, and the map may be of another continent.
-    (west, south), (east, north) = track_lonlat.min(axis=0) - 0.02, track_lonlat.max(axis=0) + 0.02
-    edges = edges[within((west, south, east, north), graph.lonlat)[edges].any(axis=1)]
+    west, south, east, north = bounds_of(track_lonlat)
+    west, east = wrap_longitude([west - _AROUND_DEG, east + _AROUND_DEG]).tolist()
+    around = (west, south - _AROUND_DEG, east, north + _AROUND_DEG)
+    edges = edges[within(around, graph.lonlat)[edges].any(axis=1)]
     if len(edges) == 0:
         return np.full(len(track_lonlat), np.inf)
-    lon, lat = np.median(track_lonlat, axis=0)
+    lon, lat = middle_of(track_lonlat)
     roads: Any = shapely.linestrings(enu_from_lonlat(lat, lon, graph.lonlat)[edges])
     points = shapely.points(enu_from_lonlat(lat, lon, track_lonlat))
     (point, _), distance = shapely.STRtree(roads).query_nearest(points, return_distance=True, all_matches=False)
@@ -136,7 +138,7 @@ def _elsewhere(track_lonlat: FloatArray, graph: RoadGraph) -> str:
     distance_m, _ = cKDTree(highways).query(track)
     nearest_km = np.min(distance_m) / 1000.0
     west, south, east, north = graph.extent
-    (lon0, lat0), (lon1, lat1) = track_lonlat.min(axis=0), track_lonlat.max(axis=0)
+    lon0, lat0, lon1, lat1 = bounds_of(track_lonlat)
     return (
         f"the map {graph.source} covers lon {west:.4f}..{east:.4f}, lat {south:.4f}..{north:.4f}; the drive lies at "
         f"lon {lon0:.4f}..{lon1:.4f}, lat {lat0:.4f}..{lat1:.4f}, {nearest_km:.1f} km from its nearest highway. "

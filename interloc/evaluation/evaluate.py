@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -24,12 +25,14 @@ from interloc.evaluation.metrics import (
     tabulate_nodes,
 )
 from interloc.evaluation.verdicts import RunVerdicts, give_verdicts
-from interloc.osm.graph import RoadGraph, within
+from interloc.osm.graph import RoadGraph
 from interloc.osm.intersections import IntersectionNodes, intersection_nodes
 from interloc.osm.policies import Policy
 from interloc.output.geojson import positions
 from interloc.results import DetectionTable, DriveResult, IntersectionTable, KeyframeTable
 from interloc.wording import metres
+
+logger = logging.getLogger(__name__)
 
 PAPER_ROI_M = 120.0
 PAPER_OUTER_RADIUS_M = 40.0
@@ -243,9 +246,12 @@ def evaluate(
         )
     roi_m, relevant_zone_m = _zones(result.run, roi_m, relevant_zone_m)
     track_to_road_m, warnings = check_coverage(result.keyframes.lonlat, graph, roi_m=roi_m)
+    for warning in graph.warnings:
+        logger.warning(warning)
+    warnings = graph.warnings + warnings
     nodes = intersection_nodes(graph, policy, tolerance_m)
 
-    on_map = np.flatnonzero(within(graph.bounds, result.detections.lonlat))
+    on_map = np.flatnonzero(graph.covers(result.detections.lonlat))
     detections = result.detections.select(on_map)
     matching = match(result.keyframes, detections, nodes.lonlat, roi_m=roi_m, relevant_zone_m=relevant_zone_m)
     node_table = tabulate_nodes(matching, len(nodes))
@@ -256,7 +262,7 @@ def evaluate(
         node_table.in_zone,
         relevant_zone_m=relevant_zone_m,
     )
-    map_level = replace(map_level, counts=map_level.counts & within(graph.bounds, result.intersections.lonlat))
+    map_level = replace(map_level, counts=map_level.counts & graph.covers(result.intersections.lonlat))
     if "location" in result.run:
         warnings += (
             result.run["location"].get("scored")

@@ -30,7 +30,7 @@ from interloc.drawing import (
 )
 from interloc.evaluation.evaluate import Evaluation
 from interloc.evaluation.metrics import NEAR_PAIR_M, STANDARD_THRESHOLD_M
-from interloc.geometry import enu_from_lonlat
+from interloc.geometry import enu_from_lonlat, middle_of
 from interloc.osm.intersections import road_ways
 from interloc.results import DriveResult
 from interloc.wording import metres, percent
@@ -47,7 +47,7 @@ def map_figure(evaluation: Evaluation, result: DriveResult) -> Figure:
     assert evaluation.detections.lonlat is not None
     assert result.trajectory_lonlat is not None
     assert result.intersections.lonlat is not None
-    lon, lat = np.median(result.trajectory_lonlat, axis=0)
+    lon, lat = middle_of(result.trajectory_lonlat)
 
     def plane(lonlat: FloatArray) -> FloatArray:
         return enu_from_lonlat(lat, lon, lonlat)

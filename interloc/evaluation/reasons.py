@@ -21,9 +21,11 @@ Of a node that was missed:
 1. `merged`: the intersection of a neighbouring node lies near this one too, or holds detections that do.
 2. `misplaced`: an intersection that is assigned to no node lies near it.
 3. `too_few`: detections lie at the node, but the fusion made no intersection of them: too few, or of low confidence.
-4. `not_driven`: the drive did not come near enough to look into its branches.
-5. `short`: fewer than three of its branches are long enough.
-6. `not_seen`: the drive passed it, and nothing was detected. Whether its road was hidden, or labelled as something
+4. `levels`: its roads lie on different levels (`layer`, `bridge`, `tunnel`), or all on another than the road driven.
+5. `twice`: two of its roads run on one line: a road drawn twice.
+6. `not_driven`: the drive did not come near enough to look into its branches.
+7. `short`: fewer than three of its branches are long enough.
+8. `not_seen`: the drive passed it, and nothing was detected. Whether its road was hidden, or labelled as something
    else, cannot be known: a result folder holds positions, not the road that was seen. `interloc explain` shows that.
 """
 
@@ -33,18 +35,18 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import combinations
+from itertools import chain, combinations
 from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 
 from interloc.arrays import BoolArray, FloatArray, IntArray
-from interloc.geometry import enu_from_lonlat
+from interloc.geometry import enu_from_lonlat, middle_of
 from interloc.osm.graph import RoadGraph, distinct_edges
 from interloc.osm.intersections import DRIVABLE, MIN_DEGREE, IntersectionNodes, road_ways
 
 FalseKind = Literal["left_out", "slip_road", "fork", "second", "off", "bend", "road_end", "path", "nothing"]
-MissKind = Literal["merged", "misplaced", "too_few", "not_driven", "short", "not_seen"]
+MissKind = Literal["merged", "misplaced", "too_few", "levels", "twice", "not_driven", "short", "not_seen"]
 
 KINDS: dict[FalseKind | MissKind, str] = {
     "left_out": "junction with a way that the policy leaves out",
@@ -59,6 +61,8 @@ KINDS: dict[FalseKind | MissKind, str] = {
     "merged": "merged with a neighbouring node",
     "misplaced": "found, but off",
     "too_few": "detected too rarely or too weakly",
+    "levels": "roads on different levels",
+    "twice": "a road drawn twice",
     "not_driven": "not driven near enough",
     "short": "branches too short",
     "not_seen": "passed, nothing detected",
@@ -100,6 +104,12 @@ PASSED_M = 15.0
 
 BRANCH_M = 15.0
 """A branch needs so much road: it is fitted beyond one road width, on at least another half."""
+
+TWICE_M = 1.0
+"""A node so near the line to another neighbour lies on it: mappers place the middle of a road to about a metre."""
+
+LEVEL_M = 30.0
+"""The road driven below or above a node is that of the keyframes so near it."""
 
 _AROUND_M = 300.0
 
@@ -169,7 +179,7 @@ class MapEvidence:
     def __init__(self, graph: RoadGraph, nodes: IntersectionNodes, lonlat: FloatArray) -> None:
         self.graph = graph
         self.nodes = nodes
-        self._origin = np.median(lonlat, axis=0) if len(lonlat) else graph.lonlat[0]
+        self._origin = middle_of(lonlat) if len(lonlat) else graph.lonlat[0]
         self.node_xy = self.plane(nodes.lonlat)
         self._xy = self.plane(graph.lonlat)
         self._near = _around(self._xy, self.plane(lonlat))
@@ -220,8 +230,8 @@ class MapEvidence:
 
     def _junctions(self, fewer: BoolArray, more: BoolArray, *, minimum: int = 0) -> _Points:
         """Return the nodes that are junctions of the (W,) ways `more`, not of `fewer`, which `minimum` edges touch."""
-        degree = self.graph.degree(self.graph.edges_of(fewer))
-        all_degree = self.graph.degree(self.graph.edges_of(more))
+        degree = self.graph.degree(fewer)
+        all_degree = self.graph.degree(more)
         touched, way = self._touched(more & ~fewer)
         is_new = (all_degree >= MIN_DEGREE) & (degree < MIN_DEGREE) & (degree >= minimum)
         rows = np.flatnonzero(is_new & touched & self._near)
@@ -302,6 +312,68 @@ class MapEvidence:
         rows = np.array(ends, dtype=np.int64)
         return _Points(self._xy[rows], rows)
 
+    @cached_property
+    def _layers(self) -> dict[tuple[int, int], set[int]]:
+        """Two neighbours along roads near the drive, the smaller row first -> levels of the roads between them."""
+        graph, found = self.graph, dict[tuple[int, int], set[int]]()
+        layer = np.zeros(len(graph.ways), dtype=np.int64) if graph.ways.layer is None else graph.ways.layer
+        near = np.flatnonzero(self._is_vehicle[graph.edge_way] & self._near[graph.edges].any(axis=1))
+        pairs, layers = np.sort(graph.edges[near], axis=1).tolist(), layer[graph.edge_way[near]].tolist()
+        for (a, b), level in zip(pairs, layers, strict=True):
+            found.setdefault((a, b), set()).add(level)
+        return found
+
+    @cached_property
+    def _is_level(self) -> bool:
+        return all(levels == {0} for levels in self._layers.values())
+
+    def _layers_between(self, row: int, others: Iterable[int]) -> list[set[int]]:
+        return [self._layers.get((min(row, each), max(row, each)), {0}) for each in others]
+
+    def levels(self, node: int, driven_xy: FloatArray) -> str | None:
+        """Say what is odd about the levels of the roads that meet at a node.
+
+        Parameters
+        ----------
+        node
+            Row of the nodes that count.
+        driven_xy : (K, 2) float64
+            Where the drive was near it.
+
+        Returns
+        -------
+        str or None
+            None: they are on one level, that of the road driven.
+        """
+        if self._is_level:
+            return None
+        row = self._row_of(node)
+        counts = Counter(chain.from_iterable(self._layers_between(row, self._roads.neighbours.get(row, []))))
+        if len(counts) > 1 and min(counts.values()) >= 2:
+            layers = " and ".join(str(level) for level in sorted(counts))
+            return f"roads on layers {layers} share this node and pass each other: nobody can turn here"
+        _, lines = self._driven.nearest(driven_xy)
+        pairs = self._driven.edges[lines[lines >= 0]].tolist()
+        below = Counter(chain.from_iterable(levels for a, b in pairs for levels in self._layers_between(a, [b])))
+        if len(counts) == 1 and below and not counts.keys() & {(driven := below.most_common(1)[0][0])}:
+            (level,) = counts
+            return (
+                f"its roads lie on layer {level}, the road driven on layer {driven}: it passes {_side(level, driven)}"
+            )
+        return None
+
+    def drawn_twice(self, node: int) -> str | None:
+        """Say which two roads that leave a node (row of the nodes that count) run on one line; None: none do."""
+        row = self._row_of(node)
+        here = self._xy[row]
+        for a, b in combinations(self._roads.neighbours.get(row, []), 2):
+            near, far = sorted((a, b), key=lambda each: float(np.hypot(*(self._xy[each] - here))))
+            off_m = float(np.hypot(*(_foot(here, self._xy[far], self._xy[near]) - self._xy[near])))
+            if off_m <= TWICE_M:
+                ids = self.graph.node_id[[near, far]].tolist()
+                return f"two of its roads, to nodes {ids[0]} and {ids[1]}, run {off_m:.1f} m apart: drawn twice?"
+        return None
+
     def branch_lengths_m(self, node: int) -> list[float] | None:
         """Return how long the roads are that leave a node (row of the nodes that count), up to the next junction.
 
@@ -311,7 +383,9 @@ class MapEvidence:
             return None
         row = self._row_of(node)
         roads = self._roads
-        return [roads.walk(self._xy[row], row, each, BRANCH_M)[1] for each in roads.neighbours.get(row, [])]
+        lengths = [roads.walk(self._xy[row], row, each, BRANCH_M)[1] for each in roads.neighbours.get(row, [])]
+        loose = self.graph.loose_ends
+        return lengths + [BRANCH_M] * int((self._is_road[loose[:, 2]] & (loose[:, 0] == row)).sum())
 
 
 class _Network:
@@ -510,12 +584,22 @@ def explain_missed(evidence: MapEvidence, seen: Sightings, node: int) -> Reason:
             "misplaced",
             f"intersection {seen.intersection_id[row]} lies {misplaced_m:.1f} m off; {seen.gate_m:g} m are allowed",
         )
-    passed_m = float(np.hypot(*(seen.keyframe_xy - xy).T).min())
     if detected.any():
         keyframes = len(np.unique(seen.detection_keyframe[detected]))
         return Reason(
             "too_few", f"detected at keyframes: {keyframes}; too rarely or weakly for an intersection of the map"
         )
+    return _not_detected(evidence, seen, node)
+
+
+def _not_detected(evidence: MapEvidence, seen: Sightings, node: int) -> Reason:
+    """Say of a node at which nothing was detected what may be the cause."""
+    keyframe_m = np.hypot(*(seen.keyframe_xy - evidence.node_xy[node]).T)
+    near, passed_m = keyframe_m <= LEVEL_M, float(keyframe_m.min())
+    if levels := evidence.levels(node, seen.keyframe_xy[near]):
+        return Reason("levels", levels)
+    if twice := evidence.drawn_twice(node):
+        return Reason("twice", twice)
     if passed_m > PASSED_M:
         return Reason("not_driven", f"not driven near enough: {passed_m:.1f} m at the nearest")
     lengths = evidence.branch_lengths_m(node)
@@ -534,6 +618,10 @@ def _around(xy: FloatArray, track_xy: FloatArray) -> BoolArray:
     low, high = track_xy.min(axis=0) - _AROUND_M, track_xy.max(axis=0) + _AROUND_M
     inside: BoolArray = ((xy >= low) & (xy <= high)).all(axis=1)
     return inside
+
+
+def _side(level: int, driven: int) -> str:
+    return "above" if level > driven else "below"
 
 
 def _unit(xy: FloatArray) -> FloatArray:

@@ -20,7 +20,7 @@ from interloc.evaluation.reasons import (
     explain_false,
     explain_missed,
 )
-from interloc.osm.graph import RoadGraph, within
+from interloc.osm.graph import RoadGraph
 from interloc.osm.intersections import IntersectionNodes, intersection_nodes
 from interloc.output.uids import number_repeated, place_uids
 from interloc.results import DriveResult, IntersectionTable, Verdicts
@@ -167,7 +167,7 @@ def _verdicts(
     reasons: list[Reason | None] = [None] * len(lonlat)
     for row, reason in zip(wrong.tolist(), found, strict=True):
         reasons[row] = reason
-    beyond = np.where(within(evidence.graph.bounds, lonlat), OUTSIDE_ZONE, OUTSIDE_MAP)
+    beyond = np.where(evidence.graph.covers(lonlat), OUTSIDE_ZONE, OUTSIDE_MAP)
     sentences = [
         str(outside) if not scored else reason and reason.sentence
         for scored, outside, reason in zip(is_scored, beyond, reasons, strict=True)

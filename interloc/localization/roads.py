@@ -138,7 +138,8 @@ def road_map(graph: RoadGraph, near: tuple[float, float] | None = None, radius_m
         There are no such roads.
     """
     edges = distinct_edges(graph.edges_of(road_ways(graph, "drive+service")))
-    drivable = distinct_edges(graph.edges_of(road_ways(graph, "drive")))
+    is_drivable = road_ways(graph, "drive")
+    drivable = distinct_edges(graph.edges_of(is_drivable))
     if near is None:
         used = graph.lonlat[np.unique(edges)] if len(edges) else graph.lonlat
         lon, lat = (used.min(axis=0) + used.max(axis=0)) / 2
@@ -153,7 +154,7 @@ def road_map(graph: RoadGraph, near: tuple[float, float] | None = None, radius_m
         where = "" if near is None else f" within {(radius_m or 0) / 1000:g} km of {near[0]:.5f}, {near[1]:.5f}"
         raise MapError(f"{graph.source}: holds no roads for cars{where}. Expected the map of where the drive was.")
     segments = np.column_stack([all_xy[edges[:, 0]], all_xy[edges[:, 1]]])
-    rows = np.flatnonzero((graph.degree(drivable) >= MIN_DEGREE) & graph.inside_bounds & keep)
+    rows = np.flatnonzero((graph.degree(is_drivable) >= MIN_DEGREE) & graph.inside_bounds & keep)
     return RoadMap(
         lat_deg=float(lat),
         lon_deg=float(lon),

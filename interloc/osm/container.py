@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import bz2
 import gzip
+import re
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +17,7 @@ from xml.parsers import expat
 
 from interloc.errors import MapError
 from interloc.osm.graph import Bounds
+from interloc.osm.mistakes import history_file
 
 Container = Literal["osm", "osm.gz", "osm.bz2", "pbf"]
 
@@ -28,6 +30,15 @@ MAX_UNPACKED_BYTES = 16 * 1024**3
 SIMULATOR = "interloc simulate"
 """Name of the program in the head of maps that the simulator made up."""
 
+_PACKED = {
+    b"\xff\xe0\x04o5m2": ("an .o5m file", "convert it: osmium cat MAP.o5m -o MAP.osm.pbf"),
+    b"\xfd7zXZ\x00": ("compressed by xz", "unpack it first: unxz MAP.osm.xz"),
+    b"\x28\xb5\x2f\xfd": ("compressed by zstd", "unpack it first: unzstd MAP.osm.zst"),
+    b"7z\xbc\xaf\x27\x1c": ("a 7z archive", "unpack the archive first"),
+    b"PK\x03\x04": ("a ZIP archive", "unpack the archive first"),
+}
+_REMARK = re.compile(rb"<remark>\s*(runtime error[^<]*?)\s*</remark>")
+_TAIL_BYTES = 4096
 _BLOCK_BYTES = 1 << 20
 _DATA_ELEMENTS = {"node", "way", "relation"}
 
@@ -46,16 +57,22 @@ class Prolog:
     container : Container
     date : str or None
         Declared state of the data, ISO 8601.
-    bounds : Bounds or None
-        Declared extent; the hull where a file that was put together declares several.
+    areas : tuple of Bounds
+        Declared boxes; several where a file was put together.
     is_made_up : bool
         Whether the map says that the simulator made it up.
+    has_deleted : bool
+        Whether an editor has marked objects as deleted that are still in the file.
+    is_lanelet : bool
+        Whether the file looks like a map of lanes (Lanelet2), which has the form of OSM and other content.
     """
 
     container: Container
     date: str | None
-    bounds: Bounds | None
+    areas: tuple[Bounds, ...]
     is_made_up: bool = False
+    has_deleted: bool = False
+    is_lanelet: bool = False
 
 
 def read_prolog(path: Path, *, max_unpacked_bytes: int = MAX_UNPACKED_BYTES) -> Prolog:
@@ -64,14 +81,16 @@ def read_prolog(path: Path, *, max_unpacked_bytes: int = MAX_UNPACKED_BYTES) -> 
     Raises
     ------
     MapError
-        There is no such file; it is empty, damaged, not OSM, or declares a DOCTYPE or entities; or it unpacks to
-        more than `max_unpacked_bytes`.
+        There is no such file; it is empty, damaged, not OSM, a file of the whole history, an answer that Overpass
+        gave up on, or declares a DOCTYPE or entities; or it unpacks to more than `max_unpacked_bytes`.
     """
+    if ".osh" in path.name.lower():
+        raise history_file(path)
     container = _container_of(path)
     if container == "pbf":
         return _pbf_prolog(path)
     try:
-        with _open(path, container) as stream:
+        with open_unpacked(path, container) as stream:
             prolog = _scan_xml(path, stream, container, max_unpacked_bytes)
     except EOFError as error:
         raise MapError(
@@ -101,12 +120,14 @@ def _container_of(path: Path) -> Container:
         return "osm.bz2"
     if b"OSMHeader" in head[:32]:
         return "pbf"
-    if head.startswith(b"PK\x03\x04"):
-        raise MapError(f"{path}: is a ZIP archive. Expected the OSM file itself: unpack the archive first.")
+    for start, (what, way_out) in _PACKED.items():
+        if head.startswith(start):
+            raise MapError(f"{path}: is {what}. Expected .osm, .osm.gz, .osm.bz2 or .osm.pbf: {way_out}.")
     return "osm"
 
 
-def _open(path: Path, container: Container) -> BinaryIO:
+def open_unpacked(path: Path, container: Container) -> BinaryIO:
+    """Open the XML of an OSM file."""
     if container == "osm.gz":
         return cast("BinaryIO", gzip.open(path, "rb"))
     if container == "osm.bz2":
@@ -121,17 +142,21 @@ def _pbf_prolog(path: Path) -> Prolog:
         header = osmium.io.Reader(str(path)).header()
     except RuntimeError as error:
         raise MapError(f"{path}: is a damaged .osm.pbf file ({error}).") from error
+    if header.has_multiple_object_versions:
+        raise history_file(path)
     box = header.box()
-    bounds = None
+    areas: tuple[Bounds, ...] = ()
     if box.valid():
-        bounds = (box.bottom_left.lon, box.bottom_left.lat, box.top_right.lon, box.top_right.lat)
+        areas = ((box.bottom_left.lon, box.bottom_left.lat, box.top_right.lon, box.top_right.lat),)
     date = header.get("osmosis_replication_timestamp") or header.get("timestamp")
-    return Prolog("pbf", date or None, bounds, header.get("generator") == SIMULATOR)
+    return Prolog("pbf", date or None, areas, header.get("generator") == SIMULATOR)
 
 
 def _scan_xml(path: Path, stream: BinaryIO, container: Container, max_unpacked_bytes: int) -> Prolog:
     scanner = _PrologScanner(path)
     unpacked = 0
+    has_deleted = is_lanelet = False
+    tail = b""
     while block := stream.read(_BLOCK_BYTES):
         unpacked += len(block)
         if unpacked > max_unpacked_bytes:
@@ -144,12 +169,20 @@ def _scan_xml(path: Path, stream: BinaryIO, container: Container, max_unpacked_b
             raise MapError(f"{path}: holds a tag longer than {_BLOCK_BYTES:,} bytes; this is not an OSM file.")
         if not scanner.finished:
             scanner.feed(block)
-        if scanner.finished and container == "osm":
-            break  # nothing to unpack: the parser itself finds errors further on
+        text = tail + block
+        has_deleted = has_deleted or b"action='delete'" in text or b'action="delete"' in text
+        is_lanelet = is_lanelet or b'"lanelet"' in text or b"'lanelet'" in text or b"<MetaInfo" in text
+        tail = text[-_TAIL_BYTES:]
     if unpacked == 0:
         raise MapError(f"{path}: holds nothing once unpacked. Usual cause: an export that failed.")
     scanner.close()
-    return Prolog(container, scanner.date, scanner.bounds, scanner.is_made_up)
+    if remark := _REMARK.search(tail):
+        reason = " ".join(remark[1].decode(errors="replace").split())
+        raise MapError(
+            f"{path}: Overpass gave up on this query ({reason}), so a part of the roads is missing. Ask for a smaller "
+            "area, or for more time: [timeout:180]."
+        )
+    return Prolog(container, scanner.date, tuple(scanner.areas), scanner.is_made_up, has_deleted, is_lanelet)
 
 
 class _PrologScanner:
@@ -159,7 +192,7 @@ class _PrologScanner:
         self.path = path
         self.finished = False
         self.date: str | None = None
-        self.bounds: Bounds | None = None
+        self.areas: list[Bounds] = []
         self.is_made_up = False
         self._root: str | None = None
         self._start = b""
@@ -200,6 +233,8 @@ class _PrologScanner:
             self.date = attributes.get("osm_base", self.date)
         elif name in {"bounds", "bound"}:
             self._add_bounds(attributes)
+        elif name in {"action", "create", "modify", "delete"}:
+            raise self._changes(f"<{name}> elements")
         elif name in _DATA_ELEMENTS:
             self.finished = True
 
@@ -211,7 +246,7 @@ class _PrologScanner:
         if name.lower() == "html":
             raise self._html()
         if name in {"osmChange", "osmAugmentedDiff"}:
-            raise MapError(f"{self.path}: is a change file ({name}). Expected a map: an .osm file with nodes and ways.")
+            raise self._changes(name)
         raise self._not_osm(f"the first element is <{name}>, not <osm>")
 
     def _add_bounds(self, attributes: dict[str, str]) -> None:
@@ -219,8 +254,10 @@ class _PrologScanner:
             west, south, east, north = (float(attributes[key]) for key in ("minlon", "minlat", "maxlon", "maxlat"))
         except (KeyError, ValueError):
             return  # old writers had other forms of bounds; without bounds every node counts
-        old = self.bounds or (west, south, east, north)
-        self.bounds = (min(old[0], west), min(old[1], south), max(old[2], east), max(old[3], north))
+        self.areas.append((west, south, east, north))
+
+    def _changes(self, what: str) -> MapError:
+        return MapError(f"{self.path}: is a change file ({what}). Expected a map: an .osm file with nodes and ways.")
 
     def _html(self) -> MapError:
         return MapError(
@@ -230,6 +267,8 @@ class _PrologScanner:
 
     def _not_osm(self, reason: str) -> MapError:
         start = self._start.lstrip(b"\xef\xbb\xbf \t\r\n")
+        if re.match(rb"\[\w+\s*:|\(?\s*(node|way|rel|nwr)\s*[\[(]", start):
+            return MapError(f"{self.path}: is an Overpass query. Expected its answer, saved as .osm.")
         if start[:1] in {b"{", b"["}:
             return MapError(
                 f"{self.path}: is JSON, not OSM XML. Usual cause: an Overpass query with [out:json]; "

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from interloc.arrays import BoolArray, FloatArray, IntArray
 
 Bounds = tuple[float, float, float, float]
-"""West, south, east, north in degrees."""
+"""West, south, east, north in degrees; west > east where the box crosses the 180th meridian, as in RFC 7946."""
 
 
 @dataclass(frozen=True)
@@ -27,12 +29,15 @@ class Ways:
         Name, else the reference number, else "".
     is_area : (W,) bool
         True where the way outlines a square (area=yes), not a line to drive along.
+    layer : (W,) int64 or None
+        Level above (+) or below (-) the ground: the tag `layer`, else 1 of a bridge and -1 of a tunnel; None: all 0.
     """
 
     id: IntArray
     highway: tuple[str, ...]
     name: tuple[str, ...]
     is_area: BoolArray
+    layer: IntArray | None = None
 
     def __len__(self) -> int:
         return len(self.id)
@@ -64,6 +69,7 @@ class Buildings:
 
 
 NO_BUILDINGS = Buildings(np.empty(0, dtype=np.int64), np.empty(0, dtype=np.bool_), (), ())
+NO_LOOSE_ENDS: IntArray = np.empty((0, 3), dtype=np.int64)
 
 
 @dataclass(frozen=True)
@@ -85,15 +91,19 @@ class RoadGraph:
         Where the map came from: a file name or a service.
     date : str or None
         State of the OSM data, ISO 8601: what the file declares, else the latest edit of a highway in it.
-    bounds : Bounds or None
-        What the map covers, where the file says so. Ways that leave it are present to their ends, but what they
-        meet out there is not: a junction outside does not count as ground truth.
+    areas : tuple of Bounds
+        Boxes that the map covers, where the file says so. Ways that leave them are present to their ends, but what
+        they meet out there is not: a junction outside does not count as ground truth.
     clipped_ways : int
         Ways that refer to nodes which the file does not hold, and were cut into the pieces that exist.
+    loose_ends : (L, 3) int64
+        Where such ways were cut: row of the last node, id of the next one, which has no place, row of the way.
     is_made_up : bool
         The simulator made the map up: its ids are not those of OpenStreetMap.
     buildings : Buildings
         Those of the surroundings, where they were asked for and the map has any.
+    warnings : tuple of str
+        What is odd about the map, so that figures drawn from it want care.
     """
 
     node_id: IntArray
@@ -103,10 +113,12 @@ class RoadGraph:
     ways: Ways
     source: str
     date: str | None = None
-    bounds: Bounds | None = None
+    areas: tuple[Bounds, ...] = ()
     clipped_ways: int = 0
+    loose_ends: IntArray = field(default_factory=lambda: NO_LOOSE_ENDS)
     is_made_up: bool = False
     buildings: Buildings = NO_BUILDINGS
+    warnings: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         west, south, east, north = self.extent
@@ -118,26 +130,49 @@ class RoadGraph:
     @property
     def extent(self) -> Bounds:
         """West, south, east, north of the nodes, degrees."""
-        west, south = self.lonlat.min(axis=0)
-        east, north = self.lonlat.max(axis=0)
-        return float(west), float(south), float(east), float(north)
+        return bounds_of(self.lonlat)
+
+    @property
+    def bounds(self) -> Bounds | None:
+        """The box around all that the map covers; None where the file does not say."""
+        if len(self.areas) < 2:
+            return self.areas[0] if self.areas else None
+        return bounds_of(np.array(self.areas).reshape(-1, 2))
+
+    def covers(self, lonlat: FloatArray) -> BoolArray:
+        """Return which (N, 2) longitudes, latitudes the map covers, (N,); all where the file does not say."""
+        return within_any(self.areas, lonlat)
 
     @cached_property
     def inside_bounds(self) -> BoolArray:
-        """(N,) bool: nodes within the bounds; all of them where the file declares none."""
-        return within(self.bounds, self.lonlat)
+        """(N,) bool: nodes that the map covers."""
+        return self.covers(self.lonlat)
 
     def edges_of(self, way_mask: BoolArray) -> IntArray:
         """Return the edges, (M, 2) int64, of the ways under a (W,) mask."""
         return self.edges[way_mask[self.edge_way]]
 
-    def degree(self, edges: IntArray | None = None) -> IntArray:
-        """Return how many distinct neighbours each node has, (N,) int64, over some edges or all.
+    def degree(self, ways: BoolArray | None = None) -> IntArray:
+        """Return how many distinct neighbours each node has, (N,) int64, along the ways under a (W,) mask or all.
 
-        Two ways between the same two nodes count once, a way from a node to itself does not count.
+        Two ways between the same two nodes count once, a way from a node to itself does not count. A neighbour beyond
+        the edge of the map counts, too: the road to it leaves the node.
         """
-        pairs = distinct_edges(self.edges if edges is None else edges)
-        return np.bincount(pairs.ravel(), minlength=len(self.node_id)).astype(np.int64)
+        pairs = distinct_edges(self.edges if ways is None else self.edges_of(ways))
+        beyond = self.loose_ends if ways is None else self.loose_ends[ways[self.loose_ends[:, 2]]]
+        beyond = np.unique(beyond[:, :2], axis=0)
+        ends = np.concatenate([pairs.ravel(), beyond[:, 0]])
+        return np.bincount(ends, minlength=len(self.node_id)).astype(np.int64)
+
+
+def layer_of(tags: Any) -> int:  # noqa: ANN401 - a dictionary, or osmium's list of tags
+    """Return the level of a way above or below the ground by its tags."""
+    try:
+        return int(tags.get("layer") or "")
+    except ValueError:
+        is_bridge = (tags.get("bridge") or "no") != "no"
+        is_tunnel = (tags.get("tunnel") or "no") not in {"no", "building_passage"}
+        return int(is_bridge) - int(is_tunnel)
 
 
 def distinct_edges(edges: IntArray) -> IntArray:
@@ -153,5 +188,22 @@ def within(bounds: Bounds | None, lonlat: FloatArray) -> BoolArray:
         return np.ones(len(lonlat), dtype=np.bool_)
     west, south, east, north = bounds
     lon, lat = lonlat[:, 0], lonlat[:, 1]
-    inside: BoolArray = (lon >= west) & (lon <= east) & (lat >= south) & (lat <= north)
+    in_width = (lon >= west) & (lon <= east) if west <= east else (lon >= west) | (lon <= east)
+    inside: BoolArray = in_width & (lat >= south) & (lat <= north)
     return inside
+
+
+def within_any(areas: Sequence[Bounds], lonlat: FloatArray) -> BoolArray:
+    """Return which (N, 2) longitudes, latitudes lie in any of several bounds; all where there are none."""
+    inside: BoolArray = np.any([within(area, lonlat) for area in areas or (None,)], axis=0)
+    return inside
+
+
+def bounds_of(lonlat: FloatArray) -> Bounds:
+    """Return the bounds of (N, 2) longitudes, latitudes: across the 180th meridian where that is shorter."""
+    west, south = lonlat.min(axis=0).tolist()
+    east, north = lonlat.max(axis=0).tolist()
+    if east - west > 180.0:
+        lon = lonlat[:, 0]
+        west, east = float(lon[lon >= 0.0].min()), float(lon[lon < 0.0].max())
+    return west, south, east, north

@@ -8,6 +8,7 @@ import numpy as np
 
 from interloc.arrays import BoolArray, FloatArray, IntArray
 from interloc.errors import ConfigError
+from interloc.geometry import middle_of
 from interloc.osm.graph import RoadGraph, distinct_edges
 from interloc.osm.policies import POLICIES, Policy
 
@@ -89,18 +90,18 @@ def intersection_nodes(graph: RoadGraph, policy: Policy = "drive", tolerance_m: 
     """
     if policy not in POLICIES:
         raise ConfigError(f"policy {policy!r} is unknown. Expected one of: {', '.join(POLICIES)}.")
-    edges = graph.edges_of(road_ways(graph, policy))
-    degree = graph.degree(edges)
+    roads = road_ways(graph, policy)
+    degree = graph.degree(roads)
     rows = np.flatnonzero((degree >= MIN_DEGREE) & graph.inside_bounds)
     if policy == "consolidated":
         if not tolerance_m > 0:
             raise ConfigError(f"tolerance_m is {tolerance_m}. Expected a positive number of metres.")
-        return IntersectionNodes(policy, *consolidate(graph, edges, rows, tolerance_m), tolerance_m)
+        return IntersectionNodes(policy, *consolidate(graph, roads, rows, tolerance_m), tolerance_m)
     return IntersectionNodes(policy, graph.node_id[rows], graph.lonlat[rows], degree[rows])
 
 
 def consolidate(
-    graph: RoadGraph, edges: IntArray, rows: IntArray, tolerance_m: float
+    graph: RoadGraph, roads: BoolArray, rows: IntArray, tolerance_m: float
 ) -> tuple[IntArray, FloatArray, IntArray]:
     """Merge the nodes of one physical intersection: dual carriageways, staggered and compound junctions.
 
@@ -108,8 +109,8 @@ def consolidate(
     ----------
     graph
         Roads of the map.
-    edges : (E, 2) int64
-        Those of its edges that are roads.
+    roads : (W,) bool
+        Those of its ways that are roads.
     rows : (N,) int64
         Its nodes that are intersections.
     tolerance_m
@@ -122,7 +123,8 @@ def consolidate(
     lonlat : (M, 2) float64
         Longitude, latitude, degrees.
     degree : (M,) int64
-        Roads that leave the merged intersection.
+        Roads that leave the merged intersection, three or more: where the lanes of one road part around an island and
+        join again, two leave, and it is none.
 
     Notes
     -----
@@ -133,8 +135,8 @@ def consolidate(
     import osmnx  # noqa: PLC0415 - takes seconds to import
     from pyproj import Transformer  # noqa: PLC0415
 
-    degree_of_node = graph.degree(edges)
-    links = _links(distinct_edges(edges), degree_of_node >= MIN_DEGREE)
+    degree_of_node = graph.degree(roads)
+    links = _links(distinct_edges(graph.edges_of(roads)), degree_of_node >= MIN_DEGREE)
     links = links[np.isin(links, rows).all(axis=1)]
     if len(links) == 0:
         return graph.node_id[rows], graph.lonlat[rows], degree_of_node[rows]  # osmnx fails on a graph without edges
@@ -158,8 +160,9 @@ def consolidate(
     order = np.argsort(osm_id)
     merged_xy = np.array(xy, dtype=np.float64)[order]
     lon, lat = to_utm.transform(merged_xy[:, 0], merged_xy[:, 1], direction="INVERSE")
-    ids = np.array(osm_id, dtype=np.int64)[order]
-    return ids, np.stack([lon, lat], axis=-1), np.array(degree, dtype=np.int64)[order]
+    ids, merged_degree = np.array(osm_id, dtype=np.int64)[order], np.array(degree, dtype=np.int64)[order]
+    is_met = merged_degree >= MIN_DEGREE
+    return ids[is_met], np.stack([lon, lat], axis=-1)[is_met], merged_degree[is_met]
 
 
 def _links(edges: IntArray, is_intersection: BoolArray) -> IntArray:
@@ -192,6 +195,6 @@ def _links(edges: IntArray, is_intersection: BoolArray) -> IntArray:
 
 
 def _utm_epsg(lonlat: FloatArray) -> str:
-    lon, lat = np.median(lonlat, axis=0)
+    lon, lat = middle_of(lonlat)
     zone = int((lon + 180.0) // 6.0) % 60 + 1
     return f"EPSG:{(32600 if lat >= 0 else 32700) + zone}"

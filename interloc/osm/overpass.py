@@ -25,7 +25,7 @@ from filelock import FileLock, Timeout
 from platformdirs import user_cache_path
 
 from interloc.errors import MapError, NetworkError, OutputError
-from interloc.osm.graph import Bounds, RoadGraph, Ways
+from interloc.osm.graph import Bounds, RoadGraph, Ways, layer_of
 
 logger = logging.getLogger(__name__)
 
@@ -116,6 +116,10 @@ def download_roads(
 
 def _check(bounds: Bounds) -> None:
     west, south, east, north = bounds
+    if west - east > 180.0:
+        raise MapError(
+            "the area crosses the 180th meridian, for which Overpass has no box. Give the map as a file (--osm)."
+        )
     if not (all(map(math.isfinite, bounds)) and -180 <= west < east <= 180 and -90 <= south < north <= 90):
         raise MapError(f"bounds {bounds} are not an area. Expected west < east and south < north, in degrees.")
     area_km2 = (north - south) * 111.2 * (east - west) * 111.3 * math.cos(math.radians((north + south) / 2))
@@ -206,7 +210,7 @@ def _settings(url: str, folder: Path, timeout_s: int) -> Iterator[None]:
         "overpass_rate_limit": False,
         "requests_kwargs": {"hooks": {"response": _inspect}},
         "doh_url_template": None,  # no look-ups at a third party when the name does not resolve
-        "useful_tags_way": ["area", "highway", "name", "ref"],
+        "useful_tags_way": ["area", "bridge", "highway", "layer", "name", "ref", "tunnel"],
         "log_console": False,
         "log_file": False,
     }
@@ -287,8 +291,9 @@ def _road_graph(graph: Any, bounds: Bounds, url: str, date: str | None) -> RoadG
             highway=tuple(str(tags[way].get("highway", "")) for way in ways),
             name=tuple(str(tags[way].get("name") or tags[way].get("ref") or "") for way in ways),
             is_area=np.array([tags[way].get("area") == "yes" for way in ways], dtype=np.bool_),
+            layer=np.array([layer_of(tags[way]) for way in ways], dtype=np.int64),
         ),
         source=f"Overpass ({url})",
         date=date,
-        bounds=bounds,
+        areas=(bounds,),
     )

@@ -31,7 +31,8 @@ class PolicyWording(NamedTuple):
 POLICIES: dict[Policy, PolicyWording] = {
     "drive": PolicyWording(
         "Drivable public roads",
-        "Nodes where at least three drivable public roads meet (motorway to residential) count; service roads do not.",
+        "Nodes where at least three drivable public roads meet (motorway to residential) count; service roads do not. "
+        "Public is meant by their class: access=private and access=no are not looked at.",
     ),
     "drive+service": PolicyWording(
         "Drivable roads and service roads",

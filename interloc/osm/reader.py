@@ -7,9 +7,11 @@ from __future__ import annotations
 
 import logging
 import os
+import re
+import tempfile
 from array import array
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from itertools import chain, islice
 from pathlib import Path
@@ -18,10 +20,11 @@ from typing import Any, TypeVar
 import numpy as np
 
 from interloc.arrays import BoolArray, FloatArray, IntArray
-from interloc.errors import MapError
-from interloc.osm.container import MAX_UNPACKED_BYTES, read_prolog
-from interloc.osm.graph import NO_BUILDINGS, Bounds, Buildings, RoadGraph, Ways, within
+from interloc.osm.container import MAX_UNPACKED_BYTES, Prolog, read_prolog
+from interloc.osm.graph import NO_BUILDINGS, NO_LOOSE_ENDS, Bounds, Buildings, RoadGraph, Ways, layer_of, within
+from interloc.osm.mistakes import history_file, lanelet_map, no_highways, no_nodes, not_read, oddities, too_many
 from interloc.osm.multipolygons import Multipolygon, holes_of, rings_of
+from interloc.osm.plain import write_plain
 
 logger = logging.getLogger(__name__)
 
@@ -58,8 +61,9 @@ def read_osm(
     Returns
     -------
     RoadGraph
-        A way that refers to nodes which the file does not hold is cut into the pieces that exist. Its bounds are those
-        that the file declares; where ways were left out, what of them lies within `bounds`.
+        A way that refers to nodes which the file does not hold is cut into the pieces that exist; `loose_ends` keeps
+        where it goes on. Its areas are those that the file declares; where ways were left out, what of them lies
+        within `bounds`.
 
     Raises
     ------
@@ -70,15 +74,33 @@ def read_osm(
     Notes
     -----
     Memory grows with the highways kept, and with the nodes within the bounds, not with the file. Nodes may stand before
-    or after the ways. Of ways with the same id the first counts, of nodes the last.
+    or after the ways, or their places in the ways. Of elements with the same id the highest version counts, also where
+    it is no highway any more. Ways of the same version with other nodes are pieces of one road.
     """
     path = Path(path)
     prolog = read_prolog(path, max_unpacked_bytes=max_unpacked_bytes)
-    stream = _OsmStream(path, prolog.container)
+    if not prolog.has_deleted:
+        try:
+            return _read(_OsmStream(path, path, prolog), bounds)
+        except _OddValueError as odd:
+            logger.info("%s: %s; read without it", path.name, odd)
+    with tempfile.TemporaryDirectory(prefix="interloc-map-") as folder:
+        plain = Path(folder) / "map.osm"
+        write_plain(path, prolog.container, plain)
+        return _read(_OsmStream(path, plain, replace(prolog, container="osm")), bounds)
+
+
+def _read(stream: _OsmStream, bounds: Bounds | None) -> RoadGraph:
+    path, prolog = stream.path, stream.prolog
     nodes = stream.nodes(None if bounds is None else lambda _, lonlat: within(bounds, lonlat))
-    found, left_out = _collect_ways(stream, None if bounds is None else nodes.id)
+    found, left_out = _collect_ways(stream, bounds, nodes.id)
     if not found:
-        raise MapError(_no_highways(path, bounds, nodes))
+        if prolog.is_lanelet:
+            raise lanelet_map(path)
+        if left_out and nodes.extent is None:
+            raise no_nodes(path, left_out)
+        raise no_highways(path, bounds, nodes.extent)
+    nodes = nodes.with_others(_places_of(found))
     refs = np.fromiter(chain.from_iterable(way.refs for way in found), np.int64)
     wanted = np.unique(refs)
     if nodes.beyond:
@@ -88,12 +110,9 @@ def read_osm(
     node_id, lonlat = nodes.id[used], nodes.lonlat[used]
     few = bounds is not None and len(nodes.id) + nodes.beyond <= MAX_NODES_WITH_BUILDINGS
     buildings = _buildings(stream, nodes) if few else NO_BUILDINGS
-    edges, edge_way, clipped = _edges([len(way.refs) for way in found], refs, node_id)
+    edges, edge_way, loose_ends, clipped = _edges([len(way.refs) for way in found], refs, node_id)
     if len(edges) == 0:
-        raise MapError(
-            f"{path}: holds {len(found)} highways but none of their nodes. Usual cause: a query without the nodes "
-            "of the ways; in Overpass QL add (._;>;); before out."
-        )
+        raise no_nodes(path, len(found))
     if clipped:
         logger.info("%s: %d highways refer to nodes outside the extract and were cut", path.name, clipped)
     return RoadGraph(
@@ -106,40 +125,30 @@ def read_osm(
             highway=tuple(way.highway for way in found),
             name=tuple(way.name for way in found),
             is_area=np.array([way.is_area for way in found], dtype=np.bool_),
+            layer=np.array([way.layer for way in found], dtype=np.int64),
         ),
         source=path.name,
         date=prolog.date or _latest_edit(found),
-        bounds=_common(prolog.bounds, bounds) if left_out else prolog.bounds,
+        areas=_common(prolog.areas, bounds) if left_out else prolog.areas,
         clipped_ways=clipped,
+        loose_ends=loose_ends,
         is_made_up=prolog.is_made_up,
         buildings=buildings,
+        warnings=oddities(path.name, np.array([way.id for way in found], dtype=np.int64), edges, edge_way),
     )
 
 
-def _no_highways(path: Path, bounds: Bounds | None, nodes: _Nodes) -> str:
-    text = f"{path}: holds no highways"
-    if bounds is not None:
-        text += f" within {_area(bounds)}"
-        if nodes.extent is not None:
-            text += f"; it covers {_area(nodes.extent)}"
-    return (
-        f"{text}. Expected ways with a tag highway=*. Usual cause: an extract of another area, or of buildings or "
-        "points only, or longitude and latitude swapped in geo.csv."
+def _common(declared: Sequence[Bounds], bounds: Bounds | None) -> tuple[Bounds, ...]:
+    """Return what of the declared boxes lies within bounds."""
+    if bounds is None or not declared:
+        return tuple(declared) if bounds is None else (bounds,)
+    if bounds[0] > bounds[2] or any(west > east for west, _, east, _ in declared):
+        return tuple(declared)  # across the 180th meridian
+    common = (
+        (max(west, bounds[0]), max(south, bounds[1]), min(east, bounds[2]), min(north, bounds[3]))
+        for west, south, east, north in declared
     )
-
-
-def _area(bounds: Bounds) -> str:
-    west, south, east, north = bounds
-    return f"lon {west:.5f}..{east:.5f}, lat {south:.5f}..{north:.5f}"
-
-
-def _common(declared: Bounds | None, bounds: Bounds | None) -> Bounds | None:
-    """Return what lies in both of two bounds."""
-    if declared is None or bounds is None:
-        return declared or bounds
-    west, south = max(declared[0], bounds[0]), max(declared[1], bounds[1])
-    east, north = min(declared[2], bounds[2]), min(declared[3], bounds[3])
-    return (west, south, east, north) if west < east and south < north else declared
+    return tuple(area for area in common if area[0] < area[2] and area[1] < area[3]) or tuple(declared)
 
 
 @dataclass(frozen=True)
@@ -150,6 +159,7 @@ class _Nodes:
     ----------
     id : (N,) int64
         Ascending.
+    version : (N,) int64
     lonlat : (N, 2) float64
     beyond : int
         How many others the file holds.
@@ -158,15 +168,18 @@ class _Nodes:
     """
 
     id: IntArray
+    version: IntArray
     lonlat: FloatArray
     beyond: int
     extent: Bounds | None
 
     @classmethod
-    def of(cls, ids: IntArray, lonlat: FloatArray, beyond: int, extent: Bounds | None) -> _Nodes:
-        """Sort nodes; the last of those with the same id counts."""
-        unique, last = np.unique(ids[::-1], return_index=True)
-        return cls(unique, lonlat[::-1][last], beyond, extent)
+    def of(cls, ids: IntArray, version: IntArray, lonlat: FloatArray, beyond: int, extent: Bounds | None) -> _Nodes:
+        """Sort nodes; of those with the same id the highest version counts, of the same version the last."""
+        order = np.lexsort((version, ids))
+        ids = ids[order]
+        last = order[np.flatnonzero(np.append(ids[1:] != ids[:-1], [True] * bool(len(ids))))]
+        return cls(np.unique(ids), version[last], lonlat[last], beyond, extent)
 
     def places(self, ids: Sequence[int]) -> FloatArray:
         """Return (n, 2) longitudes and latitudes of nodes, all of which are among these."""
@@ -174,40 +187,61 @@ class _Nodes:
 
     def with_others(self, others: _Nodes) -> _Nodes:
         """Return these and others."""
-        ids = np.concatenate([self.id, others.id])
-        return _Nodes.of(ids, np.concatenate([self.lonlat, others.lonlat]), self.beyond, self.extent)
+        ids, version = np.concatenate([self.id, others.id]), np.concatenate([self.version, others.version])
+        return _Nodes.of(ids, version, np.concatenate([self.lonlat, others.lonlat]), self.beyond, self.extent)
 
 
 @dataclass(frozen=True)
 class _Way:
     id: int
+    version: int
     highway: str
     name: str
     is_area: bool
+    layer: int
     refs: array[int]
+    places: FloatArray | None  # (n, 2) longitudes and latitudes, where the file holds them in the way
     edited: datetime
+
+
+class _OddValueError(Exception):
+    """libosmium stops at a value that no road depends on."""
 
 
 @dataclass(frozen=True)
 class _OsmStream:
-    """Passes over one file; whatever libosmium objects to becomes a `MapError`."""
+    """Passes over one file; whatever libosmium objects to becomes a `MapError`.
+
+    Attributes
+    ----------
+    path : Path
+        The map as its user knows it.
+    source : Path
+        What is read: the map, or a copy of it in a plainer form.
+    prolog : Prolog
+    """
 
     path: Path
-    container: str
+    source: Path
+    prolog: Prolog
 
     def objects(self, kind: str, *filters: object) -> Iterator[Any]:
         import osmium  # noqa: PLC0415 - slow to import, needed by few commands
 
         try:
-            file = osmium.io.File(str(self.path), self.container)
+            file = osmium.io.File(str(self.source), self.prolog.container)
             processor: Any = osmium.FileProcessor(file, getattr(osmium.osm, kind))
             for each in filters:
                 processor = processor.with_filter(each)
             yield from processor
         except (RuntimeError, ValueError, osmium.InvalidLocationError) as error:
-            raise MapError(
-                f"{self.path}: is damaged ({error}). Usual cause: a download or copy that was cut off; fetch it again."
-            ) from error
+            raise self._error(str(error)) from error
+
+    def _error(self, objection: str) -> Exception:
+        """Return what an objection of libosmium means."""
+        if self.source == self.path and self.prolog.container != "pbf" and re.search("timestamp|user id", objection):
+            return _OddValueError(objection)
+        return lanelet_map(self.path) if self.prolog.is_lanelet else not_read(self.path, objection)
 
     def highways(self) -> Iterator[_Way]:
         import osmium  # noqa: PLC0415
@@ -216,8 +250,27 @@ class _OsmStream:
             refs = array("q", [node.ref for node in way.nodes])
             if len(refs) >= 2 and not way.deleted:
                 tags = way.tags
-                name = tags.get("name") or tags.get("ref") or ""
-                yield _Way(way.id, tags["highway"], name, tags.get("area") == "yes", refs, way.timestamp)
+                yield _Way(
+                    id=way.id,
+                    version=way.version,
+                    highway=tags["highway"],
+                    name=tags.get("name") or tags.get("ref") or "",
+                    is_area=tags.get("area") == "yes",
+                    layer=layer_of(tags),
+                    refs=refs,
+                    places=_places(way) if any(node.location.valid() for node in way.nodes) else None,
+                    edited=way.timestamp,
+                )
+
+    def replaced(self, version: Mapping[int, int]) -> set[int]:
+        """Return those ids of highways of which the file holds a higher version, which is no highway any more."""
+        found = set()
+        for way in self.objects("WAY"):
+            if way.id in version and way.version > version[way.id]:
+                if way.deleted:
+                    raise history_file(self.path)
+                found.add(way.id)
+        return found
 
     def outlines(self) -> Iterator[tuple[int, array[int]]]:
         """Yield id and nodes of the ways that outline buildings."""
@@ -250,35 +303,30 @@ class _OsmStream:
     def nodes(self, keep: Callable[[IntArray, FloatArray], BoolArray] | None) -> _Nodes:
         """Return the nodes that are to be kept, judged by ids, longitudes and latitudes."""
         # Not by osmium's filter of ids: it takes 1.5 GB where ids are as high as today, however few they are.
-        kept: list[tuple[IntArray, FloatArray]] = [(np.empty(0, dtype=np.int64), np.empty((0, 2)))]
+        none = np.empty(0, dtype=np.int64)
+        kept: list[tuple[IntArray, IntArray, FloatArray]] = [(none, none, np.empty((0, 2)))]
         count, total = 0, 0
         corners: list[FloatArray] = []
-        places = ((node.id, node.location) for node in self.objects("NODE"))
-        for batch in _batches((id_, place) for id_, place in places if place.valid()):
-            ids = np.fromiter((id_ for id_, _ in batch), np.int64, len(batch))
-            lonlat = np.array([(place.lon, place.lat) for _, place in batch])
+        places = ((node.id, node.version, node.location) for node in self.objects("NODE"))
+        for batch in _batches(each for each in places if each[2].valid()):
+            ids = np.fromiter((id_ for id_, _, _ in batch), np.int64, len(batch))
+            version = np.fromiter((each for _, each, _ in batch), np.int64, len(batch))
+            lonlat = np.array([(place.lon, place.lat) for _, _, place in batch])
             corners += [lonlat.min(axis=0), lonlat.max(axis=0)]
             total += len(ids)
             if keep is not None:
                 mask = keep(ids, lonlat)
-                ids, lonlat = ids[mask], lonlat[mask]
-            kept.append((ids, lonlat))
+                ids, version, lonlat = ids[mask], version[mask], lonlat[mask]
+            kept.append((ids, version, lonlat))
             count += len(ids)
             if keep is not None and count > MAX_NODES:
-                raise MapError(_too_many(self.path, "nodes", MAX_NODES))
+                raise too_many(self.path, "nodes", MAX_NODES)
         extent = None
         if corners:
             (west, south), (east, north) = np.min(corners, axis=0).tolist(), np.max(corners, axis=0).tolist()
             extent = (west, south, east, north)
-        ids, lonlat = (np.concatenate(each) for each in zip(*kept, strict=True))
-        return _Nodes.of(ids, lonlat, total - count, extent)
-
-
-def _too_many(path: Path, what: str, most: int) -> str:
-    return (
-        f"{path}: holds more than {most:,} {what} around the drive, which no place on Earth has. "
-        "Usual cause: several maps in one file, or a file that was made by a program."
-    )
+        ids, version, lonlat = (np.concatenate(each) for each in zip(*kept, strict=True))
+        return _Nodes.of(ids, version, lonlat, total - count, extent)
 
 
 def _batches(objects: Iterable[Any]) -> Iterator[list[Any]]:
@@ -287,23 +335,47 @@ def _batches(objects: Iterable[Any]) -> Iterator[list[Any]]:
         yield batch
 
 
-def _collect_ways(stream: _OsmStream, inside: IntArray | None) -> tuple[list[_Way], int]:
-    """Return the highways with a node among the ids inside, and how many others there are."""
-    found: dict[int, _Way] = {}
+def _places(way: Any) -> FloatArray:  # noqa: ANN401 - osmium has no types
+    """Return (n, 2) longitudes and latitudes that a file holds in a way; NaN where one is missing."""
+    places = (node.location for node in way.nodes)
+    return np.array([(place.lon, place.lat) if place.valid() else (np.nan, np.nan) for place in places])
+
+
+def _places_of(ways: Sequence[_Way]) -> _Nodes:
+    """Return the nodes whose places stand in ways; a node of its own, of whichever version, comes before them."""
+    placed = [way for way in ways if way.places is not None]
+    ids = np.fromiter(chain.from_iterable(way.refs for way in placed), np.int64)
+    lonlat = np.concatenate([np.empty((0, 2)), *(way.places for way in placed if way.places is not None)])
+    known = np.isfinite(lonlat).all(axis=1)
+    return _Nodes.of(ids[known], np.full(known.sum(), -1, dtype=np.int64), lonlat[known], 0, None)
+
+
+def _collect_ways(stream: _OsmStream, bounds: Bounds | None, inside: IntArray) -> tuple[list[_Way], int]:
+    """Return the highways with a node within bounds (ascending ids `inside`), and how many others there are."""
+    found: dict[int, list[_Way]] = {}
     left_out = 0
     for batch in _batches(stream.highways()):
         near = batch
-        if inside is not None:
+        if bounds is not None:
             refs = np.fromiter(chain.from_iterable(way.refs for way in batch), np.int64)
             first = np.cumsum([0, *(len(way.refs) for way in batch[:-1])])
-            is_near = np.logical_or.reduceat(_is_in(refs, inside), first)
-            near = [way for way, keep in zip(batch, is_near.tolist(), strict=True) if keep]
+            is_near = np.logical_or.reduceat(_is_in(refs, inside), first).tolist()
+            near = [way for way, keep in zip(batch, is_near, strict=True) if keep or _comes_into(bounds, way.places)]
         left_out += len(batch) - len(near)
         for way in near:
-            found.setdefault(way.id, way)
-        if inside is not None and len(found) > MAX_WAYS:
-            raise MapError(_too_many(stream.path, "highways", MAX_WAYS))
-    return list(found.values()), left_out
+            known = found.setdefault(way.id, [way])
+            if way.version > known[0].version:
+                found[way.id] = [way]
+            elif way.version == known[0].version and all(way.refs != piece.refs for piece in known):
+                known.append(way)
+        if bounds is not None and len(found) > MAX_WAYS:
+            raise too_many(stream.path, "highways", MAX_WAYS)
+    replaced = stream.replaced({id_: pieces[0].version for id_, pieces in found.items()}) if found else set()
+    return [way for id_, pieces in found.items() if id_ not in replaced for way in pieces], left_out
+
+
+def _comes_into(bounds: Bounds, places: FloatArray | None) -> bool:
+    return places is not None and bool(within(bounds, places).any())
 
 
 def _buildings(stream: _OsmStream, nodes: _Nodes) -> Buildings:
@@ -375,15 +447,31 @@ def _is_in(ids: IntArray, ascending: IntArray) -> BoolArray:
     return found
 
 
-def _edges(counts: list[int], flat: IntArray, node_id: IntArray) -> tuple[IntArray, IntArray, int]:
-    """Link consecutive nodes of each way where both exist; also count the ways that miss some."""
+def _edges(counts: list[int], flat: IntArray, node_id: IntArray) -> tuple[IntArray, IntArray, IntArray, int]:
+    """Link consecutive nodes of each way where both exist, and keep loose ends where one does.
+
+    Returns
+    -------
+    edges : (E, 2) int64
+        Rows of nodes.
+    edge_way : (E,) int64
+    loose_ends : (L, 3) int64
+        As `RoadGraph.loose_ends`.
+    clipped : int
+        How many ways miss nodes.
+    """
     if len(node_id) == 0:
-        return np.empty((0, 2), dtype=np.int64), np.empty(0, dtype=np.int64), len(counts)
+        return np.empty((0, 2), dtype=np.int64), np.empty(0, dtype=np.int64), NO_LOOSE_ENDS, len(counts)
     way = np.repeat(np.arange(len(counts)), counts)
     row = np.searchsorted(node_id, flat)
     row[row == len(node_id)] = 0
     exists = node_id[row] == flat
-    linked = (way[:-1] == way[1:]) & exists[:-1] & exists[1:]
+    consecutive = way[:-1] == way[1:]
+    linked = consecutive & exists[:-1] & exists[1:]
     edges = np.stack([row[:-1], row[1:]], axis=1)[linked]
+    last = np.flatnonzero(consecutive & exists[:-1] & ~exists[1:])
+    first = np.flatnonzero(consecutive & ~exists[:-1] & exists[1:]) + 1
+    ends, beyond = np.concatenate([last, first]), np.concatenate([last + 1, first - 1])
+    loose_ends = np.stack([row[ends], flat[beyond], way[ends]], axis=1).astype(np.int64)
     clipped = len(np.unique(way[~exists]))
-    return edges.astype(np.int64), way[:-1][linked].astype(np.int64), clipped
+    return edges.astype(np.int64), way[:-1][linked].astype(np.int64), loose_ends, clipped

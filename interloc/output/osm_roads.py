@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from interloc.arrays import FloatArray
-from interloc.geometry import enu_from_lonlat
-from interloc.osm.graph import Bounds, RoadGraph
+from interloc.geometry import enu_from_lonlat, middle_of
+from interloc.osm.graph import Bounds, RoadGraph, within
 from interloc.osm.intersections import road_ways
 from interloc.output.geojson import positions
 from interloc.output.layers import BUILDINGS, LAYERS
@@ -35,7 +35,10 @@ def road_features(graph: RoadGraph, bounds: Bounds) -> list[dict[str, Any]]:
     import shapely  # noqa: PLC0415 - an eighth of a second of start-up time
 
     lines: Any = shapely.linestrings(graph.lonlat[graph.edges])
-    near = np.flatnonzero(shapely.intersects(lines, shapely.box(*bounds)))
+    if bounds[0] <= bounds[2]:
+        near = np.flatnonzero(shapely.intersects(lines, shapely.box(*bounds)))
+    else:  # across the 180th meridian, where the plane of degrees ends
+        near = np.flatnonzero(within(bounds, graph.lonlat)[graph.edges].any(axis=1))
     if len(near) == 0:
         return []
     order = near[np.argsort(graph.edge_way[near], kind="stable")]
@@ -62,7 +65,7 @@ def building_features(graph: RoadGraph, lonlat: FloatArray) -> list[dict[str, An
         return []
     from scipy.spatial import cKDTree  # noqa: PLC0415 - slow to import
 
-    lon, lat = np.median(lonlat, axis=0)
+    lon, lat = middle_of(lonlat)
     corners = enu_from_lonlat(lat, lon, np.concatenate(buildings.outlines))
     distance, _ = cKDTree(enu_from_lonlat(lat, lon, lonlat)).query(corners, distance_upper_bound=NEAR_M)
     first = np.cumsum([0, *(len(ring) for ring in buildings.outlines[:-1])])

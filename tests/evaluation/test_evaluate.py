@@ -1,6 +1,7 @@
 import json
 import logging
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ from interloc.errors import ConfigError, GeoreferenceError, MapError
 from interloc.evaluation.coverage import track_bounds, track_to_road
 from interloc.evaluation.evaluate import evaluate
 from interloc.evaluation.report import report_record
+from interloc.geometry import wrap_longitude
 from interloc.osm.graph import RoadGraph
 from interloc.osm.intersections import intersection_nodes
 from interloc.osm.reader import read_osm
@@ -110,7 +112,7 @@ def test_a_track_beside_the_roads_is_worth_a_warning(run: Run, graph: Graph) -> 
 
 def test_what_lies_beyond_the_bounds_of_the_map_is_not_scored(run: Run, graph: Graph, at: At) -> None:
     (west, south), (east, north) = at([(-60, -60), (20, 60)])
-    clipped = graph([(0, 0), (30, 0)], arm_m=15, bounds=(west, south, east, north))
+    clipped = graph([(0, 0), (30, 0)], arm_m=15, areas=((west, south, east, north),))
     result = evaluate(run([(0, 0)], [(0, 1, 0), (0, 30, 0)], [(0, 0), (30, 0)]), clipped)
     assert (len(result.nodes), len(result.detections), result.detections_outside_map) == (1, 1, 1)
     assert result.scores.at(5.0, result.scores.precision) == 1.0
@@ -119,6 +121,39 @@ def test_what_lies_beyond_the_bounds_of_the_map_is_not_scored(run: Run, graph: G
 def test_distance_to_the_road_is_to_the_line_not_to_its_nodes(graph: Graph, at: At) -> None:
     cross = graph([(0, 0)])
     assert track_to_road(at([(25, 2), (60, 0), (-3, -3)]), cross) == pytest.approx([2.0, 10.0, 3.0], abs=1e-3)
+
+
+def test_warnings_of_the_map_are_those_of_the_evaluation(run: Run, graph: Graph) -> None:
+    assert evaluate(run([(0, 0)]), graph([(0, 0)], warnings=("odd",))).warnings[0] == "odd"
+
+
+def test_a_drive_across_the_180th_meridian_is_scored_like_any_other(run: Run, graph: Graph) -> None:
+    made, roads = (
+        run([(-20, 0), (0, 0), (20, 0)], detections=[(0, 1, 1), (2, 2, 0)], intersections=[(1, 1)]),
+        graph([(0, 0)]),
+    )
+    there, there_roads = (moved(each) for each in (made, roads))
+    assert there.keyframes.lonlat[:, 0].max() - there.keyframes.lonlat[:, 0].min() > 359.0
+    assert track_bounds(there.keyframes.lonlat)[0] > 179.9 > -179.9 > track_bounds(there.keyframes.lonlat)[2]
+    at_home, across = evaluate(made, roads), evaluate(there, there_roads)
+    assert across.matching.error_m == pytest.approx(at_home.matching.error_m, abs=0.02)
+    assert across.map_level.error_m == pytest.approx(at_home.map_level.error_m, abs=0.02)
+    assert (across.track_to_road_m, across.warnings) == (
+        pytest.approx(at_home.track_to_road_m, abs=0.02),
+        at_home.warnings,
+    )
+
+
+def moved(thing: Any) -> Any:
+    """Return a run or a map, moved east until its middle lies on the 180th meridian."""
+
+    def east(lonlat: np.ndarray) -> np.ndarray:
+        return np.column_stack([wrap_longitude(lonlat[:, 0] + 180.0 - 8.4), lonlat[:, 1]])
+
+    if isinstance(thing, RoadGraph):
+        return replace(thing, lonlat=east(thing.lonlat))
+    tables = {name: getattr(thing, name) for name in ("keyframes", "detections", "intersections")}
+    return replace(thing, **{name: replace(table, lonlat=east(table.lonlat)) for name, table in tables.items()})
 
 
 def test_bounds_of_a_drive_leave_room_for_the_roi(run: Run, at: At) -> None:

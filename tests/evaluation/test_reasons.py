@@ -58,8 +58,10 @@ def draw_map(lines: Sequence[Line]) -> RoadGraph:
     )
 
 
-def evidence_of(lines: Sequence[Line], policy: Policy = "drive") -> MapEvidence:
+def evidence_of(lines: Sequence[Line], policy: Policy = "drive", layers: Sequence[int] | None = None) -> MapEvidence:
     graph = draw_map(lines)
+    if layers is not None:
+        graph = replace(graph, ways=replace(graph.ways, layer=np.array(layers)))
     return MapEvidence(graph, intersection_nodes(graph, policy), lonlat([(0, 0)]))
 
 
@@ -169,7 +171,7 @@ def test_a_map_without_junctions_explains_nothing() -> None:
 
 def why_missed(lines: Sequence[Line], node: int, **found: Any) -> Reason:
     """What is said of the node with this id; `found` are places, and nodes of intersections by their row."""
-    evidence = evidence_of(lines)
+    evidence = evidence_of(lines, layers=found.pop("layers", None))
 
     def plane(name: str) -> np.ndarray:
         return evidence.plane(lonlat(found.get(name, [])))
@@ -228,6 +230,26 @@ def test_two_short_branches_of_three_are_too_short() -> None:
     reason = why_missed(lines, 101)
     assert reason.kind == "short"
     assert "12, 15, 15 m" in reason.sentence
+
+
+def test_roads_on_two_levels_that_pass_each_other_are_named() -> None:
+    reason = why_missed(CROSSING, 101, layers=[0, 1])
+    assert reason.kind == "levels"
+    assert reason.sentence.startswith("roads on layers 0 and 1 share this node")
+    ramp: list[Line] = [STREET, ("residential", [(0, 0), (0, 90)])]
+    assert why_missed(ramp, 101, layers=[0, 1]).kind == "not_seen"  # a bridge that begins at the junction
+
+
+def test_a_node_above_the_road_driven_is_told() -> None:
+    viaduct: list[Line] = [STREET, ("motorway", [(2, -90), (2, 4), (2, 90)]), ("motorway_link", [(2, 4), (60, 60)])]
+    reason = why_missed(viaduct, 104, layers=[0, 2, 2], keyframes=[(-8, 0), (0, 0), (9, 0)])
+    assert reason == Reason("levels", "its roads lie on layer 2, the road driven on layer 0: it passes above")
+
+
+def test_a_road_drawn_twice_is_named() -> None:
+    lines: list[Line] = [("residential", [(-90, 0), (0, 0), (20, 0.4), (90, 0)]), ("residential", [(0, 0), (90, 0)])]
+    reason = why_missed(lines, 101)
+    assert reason == Reason("twice", "two of its roads, to nodes 102 and 103, run 0.4 m apart: drawn twice?")
 
 
 def test_what_was_passed_and_not_detected_is_not_explained() -> None:

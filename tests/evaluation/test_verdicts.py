@@ -136,7 +136,7 @@ def test_scoring_again_replaces_the_verdicts(folder: Path, graph: Graph, tmp_pat
 def test_detections_beyond_the_map_are_unscored(made: DriveResult, graph: Graph, at: Any, tmp_path: Path) -> None:
     west, south = at((-60, -60))[0]
     east, north = at((30, 30))[0]
-    write_report(evaluate(made, graph([(0, 0)], bounds=(west, south, east, north))), tmp_path)
+    write_report(evaluate(made, graph([(0, 0)], areas=((west, south, east, north),))), tmp_path)
     assert told(tmp_path, "detections", "outcome", "reason")[3] == ("unscored", "beyond the bounds of the map")
 
 

@@ -249,6 +249,7 @@ def test_another_process_is_waited_for_in_sight(town: Town, tmp_path: Path) -> N
     [
         ((8.5, 49.0, 8.4, 49.1), "not an area"),
         ((8.4, 49.0, 8.5, float("nan")), "not an area"),
+        ((179.9, -16.9, -179.9, -16.7), "crosses the 180th meridian"),
         ((5.0, 45.0, 15.0, 55.0), "too large"),
     ],
 )

@@ -1,5 +1,6 @@
 import bz2
 import gzip
+import lzma
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -84,13 +85,23 @@ def test_a_clipped_way_is_cut_into_the_pieces_that_exist(tmp_path: Path, crossin
     roads = read(tmp_path, crossing.replace('<nd ref="1"/><nd ref="2"/><nd ref="3"/>', long))
     assert roads.node_id[roads.edges].tolist() == [[2, 3], [4, 5], [4, 2], [2, 5]]
     assert roads.clipped_ways == 1
-    assert intersection_nodes(roads).osm_id.tolist() == [2]
+    assert intersection_nodes(roads).osm_id.tolist() == [2, 4, 5]  # two neighbours with a place, and one without
 
 
 def test_a_way_through_a_node_without_place_is_cut_too(tmp_path: Path, crossing: str) -> None:
     roads = read(tmp_path, crossing.replace('lat="49.002"', 'lat="149.002"'))
     assert roads.clipped_ways == 1
     assert len(roads.edges) == 3
+
+
+def test_a_road_that_goes_on_beyond_the_extract_still_leaves_its_junction(tmp_path: Path, crossing: str) -> None:
+    cut = "\n".join(line for line in crossing.splitlines() if not line.startswith(('  <node id="4"', '  <node id="5"')))
+    roads = read(tmp_path, cut)
+    assert roads.node_id[roads.edges].tolist() == [[1, 2], [2, 3]]
+    assert sorted(roads.loose_ends.tolist()) == [[1, 4, 1], [1, 5, 1]]
+    assert roads.degree().tolist() == [1, 4, 1]
+    assert roads.degree(np.array([True, False])).tolist() == [1, 2, 1]
+    assert intersection_nodes(roads).osm_id.tolist() == [2]
 
 
 def test_declared_date_and_bounds_are_kept(tmp_path: Path, crossing: str) -> None:
@@ -101,6 +112,20 @@ def test_declared_date_and_bounds_are_kept(tmp_path: Path, crossing: str) -> Non
     roads = read(tmp_path, crossing.replace('generator="hand">', f'generator="hand">{head}'))
     assert roads.date == "2015-02-17T11:18:02Z"
     assert roads.bounds == (8.3, 48.9, 8.5, 49.1)
+
+
+def test_what_lies_in_none_of_several_bounds_is_not_covered(tmp_path: Path, crossing: str) -> None:
+    head = (
+        '<bounds minlat="48.9" minlon="8.3" maxlat="49.0005" maxlon="8.5"/>'
+        '<bounds minlat="49.0015" minlon="8.3" maxlat="49.1" maxlon="8.5"/>'
+    )
+    path = tmp_path / "map.osm"
+    path.write_text(crossing.replace('generator="hand">', f'generator="hand">{head}'))
+    roads = read_osm(path)
+    assert roads.inside_bounds.tolist() == [True, False, True, False, False]
+    assert len(intersection_nodes(roads)) == 0
+    cut = read_osm(path, (8.0, 48.9995, 8.4005, 49.0007))  # leaves the second street out
+    assert cut.areas == ((8.3, 48.9995, 8.4005, 49.0005),)
 
 
 def test_without_declared_date_the_latest_edit_is_known(tmp_path: Path, crossing: str) -> None:
@@ -153,6 +178,113 @@ def test_what_comes_twice_counts_once(tmp_path: Path, crossing: str) -> None:
     assert twice.edges.tolist() == once.edges.tolist()
 
 
+STREET = '<way id="10"{}><nd ref="1"/><nd ref="2"/><nd ref="3"/><tag k="{}" v="residential"/></way>'
+
+
+@pytest.mark.parametrize("order", [1, -1], ids=["old first", "new first"])
+def test_of_maps_of_two_days_the_higher_version_counts(tmp_path: Path, crossing: str, order: int) -> None:
+    start = crossing.index('  <way id="10"')
+    rest = crossing[crossing.index('  <way id="11"') :]
+    old = STREET.replace('<nd ref="2"/>', "").format(' version="1"', "highway")
+    new, removed = (STREET.format(' version="2"', key) for key in ("highway", "was:highway"))
+    roads = read(tmp_path, crossing[:start] + "".join([old, new][::order]) + rest)
+    assert roads.node_id[roads.edges].tolist() == [[1, 2], [2, 3], [4, 2], [2, 5]]
+    roads = read(tmp_path, crossing[:start] + "".join([old, removed][::order]) + rest)
+    assert roads.ways.id.tolist() == [11]
+
+    moved = '<node id="2" version="2" lat="49.0011" lon="8.4"/>'
+    nodes = [moved, crossing[crossing.index("<node") : start]][::order]
+    roads = read(tmp_path, '<osm version="0.6">' + "".join(nodes) + crossing[start:])
+    assert roads.lonlat[1].tolist() == [8.4, 49.0011]
+
+
+def test_a_file_of_the_whole_history_is_refused_with_the_way_out(tmp_path: Path, crossing: str) -> None:
+    gone = '<way id="11" version="2" visible="false"/>'
+    for content, name in ((crossing.replace("</osm>", gone + "</osm>"), "map.osm"), (crossing, "map.osh")):
+        with pytest.raises(MapError, match=rf"full history file.* osmium time-filter {name} -o"):
+            read(tmp_path, content, name)
+    path = tmp_path / "map.osh.pbf"
+    with osmium.SimpleWriter(str(path)) as writer:  # the ending makes it say so in the head of the file
+        writer.add_node(osmium.osm.mutable.Node(id=1, location=(8.4, 49.0), version=1))
+    with pytest.raises(MapError, match="full history file"):
+        read_osm(path.rename(tmp_path / "map.osm.pbf"))
+
+
+def test_pieces_of_one_way_under_its_id_are_all_taken_and_named(tmp_path: Path, crossing: str) -> None:
+    start, rest = crossing.index('  <way id="10"'), crossing[crossing.index('  <way id="11"') :]
+    pieces = [STREET.replace(f'<nd ref="{left_out}"/>', "").format("", "highway") for left_out in (3, 1, 1)]
+    roads = read(tmp_path, crossing[:start] + "".join(pieces) + rest)
+    assert roads.ways.id.tolist() == [10, 10, 11]
+    assert intersection_nodes(roads).osm_id.tolist() == [2]
+    assert roads.degree().tolist() == [1, 4, 1, 1, 1]
+    (warning,) = roads.warnings
+    assert "holds 1 highways under ids that others of the same version have" in warning
+
+
+@pytest.mark.parametrize("quote", ["'", '"'])
+def test_what_was_deleted_in_josm_is_gone(tmp_path: Path, crossing: str, quote: str) -> None:
+    head = 'way id="11" action="delete" visible="true" version="3"'
+    roads = read(tmp_path, crossing.replace('way id="11"', head).replace('"', quote))
+    assert roads.ways.id.tolist() == [10]
+    assert roads.ways.name == ("Weg",)
+    assert roads.source == "map.osm"
+
+
+@pytest.mark.parametrize(
+    "odd", ['timestamp="2024-05-01T02:00:00+02:00"', 'timestamp="May"', 'uid="12345678901" user="x"']
+)
+@pytest.mark.parametrize("pack", [bytes, gzip.compress])
+def test_values_that_no_road_depends_on_do_not_stop_reading(
+    tmp_path: Path, crossing: str, odd: str, pack: Callable[[bytes], bytes]
+) -> None:
+    roads = read(tmp_path, pack(crossing.replace("<way", f"<way {odd}").encode()))
+    assert len(roads.edges) == 4
+    assert roads.date == ("2024-05-01T00:00:00Z" if "2024" in odd else None)
+
+
+def test_places_may_stand_in_the_ways(tmp_path: Path, crossing: str) -> None:
+    """As by `out geom` of Overpass, and by osmium add-locations-to-ways, which drops nodes without tags."""
+    places = {1: "49.000,8.400", 2: "49.001,8.400", 3: "49.002,8.400", 4: "49.001,8.399", 5: "49.001,8.401"}
+    body = "".join(line for line in crossing.splitlines() if "<node" not in line)
+    for number, place in places.items():
+        lat, lon = place.split(",")
+        body = body.replace(f'<nd ref="{number}"/>', f'<nd ref="{number}" lat="{lat}" lon="{lon}"/>')
+    path = tmp_path / "map.osm"
+    path.write_text(body.replace("<way", '<node id="4" version="1" lat="49.001" lon="8.398"/><way', 1))
+    for roads in (read_osm(path), read_osm(path, (8.39, 48.99, 8.41, 49.01))):
+        assert roads.node_id.tolist() == [1, 2, 3, 4, 5]
+        assert roads.lonlat[3].tolist() == [8.398, 49.001]  # a node of its own comes first
+        assert intersection_nodes(roads).osm_id.tolist() == [2]
+        assert (roads.clipped_ways, roads.loose_ends.tolist()) == (0, [])
+
+    written = osmium.SimpleWriter(osmium.io.File(str(tmp_path / "map.osm.pbf"), "pbf,locations_on_ways=true"))
+    for way in osmium.FileProcessor(str(path), osmium.osm.WAY):
+        written.add(way)
+    written.close()
+    assert intersection_nodes(read_osm(tmp_path / "map.osm.pbf", (8.39, 48.99, 8.41, 49.01))).osm_id.tolist() == [2]
+
+
+def test_streets_that_share_no_node_are_named(tmp_path: Path) -> None:
+    nodes = "".join(f'<node id="{i}" lat="49.00{i % 2}" lon="8.4{i // 2}"/>' for i in range(12))
+    ways = "".join(
+        f'<way id="{i}"><nd ref="{2 * i}"/><nd ref="{2 * i + 1}"/><tag k="highway" v="road"/></way>' for i in range(6)
+    )
+    (warning,) = read(tmp_path, f'<osm version="0.6">{nodes}{ways}</osm>').warnings
+    assert warning.startswith("None of the 6 highways of map.osm has a node in common with another")
+
+
+def test_levels_are_read(tmp_path: Path, crossing: str) -> None:
+    def layers(tags: str) -> list[int]:
+        layer = read(tmp_path, crossing.replace('<tag k="name" v="Weg"/>', tags)).ways.layer
+        assert layer is not None
+        return layer.tolist()
+
+    assert layers('<tag k="bridge" v="yes"/>') == [1, 0]
+    assert layers('<tag k="bridge" v="yes"/><tag k="layer" v="2"/>') == [2, 0]
+    assert layers('<tag k="tunnel" v="yes"/>') == [-1, 0]
+    assert layers('<tag k="tunnel" v="building_passage"/><tag k="layer" v="roof"/>') == [0, 0]
+
+
 @pytest.mark.parametrize(("what", "most"), [("MAX_NODES", 3), ("MAX_WAYS", 1)])
 def test_more_than_any_place_has_is_refused(
     tmp_path: Path, crossing: str, monkeypatch: pytest.MonkeyPatch, what: str, most: int
@@ -175,11 +307,23 @@ BAD = {
     "page_of_old": (b'<!DOCTYPE HTML PUBLIC "-//W3C//DTD HTML 4.01//EN">\n<HTML></HTML>', "web page"),
     "json": (b'{"version": 0.6, "elements": []}', r"\[out:xml\]"),
     "zip": (b"PK\x03\x04rest", "ZIP"),
+    "o5m": (b"\xff\xe0\x04o5m2\x00", r"\.o5m file.*osmium cat"),
+    "xz": (lzma.compress(b"<osm/>"), "compressed by xz.*unpack"),
+    "zst": (b"\x28\xb5\x2f\xfd\x00", "compressed by zstd.*unpack"),
+    "query": (b"[out:xml];way[highway](48.9,8.3,49.0,8.4);(._;>;);out;", "is an Overpass query"),
+    "timed_out": (
+        b"<osm version='0.6'><node id='1' lat='49' lon='8.4'/><remark> runtime error: Query timed out. </remark></osm>",
+        r"Overpass gave up on this query \(runtime error: Query timed out",
+    ),
+    "lanes": (b'<osm generator="VMB"><MetaInfo format_version="1"/><node id="1" lat="" lon=""/></osm>', "Lanelet2 map"),
+    "lanes_of_josm": (b"<osm version='0.6'><relation id='2'><tag k='type' v='lanelet'/></relation></osm>", "Lanelet2"),
+    "augmented": (b'<osm version="0.6"><action type="modify"><old/></action></osm>', "change file"),
+    "of_old": (b'<osm version="0.5"><node id="1" lat="49" lon="8.4"/></osm>', "old version of the format"),
     "change": (b'<osmChange version="0.6"></osmChange>', "change file"),
     "gpx": (b'<gpx version="1.1"></gpx>', "first element is <gpx>"),
-    "no_version": (b"<osm><node/></osm>", "damaged"),
+    "no_version": (b"<osm><node/></osm>", "declares no version"),
     "nothing_in_it": (b'<osm version="0.6"></osm>', "no highways"),
-    "bad_ref": (b'<osm version="0.6"><way id="1"><nd ref="x"/></way></osm>', "damaged"),
+    "bad_ref": (b'<osm version="0.6"><way id="1"><nd ref="x"/></way></osm>', "id is not a whole number"),
 }
 
 
@@ -220,7 +364,7 @@ def test_a_truncated_file_is_refused_in_words(tmp_path: Path, crossing: str) -> 
 @pytest.mark.parametrize("latitude", ["4900.1", "nan", "north"])
 def test_a_node_that_is_nowhere_is_refused_in_words(tmp_path: Path, crossing: str, latitude: str) -> None:
     assert 'lat="49.001"' in crossing
-    with pytest.raises(MapError, match=r"is damaged .*coordinate"):
+    with pytest.raises(MapError, match="not in decimal degrees"):
         read(tmp_path, crossing.replace('lat="49.001"', f'lat="{latitude}"'))
 
 
@@ -263,6 +407,8 @@ def test_ways_without_their_nodes_name_the_usual_query(tmp_path: Path) -> None:
     body = '<way id="1"><nd ref="1"/><nd ref="2"/><tag k="highway" v="road"/></way>'
     with pytest.raises(MapError, match=r"\(\._;>;\);"):
         read(tmp_path, f'<osm version="0.6">{body}</osm>')
+    with pytest.raises(MapError, match=r"\(\._;>;\);"):
+        read_osm(tmp_path / "map.osm", (8.0, 48.0, 9.0, 50.0))
 
 
 def test_the_maps_of_kitti_are_read(data: Callable[[str], Path]) -> None:

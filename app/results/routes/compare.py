@@ -13,6 +13,7 @@ from pydantic import BaseModel, Field
 from app.context import ContextDep
 from app.http.problem_types import DIFFERENT_DRIVES, REQUEST_NOT_VALID
 from app.http.problems import Problem
+from app.http.turns import IN_TURN
 from app.jobs.models import MAX_COMPARED_JOBS
 from app.jobs.titles import distinct_titles, own_settings
 from app.jobs.view import find_job
@@ -82,6 +83,7 @@ class Comparison(BaseModel):
 @router.get(
     "/compare",
     summary="Compare jobs of one drive",
+    dependencies=IN_TURN,
     operation_id="compare_jobs",
     response_model=Comparison,
     responses=PROBLEMS,

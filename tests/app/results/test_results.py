@@ -7,6 +7,7 @@ import http.client
 import io
 import json
 import re
+import shutil
 import zipfile
 from email.utils import parsedate_to_datetime
 from pathlib import Path
@@ -14,7 +15,9 @@ from urllib.parse import urlsplit
 
 import pytest
 
+from app.http import delivery
 from app.http.parameters import Box
+from app.results.routes import results
 from app.results.selection import select_features
 from app.store.database import Database
 from interloc.output.geojson import write_collection
@@ -226,6 +229,16 @@ def test_a_new_version_of_a_file_is_not_served_from_an_old_gzip_copy(finished: F
     assert len(list((finished.data_dir / "jobs/paper/cache").glob("*.gz"))) == 1
 
 
+def test_nobody_waits_for_a_gzip_copy_while_others_are_made(finished: Finished) -> None:
+    shutil.rmtree(finished.data_dir / "jobs/paper/cache", ignore_errors=True)
+    with delivery._PACKING, delivery._PACKING:
+        meanwhile = finished.get("/jobs/paper/detections", headers={"accept-encoding": "gzip"})
+    afterwards = finished.get("/jobs/paper/detections", headers={"accept-encoding": "gzip"})
+    assert meanwhile.content == afterwards.content
+    assert "content-encoding" not in meanwhile.headers
+    assert afterwards.headers["content-encoding"] == "gzip"
+
+
 def test_a_job_that_was_removed_has_no_results_any_more(finished: Finished) -> None:
     database = Database(f"sqlite:///{finished.data_dir}/interloc.sqlite3")
     add_job(database, finished.data_dir, "shortlived", "street", finished.results / "plain")
@@ -263,6 +276,14 @@ def test_every_layer_can_be_cut_out(finished: Finished, layer: str) -> None:
     whole = finished.get(f"/jobs/default/{layer}").json()["features"]
     assert finished.get(f"/jobs/default/{layer}?bbox=-180,-90,180,90&limit=9999").json()["features"] == whole
     assert finished.get(f"/jobs/default/{layer}?bbox=8,40,9,41").json()["features"] == []
+
+
+def test_a_part_of_a_large_layer_is_the_same(finished: Finished, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is read by a worker."""
+    query = "/jobs/default/detections?bbox=-180,-90,180,90&limit=3"
+    small = finished.get(query)
+    monkeypatch.setattr(results, "MAX_BYTES_AT_ONCE", 0)
+    assert finished.get(query).content == small.content
 
 
 @pytest.mark.parametrize(("box", "found"), [
