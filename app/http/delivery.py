@@ -16,6 +16,7 @@ from starlette.datastructures import Headers
 from starlette.staticfiles import NotModifiedResponse, StaticFiles
 from starlette.types import Message, Receive, Scope, Send
 
+from app.context import Context
 from app.http.headers import accepts_gzip
 from app.http.problem_types import CHANGED_MEANWHILE, NO_SUCH_RANGE
 from app.http.problems import Problem
@@ -189,7 +190,8 @@ def answer_tagged(request: Request, content: bytes, media_type: str = "applicati
 
 def service_address(request: Request) -> str:
     """Return the address of the service as its client sees it, without a slash at its end."""
-    return str(request.base_url).rstrip("/")
+    context: Context = request.app.state.context
+    return context.settings.public_url or str(request.base_url).rstrip("/")
 
 
 def tag_of(content: bytes) -> str:

@@ -47,37 +47,45 @@ def convert(drive: Path, out: Path, quiet: bool, as_json: bool, **reading: Any) 
         console.say_facts(rows)
 
 
-@click.command(cls=options.Command, short_help="Label the scans of a drive by a network.")
+@click.command(cls=options.Command, short_help="Label the scans of a drive by a network, or by geometry.")
 @options.DRIVE
 @click.option(
-    "--model",
-    required=True,
-    type=options.PATH,
-    help="Folder of the network: model.onnx, arch_cfg.yaml, data_cfg.yaml.",
+    "--by",
+    type=click.Choice(["network", "geometry"]),
+    show_default="network",
+    help="What makes the labels: a network (--model), or geometry, brightness and the driven track alone.",
 )
+@click.option("--model", type=options.PATH, help="Folder of the network: model.onnx, arch_cfg.yaml, data_cfg.yaml.")
 @click.option("--provider", default="cpu", show_default=True, help="What the network runs on: cpu, cuda, ...")
 @click.option("-o", "--out", type=options.PATH, show_default="DRIVE", help="Folder in which predictions/ is made.")
 @options.reading_options
 @options.QUIET
 @options.JSON
-def label(drive: Path, out: Path | None, quiet: bool, as_json: bool, **reading: Any) -> None:
+def label(
+    drive: Path, by: str | None, model: Path | None, out: Path | None, quiet: bool, as_json: bool, **reading: Any
+) -> None:
     """Write what a network says of every scan of DRIVE to predictions/NNNNNN.label, in ids of SemanticKITTI.
 
-    The network is one of the RangeNet++ family, in the folder that it is published in. `interloc detect`, `run` and
-    `push` take --model too: they label the keyframes only, on the way, and write no labels.
+    The network is one of the RangeNet++ family, in the folder that it is published in. Without one, --by geometry finds
+    the road as ground that looks like the driven strip and is connected with it. `interloc detect`, `run` and `push`
+    take --model and --labels geometry too: they label the keyframes only, on the way, and write no labels.
 
     \b
-    Example:
+    Examples:
       interloc label sequences/07 --model models/salsanext
+      interloc label sequences/07 --by geometry
       interloc run sequences/07 -o out --labels predictions --osm map.osm.gz
     """
-    from interloc.drives.options import DriveOptions
+    from interloc.drives.options import DriveOptions, LabelFolder
     from interloc.reduction.convert import label_drive
 
+    if (model is None) != (by == "geometry"):
+        raise click.UsageError("Give the folder of a network (--model), or --by geometry; one of the two.")
+    labels: LabelFolder = "geometry" if by == "geometry" else "labels"
     console.set_up_log(quiet=quiet)
     began = time.perf_counter()
     with console.progress("label", "scan", quiet=quiet) as bar:
-        folder, read = label_drive(drive, out, DriveOptions.of(**reading), progress=bar)
+        folder, read = label_drive(drive, out, DriveOptions.of(labels=labels, model=model, **reading), progress=bar)
     seconds = time.perf_counter() - began
     assert read.scans is not None
     facts, road = read.scans.facts, read.labels.road_share

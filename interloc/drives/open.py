@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache
 from pathlib import Path
 from typing import Unpack, cast
 
@@ -18,9 +19,9 @@ from interloc.drives.labels import SEMANTICKITTI, LabelJudgement
 from interloc.drives.layouts import SCAN_FOLDERS, not_a_drive, recognise_layout
 from interloc.drives.options import LABEL_FILES, DriveArguments, DriveOptions, LabelFolder, ReadingOptions
 from interloc.drives.plausibility import RoadSeen, check_motion, check_points
-from interloc.drives.scans.raw import RawScans
+from interloc.drives.scans.raw import RawScans, trajectory_of
 from interloc.drives.scans.recorded import Recording
-from interloc.drives.scans.reduced import ReducedScans
+from interloc.drives.scans.reduced import ReducedScans, reduced_trajectory
 from interloc.drives.scans.reduced_format import ReducedManifest, is_reduced, read_manifest
 from interloc.drives.trajectory import Trajectory
 
@@ -137,8 +138,15 @@ def read_drive(
         The first fault, where `findings` stops at it.
     """
     opened: Recording | ReducedManifest | None = None
-    trajectory: Trajectory | None = None
     readings: dict[LabelFolder, DriveReading] = {}
+
+    @cache
+    def trajectory() -> Trajectory:
+        assert opened is not None
+        if isinstance(opened, ReducedManifest):
+            return reduced_trajectory(opened, root, options, findings)
+        return trajectory_of(opened, options, findings)
+
     with each_read_once():
         with findings.stage():
             opened = read_manifest(root) if is_reduced(root) else open_recording(root, options, findings)
@@ -148,14 +156,14 @@ def read_drive(
                 if isinstance(opened, ReducedManifest):
                     scans = ReducedScans.of(opened, root, folder, options, findings)
                 elif opened is not None:
-                    scans = RawScans.of(opened, folder, options, findings, needs_labels=needs_labels)
+                    scans = RawScans.of(opened, folder, options, findings, trajectory, needs_labels=needs_labels)
             if scans is None or scans.frames is None:
                 readings[folder] = DriveReading(scans)
                 continue
-            trajectory = trajectory or scans.read_trajectory(options, findings)
+            where = trajectory()
             sample = sample_indices(scans.usable, len(scans.usable) if thorough else SAMPLED_SCANS)
             labels = scans.judge_labels(sample, options, findings)
-            reading = DriveReading(scans, trajectory, sample, labels, _drive_of(scans, trajectory, labels))
+            reading = DriveReading(scans, where, sample, labels, _drive_of(scans, where, labels))
             readings[folder] = _checked(reading, findings) if options.check else reading
     return readings
 
@@ -245,6 +253,8 @@ def _checked(reading: DriveReading, findings: Findings) -> DriveReading:
     check_motion(drive.T_world_lidar, pose_file, findings)
     reading = replace(reading, flatness_m=check_flat_road(drive, scans.usable, pose_file, findings))
     check_turns(drive, scans.usable, pose_file, findings, suspected=reading.trajectory.is_odd)
+    if isinstance(scans, RawScans):
+        scans.tell_doubts(findings)
     if drive.georeference is None or drive.pose_frame == "oxts":
         return reading
     error = check_georeference(drive.T_world_lidar, drive.georeference, findings)

@@ -1,1 +1,1 @@
-"""Labels by a segmentation network: range image, network, post-processing (RangeNet++ and its family)."""
+"""Labels of scans: by a segmentation network (RangeNet++ and its family), or by geometry and the driven track."""

@@ -39,7 +39,10 @@ confidence.
 `position_cov_m2` is the covariance of the position: of the georeference (as OXTS state it of themselves, else 0.3 m),
 of the lines of the branches, which is largest along the bisector of an acute pair, and of the scatter of the sightings.
 `position_std_m` sums it up as one sigma along each axis; the layer `uncertainty` draws the ellipse of 95 %. With preset
-`paper` both hold the scatter alone.
+`paper` both hold the scatter alone. Who puts several drives together needs its parts: the one of the georeference
+(`fix_std_m`) is shared by all intersections of a drive, that of the lines (`shape_cov_m2`) by all drives that saw the
+intersection, and that of the scatter (`scatter_std_m`) by nothing: only the first and the last get smaller with more
+drives.
 """
 
 _KINDS = {

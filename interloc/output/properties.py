@@ -101,6 +101,25 @@ class IntersectionProperties(Properties):
         "variances of its covariance.",
     )
     position_cov_m2: PositionCovariance = None
+    fix_std_m: MetresOrNone = Field(
+        None,
+        title="Uncertainty of the fixes",
+        description="Part of the uncertainty along each axis, metres, that the georeference brings: all intersections "
+        "of a drive share it. The covariance is the sum of the squares of this and `scatter_std_m`, and of "
+        "`shape_cov_m2`. The three are null in results of versions before, and without a calibration (preset paper).",
+    )
+    shape_cov_m2: Annotated[list[float] | None, Decimals(6, "m2")] = Field(
+        None,
+        title="Covariance of the shape",
+        description="Part of the covariance, square metres, that the shape of the intersection brings, in the order of "
+        "`position_cov_m2`: all drives share it, so more drives do not make it smaller.",
+    )
+    scatter_std_m: MetresOrNone = Field(
+        None,
+        title="Uncertainty of the scatter",
+        description="Part of the uncertainty along each axis, metres, that the scatter between sightings leaves: "
+        "nothing shares it.",
+    )
     branch_count: BranchCount
     branch_bearings_deg: BranchBearings
     branch_widths_m: BranchWidths

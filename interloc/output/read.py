@@ -14,7 +14,7 @@ from interloc.geometry import wrap_angle
 from interloc.output.geojson import damaged, read_json
 from interloc.output.layers import LAYERS, Rows
 from interloc.output.layout import FORMAT, FORMAT_VERSION, RUN_FILE, RUN_KEYS, file_names
-from interloc.results import DetectionTable, DriveResult, IntersectionTable, KeyframeTable
+from interloc.results import DetectionTable, DriveResult, IntersectionTable, KeyframeTable, PositionParts
 
 
 def read_results(folder: str | os.PathLike[str]) -> DriveResult:
@@ -107,17 +107,24 @@ def _read_intersections(rows: Rows, *, georeferenced: bool) -> IntersectionTable
         widths_m=_read_widths(rows),
         first_frame=rows.integers("first_frame"),
         last_frame=rows.integers("last_frame"),
-        position_cov_m2=_read_covariances(rows),
+        position_cov_m2=_read_covariances(rows, "position_cov_m2"),
+        parts=_read_parts(rows),
     )
 
 
-def _read_covariances(rows: Rows) -> FloatArray | None:
-    """Return the covariances of the positions, (M, 3); None where the result is of a version before them."""
-    written = rows.column("position_cov_m2")
+def _read_parts(rows: Rows) -> PositionParts | None:
+    """Return what the covariances are the sum of; None where the result does not tell."""
+    shape = _read_covariances(rows, "shape_cov_m2")
+    return None if shape is None else PositionParts(rows.numbers("fix_std_m"), shape, rows.numbers("scatter_std_m"))
+
+
+def _read_covariances(rows: Rows, name: str) -> FloatArray | None:
+    """Return covariances, (M, 3); None where the result is of a version before them."""
+    written = rows.column(name)
     if any(each is None for each in written):
         return None
     if any(len(each) != 3 for each in written):
-        raise damaged(rows.path, "a position_cov_m2 does not have three numbers")
+        raise damaged(rows.path, f"a {name} does not have three numbers")
     return np.array(written, dtype=np.float64).reshape(-1, 3)
 
 

@@ -31,7 +31,7 @@ from interloc.output.layout import (
 )
 from interloc.output.road import write_road
 from interloc.output.uids import place_uids
-from interloc.results import DriveResult, Verdicts
+from interloc.results import DriveResult, PositionParts, Verdicts
 
 TRAJECTORY_STEP_M = 0.5
 
@@ -162,6 +162,7 @@ def intersection_features(
         Names of the places; by default those that need no map (`interloc.output.uids.place_uids`).
     """
     table = result.intersections
+    parts = table.parts or PositionParts.unknown(len(table))
     verdicts = verdicts or Verdicts.unscored(len(table))
     moment_of = dict(zip(result.keyframes.frame.tolist(), result.keyframes.moments, strict=True))
     return LAYERS["intersections"].features(
@@ -170,6 +171,9 @@ def intersection_features(
         observations=table.observations,
         position_std_m=table.position_std_m,
         position_cov_m2=table.covariances[:, [0, 0, 1], [0, 1, 1]],
+        fix_std_m=parts.fix_std_m,
+        shape_cov_m2=[each.tolist() if np.isfinite(each).all() else None for each in parts.shape_cov_m2],
+        scatter_std_m=parts.scatter_std_m,
         branch_count=[len(each) for each in table.bearings_deg],
         branch_bearings_deg=[bearings(each) for each in table.bearings_deg],
         branch_widths_m=[each.tolist() for each in table.widths_m],

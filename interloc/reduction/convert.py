@@ -1,4 +1,4 @@
-"""Drives of any format as SemanticKITTI has them, and label files of what a network says."""
+"""Drives of any format as SemanticKITTI has them, and label files of what a network, or geometry, says."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from interloc.arrays import UInt32Array
 from interloc.drives.findings import DriveFileError, Findings
 from interloc.drives.labels import LabelScheme
 from interloc.drives.open import DriveReading, read_drive
-from interloc.drives.options import DriveOptions, LabelFolder
+from interloc.drives.options import LABEL_FILES, DriveOptions, LabelFolder
 from interloc.drives.scans.raw import RawScans
 from interloc.drives.scans.reduced_format import is_reduced
 from interloc.errors import ConfigError
@@ -58,9 +58,10 @@ def convert_drive(
 ) -> Converted:
     """Write a drive of any format as a SemanticKITTI sequence, which appears whole or not at all.
 
-    It holds velodyne/NNNNNN.bin, labels/ or predictions/NNNNNN.label where there are labels (or a network to make
-    them), poses.txt (LiDAR frame), times.txt and geo.csv where times and fixes are known. Label ids that only their
-    format knows, or that were given as those of road, become SemanticKITTI's: road, other-ground, or unlabelled.
+    It holds velodyne/NNNNNN.bin, labels/ or predictions/NNNNNN.label where there are labels (or they are made, by a
+    network or by geometry), poses.txt (LiDAR frame), times.txt and geo.csv where times and fixes are known. Label ids
+    that only their format knows, or that were given as those of road, become SemanticKITTI's: road, other-ground, or
+    unlabelled.
 
     Parameters
     ----------
@@ -85,7 +86,7 @@ def convert_drive(
     assert source is not None
     assert frames is not None
     numbers = frames if is_contiguous(frames) else np.arange(len(frames), dtype=np.int64)
-    if chosen.model is not None:
+    if chosen.model is not None or label_folder not in LABEL_FILES:
         label_folder = "predictions"
     copies = make_small_files(reading.trajectory, numbers)
     ids_of = _ids_in_semantickitti(reading.labels.scheme)
@@ -126,7 +127,7 @@ def label_drive(
     *,
     progress: Progress | None = None,
 ) -> tuple[Path, DriveReading]:
-    """Write what a network says of every scan as .label files, in a folder that appears whole or not at all.
+    """Write what a network, or geometry, says of all scans as .label files, in a folder that appears whole or not.
 
     Parameters
     ----------
@@ -135,7 +136,7 @@ def label_drive(
     out
         Folder in which predictions/ is made; None: the drive's own.
     options : DriveOptions
-        With a `model`.
+        With a `model`, or `labels` "geometry".
     progress
         Called with the scans done and the scans in all.
 
@@ -154,8 +155,8 @@ def label_drive(
         The folder could not be written; nothing is left behind.
     """
     root = Path(root)
-    if options.model is None:
-        raise ConfigError("no model: give the folder of a network.")
+    if options.model is None and options.labels != "geometry":
+        raise ConfigError("no model: give the folder of a network, or have the labels made by geometry.")
     inside = (root if root.is_dir() else root.parent) if out is None else Path(out)
     target = inside if inside.name == "predictions" else inside / "predictions"
     if target.exists() and (not target.is_dir() or any(target.iterdir())):

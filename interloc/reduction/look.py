@@ -32,9 +32,9 @@ from interloc.drives.options import LABEL_FILES, DriveOptions, LabelFolder, Layo
 from interloc.drives.scans.bin_files import BinScans, open_bin_files
 from interloc.drives.scans.las.tracks import find_tracks
 from interloc.drives.scans.pcd import LABEL_FIELDS, PcdScans, number_scans, open_pcd_files, read_pcd_header
-from interloc.drives.scans.raw import RawScans
+from interloc.drives.scans.raw import RawScans, trajectory_of
 from interloc.drives.scans.recorded import Recording
-from interloc.drives.scans.reduced import ReducedScans
+from interloc.drives.scans.reduced import ReducedScans, reduced_trajectory
 from interloc.drives.scans.reduced_format import read_manifest, to_runs
 from interloc.drives.scans.rosbag.bag import find_bag
 from interloc.drives.trajectory import LidarPoses, Trajectory, read_trajectory
@@ -289,11 +289,7 @@ class _Look:
         found.frames_to_look_into = _sample(recording.frames)
         if found.wanted:
             return
-        if recording.read_trajectory is not None:
-            trajectory = recording.read_trajectory(options, self.findings)
-        else:
-            trajectory = read_trajectory(parts, recording.frames, options, self.findings)
-        self._show(trajectory, keyframes)
+        self._show(trajectory_of(recording, options, self.findings), keyframes)
 
     def _open_pcd(self, parts: DriveParts, options: DriveOptions) -> Recording:
         """List PCD files; the header of the first tells whether they carry labels."""
@@ -326,7 +322,7 @@ class _Look:
             self._list_labels(folder, recording, options)
         if not there and not recording.carries_labels and not found.unlabelled and found.carries_labels is None:
             findings = Findings(stop_at_first=False)
-            RawScans.of(recording, "labels", options, findings)
+            RawScans.of(recording, "labels", options, findings, Trajectory)
             found.unlabelled += findings.found
 
     def _list_labels(self, folder: LabelFolder, recording: Recording | None, options: DriveOptions) -> None:
@@ -338,7 +334,7 @@ class _Look:
             self.findings.found += findings.found
             return
         if recording is not None:
-            RawScans.of(recording, folder, options, findings)
+            RawScans.of(recording, folder, options, findings, Trajectory)
         self._found.labels[folder] = LookedLabels(**self._numbers(files), problems=findings.found)
 
     def _numbers(self, files: NumberedFiles) -> dict[str, object]:
@@ -404,9 +400,9 @@ class _Look:
             return
         manifest = read_manifest(self.place)
         for labels in manifest.labels:
-            scans = ReducedScans.of(manifest, self.place, labels.folder, options, self.findings)
+            ReducedScans.of(manifest, self.place, labels.folder, options, self.findings)
             if self._found.track is None:
-                self._show(scans.read_trajectory(options, self.findings), keyframes)
+                self._show(reduced_trajectory(manifest, self.place, options, self.findings), keyframes)
 
     def _show(self, trajectory: Trajectory, keyframes: KeyframeConfig) -> None:
         """Tell where the drive went, and how poses and georeference fit together."""

@@ -90,3 +90,40 @@ def test_pushed_models_and_labels_do_not_go_together(interloc: Callable, unlabel
     outcome = interloc("push", unlabelled, "--model", model, "--labels", "labels")
     assert outcome.code == 2
     assert "--model labels the scans here" in outcome.complaint
+
+
+def test_labels_by_geometry(interloc: Callable, unlabelled: Path, tmp_path: Path) -> None:
+    labelled = interloc("label", unlabelled, "--by", "geometry")
+    assert labelled.code == 0
+    assert "12 scans by geometry" in labelled.out
+    ours = interloc("detect", unlabelled, "-o", tmp_path / "a", "--labels", "geometry", "--json").json
+    assert ours["keyframes"] > 5
+    assert interloc("detect", unlabelled, "-o", tmp_path / "b", "--labels", "predictions").code == 0
+    assert (tmp_path / "a/detections.local.json").read_bytes() == (tmp_path / "b/detections.local.json").read_bytes()
+    assert '"geometry"' in (tmp_path / "a/run.json").read_text()
+    assert "geometry, scheme semantickitti" in interloc("info", unlabelled, "--labels", "geometry").out
+
+
+def test_label_needs_to_know_by_what(interloc: Callable, unlabelled: Path, model: Path) -> None:
+    for wrong in ([], ["--by", "network"], ["--by", "geometry", "--model", model]):
+        assert "one of the two" in interloc("label", unlabelled, *wrong).err
+
+
+def test_a_reduced_drive_has_no_points_for_geometry(interloc: Callable, tmp_path: Path) -> None:
+    root = write_semantickitti(tmp_path / "07")
+    assert interloc("reduce", root, "-o", tmp_path / "reduced").code == 0
+    complaint = interloc("detect", tmp_path / "reduced", "-o", tmp_path / "out", "--labels", "geometry").complaint
+    assert "holds ground points only" in complaint
+    assert "labels" in complaint
+
+
+def test_reduced_by_geometry(interloc: Callable, unlabelled: Path, tmp_path: Path) -> None:
+    assert interloc("reduce", unlabelled, "-o", tmp_path / "reduced", "--labels", "geometry").code == 0
+    assert interloc("detect", tmp_path / "reduced", "-o", tmp_path / "a").code == 0
+    assert interloc("detect", unlabelled, "-o", tmp_path / "b", "--labels", "geometry").code == 0
+    assert (tmp_path / "a/detections.local.json").read_bytes() == (tmp_path / "b/detections.local.json").read_bytes()
+
+
+def test_converted_with_labels_by_geometry(interloc: Callable, unlabelled: Path, tmp_path: Path) -> None:
+    assert interloc("convert", unlabelled, "-o", tmp_path / "new", "--labels", "geometry").code == 0
+    assert len(list((tmp_path / "new" / "predictions").glob("*.label"))) == 12

@@ -1,12 +1,13 @@
-"""Scans as they were recorded, and their labels: label files, labels of the points themselves, or a network."""
+"""Scans as they were recorded, and their labels: label files, labels of the points, a network, or geometry."""
 
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
@@ -80,20 +81,21 @@ class PointLabels:
         return points.labels
 
 
-if TYPE_CHECKING:  # most drives need no network
+if TYPE_CHECKING:  # most drives need neither
+    from interloc.drives.scans.geometry import GeometryLabels
     from interloc.drives.scans.network import NetworkLabels
 
-    LabelSource = LabelFiles | PointLabels | NetworkLabels
+    LabelSource = LabelFiles | PointLabels | NetworkLabels | GeometryLabels
 
 
 @dataclass(frozen=True)
 class RawScans:
-    """The scans of a drive as it was recorded, with the labels of one folder (or of the points, or of a network).
+    """The scans of a drive as it was recorded, with the labels of a folder, of the points, a network, or geometry.
 
     Attributes
     ----------
     recording : Recording
-    labels : LabelFiles, PointLabels, NetworkLabels or None
+    labels : LabelFiles, PointLabels, NetworkLabels, GeometryLabels or None
         None where there are none, which was raised or listed.
     usable : (M,) int64
         Positions of the scans that have labels, of the size that fits.
@@ -117,10 +119,16 @@ class RawScans:
         folder: LabelFolder,
         options: DriveOptions,
         findings: Findings,
+        trajectory: Callable[[], Trajectory],
         *,
         needs_labels: bool = True,
     ) -> RawScans:
         """Find the labels of a recording, and check that every scan has them.
+
+        Parameters
+        ----------
+        trajectory
+            Reads where the LiDAR was: some labels need it.
 
         Raises
         ------
@@ -128,10 +136,10 @@ class RawScans:
             There are none, or they do not fit; where `findings` stops at that.
         """
         labels: LabelSource | None = None
-        has_labels = recording.carries_labels or options.model is not None
+        has_labels = recording.carries_labels or options.model is not None or folder == "geometry"
         with findings.stage():
             if needs_labels or has_labels or recording.parts.label_folder(folder).is_dir():
-                labels = _labels_of(recording, folder, options, findings)
+                labels = _labels_of(recording, folder, options, findings, trajectory)
         usable = recording.usable
         if recording.frames is None or labels is None:
             usable = np.empty(0, np.int64)
@@ -156,13 +164,6 @@ class RawScans:
         """Whether there are scans and labels to be read."""
         return self.recording.points is not None and self.labels is not None
 
-    def read_trajectory(self, options: DriveOptions, findings: Findings) -> Trajectory:
-        """Read poses, times and georeference."""
-        assert self.recording.frames is not None
-        if self.recording.read_trajectory is not None:
-            return self.recording.read_trajectory(options, findings)
-        return read_trajectory(self.parts, self.recording.frames, options, findings)
-
     def judge_labels(self, sample: list[int], options: DriveOptions, findings: Findings) -> LabelJudgement:
         """Count the ids of the scans at some positions, and find out what they mean."""
         source, frames, labels = self.recording.points, self.frames, self.labels
@@ -186,6 +187,11 @@ class RawScans:
             check=options.check,
             findings=findings,
         )
+
+    def tell_doubts(self, findings: Findings) -> None:
+        """Warn of labels that were made by geometry, where the checks have seen that they are doubtful."""
+        if self.labels is not None and self.labels.name == "geometry":
+            cast("GeometryLabels", self.labels).tell_doubts(self.parts.file(self.parts.scans).name, findings)
 
     def by_scheme(self, scheme: LabelScheme) -> RawScans:
         """Return the scans as a drive keeps them, which has its trajectory already."""
@@ -233,7 +239,7 @@ class RawScans:
 
     @property
     def is_slow(self) -> bool:
-        """Whether a network labels the scans: then several should be read at once."""
+        """Whether labels are made from the scans: then several should be read at once."""
         return self.sources[1].is_slow
 
     def name(self, frame: int) -> str:
@@ -268,6 +274,14 @@ class RawScans:
         return GroundPoints(xyz, road_count)
 
 
+def trajectory_of(recording: Recording, options: DriveOptions, findings: Findings) -> Trajectory:
+    """Read poses, times and georeference of a recording whose scans could be listed."""
+    assert recording.frames is not None
+    if recording.read_trajectory is not None:
+        return recording.read_trajectory(options, findings)
+    return read_trajectory(recording.parts, recording.frames, options, findings)
+
+
 def read_labels(file: SourceFile) -> UInt32Array:
     """Read the (N,) uint32 labels of a file.
 
@@ -289,13 +303,21 @@ def count_ids(labels: UInt32Array) -> dict[int, int]:
 
 
 def _labels_of(
-    recording: Recording, label_folder: LabelFolder, options: DriveOptions, findings: Findings
+    recording: Recording,
+    label_folder: LabelFolder,
+    options: DriveOptions,
+    findings: Findings,
+    trajectory: Callable[[], Trajectory],
 ) -> LabelSource:
     parts, folder = recording.parts, recording.parts.label_folder(label_folder)
     if options.model is not None:
         from interloc.drives.scans.network import open_network  # noqa: PLC0415 - most drives need no network
 
         return open_network(options.model, options.provider, recording, findings)
+    if label_folder == "geometry":
+        from interloc.drives.scans.geometry import open_geometry  # noqa: PLC0415 - most drives have labels
+
+        return open_geometry(recording, trajectory(), findings)
     if folder.is_dir():
         return LabelFiles(list_numbered(parts.file(folder), ".label"))
     if recording.carries_labels:

@@ -13,7 +13,7 @@ from interloc.drives.files import SourceFile, list_numbered, listed, missing_num
 from interloc.drives.findings import DriveFileError, Findings
 from interloc.drives.labels import LabelJudgement, LabelScheme, check_labels, named_scheme
 from interloc.drives.layouts import DriveParts
-from interloc.drives.options import DriveOptions, LabelFolder
+from interloc.drives.options import LABEL_FILES, DriveOptions, LabelFolder
 from interloc.drives.scans.recorded import ReducedReport, ScanFacts
 from interloc.drives.scans.reduced_format import (
     GROUND_FOLDER,
@@ -107,10 +107,6 @@ class ReducedScans:
         """Whether there are scans to be read."""
         return self.labels is not None
 
-    def read_trajectory(self, options: DriveOptions, findings: Findings) -> Trajectory:
-        """Read poses, times and georeference from the small files."""
-        return read_trajectory(self.parts, self.frames, options, findings)
-
     def judge_labels(self, _sample: list[int], options: DriveOptions, findings: Findings) -> LabelJudgement:
         """Take what the labels meant from the manifest."""
         if self.labels is None:
@@ -184,10 +180,21 @@ class ReducedScans:
         return read_ground(self.parts.root, self._labels.folder, frame)
 
 
+def reduced_trajectory(manifest: ReducedManifest, root: Path, options: DriveOptions, findings: Findings) -> Trajectory:
+    """Read poses, times and georeference of a reduced drive from its small files."""
+    return read_trajectory(_parts_of(manifest, root, LABEL_FILES[0]), manifest.frames, options, findings)
+
+
 def _choose_labels(manifest: ReducedManifest, folder: LabelFolder, options: DriveOptions) -> ReducedLabels:
     chosen = next((labels for labels in manifest.labels if labels.folder == folder), None)
     if chosen is None:
         others = [labels.folder for labels in manifest.labels]
+        if folder == "geometry":
+            raise DriveFileError(
+                MANIFEST,
+                "is of a reduced drive, which holds ground points only: labels by geometry need all points of the "
+                f"scans. Give the drive that it was made from, or its labels ({' or '.join(others)}).",
+            )
         hint = f"There is {others[0]}/: choose it as the label folder." if others else "It has none at all."
         raise DriveFileError(
             f"{GROUND_FOLDER}/{folder}",

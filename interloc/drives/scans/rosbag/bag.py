@@ -231,7 +231,7 @@ def _named_by_metadata(path: Path) -> list[str]:
             text = file.read(_MAX_METADATA_BYTES).decode("utf-8", "replace")
     except OSError:
         return []
-    block = re.search(r"relative_file_paths:\s*\n((?:\s*-\s*[^\n]+\n?)+)", text)
+    block = re.search(r"relative_file_paths:[^\S\n]*\n((?:\s*-\s*[^\n]+\n?)+)", text)
     lines = block.group(1).splitlines() if block else []
     names = [
         line.strip().removeprefix("-").strip().strip("'\"").replace("\\", "/").rsplit("/", 1)[-1] for line in lines

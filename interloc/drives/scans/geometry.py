@@ -1,0 +1,118 @@
+"""Labels that are made from the scans themselves and from the driven track, without a network."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from interloc.arrays import Float32Array, FloatArray, IntArray, UInt32Array
+from interloc.drives.findings import DriveFileError, Findings
+from interloc.drives.scans.recorded import PointSource, Recording, ScanPoints
+from interloc.drives.trajectory import Trajectory
+from interloc.labelling.geometry import METHOD, GeometryLabeller, WindowQuality, doubtful_stretches
+
+GEOMETRY = "geometry"
+"""The choice of labels by which they are made."""
+
+
+@dataclass(frozen=True)
+class GeometryLabels:
+    """What geometry and brightness say of the scans, in ids of SemanticKITTI.
+
+    Attributes
+    ----------
+    points : PointSource
+    frames : (N,) int64
+        Scan numbers, ascending.
+    labeller : GeometryLabeller
+    """
+
+    points: PointSource
+    frames: IntArray
+    labeller: GeometryLabeller
+    name = GEOMETRY
+    scheme = "semantickitti"
+    is_slow = True
+
+    @classmethod
+    def of_drive(
+        cls, points: PointSource, frames: IntArray, T_world_lidar: FloatArray, usable: IntArray
+    ) -> GeometryLabels:
+        """Label the scans of a drive with (N, 4, 4) poses, of which some, (M,) positions, can be read."""
+        return cls(points, frames, GeometryLabeller(T_world_lidar, usable, _PointsOf(points, frames)))
+
+    @property
+    def identity(self) -> tuple[str, ...]:
+        """Which method, along which track: labels of the same scans by the same identity are equal."""
+        return (METHOD, hashlib.sha256(self.labeller.track.T_world_lidar.tobytes()).hexdigest())
+
+    def files(self, frame: int) -> tuple[Path, ...]:
+        """Return the files of the scans around, of which the labels of a scan are made."""
+        track = self.labeller.track
+        rows = track.context(track.window_of(self._row(frame)))
+        return tuple(path for row in rows for path in self.points.files(int(self.frames[row])))
+
+    def of(self, frame: int, points: ScanPoints, scan: str) -> UInt32Array:  # noqa: ARG002 - as of `LabelFiles`
+        """Label the points of a scan."""
+        return self.labeller.label(self._row(frame), points.values)
+
+    def quality(self) -> list[WindowQuality]:
+        """Return how sure the labels are, stretch by stretch; those that no scan was asked for yet are made for it."""
+        return self.labeller.quality()
+
+    def tell_doubts(self, where: str, findings: Findings) -> None:
+        """Warn of the stretches looked at whose labels are doubtful."""
+        known = self.labeller.known_quality()
+        if stretches := doubtful_stretches(known):
+            places = ", ".join(f"{start:,.0f} to {stop:,.0f} m" for start, stop in stretches)
+            findings.warning(
+                where,
+                f"labels by geometry are doubtful from {places} of the track: what lies beside the road looks like the "
+                "road, or little of the driven strip was seen. Usual causes: sidewalks without a kerb, a yard or car "
+                "park, snow. Expect missing or wrong intersections there; a network (--model) does better.",
+            )
+
+    def _row(self, frame: int) -> int:
+        return int(np.searchsorted(self.frames, frame))
+
+
+@dataclass(frozen=True)
+class _PointsOf:
+    """Reads the points of the scan in a row."""
+
+    points: PointSource
+    frames: IntArray
+
+    def __call__(self, row: int) -> Float32Array:
+        return self.points.read(int(self.frames[row])).values
+
+
+def open_geometry(recording: Recording, trajectory: Trajectory, findings: Findings) -> GeometryLabels:
+    """Prepare labels by geometry for the scans of a recording.
+
+    Raises
+    ------
+    DriveError
+        There are no poses.
+    """
+    where = recording.parts.file(recording.parts.scans).name
+    if trajectory.poses is None or recording.points is None or recording.frames is None:
+        raise DriveFileError(
+            where,
+            "labels by geometry need poses and points of all scans. Expected a drive whose poses can be read. "
+            "Usual cause: the fault in its poses or scans that is told beside this one.",
+        )
+    usable = recording.usable
+    if usable is None:
+        usable = np.arange(len(recording.frames), dtype=np.int64)
+    remission = recording.sampled_remission()
+    if remission.size == 0 or np.ptp(remission[np.isfinite(remission)]) == 0:
+        findings.warning(
+            where,
+            "the points have no remission: labels by geometry then rest on kerbs and roughness alone, and places get "
+            "worse.",
+        )
+    return GeometryLabels.of_drive(recording.points, recording.frames, trajectory.poses.T_world_lidar, usable)

@@ -1,0 +1,283 @@
+"""Labels of scans without a network: road is what looks like the ground under the vehicle, and is connected with it.
+
+The track is cut into windows of 25 m. The ground around one is found from all scans within 45 m of track, in steps of
+which each repairs what the one before leaves unsure:
+
+1. `find_ground`: the plane below the sensor of each scan, however it is mounted; what may be ground along it, and how
+   rough and steep that is.
+2. `find_surface`: the surface that continues the track without a step, on which every scan is laid by a small raise and
+   tilt; poses alone are off by more than a kerb some ten metres away.
+3. `gather`: brightness, roughness, slope and height in cells of 0.2 m. Brightness is relative to what the same laser
+   measures on the driven strip: then neither range, nor angle, nor the gain of a laser is left in it.
+4. `score_cells`: how much brighter, rougher and steeper a cell is than the strip, in spreads of the strip.
+5. `grow_road`: road grows from the strip over cells that score well and continue its plane, through openings that are
+   wide enough for a vehicle, and stops at kerbs.
+6. `label`: the points of a scan on the surface are road, beside the road, or other ground, by their cells.
+
+A window depends on the poses of the drive and on its scans only: whoever labels a scan, alone or in any range of scans,
+gets the same labels.
+
+Notes
+-----
+Driven strips as examples of road, and growth over ground without steps, go back to the road followers of the DARPA
+challenges (Dahlkamp et al., RSS 2006) and to curb detection in accumulated scans. Weights and thresholds were chosen on
+the first ten scans of SemanticKITTI 00 and 07.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from threading import RLock
+from typing import Any
+
+import numpy as np
+
+from interloc.arrays import BoolArray, Float32Array, FloatArray, IntArray, UInt8Array, UInt32Array
+from interloc.kernels.ground import BEAMS
+from interloc.kernels.surface import FEATURES, add_brightness, add_features, label_points
+from interloc.labelling.ground import CELL_M, RANGE_M, ScanGround, find_ground
+from interloc.labelling.growth import classes_of, contrast_of, grow_road, score_cells, width_of
+from interloc.labelling.surface import SURFACE_CELL_M, Grid, PlacedScan, find_surface, lay_on, place, up_of
+from interloc.labelling.track import WINDOW_M, Track
+
+METHOD = "geometry 1"
+"""Name and version of the method: another version may give other labels."""
+
+ROAD, BESIDE, OTHER_GROUND = 40, 48, 72
+"""Ids of SemanticKITTI: road; sidewalk, for all ground within some metres of the road; terrain."""
+
+_NEAR_M = 0.3
+_LABELLED_M = (0.15, 0.3)
+_ALIGNED_BY = 4  # every fourth point is enough to lay a scan on the surface
+_MIN_STRIP = (20, 10)
+_UNKNOWN_BRIGHTNESS = 0.7
+
+_KEPT_GROUNDS, _KEPT_WINDOWS = 80, 32
+_MIN_CONTRAST, _MAX_WIDTH_M = 4.0, 20.0
+
+
+@dataclass(frozen=True)
+class WindowQuality:
+    """How sure the labels of a window are.
+
+    Attributes
+    ----------
+    start_m, stop_m : float
+        Where it begins and ends along the track.
+    contrast : float
+        How much better the driven strip scores than the ground just outside of the road; 0 where nothing was seen.
+    width_m : float
+        Area of the road per metre of track, of the window and the track around it.
+    """
+
+    start_m: float
+    stop_m: float
+    contrast: float
+    width_m: float
+
+    @property
+    def is_doubtful(self) -> bool:
+        """Whether what lies beside the road looks like road, or was taken for it."""
+        return self.contrast < _MIN_CONTRAST or self.width_m > _MAX_WIDTH_M
+
+
+def doubtful_stretches(windows: Iterable[WindowQuality]) -> list[tuple[float, float]]:
+    """Return from where to where along the track labels are doubtful, metres; neighbouring windows are one stretch."""
+    stretches: list[tuple[float, float]] = []
+    for window in windows:
+        if window.is_doubtful:
+            starts_there = bool(stretches) and stretches[-1][1] == window.start_m
+            stretches.append((stretches.pop()[0] if starts_there else window.start_m, window.stop_m))
+    return stretches
+
+
+@dataclass(frozen=True)
+class Window:
+    """The ground around a piece of the track.
+
+    Attributes
+    ----------
+    grid : Grid
+    surface : (H, W) float32
+        Heights; NaN where unknown.
+    classes : (H', W') uint8
+        Label ids.
+    quality : WindowQuality
+    """
+
+    grid: Grid
+    surface: Float32Array
+    classes: UInt8Array
+    quality: WindowQuality
+
+
+class GeometryLabeller:
+    """Labels the scans of a drive by geometry and brightness.
+
+    It is cheap to send to another process: windows and scans that it remembers stay behind. Several threads may label
+    at the same time.
+
+    Parameters
+    ----------
+    T_world_lidar : (N, 4, 4) float64
+        Pose of the LiDAR at every scan of the drive.
+    usable : (M,) int64
+        Rows of the scans that can be read.
+    read : callable
+        Reads the (N, 4) float32 points of the scan in a row: x, y, z in L, metres, and the remission in any unit, or 0.
+
+    Attributes
+    ----------
+    track : Track
+    """
+
+    def __init__(self, T_world_lidar: FloatArray, usable: IntArray, read: Callable[[int], Float32Array]) -> None:
+        self.track = Track.of(T_world_lidar, usable)
+        self._read = read
+        self._forget()
+
+    def label(self, row: int, points: Float32Array) -> UInt32Array:
+        """Label a scan.
+
+        Parameters
+        ----------
+        row : int
+            Of its pose.
+        points : (N, 4) float32
+            x, y, z in L, metres, and the remission.
+
+        Returns
+        -------
+        (N,) uint32
+            Label ids of SemanticKITTI: 40 road, 48 ground beside it, 72 other ground, 0 what is no ground, or too far.
+
+        Raises
+        ------
+        DriveError
+            A scan around is damaged.
+        """
+        window = self.window(self.track.window_of(row))
+        if window is None:
+            return np.zeros(len(points), np.uint32)
+        grid, surface = window.grid, window.surface
+        T = (grid.T_grid_world @ self.track.T_world_lidar[row])[:3]
+        some = points[::_ALIGNED_BY, :3]
+        T = lay_on(some[np.isfinite(some).all(axis=1)], T, surface, grid)
+        return label_points(points, T, grid.x0, grid.y0, CELL_M, surface, window.classes, ROAD, _LABELLED_M, RANGE_M)
+
+    def window(self, number: int) -> Window | None:
+        """Return a window of the track; None where its scans see no ground."""
+        with self._lock:
+            if number not in self._windows:
+                self._windows[number] = self._make_window(number)
+                while len(self._windows) > _KEPT_WINDOWS:
+                    self._windows.popitem(last=False)
+            return self._windows[number]
+
+    def quality(self) -> list[WindowQuality]:
+        """Return how sure the labels of each window of the drive are; all of them are made for it."""
+        for number in self.track.windows.tolist():
+            if number not in self._quality:
+                self.window(number)
+        return self.known_quality()
+
+    def known_quality(self) -> list[WindowQuality]:
+        """Return how sure the labels of the windows are that were made so far, along the track."""
+        return [self._quality[number] for number in sorted(self._quality)]
+
+    def _make_window(self, number: int) -> Window | None:
+        track, start_m = self.track, number * WINDOW_M
+        found = [(row, ground) for row in track.context(number).tolist() if (ground := self._ground(row)) is not None]
+        self._quality[number] = WindowQuality(start_m, start_m + WINDOW_M, 0.0, 0.0)
+        if not found:
+            return None
+        rows, grounds = [row for row, _ in found], [ground for _, ground in found]
+        poses, line = track.T_world_lidar, track.line_around(number)[:, :3]
+        grid = Grid.around(poses[track.rows_in(number), :3, 3], up_of(grounds, poses[rows, :3, :3]))
+        strip = ~np.isnan(grid.draw(line, CELL_M))
+        under_track = grid.draw(line, SURFACE_CELL_M) - np.float32(np.median([each.height_m for each in grounds]))
+        placed = [place(ground, poses[row], grid) for row, ground in found]
+        surface, placed = find_surface(placed, grid, under_track)
+        features = score_cells(gather(placed, grid, surface, strip), strip)
+        road = grow_road(features, strip)
+        contrast, width_m = contrast_of(road, strip), width_of(road, strip)
+        self._quality[number] = WindowQuality(start_m, start_m + WINDOW_M, contrast, width_m)
+        return Window(grid, surface, classes_of(road.cells, ROAD, BESIDE, OTHER_GROUND), self._quality[number])
+
+    def _ground(self, row: int) -> ScanGround | None:
+        if row not in self._grounds:
+            self._grounds[row] = find_ground(self._read(row))
+            while len(self._grounds) > _KEPT_GROUNDS:
+                self._grounds.popitem(last=False)
+        return self._grounds[row]
+
+    def _forget(self) -> None:
+        self._grounds: OrderedDict[int, ScanGround | None] = OrderedDict()
+        self._windows: OrderedDict[int, Window | None] = OrderedDict()
+        self._quality: dict[int, WindowQuality] = {}
+        self._lock = RLock()
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {"track": self.track, "_read": self._read}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._forget()
+
+
+def gather(scans: Sequence[PlacedScan], grid: Grid, surface: Float32Array, strip: BoolArray) -> Float32Array:
+    """Gather the features of the ground in every cell.
+
+    Parameters
+    ----------
+    surface : (H', W') float32
+    strip : (H, W) bool
+        Cells that were driven over.
+
+    Returns
+    -------
+    (H, W, 6) float32
+        Weighted sums: see `interloc.kernels.surface.add_features`.
+    """
+    table = np.zeros((BEAMS, 3))
+    for scan in scans:
+        add_brightness(scan.ground.cells, scan.T, grid.x0, grid.y0, CELL_M, strip, table)
+    brightness = brightness_of_strip(table)
+    sums = np.zeros((grid.rows, grid.columns, FEATURES), np.float32)
+    for scan in scans:
+        add_features(scan.ground.cells, scan.T, grid.x0, grid.y0, CELL_M, surface, _NEAR_M, brightness, sums)
+    return sums
+
+
+def brightness_of_strip(table: FloatArray) -> FloatArray:
+    """Find out how to turn remission into brightness against the strip.
+
+    Parameters
+    ----------
+    table : (B, 3) float64
+        Per laser: number, sum, and sum of squares of the remission of the strip.
+
+    Returns
+    -------
+    (B, 3) float64
+        Per laser: what to subtract, what to divide by (infinity where all is the same), what to add. A laser that has
+        seen too little of the strip goes with those beside it, or counts as somewhat bright.
+    """
+    around = table.copy()
+    around[1:] += table[:-1]
+    around[:-1] += table[1:]
+    number, total, squares = np.where(table[:, :1] >= _MIN_STRIP[0], table, around).T
+    known = number >= _MIN_STRIP[1]
+    result = np.tile([0.0, np.inf, _UNKNOWN_BRIGHTNESS], (len(table), 1))
+    if not known.any():
+        return result
+    mean = total[known] / number[known]
+    variance = np.maximum(0.0, squares[known] / number[known] - mean**2)
+    spread = float(np.sqrt(np.average(variance, weights=number[known])))
+    if spread <= 1e-6 * max(1e-6, float(np.abs(mean).max())):  # no remission at all
+        result[:, 2] = 0.0
+        return result
+    result[known] = np.column_stack([mean, np.full_like(mean, spread), np.zeros_like(mean)])
+    return result

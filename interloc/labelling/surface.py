@@ -1,0 +1,195 @@
+"""The surface of the ground around a window of the track, from all scans near it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from interloc.arrays import BoolArray, Float32Array, FloatArray
+from interloc.kernels.surface import scan_minima, tilt_against
+from interloc.labelling.ground import CELL_M, RANGE_M, ScanGround
+
+SURFACE_TIMES = 3
+"""Cells of features along one of the surface."""
+
+PLANE_TIMES = 6
+"""And along one of the coarsest grid; sides of grids are multiples of it."""
+
+SURFACE_CELL_M = SURFACE_TIMES * CELL_M
+STRIP_M = 1.3
+"""What lies this close to the track was driven over."""
+
+_MARGIN_M = 1.0
+_TRACK_ERROR_M = 0.3
+_STEP_M = 0.2
+_BRIDGED = (5, 5)  # cells of the surface
+_NOISE_M = (0.1, 0.2)
+_PRIOR = (0.3, 0.02)  # metres; metres per metre
+_FIT_M = np.array([0.3, 0.2, 0.1, 0.1])
+_ROUNDS = 2
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Cells around the scans of a window, in a level frame of its own.
+
+    Attributes
+    ----------
+    T_grid_world : (4, 4) float64
+        z up from the ground, x as that of W.
+    x0, y0 : float
+        Corner of cell (0, 0), metres.
+    rows, columns : int
+        Cells of `CELL_M`.
+    """
+
+    T_grid_world: FloatArray
+    x0: float
+    y0: float
+    rows: int
+    columns: int
+
+    @classmethod
+    def around(cls, position: FloatArray, up: FloatArray) -> Grid:
+        """Make the grid around (N, 3) positions in W where a (3,) direction is up."""
+        ahead = np.array([1.0, 0.0, 0.0]) - up[0] * up
+        ahead /= np.linalg.norm(ahead)
+        T = np.eye(4)
+        T[:3, :3] = ahead, np.cross(up, ahead), up
+        T[:3, 3] = -T[:3, :3] @ position.mean(axis=0)
+        xy = position @ T[:2, :3].T + T[:2, 3]
+        step = PLANE_TIMES * CELL_M
+        low = np.floor((xy.min(axis=0) - RANGE_M[1] - _MARGIN_M) / step)
+        count = np.ceil((xy.max(axis=0) + RANGE_M[1] + _MARGIN_M) / step) - low
+        columns, rows = (PLANE_TIMES * count).astype(int).tolist()
+        return cls(T, float(low[0] * step), float(low[1] * step), rows, columns)
+
+    @property
+    def surface_shape(self) -> tuple[int, int]:
+        """Rows and columns of the surface."""
+        return self.rows // SURFACE_TIMES, self.columns // SURFACE_TIMES
+
+    def draw(self, line: FloatArray, cell_m: float) -> Float32Array:
+        """Draw the (P, 3) points of a line in W as wide as the driven strip: their heights, NaN elsewhere."""
+        xyz = line @ self.T_grid_world[:3, :3].T + self.T_grid_world[:3, 3]
+        times = round(cell_m / CELL_M)
+        image = np.full((self.rows // times, self.columns // times), np.nan, np.float32)
+        centres = np.round(((xyz[:, :2] - (self.x0, self.y0)) / cell_m - 0.5) * 16).astype(int)
+        for centre, height in zip(centres.tolist(), xyz[:, 2].tolist(), strict=True):
+            cv2.circle(image, centre, round(STRIP_M / cell_m * 16), height, thickness=-1, shift=4)
+        return image
+
+
+@dataclass(frozen=True)
+class PlacedScan:
+    """The ground of a scan on a grid.
+
+    Attributes
+    ----------
+    ground : ScanGround
+    T : (3, 4) float64
+        From its frame into that of the grid.
+    """
+
+    ground: ScanGround
+    T: FloatArray
+
+    def laid_on(self, surface: Float32Array, grid: Grid) -> PlacedScan:
+        """Raise and tilt it so that it lies on a surface."""
+        return replace(self, T=lay_on(self.ground.cells, self.T, surface, grid))
+
+
+def lay_on(points: Float32Array, T: FloatArray, surface: Float32Array, grid: Grid) -> FloatArray:
+    """Return a (3, 4) transform changed so that points lie on a surface: raised and tilted, but not moved."""
+    raised, along_x, along_y = tilt_against(points, T, surface, grid.x0, grid.y0, SURFACE_CELL_M, _FIT_M, _PRIOR)
+    laid = T.copy()
+    laid[2] += along_x * T[0] + along_y * T[1]
+    laid[2, 3] += raised - along_x * T[0, 3] - along_y * T[1, 3]
+    return laid
+
+
+def find_surface(scans: Sequence[PlacedScan], grid: Grid, track: Float32Array) -> tuple[Float32Array, list[PlacedScan]]:
+    """Find the surface of the ground that is connected with the track, and lay the scans on it.
+
+    Poses tilt and drift by more than a kerb is high from one scan to another tens of metres on: each scan is raised and
+    tilted to lie on what all say, which sharpens what they say.
+
+    Parameters
+    ----------
+    track : (H, W) float32
+        Height of the ground under the track, NaN elsewhere.
+
+    Returns
+    -------
+    surface : (H, W) float32
+        Heights; NaN where no ground was seen near.
+    scans : list of PlacedScan
+        Laid on it.
+    """
+    placed = list(scans)
+    for _ in range(_ROUNDS):
+        surface = _grow(_heights(placed, grid), track)
+        placed = [scan.laid_on(surface, grid) for scan in placed]
+    return _fill(_grow(_heights(placed, grid), track)), placed
+
+
+def _heights(scans: Sequence[PlacedScan], grid: Grid) -> Float32Array:
+    """Return the mean of the lowest heights of the scans in every cell, but of those far from the second lowest.
+
+    The lowest of all may be an echo from below.
+    """
+    minima = np.empty((len(scans), *grid.surface_shape), np.float32)
+    lowest = np.full(grid.surface_shape, np.inf, np.float32)
+    second = lowest.copy()
+    for scan, own in zip(scans, minima, strict=True):
+        scan_minima(scan.ground.cells, scan.T, grid.x0, grid.y0, SURFACE_CELL_M, own)
+        np.minimum(second, np.maximum(lowest, own), out=second)
+        np.minimum(lowest, own, out=lowest)
+    second[np.isinf(second)] = lowest[np.isinf(second)]
+    total, count = np.zeros_like(lowest), np.zeros_like(lowest)
+    for own in minima:
+        near = (own > second - _NOISE_M[0]) & (own < second + _NOISE_M[1])
+        np.add(total, own, out=total, where=near)
+        count += near
+    return np.divide(total, count, out=np.full_like(total, np.nan), where=count > 0)
+
+
+def _grow(height: Float32Array, track: Float32Array) -> Float32Array:
+    """Keep of the heights those that are connected with the track without a step."""
+    is_ground: BoolArray = np.abs(height - track) < _TRACK_ERROR_M
+    known = np.nan_to_num(height)
+    while True:
+        near = _mean_around(known, is_ground)
+        grown = is_ground | (np.abs(height - near) < _STEP_M)
+        if (grown == is_ground).all():
+            return np.where(is_ground, height, np.float32(np.nan))
+        is_ground = grown
+
+
+def _fill(height: Float32Array) -> Float32Array:
+    known = ~np.isnan(height)
+    return np.where(known, height, _mean_around(np.nan_to_num(height), known))
+
+
+def _mean_around(height: Float32Array, known: BoolArray) -> Float32Array:
+    """Return the mean of the known heights around every cell; NaN where there are none."""
+    count = cv2.boxFilter(known.astype(np.float32), -1, _BRIDGED, normalize=False, borderType=cv2.BORDER_CONSTANT)
+    total = cv2.boxFilter(
+        np.where(known, height, np.float32(0)), -1, _BRIDGED, normalize=False, borderType=cv2.BORDER_CONSTANT
+    )
+    return np.divide(total, count, out=np.full_like(total, np.nan), where=count > 0.5)
+
+
+def up_of(scans: Sequence[ScanGround], rotations: FloatArray) -> FloatArray:
+    """Return the (3,) mean direction up from the ground of scans, in W, from their (N, 3, 3) rotations."""
+    up = sum(rotation @ scan.T_lidar_ground[:3, 2] for scan, rotation in zip(scans, rotations, strict=True))
+    unit: FloatArray = up / np.linalg.norm(up)
+    return unit
+
+
+def place(ground: ScanGround, T_world_lidar: FloatArray, grid: Grid) -> PlacedScan:
+    """Place the ground of a scan on a grid, by its pose."""
+    return PlacedScan(ground, (grid.T_grid_world @ T_world_lidar @ ground.T_lidar_ground)[:3])

@@ -1,0 +1,151 @@
+"""Labels by geometry: a crossing with kerbs, seen by sensors of many kinds."""
+
+from __future__ import annotations
+
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from interloc.arrays import Float32Array, FloatArray
+from interloc.labelling.geometry import (
+    BESIDE,
+    ROAD,
+    GeometryLabeller,
+    WindowQuality,
+    brightness_of_strip,
+    doubtful_stretches,
+)
+from interloc.labelling.ground import RANGE_M
+from tests.kerbs import ROAD_M, SIDEWALK_M, Street
+
+ALONG = np.arange(-40.0, 20.0, 2.5)
+STREET = Street()
+KERB_M = 0.5
+
+
+def labeller_of(street: Street, poses: FloatArray) -> GeometryLabeller:
+    scans = [street.scan(pose, seed)[0] for seed, pose in enumerate(poses)]
+    return GeometryLabeller(poses, np.arange(len(poses)), scans.__getitem__)
+
+
+def agreement(street: Street, poses: FloatArray, row: int) -> tuple[float, float]:
+    """Return precision and recall of the road of a scan; the half metre along the kerb may be missed."""
+    points, aside = street.scan(poses[row], row)
+    found = labeller_of(street, poses).label(row, points) == ROAD
+    range_m = np.linalg.norm(points[:, :3], axis=1)
+    there = (aside < ROAD_M - KERB_M) & (range_m > 4.0) & (range_m < 35.0)
+    return (found & (aside < ROAD_M)).sum() / found.sum(), (found & there).sum() / there.sum()
+
+
+CASES = {
+    "16 beams": replace(STREET, beams=16),
+    "32 beams": STREET,
+    "64 beams": replace(STREET, beams=64),
+    "on a bus, tilted": replace(STREET, height_m=3.0, tilt_rad=(0.1, 0.25)),
+    "remission up to 255": replace(STREET, shades=(51.0, 76.0, 128.0)),
+    "no remission": replace(STREET, shades=(0.0, 0.0, 0.0)),
+    "one remission": replace(STREET, shades=(0.3, 0.3, 0.3)),
+}
+
+
+@pytest.mark.parametrize("street", CASES.values(), ids=CASES.keys())
+def test_road_ends_at_kerbs_and_goes_on_into_the_side_street(street: Street) -> None:
+    poses = street.poses(ALONG)
+    precision, recall = agreement(street, poses, 14)
+    assert precision > 0.92
+    assert recall > 0.9
+
+
+def test_ground_beside_the_road_and_other_things_are_told_apart() -> None:
+    poses = STREET.poses(ALONG)
+    points, aside = STREET.scan(poses[14], 14)
+    points[0, 2] += 1.0  # something above the ground
+    labels = labeller_of(STREET, poses).label(14, points)
+    beside = (aside > ROAD_M) & (aside < ROAD_M + SIDEWALK_M) & (np.linalg.norm(points[:, :2], axis=1) < 20)
+    assert (labels[beside] == BESIDE).mean() > 0.9
+    assert labels[0] == 0
+    assert set(np.unique(labels[aside < ROAD_M])) <= {0, ROAD, BESIDE}
+
+
+@pytest.mark.parametrize("spacing_m", [0.5, 8.0, 16.0])
+def test_scans_may_be_near_each_other_or_far_apart(spacing_m: float) -> None:
+    poses = STREET.poses(np.arange(-40.0, 25.0, spacing_m))
+    precision, recall = agreement(STREET, poses, int(30 / spacing_m))
+    assert precision > 0.95
+    assert recall > 0.85
+
+
+def test_going_backwards_is_as_good() -> None:
+    poses = STREET.poses(ALONG[::-1])
+    precision, recall = agreement(STREET, poses, 10)
+    assert precision > 0.95
+    assert recall > 0.9
+
+
+def test_a_vehicle_that_stands_sees_the_road_ahead() -> None:
+    poses = STREET.poses(np.full(12, -15.0))
+    precision, recall = agreement(STREET, poses, 5)
+    assert precision > 0.9
+    assert recall > 0.7
+
+
+def test_labels_depend_on_the_drive_alone() -> None:
+    poses = STREET.poses(ALONG)
+    labeller = labeller_of(STREET, poses)
+    points = [STREET.scan(pose, row)[0] for row, pose in enumerate(poses)]
+    in_order = [labeller.label(row, points[row]) for row in range(len(poses))]
+    sent = pickle.loads(pickle.dumps(GeometryLabeller(poses, np.arange(len(poses)), _Scans(points))))  # noqa: S301 - own
+    for row in (20, 3, 11):
+        np.testing.assert_array_equal(sent.label(row, points[row]), in_order[row])
+
+
+class _Scans:
+    def __init__(self, points: list[Float32Array]) -> None:
+        self.points = points
+
+    def __call__(self, row: int) -> Float32Array:
+        return self.points[row]
+
+
+def test_scans_without_ground_have_no_labels() -> None:
+    poses = STREET.poses(ALONG)
+    empty = np.zeros((0, 4), np.float32)
+    labeller = GeometryLabeller(poses, np.arange(len(poses)), lambda _: empty)
+    points = np.array([[5, 0, -1.8, 0], [np.nan, 0, 0, 0]], np.float32)
+    np.testing.assert_array_equal(labeller.label(3, points), [0, 0])
+    assert all(window.is_doubtful for window in labeller.quality())
+
+
+def test_points_that_are_no_numbers_or_too_far_have_no_label() -> None:
+    poses = STREET.poses(ALONG)
+    labeller = labeller_of(STREET, poses)
+    points = np.array([[np.nan, 5, 0, 0], [np.inf, 5, 0, 0], [RANGE_M[1] + 1, 0, -1.8, 0], [8, 0, -1.8, 0]], np.float32)
+    np.testing.assert_array_equal(labeller.label(14, points), [0, 0, 0, ROAD])
+
+
+def test_quality_tells_a_street_with_kerbs_from_a_plain() -> None:
+    plain = replace(STREET, kerb_m=0.0, shades=(0.3, 0.3, 0.3))
+    street, flat = (labeller_of(each, each.poses(ALONG)).quality() for each in (STREET, plain))
+    assert not doubtful_stretches(street)
+    assert doubtful_stretches(flat) == [(0.0, 75.0)]
+
+
+def test_doubtful_windows_in_a_row_are_one_stretch() -> None:
+    doubtful = [0, 1, 0, 0, 1, 1]
+    windows = [WindowQuality(25.0 * k, 25.0 * k + 25, 0.0 if bad else 9.0, 8.0) for k, bad in enumerate(doubtful)]
+    assert doubtful_stretches(windows) == [(25.0, 50.0), (100.0, 150.0)]
+    assert WindowQuality(0.0, 25.0, 9.0, 30.0).is_doubtful
+
+
+def test_brightness_is_relative_to_what_the_same_laser_saw_of_the_strip() -> None:
+    table = np.zeros((8, 3))
+    table[2], table[3], table[6] = (100, 20, 4 + 1), (10, 3, 0.9 + 0.1), (9, 9, 9)
+    result = brightness_of_strip(table)
+    assert result[2, 0] == pytest.approx(0.2)
+    assert result[3, 0] == pytest.approx(23 / 110)  # too few of its own
+    np.testing.assert_allclose(result[6], [0, np.inf, 0.7])
+    assert result[2, 1] == result[3, 1] > 0
+    nothing = brightness_of_strip(np.tile([100.0, 0.0, 0.0], (4, 1)))
+    np.testing.assert_allclose((5.0 - nothing[:, 0]) / nothing[:, 1] + nothing[:, 2], 0.0)
