@@ -16,9 +16,10 @@ import numpy as np
 from interloc.arrays import FloatArray, UInt8Array
 from interloc.errors import ConfigError, DamagedResultError
 from interloc.files import atomic_write
-from interloc.mapping.mosaic import TILE, Mosaic, Raster
+from interloc.mapping.mosaic import TILE, Mosaic, Raster, build_mosaic
 from interloc.output.geojson import read_json
 from interloc.output.layout import ROAD_FILE, RUN_FILE, refuse_result_file
+from interloc.results import DriveResult
 
 ROAD_LAYER = "road"
 RASTER_SUFFIXES = (".tif", ".tiff")
@@ -106,6 +107,17 @@ def read_road(path: Path) -> Mosaic:
     except (OSError, ValueError, KeyError, IndexError, TypeError, TiffFileError) as error:
         raise DamagedResultError(f"{path} is missing or damaged. Run `interloc detect` again.") from error
     return Mosaic(raster, epsg)
+
+
+def mosaic_of(result: DriveResult) -> Mosaic:
+    """Return the road that a run saw: from its patches, or from `road.tif` where it was read from a folder.
+
+    Raises
+    ------
+    DamagedResultError
+        The file is missing or damaged.
+    """
+    return build_mosaic(result) if result.road_file is None else read_road(result.road_file)
 
 
 def export_road(result: Path, out: Path) -> None:

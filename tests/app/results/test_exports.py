@@ -16,7 +16,18 @@ import pytest
 from tests.app.results.conftest import Finished
 
 DERIVED = ["branches", "uncertainty"]
-SCORED = ["intersections", "detections", "trajectory", "keyframes", "osm_nodes", "matches", "osm_roads"]
+SCORED = [
+    "intersections",
+    "detections",
+    "trajectory",
+    "keyframes",
+    "roads",
+    "junctions",
+    "road_surface",
+    "osm_nodes",
+    "matches",
+    "osm_roads",
+]
 
 
 def layers_of(content: bytes, path: Path) -> dict[str, int]:
@@ -40,7 +51,7 @@ def test_a_geopackage_of_all_layers(finished: Finished, tmp_path: Path) -> None:
     again = finished.get("/jobs/default/export.gpkg", headers={"if-none-match": answer.headers["etag"]})
     assert again.status_code == 304
     plain = layers_of(finished.get("/jobs/plain/export.gpkg").content, tmp_path / "plain.gpkg")
-    assert list(plain) == [*SCORED[:4], *DERIVED]
+    assert list(plain) == [*SCORED[:7], *DERIVED]
 
 
 @pytest.mark.parametrize(("suffix", "media_type"), [
