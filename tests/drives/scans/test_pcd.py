@@ -179,7 +179,8 @@ def test_without_labels_it_is_said_how_they_are_made(sequence: Path, tmp_path: P
     for path in sorted((root / "pcd").iterdir()):
         write_pcd(path, read_pcd(SourceFile(path, root)).values)
     with pytest.raises(DriveError, match=r"labels: is missing\..*interloc label"):
-        open_drive(root)
+        open_drive(root, labels="labels")
+    assert open_drive(root).scans.label_source == "geometry"
 
 
 GOOD = labelled_points(np.arange(40, dtype=np.float32).reshape(10, 4))
