@@ -11,6 +11,7 @@ from .evaluation.report import write_report as write_report
 from .localization.locate import locate as locate
 from .osm.reader import read_osm as read_osm
 from .output.read import read_results as read_results
+from .output.roads import roads as roads
 from .output.write import write_results as write_results
 from .pipeline import detect as detect
 from .pipeline import stream as stream
@@ -31,6 +32,7 @@ __all__ = [
     "preset",
     "read_osm",
     "read_results",
+    "roads",
     "stream",
     "write_report",
     "write_results",
