@@ -1,3 +1,7 @@
+from .city.citymap import CityMap as CityMap
+from .city.citymap import merge as merge
+from .city.folder import read_city as read_city
+from .city.folder import write_city as write_city
 from .config import DetectorConfig as DetectorConfig
 from .config import preset as preset
 from .detection.detector import Detector as Detector
@@ -18,6 +22,7 @@ from .pipeline import stream as stream
 __version__: str
 
 __all__ = [
+    "CityMap",
     "Detector",
     "DetectorConfig",
     "InterLocError",
@@ -27,11 +32,14 @@ __all__ = [
     "geodataframe",
     "inspect_drive",
     "locate",
+    "merge",
     "open_drive",
     "preset",
+    "read_city",
     "read_osm",
     "read_results",
     "stream",
+    "write_city",
     "write_report",
     "write_results",
 ]

@@ -25,6 +25,7 @@ COMMANDS = {
     "explain": "explain",
     "robustness": "robustness",
     "export": "export",
+    "merge": "merge",
     "label": "convert:label",
     "convert": "convert:convert",
     "reduce": "reduce",
