@@ -15,6 +15,7 @@ from .evaluation.report import write_report as write_report
 from .localization.locate import locate as locate
 from .osm.reader import read_osm as read_osm
 from .output.read import read_results as read_results
+from .output.roads import roads as roads
 from .output.write import write_results as write_results
 from .pipeline import detect as detect
 from .pipeline import stream as stream
@@ -38,6 +39,7 @@ __all__ = [
     "read_city",
     "read_osm",
     "read_results",
+    "roads",
     "stream",
     "write_city",
     "write_report",

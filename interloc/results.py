@@ -8,6 +8,7 @@ from __future__ import annotations
 import zlib
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -305,6 +306,8 @@ class DriveResult:
         What `run.json` holds: configuration, versions, input identity, timings, peak memory.
     road : tuple of RoadPatch
         The road around some of the keyframes, for the mosaic; empty where the run kept none or was read from a folder.
+    road_file : Path or None
+        The mosaic of a run that was read from a folder, where it has one.
     """
 
     drive: str
@@ -315,6 +318,7 @@ class DriveResult:
     trajectory_lonlat: FloatArray | None
     run: dict[str, Any] = field(default_factory=dict)
     road: tuple[RoadPatch, ...] = ()
+    road_file: Path | None = None
 
     @property
     def is_georeferenced(self) -> bool:

@@ -26,6 +26,7 @@ COMMANDS = {
     "robustness": "robustness",
     "export": "export",
     "merge": "merge",
+    "odometry": "odometry",
     "label": "convert:label",
     "convert": "convert:convert",
     "reduce": "reduce",

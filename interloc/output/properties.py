@@ -14,6 +14,8 @@ from typing import Annotated, Any, Literal, get_args, get_origin
 from pydantic import BaseModel, ConfigDict, Field, GetJsonSchemaHandler
 from pydantic_core import CoreSchema
 
+from interloc.roadmap.network import NodeKind
+
 
 @dataclass(frozen=True)
 class Decimals:
@@ -76,6 +78,11 @@ KeyframeTime = Annotated[
     Field(title="Time", description="Time of the keyframe, RFC 3339; null where the drive has no times of day."),
 ]
 DriveName = Annotated[str | None, Field(title="Drive", description="Name of the drive.")]
+NODE_KINDS = (
+    "intersection: one of the result, or several in one place. fork: three or more lines of the road meet where the "
+    "result has no intersection. place: an open place without one. dead_end: the road ends, and the drive came near. "
+    "end_of_view: the road was not seen farther."
+)
 Verdict = Literal["right", "wrong", "unscored"]
 """Of a detection or an intersection; unscored before an evaluation, and where the map cannot tell."""
 
@@ -136,8 +143,8 @@ class IntersectionProperties(Properties):
     uid: str | None = Field(
         None,
         title="Name of the place",
-        description="Name of the place, the same in other runs: n and the id of the OpenStreetMap node where the "
-        "result was scored and there is a junction, else the cell of a grid of about 22 m.",
+        description="Name of the place, the same in other runs that were scored: n and the id of the OpenStreetMap "
+        "node where there is a junction. Else the cell of a grid of about 22 m, which small moves can change.",
     )
     drive: DriveName = None
     first_time: Time = Field(
@@ -235,6 +242,76 @@ class KeyframeProperties(Properties):
         "The region of interest is aligned with W, not with the heading.",
     )
     time: KeyframeTime = None
+
+
+RoadWidth = Annotated[float | None, Decimals(2, "m")]
+RoadLength = Annotated[float, Decimals(2, "m")]
+
+
+class RoadProperties(Properties):
+    """A road between two nodes, as the LiDAR saw it: its centreline, and its width from edge to edge."""
+
+    id: int = Field(title="Road", description="Number of the road, from 1.")
+    start_node: int = Field(title="From node", description="Number of the node where the line begins; see `junctions`.")
+    end_node: int = Field(title="To node", description="Number of the node where it ends.")
+    start_kind: NodeKind = Field(title="Begins at", description=f"What the node is where it begins. {NODE_KINDS}")
+    end_kind: NodeKind = Field(title="Ends at", description="What the node is where it ends, in the same words.")
+    length_m: RoadLength = Field(title="Length", description="Length of the line, metres.")
+    width_m: RoadWidth = Field(
+        title="Width",
+        description="Width from edge to edge, metres: median along the road; null where it is too short to be "
+        "measured between the mouths of others.",
+    )
+    width_p10_m: RoadWidth = Field(
+        title="Width, 10 %", description="Width that 10 % of the road stay below, metres; null where none is known."
+    )
+    width_p90_m: RoadWidth = Field(
+        title="Width, 90 %", description="Width that 90 % of the road stay below, metres; null where none is known."
+    )
+    width_profile_m: Annotated[list[float | None], Decimals(2, "m")] = Field(
+        title="Widths along it",
+        description="Width every 10 m from the start of the line, metres; null where it was not measured.",
+    )
+    is_driven: bool = Field(
+        title="Driven",
+        description="Whether the drive went along it. Of other roads one side may have been hidden: they are at least "
+        "as wide as `width_m`.",
+    )
+    seen: Ratio = Field(
+        title="Seen",
+        description="0 to 1, share of its length that was seen as road; the rest are gaps of up to 25 m between two "
+        "ends that face each other.",
+    )
+    keyframes: int = Field(
+        title="Keyframes", description="Median number of keyframes, 10 m apart, that saw the middle of the road."
+    )
+    offset_std_m: MetresOrNone = Field(
+        title="Uncertainty",
+        description="One-sigma uncertainty of the line across its direction, metres, without that of the "
+        "georeference; null where no width is known.",
+    )
+    drive: DriveName = None
+
+
+class JunctionProperties(Properties):
+    """The ground where roads meet, as far as their mouths; or an open place, on which no lines are drawn."""
+
+    id: int = Field(title="Node", description="Number of the node, from 1: `start_node` and `end_node` of roads.")
+    kind: NodeKind = Field(title="Kind", description=f"What the node is. {NODE_KINDS}")
+    intersections: list[int] = Field(
+        title="Intersections", description="Numbers of the fused intersections that it is; none for forks and places."
+    )
+    roads: int = Field(title="Roads", description="Number of roads that begin or end there.")
+    area_m2: Annotated[float, Decimals(1, "m2")] = Field(title="Area", description="Area, square metres.")
+    drive: DriveName = None
+
+
+class RoadSurfaceProperties(Properties):
+    """The ground that was seen as road from two keyframes or more, cut at squares of 512 m."""
+
+    id: int = Field(title="Piece", description="Number of the piece, from 1.")
+    area_m2: Annotated[float, Decimals(1, "m2")] = Field(title="Area", description="Area, square metres.")
+    drive: DriveName = None
 
 
 class OsmNodeProperties(Properties):

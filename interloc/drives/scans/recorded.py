@@ -33,10 +33,14 @@ class ScanPoints:
         x y z in L, metres, and the remission, in the unit of the format; 0 where it has none.
     labels : (N,) uint32 or None
         Label ids, where the points carry them themselves.
+    times_s : (N,) float32 or None
+        When each point was measured, seconds after the time of the scan, where the points carry that
+        (`interloc.drives.scans.point_times`).
     """
 
     values: Float32Array
     labels: UInt32Array | None = None
+    times_s: Float32Array | None = None
 
 
 class PointSource(Protocol):
@@ -106,6 +110,8 @@ class Recording:
     scheme : str or None
         Name of the scheme of these labels, where the format defines it.
     has_remission : bool
+    has_times : bool
+        The points carry the time at which each was measured.
     read_trajectory : callable or None
         Reads poses, times and georeference where these are not files of `parts`.
     topics : tuple of Topic
@@ -121,6 +127,7 @@ class Recording:
     carries_labels: bool = False
     scheme: str | None = None
     has_remission: bool = True
+    has_times: bool = False
     read_trajectory: Callable[[DriveOptions, Findings], Trajectory] | None = None
     topics: tuple[Topic, ...] = ()
 

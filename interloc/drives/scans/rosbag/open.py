@@ -150,6 +150,7 @@ def open_rosbag(root: Path, options: DriveOptions, findings: Findings) -> Record
         scan_bytes=bag.size,
         carries_labels=points.has_labels,
         has_remission=points.has_remission,
+        has_times=points.has_times,
         read_trajectory=partial(read_bag_trajectory, bag, points, parts, found),
         topics=tuple(
             Topic(name=each.name, type=each.type, messages=len(each), role=_role(each, topic, found))
