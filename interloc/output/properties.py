@@ -143,8 +143,8 @@ class IntersectionProperties(Properties):
     uid: str | None = Field(
         None,
         title="Name of the place",
-        description="Name of the place, the same in other runs: n and the id of the OpenStreetMap node where the "
-        "result was scored and there is a junction, else the cell of a grid of about 22 m.",
+        description="Name of the place, the same in other runs that were scored: n and the id of the OpenStreetMap "
+        "node where there is a junction. Else the cell of a grid of about 22 m, which small moves can change.",
     )
     drive: DriveName = None
     first_time: Time = Field(

@@ -419,7 +419,7 @@ def test_without_laspy_it_says_what_to_install(tmp_path: Path, monkeypatch: pyte
         return imported(name, *arguments, **named)
 
     monkeypatch.setattr(builtins, "__import__", refuse)
-    with pytest.raises(DriveError, match=r'needs the package lazrs .* pip install "interloc\[las\]"'):
+    with pytest.raises(DriveError, match=r'needs the package lazrs .* pip install "laspy'):
         interloc.open_drive(tmp_path)
 
 
