@@ -152,6 +152,7 @@ def open_pcd_files(parts: DriveParts, options: DriveOptions, findings: Findings)
         carries_labels=label is not None or is_damaged,  # which is reported; that labels lack would be a guess
         has_remission=header is None or header.field_among(INTENSITY_FIELDS) is not None,
         has_times=header is not None and header.field_among(TIME_FIELDS) is not None,
+        carries_poses=False,
         read_trajectory=trajectory,
     )
 
