@@ -92,6 +92,17 @@ class Result:
             raise Problem(NOT_IN_THIS_RESULT, f"The result of job {self.job_id} has no {path.name}.")
         return path
 
+    def layer_file(self, name: str) -> Path:
+        """Return the file of a layer to be exported: in metres of its own frame where the drive has no georeference.
+
+        Raises
+        ------
+        Problem
+            404 that says why the result has none.
+        """
+        local = self.folder / file_names(georeferenced=False).get(name, "")
+        return local if local.is_file() else self.layer(name)
+
     def require_georeference(self, hint: str) -> None:
         """Raise a 404 where the drive has no georeference."""
         if not self.is_georeferenced:

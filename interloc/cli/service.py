@@ -243,7 +243,7 @@ def read_settings(given: dict[str, Any]) -> Settings:
         from app.settings import Settings
     except ModuleNotFoundError as error:
         raise InterLocError(
-            f"the service needs {error.name}, which is not installed: pip install 'interloc[service]'"
+            f"the service needs {error.name}, which is not installed: pip install '.[service]' in the clone of InterLoc"
         ) from error
     from pydantic import ValidationError
 

@@ -155,7 +155,7 @@ def read_drive(
     readings: dict[LabelFolder, DriveReading] = {}
     with each_read_once():
         opened, trajectory = _open(root, options, findings, progress)
-        for folder in dict.fromkeys(label_folders or (_label_folder(opened, options, findings),)):
+        for folder in dict.fromkeys(label_folders or (_label_folder(opened, options, findings, needs_labels),)):
             scans: Scans | None = None
             with findings.stage():
                 if isinstance(opened, ReducedManifest):
@@ -196,6 +196,10 @@ def _open(
         opened = read_manifest(root) if is_reduced(root) else open_recording(root, options, findings)
     if isinstance(opened, Recording) and opened.frames is not None:
         with findings.stage():
+            if options.poses is None and not opened.has_poses:
+                findings.warning("poses", "there are none: they are computed from the points (--poses odometry).")
+                options = options.model_copy(update={"poses": ODOMETRY})
+                opened = open_recording(root, options, findings)
             if options.poses == ODOMETRY:
                 track = track_file(opened, options, findings, progress)
                 options = options.model_copy(update={"poses": str(track.path), "pose_frame": "lidar"})
@@ -232,7 +236,9 @@ def open_recording(root: Path, options: DriveOptions, findings: Findings) -> Rec
     raise not_a_drive(root, options)
 
 
-def _label_folder(opened: Recording | ReducedManifest | None, options: DriveOptions, findings: Findings) -> LabelFolder:
+def _label_folder(
+    opened: Recording | ReducedManifest | None, options: DriveOptions, findings: Findings, needs_labels: bool
+) -> LabelFolder:
     """Return the labels that were asked for; where that was left open, the first that there are."""
     if options.labels != "auto":
         return options.labels
@@ -243,7 +249,14 @@ def _label_folder(opened: Recording | ReducedManifest | None, options: DriveOpti
     there = [folder for folder in LABEL_FILES if opened.parts.label_folder(folder).is_dir()]
     if there == ["predictions"]:
         findings.note("predictions", "are the labels: there is no labels/.")
-    return there[0] if there else "labels"
+    if there or opened.carries_labels or not needs_labels or opened.points is None:
+        return there[0] if there else "labels"
+    findings.warning(
+        "labels",
+        "there are none: the road is found by geometry (--labels geometry), from the points and the path driven. "
+        "Labels of a network place intersections better: docs/labels.md says where to get one.",
+    )
+    return "geometry"
 
 
 def _drive_of(scans: Scans, trajectory: Trajectory, labels: LabelJudgement) -> FolderDrive | None:

@@ -130,10 +130,12 @@ def open_pcd_files(parts: DriveParts, options: DriveOptions, findings: Findings)
     if how:
         findings.note(folder.name, how)
     header = None
+    first = replace(folder, path=folder.path / scans.names[0])
+    has_header = not first.path.name.endswith(PCD_ENDINGS[1])
     with findings.stage():
-        first = replace(folder, path=folder.path / scans.names[0])
-        if not first.path.name.endswith(PCD_ENDINGS[1]):
+        if has_header:
             header, _ = read_pcd_header(first)
+    is_damaged = has_header and header is None
     label = None if header is None else header.field_among(LABEL_FIELDS)
     if header is not None and label is not None:
         findings.note(folder.name, f"the field {label!r} of the points is their label.")
@@ -147,9 +149,10 @@ def open_pcd_files(parts: DriveParts, options: DriveOptions, findings: Findings)
         frames,
         scan_bytes=int(sizes.sum()),
         usable=np.flatnonzero(sizes[order] > 0) if options.check else None,
-        carries_labels=label is not None,
+        carries_labels=label is not None or is_damaged,  # which is reported; that labels lack would be a guess
         has_remission=header is None or header.field_among(INTENSITY_FIELDS) is not None,
         has_times=header is not None and header.field_among(TIME_FIELDS) is not None,
+        carries_poses=False,
         read_trajectory=trajectory,
     )
 
