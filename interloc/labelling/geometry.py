@@ -46,7 +46,7 @@ METHOD = "geometry 1"
 """Name and version of the method: another version may give other labels."""
 
 ROAD, BESIDE, OTHER_GROUND = 40, 48, 72
-"""Ids of SemanticKITTI: road; sidewalk, for all ground within some metres of the road; terrain."""
+"""Ids of SemanticKITTI: road; sidewalk, for all ground some metres beside the road; terrain."""
 
 _NEAR_M = 0.3
 _LABELLED_M = (0.15, 0.3)
@@ -151,7 +151,8 @@ class GeometryLabeller:
         Returns
         -------
         (N,) uint32
-            Label ids of SemanticKITTI: 40 road, 48 ground beside it, 72 other ground, 0 what is no ground, or too far.
+            Label ids of SemanticKITTI: 40 road, 48 ground 1 to 3 m beside it, 72 other ground, 0 what is no ground, or too
+            far.
 
         Raises
         ------

@@ -110,9 +110,14 @@ def grow_road(features: Features, strip: BoolArray) -> Road:
 
 
 def classes_of(road: BoolArray, road_id: int, beside_id: int, other_id: int) -> UInt8Array:
-    """Return the label ids of the cells: road, what lies within some metres of it, the rest."""
+    """Return the label ids of the cells: road, what lies within some metres of it, the rest.
+
+    The border of the road is not sure to half a metre: what is closer speaks neither for road nor, as votes of ground
+    beside it do, against it.
+    """
     classes = np.full(road.shape, other_id, np.uint8)
     classes[_widened(road, _BESIDE)] = beside_id
+    classes[_widened(road, _UNSURE)] = other_id
     classes[road] = road_id
     return classes
 
@@ -206,5 +211,5 @@ def _opened(shape: BoolArray, kernel: UInt8Array) -> BoolArray:
 
 
 _GAPS, _VEHICLE, _HOLES = _disc(0.6), _disc(0.8), _disc(0.6)
-_TO_KERB, _BESIDE, _BORDER = _disc(0.3), _disc(3.0), (_disc(0.6), _disc(2.5))
+_TO_KERB, _UNSURE, _BESIDE, _BORDER = _disc(0.3), _disc(1.0), _disc(3.0), (_disc(0.6), _disc(2.5))
 _REACH = np.ones((2 * round(_STEP_M / CELL_M) + 1,) * 2, np.uint8)
