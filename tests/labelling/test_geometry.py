@@ -138,7 +138,7 @@ def test_doubtful_windows_in_a_row_are_one_stretch() -> None:
     doubtful = [0, 1, 0, 0, 1, 1]
     windows = [WindowQuality(25.0 * k, 25.0 * k + 25, 0.0 if bad else 9.0, 8.0) for k, bad in enumerate(doubtful)]
     assert doubtful_stretches(windows) == [(25.0, 50.0), (100.0, 150.0)]
-    assert WindowQuality(0.0, 25.0, 9.0, 30.0).is_doubtful
+    assert WindowQuality(0.0, 25.0, 9.0, 40.0).is_doubtful
 
 
 def test_brightness_is_relative_to_what_the_same_laser_saw_of_the_strip() -> None:
