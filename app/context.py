@@ -57,8 +57,9 @@ class Context:
         """Open database and storage, as `open_database` does."""
         database = open_database(settings, bound=bound)
         reserve = reserve_of(settings)
-        database.disk_is_full = reserve.give_up
-        return cls(settings, database, Storage(settings.data_dir), TokenBook(database, settings), Metrics(), reserve)
+        storage = Storage(settings.data_dir)
+        database.disk_is_full, database.check_place = reserve.give_up, storage.check
+        return cls(settings, database, storage, TokenBook(database, settings), Metrics(), reserve)
 
     @classmethod
     def open_existing(cls, settings: Settings, *, bound: bool = True) -> Context:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import ipaddress
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 from urllib.parse import urlsplit
 
-from pydantic import Field, SecretStr, field_validator
+from pydantic import Field, SecretStr, field_validator, model_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 MB = 1024**2
@@ -46,6 +46,11 @@ class Settings(BaseSettings):
     )
     port: int = Field(8000, ge=0, le=65535, description="Port to listen on; 0: any free port.")
     root_path: str = Field("", description="Path under which a reverse proxy shows the service, for example /interloc.")
+    public_url: str = Field(
+        "",
+        description="Address under which people reach the service, for example https://maps.example/interloc: all "
+        "links that it gives begin with it. By default the Host of each request and the root path.",
+    )
     trusted_proxies: str = Field("127.0.0.1", description="Addresses whose X-Forwarded-* headers are believed.")
     allowed_hosts: str = Field(
         "", description="Names under which a reverse proxy shows the service, separated by commas."
@@ -171,6 +176,21 @@ class Settings(BaseSettings):
         if path and not path.startswith("/"):
             raise ValueError("a path begins with /, for example /interloc")
         return path
+
+    @model_validator(mode="before")
+    @classmethod
+    def _take_root_path_of_address(cls, given: dict[str, Any]) -> dict[str, Any]:
+        """Take the root path of the public address, unless it is given, too."""
+        path = urlsplit(str(given.get("public_url", ""))).path.rstrip("/")
+        return {"root_path": path, **given} if path else given
+
+    @field_validator("public_url")
+    @classmethod
+    def _check_public_url(cls, address: str) -> str:
+        parts = urlsplit(address)
+        if address and (parts.scheme not in {"http", "https"} or not parts.netloc or parts.query or parts.fragment):
+            raise ValueError(f"{address!r} is not an address: expected for example https://maps.example/interloc")
+        return address.rstrip("/")
 
     @field_validator("cors_origins")
     @classmethod

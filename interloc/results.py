@@ -8,6 +8,7 @@ from __future__ import annotations
 import zlib
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -142,6 +143,30 @@ class DetectionTable:
 
 
 @dataclass(frozen=True)
+class PositionParts:
+    """What the covariance of M positions is the sum of, since each part averages out over something else.
+
+    Attributes
+    ----------
+    fix_std_m : (M,) float64
+        Of the georeference along each axis: all intersections of a drive share it, drives do not. NaN: not known.
+    shape_cov_m2 : (M, 3) float64
+        Of the shape of the intersection, as `IntersectionTable.position_cov_m2`: all drives share it. NaN: not known.
+    scatter_std_m : (M,) float64
+        Of the scatter between sightings along each axis, which nothing shares. NaN: not known.
+    """
+
+    fix_std_m: FloatArray
+    shape_cov_m2: FloatArray
+    scatter_std_m: FloatArray
+
+    @classmethod
+    def unknown(cls, count: int) -> PositionParts:
+        """Return the parts of a result that does not tell them apart."""
+        return cls(np.full(count, np.nan), np.full((count, 3), np.nan), np.full(count, np.nan))
+
+
+@dataclass(frozen=True)
 class IntersectionTable:
     """The M physical intersections that the detections were fused into.
 
@@ -168,6 +193,9 @@ class IntersectionTable:
     position_cov_m2 : (M, 3) float64 or None
         Covariance of the position: variance to the east, covariance of east and north, variance to the north, square
         metres (of x and y of W without georeference). None in results of versions before: use `covariances`.
+    parts : PositionParts or None
+        What that is the sum of. None, or NaN, where it is not known: in results of versions before, and where
+        `DetectorConfig.calibration` is not set.
     """
 
     id: IntArray
@@ -181,6 +209,7 @@ class IntersectionTable:
     last_frame: IntArray
     widths_m: list[FloatArray]
     position_cov_m2: FloatArray | None = None
+    parts: PositionParts | None = None
 
     @property
     def covariances(self) -> FloatArray:
@@ -277,6 +306,8 @@ class DriveResult:
         What `run.json` holds: configuration, versions, input identity, timings, peak memory.
     road : tuple of RoadPatch
         The road around some of the keyframes, for the mosaic; empty where the run kept none or was read from a folder.
+    road_file : Path or None
+        The mosaic of a run that was read from a folder, where it has one.
     """
 
     drive: str
@@ -287,6 +318,7 @@ class DriveResult:
     trajectory_lonlat: FloatArray | None
     run: dict[str, Any] = field(default_factory=dict)
     road: tuple[RoadPatch, ...] = ()
+    road_file: Path | None = None
 
     @property
     def is_georeferenced(self) -> bool:

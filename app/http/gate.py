@@ -79,6 +79,7 @@ class Gate:
         self._app = app
         self._failures = _Failures()
         self._hosts = {name.strip().lower() for name in settings.allowed_hosts.split(",") if name.strip()}
+        self._hosts |= {name for name in [urlsplit(settings.public_url).hostname] if name}
         self._checks_hosts = bool(self._hosts) or settings.is_loopback
         # One thread of its own: tokens are read even where all others wait for the database.
         self._reader = CapacityLimiter(1)

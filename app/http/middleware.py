@@ -79,6 +79,7 @@ class RequestLog:
             await self._app(scope, receive, send)
             return
         scope["root_path"] = self._root_path
+        scope["path"] = _without_slash(scope["path"], path_of(scope))
         started = time.perf_counter()
         status, received_bytes, is_stream, location = _GONE, 0, False, ""
         path = path_of(scope)
@@ -129,6 +130,16 @@ class RequestLog:
             if status < 400:
                 _note_change(scope, location)
             _log.log(level, "%s %s %d", scope["method"], path, status, extra=fields)
+
+
+def _without_slash(path: str, below_root: str) -> str:
+    """Return the path of a request as it has a route: of the API without a slash at its end.
+
+    Clients such as OWSLib add one. To send them elsewhere would lose the path that a reverse proxy takes off. What may
+    be the name of a file stays as it is.
+    """
+    is_plain = is_api(below_root) and "/files/" not in below_root
+    return path.rstrip("/") if is_plain and path.endswith("/") else path
 
 
 def _note_change(scope: Scope, location: str) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import struct
 import zlib
 from collections.abc import Callable, Iterator, Sequence
@@ -21,6 +22,7 @@ from app.store.models import FeatureColumn
 from interloc.arrays import FloatArray
 from interloc.output.geojson import encode
 
+_OSM_ID = re.compile(r'("osm_\w*":)(-?\d+)(?=[,}])')  # quotes within texts have a backslash before them
 _OF_RESULT = [each.name for each in RESULT]
 
 
@@ -142,7 +144,8 @@ class Candidates:
         tails = {number: encode(properties)[1:] for number, properties in of_result.items()}
         for number, row in zip(numbers, rows, strict=True):
             id_ = id_of(self.chunks[number].job, ids[number].values[ids[number].codes[row]])
-            yield f'{{"type":"Feature","id":{encode(id_)},{lines[number][row][:-1]},{tails[number]}}}'
+            line = _OSM_ID.sub(r'\1"\2"', lines[number][row])
+            yield f'{{"type":"Feature","id":{encode(id_)},{line[:-1]},{tails[number]}}}'
 
     def _contents_of(self, name: str, numbers: Sequence[int]) -> dict[int, bytes]:
         """Return a column of some chunks, by their numbers."""

@@ -16,6 +16,7 @@ GEOMETRY = "geometry"
 
 _KINDS: dict[str, dict[str, Any]] = {
     "int": {"type": "integer"},
+    "id": {"type": "string"},
     "float": {"type": "number"},
     "bool": {"type": "boolean"},
     "text": {"type": "string"},
@@ -23,7 +24,6 @@ _KINDS: dict[str, dict[str, Any]] = {
     "list": {"type": "array", "items": {"type": "number"}},
 }
 _DRAFT = "https://json-schema.org/draft/2020-12/schema"
-_LARGE = {"osm_id"}  # ids beyond 2^31
 _SHAPES = {"Point": "point", "LineString": "any", "Polygon": "any"}  # lines and areas may have several parts
 _SPANS = {"time": "primary-instant", "first_time": "primary-interval-start", "last_time": "primary-interval-end"}
 
@@ -49,8 +49,8 @@ class Collection:
 
     @cached_property
     def queryables(self) -> dict[str, str]:
-        """The properties that filters may name -> int, float, bool, text or time; the geometry is not among them."""
-        return {each.name: each.kind for each in self.attributes if each.kind != "list"}
+        """The properties that filters may name -> int, id, float, bool, text or time; the geometry is none of them."""
+        return {each.name: _kind_of(each) for each in self.attributes if each.kind != "list"}
 
     @property
     def is_point(self) -> bool:
@@ -64,11 +64,10 @@ class Collection:
     def feature_schema(self, address: str) -> dict[str, Any]:
         """Return the JSON schema of its features as GeoJSON, from which GDAL takes the types of properties.
 
-        Ids of OpenStreetMap and lists are left out: GDAL would take them for integers of 32 bits and for texts, where
-        it knows better by looking at features.
+        Lists are left out: GDAL would take them for texts, where it knows better by looking at features.
         """
         described = {each.name: schema_of(each) for each in self.attributes}
-        plain = {each.name for each in self.attributes if each.kind != "list"} - _LARGE
+        plain = {each.name for each in self.attributes if each.kind != "list"}
         return {
             **self._head(address),
             "required": ["type", "geometry", "properties"],
@@ -103,13 +102,20 @@ class Collection:
         }
 
 
+def _kind_of(attribute: Attribute) -> str:
+    """Return the kind of a property as it is served.
+
+    Ids of OpenStreetMap, of which new ones are beyond 2^31, are texts here, though they are numbers in files: GDAL and
+    QGIS guess the width of numbers from the first features, and cut off silently what comes later.
+    """
+    return "id" if attribute.kind == "int" and attribute.name.startswith("osm_") else attribute.kind
+
+
 def schema_of(attribute: Attribute) -> dict[str, Any]:
     """Return the JSON schema of a property."""
-    described = {"title": attribute.title, "description": attribute.description, **_KINDS[attribute.kind]}
+    described = {"title": attribute.title, "description": attribute.description, **_KINDS[_kind_of(attribute)]}
     if attribute.unit is not None:
         described["x-ogc-unit"] = attribute.unit
-    if attribute.name in _LARGE:
-        described["format"] = "int64"
     if attribute.name in _SPANS:
         described["x-ogc-role"] = _SPANS[attribute.name]
     return described

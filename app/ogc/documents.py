@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
 from urllib.parse import quote, urlencode
 
+from app.ogc.candidates import Key
 from app.ogc.collections import Collection
 from app.ogc.filters import CRS84
 from app.ogc.index import Extent, Page
@@ -132,13 +133,15 @@ class Place:
             ],
         }
 
-    def items(self, collection: Collection, page: Page, asked: Iterable[tuple[str, str]]) -> str:
-        """Return a page of features; `asked` are the parameters of the request."""
+    def items(
+        self, collection: Collection, page: Page, asked: Iterable[tuple[str, str]], *, token: Callable[[Key], str]
+    ) -> str:
+        """Return a page of features; `asked` are the parameters of the request, `token` makes `after` of others."""
         address = f"{self.address}/collections/{collection.id}"
-        rest = [(name, value) for name, value in asked if name not in {"f", "after"}]
+        rest = [(name, value) for name, value in asked if name not in {"f", "after", "offset"}]
 
-        def page_link(relation: str, key: Any, title: str) -> dict[str, str]:  # noqa: ANN401
-            query = [*rest, *([] if key is None else [("after", str(key))])]
+        def page_link(relation: str, key: Key | None, title: str) -> dict[str, str]:
+            query = [*rest, *([] if key is None else [("after", token(key))])]
             return _link(relation, f"{address}/items{_query(query)}", GEOJSON, title)
 
         own = [(name, value) for name, value in asked if name != "f"]

@@ -48,6 +48,7 @@ class _Number:
 
     value: Any
     is_flag: bool = False
+    is_id: bool = False  # shown as a text
 
 
 @dataclass(frozen=True)
@@ -135,7 +136,9 @@ class _Evaluation:
         if kind == "text":
             return self._features.texts(name)
         numbers = self._features.numbers(name)
-        return _Span(numbers, numbers) if kind == "time" else _Number(numbers, is_flag=kind == "bool")
+        if kind == "time":
+            return _Span(numbers, numbers)
+        return _Number(numbers, is_flag=kind == "bool", is_id=kind == "id")
 
     def _computed(self, name: str, arguments: list[Any]) -> _Value:
         values = [self._value(each) for each in arguments]
@@ -161,6 +164,7 @@ class _Evaluation:
             one = _instant(one)
         if isinstance(other, str) and isinstance(one, _Span):
             other = _instant(other)
+        one, other = _id_like(one, other), _id_like(other, one)
         if isinstance(one, _Number) and isinstance(other, _Number) and one.is_flag == other.is_flag:
             return _decided(compare(one.value, other.value), one.value, other.value)
         if isinstance(one, _Span) and isinstance(other, _Span):
@@ -184,6 +188,8 @@ class _Evaluation:
 
     def _like(self, node: Any, pattern: Any) -> Truth:  # noqa: ANN401
         text, like = self._value(node), self._value(pattern)
+        if isinstance(text, _Number) and text.is_id:
+            text = _as_texts(text)
         if not isinstance(text, Texts | str) or not isinstance(like, str):
             raise BadFilterError("like compares a text with a pattern.")
         fits = _pattern(like)
@@ -246,6 +252,20 @@ def _of_texts(texts: Texts | str, holds: Callable[[str], bool]) -> Truth:
     if isinstance(texts, str):
         return _decided(holds(texts))
     return np.append(_decided([holds(each) for each in texts.values]), np.int8(0))[texts.codes]
+
+
+def _id_like(value: _Value, other: _Value) -> _Value:
+    """Return an id that a filter holds as a text as the number that it is, where it is compared with a property."""
+    if isinstance(value, str) and isinstance(other, _Number) and other.is_id:
+        return _Number(float(value) if re.fullmatch(r"[+-]?\d{1,15}", value) else np.nan)
+    return value
+
+
+def _as_texts(ids: _Number) -> Texts:
+    known, codes = np.unique(ids.value, return_inverse=True)  # NaN comes last
+    known = known[~np.isnan(known)]
+    codes = np.where(codes < len(known), codes, -1)
+    return Texts([f"{each:.0f}" for each in known.tolist()], codes.astype(np.int32))
 
 
 def _pattern(pattern: str) -> re.Pattern[str]:

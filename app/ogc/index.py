@@ -52,6 +52,8 @@ class Query:
     filter : Filter or None
     after : Key or None
         Where the page begins: with the feature after this one.
+    offset : int
+        Or after so many, for clients that count by themselves.
     limit : int
     """
 
@@ -59,6 +61,7 @@ class Query:
     interval: Interval | None = None
     filter: Filter | None = None
     after: Key | None = None
+    offset: int = 0
     limit: int = 100
 
 
@@ -113,9 +116,12 @@ class Source:
     ----------
     job : str or None
         Of this job; None: of the newest successful one of every drive.
+    until : float or None
+        The newest that had ended then, seconds since 1970: so that all pages of a query are of the same jobs.
     """
 
     job: str | None = None
+    until: float | None = None
 
     @property
     def collections(self) -> Mapping[str, Collection]:
@@ -135,7 +141,7 @@ class Source:
 
     def chunks(self, *columns: Any) -> Select[Any]:  # noqa: ANN401 - of the tables below
         """Return the query for chunks, joined with their drives."""
-        found = select(Job).where(Job.id == self.job) if self.job is not None else newest_results()
+        found = select(Job).where(Job.id == self.job) if self.job is not None else self._newest()
         jobs = found.with_only_columns(Job.id, Job.drive_id).subquery()
         return (
             select(*columns)
@@ -143,6 +149,16 @@ class Source:
             .join(FeatureChunk, FeatureChunk.job_id == jobs.c.id)
             .join(Drive, Drive.id == jobs.c.drive_id)
         )
+
+    def _newest(self) -> Select[Job]:
+        return newest_results() if self.until is None else newest_results(Job.finished_at <= self.until)
+
+    def pinned(self, session: Session) -> Source:
+        """Return the source of these jobs and no later ones."""
+        if self.job is not None or self.until is not None:
+            return self
+        ends = newest_results().with_only_columns(Job.finished_at).subquery()
+        return Source(until=session.scalar(select(func.max(ends.c.finished_at))))
 
 
 def extents(session: Session, source: Source) -> dict[str, Extent]:
@@ -188,7 +204,9 @@ def find_page(session: Session, source: Source, collection: Collection, query: Q
     candidates = _candidates(session, source, collection, *_conditions(query))
     masks = list(_masks(candidates, query))
     matched = np.flatnonzero(reduce(np.logical_and, masks)) if masks else np.arange(len(candidates))
-    start = 0 if query.after is None else int(np.searchsorted(matched, candidates.place_after(query.after)))
+    start = min(query.offset, len(matched))
+    if query.after is not None:
+        start = int(np.searchsorted(matched, candidates.place_after(query.after)))
     stop = min(start + query.limit, len(matched))
     page = matched[start:stop]
     previous = start - query.limit - 1

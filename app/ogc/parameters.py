@@ -29,7 +29,7 @@ MAX_LIMIT = 10_000
 _NUMBER = r"[+-]?(\d{1,12}(\.\d{0,30})?|\.\d{1,30})([eE][+-]?\d{1,3})?"
 _CRS84H = "http://www.opengis.net/def/crs/OGC/0/CRS84h"
 _TIME = re.compile(r"\d{4}-\d\d-\d\d([Tt ]\d\d:\d\d:\d\d(\.\d{1,9})?([Zz]|[+-]\d\d:\d\d))?")
-_KEY = re.compile(r"(\d{1,9})\.(\d{1,4})")
+_KEY = re.compile(r"(\d{1,9})\.(\d{1,4})(?:\.(\d{1,17}))?")
 
 Format = Literal["json", "html"]
 
@@ -66,6 +66,12 @@ class Asked:
     filter_lang: str | None
     filter_crs: str | None
     after: str | None
+    offset: str | None
+
+    @property
+    def until(self) -> float | None:
+        """Until when jobs had ended whose features are asked for, seconds since 1970, as the first page had them."""
+        return None if self.after is None else _page_after(self.after)[1]
 
     def query(self, collection: Collection, values: Mapping[str, str]) -> index.Query:
         """Return what is asked for.
@@ -91,7 +97,8 @@ class Asked:
             area=None if self.bbox is None else _area(self.bbox),
             interval=None if self.datetime is None else _interval(self.datetime),
             filter=read_filter(self.filter, language, collection, values) if is_filtered else None,
-            after=None if self.after is None else _key(self.after),
+            after=None if self.after is None else _page_after(self.after)[0],
+            offset=_offset(self.offset, self.after),
             limit=_limit(self.limit),
         )
 
@@ -143,8 +150,16 @@ async def _asked(
     after: Annotated[
         str | None, Query(description="Where the page begins: taken from the links `next`, `prev`.")
     ] = None,
+    offset: Annotated[
+        str | None,
+        Query(
+            description="Leave out so many features, for clients that count pages by themselves. The links `next` and "
+            "`prev` are better: they stay with the jobs of the first page though others end meanwhile.",
+            json_schema_extra={"type": "integer", "minimum": 0},
+        ),
+    ] = None,
 ) -> Asked:
-    return Asked(limit, bbox, bbox_crs, datetime_, filter_, filter_lang, filter_crs, after)
+    return Asked(limit, bbox, bbox_crs, datetime_, filter_, filter_lang, filter_crs, after, offset)
 
 
 AskedDep = Annotated[Asked, Depends(_asked)]
@@ -211,8 +226,21 @@ def _language(asked: str | None, text: str | None) -> Language:
     return cast("Language", asked)
 
 
-def _key(text: str) -> Key:
+def _offset(text: str | None, after: str | None) -> int:
+    if text is None:
+        return 0
+    if after is not None or not re.fullmatch(r"\d{1,12}", text):
+        raise _wrong("offset", text, "a whole number from 0, and no `after` beside it")
+    return int(text)
+
+
+def page_token(key: Key, until: float | None) -> str:
+    """Return `after` of the page behind a key, of jobs that had ended until then."""
+    return str(key) if until is None else f"{key}.{math.floor(until * 1e6) + 2}"
+
+
+def _page_after(text: str) -> tuple[Key, float | None]:
     match = _KEY.fullmatch(text)
     if match is None:
         raise _wrong("after", text, "what the links `next` and `prev` hold; leave it out to begin with the first page")
-    return Key(int(match[1]), int(match[2]))
+    return Key(int(match[1]), int(match[2])), None if match[3] is None else int(match[3]) / 1e6

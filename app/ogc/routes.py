@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from functools import wraps
 from typing import Annotated, Any
 
@@ -34,7 +35,7 @@ from app.ogc.models import (
     OgcSchema,
 )
 from app.ogc.pages import page_of
-from app.ogc.parameters import AskedDep, Format, FormatDep
+from app.ogc.parameters import AskedDep, Format, FormatDep, page_token
 from app.results.folder import ResultsDep
 from app.results.routes.results import PROBLEMS, JobId
 
@@ -178,8 +179,11 @@ def _items(
     values = {name: value for name, value in request.query_params.items() if name in found.queryables}
     query = asked.query(found, values)
     with served.database.reading() as session:
-        page = find_page(session, served.source, found, query)
-    content = served.place.items(found, page, request.query_params.multi_items())
+        source = replace(served.source, until=asked.until).pinned(session)
+        page = find_page(session, source, found, query)
+    content = served.place.items(
+        found, page, request.query_params.multi_items(), token=lambda key: page_token(key, source.until)
+    )
     return served.answer(content, form, GEOJSON)
 
 

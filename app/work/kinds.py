@@ -13,6 +13,8 @@ from app.work.progress import ProgressFiles
 from app.work.task import Part, Plan, Task
 from interloc.errors import InterLocError
 
+_PART_S = 120.0
+
 
 @dataclass(frozen=True)
 class Kind:
@@ -27,6 +29,8 @@ class Kind:
         What the work is doing in each of the three calls, for the client.
     urgent : bool
         Somebody waits for it: it goes first, and never behind long work.
+    unit_s : float, optional
+        Seconds that each unit of a part may take, beside two minutes; otherwise a part may take as long as any stage.
     changes_drive : bool
         It works on a drive that is not ready yet, and its end is written into the drive (`app.drives.finish`).
     """
@@ -36,11 +40,18 @@ class Kind:
     stages: tuple[str, str, str]
     urgent: bool = True
     changes_drive: bool = True
+    unit_s: float | None = None
+
+    def part_s(self, part: Part) -> float:
+        """Return how long a part may take, seconds."""
+        return float("inf") if self.unit_s is None else _PART_S + self.unit_s * (part.stop - part.start)
 
     def stages_of(self, request: JobRequest) -> tuple[str, str, str]:
         """Return what the work is doing in each of the three calls for a request."""
         first, second, third = self.stages
-        is_labelled = isinstance(request, CommitJob) and request.options.model is not None
+        is_labelled = isinstance(request, CommitJob) and (
+            request.options.model is not None or request.options.labels == "geometry"
+        )
         return first, "labelling" if is_labelled else second, third
 
     def load(self) -> ModuleType:
@@ -57,7 +68,7 @@ KINDS: dict[str, Kind] = {
         changes_drive=False,
     ),
     JobKind.COMMIT: Kind("app.drives.work.commit", CommitJob, ("checking", "reducing", "storing")),
-    JobKind.UNPACK: Kind("app.drives.work.unpack", UnpackJob, ("checking", "unpacking", "storing")),
+    JobKind.UNPACK: Kind("app.drives.work.unpack", UnpackJob, ("checking", "unpacking", "storing"), unit_s=3.0),
     JobKind.DEMO: Kind("app.demo.work", JobRequest, ("preparing", "simulating", "storing")),
 }
 

@@ -37,6 +37,7 @@ DATA_DIR = click.option(
 @click.option("--dask", metavar="ADDRESS", help="Dask scheduler that does the work instead, as tcp://host:8786.")
 @click.option("--allow-anonymous", is_flag=True, default=None, help="Serve other machines without any token.")
 @click.option("--root-path", metavar="PATH", help="Path under which a reverse proxy publishes the service.")
+@click.option("--public-url", metavar="URL", help="Address under which people reach the service, for links.")
 @click.option("--log-format", type=click.Choice(["json", "text"]), help="Format of the log on stderr.  [default: json]")
 @click.option(
     "--log-level",
@@ -242,7 +243,7 @@ def read_settings(given: dict[str, Any]) -> Settings:
         from app.settings import Settings
     except ModuleNotFoundError as error:
         raise InterLocError(
-            f"the service needs {error.name}, which is not installed: pip install 'interloc[service]'"
+            f"the service needs {error.name}, which is not installed: pip install '.[service]' in the clone of InterLoc"
         ) from error
     from pydantic import ValidationError
 

@@ -249,7 +249,10 @@ def check_labels(folder: str, judgement: LabelJudgement, findings: Findings) -> 
         findings.error(
             DriveFileError(
                 folder,
-                f"no point of the scans looked at is road: the ids are {listed(ids, 20)}; road would be {wanted} "
+                "no road was found by geometry in the scans looked at. Expected flat ground under the vehicle, and "
+                "poses of the sensor that saw it. Usual cause: poses of another drive, or in another frame."
+                if folder == "geometry"
+                else f"no point of the scans looked at is road: the ids are {listed(ids, 20)}; road would be {wanted} "
                 f"(scheme {scheme.name}). Usual cause: another label scheme; name it, or give the ids of road.",
             )
         )

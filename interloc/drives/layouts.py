@@ -82,6 +82,11 @@ class DriveParts:
     pose_frame: tuple[PoseOwner, str] | None = None
 
     @property
+    def has_poses(self) -> bool:
+        """Whether there is a file of poses, or one of fixes that tell them."""
+        return self.oxts is not None if self.poses is None else self.poses.exists()
+
+    @property
     def in_kitti360_world(self) -> bool:
         """Whether the poses are in the world of KITTI-360: its pose file, where it is published."""
         return self.layout == "kitti360" and self.poses is not None and self.poses.parent.parent.name == KITTI360_POSES

@@ -3,27 +3,38 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
 from typing import Unpack, cast
 
 from interloc.drives.checks import NEAR_M, check_flat_road, check_turns, sample_indices
-from interloc.drives.files import each_read_once
+from interloc.drives.files import SourceFile, each_read_once
 from interloc.drives.findings import Findings
 from interloc.drives.folder import FolderDrive, Scans
 from interloc.drives.formats import FORMATS, ScanFormat, find_format, installed_formats
 from interloc.drives.georeference.geodetic import check_georeference
 from interloc.drives.labels import SEMANTICKITTI, LabelJudgement
 from interloc.drives.layouts import SCAN_FOLDERS, not_a_drive, recognise_layout
-from interloc.drives.options import LABEL_FILES, DriveArguments, DriveOptions, LabelFolder, ReadingOptions
+from interloc.drives.odometry import how_made, track_file
+from interloc.drives.options import (
+    LABEL_FILES,
+    ODOMETRY,
+    DriveArguments,
+    DriveOptions,
+    LabelFolder,
+    ReadingOptions,
+)
 from interloc.drives.plausibility import RoadSeen, check_motion, check_points
+from interloc.drives.scan_motion import check_scan_motion
+from interloc.drives.scans.deskewed import deskewed, is_to_deskew
 from interloc.drives.scans.raw import RawScans, trajectory_of
 from interloc.drives.scans.recorded import Recording
 from interloc.drives.scans.reduced import ReducedScans, reduced_trajectory
 from interloc.drives.scans.reduced_format import ReducedManifest, is_reduced, read_manifest
 from interloc.drives.trajectory import Trajectory
+from interloc.processes import Progress
 
 SAMPLED_SCANS = 5
 """How many scans are looked into, unless all are."""
@@ -52,7 +63,10 @@ def open_drive(
     layout
         "auto", or the name of one of the `interloc.drives.formats`.
     poses, points, fix, crs : str or None
-        Where poses, scans and fixes are, and the coordinate system of LAS files: see `ReadingOptions`.
+        Where poses, scans and fixes are, and the coordinate system of LAS files: see `ReadingOptions`. The poses
+        "odometry" are computed from the points.
+    deskew : {"auto", "on", "off"}
+        Whether the motion within scans is taken out of points that carry times.
     model
         Folder of a network (`interloc.labelling`) that labels the scans as they are read; label files do not count.
     provider
@@ -126,31 +140,22 @@ def read_drive(
     label_folders: Sequence[LabelFolder] = (),
     thorough: bool = False,
     needs_labels: bool = True,
+    progress: Progress | None = None,
 ) -> dict[LabelFolder, DriveReading]:
     """Read all of a drive but its points, and check it; look into some scans, or into all of them (`thorough`).
 
     The drive is opened once, and its small files are read once, for all label folders (those of `options.labels` by
-    default).
+    default). Where poses are computed from points, `progress` is called with the scans done and the scans in all.
 
     Raises
     ------
     DriveError, GeoreferenceError
         The first fault, where `findings` stops at it.
     """
-    opened: Recording | ReducedManifest | None = None
     readings: dict[LabelFolder, DriveReading] = {}
-
-    @cache
-    def trajectory() -> Trajectory:
-        assert opened is not None
-        if isinstance(opened, ReducedManifest):
-            return reduced_trajectory(opened, root, options, findings)
-        return trajectory_of(opened, options, findings)
-
     with each_read_once():
-        with findings.stage():
-            opened = read_manifest(root) if is_reduced(root) else open_recording(root, options, findings)
-        for folder in dict.fromkeys(label_folders or (_label_folder(opened, options, findings),)):
+        opened, trajectory = _open(root, options, findings, progress)
+        for folder in dict.fromkeys(label_folders or (_label_folder(opened, options, findings, needs_labels),)):
             scans: Scans | None = None
             with findings.stage():
                 if isinstance(opened, ReducedManifest):
@@ -166,6 +171,42 @@ def read_drive(
             reading = DriveReading(scans, where, sample, labels, _drive_of(scans, where, labels))
             readings[folder] = _checked(reading, findings) if options.check else reading
     return readings
+
+
+def _open(
+    root: Path, options: DriveOptions, findings: Findings, progress: Progress | None
+) -> tuple[Recording | ReducedManifest | None, Callable[[], Trajectory]]:
+    """Open the scans of a drive, and return with them what reads, once, where they were taken."""
+    opened: Recording | ReducedManifest | None = None
+    track: SourceFile | None = None
+
+    @cache
+    def trajectory() -> Trajectory:
+        assert opened is not None
+        if isinstance(opened, ReducedManifest):
+            return reduced_trajectory(opened, root, options, findings)
+        if options.poses == ODOMETRY:
+            return Trajectory(georeference_reason="the poses could not be computed")
+        found = trajectory_of(opened, options, findings)
+        if track is not None and found.poses is not None:
+            return replace(found, poses=replace(found.poses, reason=how_made(track)))
+        return found
+
+    with findings.stage():
+        opened = read_manifest(root) if is_reduced(root) else open_recording(root, options, findings)
+    if isinstance(opened, Recording) and opened.frames is not None:
+        with findings.stage():
+            if options.poses is None and not opened.has_poses:
+                findings.warning("poses", "there are none: they are computed from the points (--poses odometry).")
+                options = options.model_copy(update={"poses": ODOMETRY})
+                opened = open_recording(root, options, findings)
+            if options.poses == ODOMETRY:
+                track = track_file(opened, options, findings, progress)
+                options = options.model_copy(update={"poses": str(track.path), "pose_frame": "lidar"})
+                opened = open_recording(root, options, findings)
+            if is_to_deskew(opened, options, findings):
+                opened = deskewed(opened, trajectory(), options, findings)
+    return opened, trajectory
 
 
 def open_recording(root: Path, options: DriveOptions, findings: Findings) -> Recording:
@@ -195,7 +236,9 @@ def open_recording(root: Path, options: DriveOptions, findings: Findings) -> Rec
     raise not_a_drive(root, options)
 
 
-def _label_folder(opened: Recording | ReducedManifest | None, options: DriveOptions, findings: Findings) -> LabelFolder:
+def _label_folder(
+    opened: Recording | ReducedManifest | None, options: DriveOptions, findings: Findings, needs_labels: bool
+) -> LabelFolder:
     """Return the labels that were asked for; where that was left open, the first that there are."""
     if options.labels != "auto":
         return options.labels
@@ -206,7 +249,14 @@ def _label_folder(opened: Recording | ReducedManifest | None, options: DriveOpti
     there = [folder for folder in LABEL_FILES if opened.parts.label_folder(folder).is_dir()]
     if there == ["predictions"]:
         findings.note("predictions", "are the labels: there is no labels/.")
-    return there[0] if there else "labels"
+    if there or opened.carries_labels or not needs_labels or opened.points is None:
+        return there[0] if there else "labels"
+    findings.warning(
+        "labels",
+        "there are none: the road is found by geometry (--labels geometry), from the points and the path driven. "
+        "Labels of a network place intersections better: docs/labels.md says where to get one.",
+    )
+    return "geometry"
 
 
 def _drive_of(scans: Scans, trajectory: Trajectory, labels: LabelJudgement) -> FolderDrive | None:
@@ -240,10 +290,14 @@ def _checked(reading: DriveReading, findings: Findings) -> DriveReading:
         with findings.stage():
             if len(road := drive.ground_points(index).road):
                 seen.append(RoadSeen.of(index, road, NEAR_M))
+    errors = findings.errors
     check_points(drive.T_world_lidar, seen, scans.parts.file(scans.parts.scans).name, findings)
     check_motion(drive.T_world_lidar, pose_file, findings)
     reading = replace(reading, flatness_m=check_flat_road(drive, scans.usable, pose_file, findings))
-    check_turns(drive, scans.usable, pose_file, findings, suspected=reading.trajectory.is_odd)
+    if findings.errors == errors:  # else what follows is the same fault in other words
+        check_scan_motion(drive, scans.usable, pose_file, findings)
+    if findings.errors == errors:
+        check_turns(drive, scans.usable, pose_file, findings, suspected=reading.trajectory.is_odd)
     if isinstance(scans, RawScans):
         scans.tell_doubts(findings)
     if drive.georeference is None or drive.pose_frame == "oxts":

@@ -31,6 +31,10 @@ LABEL_FILES: tuple[LabelFolder, ...] = ("labels", "predictions")
 
 LabelChoice = Literal["auto", "labels", "predictions", "geometry"]
 PoseFrame = Literal["auto", "camera", "lidar"]
+Deskew = Literal["auto", "on", "off"]
+ODOMETRY = "odometry"
+"""In place of a file of poses: they are computed from the points."""
+
 LABELS = (
     "Which labels: the files of labels/ or predictions/, or geometry, which finds the road by the points and the path "
     "driven; auto takes the first that there is, labels of the points themselves before geometry."
@@ -90,7 +94,7 @@ class ReadingOptions(BaseModel):
         None,
         max_length=1000,
         description="Where the poses are, if not where the layout has them: a file of poses (KITTI or TUM), the "
-        "trajectory of LAS files, or the topic of a bag.",
+        "trajectory of LAS files, or the topic of a bag; or the word odometry: they are computed from the points.",
         examples=["/odometry"],
     )
     points: str | None = Field(
@@ -103,6 +107,11 @@ class ReadingOptions(BaseModel):
         pattern=CRS_PATTERN,
         description="Coordinate system of LAS files that do not name theirs.",
         examples=["EPSG:25832"],
+    )
+    deskew: Deskew = Field(
+        "auto",
+        description="Take the motion within a scan out of points that carry times; auto does it where the points of a "
+        "spinning LiDAR show that it is still in them.",
     )
 
     @classmethod
@@ -170,6 +179,7 @@ class DriveArguments(TypedDict, total=False):
     points: str | None
     fix: str | None
     crs: str | None
+    deskew: Deskew
     model: str | os.PathLike[str] | None
     provider: str
     name: str | None

@@ -173,14 +173,14 @@ def position_std(sightings: Sightings, *, prior_std_m: float) -> FloatArray:
     return std
 
 
-def position_covariance(
+def shape_covariance(
     sightings: Sightings,
     bearings_deg: Sequence[FloatArray],
     calibration: CalibrationConfig,
     *,
     limit_m: float | None = None,
 ) -> FloatArray:
-    """Estimate the covariance of the position of each intersection, but for the part of the georeference.
+    """Estimate the part of the covariance of each position that all drives share: that of its shape.
 
     Parameters
     ----------
@@ -198,17 +198,13 @@ def position_covariance(
 
     Notes
     -----
-    The sum of two independent parts; `fix_variance` is the third.
-
-    The shape: an intersection is where the lines of its branches meet. With a standard deviation sigma of each line
+    An intersection is where the lines of its branches meet. With a standard deviation sigma of each line
     across itself, weighted least squares give the covariance (sum n n^T / sigma^2)^-1 over the normals n of the
     branches (Foerstner and Wrobel, Photogrammetric Computer Vision, 4.1.2): along the bisector of an acute pair it is
     largest. Where the score is low the lines pass the point widely, and where those of most detections are, the labels
     are coarse, so that lines lean together even where they meet: sigma^2 = line_std_m^2 + (unclear_line_std_m (1 -
     score))^2 + (coarse_line_std_m (1 - usual score))^2. The candidate bounds it: + I / shape_limit_m^2 in the inverse.
-    All sightings share it, since all see the same kerbs: their number does not make it smaller.
-
-    The scatter between sightings: s^2 / n_eff.
+    All sightings share it, since all see the same kerbs: more of them, or of drives, do not make it smaller.
     """
     limit_m = limit_m or calibration.shape_limit_m
     covariance = np.zeros((len(bearings_deg), 2, 2))
@@ -218,10 +214,28 @@ def position_covariance(
         normals = np.stack([np.cos(angle), -np.sin(angle)], axis=-1)
         unclear_m = calibration.unclear_line_std_m * (1.0 - sightings.score[row])
         line_var = calibration.line_std_m**2 + unclear_m**2 + coarse_m**2
-        shape = np.linalg.inv(normals.T @ normals / line_var + np.eye(2) / limit_m**2)
-        scatter = sightings.scatter_m2[row] / max(sightings.independent[row], 1.0)
-        covariance[row] = shape + scatter * np.eye(2)
+        covariance[row] = np.linalg.inv(normals.T @ normals / line_var + np.eye(2) / limit_m**2)
     return covariance
+
+
+def scatter_variance(sightings: Sightings) -> FloatArray:
+    """Return what the scatter between the sightings leaves to each position, (M,) square metres: s^2 / n_eff."""
+    return sightings.scatter_m2 / np.maximum(sightings.independent, 1.0)
+
+
+def position_covariance(
+    sightings: Sightings,
+    bearings_deg: Sequence[FloatArray],
+    calibration: CalibrationConfig,
+    *,
+    limit_m: float | None = None,
+) -> FloatArray:
+    """Estimate the covariance of the position of each intersection, but for the part of the georeference.
+
+    The sum of two independent parts, `shape_covariance` and `scatter_variance`, (M, 2, 2); `fix_variance` is the third.
+    """
+    shape = shape_covariance(sightings, bearings_deg, calibration, limit_m=limit_m)
+    return shape + scatter_variance(sightings)[:, None, None] * np.eye(2)
 
 
 def fix_variance(sightings: Sightings, calibration: CalibrationConfig) -> FloatArray:

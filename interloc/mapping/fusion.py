@@ -18,13 +18,14 @@ from interloc.mapping.estimation import (
     fuse_widths,
     junction_probability,
     members_of,
-    position_covariance,
     position_std,
     robust_centres,
+    scatter_variance,
+    shape_covariance,
     summarize_sightings,
     visibility,
 )
-from interloc.results import DetectionTable, IntersectionTable, KeyframeTable
+from interloc.results import DetectionTable, IntersectionTable, KeyframeTable, PositionParts
 
 
 def fuse(
@@ -66,7 +67,7 @@ def fuse(
     `score_influence`. A false detection in one of twenty keyframes gets 0.07, a real one in two of two 0.6. It
     decides what is kept, and is the confidence where there is no calibration.
 
-    Uncertainty of the position and calibrated confidence: see `position_std`, `position_covariance` and
+    Uncertainty of the position and calibrated confidence: see `position_std`, `shape_covariance` and
     `junction_probability` of `interloc.mapping.estimation`.
     """
     config = config or FusionConfig()
@@ -248,11 +249,15 @@ def _table(
     if calibration is None:
         std = position_std(sightings, prior_std_m=config.prior_std_m)
         covariance = std[:, None, None] ** 2 * np.eye(2)
+        parts = PositionParts.unknown(len(centres))
     else:
-        covariance = position_covariance(sightings, bearings, calibration)
+        shape = shape_covariance(sightings, bearings, calibration)
+        no_fix = np.zeros(len(centres))
+        fix_var = no_fix if scene.origin_lonlat is None else fix_variance(sightings, calibration)
+        scatter_var = scatter_variance(sightings)
+        parts = PositionParts(np.sqrt(fix_var), shape[:, [0, 0, 1], [0, 1, 1]], np.sqrt(scatter_var))
+        covariance = shape + (fix_var + scatter_var)[:, None, None] * np.eye(2)
         confidence = junction_probability(rate, sightings, bearings, calibration)
-        if scene.origin_lonlat is not None:
-            covariance = covariance + fix_variance(sightings, calibration)[:, None, None] * np.eye(2)
         std = np.sqrt(np.trace(covariance, axis1=1, axis2=2) / 2.0)
     return IntersectionTable(
         id=np.arange(1, len(centres) + 1, dtype=np.int64),
@@ -275,6 +280,7 @@ def _table(
         first_frame=keyframes.frame[first],
         last_frame=keyframes.frame[last],
         position_cov_m2=covariance[:, [0, 0, 1], [0, 1, 1]],
+        parts=parts,
     )
 
 

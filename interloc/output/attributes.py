@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 
-from interloc.output.layers import DERIVED, LAYERS, Layer
+from interloc.output.layers import CITY_LAYERS, DERIVED, LAYERS, Layer
 from interloc.output.properties import Attribute
 
 _HEAD = """# The attributes of the result layers
@@ -39,7 +39,10 @@ confidence.
 `position_cov_m2` is the covariance of the position: of the georeference (as OXTS state it of themselves, else 0.3 m),
 of the lines of the branches, which is largest along the bisector of an acute pair, and of the scatter of the sightings.
 `position_std_m` sums it up as one sigma along each axis; the layer `uncertainty` draws the ellipse of 95 %. With preset
-`paper` both hold the scatter alone.
+`paper` both hold the scatter alone. Who puts several drives together needs its parts: the one of the georeference
+(`fix_std_m`) is shared by all intersections of a drive, that of the lines (`shape_cov_m2`) by all drives that saw the
+intersection, and that of the scatter (`scatter_std_m`) by nothing: only the first and the last get smaller with more
+drives.
 """
 
 _KINDS = {
@@ -57,6 +60,8 @@ def render() -> str:
     parts = [_HEAD, *(_section(layer) for layer in LAYERS.values())]
     parts.append("## Made by exports\n\nThese two are made of the intersections when a result is exported.\n")
     parts += [_section(layer) for layer in DERIVED.values()]
+    parts.append("## Of many drives\n\nThese are the files of a map that `interloc merge` makes of several results.\n")
+    parts += [_section(layer) for layer in CITY_LAYERS.values()]
     return "\n".join(parts)
 
 

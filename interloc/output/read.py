@@ -13,8 +13,8 @@ from interloc.errors import OutputError
 from interloc.geometry import wrap_angle
 from interloc.output.geojson import damaged, read_json
 from interloc.output.layers import LAYERS, Rows
-from interloc.output.layout import FORMAT, FORMAT_VERSION, RUN_FILE, RUN_KEYS, file_names
-from interloc.results import DetectionTable, DriveResult, IntersectionTable, KeyframeTable
+from interloc.output.layout import FORMAT, FORMAT_VERSION, ROAD_FILE, RUN_FILE, RUN_KEYS, TABLES, file_names
+from interloc.results import DetectionTable, DriveResult, IntersectionTable, KeyframeTable, PositionParts
 
 
 def read_results(folder: str | os.PathLike[str]) -> DriveResult:
@@ -36,7 +36,8 @@ def read_results(folder: str | os.PathLike[str]) -> DriveResult:
     run = read_run(folder)
     georeferenced = run["georeferenced"]
     names = file_names(georeferenced=georeferenced)
-    rows = {table: LAYERS[table].read(folder / name) for table, name in names.items()}
+    rows = {table: LAYERS[table].read(folder / names[table]) for table in TABLES}
+    road_file = folder / ROAD_FILE
     keyframes = _read_keyframes(rows["keyframes"], georeferenced=georeferenced)
     intersections = _read_intersections(rows["intersections"], georeferenced=georeferenced)
     detections = _read_detections(rows["detections"], keyframes, intersections, georeferenced=georeferenced)
@@ -49,6 +50,7 @@ def read_results(folder: str | os.PathLike[str]) -> DriveResult:
         trajectory_world_xy=world_xy,
         trajectory_lonlat=lonlat,
         run={k: v for k, v in run.items() if k not in RUN_KEYS},
+        road_file=road_file if road_file.is_file() else None,
     )
 
 
@@ -107,17 +109,24 @@ def _read_intersections(rows: Rows, *, georeferenced: bool) -> IntersectionTable
         widths_m=_read_widths(rows),
         first_frame=rows.integers("first_frame"),
         last_frame=rows.integers("last_frame"),
-        position_cov_m2=_read_covariances(rows),
+        position_cov_m2=_read_covariances(rows, "position_cov_m2"),
+        parts=_read_parts(rows),
     )
 
 
-def _read_covariances(rows: Rows) -> FloatArray | None:
-    """Return the covariances of the positions, (M, 3); None where the result is of a version before them."""
-    written = rows.column("position_cov_m2")
+def _read_parts(rows: Rows) -> PositionParts | None:
+    """Return what the covariances are the sum of; None where the result does not tell."""
+    shape = _read_covariances(rows, "shape_cov_m2")
+    return None if shape is None else PositionParts(rows.numbers("fix_std_m"), shape, rows.numbers("scatter_std_m"))
+
+
+def _read_covariances(rows: Rows, name: str) -> FloatArray | None:
+    """Return covariances, (M, 3); None where the result is of a version before them."""
+    written = rows.column(name)
     if any(each is None for each in written):
         return None
     if any(len(each) != 3 for each in written):
-        raise damaged(rows.path, "a position_cov_m2 does not have three numbers")
+        raise damaged(rows.path, f"a {name} does not have three numbers")
     return np.array(written, dtype=np.float64).reshape(-1, 3)
 
 

@@ -16,9 +16,10 @@ import numpy as np
 from interloc.arrays import FloatArray, UInt8Array
 from interloc.errors import ConfigError, DamagedResultError
 from interloc.files import atomic_write
-from interloc.mapping.mosaic import TILE, Mosaic, Raster
+from interloc.mapping.mosaic import TILE, Mosaic, Raster, build_mosaic
 from interloc.output.geojson import read_json
 from interloc.output.layout import ROAD_FILE, RUN_FILE, refuse_result_file
+from interloc.results import DriveResult
 
 ROAD_LAYER = "road"
 RASTER_SUFFIXES = (".tif", ".tiff")
@@ -42,7 +43,9 @@ _WEB_MERCATOR, _LONLAT = 3857, 4326
 
 
 def write_road(mosaic: Mosaic, path: Path) -> None:
-    """Write a mosaic as GeoTIFF: tiled, deflated, 0 is no data, empty tiles take no room.
+    """Write a mosaic as GeoTIFF: tiled, deflated, 0 is no data; all empty tiles are one in the file.
+
+    Tiles that are left out, as GDAL can, are no tiles to other readers: OpenCV and Pillow refuse the file.
 
     Raises
     ------
@@ -66,7 +69,8 @@ def write_road(mosaic: Mosaic, path: Path) -> None:
     ]
     there = (raster.tiles.get((row, col)) for row in range(top, bottom + 1) for col in range(left, right + 1))
     tiles = (b"" if tile is None else zlib.compress(tile.tobytes()) for tile in there)
-    with atomic_write(path) as file, TiffWriter(file) as tiff:
+    content = io.BytesIO()
+    with TiffWriter(content) as tiff:
         tiff.write(
             tiles,
             shape=((bottom - top + 1) * TILE, (right - left + 1) * TILE),
@@ -79,6 +83,24 @@ def write_road(mosaic: Mosaic, path: Path) -> None:
             metadata=None,
             extratags=tags,
         )
+    _share_empty_tile(content)
+    with atomic_write(path) as file:
+        file.write(content.getvalue())
+
+
+def _share_empty_tile(content: io.BytesIO) -> None:
+    """Let the tiles that were left out be one that is empty, at the end of the file."""
+    from tifffile import TiffFile  # noqa: PLC0415
+
+    empty = zlib.compress(bytes(TILE * TILE))
+    place = content.seek(0, io.SEEK_END)
+    content.write(empty)
+    content.seek(0)
+    with TiffFile(content) as tiff:
+        tags: Any = tiff.pages[0].tags  # type: ignore[union-attr] # the first one is read
+        offsets, counts = (list(tags[name].value) for name in ("TileOffsets", "TileByteCounts"))
+        tags["TileOffsets"].overwrite([offset or place for offset in offsets])
+        tags["TileByteCounts"].overwrite([count or len(empty) for count in counts])
 
 
 def read_road(path: Path) -> Mosaic:
@@ -106,6 +128,17 @@ def read_road(path: Path) -> Mosaic:
     except (OSError, ValueError, KeyError, IndexError, TypeError, TiffFileError) as error:
         raise DamagedResultError(f"{path} is missing or damaged. Run `interloc detect` again.") from error
     return Mosaic(raster, epsg)
+
+
+def mosaic_of(result: DriveResult) -> Mosaic:
+    """Return the road that a run saw: from its patches, or from `road.tif` where it was read from a folder.
+
+    Raises
+    ------
+    DamagedResultError
+        The file is missing or damaged.
+    """
+    return build_mosaic(result) if result.road_file is None else read_road(result.road_file)
 
 
 def export_road(result: Path, out: Path) -> None:

@@ -361,7 +361,9 @@ def _table(layer: Layer, rows: Rows) -> Any:  # noqa: ANN401 - geopandas has no 
     columns = {name: rows.column(name) for name in layer.fields}
     for name, kind in layer.fields.items():
         if kind == "list":
-            columns[name] = [json.dumps(value, separators=(",", ":")) for value in columns[name]]
+            columns[name] = [
+                None if value is None else json.dumps(value, separators=(",", ":")) for value in columns[name]
+            ]
         if kind == "time":
             columns[name] = pandas.to_datetime(columns[name], utc=True, format="ISO8601")
     table = GeoDataFrame(columns, geometry=places, crs=None if _in_metres(rows) else "EPSG:4326")

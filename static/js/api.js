@@ -4,6 +4,7 @@
  * Paths are relative to `/api/v1/` ("drives", `jobs/${id}/report`). Works in workers too, except for the dialog for a token.
  * @module api
  */
+import { keep, recall } from "./storage.js";
 
 /**
  * Where the page is served, with a slash at the end; right behind a reverse proxy with a path prefix too. This module is
@@ -44,7 +45,7 @@ export class ApiError extends Error {
 
 /** @returns {string|null} */
 export function getToken() {
-  return globalThis.sessionStorage?.getItem(TOKEN_KEY) ?? null;
+  return recall(TOKEN_KEY, "sessionStorage");
 }
 
 /** @type {Set<() => void>} */
@@ -52,8 +53,7 @@ const tokenListeners = new Set();
 
 /** @param {string|null} token Kept until the tab is closed; null forgets it. */
 export function setToken(token) {
-  if (token) sessionStorage.setItem(TOKEN_KEY, token);
-  else sessionStorage.removeItem(TOKEN_KEY);
+  keep(TOKEN_KEY, token, "sessionStorage");
   for (const call of tokenListeners) call();
 }
 
@@ -124,6 +124,13 @@ function authHeaders(extra = {}) {
   return token ? { Authorization: `Bearer ${token}`, ...extra } : { ...extra };
 }
 
+const OF_A_PROXY = {
+  title: "Too large for a proxy",
+  detail:
+    "A reverse proxy between this browser and the service takes no request of this size. Its operator can raise the " +
+    "limit: client_max_body_size 0 in nginx, as docs/service.md has it.",
+};
+
 /** @param {number} status @param {string} text @param {string|null} retryAfter @returns {ApiError} */
 function errorOf(status, text, retryAfter) {
   /** @type {any} */
@@ -132,6 +139,7 @@ function errorOf(status, text, retryAfter) {
     problem = JSON.parse(text);
   } catch {
     problem = { detail: text.length < 300 && !text.startsWith("<") ? text : "" };
+    if (status === 413) problem = OF_A_PROXY; // the service itself says more
   }
   const seconds = retryAfter === null ? NaN : Number(retryAfter);
   return new ApiError(status, problem, Number.isFinite(seconds) ? seconds : null);

@@ -5,7 +5,7 @@
  * `subscribe` (state.js) and leaves for another panel by `setState({panel: "job", job: id})`.
  *
  * Layers, the lowest first; a module imports from its own folder and from lines above its own, no others:
- *   dom  leaflet  state
+ *   dom  leaflet  state  storage
  *   api  controls
  *   messages  data  shortcuts
  *   map  job

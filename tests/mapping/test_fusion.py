@@ -546,3 +546,20 @@ def test_limits_in_the_wrong_order_are_refused() -> None:
         FusionConfig(visible_limit_m=10)
     with pytest.raises(pydantic.ValidationError, match="frozen"):
         FusionConfig().bandwidth_m = 3
+
+
+def test_the_uncertainty_is_told_in_parts_of_what_is_shared() -> None:
+    """The fix by a drive, the shape by all drives, the scatter by nothing: their sum is the covariance."""
+    stream = Stream(np.array([[40.0, 0.0]])).drive(straight((0, 0), (80, 0)))
+    keyframes, detections = stream.tables()
+    table, _ = fuse(keyframes, detections, None, CalibrationConfig(fix_std_m=0.5))
+    assert table.parts is not None
+    assert_allclose(table.parts.fix_std_m, 0.5)
+    own = table.parts.fix_std_m**2 + table.parts.scatter_std_m**2
+    assert_allclose(table.parts.shape_cov_m2 + own[:, None] * [1, 0, 1], table.position_cov_m2)
+    local, _ = fuse(*stream.tables(georeferenced=False), None, CalibrationConfig(fix_std_m=0.5))
+    assert local.parts is not None
+    assert_allclose(local.parts.fix_std_m, 0.0)
+    without, _ = fuse(keyframes, detections)
+    assert without.parts is not None
+    assert np.isnan(without.parts.scatter_std_m).all()

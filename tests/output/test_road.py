@@ -8,6 +8,7 @@ import subprocess
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -96,6 +97,19 @@ def test_the_file_says_where_it_lies(tmp_path: Path) -> None:
     path.write_bytes(path.read_bytes()[:200])
     with pytest.raises(DamagedResultError, match=r"road\.tif is missing or damaged"):
         read_road(path)
+
+
+def test_readers_that_know_no_empty_tiles_read_it(tmp_path: Path) -> None:
+    path = tmp_path / ROAD_FILE
+    tiles = {(row, row): np.full((TILE, TILE), row + 1, np.uint8) for row in range(8)}  # of 64
+    write_road(Mosaic(Raster(0.5, tiles), 32632), path)
+    by_opencv = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    assert by_opencv is not None
+    with Image.open(path) as by_pillow:
+        assert (np.asarray(by_pillow) == by_opencv).all()
+    assert by_opencv[::TILE, ::TILE].tolist() == np.diag(range(1, 9)).tolist()
+    assert read_road(path).raster.tiles.keys() == tiles.keys()
+    assert path.stat().st_size < 4000, "the empty ones are there once"
 
 
 @pytest.mark.skipif(shutil.which("gdallocationinfo") is None, reason="GDAL is not installed")

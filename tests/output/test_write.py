@@ -5,7 +5,7 @@ import math
 import subprocess
 import sys
 import tempfile
-from dataclasses import replace
+from dataclasses import is_dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,7 @@ from interloc.output.geojson import box_around
 from interloc.output.layout import result_folder
 from interloc.output.read import read_results
 from interloc.output.write import write_results
-from interloc.results import DetectionTable, DriveResult, IntersectionTable, KeyframeTable, unknown_like
+from interloc.results import DetectionTable, DriveResult, IntersectionTable, KeyframeTable, PositionParts, unknown_like
 from tests.output.small import small_result, write_folder
 
 
@@ -36,6 +36,8 @@ def assert_same(found: Any, expected: Any) -> None:
         other = getattr(found, name)
         if value is None:
             assert other is None, name
+        elif is_dataclass(value):
+            assert_same(other, value)
         elif name.endswith("yaw_rad"):
             assert_allclose(np.cos(other - value), 1, atol=1e-12, err_msg=name)
         elif isinstance(value, list):
@@ -61,7 +63,10 @@ def test_the_files_of_a_georeferenced_run(tmp_path: Path) -> None:
     assert sorted(p.name for p in tmp_path.iterdir()) == [
         "detections.geojson",
         "intersections.geojson",
+        "junctions.geojson",
         "keyframes.geojson",
+        "road_surface.geojson",
+        "roads.geojson",
         "run.json",
         "trajectory.geojson",
     ]
@@ -107,6 +112,9 @@ def test_the_files_of_a_georeferenced_run(tmp_path: Path) -> None:
         "observations": 2,
         "position_std_m": 0.25,
         "position_cov_m2": [0.0625, 0.03, 0.0625],
+        "fix_std_m": None,
+        "shape_cov_m2": None,
+        "scatter_std_m": None,
         "branch_count": 3,
         "branch_bearings_deg": [0.5, 90.75, 180.5],
         "branch_widths_m": [6.5, None, 3.25],
@@ -137,6 +145,9 @@ def test_the_files_of_a_georeferenced_run(tmp_path: Path) -> None:
             "keyframes.geojson",
             "trajectory.geojson",
             "intersections.geojson",
+            "roads.geojson",
+            "junctions.geojson",
+            "road_surface.geojson",
             "run.json",
         ],
         "first_time": None,
@@ -312,6 +323,9 @@ def results(draw: st.DrawFn) -> DriveResult:
             first_frame=frames(m),
             last_frame=frames(m),
             position_cov_m2=column(st.floats(-1e4, 1e4), 3 * m).reshape(m, 3),
+            parts=PositionParts(
+                column(shares, m), column(st.floats(-1e4, 1e4), 3 * m).reshape(m, 3), column(shares, m)
+            ),
         ),
         trajectory_world_xy=np.stack([np.arange(k) * 3.0, np.zeros(k)], axis=-1),
         trajectory_lonlat=track(k),

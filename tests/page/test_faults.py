@@ -64,6 +64,41 @@ def test_the_watch_sees_what_it_is_for(browser: Browser, done: Done, watch: Watc
     watch.check()
 
 
+BLOCKED = """
+for (const kind of ["localStorage", "sessionStorage", "indexedDB"])
+  Object.defineProperty(window, kind, { get() { throw new DOMException("Access is denied", "SecurityError"); } });
+"""
+
+
+def test_the_page_works_in_a_browser_that_blocks_storage(browser: Browser, done: Done, watch: Watch) -> None:
+    """As Chromium does where all cookies are blocked: what would be remembered is forgotten with the page."""
+    page = browser.new_page()
+    page.add_init_script(BLOCKED)
+    show(page, done, "panel=report")
+    page.locator("#panel-report tbody tr.can").first.wait_for()
+    layers = page.locator(".legend summary")
+    layers.click()
+    page.get_by_role("tab", name="Drives").click()
+    page.locator("#panel-drives").get_by_text("street", exact=True).first.wait_for()
+    page.get_by_role("button", name="Upload a drive").first.click()
+    page.set_input_files("input[name=folder]", done.short)
+    page.wait_for_selector(".upload-form >> text=read as semantickitti")
+    assert watch.faults == []
+
+
+def test_a_proxy_that_takes_no_large_requests_is_named(browser: Browser, done: Done, watch: Watch) -> None:
+    page = browser.new_page()
+    refusal = {"status": 413, "content_type": "text/html", "body": "<html><h1>413 Request Entity Too Large</h1></html>"}
+    page.route(re.compile(r"/api/v1/drives/\w+/(files|scans)"), lambda route: route.fulfill(**refusal))
+    watch.expect("413")
+    page.goto(done.server.address)
+    page.get_by_role("button", name="Upload a drive").click()
+    page.set_input_files("input[name=folder]", done.short)
+    page.wait_for_selector(".upload-form >> text=read as semantickitti")
+    page.get_by_role("button", name="Upload and run").click()
+    page.get_by_text("A reverse proxy between this browser and the service takes no request of this size").wait_for()
+
+
 TILE = "https://tiles.example/{z}/{x}/{y}.png"
 
 

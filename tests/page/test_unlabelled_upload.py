@@ -93,16 +93,16 @@ def test_a_drive_without_labels_is_labelled_by_the_service(
         upload.pick(unlabelled)
     look = answer.value.json()
     upload.page.get_by_text(f"It labels about {SCANS} keyframes; the time was not measured here yet").wait_for()
-    assert upload.page.get_by_label("Label the scans on the service with flat").is_checked()
-    assert "The network flat runs on the service: all" in upload.text()
+    assert upload.page.get_by_label("By the network flat, on the service").is_checked()
+    assert "The service makes the labels, so the scans are sent whole: all" in upload.text()
     assert "range image of 32 \N{MULTIPLICATION SIGN} 256" in upload.text()
     upload.choose("With label files of mine")
     assert "Expected one .label file per scan" in upload.text()
     assert upload.page.get_by_role("button", name="Upload and run").is_disabled()
-    upload.choose("Label the scans on the service with flat")
+    upload.choose("By the network flat, on the service")
     spacing = upload.page.get_by_label("Distance between keyframes")
     spacing.fill("1")
-    assert upload.page.get_by_text("A network labels the keyframes of 2 m and 5°").is_visible()
+    assert upload.page.get_by_text("The service labels the keyframes of 2 m and 5°").is_visible()
     assert upload.page.get_by_role("button", name="Upload and run").is_disabled()
     spacing.fill("2")
     upload.press("Upload and run")
@@ -166,17 +166,23 @@ def test_a_recording_shows_its_topics_and_its_limit(upload: Upload, tmp_path: Pa
     (bare / "000000.pcd").write_text(f"{header}POINTS 1\nDATA binary\n{'0' * 16}")
     (bare / "poses.txt").write_text("1 0 0 0 0 1 0 0 0 0 1 0\n")
     upload.pick(bare)
-    assert upload.page.get_by_label("Label the scans on the service with flat").is_checked()
+    assert upload.page.get_by_label("By the network flat, on the service").is_checked()
     assert form.get_by_role("button", name="Upload only").is_enabled()
     upload.choose("With label files of mine")
     assert "000000.pcd has no label: its fields are x, y, z, intensity." in re.sub(r"\s+", " ", upload.text())
     assert form.get_by_role("button", name="Upload only").is_disabled()
 
 
-def test_a_service_without_networks_says_how_labels_are_made(browser: Browser, done: Done, unlabelled: Path) -> None:
+def test_a_service_without_networks_finds_the_road_by_geometry(browser: Browser, done: Done, unlabelled: Path) -> None:
     upload = Upload(browser.new_page(), done.server.address)
     upload.pick(unlabelled)
-    text = upload.text()
-    for words in ("any other segmentation", "interloc label", "INTERLOC_MODELS", "None in the folder"):
-        assert words in text
+    assert upload.page.get_by_label("By geometry, on the service").is_checked()
+    assert "Needs no labels" in upload.text()
+    upload.choose("With label files of mine")
+    assert "Expected one .label file per scan" in upload.text()
     assert upload.page.get_by_role("button", name="Upload and run").is_disabled()
+    upload.choose("By geometry, on the service")
+    upload.press("Upload and run")
+    job = ended(done.server.client, upload.job())
+    assert job["state"] == "successful", job["error"]
+    assert job["request"]["labels"] == "geometry"

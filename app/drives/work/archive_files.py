@@ -6,6 +6,7 @@ import errno
 import gzip
 import io
 import lzma
+import re
 import stat
 import struct
 import tarfile
@@ -15,7 +16,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, BinaryIO, Literal, Self
+from typing import IO, Any, BinaryIO, Literal, Self
 
 import zstandard
 
@@ -26,12 +27,19 @@ ArchiveKind = Literal["zip", "tar", "tar.gz", "tar.zst"]
 MAGIC_BYTES = 262
 """Number of bytes at the beginning of a file that determine its kind."""
 
-_MAX_HEADER_BYTES = 1 << 20  # of a long name or extended header of a tar file, which are read into memory
+_MAX_HEADER_BYTES = 1 << 16  # of a long name or extended header of a tar file, which are read into memory
+_MAX_GLOBAL_BYTES = 1 << 10  # of the extended header for all members, which each of them copies; git writes 52
+_LONG_NUMBER = re.compile(rb"\d{40}")  # in `tarfile`, time grows with the square of the digits (CVE-2024-6232)
 _MAX_WINDOW_BYTES = 1 << 27  # of zstandard: the limit of its own tools unless an option raises it
-_MAX_FOLDERS = 10_000  # which a zip file may list beside its files
+_MAX_FOLDERS = 10_000  # which an archive may list beside its files
+_BOUNDED_METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # of which `zipfile` unpacks no more than is asked for
+_PIECE = 1 << 12  # asked for of the others: it unpacks all that comes of as many packed bytes
 _MAX_ENTRY_BYTES = 1024  # of the list in a zip file, on average: 46 and the name
 _ENTRY = b"PK\x01\x02"
 _BLOCK = 512
+_MAX_FRAME_HEADER = 18  # bytes, of zstandard
+_REPEATED = 1  # kind of a block of zstandard that is one byte again and again
+_SKIPPED = frozenset((0x184D2A50 + number).to_bytes(4, "little") for number in range(16))
 _HEADERS = (
     tarfile.XHDTYPE,
     tarfile.XGLTYPE,
@@ -87,7 +95,7 @@ def members(path: Path, count: Callable[[int], None], max_files: int) -> Iterato
     count
         Called with the bytes that come out of its decompressor beside the contents of members: what is skipped counts.
     max_files
-        Of a zip file that lists many more, the list is not even looked into.
+        Of a zip file that lists many more, the list is not even looked into; folders beyond some thousands count too.
 
     Yields
     ------
@@ -110,7 +118,7 @@ def members(path: Path, count: Callable[[int], None], max_files: int) -> Iterato
                     bounded.is_listed = True
                     yield _zip_members(archive)
             elif kind is not None:
-                yield _tar_members(_decompressed(file, kind), count)
+                yield _tar_members(_decompressed(file, kind), count, max_files)
             else:
                 raise ArchiveError("the archive is neither .zip nor .tar, .tar.gz or .tar.zst.")
         except (
@@ -179,8 +187,11 @@ def _zip_members(archive: zipfile.ZipFile) -> Iterator[Member]:
             raise ArchiveError(f"{info.filename!a}: is encrypted. Make the archive without a password.")
 
         def contents(info: zipfile.ZipInfo = info) -> IO[bytes]:
+            if info.compress_type == zipfile.ZIP_BZIP2:  # a block of some bytes is 46 MB
+                raise ArchiveError(f"{info.filename!a}: is packed by bzip2, which is not read here. Use deflate.")
             try:
-                return archive.open(info)
+                file = archive.open(info)
+                return file if info.compress_type in _BOUNDED_METHODS else _InPieces(file)  # type: ignore[return-value]
             except NotImplementedError as error:
                 raise ArchiveError(
                     f"{info.filename!a}: is packed by a method that is not read here ({error}). Use deflate."
@@ -189,18 +200,34 @@ def _zip_members(archive: zipfile.ZipFile) -> Iterator[Member]:
         yield Member(info.filename, info.file_size, contents)
 
 
+class _InPieces(io.RawIOBase):
+    """A file of a zip archive of which little is asked for at a time."""
+
+    def __init__(self, file: IO[bytes]) -> None:
+        self._file = file
+
+    def read(self, size: int = -1, /) -> bytes:
+        del size
+        return self._file.read(_PIECE)
+
+
 def _special(name: str) -> ArchiveError:
     return ArchiveError(
         f"{name!a}: is a link or a device. A drive has plain files only; pack the files themselves (tar --dereference)."
     )
 
 
-def _tar_members(stream: BinaryIO, count: Callable[[int], None]) -> Iterator[Member]:
+def _tar_members(stream: BinaryIO, count: Callable[[int], None], max_files: int) -> Iterator[Member]:
     watched = _Watched(stream, count)
     with tarfile.open(
         fileobj=watched, mode="r|", bufsize=1 << 16, tarinfo=_CarefulTarInfo, encoding="utf-8", errors="surrogateescape"
     ) as archive:
-        for info in archive:
+        entries = 0
+        while (info := archive.next()) is not None:
+            archive.members.clear()  # type: ignore[attr-defined] # it keeps them for others than us
+            entries += 1
+            if entries > max_files + _MAX_FOLDERS:
+                raise too_many_files(max_files)
             if info.isdir():
                 continue
             if not info.isreg() or info.issparse():
@@ -218,15 +245,60 @@ def _tar_members(stream: BinaryIO, count: Callable[[int], None]) -> Iterator[Mem
 
 
 class _CarefulTarInfo(tarfile.TarInfo):
-    """A header that is refused when it announces a name of gigabytes, which would be read into memory."""
+    """A header that is refused where `tarfile` would need much memory or time for it."""
 
     @classmethod
     def frombuf(cls, buf: bytes | bytearray, encoding: str, errors: str) -> Self:
         """Read a header."""
         info = super().frombuf(buf, encoding, errors)
-        if info.type in _HEADERS and info.size > _MAX_HEADER_BYTES:
+        most = _MAX_GLOBAL_BYTES if info.type == tarfile.XGLTYPE else _MAX_HEADER_BYTES
+        if info.type in _HEADERS and info.size > most:
             raise tarfile.ReadError(f"a header of {info.size:,} bytes")
         return info
+
+    def _proc_pax(self, archive: tarfile.TarFile) -> tarfile.TarInfo:
+        """Look at an extended header before `tarfile` does: it searches it in ways that take for ever."""
+        if self.type == tarfile.XGLTYPE and archive.pax_headers:
+            raise tarfile.ReadError("a second extended header for all members")
+        stream: Any = archive.fileobj
+        content = stream.read(-(-self.size // _BLOCK) * _BLOCK)
+        _check_records(content[: self.size])
+        archive.fileobj = _Again(stream, content)
+        try:
+            return super()._proc_pax(archive)  # type: ignore[misc,no-any-return] # no part of the documented interface
+        finally:
+            archive.fileobj = stream
+
+
+def _check_records(content: bytes) -> None:
+    """Refuse an extended header whose records do not follow each other as they should, "LENGTH KEY=VALUE", or count."""
+    start = 0
+    while start < len(content):
+        length, space, _ = content[start : start + 8].partition(b" ")
+        record = content[start : start + int(length)]  # a ValueError is taken for a damaged archive
+        start += len(record)
+        if not space or b"=" not in record or not record.endswith(b"\n") or len(record) != int(length):
+            raise tarfile.ReadError("an extended header that is not made of records")
+    if _LONG_NUMBER.search(content):
+        raise tarfile.ReadError("an extended header with a very long number")
+
+
+class _Again:
+    """A stream, the last piece of which is read once more."""
+
+    def __init__(self, stream: Any, piece: bytes) -> None:  # noqa: ANN401 - `tarfile` has its own
+        self._stream = stream
+        self._piece = piece
+
+    def read(self, size: int) -> bytes:
+        if not self._piece:
+            data: bytes = self._stream.read(size)
+            return data
+        piece, self._piece = self._piece, b""
+        return piece
+
+    def __getattr__(self, name: str) -> Any:  # noqa: ANN401
+        return getattr(self._stream, name)
 
 
 class _Watched(io.RawIOBase):
@@ -260,13 +332,16 @@ def _decompressed(file: BinaryIO, kind: ArchiveKind) -> BinaryIO:
 
 
 class _ZstdStream(io.RawIOBase):
-    """Frames of zstandard one after the other; the last must be complete, which the library's own reader ignores."""
+    """Frames of zstandard one after the other; the last must be complete, which the library's own reader ignores.
+
+    The decompressor is given a block at a time (RFC 8878, section 3.1): none unpacks to more than 128 kB.
+    """
 
     def __init__(self, file: BinaryIO) -> None:
         self._file = file
         self._decompressor = zstandard.ZstdDecompressor(max_window_size=_MAX_WINDOW_BYTES)
         self._frame: zstandard.ZstdDecompressionObj | None = None
-        self._packed = b""
+        self._has_checksum = False
         self._ready = bytearray()
 
     def read(self, size: int = -1, /) -> bytes:
@@ -278,16 +353,36 @@ class _ZstdStream(io.RawIOBase):
 
     def _fill(self) -> bool:
         """Decompress a little more; False at the end."""
-        packed = self._packed or self._file.read(1 << 14)  # little: it may become a thousand times as much
-        self._packed = b""
-        if not packed:
-            if self._frame is not None:
-                raise EOFError("the last zstandard frame is not complete")
-            return False
         if self._frame is None:
-            self._frame = self._decompressor.decompressobj()
-        self._ready += self._frame.decompress(packed)
-        if self._frame.eof:
-            self._packed = self._frame.unused_data
+            return self._begin()
+        head = self._exactly(3)
+        number = int.from_bytes(head, "little")
+        is_last, kind, size = number & 1, number >> 1 & 3, number >> 3
+        block = self._exactly((1 if kind == _REPEATED else size) + 4 * (is_last & self._has_checksum))
+        self._ready += self._frame.decompress(head + block)
+        if is_last:
+            if not self._frame.eof:
+                raise EOFError("a zstandard frame is not complete")
             self._frame = None
         return True
+
+    def _begin(self) -> bool:
+        """Begin the next frame; False where there is none."""
+        head = self._file.read(_MAX_FRAME_HEADER)
+        if not head:
+            return False
+        if head[:4] in _SKIPPED:  # a frame that is none of the contents
+            self._file.seek(8 + int.from_bytes(head[4:8], "little") - len(head), io.SEEK_CUR)
+            return True
+        size = zstandard.frame_header_size(head)
+        self._has_checksum = bool(head[4] & 4)
+        self._file.seek(size - len(head), io.SEEK_CUR)
+        self._frame = self._decompressor.decompressobj()
+        self._ready += self._frame.decompress(head[:size])
+        return True
+
+    def _exactly(self, size: int) -> bytes:
+        data = self._file.read(size)
+        if len(data) < size:
+            raise EOFError("the last zstandard frame is not complete")
+        return data

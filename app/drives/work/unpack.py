@@ -50,7 +50,7 @@ def run(task: Task[UnpackJob], part: Part, report: Report) -> None:
     folder.mkdir(parents=True)
     try:
         unpacking = _Unpacking(task, folder, lambda: report(0))
-        with members(_archive(task), unpacking.count, task.settings.max_drive_files) as found:
+        with members(_archive(task), unpacking.count, unpacking.max_files) as found:
             for member in found:
                 unpacking.take(member)
         place_unpacked(folder / "drive", unpacking.sort(), task.scratch)
@@ -93,7 +93,7 @@ class _Unpacking:
             self._limits.max_drive_bytes,
             max(_FREE_RATIO_BYTES, int(packed_bytes * self._limits.max_archive_ratio)),
         )
-        self._max_files = min(self._limits.max_drive_files, max(_FREE_FILES, packed_bytes // _BYTES_PER_FILE))
+        self.max_files = min(self._limits.max_drive_files, max(_FREE_FILES, packed_bytes // _BYTES_PER_FILE))
         self._look_up = look_up
         self._files: dict[str, _File] = {}
         self._unpacked = 0
@@ -115,8 +115,8 @@ class _Unpacking:
             Its name is not valid or comes twice, or there is too much.
         """
         self._members += 1
-        if self._members > self._max_files:
-            raise too_many_files(self._max_files)
+        if self._members > self.max_files:
+            raise too_many_files(self.max_files)
         name = member.name.removeprefix("./")
         if _is_litter(name):
             return

@@ -106,6 +106,7 @@ def open_bin_files(parts: DriveParts, options: DriveOptions, findings: Findings)
         scan_bytes=int(scans.sizes.sum()),
         usable=usable,
         point_counts=scans.sizes // point_bytes,
+        carries_poses=parts.in_kitti360_world,
         read_trajectory=trajectory if parts.in_kitti360_world else None,  # no files of the drive's folder
     )
 

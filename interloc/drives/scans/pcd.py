@@ -24,6 +24,7 @@ from interloc.drives.findings import Findings
 from interloc.drives.layouts import PCD_ENDINGS, DriveParts, pcd_ending
 from interloc.drives.options import DriveOptions
 from interloc.drives.scans.bin_files import RING_POINT_BYTES, read_points
+from interloc.drives.scans.point_times import TIME_FIELDS, point_times
 from interloc.drives.scans.recorded import Recording, ScanPoints
 from interloc.drives.scans.reduced_format import MAX_POINTS
 from interloc.drives.trajectory import Trajectory, read_trajectory
@@ -129,10 +130,12 @@ def open_pcd_files(parts: DriveParts, options: DriveOptions, findings: Findings)
     if how:
         findings.note(folder.name, how)
     header = None
+    first = replace(folder, path=folder.path / scans.names[0])
+    has_header = not first.path.name.endswith(PCD_ENDINGS[1])
     with findings.stage():
-        first = replace(folder, path=folder.path / scans.names[0])
-        if not first.path.name.endswith(PCD_ENDINGS[1]):
+        if has_header:
             header, _ = read_pcd_header(first)
+    is_damaged = has_header and header is None
     label = None if header is None else header.field_among(LABEL_FIELDS)
     if header is not None and label is not None:
         findings.note(folder.name, f"the field {label!r} of the points is their label.")
@@ -146,8 +149,10 @@ def open_pcd_files(parts: DriveParts, options: DriveOptions, findings: Findings)
         frames,
         scan_bytes=int(sizes.sum()),
         usable=np.flatnonzero(sizes[order] > 0) if options.check else None,
-        carries_labels=label is not None,
+        carries_labels=label is not None or is_damaged,  # which is reported; that labels lack would be a guess
         has_remission=header is None or header.field_among(INTENSITY_FIELDS) is not None,
+        has_times=header is not None and header.field_among(TIME_FIELDS) is not None,
+        carries_poses=False,
         read_trajectory=trajectory,
     )
 
@@ -215,7 +220,10 @@ def read_pcd(file: SourceFile) -> ScanPoints:
             labels = (
                 np.where(np.isfinite(values[:, :3]).all(axis=1), label_values, 0).astype(np.int64).astype(np.uint32)
             )
-    return ScanPoints(values, labels)
+    times_s = None
+    if (field := header.field_among(TIME_FIELDS)) is not None:
+        times_s = point_times(_column(points, field))
+    return ScanPoints(values, labels, times_s)
 
 
 def read_pcd_header(file: SourceFile, *, with_data: bool = False) -> tuple[PcdHeader, UInt8Array]:

@@ -33,10 +33,14 @@ class ScanPoints:
         x y z in L, metres, and the remission, in the unit of the format; 0 where it has none.
     labels : (N,) uint32 or None
         Label ids, where the points carry them themselves.
+    times_s : (N,) float32 or None
+        When each point was measured, seconds after the time of the scan, where the points carry that
+        (`interloc.drives.scans.point_times`).
     """
 
     values: Float32Array
     labels: UInt32Array | None = None
+    times_s: Float32Array | None = None
 
 
 class PointSource(Protocol):
@@ -106,6 +110,10 @@ class Recording:
     scheme : str or None
         Name of the scheme of these labels, where the format defines it.
     has_remission : bool
+    has_times : bool
+        The points carry the time at which each was measured.
+    carries_poses : bool
+        The recording holds poses itself, damaged or not; False: they are in the files of `parts`, if anywhere.
     read_trajectory : callable or None
         Reads poses, times and georeference where these are not files of `parts`.
     topics : tuple of Topic
@@ -121,8 +129,15 @@ class Recording:
     carries_labels: bool = False
     scheme: str | None = None
     has_remission: bool = True
+    has_times: bool = False
+    carries_poses: bool = True
     read_trajectory: Callable[[DriveOptions, Findings], Trajectory] | None = None
     topics: tuple[Topic, ...] = ()
+
+    @property
+    def has_poses(self) -> bool:
+        """Whether there are poses, damaged or not."""
+        return self.carries_poses or self.parts.has_poses
 
     def sampled_remission(self) -> Float32Array:
         """Return the remission of the points of some scans; empty where the format has none.

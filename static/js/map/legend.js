@@ -6,6 +6,7 @@
 import { el, fill, formatCount, icon } from "../dom.js";
 import { Control, DomEvent } from "../leaflet.js";
 import { getState, setState, subscribe } from "../state.js";
+import { keep, recall } from "../storage.js";
 import { LAYERS, layersOf, layersOn } from "./layers.js";
 import { signIcon } from "./symbols.js";
 import { tileBox } from "./tiles.js";
@@ -40,7 +41,7 @@ export function addLegend(map) {
     const rows = layersOf(shown);
     const groups = [...new Set(rows.map(({ layer }) => layer.group))];
     const remember = (/** @type {any} */ event) =>
-      localStorage.setItem(OPEN_KEY, event.currentTarget.parentElement.open ? "no" : "yes");
+      keep(OPEN_KEY, event.currentTarget.parentElement.open ? "no" : "yes");
     const fieldset = (/** @type {string} */ group) =>
       el(
         "fieldset",
@@ -49,7 +50,7 @@ export function addLegend(map) {
         rows.filter(({ layer }) => layer.group === group).map(({ layer, count }) => row(layer, count, on)),
         group === "Base" && on.has("tiles") && tileBox(),
       );
-    const open = isWide() && localStorage.getItem(OPEN_KEY) !== "no";
+    const open = isWide() && recall(OPEN_KEY) !== "no";
     const summary = el("summary", { onClick: remember }, icon("layers"), "Layers");
     fill(box, el("details", { open }, summary, groups.map(fieldset)));
     if (focused) document.getElementById(focused)?.focus();

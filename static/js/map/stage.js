@@ -13,6 +13,7 @@ import { Control, CRS, control, DomEvent, LeafletMap, latLngBounds } from "../le
 import { failureNote, problemNote } from "../messages.js";
 import { addShortcut } from "../shortcuts.js";
 import { getState, setState, subscribe } from "../state.js";
+import { recall } from "../storage.js";
 import { ComparedLayer, followCompared, onCompared } from "./compared.js";
 import { addCoordinates } from "./coordinates.js";
 import { closeDetails, goTo, openDetails, openSelection, watchPointer } from "./details.js";
@@ -404,7 +405,7 @@ const below = (note) => [
 
 /** @returns {number[][]} What the controls cover: left and top, right and bottom, pixels. */
 function margins() {
-  const hasLegend = shown.map.getSize().x >= 640 && localStorage.getItem("interloc.legend") !== "no";
+  const hasLegend = shown.map.getSize().x >= 640 && recall("interloc.legend") !== "no";
   return [
     [56, 40],
     [hasLegend ? 232 : 40, 40],

@@ -7,6 +7,7 @@ import { getConfig } from "../api.js";
 import { el } from "../dom.js";
 import { TileLayer } from "../leaflet.js";
 import { showError } from "../messages.js";
+import { keep, recall } from "../storage.js";
 
 const URL_KEY = "interloc.tiles";
 /** @type {Set<() => void>} */
@@ -14,7 +15,7 @@ const listeners = new Set();
 
 /** @returns {string} */
 function tileUrl() {
-  return localStorage.getItem(URL_KEY) || getConfig().tile_url || "";
+  return recall(URL_KEY) || getConfig().tile_url || "";
 }
 
 /** @param {() => void} call Called when another address is to be used. */
@@ -58,8 +59,7 @@ export function tileBox() {
   const onSubmit = (/** @type {Event} */ event) => {
     event.preventDefault();
     const url = input.value.trim();
-    if (url && url !== getConfig().tile_url) localStorage.setItem(URL_KEY, url);
-    else localStorage.removeItem(URL_KEY);
+    keep(URL_KEY, url && url !== getConfig().tile_url ? url : null);
     for (const call of listeners) call();
   };
   return el("form", { class: "tile-box", onSubmit }, input, el("button", {}, "Use"));

@@ -1,4 +1,5 @@
 /** Uploads that were begun, so that they can go on after a reload. */
+import { keep, recall } from "../storage.js";
 
 /**
  * @typedef {object} Remembered
@@ -20,20 +21,16 @@ const HANDLES = "folders";
 /** @returns {Remembered[]} The latest first. */
 export function rememberedUploads() {
   try {
-    const list = JSON.parse(localStorage.getItem(KEY) ?? "[]");
+    const list = JSON.parse(recall(KEY) ?? "[]");
     return Array.isArray(list) ? list : [];
   } catch {
-    return []; // storage that is switched off or was tampered with: nothing is remembered
+    return []; // it was tampered with
   }
 }
 
 /** @param {Remembered[]} list */
 function store(list) {
-  try {
-    localStorage.setItem(KEY, JSON.stringify(list.slice(0, MAX_KEPT)));
-  } catch {
-    // Without storage an upload cannot go on after a reload; it works all the same.
-  }
+  keep(KEY, JSON.stringify(list.slice(0, MAX_KEPT)));
 }
 
 /** @param {string} driveId */

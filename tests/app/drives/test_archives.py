@@ -8,14 +8,21 @@ import io
 import stat
 import struct
 import tarfile
+import tracemalloc
 import zipfile
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import httpx
 import pytest
 import zstandard
 
+from app.drives.work.archive_files import ArchiveError, members
+from app.jobs.failures import too_slow
+from app.jobs.processes import WorkerLimitError
+from app.work import kinds
+from app.work.task import Part
 from tests.app.conftest import running_server
 from tests.app.processes import NO_TLS, ended, files_below, wait_until
 
@@ -379,6 +386,87 @@ def test_a_tar_header_of_gigabytes(client: httpx.Client, home: Path) -> None:
         info = special(kind, "long")
         info.size = 4_000_000_000
         refuse(client, home, gzip.compress(info.tobuf(tarfile.GNU_FORMAT) + bytes(100_000)), "damaged or cut short")
+
+
+def pax(kind: bytes, content: bytes) -> bytes:
+    """An extended header."""
+    info = special(kind, "pax")
+    info.size = len(content)
+    return info.tobuf(tarfile.USTAR_FORMAT) + content.ljust(-(-len(content) // 512) * 512, b"\0")
+
+
+def record(key: bytes, value: bytes) -> bytes:
+    length = len(key) + len(value) + 3
+    length += len(str(length + len(str(length))))
+    return b"%d %s=%s\n" % (length, key, value)
+
+
+HEADERS = {
+    "number": pax(tarfile.XHDTYPE, record(b"comment", b"1" * 60_000)),
+    "megabyte": pax(tarfile.XHDTYPE, record(b"comment", b"1" * 1_000_000)),
+    "lengths": pax(tarfile.XHDTYPE, b"2 " * 30_000 + b"="),
+    "digits": pax(tarfile.XHDTYPE, b"1" * 60_000),
+    "global": pax(tarfile.XGLTYPE, record(b"comment", b"a" * 2000)),
+    "two global ones": pax(tarfile.XGLTYPE, record(b"comment", b"a")) * 2,
+}
+
+
+@pytest.mark.parametrize("header", HEADERS.values(), ids=HEADERS.keys())
+def test_a_tar_header_that_takes_for_ever(client: httpx.Client, home: Path, header: bytes) -> None:
+    refuse(client, home, gzip.compress(header + TARRED), "damaged or cut short")
+
+
+def test_tar_headers_as_others_write_them(client: httpx.Client, drive: str) -> None:
+    """A commit of git, attributes of macOS, times with fractions, a long name."""
+    info = tarfile.TarInfo("07/velodyne/" + "a" * 150 + ".bin")
+    info.pax_headers = {"mtime": "1764000000.123456789", "LIBARCHIVE.xattr.com.apple.FinderInfo": "QUJD" * 2000}
+    data = pax(tarfile.XGLTYPE, record(b"comment", b"4ed264a" * 5)) + tarred({}, info, format=tarfile.PAX_FORMAT)
+    assert client.post(f"{drive}/archive", content=data).status_code == 200
+    assert list(listed(client, drive)) == ["velodyne/" + "a" * 150 + ".bin"]
+
+
+def test_very_many_folders(client: httpx.Client, home: Path) -> None:
+    folders = special(tarfile.DIRTYPE, "07").tobuf() * 20_001
+    refuse(client, home, zstandard.compress(folders + TARRED), "more than 10,000 files")
+
+
+def test_a_frame_that_is_none_of_the_contents_is_skipped(client: httpx.Client, drive: str) -> None:
+    skipped = b"\x50\x2a\x4d\x18" + struct.pack("<I", 1000) + bytes(1000)
+    packed = zstandard.compress(TARRED)
+    assert client.post(f"{drive}/archive", content=packed + skipped + packed[:0]).status_code == 200
+    assert listed(client, drive) == digests(FILES)
+
+
+@pytest.mark.parametrize("kind", ["tar.zst", "lzma zip"])
+def test_little_is_unpacked_at_a_time(tmp_path: Path, kind: str) -> None:
+    """However much comes of a few bytes: blocks of one byte again and again become 32,768 times as much."""
+    path = tmp_path / "archive"
+    if kind == "tar.zst":
+        block = ((128 * 1024) << 3 | 1 << 1).to_bytes(3, "little") + b"\0"
+        path.write_bytes(b"\x28\xb5\x2f\xfd\x00\x38" + block * 2000)
+    else:
+        path.write_bytes(zipped({"a": bytes(100_000_000)}, zipfile.ZIP_LZMA))
+    tracemalloc.start()
+    try:
+        with suppress(ArchiveError), members(path, lambda _: None, 10) as found:
+            for member in found:
+                with member.open() as file:
+                    while file.read(1 << 20):
+                        pass
+        assert tracemalloc.get_traced_memory()[1] < 80 * 2**20
+    finally:
+        tracemalloc.stop()
+
+
+def test_a_zip_of_a_method_that_cannot_be_bounded(client: httpx.Client, home: Path) -> None:
+    refuse(client, home, zipped({"poses.txt": b"1"}, zipfile.ZIP_BZIP2), "poses.txt", "Use deflate")
+
+
+def test_a_part_may_take_as_long_as_its_size_explains() -> None:
+    assert kinds.KINDS["unpack"].part_s(Part(0, 0, 10)) == 150.0
+    assert kinds.KINDS["commit"].part_s(Part(0, 0, 10)) == float("inf")
+    problem = too_slow(WorkerLimitError("time", 150.0, 150.1), "part 1 of 1")
+    assert problem.detail.startswith("Part 1 of 1 took longer than 2.5 minutes, which is more than work of its size")
 
 
 def test_too_many_files(serve: Callable[..., httpx.Client], tmp_path: Path) -> None:

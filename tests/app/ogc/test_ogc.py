@@ -25,6 +25,7 @@ from app.ogc.collections import OF_ALL
 from app.ogc.filters import MAX_CHARACTERS, Language, read_filter
 from app.ogc.index import Area, Query, Source, extents, find_page
 from app.ogc.indexing import index_job, index_missing
+from app.ogc.parameters import page_token
 from app.ogc.work import CHUNK, ResultProperties
 from app.settings import Settings
 from app.store.models import Drive, FeatureChunk, FeatureColumn, Job
@@ -64,7 +65,8 @@ def write_result(folder: Path, lonlat: FloatArray, *, with_times: bool = False, 
     zeros = np.zeros(n)
     wrong = (rows % 4 == 3) & scored
     times = [f"{HOUR}{i // 60 % 60:02}:{i % 60:02}Z" if with_times else None for i in range(n)]
-    nodes = (4_000_000_000 + rows // 8).tolist()  # more than 32 bits hold
+    # First of old nodes, then of new ones, whose ids 32 bits do not hold: maps are sorted by id.
+    nodes = np.where(rows < 80, 24_546_294 + rows // 8, 4_000_000_000 + rows // 8).tolist()
     here = {"world_x_m": zeros, "world_y_m": zeros}
     branches = {"branch_bearings_deg": [[0.0, 90.0, 180.5]] * n, "branch_widths_m": [[7.0, 6.5, None]] * n}
     found = {"branch_count": rows % 3 + 3, **branches}
@@ -106,6 +108,9 @@ def write_result(folder: Path, lonlat: FloatArray, *, with_times: bool = False, 
         observations=seen,
         position_std_m=zeros[few] + 0.5,
         position_cov_m2=[[0.25, 0.0, 0.25]] * len(seen),
+        fix_std_m=zeros[few],
+        shape_cov_m2=[[0.25, 0.0, 0.25]] * len(seen),
+        scatter_std_m=zeros[few],
         first_frame=rows[few],
         last_frame=rows[few],
         confidence=zeros[few],
@@ -350,6 +355,12 @@ def see_pages(gis: Gis) -> None:
     first = gis.json(gis.links(gis.json(gis.links(gis.items(limit=2))["next"]))["prev"])
     assert first["features"] == gis.items(limit=2)["features"][:2]
     assert gis.get("/ogc/collections/detections/items", after="x").status_code == 400
+    counted = [each["id"] for start in (0, 300) for each in gis.items(**query, offset=start)["features"]]
+    assert counted == ids[0] + ids[1], "clients that count by themselves"
+    assert "offset" not in gis.links(gis.items(**query, offset=300))["next"]
+    assert gis.items(offset=10_000)["features"] == []
+    for wrong in ({"offset": "x"}, {"offset": -1}, {"offset": 3, "after": "1.1"}):
+        assert gis.get("/ogc/collections/detections/items", **wrong).status_code == 400, wrong
 
 
 def see_unknown_parameters(gis: Gis) -> None:
@@ -395,7 +406,8 @@ def see_schema(gis: Gis) -> None:
     queryables = gis.json("/ogc/collections/detections/queryables")["properties"]
     assert schema.keys() - queryables.keys() == {"branch_bearings_deg", "branch_widths_m"}
     features = gis.json("/ogc/collections/detections/feature-schema")["properties"]["properties"]["properties"]
-    assert schema.keys() - features.keys() == {"geometry", "branch_bearings_deg", "branch_widths_m", "osm_id"}
+    assert schema.keys() - features.keys() == {"geometry", "branch_bearings_deg", "branch_widths_m"}
+    assert features["osm_id"]["type"] == "string"
     assert schema.keys() - {"geometry"} == gis.items(limit=1)["features"][0]["properties"].keys()
 
 
@@ -449,7 +461,9 @@ FILTERS = [
     "intersection IS NOT NULL AND frame < 7",
     "reason LIKE 'M%ller_s%3%'",
     "frame + 2 * branch_count > 1110",
-    "osm_id = 4000000003",
+    "osm_id = '4000000013'",
+    "osm_id IN ('24546294', '4000000013')",
+    "osm_id LIKE '40%3'",
     "drive = 'Straße fiji' AND score > 0.5",
     "S_INTERSECTS(geometry, BBOX(8.4001, 48.9, 8.4003, 49.1))",
     "S_WITHIN(geometry, POLYGON((8.4 48.9, 8.401 48.9, 8.4 49.1, 8.4 48.9)))",
@@ -490,6 +504,8 @@ def test_filters_find_what_the_package_finds_one_by_one(gis: Gis) -> None:
         (r"reason LIKE '%100\% 7'", 2),
         ("reason LIKE '%%%%%%%%%%%%%%%%x'", 0),
         ("outcome = reason", 0),
+        ("osm_id = 4000000013", 8),
+        ("osm_id = 'nowhere'", 0),
         ("preset = 'paper' AND job <> 'town-new'", 220),
         (f"T_AFTER(time, TIMESTAMP('{HOUR}01:49Z'))", 10),
         (f"T_DURING(time, INTERVAL('{HOUR}00:00Z', '{HOUR}00:10Z'))", 9),
@@ -545,6 +561,11 @@ HOSTILE = [
     '{"op": "s_intersects", "args": [{"property": "geometry"}, {"type": "Point", "coordinates": [[["x"]]]}]}',
     '{"op": "t_after", "args": [{"property": "time"}, {"interval": ["x"]}]}',
     '{"op": ">", "args": [{"property": "score"}, NaN]}',
+    "S_INTERSECTS(geometry, BBOX(nan,nan,nan,nan))",
+    '{"op": "s_intersects", "args": [{"property": "geometry"}, {"bbox": ["a", "b", "c", "d"]}]}',
+    '{"op": "s_intersects", "args": [{"property": "geometry"}, {"bbox": [NaN, 1, 2, 3]}]}',
+    '{"op": "s_intersects", "args": [{"property": "geometry"}, {"bbox": {"0": 1, "1": 2, "2": 3, "3": 4}}]}',
+    '{"op": "s_intersects", "args": [{"property": "geometry"}, {"type": "Point", "coordinates": [NaN, 1]}]}',
     "[]",
     "{",
 ]
@@ -578,7 +599,10 @@ every = pyogrio.read_dataframe(of_all, layer="detections")
 found["every"] = [len(every), str(every.crs), every[every.job == "town-new"].geometry.iloc[0].coords[0]]
 found["box"] = len(pyogrio.read_dataframe(of_all, layer="detections", bbox=(8.3999, 48.9, 8.400095, 49.1)))
 found["where"] = len(pyogrio.read_dataframe(of_all, layer="detections", where=sql))
-found["matches"] = len(pyogrio.read_dataframe(of_job, layer="matches"))
+matches = pyogrio.read_dataframe(of_job, layer="matches")
+found["matches"] = len(matches)
+ids = [sorted({*layer.osm_id.dropna()}, key=int) for layer in (every, matches)]
+found["nodes"] = [[each[0], each[-1]] for each in ids]
 print(json.dumps(found))
 """
 
@@ -593,7 +617,7 @@ def test_gdal_reads_all_layers_by_a_password_and_by_a_header(gis: Gis) -> None:
     found = json.loads(subprocess.run(command, check=True, capture_output=True, timeout=120).stdout)
     types = found.pop("types")
     assert types["time"].startswith("datetime64"), "though the first page has none"
-    assert (types["error_m"], types["frame"], types["osm_id"]) == ("float64", "int32", "int64")
+    assert (types["error_m"], types["frame"], types["osm_id"]) == ("float64", "int32", "object")
     assert found == {
         "drives": 3,
         "layers": list(OF_ALL),
@@ -602,6 +626,7 @@ def test_gdal_reads_all_layers_by_a_password_and_by_a_header(gis: Gis) -> None:
         "box": 10,
         "where": 50,
         "matches": 9,
+        "nodes": [["24546294", f"{4_000_000_000 + (COUNT - 1) // 8}"], ["24546294", "24546295"]],
     }
     items = "/ogc/collections/detections/items?limit="
     assert f"{items}10000&filter={IN_CQL}&filter-lang=cql-text" in gis.asked
@@ -613,6 +638,9 @@ def test_gdal_reads_all_layers_by_a_password_and_by_a_header(gis: Gis) -> None:
         command = [ogrinfo, "-ro", "-so", *source, "detections", "-where", IN_SQL]
         told = subprocess.run(command, check=True, capture_output=True, text=True, timeout=120).stdout
         assert "Feature Count: 50\n" in told
+        command = [ogrinfo, "-ro", *source, "detections", "-where", "osm_id = '4000000013'"]
+        told = subprocess.run(command, check=True, capture_output=True, text=True, timeout=120).stdout
+        assert told.count("osm_id (String) = 4000000013\n") == 8
         assert f"{items}2000&filter={IN_CQL}&filter-lang=cql-text" in gis.asked
 
 
@@ -652,7 +680,7 @@ def test_qgis_reads_all_layers_and_the_live_project(gis: Gis, tmp_path: Path) ->
     layers = told["layers"]
     assert {name: layer["features"] for name, layer in layers.items()} == {name: gis.matched(name) for name in OF_ALL}
     types = layers["detections"]["types"]
-    expected = {"frame": "Integer", "osm_id": "Integer64", "error_m": "Real", "reason": "String"}
+    expected = {"frame": "Integer", "osm_id": "String", "error_m": "Real", "reason": "String"}
     assert {name: types[name] for name in expected} == expected, "though the first features have no reason"
     assert told["pages"] == [COUNT + 220] * 2
     assert sum("limit=400" in each for each in gis.asked) >= 4
@@ -669,6 +697,33 @@ def test_qgis_reads_all_layers_and_the_live_project(gis: Gis, tmp_path: Path) ->
     assert detections["legend"] == [each.title for each in STYLES["detections"].rules]
     assert (detections["aliases"]["error_m"], detections["types"]["error_m"]) == ("Error", "Real")
     assert min(pixels_of(tmp_path / "live.png", colour) for colour in (RIGHT, ROAD)) > 20
+
+
+def test_the_pages_of_a_query_are_of_one_set_of_jobs_though_another_ends_meanwhile(tmp_path: Path) -> None:
+    context = Context.open(Settings(data_dir=tmp_path, min_free_bytes=0))
+    try:
+        add_drive(context, "street", line(TOWN, 20))
+        with context.database.writing() as session:  # ends later
+            late = {"kind": "intersections", "owner": "me", "created_at": 3.0, "request": {}, "summary": {}}
+            session.add(Job(id="street-late", drive_id="street", state="running", **late))
+        write_result(context.storage.folder("jobs/street-late/result"), line(TOWN, 35))
+        index_missing(context)
+        detections = OF_ALL["detections"]
+        with context.database.reading() as session:
+            source = Source().pinned(session)
+            first = find_page(session, source, detections, Query(limit=15))
+        with context.database.writing() as session:
+            session.execute(update(Job).where(Job.id == "street-late").values(state="successful", finished_at=10.0))
+        index_missing(context)
+        until = float(page_token(first.next, source.until).split(".")[2]) / 1e6
+        with context.database.reading() as session:
+            second = find_page(session, Source(until=until), detections, Query(limit=15, after=first.next))
+            assert find_page(session, Source(), detections, Query()).matched == 35
+        ids = [json.loads(each)["id"] for each in first.features + second.features]
+        assert (len(ids), len(set(ids)), second.matched) == (20, 20, 20)
+        assert {each.partition(".")[0] for each in ids} == {"street-new"}
+    finally:
+        context.close()
 
 
 def test_the_index_follows_trash_purge_and_repair(tmp_path: Path) -> None:

@@ -179,7 +179,8 @@ def test_without_labels_it_is_said_how_they_are_made(sequence: Path, tmp_path: P
     for path in sorted((root / "pcd").iterdir()):
         write_pcd(path, read_pcd(SourceFile(path, root)).values)
     with pytest.raises(DriveError, match=r"labels: is missing\..*interloc label"):
-        open_drive(root)
+        open_drive(root, labels="labels")
+    assert open_drive(root).scans.label_source == "geometry"
 
 
 GOOD = labelled_points(np.arange(40, dtype=np.float32).reshape(10, 4))
@@ -248,3 +249,12 @@ def test_a_damaged_scan_is_listed_with_its_name(sequence: Path, tmp_path: Path) 
     report = inspect_drive(root)
     assert not report.ok
     assert any(each.path == "pcd/000000.pcd" and "cut short" in each.message for each in report.problems)
+
+
+def test_a_damaged_header_is_not_said_to_lack_labels(sequence: Path, tmp_path: Path) -> None:
+    drive = as_pcd(sequence, tmp_path / "drive")
+    first = min((drive / "pcd").iterdir())
+    first.write_bytes(re.sub(rb"POINTS \d+", b"POINTS -1", first.read_bytes()))
+    complaints = " ".join(problem.message for problem in inspect_drive(drive).problems)
+    assert "promises -1 points" in complaints
+    assert "label" not in complaints

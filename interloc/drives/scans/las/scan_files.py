@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from interloc.arrays import IntArray
+from interloc.arrays import FloatArray, IntArray
 from interloc.drives.findings import Findings
 from interloc.drives.layouts import POSE_FILES, DriveParts
 from interloc.drives.options import DriveOptions
@@ -16,13 +16,14 @@ from interloc.drives.scans.las.clouds import ROAD_SURFACE, CloudFile, Field, all
 from interloc.drives.scans.las.slices import MAX_SCAN_POINTS
 from interloc.drives.scans.las.tracks import find_tracks, is_table
 from interloc.drives.scans.pcd import number_scans
+from interloc.drives.scans.point_times import point_times
 from interloc.drives.scans.recorded import Recording, ScanPoints
 from interloc.drives.trajectory import Trajectory, read_trajectory
 
 SENSOR_RANGE_M = 1000.0
 """No LiDAR of a vehicle sees further; coordinates beyond are those of a map."""
 
-_FIELDS: frozenset[Field] = frozenset({"xyz", "labels", "intensity"})
+_FIELDS: frozenset[Field] = frozenset({"xyz", "labels", "intensity", "time"})
 _SAMPLED = 5
 
 
@@ -65,13 +66,16 @@ class ScanClouds:
         cloud = self._cloud(frame)
         values = np.empty((cloud.points, 4), np.float32)
         labels = np.empty(cloud.points, np.uint32)
+        times: list[FloatArray] = []
         at = 0
         for block in cloud.read(fields=_FIELDS):
             rows = slice(at, at + len(block.withheld))
             values[rows, :3], values[rows, 3] = block.xyz, block.intensity
             labels[rows] = np.where(block.withheld, 0, block.labels)
+            times.append(block.times_s)
             at = rows.stop
-        return ScanPoints(values, labels if self.carries_labels else None)
+        times_s = point_times(np.concatenate(times)) if cloud.has_time and times else None
+        return ScanPoints(values, labels if self.carries_labels else None, times_s)
 
 
 def is_one_per_scan(clouds: tuple[CloudFile, ...], parts: DriveParts, options: DriveOptions) -> bool:
@@ -146,6 +150,8 @@ def open_scan_clouds(
         carries_labels=has_road,
         scheme="las" if has_road else None,
         has_remission=has_intensity,
+        has_times=clouds[0].has_time,
+        carries_poses=False,
         read_trajectory=trajectory,
     )
 

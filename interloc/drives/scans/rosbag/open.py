@@ -19,7 +19,7 @@ from interloc.drives.scans.rosbag.bag import BagTopic, find_bag, open_bag, read_
 from interloc.drives.scans.rosbag.messages import TRANSFORMS
 from interloc.drives.scans.rosbag.pointcloud2 import read_points
 from interloc.drives.scans.rosbag.stamps import read_scan_times
-from interloc.drives.scans.rosbag.topics import choose_points, is_static
+from interloc.drives.scans.rosbag.topics import choose_points, is_static, pose_topics
 from interloc.drives.scans.rosbag.trajectory import BagMotion, find_motion, read_bag_trajectory
 from interloc.drives.scans.rosbag.wire import Encoding, WireError
 from interloc.files import reason_of
@@ -150,6 +150,8 @@ def open_rosbag(root: Path, options: DriveOptions, findings: Findings) -> Record
         scan_bytes=bag.size,
         carries_labels=points.has_labels,
         has_remission=points.has_remission,
+        has_times=points.has_times,
+        carries_poses=bool(pose_topics(bag, None)) or found.pose_file is not None,
         read_trajectory=partial(read_bag_trajectory, bag, points, parts, found),
         topics=tuple(
             Topic(name=each.name, type=each.type, messages=len(each), role=_role(each, topic, found))

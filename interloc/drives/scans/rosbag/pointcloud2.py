@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from interloc.arrays import Float32Array, StructuredArray, UInt32Array
+from interloc.drives.scans.point_times import TIME_FIELDS, point_times
 from interloc.drives.scans.recorded import ScanPoints
 from interloc.drives.scans.rosbag.wire import Encoding, Header, Wire, WireError, read_header
 
@@ -33,7 +34,7 @@ _TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"
 _TYPE_NAMES = {1: "int8", 2: "uint8", 3: "int16", 4: "uint16", 5: "int32", 6: "uint32", 7: "float32", 8: "float64"}
 _MAX_FIELDS = 1000
 _MAX_POINT_BYTES = 65_536
-_LIVOX_FIELDS = (("x", "f4", 4), ("y", "f4", 8), ("z", "f4", 12), ("remission", "u1", 16))
+_LIVOX_FIELDS = (("time", "u4", 0), ("x", "f4", 4), ("y", "f4", 8), ("z", "f4", 12), ("remission", "u1", 16))
 _LIVOX_BYTES = 19  # offset_time, x y z, reflectivity, tag, line
 
 
@@ -47,7 +48,7 @@ class CloudLayout:
     height, width : int
         Rows and points per row.
     dtype : numpy.dtype
-        Fields x, y, z, and remission and label where the points have them.
+        Fields x, y, z, and remission, label and time where the points have them.
     point_step, row_step : int
         Bytes from point to point, and from row to row.
     data : memoryview
@@ -76,6 +77,11 @@ class CloudLayout:
     def has_remission(self) -> bool:
         """True where each point carries a remission."""
         return "remission" in (self.dtype.names or ())
+
+    @property
+    def has_times(self) -> bool:
+        """True where each point carries the time at which it was measured."""
+        return "time" in (self.dtype.names or ())
 
 
 def read_layout(data: bytes, kind: str, encoding: Encoding, *, complete: bool = True) -> CloudLayout:
@@ -124,12 +130,12 @@ def read_layout(data: bytes, kind: str, encoding: Encoding, *, complete: bool = 
 
 
 def _dtype_of(fields: dict[str, tuple[int, int, int]], order: str, point_step: int) -> np.dtype[np.void]:
-    """Return where x, y, z, remission and label stand in a point."""
+    """Return where x, y, z, remission, label and time stand in a point."""
     missing = [axis for axis in "xyz" if axis not in fields]
     if missing:
         raise WireError(f"has no field {', '.join(missing)}; its fields are {', '.join(fields) or 'none'}")
     chosen = {axis: axis for axis in "xyz"}
-    for ours, theirs in (("remission", REMISSION_FIELDS), ("label", LABEL_FIELDS)):
+    for ours, theirs in (("remission", REMISSION_FIELDS), ("label", LABEL_FIELDS), ("time", TIME_FIELDS)):
         found = next((name for name in theirs if name in fields), None)
         if found is not None:
             chosen[ours] = found
@@ -217,7 +223,10 @@ def read_points(data: bytes, kind: str, encoding: Encoding) -> ScanPoints:
     if layout.has_remission:
         values[~np.isfinite(values[:, 3]), 3] = 0.0
     labels = _labels(cells["label"])[returned] if layout.has_labels else None
-    return ScanPoints(values if returned.all() else values[returned], labels)
+    times_s = None
+    if layout.has_times:
+        times_s = point_times(cells["time"][returned], layout.header.stamp_ns / 1e9)
+    return ScanPoints(values if returned.all() else values[returned], labels, times_s)
 
 
 def _labels(ids: StructuredArray) -> UInt32Array:

@@ -39,7 +39,7 @@ class PointsTopic:
     topic : BagTopic
     frame_id : str
         Coordinate frame of the points.
-    has_labels, has_remission : bool
+    has_labels, has_remission, has_times : bool
         What each point carries.
     """
 
@@ -47,6 +47,7 @@ class PointsTopic:
     frame_id: str
     has_labels: bool
     has_remission: bool
+    has_times: bool = False
 
 
 def choose_points(bag: Bag, given: str | None, findings: Findings) -> PointsTopic:
@@ -109,7 +110,7 @@ def _judged(bag: Bag, topic: BagTopic) -> tuple[tuple[bool, bool, int], PointsTo
             break
     assert layout is not None
     rank = (layout.has_labels, layout.header.frame_id not in _FIXED_FRAMES, len(topic) * layout.count)
-    return rank, PointsTopic(topic, layout.header.frame_id, layout.has_labels, layout.has_remission)
+    return rank, PointsTopic(topic, layout.header.frame_id, layout.has_labels, layout.has_remission, layout.has_times)
 
 
 def _no_points(bag: Bag, empty: list[BagTopic]) -> str:

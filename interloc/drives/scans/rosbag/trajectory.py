@@ -8,13 +8,15 @@ from pathlib import Path
 import numpy as np
 
 from interloc.arrays import FloatArray, IntArray
+from interloc.drive import Georeference
 from interloc.drives.findings import DriveFileError, Findings
 from interloc.drives.georeference.read import read_georeference
 from interloc.drives.layouts import DriveParts
-from interloc.drives.options import DriveOptions
+from interloc.drives.options import ODOMETRY, DriveOptions
+from interloc.drives.poses.timed import TimedPoses
 from interloc.drives.scans.rosbag.bag import Bag, BagTopic
 from interloc.drives.scans.rosbag.fixes import BagFixes
-from interloc.drives.scans.rosbag.frames import FrameTree, read_tree
+from interloc.drives.scans.rosbag.frames import Edge, FrameTree, read_tree
 from interloc.drives.scans.rosbag.messages import TRANSFORMS
 from interloc.drives.scans.rosbag.motion import LidarMotion, read_motion
 from interloc.drives.scans.rosbag.stamps import ScanTimes
@@ -69,15 +71,19 @@ def find_motion(
     every = np.arange(len(times.order), dtype=np.int64)
     found = BagMotion(every, times.stamp_s)
     given = options.poses
+    if given == ODOMETRY:
+        if any(_same_name(topic.name, given) for topic in bag.topics):
+            findings.note(bag.name, f"the poses are computed from the points; those of /{given} are --poses /{given}.")
+        return replace(found, fault=DriveFileError(bag.name, "its poses are still to be computed from the points."))
     if given and Path(given).is_file() and not any(_same_name(topic.name, given) for topic in bag.topics):
+        with findings.stage():
+            found = replace(found, fix=choose_fix(bag, options.fix, findings))
+            found = replace(found, tree=_read_tree(bag))
         return replace(found, pose_file=Path(given))
     try:
         found = replace(found, fix=choose_fix(bag, options.fix, findings))
         candidates = _candidates(bag, options.poses, has_fixes=found.fix is not None)
-        try:
-            found = replace(found, tree=read_tree(bag, [topic for topic in bag.topics if topic.type in TRANSFORMS]))
-        except WireError as error:
-            raise DriveFileError(bag.name, f"a message of /tf or /tf_static: {error}.") from error
+        found = replace(found, tree=_read_tree(bag))
         topic, motion, by_log = _first_that_covers(candidates, bag, points, times, found.tree, findings)
     except InterLocError as fault:
         return replace(found, fault=fault)
@@ -91,6 +97,13 @@ def find_motion(
             f"from {first:.3f} s to {last:.3f} s, the scans from {times_s.min():.3f} s to {times_s.max():.3f} s.",
         )
     return replace(found, frames=every[covered], times_s=times_s[covered], motion=motion, poses=topic, by_log=by_log)
+
+
+def _read_tree(bag: Bag) -> FrameTree:
+    try:
+        return read_tree(bag, [topic for topic in bag.topics if topic.type in TRANSFORMS])
+    except WireError as error:
+        raise DriveFileError(bag.name, f"a message of /tf or /tf_static: {error}.") from error
 
 
 def _same_name(topic: str, given: str) -> bool:
@@ -180,7 +193,14 @@ def read_bag_trajectory(
     """
     if found.pose_file is not None:
         parts = replace(parts, poses=found.pose_file)
-        return read_trajectory(parts, found.frames, options, findings, times_s=found.times_s)
+        trajectory = read_trajectory(parts, found.frames, options, findings, times_s=found.times_s)
+        if trajectory.poses is None or trajectory.georeference is not None or found.fix is None:
+            return trajectory
+        world = trajectory.poses.T_world_lidar
+        edge = Edge("world", points.frame_id, TimedPoses(found.times_s, world))
+        motion = LidarMotion((edge,), np.eye(4), len(world), trajectory.poses.reason)
+        georeference, reason = _georeference(bag, points, found, motion, world, findings)
+        return replace(trajectory, georeference=georeference, georeference_reason=reason)
     if found.fault is not None or found.motion is None:
         with findings.stage():
             assert found.fault is not None
@@ -198,11 +218,21 @@ def read_bag_trajectory(
             raise
     if georeference is None and not reason and found.fix is None:
         reason = "the bag holds no GNSS fixes (sensor_msgs/NavSatFix)"
-    elif georeference is None and not reason and found.fix is not None:
-        with findings.stage():
-            fixes = BagFixes(bag, found.fix, points.frame_id, found.tree, by_log=found.by_log)
-            georeference, reason = fixes.georeference(found.motion, found.times_s, world, findings)
-        if georeference is None:
-            findings.note(bag.name, f"no georeference: {reason}")
+    elif georeference is None and not reason:
+        georeference, reason = _georeference(bag, points, found, found.motion, world, findings)
     poses = LidarPoses(relative, "lidar", found.motion.reason)
     return Trajectory(poses, found.motion.count, found.times_s, georeference, "" if georeference else reason)
+
+
+def _georeference(
+    bag: Bag, points: PointsTopic, found: BagMotion, motion: LidarMotion, world: FloatArray, findings: Findings
+) -> tuple[Georeference | None, str]:
+    """Return the georeference by the fixes of a bag, given the (N, 4, 4) poses of its scans; or why there is none."""
+    georeference, reason = None, ""
+    with findings.stage():
+        assert found.fix is not None
+        fixes = BagFixes(bag, found.fix, points.frame_id, found.tree, by_log=found.by_log)
+        georeference, reason = fixes.georeference(motion, found.times_s, world, findings)
+    if georeference is None:
+        findings.note(bag.name, f"no georeference: {reason}")
+    return georeference, reason

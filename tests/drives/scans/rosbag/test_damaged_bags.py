@@ -170,7 +170,8 @@ def test_a_bag_that_is_compressed_as_a_whole_is_refused_with_the_command(tmp_pat
 def test_metadata_that_is_missing_or_of_no_use_does_no_harm(tmp_path: Path) -> None:
     file = small_bag(tmp_path / "drive", "db3")
     metadata = file.parent / "metadata.yaml"
-    for text in ("rosbag2_bagfile_information: [", "relative_file_paths:\n  - gone.db3\n", "\0\xff"):
+    lists = ("relative_file_paths:\n  - gone.db3\n", "relative_file_paths:" + "\n" * 1_000_000)
+    for text in ("rosbag2_bagfile_information: [", *lists, "\0\xff"):
         metadata.write_text(text)
         assert read_all(file.parent)[0] == 8
     metadata.unlink()

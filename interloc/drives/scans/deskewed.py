@@ -1,0 +1,124 @@
+"""Scans whose points are moved to where they would have been seen at one instant, by the motion of the drive."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from interloc.arrays import FloatArray, IntArray
+from interloc.drives.findings import Findings
+from interloc.drives.options import DriveOptions
+from interloc.drives.scans.recorded import PointSource, Recording, ScanPoints
+from interloc.drives.trajectory import Trajectory
+from interloc.geometry import invert_transform
+from interloc.odometry.deskew import Velocity, is_bent
+
+_MAX_GAP_S = 1.0
+"""Between scans farther apart in time the velocity is not known."""
+
+_SAMPLED = 12  # scans, evenly spread
+
+
+@dataclass(frozen=True)
+class DeskewedScans:
+    """Scans without the motion within them; a `PointSource`.
+
+    Attributes
+    ----------
+    source : PointSource
+        The scans as they were recorded.
+    frames : (N,) int64
+        Scan numbers, ascending.
+    velocities : tuple of (Velocity or None, Velocity or None)
+        Before and after the time of each scan; None where it is not known: then its points stay as they are.
+    """
+
+    source: PointSource
+    frames: IntArray
+    velocities: tuple[tuple[Velocity | None, Velocity | None], ...]
+
+    def name(self, frame: int) -> str:
+        """Return how messages call a scan."""
+        return self.source.name(frame)
+
+    def files(self, frame: int) -> tuple[Path, ...]:
+        """Return the files that a scan is read from."""
+        return self.source.files(frame)
+
+    def read(self, frame: int) -> ScanPoints:
+        """Read the points of a scan, and take the motion within it out of them.
+
+        Raises
+        ------
+        DriveError
+            As of the source.
+        """
+        points = self.source.read(frame)
+        times_s = points.times_s
+        if times_s is None:
+            return points
+        values = points.values.copy()
+        row = int(np.searchsorted(self.frames, frame))
+        for velocity, is_part in zip(self.velocities[row], (times_s < 0, times_s > 0), strict=True):
+            if velocity is not None:
+                values[is_part, :3] = velocity.undo(values[is_part, :3], times_s[is_part])
+        return replace(points, values=values)
+
+
+def is_to_deskew(recording: Recording, options: DriveOptions, findings: Findings) -> bool:
+    """Tell whether `deskewed` may have something to do."""
+    if options.deskew == "on" and not recording.has_times:
+        name = recording.parts.file(recording.parts.scans).name
+        findings.warning(name, "cannot be deskewed: its points carry no times.")
+    return options.deskew != "off" and recording.has_times
+
+
+def deskewed(recording: Recording, trajectory: Trajectory, options: DriveOptions, findings: Findings) -> Recording:
+    """Return a recording whose points are without the motion within scans, as the option `deskew` asks for.
+
+    "auto" does that where it is certain: points and scans carry times, the scans are turns of a spinning LiDAR, and the
+    points show that no driver has done it before.
+    """
+    source, frames, poses, times_s = recording.points, recording.frames, trajectory.poses, trajectory.times_s
+    if source is None or frames is None or poses is None or len(frames) < 2:
+        return recording
+    name = recording.parts.file(recording.parts.scans).name
+    if times_s is None:
+        say = findings.warning if options.deskew == "on" else findings.note
+        say(name, "cannot be deskewed: its points carry times, but those of the scans are not known.")
+        return recording
+    velocities = _velocities(poses.T_world_lidar, times_s)
+    found = DeskewedScans(source, frames, velocities)
+    if options.deskew == "auto":
+        bent = [_is_bent(found, row) for row in _sampled(len(frames))]
+        if not bent.count(True) > bent.count(False):
+            why = "the points show that it was taken out before" if False in bent else "the points do not show any"
+            findings.note(name, f"the points carry times, and the motion within scans is left in: {why} (--deskew on).")
+            return recording
+    findings.note(name, "the motion within each scan is taken out of its points by their times (--deskew off).")
+    return replace(recording, points=found)
+
+
+def _sampled(count: int) -> list[int]:
+    return sorted({int(row) for row in np.linspace(0, count - 1, _SAMPLED)})
+
+
+def _is_bent(scans: DeskewedScans, row: int) -> bool | None:
+    points, velocity = scans.source.read(int(scans.frames[row])), scans.velocities[row][1]
+    if points.times_s is None or velocity is None:
+        return None
+    return is_bent(points.values[:, :3], points.times_s, velocity)
+
+
+def _velocities(T_world_lidar: FloatArray, times_s: FloatArray) -> tuple[tuple[Velocity | None, Velocity | None], ...]:
+    """Return the velocity before and after each scan."""
+    steps = invert_transform(T_world_lidar[:-1]) @ T_world_lidar[1:]
+    between = [
+        Velocity.between(step, passed) if 0 < passed <= _MAX_GAP_S else None
+        for step, passed in zip(steps, np.diff(times_s).tolist(), strict=True)
+    ]
+    return tuple(
+        (before or after, after or before) for before, after in zip([None, *between], [*between, None], strict=True)
+    )

@@ -1,0 +1,111 @@
+"""Poses of a drive, computed from its points, as a file that other programs read."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from interloc.drives.findings import DriveFileError, Findings
+from interloc.drives.open import read_drive
+from interloc.drives.options import ODOMETRY, DriveOptions
+from interloc.drives.scans.reduced_format import is_reduced
+from interloc.errors import ConfigError
+from interloc.files import atomic_write
+from interloc.processes import Progress
+from interloc.reduction.small_files import is_contiguous
+
+_TUM_ENDING = ".tum"
+_NUMBERED_ANYHOW = {"pcd", "las"}
+"""Layouts whose scans have numbers of any kind: their poses are one per scan."""
+
+
+@dataclass(frozen=True)
+class WrittenPoses:
+    """What was written.
+
+    Attributes
+    ----------
+    name : str
+        Name of the drive.
+    scans : int
+    length_m : float
+        Distance driven.
+    how : str
+        How the poses were made, in words.
+    has_times : bool
+        Whether the times of the scans are known.
+    """
+
+    name: str
+    scans: int
+    length_m: float
+    how: str
+    has_times: bool
+
+
+def write_poses(
+    root: str | os.PathLike[str],
+    out: str | os.PathLike[str],
+    options: DriveOptions | None = None,
+    *,
+    progress: Progress | None = None,
+) -> WrittenPoses:
+    """Compute the poses of a drive from its points, and write them to a file, which appears whole or not at all.
+
+    Parameters
+    ----------
+    root
+        The drive; labels and poses are not needed.
+    out
+        File to be written: lines of 12 numbers (KITTI), T_world_lidar, W being the LiDAR at the first scan, after the
+        frame number where scans are left out between them; or of the TUM format where it ends in .tum.
+    options : DriveOptions or None
+    progress
+        Called with the scans done and the scans in all.
+
+    Raises
+    ------
+    DriveError
+        The drive cannot be read, or its scans cannot be followed; small_gicp is not installed.
+    ConfigError
+        `out` is there already; TUM is asked for, and the times of the scans are not known.
+    OutputError
+        `out` could not be written.
+    """
+    root, target = Path(root), Path(out)
+    if target.exists():
+        raise ConfigError(
+            f"{target} is there already, and was not touched. Give another file (-o), or remove it first."
+        )
+    chosen = (options or DriveOptions()).model_copy(update={"poses": ODOMETRY})
+    findings = Findings(stop_at_first=True)
+    with findings.stage():
+        if is_reduced(root):
+            raise DriveFileError(
+                str(root), "is a reduced drive, which holds no scans. Expected the drive that it was made from."
+            )
+    (reading,) = read_drive(root, chosen, findings, needs_labels=False, progress=progress).values()
+    scans, trajectory = reading.scans, reading.trajectory
+    assert scans is not None
+    assert scans.frames is not None
+    assert trajectory.poses is not None
+    poses, times_s = trajectory.poses.T_world_lidar, trajectory.times_s
+    rows, form = poses[:, :3].reshape(-1, 12), ["%.9g"] * 12
+    if not is_contiguous(scans.frames) and scans.parts.layout not in _NUMBERED_ANYHOW:
+        rows, form = np.column_stack([scans.frames, rows]), ["%d", *form]
+    if target.suffix.lower() == _TUM_ENDING:
+        if times_s is None:
+            raise ConfigError(f"{target}: TUM holds times, and those of the scans are not known. Give another ending.")
+        rows, form = (
+            np.column_stack([times_s, poses[:, :3, 3], Rotation.from_matrix(poses[:, :3, :3]).as_quat()]),
+            ["%.6f", *["%.9g"] * 7],
+        )
+    with atomic_write(target) as file:
+        np.savetxt(file, rows, fmt=form)
+    return WrittenPoses(
+        scans.parts.drive_name, len(poses), trajectory.poses.length_m, trajectory.poses.reason, times_s is not None
+    )

@@ -1,0 +1,120 @@
+"""Poses from points: the motion of a LiDAR down a street, told where it cannot be followed."""
+
+from __future__ import annotations
+
+import sys
+
+import numpy as np
+import pytest
+
+from interloc.arrays import FloatArray
+from interloc.errors import DriveError
+from interloc.geometry import invert_transform
+from interloc.odometry import registration
+from interloc.odometry.odometry import Odometry
+from interloc.odometry.registration import register
+from tests.street_points import TURN_S, poses_along, seen, seen_driving, street
+
+
+def follow(
+    poses: FloatArray, *, clock: FloatArray | None = None, deskew: bool = True, speeds: FloatArray | None = None
+) -> FloatArray:
+    world, odometry = street(), Odometry(deskew=deskew)
+    found = []
+    for row, pose in enumerate(poses):
+        xyz, times_s = (seen(world, pose), None) if speeds is None else seen_driving(world, pose, speeds[row])
+        found.append(odometry.add(xyz, float(row) if clock is None else clock[row], times_s))
+    return np.array(found)
+
+
+def error_m(found: FloatArray, poses: FloatArray) -> float:
+    truth = invert_transform(poses[0]) @ poses
+    return float(np.linalg.norm(found[:, :3, 3] - truth[:, :3, 3], axis=1).max())
+
+
+def test_a_scan_laid_onto_another() -> None:
+    world, poses = street(), poses_along(np.array([1.5]), turn_rad=0.05)
+    found = register(seen(world, poses[1]), seen(world, poses[0]))
+    np.testing.assert_allclose(found.T_target_source, invert_transform(poses[0]) @ poses[1], atol=0.02)
+    assert found.inlier_share > 0.8
+    assert found.information > 1
+
+
+def test_scans_that_share_nothing_do_not_fit() -> None:
+    world = street()
+    found = register(seen(world, poses_along(np.zeros(1))[0]), seen(street(1)[:, [1, 0, 2]], np.eye(4)))
+    assert found.inlier_share < 0.6
+
+
+def test_no_points_fit_nothing() -> None:
+    assert register(np.zeros((0, 3), np.float32), np.full((9, 3), np.nan, np.float32)).inlier_share == 0
+
+
+@pytest.mark.parametrize("speed", [0.0, 0.7, 2.5, 4.0])
+def test_it_starts_at_any_speed(speed: float) -> None:
+    poses = poses_along(np.full(4, speed))
+    assert error_m(follow(poses), poses) < 0.1
+
+
+def test_it_follows_turns_and_brakes() -> None:
+    poses = poses_along(np.linspace(2.0, 0.0, 11), turn_rad=0.05)
+    assert error_m(follow(poses), poses) < 0.1
+
+
+def test_it_starts_backwards() -> None:
+    poses = poses_along(np.full(4, -1.2))
+    assert error_m(follow(poses), poses) < 0.1
+
+
+def test_missing_scans_are_bridged_by_the_clock() -> None:
+    steps = np.array([1.0, 1.0, 1.0, 3.0, 1.0, 1.0])
+    poses = poses_along(steps)
+    assert error_m(follow(poses, clock=np.concatenate([[0.0], np.cumsum(steps)])), poses) < 0.1
+
+
+def test_motion_within_scans_is_taken_out() -> None:
+    poses = poses_along(np.full(6, 2.0))
+    speeds = np.full(7, 2.0 / TURN_S)
+    clock = TURN_S * np.arange(7)
+    assert error_m(follow(poses, clock=clock, speeds=speeds), poses) < 0.1
+
+
+def test_the_same_scans_give_the_same_poses() -> None:
+    poses = poses_along(np.full(2, 1.0), turn_rad=0.02)
+    np.testing.assert_array_equal(follow(poses), follow(poses))
+
+
+def test_scans_too_far_apart_are_refused() -> None:
+    with pytest.raises(DriveError, match=r"it (does not fit|fits the scan before it at several places)"):
+        follow(poses_along(np.full(3, 17.0)))
+
+
+def test_a_jump_is_refused() -> None:
+    with pytest.raises(DriveError, match=r"it (does not fit|fits the scan before it at several places)"):
+        follow(poses_along(np.array([1.0, 1.0, 14.0, 1.0])))
+
+
+def test_nothing_that_stands_out_is_told() -> None:
+    rng = np.random.default_rng(0)
+    plane = np.column_stack([rng.uniform(-20, 20, (3_000, 2)), np.full(3_000, -1.7)]).astype(np.float32)
+    odometry = Odometry()
+    odometry.add(plane, 0.0)
+    with pytest.raises(DriveError, match="holds nothing that tells how far"):
+        odometry.add(plane + np.float32([0.5, 0, 0]), 1.0)
+
+
+def test_the_map_forgets(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(registration, "_FORGET_AFTER", 10)
+    world, poses = street(), poses_along(np.full(40, 1.0))
+    odometry = Odometry()
+    sizes = []
+    for row, pose in enumerate(poses):
+        odometry.add(seen(world, pose), float(row))
+        sizes.append(len(odometry._map))
+    assert max(sizes[20:]) < 1.3 * sizes[20]
+
+
+def test_without_small_gicp_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "small_gicp", None)
+    with pytest.raises(DriveError, match=r"pip install \"interloc\[odometry\]\""):
+        Odometry()
