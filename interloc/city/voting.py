@@ -73,7 +73,7 @@ def vote(
     offset = np.stack([axis[best // side], axis[best % side]], axis=-1)
     for _ in range(_ROUNDS):
         pull = np.exp(-0.5 * np.sum((difference - offset[of]) ** 2, axis=1) / config.vote_kernel_m**2)
-        pairs = np.bincount(of, pull, count)
+        pairs = np.bincount(of, pull, count).astype(np.float64)
         moved = np.stack([np.bincount(of, pull * difference[:, i], count) for i in (0, 1)], axis=-1)
         offset = np.where(pairs[:, None] > 0, moved / np.maximum(pairs, 1e-12)[:, None], offset)
     return offset, pairs
@@ -108,7 +108,7 @@ def offsets_of(keys: Sequence[str], votes: Votes) -> FloatArray:
         np.add.at(right, b, -weight[:, None] * said[:, :2])
         pinned = list(first.values())
         system[pinned, pinned] += 1.0
-        offset = np.linalg.solve(system, right)
+        offset = np.linalg.solve(system, right).astype(np.float64)
         rest = np.sum((offset[a] - offset[b] - said[:, :2]) ** 2, axis=1)
         weight = said[:, 2] * np.maximum(np.exp(-0.5 * rest / _OFF_M**2), 1e-3)
     return offset
