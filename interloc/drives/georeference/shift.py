@@ -100,6 +100,11 @@ def fit_shift(times: FloatArray, positions: FloatArray, fix_times: FloatArray, e
     return Shift(late, metres, is_sure, float(np.sqrt(unshifted)), float(np.sqrt(best)))
 
 
+def misfit_m(times: FloatArray, positions: FloatArray, fix_times: FloatArray, enu: FloatArray) -> float:
+    """Return the root mean square of what poses are off fixes, piece by piece; parameters as of `fit_shift`."""
+    return float(np.sqrt(_mean_square(times, positions, fix_times, enu, _windows(enu))[0]))
+
+
 def _windows(enu: FloatArray) -> list[IntArray]:
     """Return the rows of overlapping pieces of the track."""
     driven = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(enu, axis=0), axis=1))])

@@ -17,7 +17,7 @@ from interloc.drives.georeference.fixes import (
     georeference_from_fixes,
 )
 from interloc.drives.georeference.geodetic import check_georeference, in_degrees
-from interloc.drives.georeference.shift import Shift, fit_shift
+from interloc.drives.georeference.shift import Shift, fit_shift, misfit_m
 from interloc.drives.scans.rosbag.bag import Bag, BagTopic
 from interloc.drives.scans.rosbag.frames import FrameTree, latest_of_each
 from interloc.drives.scans.rosbag.messages import NO_FIX, Fix, read_fix
@@ -178,9 +178,13 @@ class BagFixes:
         if len(rows) < MIN_FIXES or last <= first:
             return None
         grid = np.linspace(first, last, int(np.clip((last - first) / _GRID_S, 2, _MAX_GRID)))
-        lonlat = positions[rows][:, [1, 0]]
-        enu = enu_from_lonlat(lonlat[0, 1], lonlat[0, 0], lonlat)
-        return fit_shift(grid, motion.at(grid)[:, :2, 3], times_s[rows], enu)
+        path, lonlat = motion.at(grid)[:, :2, 3], positions[rows][:, [1, 0]]
+        shift = fit_shift(grid, path, times_s[rows], enu_from_lonlat(lonlat[0, 1], lonlat[0, 0], lonlat))
+        if shift is not None:  # exchanged, a path is mirrored, and a shift may seem to help
+            exchanged = enu_from_lonlat(lonlat[0, 0], lonlat[0, 1], lonlat[:, ::-1])
+            if misfit_m(grid, path, times_s[rows], exchanged) < shift.after_m:
+                return None
+        return shift
 
 
 def _sound_fixes(positions: FloatArray, status: IntArray) -> BoolArray:
