@@ -37,6 +37,8 @@ read_osm, locate, evaluate
     Read a map; place a drive on it that has no GNSS; score a result.
 write_results, write_report, read_results, geodataframe
     Result folders, and layers of them.
+merge, CityMap, write_city, read_city
+    One map of many drives.
 InterLocError
     What every error on purpose is; its text is for the user.
 """

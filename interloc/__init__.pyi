@@ -1,3 +1,7 @@
+from .city.citymap import CityMap as CityMap
+from .city.citymap import merge as merge
+from .city.folder import read_city as read_city
+from .city.folder import write_city as write_city
 from .config import DetectorConfig as DetectorConfig
 from .config import preset as preset
 from .detection.detector import Detector as Detector
@@ -19,6 +23,7 @@ from .pipeline import stream as stream
 __version__: str
 
 __all__ = [
+    "CityMap",
     "Detector",
     "DetectorConfig",
     "InterLocError",
@@ -28,12 +33,15 @@ __all__ = [
     "geodataframe",
     "inspect_drive",
     "locate",
+    "merge",
     "open_drive",
     "preset",
+    "read_city",
     "read_osm",
     "read_results",
     "roads",
     "stream",
+    "write_city",
     "write_report",
     "write_results",
 ]

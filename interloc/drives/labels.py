@@ -15,7 +15,7 @@ from interloc.errors import ConfigError
 ROAD, CONFUSABLE = 1, 2
 """Groups of the selection kernel."""
 
-MIN_ROAD_SHARE = 0.005
+MIN_ROAD_SHARE = 0.05
 MAX_UNKNOWN_SHARE = 0.05
 
 _LABEL_COUNT = 1 << 16

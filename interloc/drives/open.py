@@ -36,6 +36,8 @@ from interloc.drives.scans.reduced_format import ReducedManifest, is_reduced, re
 from interloc.drives.trajectory import Trajectory
 from interloc.processes import Progress
 
+NO_POSES = "there are none: they are computed from the points (--poses odometry)."
+
 SAMPLED_SCANS = 5
 """How many scans are looked into, unless all are."""
 
@@ -196,6 +198,10 @@ def _open(
         opened = read_manifest(root) if is_reduced(root) else open_recording(root, options, findings)
     if isinstance(opened, Recording) and opened.frames is not None:
         with findings.stage():
+            if options.poses is None and not opened.has_poses:
+                findings.warning("poses", NO_POSES)
+                options = options.model_copy(update={"poses": ODOMETRY})
+                opened = open_recording(root, options, findings)
             if options.poses == ODOMETRY:
                 track = track_file(opened, options, findings, progress)
                 options = options.model_copy(update={"poses": str(track.path), "pose_frame": "lidar"})

@@ -24,6 +24,8 @@ from interloc.output.geojson import damaged, joined, read_file, rounded
 from interloc.output.properties import (
     Attribute,
     BranchProperties,
+    CityDriveProperties,
+    CityProperties,
     DetectionProperties,
     IntersectionProperties,
     JunctionProperties,
@@ -282,6 +284,16 @@ DERIVED = {
     )
 }
 """The layers that exports make of the intersections, see `interloc.output.derived`."""
+
+
+CITY_LAYERS = {
+    layer.name: layer
+    for layer in (
+        Layer("city", "Intersections of many drives", "Point", CityProperties, "Intersection {uid}", key="uid"),
+        Layer("drives", "Tracks of many drives", "LineString", CityDriveProperties, "{drive}", key="drive"),
+    )
+}
+"""The layers of a map of many drives, see `interloc.city`."""
 
 
 @dataclass(frozen=True)

@@ -437,6 +437,74 @@ class UncertaintyProperties(Properties):
     drive: DriveName = None
 
 
+class CityProperties(Properties):
+    """A physical intersection on a map of many drives, fused from what each of them saw."""
+
+    uid: str = Field(
+        title="Name of the place",
+        description="Name of the place on this map: it stays when drives are added, and is never used for another.",
+    )
+    observations: int = Field(title="Observations", description="Number of detections, of all drives.")
+    drives: int = Field(title="Drives", description="Number of drives that saw it.")
+    passes: int = Field(
+        title="Passes",
+        description="Number of times it was seen; sightings within ten minutes of each other count as one, since they "
+        "may be pieces of one drive.",
+    )
+    drives_near: int = Field(
+        title="Drives near", description="Number of drives that saw it, or came within 20 m of it."
+    )
+    drive_names: str = Field(title="Names of drives", description="The drives that saw it, separated by commas.")
+    position_std_m: Metres = Field(
+        title="Uncertainty",
+        description="One-sigma uncertainty of the position on the Earth along each axis, metres. An offset that all "
+        "drives have in common, as of one base station, is not in it.",
+    )
+    position_cov_m2: PositionCovariance = None
+    relative_std_m: Metres = Field(
+        title="Uncertainty in its surroundings",
+        description="The same against the intersections around, metres: without what the georeference leaves.",
+    )
+    branch_count: BranchCount
+    branch_bearings_deg: BranchBearings
+    branch_widths_m: BranchWidths
+    branch_drives: list[int] = Field(
+        title="Drives per branch", description="Number of drives that saw each branch, in the order of the bearings."
+    )
+    confidence: Ratio = Field(
+        title="Confidence",
+        description="0 to 1: mean confidence of the drives that came near, 0 for each that did not see it.",
+    )
+    first_time: Time = Field(
+        title="First seen", description="When it was first seen, RFC 3339; null where no drive has times of day."
+    )
+    last_time: Time = Field(
+        title="Last seen", description="When it was last seen, RFC 3339; null where no drive has times of day."
+    )
+
+
+class CityDriveProperties(Properties):
+    """The track of a drive of a map of many drives, its offset taken away."""
+
+    drive: str = Field(title="Drive", description="Name of the drive.")
+    intersections: int = Field(title="Intersections", description="Number of intersections of its result.")
+    offset_east_m: Metres = Field(
+        title="Offset to the east",
+        description="Mean offset of the drive to the east, metres: what it says minus what the map says.",
+    )
+    offset_north_m: Metres = Field(title="Offset to the north", description="The same to the north.")
+    offset_range_m: Metres = Field(
+        title="Drift", description="Largest distance between the offsets of two parts of the drive, metres."
+    )
+    fix_std_m: Metres = Field(
+        title="Uncertainty of the fixes", description="As its georeference states it, metres along each axis."
+    )
+    first_time: Time = Field(
+        title="Begin", description="Time of its first keyframe, RFC 3339; null where it has no times of day."
+    )
+    last_time: Time = Field(title="End", description="Time of its last keyframe, in the same form.")
+
+
 @dataclass(frozen=True)
 class Attribute:
     """A property of a layer, as files and documents describe it.

@@ -140,12 +140,14 @@ async def put_file(
 )
 def get_file(drive_id: DriveId, path: FilePath, context: ContextDep, _client: ClientDep) -> WholeFile:
     """Return an uploaded file, as long as it is kept."""
-    file, about = records.find_file(context, drive_id, check_path(path))
-    headers = {"ETag": f'"{about.sha256}"', "X-Content-Type-Options": "nosniff"}
-    return WholeFile(file, media_type="application/octet-stream", filename=file.name, headers=headers)
+    file, sha256 = records.open_file(context, drive_id, path)
+    headers = {"ETag": f'"{sha256}"', "X-Content-Type-Options": "nosniff"}
+    with file:
+        name = path.rpartition("/")[2]
+        return WholeFile(file, media_type="application/octet-stream", filename=name, headers=headers)
 
 
 @router.delete("/{path:path}", status_code=204, responses={**NOT_FOUND, **CLOSED}, summary="Delete a file")
 def delete_file(drive_id: DriveId, path: FilePath, context: ContextDep, _client: ClientDep) -> None:
     """Remove a file of a drive that is not committed yet, or a map of a ready one that no job waits for or reads."""
-    records.delete_file(context, drive_id, check_path(path))
+    records.delete_file(context, drive_id, path)

@@ -561,6 +561,11 @@ HOSTILE = [
     '{"op": "s_intersects", "args": [{"property": "geometry"}, {"type": "Point", "coordinates": [[["x"]]]}]}',
     '{"op": "t_after", "args": [{"property": "time"}, {"interval": ["x"]}]}',
     '{"op": ">", "args": [{"property": "score"}, NaN]}',
+    "S_INTERSECTS(geometry, BBOX(nan,nan,nan,nan))",
+    '{"op": "s_intersects", "args": [{"property": "geometry"}, {"bbox": ["a", "b", "c", "d"]}]}',
+    '{"op": "s_intersects", "args": [{"property": "geometry"}, {"bbox": [NaN, 1, 2, 3]}]}',
+    '{"op": "s_intersects", "args": [{"property": "geometry"}, {"bbox": {"0": 1, "1": 2, "2": 3, "3": 4}}]}',
+    '{"op": "s_intersects", "args": [{"property": "geometry"}, {"type": "Point", "coordinates": [NaN, 1]}]}',
     "[]",
     "{",
 ]
