@@ -36,6 +36,8 @@ from interloc.drives.scans.reduced_format import ReducedManifest, is_reduced, re
 from interloc.drives.trajectory import Trajectory
 from interloc.processes import Progress
 
+NO_POSES = "there are none: they are computed from the points (--poses odometry)."
+
 SAMPLED_SCANS = 5
 """How many scans are looked into, unless all are."""
 
@@ -197,7 +199,7 @@ def _open(
     if isinstance(opened, Recording) and opened.frames is not None:
         with findings.stage():
             if options.poses is None and not opened.has_poses:
-                findings.warning("poses", "there are none: they are computed from the points (--poses odometry).")
+                findings.warning("poses", NO_POSES)
                 options = options.model_copy(update={"poses": ODOMETRY})
                 opened = open_recording(root, options, findings)
             if options.poses == ODOMETRY:

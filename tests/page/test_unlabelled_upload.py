@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -128,6 +128,23 @@ def test_a_drive_without_labels_is_labelled_by_the_service(
     upload.page.goto(f"{server.address}/#panel=upload")
     upload.pick(unlabelled)  # the time is known now
     upload.page.get_by_text(re.compile("per scan on one core: about .* for about")).wait_for()
+
+
+def test_scans_alone_make_a_drive(upload: Upload, server: ServerProcess, data: Callable[[str], Path]) -> None:
+    root = data("semantickitti_mini/sequences/07")
+    alone = Path(shutil.copytree(root / "velodyne", server.log.parent / "alone/velodyne")).parent
+    upload.pick(alone)
+    upload.choose("By geometry, on the service")
+    assert "they are computed from the points" in upload.text()
+    upload.press("Upload only")
+
+    def committed() -> str | None:
+        drives = server.client.get(f"{API}/drives").json()["drives"]
+        return next((each["id"] for each in drives if each["name"] == "alone" and each["state"] == "ready"), None)
+
+    report = server.client.get(f"{API}/drives/{wait_until(committed, 'its commit')}").json()["report"]
+    assert report["pose_frame_reason"] == "odometry over the points of 10 scans"
+    assert report["label_folder"] == "geometry"
 
 
 def test_a_recording_shows_its_topics_and_its_limit(upload: Upload, tmp_path: Path) -> None:

@@ -35,6 +35,7 @@ import { formatBytes, plural } from "../dom.js";
  * @property {Record<string, NumberedLook & {problems: FileProblem[]}>} labels
  * @property {FileProblem[]} unlabelled What is wrong where neither label files nor a network are used.
  * @property {boolean | null} carries_labels Whether the points have labels; null: not known.
+ * @property {boolean | null} has_poses false: the service computes them from the scans.
  * @property {Record<string, string>} whole Sent as they are: path in the drive -> path in the folder.
  * @property {Record<string, string>} small
  * @property {string[]} pose_files Files that may hold the poses of a recording.

@@ -78,7 +78,7 @@ export function formView(
   );
   const wholly = el("div", {});
   /** @returns {boolean} Whether the scans are sent as they are because only the service reads or labels them. */
-  const isWhole = () => isRecorded || labels.made() !== null;
+  const isWhole = () => isRecorded || labels.made() !== null || drive?.look?.has_poses === false;
   const sending = () => (isWhole() ? "raw" : parts.value());
   const whyWhole = el("p", { class: "small" });
   const known = {
@@ -382,9 +382,10 @@ function keyframesComplaint(wanted, labelled) {
 const bytesOf = (files) => [...files].reduce((sum, file) => sum + file.size, 0);
 
 /** @param {DriveFolder} drive @param {import("./label_form.js").MadeLabels | null} made @returns {string} Why its scans are sent as they are. */
-function reasonOf({ scans, recorded }, made) {
+function reasonOf({ scans, recorded, look }, made) {
   const all = formatBytes(scans?.bytes ?? bytesOf(recorded.values()));
-  const why = made ? made.why : "The browser cannot reduce these files";
+  const lacksPoses = look?.has_poses === false && "The service computes the poses, so the scans are sent whole";
+  const why = made?.why || lacksPoses || "The browser cannot reduce these files";
   return `${why}: all ${all} are sent as they are, and the service keeps what the method needs.`;
 }
 

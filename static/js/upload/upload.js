@@ -243,6 +243,10 @@ export class Upload {
     this.#update({ step: "plan", message: "Reading poses and georeference" });
     const made = madeFolder(options);
     const labels = made ? [] : folders;
+    if (drive.look?.has_poses === false) {
+      await this.#sendAll(rawFiles(drive, labels), present, isSame);
+      return;
+    }
     const plan = await this.#askPlan(drive, await countFolders(drive, labels));
     if (made || sending === "raw") {
       await this.#sendAll(rawFiles(drive, labels), present, isSame);

@@ -13,6 +13,7 @@ from interloc.drives.findings import DriveFileError, Findings
 from interloc.drives.georeference.read import read_georeference
 from interloc.drives.layouts import DriveParts
 from interloc.drives.options import ODOMETRY, DriveOptions
+from interloc.drives.poses.motion import body_motion
 from interloc.drives.poses.timed import TimedPoses
 from interloc.drives.scans.rosbag.bag import Bag, BagTopic
 from interloc.drives.scans.rosbag.fixes import BagFixes
@@ -26,6 +27,7 @@ from interloc.drives.trajectory import LidarPoses, Trajectory, read_trajectory
 from interloc.errors import InterLocError
 from interloc.geometry import invert_transform
 
+_ALONG_Z = 0.65
 _MANY, _MOST = 0.2, 0.9
 """Shares of the scans without a pose: that is worth a warning, and no drive."""
 
@@ -253,6 +255,16 @@ def read_bag_trajectory(
             raise
     if georeference is None and not reason:
         georeference, reason = _georeference(bag, points, found, found.motion, world, findings)
+    how = body_motion(relative)
+    if how is not None and how.along[2] > _ALONG_Z:
+        findings.error(
+            DriveFileError(
+                bag.name,
+                f"{found.motion.reason}: {how.describe()}. Expected the axes of ROS, x forward and z up. Usual cause: "
+                "the axes of LOAM (x left, y up, z forward) or of a camera, whose transform to the points is not in "
+                "the bag. Choose other poses with --poses, or record that transform.",
+            )
+        )
     poses = LidarPoses(relative, "lidar", found.motion.reason)
     return Trajectory(poses, found.motion.count, found.times_s, georeference, "" if georeference else reason)
 
