@@ -141,9 +141,10 @@ class Pass:
         if self.road is not None:
             arrays["road_epsg"], arrays["road_cell_m"] = self.road.epsg or 0, self.road.raster.cell_m
             for name, raster in (("road", self.road.raster), ("other", self.road.other)):
-                tiles = {} if raster is None else raster.tiles
-                arrays[f"{name}_keys"] = np.array(list(tiles), dtype=np.int64).reshape(-1, 2)
-                arrays[f"{name}_tiles"] = np.array(list(tiles.values()), dtype=np.uint8).reshape(-1, TILE, TILE)
+                tiles = Raster(0.0).tiles if raster is None else raster.tiles
+                keys = list(tiles)
+                arrays[f"{name}_keys"] = np.array(keys, dtype=np.int64).reshape(-1, 2)
+                arrays[f"{name}_tiles"] = np.array([tiles[key] for key in keys], np.uint8).reshape(-1, TILE, TILE)
         arrays["branches"] = np.array([len(each) for each in self.bearings_deg], dtype=np.int64)
         for name in _RAGGED:
             arrays[name] = np.concatenate([np.zeros(0), *arrays[name]])
@@ -178,10 +179,10 @@ class Pass:
 def _mosaic(arrays: dict[str, Any]) -> Mosaic:
     """Take the arrays of the road out of those of a file."""
     cell_m, epsg = float(arrays.pop("road_cell_m")), int(arrays.pop("road_epsg")) or None
-    road, other = (
-        Raster(cell_m, dict(zip(map(tuple, keys.tolist()), tiles, strict=True)))
-        for keys, tiles in ((arrays.pop(f"{name}_keys"), arrays.pop(f"{name}_tiles")) for name in ("road", "other"))
-    )
+    road, other = (Raster(cell_m) for _ in range(2))
+    for raster, name in ((road, "road"), (other, "other")):
+        for (row, column), tile in zip(arrays.pop(f"{name}_keys").tolist(), arrays.pop(f"{name}_tiles"), strict=True):
+            raster.tiles[row, column] = tile
     return Mosaic(road, epsg, other if other.tiles else None)
 
 
