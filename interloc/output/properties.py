@@ -323,7 +323,13 @@ class OsmNodeProperties(Properties):
         title="In the zone",
         description="Whether it was in the relevant zone of a keyframe, so it should be found.",
     )
-    found: bool = Field(title="Detected", description="Whether a detection within 5 m was matched to it.")
+    found: bool = Field(title="Found", description="Whether its verdict is found: by an intersection of the map.")
+    detected: bool | None = Field(
+        None,
+        title="Detected",
+        description="Whether a detection within 5 m was matched to it, the paper's measure; null in results of older "
+        "versions.",
+    )
     keyframes_in_zone: int = Field(
         title="Keyframes near", description="Number of keyframes with the node in their relevant zone."
     )
