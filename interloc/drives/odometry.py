@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import tempfile
+import time
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +15,7 @@ from platformdirs import user_cache_path
 from interloc.arrays import FloatArray, IntArray
 from interloc.drives.files import SourceFile
 from interloc.drives.findings import DriveFileError, Findings
-from interloc.drives.options import DriveOptions
+from interloc.drives.options import ODOMETRY, DriveOptions
 from interloc.drives.scans.recorded import PointSource, Recording
 from interloc.drives.trajectory import read_trajectory
 from interloc.errors import DriveError
@@ -28,6 +30,7 @@ _METHOD = "odometry 1"
 """Tracks that another version of the method made are computed anew."""
 
 _SAMPLED = 12  # pairs of scans, evenly spread
+_KEPT_DAYS = 60
 
 
 def track_file(
@@ -59,9 +62,10 @@ def track_file(
     require_small_gicp()
     clock = _clock(recording, options)
     path = _kept_as(source, frames, clock, options)
-    with FileLock(path.with_suffix(".lock")):
+    with FileLock(path.parent / "odometry.lock"):
         if not path.is_file():
-            findings.note("odometry", f"the poses of {len(frames):,} scans are computed from their points, once.")
+            _sweep(path.parent)
+            findings.note(ODOMETRY, f"the poses of {len(frames):,} scans are computed from their points, once.")
             deskew = options.deskew == "on" or (options.deskew == "auto" and _are_bent(source, frames, clock))
             poses = _follow(source, frames, clock, deskew, progress)
             how = f"odometry over the points of {len(frames):,} scans{', deskewed' if deskew else ''}"
@@ -74,6 +78,14 @@ def track_file(
 def how_made(file: SourceFile) -> str:
     """Return how a track was made, in words."""
     return file.head().partition(b"\n")[0].decode().removeprefix("# ")
+
+
+def _sweep(folder: Path) -> None:
+    """Remove tracks that nobody will come back to."""
+    for path in folder.glob("*.txt"):
+        with suppress(OSError):
+            if time.time() - path.stat().st_mtime > _KEPT_DAYS * 86400:
+                path.unlink()
 
 
 def _follow(
