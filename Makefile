@@ -28,7 +28,7 @@ $(READY): pyproject.toml $(CONSTRAINTS) static/package-lock.json
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "InterLoc needs Python 3.11 or newer; PYTHON=... chooses one")'
 	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || { echo "Python has no venv; on Debian and Ubuntu: apt install python3-venv"; exit 1; }
 	@command -v npm >/dev/null || echo "npm was not found: everything but the page of the web service will work; on Debian and Ubuntu: apt install npm"
-	@echo "Installing InterLoc into $(VENV), once: about a minute."
+	@echo "Installing InterLoc into $(VENV), once: one to two minutes, much of it without a word."
 	$(PYTHON) -m venv $(VENV)
 	$(PIP_INSTALL) -e ".[service,label,ros,las,odometry]"
 	@if command -v npm >/dev/null; then npm ci --silent --omit=dev --prefix static; fi

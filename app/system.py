@@ -16,6 +16,7 @@ from app.http.problems import Problem, ProblemDocument
 from app.http.security import ClientDep
 from app.jobs.runner import Runner
 from app.metrics import CONTENT_TYPE
+from app.store.storage import DataFolderGoneError
 
 _BELIEVED_S = 1.0  # a probe cannot be used to load the database
 
@@ -49,25 +50,27 @@ class Probe:
         self._runner = runner
         self._thread = CapacityLimiter(1)
         self._found: dict[str, str] = {}
-        self._looked_at = float("-inf")
+        self._began = self._ended = float("-inf")
 
     async def reasons(self) -> dict[str, str]:
         """Return why the service cannot work, by part; empty if it can."""
         if self._context.stopping.is_set():
             return {"server": "it is being stopped"}
-        await to_thread.run_sync(self._look, limiter=self._thread)
+        await to_thread.run_sync(self._look, time.monotonic(), limiter=self._thread)
         return self._found
 
-    def _look(self) -> None:
-        if time.monotonic() < self._looked_at + _BELIEVED_S:
+    def _look(self, asked: float) -> None:
+        """Look, unless others have since this was asked, or found a moment ago that all is well."""
+        if self._began >= asked or (not self._found and time.monotonic() < self._ended + _BELIEVED_S):
             return
+        self._began = time.monotonic()
         ailments = {
             "database": self._ailment_of_database(),
             "disk": self._ailment_of_disk(),
             "workers": self._runner.ailment(),
         }
         self._found = {part: reason for part, reason in ailments.items() if reason is not None}
-        self._looked_at = time.monotonic()
+        self._ended = time.monotonic()
 
     def _ailment_of_database(self) -> str | None:
         try:
@@ -82,6 +85,8 @@ class Probe:
         floor = self._context.settings.min_free_bytes
         try:
             free = self._context.storage.free_bytes()
+        except DataFolderGoneError as error:
+            return str(error)
         except OSError as error:
             return f"the data folder cannot be reached ({error.strerror})"
         if free >= floor:

@@ -31,10 +31,14 @@ detect, stream, Detector, Scan
     Find the intersections of a drive; or online.
 preset, DetectorConfig
     The settings of the method.
+roads
+    The map of the roads that a drive saw: centrelines, widths, junctions, surface.
 read_osm, locate, evaluate
     Read a map; place a drive on it that has no GNSS; score a result.
 write_results, write_report, read_results, geodataframe
     Result folders, and layers of them.
+merge, CityMap, write_city, read_city
+    One map of many drives.
 InterLocError
     What every error on purpose is; its text is for the user.
 """

@@ -1,3 +1,7 @@
+from .city.citymap import CityMap as CityMap
+from .city.citymap import merge as merge
+from .city.folder import read_city as read_city
+from .city.folder import write_city as write_city
 from .config import DetectorConfig as DetectorConfig
 from .config import preset as preset
 from .detection.detector import Detector as Detector
@@ -11,6 +15,7 @@ from .evaluation.report import write_report as write_report
 from .localization.locate import locate as locate
 from .osm.reader import read_osm as read_osm
 from .output.read import read_results as read_results
+from .output.roads import roads as roads
 from .output.write import write_results as write_results
 from .pipeline import detect as detect
 from .pipeline import stream as stream
@@ -18,6 +23,7 @@ from .pipeline import stream as stream
 __version__: str
 
 __all__ = [
+    "CityMap",
     "Detector",
     "DetectorConfig",
     "InterLocError",
@@ -27,11 +33,15 @@ __all__ = [
     "geodataframe",
     "inspect_drive",
     "locate",
+    "merge",
     "open_drive",
     "preset",
+    "read_city",
     "read_osm",
     "read_results",
+    "roads",
     "stream",
+    "write_city",
     "write_report",
     "write_results",
 ]

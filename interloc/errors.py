@@ -5,7 +5,9 @@ A message names the file or field, what was found, what was expected, and the us
 
 from __future__ import annotations
 
+import re
 import reprlib
+from importlib.metadata import requires
 
 
 class InterLocError(Exception):
@@ -89,6 +91,17 @@ def expect(value: object, kind: type[object]) -> None:
     """
     if not isinstance(value, kind):
         raise ConfigError(f"expected {_KINDS[kind.__name__]}; found {type(value).__name__}: {reprlib.repr(value)}")
+
+
+def install(extra: str) -> str:
+    """Return the command that installs an optional part of InterLoc, by the packages that it needs.
+
+    InterLoc itself is in no registry, so an extra cannot be asked for by its name there.
+    """
+    needs = (line.partition(";") for line in requires("interloc") or ())
+    packages = [need.strip() for need, _, only in needs if re.search(rf"extra == ['\"]{extra}['\"]", only)]
+    named = " ".join(f'"{package}"' for package in packages)
+    return f"pip install {named}" if named else f'pip install ".[{extra}]" in the clone of InterLoc'
 
 
 def is_interruption(error: BaseException) -> bool:

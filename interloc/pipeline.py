@@ -93,7 +93,7 @@ def detect_range(
         steps = window.steps()
         found.append(locate(steps, window.keyframe, config.score))
         if row in kept:
-            road.append(road_patch(row, steps.occupancy, steps.roi))
+            road.append(road_patch(row, steps.occupancy, steps.roi, window.bev.against))
             detector.stopwatch.lap("road")
         if progress is not None:
             progress(len(found), stop - start)

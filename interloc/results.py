@@ -8,6 +8,7 @@ from __future__ import annotations
 import zlib
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -269,7 +270,9 @@ class RoadPatch:
     size : int
         Cells per side.
     packed : bytes
-        The cells row by row, top row first, eight per byte, deflated.
+        The cells row by row, top row first, eight per byte, deflated: 1 where the ground is road.
+    packed_other : bytes
+        The same of other ground, such as a sidewalk: 1 where it was seen and is no road. Empty where nobody can tell.
     """
 
     keyframe: int
@@ -277,16 +280,36 @@ class RoadPatch:
     resolution_m: float
     size: int
     packed: bytes
+    packed_other: bytes = b""
 
     @classmethod
-    def pack(cls, keyframe: int, corner_xy: FloatArray, resolution_m: float, cells: UInt8Array) -> RoadPatch:
-        """Pack a (size, size) image of 0 and 1."""
-        return cls(keyframe, corner_xy, resolution_m, len(cells), zlib.compress(np.packbits(cells).tobytes(), 1))
+    def pack(
+        cls,
+        keyframe: int,
+        corner_xy: FloatArray,
+        resolution_m: float,
+        cells: UInt8Array,
+        other: UInt8Array | None = None,
+    ) -> RoadPatch:
+        """Pack (size, size) images of 0 and 1: the road, and other ground."""
+        packed, packed_other = (b"" if each is None else _deflated(each) for each in (cells, other))
+        return cls(keyframe, corner_xy, resolution_m, len(cells), packed, packed_other)
 
     def cells(self) -> UInt8Array:
         """Return the (size, size) uint8 image, 1 where the ground is road."""
-        bits = np.frombuffer(zlib.decompress(self.packed), np.uint8)
+        return self._inflated(self.packed)
+
+    def other_cells(self) -> UInt8Array | None:
+        """Return the (size, size) uint8 image, 1 where other ground was seen; None where nobody can tell."""
+        return self._inflated(self.packed_other) if self.packed_other else None
+
+    def _inflated(self, packed: bytes) -> UInt8Array:
+        bits = np.frombuffer(zlib.decompress(packed), np.uint8)
         return np.unpackbits(bits, count=self.size**2).reshape(self.size, self.size)
+
+
+def _deflated(cells: UInt8Array) -> bytes:
+    return zlib.compress(np.packbits(cells).tobytes(), 1)
 
 
 @dataclass(frozen=True)
@@ -305,6 +328,8 @@ class DriveResult:
         What `run.json` holds: configuration, versions, input identity, timings, peak memory.
     road : tuple of RoadPatch
         The road around some of the keyframes, for the mosaic; empty where the run kept none or was read from a folder.
+    road_file : Path or None
+        The mosaic of a run that was read from a folder, where it has one.
     """
 
     drive: str
@@ -315,6 +340,7 @@ class DriveResult:
     trajectory_lonlat: FloatArray | None
     run: dict[str, Any] = field(default_factory=dict)
     road: tuple[RoadPatch, ...] = ()
+    road_file: Path | None = None
 
     @property
     def is_georeferenced(self) -> bool:

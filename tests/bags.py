@@ -160,15 +160,16 @@ class BagWriter:
         status: int = 0,
         frame: str = "gnss",
         header_s: float | None = None,
+        std_m: float | None = None,
     ) -> None:
-        """Write a fix: latitude, longitude in degrees, altitude in metres."""
+        """Write a fix: latitude, longitude in degrees, altitude in metres; its uncertainty, where it is known."""
         message = self.make(
             "sensor_msgs/msg/NavSatFix",
             self.header(time_s if header_s is None else header_s, frame),
             self.make("sensor_msgs/msg/NavSatStatus", status, 1),
             *map(float, position),
-            np.zeros(9),
-            0,
+            np.zeros(9) if std_m is None else np.diag([std_m**2] * 3).ravel(),
+            0 if std_m is None else 2,
         )
         self.write(topic, "sensor_msgs/msg/NavSatFix", time_s, message)
 

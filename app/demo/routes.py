@@ -31,7 +31,7 @@ _ANSWERS: dict[int | str, dict[str, Any]] = {
 async def make_demo(response: Response, context: ContextDep, client: ClientDep, wait_s: WaitSeconds) -> DriveModel:
     """Simulate a drive through a small made-up town, and commit it; its map is `map.osm` among its files.
 
-    This takes half a minute. A second request answers with the drive that exists.
+    This takes about a minute. A second request answers with the drive that exists.
     """
     end = time.monotonic() + wait_s
     job = await run_in_threadpool(begin_demo, context, client)

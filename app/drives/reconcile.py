@@ -14,6 +14,7 @@ import logging
 import os
 import stat
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, NamedTuple, cast
@@ -32,6 +33,7 @@ from app.store.models import Drive, DriveFile
 from interloc.osm.container import is_map
 
 _AT_ONCE = 1000  # rows in one statement
+_KILLED_AT_ONCE = 8  # deletions that may go on when servers are killed
 
 _files = cast("Table", DriveFile.__table__)
 _log = logging.getLogger(__name__)
@@ -70,7 +72,9 @@ class Correction:
     done: Literal["listed", "unlisted", "renewed"]
 
 
-def reconcile(context: Context, drive_id: str, *, maps_only: bool = False, is_news: bool = True) -> list[Correction]:
+def reconcile(
+    context: Context, drive_id: str, *, maps_only: bool = False, may_unlist: bool = True, is_news: bool = True
+) -> list[Correction]:
     """Make the rows of a drive agree with its files.
 
     Parameters
@@ -79,6 +83,8 @@ def reconcile(context: Context, drive_id: str, *, maps_only: bool = False, is_ne
     drive_id
     maps_only
         Look at the maps on the disk only: all that can have changed in a drive that is ready.
+    may_unlist
+        Whether rows go that have no file.
     is_news
         Whether corrections are logged; False where somebody asked for them, and is told.
 
@@ -93,6 +99,8 @@ def reconcile(context: Context, drive_id: str, *, maps_only: bool = False, is_ne
     while True:
         with context.database.reading() as session:  # in most cases nothing differs, and nobody has to wait
             seen = differences(session, context, find_drive(session, drive_id), maps_only=maps_only)
+        if not may_unlist:
+            seen = [each for each in seen if each.found is not None]
         if not seen:
             return []
         root = context.storage.folder(files_key(drive_id))
@@ -102,6 +110,7 @@ def reconcile(context: Context, drive_id: str, *, maps_only: bool = False, is_ne
         with context.database.writing() as session:
             drive = lock_drive(session, drive_id)
             found = differences(session, context, drive, maps_only=maps_only)
+            found = [each for each in found if may_unlist or each.found is not None]
             if all(each.found is None or (each.path, each.found) in digests for each in found):
                 corrections = list(_correct(session, drive, found, digests))
                 break
@@ -114,6 +123,9 @@ def reconcile_all(context: Context) -> None:
     """Make rows and files of all drives agree, before a server answers requests; a drive that fails is left as it is.
 
     Where an archive is still to be unpacked its job does so: it places its files once more, all or none.
+
+    A kill leaves a file that was being deleted listed, no more than one per drive. Where more are missing, the folder
+    is not the one that it should be, as an older copy or a volume of which a part is not mounted: no row goes then.
     """
     with context.database.reading() as session:
         drives = session.execute(select(Drive.id, Drive.state).where(Drive.deleted_at.is_(None))).all()
@@ -123,13 +135,35 @@ def reconcile_all(context: Context) -> None:
             if state != DriveState.READY
             and any(active_job(session, drive_id, kind) for kind in (JobKind.UNPACK, JobKind.DEMO))
         }
-    for drive_id, state in drives:
-        if drive_id in unpacking:
-            continue
-        try:
-            reconcile(context, drive_id, maps_only=state == DriveState.READY)
-        except (OSError, SQLAlchemyError, Problem) as error:
-            _log.warning("drive %s: rows and files could not be compared: %s", drive_id, error)
+    missing: dict[str, int] = {}  # files of each drive in which anything differs
+    closed = {drive_id for drive_id, state in drives if state == DriveState.READY}
+    for drive_id, _ in drives:
+        with _told(drive_id), context.database.reading() as session:
+            if drive_id not in unpacking:
+                drive = find_drive(session, drive_id)
+                if found := differences(session, context, drive, maps_only=drive_id in closed):
+                    missing[drive_id] = sum(each.found is None for each in found)
+    may_unlist = max(missing.values(), default=0) <= 1 and sum(missing.values()) <= _KILLED_AT_ONCE
+    if not may_unlist:
+        _log.error(
+            "%d files of %d drives are listed, but are not in the data folder %s: they stay listed. Is it the right "
+            "one, and are all of its volumes mounted? `interloc check` names them, and --repair lists them no more",
+            sum(missing.values()),
+            sum(map(bool, missing.values())),
+            context.storage.root,
+        )
+    for drive_id in missing:
+        with _told(drive_id):
+            reconcile(context, drive_id, maps_only=drive_id in closed, may_unlist=may_unlist)
+
+
+@contextmanager
+def _told(drive_id: str) -> Iterator[None]:
+    """Leave a drive as it is where it cannot be compared, and tell of it."""
+    try:
+        yield
+    except (OSError, SQLAlchemyError, Problem) as error:
+        _log.warning("drive %s: rows and files could not be compared: %s", drive_id, error)
 
 
 def differences(session: Session, context: Context, drive: Drive, *, maps_only: bool = False) -> list[Difference]:

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import hashlib
+import os
+import time
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
+from typing import BinaryIO
 
 from sqlalchemy import ColumnElement, func, or_, select
 from sqlalchemy.orm import Session, defer
@@ -14,6 +17,7 @@ from app.context import Context
 from app.drives.models import DriveList, DriveModel, DriveOptionsModel, FileList, NewDrive, UploadedFile
 from app.http.paging import cursor_of, newest_first, rows_after
 from app.http.problem_types import (
+    BUSY,
     DRIVE_IS_CLOSED,
     DRIVE_NOT_READY,
     DRIVE_NOT_WHOLE,
@@ -25,6 +29,7 @@ from app.http.problem_types import (
 from app.http.problems import Problem
 from app.jobs.folders import label_folders
 from app.jobs.queue import key_used, no_drive
+from app.paths import check_path
 from app.settings import Settings
 from app.states import ACTIVE, DriveState
 from app.store import sidecars
@@ -36,6 +41,8 @@ from interloc.drives.inspect import DriveReport
 from interloc.errors import InterLocError
 from interloc.osm.container import MAP_ENDINGS, is_map
 from interloc.output.geojson import read_json
+
+_LOOKS, _LOOK_S = 20, 0.05  # at a file whose row is about to be committed
 
 
 def drive_key(drive_id: str) -> str:
@@ -162,22 +169,64 @@ def list_files(context: Context, drive_id: str, after: str | None, limit: int) -
     return FileList(files=[file_model(file) for file in page], next=page[-1].path if len(files) > limit else None)
 
 
-def find_file(context: Context, drive_id: str, path: str) -> tuple[Path, UploadedFile]:
-    """Return an uploaded file.
+def open_file(context: Context, drive_id: str, path: str) -> tuple[BinaryIO, str]:
+    """Open an uploaded file.
+
+    A file has its name a moment before its row is committed: what was opened is compared with the row, and looked up
+    again where they differ.
+
+    Returns
+    -------
+    BinaryIO
+        To be closed by the caller.
+    str
+        SHA-256 of its bytes.
 
     Raises
     ------
     Problem
-        404: there is no such file. 410: it is not kept any more.
+        404: there is no such file. 410: it is not kept any more. 503: it is being replaced all the time.
+    BadNameError
+        There is none, and there cannot be one.
     """
-    with context.database.reading() as session:
-        drive = find_drive(session, drive_id)
-        row = session.get(DriveFile, (drive_id, path))
+    for pause_s in (0.0, *[_LOOK_S] * _LOOKS):
+        time.sleep(pause_s)
+        with context.database.reading() as session:
+            drive = find_drive(session, drive_id)
+            row = _row_of(session, drive_id, path)
+        place = _place_of(context, drive, path)
+        with suppress(FileNotFoundError):
+            file = place.open("rb")
+            found = os.fstat(file.fileno())
+            if (found.st_size, found.st_mtime_ns) == (row.size_bytes, row.mtime_ns):
+                return file, row.sha256
+            digest = hashlib.file_digest(file, "sha256").hexdigest()
+            file.seek(0)
+            if digest == row.sha256 or drive.state == DriveState.READY:  # what reduction wrote has no row of its own
+                return file, digest
+            file.close()
+    raise Problem(
+        BUSY,
+        f"{path} is being replaced, or its bytes are no longer those that were uploaded: the operator finds out with "
+        "`interloc check`.",
+        headers={"Retry-After": "1"},
+    )
+
+
+def _row_of(session: Session, drive_id: str, path: str) -> DriveFile:
+    """Return the row of a file, also of one whose name is not taken any more: older versions took more names."""
+    can_be = "\0" not in path and not any("\ud800" <= letter <= "\udfff" for letter in path)
+    row = session.get(DriveFile, (drive_id, path)) if can_be else None
     if row is None:
+        check_path(path)
         raise Problem(
             FILE_NOT_FOUND, f"The drive has no file {path!r}. GET /api/v1/drives/{drive_id}/files lists them."
         )
-    folders = (context.storage.folder(key(drive_id)) for key in (files_key, reduced_key))
+    return row
+
+
+def _place_of(context: Context, drive: Drive, path: str) -> Path:
+    folders = (context.storage.folder(key(drive.id)) for key in (files_key, reduced_key))
     file = next((folder / path for folder in folders if (folder / path).is_file()), None)
     if file is None and stays_uploaded(drive, path):
         raise Problem(
@@ -191,7 +240,7 @@ def find_file(context: Context, drive_id: str, path: str) -> tuple[Path, Uploade
             f"{path} was reduced to what the method needs when the drive was committed. "
             "Make the drive with keep_raw to keep its scans as they come.",
         )
-    return file, file_model(row)
+    return file
 
 
 def stays_uploaded(drive: Drive, path: str) -> bool:
@@ -235,9 +284,7 @@ def delete_file(context: Context, drive_id: str, path: str) -> None:
                 f"Drive {drive_id} is {drive.state}; files are removed only while it is uploading, and of a ready "
                 "drive maps only.",
             )
-        row = session.get(DriveFile, (drive_id, path))
-        if row is None:
-            raise Problem(FILE_NOT_FOUND, f"The drive has no file {path!r}.")
+        row = _row_of(session, drive_id, path)
         _refuse_map_in_use(session, drive_id, path)
         drive.file_count -= 1
         drive.size_bytes -= row.size_bytes

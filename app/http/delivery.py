@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import gzip
 import hashlib
+import os
 import shutil
 import threading
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from email.utils import formatdate
 from pathlib import Path
+from typing import Any, BinaryIO
 
 from fastapi import Request
 from fastapi.responses import FileResponse, Response
@@ -69,9 +71,24 @@ _STATIC_FILES = StaticFiles(check_dir=False)
 
 
 class WholeFile(FileResponse):
-    """A file that is not changed while it is sent, or ranges of it."""
+    """An open file, or ranges of it: what is sent is the one that was opened, whatever gets its name meanwhile.
+
+    Parameters
+    ----------
+    file
+        Open for reading. It may be closed: the answer has a descriptor of its own.
+    options
+        Of `FileResponse`.
+    """
 
     chunk_size = 1024 * 1024  # a thread switch per chunk: large results go at the speed of the disk cache
+
+    def __init__(self, file: BinaryIO, status_code: int = 200, **options: Any) -> None:  # noqa: ANN401
+        self._descriptor = os.dup(file.fileno())
+        path = Path(f"/dev/fd/{self._descriptor}")  # opens the same file once more, also one that has lost its name
+        super().__init__(
+            path if path.exists() else file.name, status_code, stat_result=os.fstat(file.fileno()), **options
+        )
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer; a range that is malformed is ignored (RFC 9110, section 14.2), one outside of the file a problem."""
@@ -93,6 +110,8 @@ class WholeFile(FileResponse):
                 ) from None
             headers = [(name, value) for name, value in scope["headers"] if name != b"range"]
             await super().__call__({**scope, "headers": headers}, receive, send)
+        finally:
+            os.close(self._descriptor)
 
 
 class _BadRangeError(Exception):
@@ -124,7 +143,7 @@ def deliver(
     Parameters
     ----------
     path
-        The file. It is never changed in place, so its time and size stand for its bytes.
+        The file. It is never changed in place, so its time and size stand for its bytes; it is opened once.
     gzip_copies
         Folder of the gzip copies, which are made when first asked for; None: no compression.
     name
@@ -141,31 +160,34 @@ def deliver(
     FileNotFoundError
         There is no such file.
     """
-    stat = path.stat()
-    media_type = media_type_of(path)
-    etag = f"{stat.st_mtime_ns:x}-{stat.st_size:x}"
-    headers = {"cache-control": cache_control, "last-modified": formatdate(stat.st_mtime, usegmt=True)}
-    if gzip_copies is not None and path.suffix.lower() in _COMPRESSIBLE and stat.st_size >= _MIN_BYTES:
-        vary = f"{vary}, Accept-Encoding" if vary else "Accept-Encoding"
-        if "range" not in request.headers and accepts_gzip(request.headers):
-            copy = _gzip_copy(path, gzip_copies, f"{stat.st_mtime_ns:x}.gz")
-            if copy is not None:
-                path, stat, etag = copy, copy.stat(), f"{etag}{_GZIP_MARK[:-1]}"
-                headers["content-encoding"] = "gzip"
-    headers["etag"] = f'"{etag}"'
-    if vary:
-        headers["vary"] = vary
-    if policy is not None and media_type.startswith(("text/html", "image/svg")):
-        headers["content-security-policy"] = policy
-    known = not_modified(request, headers)
-    if known is not None:
-        return known
-    if name is not None:
-        headers["content-disposition"] = f'{"attachment" if download else "inline"}; filename="{name}"'
-    if "range" in request.headers or stat.st_size > _MAX_BYTES_AT_ONCE:
-        return WholeFile(path, headers=headers, media_type=media_type, stat_result=stat)
-    headers["accept-ranges"] = "bytes"
-    return Response(path.read_bytes(), headers=headers, media_type=media_type)
+    with ExitStack() as opened:
+        file: BinaryIO = opened.enter_context(path.open("rb"))
+        stat = os.fstat(file.fileno())
+        media_type = media_type_of(path)
+        etag = f"{stat.st_mtime_ns:x}-{stat.st_size:x}"
+        headers = {"cache-control": cache_control, "last-modified": formatdate(stat.st_mtime, usegmt=True)}
+        if gzip_copies is not None and path.suffix.lower() in _COMPRESSIBLE and stat.st_size >= _MIN_BYTES:
+            vary = f"{vary}, Accept-Encoding" if vary else "Accept-Encoding"
+            if "range" not in request.headers and accepts_gzip(request.headers):
+                copy = _gzip_copy(file, path, gzip_copies, f"{stat.st_mtime_ns:x}.gz")
+                if copy is not None:
+                    file = opened.enter_context(copy)
+                    etag = f"{etag}{_GZIP_MARK[:-1]}"
+                    headers["content-encoding"] = "gzip"
+        headers["etag"] = f'"{etag}"'
+        if vary:
+            headers["vary"] = vary
+        if policy is not None and media_type.startswith(("text/html", "image/svg")):
+            headers["content-security-policy"] = policy
+        known = not_modified(request, headers)
+        if known is not None:
+            return known
+        if name is not None:
+            headers["content-disposition"] = f'{"attachment" if download else "inline"}; filename="{name}"'
+        if "range" in request.headers or os.fstat(file.fileno()).st_size > _MAX_BYTES_AT_ONCE:
+            return WholeFile(file, headers=headers, media_type=media_type)
+        headers["accept-ranges"] = "bytes"
+        return Response(file.read(), headers=headers, media_type=media_type)
 
 
 def answer_tagged(request: Request, content: bytes, media_type: str = "application/json", **headers: str) -> Response:
@@ -230,23 +252,23 @@ def not_modified(request: Request, headers: dict[str, str]) -> Response | None:
     return NotModifiedResponse(known) if _STATIC_FILES.is_not_modified(known, request.headers) else None
 
 
-def _gzip_copy(path: Path, folder: Path, version: str) -> Path | None:
+def _gzip_copy(file: BinaryIO, path: Path, folder: Path, version: str) -> BinaryIO | None:
     """Return the gzip copy of a file, made if need be; None where it cannot be made, as on a full disk, or not now."""
     name = hashlib.sha256(str(path).encode()).hexdigest()[:16]
     copy = folder / f"{name}.{version}"
-    if copy.exists():
-        return copy
+    with suppress(FileNotFoundError):
+        return copy.open("rb")
     if not _PACKING.acquire(blocking=False):
         return None
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with (
-            path.open("rb") as source,
             atomic_write(copy) as sink,
             gzip.GzipFile(filename="", mode="wb", compresslevel=6, fileobj=sink, mtime=0) as packer,
         ):
-            shutil.copyfileobj(source, packer, 1024 * 1024)
+            shutil.copyfileobj(file, packer, 1024 * 1024)
     except (OSError, OutputError):
+        file.seek(0)
         return None
     finally:
         _PACKING.release()
@@ -254,4 +276,4 @@ def _gzip_copy(path: Path, folder: Path, version: str) -> Path | None:
         if other != copy:
             with suppress(OSError):
                 other.unlink()
-    return copy
+    return copy.open("rb")

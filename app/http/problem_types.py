@@ -66,6 +66,9 @@ CHANGED_MEANWHILE = _kind(
 COMPRESSED_BODY = _kind(
     "compressed-body", 415, "Compressed body", "The body has a Content-Encoding or Transfer-Encoding that is not taken."
 )
+DATA_FOLDER_GONE = _kind(
+    "data-folder-gone", 503, "Data folder gone", "The data folder is not where it was when the server started."
+)
 DATABASE_BUSY = _kind("database-busy", 503, "Database busy", "The database did not answer in time.")
 DIFFERENT_DRIVES = _kind("different-drives", 422, "Different drives", "The jobs to compare are not of one drive.")
 DISK_FULL = _kind("disk-full", 507, "Disk full", "The service has no disk space left.")

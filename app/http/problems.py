@@ -24,6 +24,7 @@ from app.http.problem_types import (
     BAD_FILE_NAME,
     BAD_SETTING,
     BODY_MALFORMED,
+    DATA_FOLDER_GONE,
     DATABASE_BUSY,
     DISK_FULL,
     DRIVE_NOT_USABLE,
@@ -40,6 +41,7 @@ from app.http.problem_types import (
 )
 from app.paths import BadNameError
 from app.store.database import is_disk_full
+from app.store.storage import DataFolderGoneError
 from app.work.task import DriveGoneError
 from interloc.errors import ConfigError, DriveError, InterLocError, ModelError
 
@@ -274,6 +276,11 @@ def _of_database_error(error: SQLAlchemyError) -> Problem:
     return Problem(DATABASE_BUSY, detail, headers={"Retry-After": "5"})
 
 
+def _of_gone_folder(error: DataFolderGoneError) -> Problem:
+    _log.error("%s", error)
+    return Problem(DATA_FOLDER_GONE, f"Nothing was changed: {error}", headers={"Retry-After": "5"})
+
+
 def _of_data_error(error: DataError) -> Problem:
     if "NUL" not in str(error.orig):
         return _of_fault(error)
@@ -292,6 +299,7 @@ _TO_PROBLEM: dict[type[Exception], Callable[[Any], Problem]] = {
     RequestValidationError: _of_validation_error,
     OSError: _of_os_error,
     ClientDisconnect: _of_disconnect,
+    DataFolderGoneError: _of_gone_folder,
     DataError: _of_data_error,
     OperationalError: _of_database_error,
     PoolTimeout: _of_database_error,

@@ -10,7 +10,7 @@ from typing import Any, Protocol, TypeVar, TypeVarTuple
 
 from app.jobs.processes import ProcessExecutor, WorkerLostError
 from app.settings import Settings
-from interloc.errors import ConfigError
+from interloc.errors import ConfigError, install
 from interloc.processes import cores
 
 _ASK_AGAIN_S = 5.0
@@ -112,7 +112,7 @@ class DaskExecutor:
             from distributed import Client  # noqa: PLC0415 - an extra
         except ImportError as error:
             raise ConfigError(
-                "INTERLOC_DASK is set, but Dask is not installed. Install it: pip install 'interloc[dask]'."
+                f"INTERLOC_DASK is set, but Dask is not installed. Install it: {install('dask')}"
             ) from error
         try:
             connect: Any = Client  # it has no types

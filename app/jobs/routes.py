@@ -181,6 +181,7 @@ _EVENTS: dict[int | str, dict[str, Any]] = {
 @router.get("/jobs/{job_id}/events", response_class=EventSourceResponse, responses=_EVENTS, summary="Follow a job")
 async def follow_job(
     job: Annotated[JobModel, Depends(load_job)],
+    request: Request,
     context: ContextDep,
     watcher: WatcherDep,
     last_event_id: Annotated[
@@ -190,7 +191,8 @@ async def follow_job(
     """Send the job as it is now, then after each change, until it has ended (server-sent events).
 
     Each event is named `job`; its data is the job as JSON, its id the number of changes. Comments keep the connection
-    open meanwhile. After a broken connection go on with `Last-Event-ID`, as browsers do.
+    open meanwhile. After a broken connection go on with `Last-Event-ID`, as browsers do. The stream ends when its token
+    is revoked.
     """
     current = Change.of(job)
     with context.metrics.listeners.track_inprogress():
@@ -199,6 +201,8 @@ async def follow_job(
         if current.is_final:
             return
         async for change in watcher.follow(job.id, current):
+            if not await run_in_threadpool(context.tokens.still_holds, request.state.holder):
+                return
             yield _event(change)
 
 

@@ -338,8 +338,8 @@ def positions_of(geometry: dict[str, Any]) -> Iterator[tuple[float, float]]:
     """
     if "bbox" in geometry:
         box = geometry["bbox"]
-        if len(box) not in {4, 6}:
-            raise BadFilterError("A bbox has 4 or 6 numbers.")
+        if not isinstance(box, list) or len(box) not in {4, 6} or not all(map(_is_number, box)):
+            raise BadFilterError(f"{_shown(box)} is not a bbox: it has 4 or 6 numbers.")
         half = len(box) // 2
         yield from ((box[0], box[1]), (box[half], box[half + 1]))
     elif "geometries" in geometry:
@@ -357,10 +357,14 @@ def _positions_in(coordinates: Any, depth: int = 0) -> Iterator[tuple[float, flo
     if isinstance(coordinates[0], list):
         for each in coordinates:
             yield from _positions_in(each, depth + 1)
-    elif len(coordinates) in {2, 3} and all(isinstance(v, int | float) for v in coordinates):
+    elif len(coordinates) in {2, 3} and all(map(_is_number, coordinates)):
         yield coordinates[0], coordinates[1]
     else:
         raise BadFilterError(f"{_shown(coordinates)} is not a position: longitude and latitude.")
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < float("inf")
 
 
 def _conjuncts(tree: Any) -> Iterator[Any]:  # noqa: ANN401
@@ -386,10 +390,9 @@ def _area_of(tree: Any) -> tuple[float, float, float, float] | None:  # noqa: AN
     for each in _conjuncts(tree):
         if isinstance(each, dict) and each.get("op") in SPATIAL - {"s_disjoint"}:
             (literal,) = (a for a in each["args"] if a != {"property": GEOMETRY})
-            if "bbox" in literal and literal["bbox"][0] > literal["bbox"][len(literal["bbox"]) // 2]:
-                box = literal["bbox"]
-                return box[0], box[1], box[len(box) // 2], box[len(box) // 2 + 1]
             lon, lat = zip(*positions_of(literal), strict=True)
+            if "bbox" in literal and lon[0] > lon[1]:
+                return lon[0], lat[0], lon[1], lat[1]
             return min(lon), min(lat), max(lon), max(lat)
     return None
 

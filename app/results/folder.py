@@ -21,7 +21,7 @@ from app.http.problem_types import (
 from app.http.problems import Problem
 from app.jobs.view import find_job
 from app.states import JobKind, JobState
-from interloc.output.layout import ROAD_FILE, RUN_FILE, TABLES, file_names
+from interloc.output.layout import ROAD_FILE, ROAD_LAYERS, RUN_FILE, file_names
 
 _MAX_KNOWN = 1000
 _BELIEVED_S = 1.0
@@ -77,17 +77,31 @@ class Result:
         Problem
             404 that says why the result has none.
         """
-        if name in TABLES:
-            path = self.folder / file_names(georeferenced=True)[name]
+        name = name.replace("-", "_")
+        path = self.folder / f"{name}.geojson"
+        local = file_names(georeferenced=False).get(name)
+        if local is not None:
             if not path.exists():
-                local = file_names(georeferenced=False)[name]
                 self.require_georeference(f"The same in metres of its own frame: {self.address}/files/{local}")
+            if name in ROAD_LAYERS and not path.exists():
+                detail = f"Job {self.job_id} has no {path.name}: an older version made its result. Submit it again."
+                raise Problem(NOT_IN_THIS_RESULT, detail)
             return path
-        path = self.folder / f"{name.replace('-', '_')}.geojson"
         if not path.exists():
             self.evaluation_file("report.json")
             raise Problem(NOT_IN_THIS_RESULT, f"The result of job {self.job_id} has no {path.name}.")
         return path
+
+    def layer_file(self, name: str) -> Path:
+        """Return the file of a layer to be exported: in metres of its own frame where the drive has no georeference.
+
+        Raises
+        ------
+        Problem
+            404 that says why the result has none.
+        """
+        local = self.folder / file_names(georeferenced=False).get(name, "")
+        return local if local.is_file() else self.layer(name)
 
     def require_georeference(self, hint: str) -> None:
         """Raise a 404 where the drive has no georeference."""

@@ -83,7 +83,9 @@ class Database:
             max_overflow=60,
             pool_timeout=PATIENCE_S,
         )
+        self._was_there = False
         if self.is_sqlite:
+            event.listen(self.engine, "do_connect", self._open_sqlite)
             event.listen(self.engine, "connect", _set_up_sqlite)
             event.listen(self.engine, "begin", _begin_sqlite)
         self._sessions = sessionmaker(self.engine, expire_on_commit=False)
@@ -91,6 +93,8 @@ class Database:
         self._turns = _Turns(self.waits)
         self.disk_is_full: Callable[[], None] = lambda: None
         """Called when nothing could be written for lack of space, before the error goes on its way."""
+        self.check_place: Callable[[], None] = lambda: None
+        """Called before a transaction that writes, and before its commit: where it raises, nothing is acknowledged."""
         event.listen(self.engine, "handle_error", self._look_at_error)
 
     @contextmanager
@@ -123,7 +127,9 @@ class Database:
             elif patient:
                 session.execute(text(f"SET LOCAL lock_timeout = {round(1000 * left_s) or 1}"))
             begun()
+            self.check_place()
             yield session
+            self.check_place()
             session.commit()
         for call in session.info.get(_AFTERWARDS, ()):
             call()
@@ -195,6 +201,14 @@ class Database:
     def close(self) -> None:
         """Close the connections."""
         self.engine.dispose()
+
+    def _open_sqlite(self, _dialect: object, _record: object, arguments: list[Any], options: dict[str, Any]) -> None:
+        """Let SQLite make no new file in the place of one that was there."""
+        path = self.url.database
+        if self._was_there and path and path != ":memory:" and not path.startswith("file:"):
+            arguments[0] = f"{Path(path).absolute().as_uri()}?mode=rw"
+            options["uri"] = True
+        self._was_there = True
 
     def _look_at_error(self, context: ExceptionContext) -> None:
         if is_disk_full(context.original_exception):

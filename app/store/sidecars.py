@@ -37,6 +37,7 @@ class DriveSidecar(BaseModel):
     keep_raw: bool
     created_at: float = Field(gt=0, allow_inf_nan=False)
     report: dict[str, Any] | None = None
+    deleted_at: float | None = Field(None, gt=0, allow_inf_nan=False)
 
 
 class JobSidecar(BaseModel):

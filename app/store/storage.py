@@ -15,6 +15,8 @@ import shutil
 from contextlib import suppress
 from pathlib import Path
 
+from sqlalchemy.exc import SQLAlchemyError
+
 from app.store.incoming import Incoming, remove
 from interloc.errors import InterLocError
 
@@ -23,23 +25,58 @@ LOST = "lost+found"
 TRASH = "trash"
 
 
+class DataFolderGoneError(SQLAlchemyError):
+    """The data folder is not where it was: whatever waits for the database to answer waits for this too."""
+
+
 class Storage:
-    """A folder on this machine, or on a file system that all servers and workers mount at the same place."""
+    """A folder on this machine, or on a file system that all servers and workers mount at the same place.
+
+    It stays the folder that it was when it was opened: where another one, or none, is found at its place, everything
+    raises `DataFolderGoneError` until it is back.
+    """
 
     def __init__(self, root: Path) -> None:
         self.root = Path(os.path.realpath(root))
         self._incoming = Incoming(self.root / INCOMING)
+        self._handle: int | None = None  # kept open: no other folder can get the same number meanwhile
+        self._is: os.stat_result | None = None
+        with suppress(OSError):
+            self._is = self.root.stat()
+            self._handle = os.open(self.root, os.O_RDONLY)  # not on Windows
 
     def close(self) -> None:
         """Remove what this process was receiving."""
         self._incoming.close()
+        if self._handle is not None:
+            os.close(self._handle)
+        self._handle = self._is = None
+
+    def check(self) -> None:
+        """See that the data folder is where it was.
+
+        Raises
+        ------
+        DataFolderGoneError
+        """
+        if self._is is None:
+            return
+        with suppress(OSError):
+            if os.path.samestat(self.root.stat(), self._is):
+                return
+        raise DataFolderGoneError(
+            "the data folder is not where it was when the server started. Usual cause: it was moved or replaced, or "
+            "its volume is no longer mounted; put it back, or start the server anew."
+        )
 
     def incoming(self) -> Path:
         """Return the folder where this process receives files before they take their places."""
+        self.check()
         return self._incoming.folder()
 
     def folder(self, key: str) -> Path:
         """Return the folder of a key, for code that works on folders; it need not exist."""
+        self.check()
         path = Path(os.path.normpath(self.root / key))
         if not path.is_relative_to(self.root) or path == self.root:
             raise InterLocError(f"{key!r} leads out of the data folder")
@@ -74,5 +111,5 @@ class Storage:
 
     def free_bytes(self) -> int:
         """Return the space that is left."""
-        self.root.mkdir(parents=True, exist_ok=True)
+        self.check()
         return shutil.disk_usage(self.root).free

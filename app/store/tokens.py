@@ -12,6 +12,7 @@ import re
 import secrets
 import threading
 import time
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 from sqlalchemy import delete, or_, select, update
@@ -185,11 +186,22 @@ class TokenBook:
             self._holders = holders
             self._read_at = begun
 
+    def still_holds(self, holder: Holder) -> bool:
+        """Return whether a client may go on: its token was not revoked meanwhile, and has not expired."""
+        if holder.name == ANONYMOUS:
+            return not self.are_needed()
+        return holder.name == OPERATOR or any(
+            each.name == holder.name and not each.has_expired for each in self._read_again()
+        )
+
     def named(self, name: str) -> Holder:
         """Return the holder of this name, without limits of its own where there is none: its drives outlive a token."""
+        return next((holder for holder in self._read_again() if holder.name == name), Holder(name))
+
+    def _read_again(self) -> Iterable[Holder]:
         if not self.is_fresh:
             self.read(time.monotonic())
-        return next((holder for holder in self._holders.values() if holder.name == name), Holder(name))
+        return self._holders.values()
 
     def exist(self) -> bool:
         """Return whether there is any token, expired ones included: a service does not open by itself."""

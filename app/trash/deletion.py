@@ -16,13 +16,14 @@ from sqlalchemy import delete, select
 from sqlalchemy.orm import Session, defer
 
 from app.context import Context
-from app.drives.records import lock_drive
+from app.drives.records import drive_key, lock_drive
 from app.http.paging import deleted_after, deletion_cursor_of, last_deleted_first
 from app.http.problem_types import DRIVE_IN_THE_TRASH, JOB_NOT_ENDED, NOT_IN_THE_TRASH
 from app.http.problems import Problem
 from app.jobs.queue import cancel, no_drive
 from app.jobs.view import no_job
 from app.states import FINAL
+from app.store import sidecars
 from app.store.database import moment
 from app.store.incoming import remove, size_of
 from app.store.models import Drive, Job
@@ -101,7 +102,15 @@ def delete_drive(
     context.jobs_changed.set()
     if at_once or context.settings.trash_h == 0:
         purge(context, "drives", drive_id)
+    else:
+        _note(context, drive)
     return True
+
+
+def _note(context: Context, drive: Drive) -> None:
+    """Write beside the files of a drive whether it is deleted; one without files has no folder for that."""
+    if context.storage.folder(drive_key(drive.id)).is_dir():
+        sidecars.write_drive(context.storage, drive)
 
 
 def delete_job(context: Context, job_id: str, client: str) -> None:
@@ -168,6 +177,8 @@ def restore(context: Context, kind: TrashKind, id_: str) -> TrashItem:
             row.touched_at = context.database.clock(session)  # an upload expires after a time from now on
         else:
             row.version += 1
+    if isinstance(row, Drive):
+        _note(context, row)
     _log.info("%s %s: restored from the trash", kind[:-1], id_)
     return item
 

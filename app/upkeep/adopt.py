@@ -141,6 +141,7 @@ def _adopt_drive(context: Context, place: str, id_: str, *, dry_run: bool) -> tu
         if session.get(Drive, id_) is not None:
             raise _LeftError(f"there is a drive {id_} already")
     sidecar = sidecars.read_drive(folder)
+    is_deleted = sidecar is not None and sidecar.deleted_at is not None
     is_whole = _has_manifest(folder / "reduced")
     files = folder / "files"
     raw = [path for path in files.rglob("*") if path.is_file() and not is_map(path.name)]
@@ -159,10 +160,13 @@ def _adopt_drive(context: Context, place: str, id_: str, *, dry_run: bool) -> tu
             note_extent(drive, context.storage)
             session.add(drive)
         reconcile(context, id_, is_news=False)
-        with context.database.reading() as session:
+        with context.database.writing() as session:
             drive = session.get_one(Drive, id_)
+            if is_deleted:
+                drive.deleted_at = context.database.clock(session)  # its time in the trash begins anew
         sidecars.write_drive(context.storage, drive)
     state = "ready" if is_ready else "open for files: commit it"
+    state = "in the trash" if is_deleted else state
     return drive, f"drive {drive.name!r} of {drive.owner}, {state}"
 
 

@@ -88,17 +88,23 @@ def check(
     """
     with context.database.reading() as session:
         drives = session.execute(select(Drive.id, Drive.name).order_by(Drive.created_at)).all()
-        jobs = session.scalars(
-            select(Job.id).where(Job.kind == JobKind.INTERSECTIONS, Job.state == JobState.SUCCESSFUL)
-        ).all()
+        of_kind = select(Job.id, Job.error).where(Job.kind == JobKind.INTERSECTIONS)
+        jobs = [job_id for job_id, _ in session.execute(of_kind.where(Job.state == JobState.SUCCESSFUL))]
+        failed = session.execute(of_kind.where(Job.state == JobState.FAILED)).all()
     found: list[Discrepancy] = []
+    for job_id, error in failed:
+        if (error or {}).get("type") == RESULT_IS_GONE.type:
+            back = list(_check_lost_job(context, job_id, repair=repair))
+            found += back
+            jobs += [job_id] if back and repair else []
+    may_fail = not _are_results_away(context, jobs)
     total = len(drives) + len(jobs)
     for number, (drive_id, name) in enumerate(drives):
         progress(number, total, name)
         found += _DriveCheck(context, drive_id, repair=repair, quick=quick).run()
     for number, job_id in enumerate(jobs, start=len(drives)):
         progress(number, total, f"job {job_id}")
-        found += _check_job(context, job_id, repair=repair)
+        found += _check_job(context, job_id, repair=repair, may_fail=may_fail)
         found += _check_features(context, job_id, repair=repair, quick=quick)
     return [*found, *_check_folders(context, repair=repair)]
 
@@ -311,7 +317,29 @@ def _fault_of_scan(root: Path, folder: LabelFolder, frame: int, *, quick: bool) 
     return None
 
 
-def _check_job(context: Context, job_id: str, *, repair: bool) -> list[Discrepancy]:
+def _are_results_away(context: Context, jobs: list[str]) -> bool:
+    """Return whether no job has a result: rather than all of them, their folder is gone, perhaps for a while."""
+    root = context.storage.folder("jobs")
+    return len(jobs) > 1 and not any((root / job_id / "result" / RUN_FILE).exists() for job_id in jobs)
+
+
+def _check_lost_job(context: Context, job_id: str, *, repair: bool) -> Iterator[Discrepancy]:
+    """Find a job that failed here because its result was gone, and has it again."""
+    folder = context.storage.folder(f"jobs/{job_id}")
+    if _fault_of_result(folder / "result") is not None or sidecars.read_job(folder) is None:
+        return
+    if repair:
+        with context.database.writing() as session:
+            job = session.get(Job, job_id, with_for_update=True)
+            if job is None or job.state != JobState.FAILED:  # deleted meanwhile
+                return
+            job.state, job.error = JobState.SUCCESSFUL, None
+            job.version += 1
+    message = "the job failed because its result was gone, and it is there again."
+    yield Discrepancy("result", f"jobs/{job_id}/result", message, "the job is successful again" if repair else None)
+
+
+def _check_job(context: Context, job_id: str, *, repair: bool, may_fail: bool) -> list[Discrepancy]:
     """Find a successful job whose result is gone."""
     folder = context.storage.folder(f"jobs/{job_id}")
     fault = _fault_of_result(folder / "result")
@@ -321,10 +349,12 @@ def _check_job(context: Context, job_id: str, *, repair: bool) -> list[Discrepan
         job = session.get(Job, job_id, with_for_update=True)
         if job is None:  # deleted meanwhile
             return []
-        if fault is not None and repair:
+        if fault is not None and repair and may_fail:
             _fail(job, fault)
     if fault is not None:
-        done = "the job is failed now: submit it again" if repair else None
+        done = "the job is failed now: submit it again" if repair and may_fail else None
+        if not may_fail:
+            fault = f"{fault} No job has its result: is the folder jobs/ where it should be, and its volume mounted?"
         return [Discrepancy("result", f"jobs/{job_id}/result", fault, done)]
     if repair:
         sidecars.write_job(context.storage, job)

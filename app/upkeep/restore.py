@@ -16,6 +16,7 @@ from pathlib import Path
 
 from pydantic import ValidationError
 from sqlalchemy import func, select
+from sqlalchemy.orm import Session
 
 from app.context import RESTORING, Context
 from app.settings import Settings
@@ -247,10 +248,13 @@ def _target(settings: Settings, record: BackupRecord, *, resumed: bool, drives: 
         with atomic_write(folder / RESTORING) as file:
             file.write(record.model_dump_json(indent=2).encode())
     database = Database(settings.sqlalchemy_url)
+
+    def refuse(session: Session) -> None:
+        _refuse_unless_empty(session, database, resumed=resumed, drives=drives)
+
     try:
-        database.upgrade()
         try:
-            _refuse_unless_empty(database, resumed=resumed, drives=drives)
+            database.upgrade(refuse)
         except ConfigError:
             if not resumed:
                 (folder / RESTORING).unlink()
@@ -260,14 +264,13 @@ def _target(settings: Settings, record: BackupRecord, *, resumed: bool, drives: 
         database.close()
 
 
-def _refuse_unless_empty(database: Database, *, resumed: bool, drives: Sequence[str]) -> None:
+def _refuse_unless_empty(session: Session, database: Database, *, resumed: bool, drives: Sequence[str]) -> None:
     """Refuse a database that holds something else than what this restoration has brought already."""
-    with database.reading() as session:
-        counts = {
-            name: session.scalar(select(func.count()).select_from(table)) or 0
-            for name, table in (("drives", Drive), ("jobs", Job), ("tokens", Token))
-        }
-        others = set(session.scalars(select(Drive.id))) - set(drives)
+    counts = {
+        name: session.scalar(select(func.count()).select_from(table)) or 0
+        for name, table in (("drives", Drive), ("jobs", Job), ("tokens", Token))
+    }
+    others = set(session.scalars(select(Drive.id))) - set(drives)
     if any(counts.values()) and (others or not resumed):
         found = ", ".join(f"{count} {name}" for name, count in counts.items() if count)
         raise ConfigError(

@@ -49,7 +49,9 @@ class Kind:
     def stages_of(self, request: JobRequest) -> tuple[str, str, str]:
         """Return what the work is doing in each of the three calls for a request."""
         first, second, third = self.stages
-        is_labelled = isinstance(request, CommitJob) and request.options.model is not None
+        is_labelled = isinstance(request, CommitJob) and (
+            request.options.model is not None or request.options.labels == "geometry"
+        )
         return first, "labelling" if is_labelled else second, third
 
     def load(self) -> ModuleType:

@@ -17,7 +17,7 @@ from interloc.cli import console, options
     required=True,
     type=click.Path(path_type=Path, dir_okay=False),
     help="File to write; its name ends in .gpkg, .qgz, .kmz, .fgb, .kml, .csv, .geojson, .parquet, .pmtiles or .gpx, "
-    "or in .tif for the layer road.",
+    "in .tif for the layer road, or for the roads in .nav2.geojson (Nav2), .osm (Lanelet2) or .xodr (OpenDRIVE).",
 )
 @click.option(
     "--layer",
@@ -31,7 +31,9 @@ def command(result: Path, out: Path, layer: str | None, quiet: bool, as_json: bo
     """Write RESULT, the result folder of `interloc detect` or `run`, as one file for other programs.
 
     A .qgz is a project of QGIS with its data inside, a .kmz is for Google Earth; both, and QGIS with a .gpkg, draw the
-    layers as the page does. The layer road is the road seen by LiDAR, a raster; it needs no georeference.
+    layers as the page does. The layer road is the road seen by LiDAR, a raster; it needs no georeference. Robots,
+    vehicles and simulators read the roads as a route graph of Nav2, a map of Lanelet2, or OpenDRIVE; their lanes are
+    assumed from the widths.
 
     \b
     Example:
@@ -42,14 +44,19 @@ def command(result: Path, out: Path, layer: str | None, quiet: bool, as_json: bo
       interloc export out -o map.pmtiles
       interloc export out -o track.gpx
       interloc export out -o road.tif
+      interloc export out -o roads.xodr
     """
     from interloc.output.read import read_run
     from interloc.output.road import RASTER_SUFFIXES, ROAD_LAYER, export_road
+    from interloc.output.road_files import road_ending, write_road_file
     from interloc.output.vector_files import PLACE_IT, is_local, write_vector_file
 
     console.set_up_log(quiet=quiet)
     read_run(result)  # or say that it is no result
-    if layer == ROAD_LAYER or (layer is None and out.suffix.lower() in RASTER_SUFFIXES):
+    if layer is None and road_ending(out) is not None:
+        write_road_file(result, out)
+        layers = ["roads"]
+    elif layer == ROAD_LAYER or (layer is None and out.suffix.lower() in RASTER_SUFFIXES):
         export_road(result, out)
         layers = [ROAD_LAYER]
     else:

@@ -25,6 +25,7 @@ COMMANDS = {
     "explain": "explain",
     "robustness": "robustness",
     "export": "export",
+    "merge": "merge",
     "odometry": "odometry",
     "label": "convert:label",
     "convert": "convert:convert",

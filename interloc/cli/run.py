@@ -18,7 +18,11 @@ if TYPE_CHECKING:
 
 @click.command(cls=options.Command, short_help="Detect, map and evaluate in one go.")
 @options.evaluation_options
-@click.option("--locate", is_flag=True, help="Place the drive on the map by its roads; a georeference is not used.")
+@click.option(
+    "--locate",
+    is_flag=True,
+    help="Place the drive on the map by its roads; a georeference is not used. --near does that where there is none.",
+)
 @locating.near_options
 def command(
     drive: Path,
@@ -39,6 +43,7 @@ def command(
     Example:
       interloc run sequences/07 -o out --osm karlsruhe.osm.pbf --oxts 2011_09_30_drive_0027_sync
       interloc run sequences/07 -o out --osm karlsruhe.osm.pbf --locate          without GNSS
+      interloc run drive.mcap -o out --osm karlsruhe.osm.pbf --near 49.01,8.43   points and poses alone
     """
     from interloc.evaluation.evaluate import evaluate
     from interloc.evaluation.report import report_record, write_report
@@ -46,10 +51,13 @@ def command(
     from interloc.output.write import write_results
     from interloc.pipeline import detect
 
-    if not locate and (near is not None or radius_km is not None):
-        raise click.UsageError("--near and --radius belong to --locate")
     search = locating.search_area(near, radius_km)
-    source, config, graph = options.open_for_evaluation(drive, quiet=quiet, needs_georeference=not locate, **given)
+    may_locate = locate or near is not None
+    source, config, graph = options.open_for_evaluation(drive, quiet=quiet, needs_georeference=not may_locate, **given)
+    if near is not None and not locate:
+        locate = source.georeference is None
+        if not locate and not quiet:
+            click.echo("--near is not used: the drive has a georeference (--locate leaves that out)", err=True)
     if locate and graph is None:
         graph = locating.fetch_map_around(*search, quiet=quiet)
     with result_folder(out) as folder:

@@ -53,7 +53,7 @@ def are_cold() -> bool:
 @cache
 def _announce() -> None:
     if are_cold():
-        _log.info("compiling the kernels, once (about 20 s)")
+        _log.info("compiling the kernels, once (20 s on a free core, up to two minutes on a busy machine)")
 
 
 def _crossing(reach_m: float) -> Float32Array:

@@ -103,10 +103,16 @@ def check_flat_road(
 def _pose_frame_complaint(drive: FolderDrive) -> str:
     if drive.pose_frame == "oxts":
         return "Poses were taken from OXTS. Usual cause: OXTS of another drive, or angles in another convention."
+    read_as = f"Poses were read as {drive.pose_frame} poses: {drive.pose_frame_reason}. Usual cause: "
+    if drive.layout == "rosbag":
+        return (
+            f"{read_as}poses of another frame than that of the points, without the transform between the two (choose "
+            "others with --poses), or inverted poses."
+        )
     other = "lidar" if drive.pose_frame == "camera" else "camera"
     return (
-        f"Poses were read as {drive.pose_frame} poses: {drive.pose_frame_reason}. Usual cause: a wrong pose frame "
-        f"(try {other!r}), a calib.txt of another vehicle, inverted poses, or scans of another drive."
+        f"{read_as}a wrong pose frame (try {other!r}), a calib.txt of another vehicle, inverted poses, or scans of "
+        "another drive."
     )
 
 

@@ -275,9 +275,7 @@ def list_numbered(folder: SourceFile, suffix: str) -> NumberedFiles:
         )
     odd = sorted(stem for stem in stems if not (stem.isascii() and stem.isdigit() and len(stem) <= 18))
     if odd:
-        raise fault(
-            odd[0], f"is not named by its scan number. Expected names such as 000000{suffix}, 000001{suffix}, ..."
-        )
+        raise fault(odd[0], _name_complaint(odd[0], suffix))
     digits = min(len(stem) for stem in stems)
     numbers = np.array([int(stem) for stem in stems], dtype=np.int64)
     order = np.argsort(numbers, kind="stable")
@@ -289,6 +287,17 @@ def list_numbered(folder: SourceFile, suffix: str) -> NumberedFiles:
                 "Usual cause: files of two drives in one folder.",
             )
     return NumberedFiles(folder, suffix, digits, numbers[order], np.array(sizes, dtype=np.int64)[order])
+
+
+def _name_complaint(stem: str, suffix: str) -> str:
+    expected = f"000000{suffix}, 000001{suffix}, ..."
+    if not (stem.isascii() and stem.isdigit()):
+        return f"is not named by its scan number. Expected names such as {expected}"
+    return (
+        f"is named by a time, in nanoseconds. Expected scan numbers, {expected}: rename scans and labels alike in the "
+        "order of their times, and write the times, in seconds, one per line into times.txt. Only PCD and LAS files "
+        "may be named by times."
+    )
 
 
 def _others_in(folder: Path) -> str:

@@ -83,7 +83,12 @@ class Findings:
     @property
     def ok(self) -> bool:
         """True where nothing makes the drive unusable."""
-        return not any(finding.severity == "error" for finding in self.found)
+        return not self.errors
+
+    @property
+    def errors(self) -> int:
+        """How many there are."""
+        return sum(finding.severity == "error" for finding in self.found)
 
     def error(self, fault: InterLocError) -> None:
         """Raise the fault, or list it."""

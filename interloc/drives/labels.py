@@ -15,7 +15,7 @@ from interloc.errors import ConfigError
 ROAD, CONFUSABLE = 1, 2
 """Groups of the selection kernel."""
 
-MIN_ROAD_SHARE = 0.005
+MIN_ROAD_SHARE = 0.05
 MAX_UNKNOWN_SHARE = 0.05
 
 _LABEL_COUNT = 1 << 16
@@ -249,7 +249,10 @@ def check_labels(folder: str, judgement: LabelJudgement, findings: Findings) -> 
         findings.error(
             DriveFileError(
                 folder,
-                f"no point of the scans looked at is road: the ids are {listed(ids, 20)}; road would be {wanted} "
+                "no road was found by geometry in the scans looked at. Expected flat ground under the vehicle, and "
+                "poses of the sensor that saw it. Usual cause: poses of another drive, or in another frame."
+                if folder == "geometry"
+                else f"no point of the scans looked at is road: the ids are {listed(ids, 20)}; road would be {wanted} "
                 f"(scheme {scheme.name}). Usual cause: another label scheme; name it, or give the ids of road.",
             )
         )

@@ -82,6 +82,11 @@ class DriveParts:
     pose_frame: tuple[PoseOwner, str] | None = None
 
     @property
+    def has_poses(self) -> bool:
+        """Whether there is a file of poses, or one of fixes that tell them."""
+        return self.oxts is not None if self.poses is None else self.poses.exists()
+
+    @property
     def in_kitti360_world(self) -> bool:
         """Whether the poses are in the world of KITTI-360: its pose file, where it is published."""
         return self.layout == "kitti360" and self.poses is not None and self.poses.parent.parent.name == KITTI360_POSES
@@ -266,6 +271,7 @@ _FOREIGN = {
 """Formats of points that are not read -> what to do instead."""
 
 _MAX_LOOKED_AT = 20_000
+_FOLDERS_EACH = 2
 
 
 def _seen_in(root: Path) -> str:
@@ -279,6 +285,13 @@ def _seen_in(root: Path) -> str:
     if not counts:
         return ""
     (folder, suffix), count = counts.most_common(1)[0]
+    alone = sorted(Path(parent).name for (parent, ending), number in counts.items() if number == 1 and ending == suffix)
+    if count == 1 and len(alone) > _FOLDERS_EACH:
+        return (
+            f"It holds one {suffix} file in each of {len(alone):,} folders ({alone[0]}, {alone[1]}, ...), as "
+            f"hdl_graph_slam dumps its keyframes: put them into one folder (000000{suffix}, 000001{suffix}, ...), and "
+            "the pose of each (the matrix `estimate` in its file data), 12 or 16 numbers per line, into poses.txt. "
+        )
     seen = f"It holds {counted(count, f'{suffix} file')}"
     if suffix in _FOREIGN:
         return f"{seen}: {_FOREIGN[suffix]}. "

@@ -27,6 +27,7 @@ from interloc.drives.options import (
     ReadingOptions,
 )
 from interloc.drives.plausibility import RoadSeen, check_motion, check_points
+from interloc.drives.scan_motion import check_scan_motion
 from interloc.drives.scans.deskewed import deskewed, is_to_deskew
 from interloc.drives.scans.raw import RawScans, trajectory_of
 from interloc.drives.scans.recorded import Recording
@@ -34,6 +35,8 @@ from interloc.drives.scans.reduced import ReducedScans, reduced_trajectory
 from interloc.drives.scans.reduced_format import ReducedManifest, is_reduced, read_manifest
 from interloc.drives.trajectory import Trajectory
 from interloc.processes import Progress
+
+NO_POSES = "there are none: they are computed from the points (--poses odometry)."
 
 SAMPLED_SCANS = 5
 """How many scans are looked into, unless all are."""
@@ -154,7 +157,7 @@ def read_drive(
     readings: dict[LabelFolder, DriveReading] = {}
     with each_read_once():
         opened, trajectory = _open(root, options, findings, progress)
-        for folder in dict.fromkeys(label_folders or (_label_folder(opened, options, findings),)):
+        for folder in dict.fromkeys(label_folders or (_label_folder(opened, options, findings, needs_labels),)):
             scans: Scans | None = None
             with findings.stage():
                 if isinstance(opened, ReducedManifest):
@@ -195,6 +198,10 @@ def _open(
         opened = read_manifest(root) if is_reduced(root) else open_recording(root, options, findings)
     if isinstance(opened, Recording) and opened.frames is not None:
         with findings.stage():
+            if options.poses is None and not opened.has_poses:
+                findings.warning("poses", NO_POSES)
+                options = options.model_copy(update={"poses": ODOMETRY})
+                opened = open_recording(root, options, findings)
             if options.poses == ODOMETRY:
                 track = track_file(opened, options, findings, progress)
                 options = options.model_copy(update={"poses": str(track.path), "pose_frame": "lidar"})
@@ -231,7 +238,9 @@ def open_recording(root: Path, options: DriveOptions, findings: Findings) -> Rec
     raise not_a_drive(root, options)
 
 
-def _label_folder(opened: Recording | ReducedManifest | None, options: DriveOptions, findings: Findings) -> LabelFolder:
+def _label_folder(
+    opened: Recording | ReducedManifest | None, options: DriveOptions, findings: Findings, needs_labels: bool
+) -> LabelFolder:
     """Return the labels that were asked for; where that was left open, the first that there are."""
     if options.labels != "auto":
         return options.labels
@@ -242,7 +251,14 @@ def _label_folder(opened: Recording | ReducedManifest | None, options: DriveOpti
     there = [folder for folder in LABEL_FILES if opened.parts.label_folder(folder).is_dir()]
     if there == ["predictions"]:
         findings.note("predictions", "are the labels: there is no labels/.")
-    return there[0] if there else "labels"
+    if there or opened.carries_labels or not needs_labels or opened.points is None:
+        return there[0] if there else "labels"
+    findings.warning(
+        "labels",
+        "there are none: the road is found by geometry (--labels geometry), from the points and the path driven. "
+        "Labels of a network place intersections better: docs/labels.md says where to get one.",
+    )
+    return "geometry"
 
 
 def _drive_of(scans: Scans, trajectory: Trajectory, labels: LabelJudgement) -> FolderDrive | None:
@@ -276,10 +292,14 @@ def _checked(reading: DriveReading, findings: Findings) -> DriveReading:
         with findings.stage():
             if len(road := drive.ground_points(index).road):
                 seen.append(RoadSeen.of(index, road, NEAR_M))
+    errors = findings.errors
     check_points(drive.T_world_lidar, seen, scans.parts.file(scans.parts.scans).name, findings)
     check_motion(drive.T_world_lidar, pose_file, findings)
     reading = replace(reading, flatness_m=check_flat_road(drive, scans.usable, pose_file, findings))
-    check_turns(drive, scans.usable, pose_file, findings, suspected=reading.trajectory.is_odd)
+    if findings.errors == errors:  # else what follows is the same fault in other words
+        check_scan_motion(drive, scans.usable, pose_file, findings)
+    if findings.errors == errors:
+        check_turns(drive, scans.usable, pose_file, findings, suspected=reading.trajectory.is_odd)
     if isinstance(scans, RawScans):
         scans.tell_doubts(findings)
     if drive.georeference is None or drive.pose_frame == "oxts":

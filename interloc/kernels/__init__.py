@@ -29,7 +29,7 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
         if "cannot cache" not in str(error):
             raise
         _log.warning(
-            "compiled kernels cannot be kept on disk, so every start compiles them anew (about 20 s). "
+            "compiled kernels cannot be kept on disk, so every start compiles them anew (20 s and more). "
             "Set NUMBA_CACHE_DIR to a folder that can be written."
         )
     return cast("Callable[P, R]", kernel)

@@ -46,7 +46,7 @@ METHOD = "geometry 1"
 """Name and version of the method: another version may give other labels."""
 
 ROAD, BESIDE, OTHER_GROUND = 40, 48, 72
-"""Ids of SemanticKITTI: road; sidewalk, for all ground within some metres of the road; terrain."""
+"""Ids of SemanticKITTI: road; sidewalk, for all ground some metres beside the road; terrain."""
 
 _NEAR_M = 0.3
 _LABELLED_M = (0.15, 0.3)
@@ -55,7 +55,7 @@ _MIN_STRIP = (20, 10)
 _UNKNOWN_BRIGHTNESS = 0.7
 
 _KEPT_GROUNDS, _KEPT_WINDOWS = 80, 32
-_MIN_CONTRAST, _MAX_WIDTH_M = 4.0, 20.0
+_MIN_CONTRAST, _MAX_WIDTH_M = 5.0, 35.0
 
 
 @dataclass(frozen=True)
@@ -151,7 +151,8 @@ class GeometryLabeller:
         Returns
         -------
         (N,) uint32
-            Label ids of SemanticKITTI: 40 road, 48 ground beside it, 72 other ground, 0 what is no ground, or too far.
+            Label ids of SemanticKITTI: 40 road, 48 ground 1 to 3 m beside it, 72 other ground; 0 for what is too far
+            away or no ground.
 
         Raises
         ------

@@ -13,13 +13,14 @@ from interloc.labelling.ground import CELL_M
 from interloc.labelling.surface import PLANE_TIMES, STRIP_M
 
 # What a cell as good as the strip scores, and what each excess over the strip takes from that.
-_SCORE = 5.0
+_SCORE = 4.7
 _BRIGHT, _BRIGHT_AROUND = 0.4, 0.7
 _ROUGH, _ROUGH_AROUND, _STEEP_AROUND, _RIDGE = 0.1, 0.3, 0.2, 1.2
 _HIGHER, _OFF = 1.6, 0.1
 _MAX_EXCESS, _MAX_RIDGE = 4.0, 5.0
 _SIDES_M = (0.2, 0.6, 1.4)  # of the squares that features are averaged over, until there is any
 _RIDGE_SIDE_M = 3.8
+_SURE_WEIGHT = 4.0  # of a square of 0.6 m; a cell that a ring touched once looks rough by chance
 
 _HEIGHT_UNIT_M = 0.03
 _PLANE_M, _PLANE_STIFFNESS_M = 2.4, 2.0
@@ -77,14 +78,16 @@ def score_cells(sums: Float32Array, strip: BoolArray) -> Features:
 
     rough = mean(ROUGH, ROUGH_WEIGHT, _SIDES_M)
     ridge = _excess(rough - mean(ROUGH, ROUGH_WEIGHT, (_RIDGE_SIDE_M,)), strip) - 1  # a kerb, not a rough place
+    seen = 9 * cv2.blur(sums[..., ROUGH_WEIGHT].copy(), (3, 3))
+    sure: Float32Array = seen / (seen + np.float32(_SURE_WEIGHT))
     score = (
         _SCORE
         - _BRIGHT * excess(mean(BRIGHTNESS, WEIGHT, _SIDES_M))
         - _BRIGHT_AROUND * excess(mean(BRIGHTNESS, WEIGHT, _SIDES_M[-1:]))
-        - _ROUGH * excess(rough)
+        - sure * _ROUGH * excess(rough)
         - _ROUGH_AROUND * excess(mean(ROUGH, ROUGH_WEIGHT, _SIDES_M[-1:]))
         - _STEEP_AROUND * excess(mean(STEEP, ROUGH_WEIGHT, _SIDES_M[-1:]))
-        - _RIDGE * np.clip(ridge, 0, _MAX_RIDGE)
+        - sure * _RIDGE * np.clip(ridge, 0, _MAX_RIDGE)
     )
     return Features(score, mean(HEIGHT, WEIGHT, _SIDES_M))
 
@@ -107,9 +110,14 @@ def grow_road(features: Features, strip: BoolArray) -> Road:
 
 
 def classes_of(road: BoolArray, road_id: int, beside_id: int, other_id: int) -> UInt8Array:
-    """Return the label ids of the cells: road, what lies within some metres of it, the rest."""
+    """Return the label ids of the cells: road, what lies within some metres of it, the rest.
+
+    The border of the road is not sure to half a metre: what is closer speaks neither for road nor, as votes of ground
+    beside it do, against it.
+    """
     classes = np.full(road.shape, other_id, np.uint8)
     classes[_widened(road, _BESIDE)] = beside_id
+    classes[_widened(road, _UNSURE)] = other_id
     classes[road] = road_id
     return classes
 
@@ -202,6 +210,6 @@ def _opened(shape: BoolArray, kernel: UInt8Array) -> BoolArray:
     return cv2.morphologyEx(shape.view(np.uint8), cv2.MORPH_OPEN, kernel).view(np.bool_)
 
 
-_GAPS, _VEHICLE, _HOLES = _disc(0.4), _disc(0.8), _disc(0.6)
-_TO_KERB, _BESIDE, _BORDER = _disc(0.3), _disc(3.0), (_disc(0.6), _disc(2.5))
+_GAPS, _VEHICLE, _HOLES = _disc(0.6), _disc(0.8), _disc(0.6)
+_TO_KERB, _UNSURE, _BESIDE, _BORDER = _disc(0.3), _disc(1.0), _disc(3.0), (_disc(0.6), _disc(2.5))
 _REACH = np.ones((2 * round(_STEP_M / CELL_M) + 1,) * 2, np.uint8)

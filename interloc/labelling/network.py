@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from interloc.arrays import BoolArray, Float32Array, UInt8Array
-from interloc.errors import ConfigError, ModelError
+from interloc.errors import ConfigError, ModelError, install
 from interloc.kernels.projection import best_classes
 from interloc.labelling.graph import GraphForm, GraphInput, Tensor, output_layout
 
@@ -168,9 +168,7 @@ def _onnxruntime() -> Any:  # noqa: ANN401 - a module without types
     try:
         return importlib.import_module("onnxruntime")
     except ImportError as error:
-        raise ModelError(
-            'labels by a network need onnxruntime, which is not installed: pip install "interloc[label]"'
-        ) from error
+        raise ModelError(f"labels by a network need onnxruntime, which is not installed: {install('label')}") from error
 
 
 def _open_session(path: Path, provider: str, *, threads: int, optimise: bool) -> Any:  # noqa: ANN401 - onnxruntime's

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from interloc.errors import ModelError
+from interloc.errors import ModelError, install
 from interloc.files import reason_of
 
 MAX_BYTES = 64 * 1024
@@ -193,9 +193,7 @@ def read_settings(path: Path) -> SettingsFile:
     try:
         import yaml  # noqa: PLC0415 - an extra
     except ImportError as error:
-        raise ModelError(
-            'labels by a network need PyYAML, which is not installed: pip install "interloc[label]"'
-        ) from error
+        raise ModelError(f"labels by a network need PyYAML, which is not installed: {install('label')}") from error
 
     data = _read_bytes(path)
     try:

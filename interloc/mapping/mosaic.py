@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import zlib
+from collections import OrderedDict
+from collections.abc import Iterator, MutableMapping
 from dataclasses import dataclass, field
 
 import cv2
@@ -10,14 +12,55 @@ import numpy as np
 
 from interloc.arrays import FloatArray, UInt8Array
 from interloc.geometry import lonlat_from_enu, rotate_2d
-from interloc.results import DriveResult, RoadPatch
+from interloc.results import DriveResult
 
 TILE = 256
 """Cells per side of a tile."""
 
 CELL_M = 0.5  # finer than the outline of a road is known
+_OPEN_TILES = 128  # 8 MB
 _MAX_TILES = 250_000  # that a file lists, empty ones too: 64 km by 64 km of the finest cells
 _TANGENT_M = 100.0  # arm by which directions are compared
+
+
+class Tiles(MutableMapping[tuple[int, int], UInt8Array]):
+    """Tiles by row and column, of which all but the last ones that were used are kept deflated.
+
+    A tile may be changed until others were used: then it is another array.
+    """
+
+    def __init__(self) -> None:
+        self._open: OrderedDict[tuple[int, int], UInt8Array] = OrderedDict()
+        self._packed: dict[tuple[int, int], bytes] = {}
+
+    def __getitem__(self, key: tuple[int, int]) -> UInt8Array:
+        tile = self._open.get(key)
+        if tile is None:
+            cells = zlib.decompress(self._packed[key])
+            tile = np.frombuffer(bytearray(cells), np.uint8).reshape(TILE, TILE)
+        self[key] = tile
+        return tile
+
+    def __setitem__(self, key: tuple[int, int], tile: UInt8Array) -> None:
+        self._open[key] = tile
+        self._open.move_to_end(key)
+        self._packed.pop(key, None)
+        if len(self._open) > _OPEN_TILES:
+            oldest, cells = self._open.popitem(last=False)
+            self._packed[oldest] = zlib.compress(cells.tobytes(), 1)
+
+    def __delitem__(self, key: tuple[int, int]) -> None:
+        self._open.pop(key, None)
+        self._packed.pop(key, None)
+
+    def __contains__(self, key: object) -> bool:
+        return key in self._open or key in self._packed
+
+    def __iter__(self) -> Iterator[tuple[int, int]]:
+        return iter([*self._packed, *self._open])
+
+    def __len__(self) -> int:
+        return len(self._open) + len(self._packed)
 
 
 @dataclass
@@ -28,12 +71,12 @@ class Raster:
     ----------
     cell_m : float
         Side of a cell. The cell in row r and column c has its upper left corner at x = c cell_m, y = -r cell_m.
-    tiles : dict of (int, int) to (TILE, TILE) uint8
+    tiles : mapping of (int, int) to (TILE, TILE) uint8
         By row and column of the tile. 0: nothing is known.
     """
 
     cell_m: float
-    tiles: dict[tuple[int, int], UInt8Array] = field(default_factory=dict)
+    tiles: Tiles = field(default_factory=Tiles)
 
     def add(self, row: int, col: int, cells: UInt8Array) -> None:
         """Add cells to those that are there; sums end at 255."""
@@ -79,10 +122,13 @@ class Mosaic:
         How many of the patches, which lie 10 m apart along the drive, hold road in the cell; 255 for more.
     epsg : int or None
         The raster is in metres of this coordinate system, x to the east, y to the north; None: in metres of W.
+    other : Raster or None
+        The same of other ground, such as a sidewalk: what is 0 in both was not seen. None where nobody can tell.
     """
 
     raster: Raster
     epsg: int | None
+    other: Raster | None = None
 
 
 def build_mosaic(result: DriveResult) -> Mosaic:
@@ -103,10 +149,14 @@ def build_mosaic(result: DriveResult) -> Mosaic:
         epsg = utm_zone(*table.lonlat[0].tolist())
         angle = table.enu_yaw_rad[rows] - table.world_yaw_rad[rows]
         origin, turn = _in_utm(table.lonlat[rows], angle, epsg)
-    raster = Raster(_cell_m(origin))
+    raster, other = (Raster(_cell_m(origin)) for _ in range(2))
     for patch, here, at, matrix in zip(result.road, world_xy, origin, turn, strict=True):
-        _paste(raster, patch, at + matrix @ (patch.corner_xy - here), matrix)
-    return Mosaic(raster, epsg)
+        corner_xy = at + matrix @ (patch.corner_xy - here)
+        _paste(raster, patch.cells(), patch.resolution_m, corner_xy, matrix)
+        ground = patch.other_cells()
+        if ground is not None:
+            _paste(other, ground, patch.resolution_m, corner_xy, matrix)
+    return Mosaic(raster, epsg, other if other.tiles else None)
 
 
 def utm_zone(lon_deg: float, lat_deg: float) -> int:
@@ -141,17 +191,17 @@ def _cell_m(places: FloatArray) -> float:
     return cell_m
 
 
-def _paste(raster: Raster, patch: RoadPatch, corner_xy: FloatArray, turn: FloatArray) -> None:
-    """Add a patch whose upper left corner lies at a place of the raster, turned by a matrix."""
+def _paste(raster: Raster, image: UInt8Array, resolution_m: float, corner_xy: FloatArray, turn: FloatArray) -> None:
+    """Add an image whose upper left corner lies at a place of the raster, turned by a matrix."""
     flip = np.diag([1.0, -1.0])  # rows go down
-    matrix = flip @ turn @ flip * (patch.resolution_m / raster.cell_m)
+    matrix = flip @ turn @ flip * (resolution_m / raster.cell_m)
     shift = flip @ corner_xy / raster.cell_m
-    corners = np.array([[0, 0], [1, 0], [0, 1], [1, 1]]) * float(patch.size) @ matrix.T + shift
+    corners = np.array([[0, 0], [1, 0], [0, 1], [1, 1]]) * float(len(image)) @ matrix.T + shift
     first = np.floor(corners.min(axis=0)).astype(int)
     width, height = (np.ceil(corners.max(axis=0)).astype(int) - first).tolist()
     middle = matrix @ [0.5, 0.5] + shift - first - 0.5  # OpenCV counts from the middles of pixels
     affine = np.column_stack([matrix, middle])
-    cells = cv2.warpAffine(patch.cells(), affine, (width, height), flags=cv2.INTER_NEAREST)
+    cells = cv2.warpAffine(image, affine, (width, height), flags=cv2.INTER_NEAREST)
     raster.add(int(first[1]), int(first[0]), np.asarray(cells, np.uint8))
 
 

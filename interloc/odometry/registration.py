@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from interloc.arrays import Float32Array, FloatArray, IntArray
-from interloc.errors import DriveError
+from interloc.errors import DriveError, install
 
 MIN_RANGE_M, MAX_RANGE_M = 2.5, 80.0
 """Nearer points are those of the vehicle itself; farther ones lie too thin to be matched."""
@@ -226,6 +226,4 @@ def require_small_gicp() -> Any:  # noqa: ANN401 - a module without types
     try:
         return importlib.import_module("small_gicp")
     except ImportError:
-        raise DriveError(
-            'poses from points need small_gicp, which is not installed: pip install "interloc[odometry]"'
-        ) from None
+        raise DriveError(f"poses from points need small_gicp, which is not installed: {install('odometry')}") from None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 
-from interloc.output.layers import DERIVED, LAYERS, Layer
+from interloc.output.layers import CITY_LAYERS, DERIVED, LAYERS, Layer
 from interloc.output.properties import Attribute
 
 _HEAD = """# The attributes of the result layers
@@ -60,6 +60,8 @@ def render() -> str:
     parts = [_HEAD, *(_section(layer) for layer in LAYERS.values())]
     parts.append("## Made by exports\n\nThese two are made of the intersections when a result is exported.\n")
     parts += [_section(layer) for layer in DERIVED.values()]
+    parts.append("## Of many drives\n\nThese are the files of a map that `interloc merge` makes of several results.\n")
+    parts += [_section(layer) for layer in CITY_LAYERS.values()]
     return "\n".join(parts)
 
 

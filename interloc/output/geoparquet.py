@@ -6,7 +6,7 @@ import importlib.util
 import io
 from typing import Any
 
-from interloc.errors import ConfigError
+from interloc.errors import ConfigError, install
 from interloc.output.credits import Credit
 
 
@@ -18,7 +18,7 @@ def has_parquet() -> bool:
 def require_parquet() -> None:
     """Raise a ConfigError where the extra is not installed that writes GeoParquet."""
     if not has_parquet():
-        raise ConfigError('GeoParquet needs pyarrow, which is not installed: pip install "interloc[parquet]"')
+        raise ConfigError(f"GeoParquet needs pyarrow, which is not installed: {install('parquet')}")
 
 
 def parquet_bytes(table: Any, description: str, credit: Credit) -> bytes:  # noqa: ANN401 - geopandas has no types

@@ -24,8 +24,11 @@ from interloc.output.geojson import damaged, joined, read_file, rounded
 from interloc.output.properties import (
     Attribute,
     BranchProperties,
+    CityDriveProperties,
+    CityProperties,
     DetectionProperties,
     IntersectionProperties,
+    JunctionProperties,
     KeyframeProperties,
     MatchProperties,
     OsmBuildingProperties,
@@ -33,6 +36,8 @@ from interloc.output.properties import (
     OsmRoadProperties,
     PlaceProperties,
     Properties,
+    RoadProperties,
+    RoadSurfaceProperties,
     Strict,
     TrajectoryProperties,
     UncertaintyProperties,
@@ -212,6 +217,9 @@ LAYERS = {
         ),
         Layer("trajectory", "Track of the LiDAR", "LineString", TrajectoryProperties, "Trajectory"),
         Layer("keyframes", "Keyframes", "Point", KeyframeProperties, "Keyframe {frame}", key="frame"),
+        Layer("roads", "Roads seen by LiDAR", "LineString", RoadProperties, "Road {id}", key="id"),
+        Layer("junctions", "Junctions of the roads", "Polygon", JunctionProperties, "Node {id}, {kind}", key="id"),
+        Layer("road_surface", "Surface of the roads", "Polygon", RoadSurfaceProperties, "Road surface {id}", key="id"),
         Layer(
             "osm_nodes",
             "Intersections of OpenStreetMap",
@@ -276,6 +284,16 @@ DERIVED = {
     )
 }
 """The layers that exports make of the intersections, see `interloc.output.derived`."""
+
+
+CITY_LAYERS = {
+    layer.name: layer
+    for layer in (
+        Layer("city", "Intersections of many drives", "Point", CityProperties, "Intersection {uid}", key="uid"),
+        Layer("drives", "Tracks of many drives", "LineString", CityDriveProperties, "{drive}", key="drive"),
+    )
+}
+"""The layers of a map of many drives, see `interloc.city`."""
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,8 @@
 file                      content
 ========================  ==============================================================================================
 ``run.json``              what the run was: format version, list of files, configuration, versions, timings
-``LAYER.geojson``         one per table of the run; properties: the models of `interloc.output.properties`
+``LAYER.geojson``         one per table of the run, and those of its roads, which folders of older versions do not have;
+                          properties: the models of `interloc.output.properties`
 ``LAYER.local.json``      the same of a run without georeference, in metres of W
 ``road.tif``              the road seen by LiDAR, a GeoTIFF; not in folders of older versions
 ``report.json``, ...      after an evaluation: the report, its figures, and the layers that hold OpenStreetMap data
@@ -37,6 +38,7 @@ RUN_SETTINGS = ("config", "fusion")
 """What of `run.json` is settings; the rest is facts about the run."""
 
 TABLES = ("detections", "keyframes", "trajectory", "intersections")
+ROAD_LAYERS = ("roads", "junctions", "road_surface")
 
 
 def settings_of(run: Mapping[str, Any]) -> dict[str, Any]:
@@ -48,9 +50,9 @@ def settings_of(run: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def file_names(*, georeferenced: bool) -> dict[str, str]:
-    """Return the file of each of `TABLES`."""
+    """Return the file of each of `TABLES` and `ROAD_LAYERS`."""
     ending = "geojson" if georeferenced else "local.json"
-    return {table: f"{table}.{ending}" for table in TABLES}
+    return {layer: f"{layer}.{ending}" for layer in (*TABLES, *ROAD_LAYERS)}
 
 
 RUN_NAMES = (

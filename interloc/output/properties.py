@@ -14,6 +14,8 @@ from typing import Annotated, Any, Literal, get_args, get_origin
 from pydantic import BaseModel, ConfigDict, Field, GetJsonSchemaHandler
 from pydantic_core import CoreSchema
 
+from interloc.roadmap.network import NodeKind
+
 
 @dataclass(frozen=True)
 class Decimals:
@@ -76,6 +78,11 @@ KeyframeTime = Annotated[
     Field(title="Time", description="Time of the keyframe, RFC 3339; null where the drive has no times of day."),
 ]
 DriveName = Annotated[str | None, Field(title="Drive", description="Name of the drive.")]
+NODE_KINDS = (
+    "intersection: one of the result, or several in one place. fork: three or more lines of the road meet where the "
+    "result has no intersection. place: an open place without one. dead_end: the road ends, and the drive came near. "
+    "end_of_view: the road was not seen farther."
+)
 Verdict = Literal["right", "wrong", "unscored"]
 """Of a detection or an intersection; unscored before an evaluation, and where the map cannot tell."""
 
@@ -136,8 +143,8 @@ class IntersectionProperties(Properties):
     uid: str | None = Field(
         None,
         title="Name of the place",
-        description="Name of the place, the same in other runs: n and the id of the OpenStreetMap node where the "
-        "result was scored and there is a junction, else the cell of a grid of about 22 m.",
+        description="Name of the place, the same in other runs that were scored: n and the id of the OpenStreetMap "
+        "node where there is a junction. Else the cell of a grid of about 22 m, which small moves can change.",
     )
     drive: DriveName = None
     first_time: Time = Field(
@@ -237,6 +244,76 @@ class KeyframeProperties(Properties):
     time: KeyframeTime = None
 
 
+RoadWidth = Annotated[float | None, Decimals(2, "m")]
+RoadLength = Annotated[float, Decimals(2, "m")]
+
+
+class RoadProperties(Properties):
+    """A road between two nodes, as the LiDAR saw it: its centreline, and its width from edge to edge."""
+
+    id: int = Field(title="Road", description="Number of the road, from 1.")
+    start_node: int = Field(title="From node", description="Number of the node where the line begins; see `junctions`.")
+    end_node: int = Field(title="To node", description="Number of the node where it ends.")
+    start_kind: NodeKind = Field(title="Begins at", description=f"What the node is where it begins. {NODE_KINDS}")
+    end_kind: NodeKind = Field(title="Ends at", description="What the node is where it ends, in the same words.")
+    length_m: RoadLength = Field(title="Length", description="Length of the line, metres.")
+    width_m: RoadWidth = Field(
+        title="Width",
+        description="Width from edge to edge, metres: median along the road; null where it is too short to be "
+        "measured between the mouths of others.",
+    )
+    width_p10_m: RoadWidth = Field(
+        title="Width, 10 %", description="Width that 10 % of the road stay below, metres; null where none is known."
+    )
+    width_p90_m: RoadWidth = Field(
+        title="Width, 90 %", description="Width that 90 % of the road stay below, metres; null where none is known."
+    )
+    width_profile_m: Annotated[list[float | None], Decimals(2, "m")] = Field(
+        title="Widths along it",
+        description="Width every 10 m from the start of the line, metres; null where it was not measured.",
+    )
+    is_driven: bool = Field(
+        title="Driven",
+        description="Whether the drive went along it. Of other roads one side may have been hidden: they are at least "
+        "as wide as `width_m`.",
+    )
+    seen: Ratio = Field(
+        title="Seen",
+        description="0 to 1, share of its length that was seen as road; the rest are gaps of up to 25 m between two "
+        "ends that face each other.",
+    )
+    keyframes: int = Field(
+        title="Keyframes", description="Median number of keyframes, 10 m apart, that saw the middle of the road."
+    )
+    offset_std_m: MetresOrNone = Field(
+        title="Uncertainty",
+        description="One-sigma uncertainty of the line across its direction, metres, without that of the "
+        "georeference; null where no width is known.",
+    )
+    drive: DriveName = None
+
+
+class JunctionProperties(Properties):
+    """The ground where roads meet, as far as their mouths; or an open place, on which no lines are drawn."""
+
+    id: int = Field(title="Node", description="Number of the node, from 1: `start_node` and `end_node` of roads.")
+    kind: NodeKind = Field(title="Kind", description=f"What the node is. {NODE_KINDS}")
+    intersections: list[int] = Field(
+        title="Intersections", description="Numbers of the fused intersections that it is; none for forks and places."
+    )
+    roads: int = Field(title="Roads", description="Number of roads that begin or end there.")
+    area_m2: Annotated[float, Decimals(1, "m2")] = Field(title="Area", description="Area, square metres.")
+    drive: DriveName = None
+
+
+class RoadSurfaceProperties(Properties):
+    """The ground that was seen as road from two keyframes or more, cut at squares of 512 m."""
+
+    id: int = Field(title="Piece", description="Number of the piece, from 1.")
+    area_m2: Annotated[float, Decimals(1, "m2")] = Field(title="Area", description="Area, square metres.")
+    drive: DriveName = None
+
+
 class OsmNodeProperties(Properties):
     """A ground truth intersection of OpenStreetMap."""
 
@@ -246,7 +323,13 @@ class OsmNodeProperties(Properties):
         title="In the zone",
         description="Whether it was in the relevant zone of a keyframe, so it should be found.",
     )
-    found: bool = Field(title="Detected", description="Whether a detection within 5 m was matched to it.")
+    found: bool = Field(title="Found", description="Whether its verdict is found: by an intersection of the map.")
+    detected: bool | None = Field(
+        None,
+        title="Detected",
+        description="Whether a detection within 5 m was matched to it, the paper's measure; null in results of older "
+        "versions.",
+    )
     keyframes_in_zone: int = Field(
         title="Keyframes near", description="Number of keyframes with the node in their relevant zone."
     )
@@ -352,6 +435,74 @@ class UncertaintyProperties(Properties):
         title="Bearing", description="Bearing of the longer axis, 0 to 180 degrees."
     )
     drive: DriveName = None
+
+
+class CityProperties(Properties):
+    """A physical intersection on a map of many drives, fused from what each of them saw."""
+
+    uid: str = Field(
+        title="Name of the place",
+        description="Name of the place on this map: it stays when drives are added, and is never used for another.",
+    )
+    observations: int = Field(title="Observations", description="Number of detections, of all drives.")
+    drives: int = Field(title="Drives", description="Number of drives that saw it.")
+    passes: int = Field(
+        title="Passes",
+        description="Number of times it was seen; sightings within ten minutes of each other count as one, since they "
+        "may be pieces of one drive.",
+    )
+    drives_near: int = Field(
+        title="Drives near", description="Number of drives that saw it, or came within 20 m of it."
+    )
+    drive_names: str = Field(title="Names of drives", description="The drives that saw it, separated by commas.")
+    position_std_m: Metres = Field(
+        title="Uncertainty",
+        description="One-sigma uncertainty of the position on the Earth along each axis, metres. An offset that all "
+        "drives have in common, as of one base station, is not in it.",
+    )
+    position_cov_m2: PositionCovariance = None
+    relative_std_m: Metres = Field(
+        title="Uncertainty in its surroundings",
+        description="The same against the intersections around, metres: without what the georeference leaves.",
+    )
+    branch_count: BranchCount
+    branch_bearings_deg: BranchBearings
+    branch_widths_m: BranchWidths
+    branch_drives: list[int] = Field(
+        title="Drives per branch", description="Number of drives that saw each branch, in the order of the bearings."
+    )
+    confidence: Ratio = Field(
+        title="Confidence",
+        description="0 to 1: mean confidence of the drives that came near, 0 for each that did not see it.",
+    )
+    first_time: Time = Field(
+        title="First seen", description="When it was first seen, RFC 3339; null where no drive has times of day."
+    )
+    last_time: Time = Field(
+        title="Last seen", description="When it was last seen, RFC 3339; null where no drive has times of day."
+    )
+
+
+class CityDriveProperties(Properties):
+    """The track of a drive of a map of many drives, its offset taken away."""
+
+    drive: str = Field(title="Drive", description="Name of the drive.")
+    intersections: int = Field(title="Intersections", description="Number of intersections of its result.")
+    offset_east_m: Metres = Field(
+        title="Offset to the east",
+        description="Mean offset of the drive to the east, metres: what it says minus what the map says.",
+    )
+    offset_north_m: Metres = Field(title="Offset to the north", description="The same to the north.")
+    offset_range_m: Metres = Field(
+        title="Drift", description="Largest distance between the offsets of two parts of the drive, metres."
+    )
+    fix_std_m: Metres = Field(
+        title="Uncertainty of the fixes", description="As its georeference states it, metres along each axis."
+    )
+    first_time: Time = Field(
+        title="Begin", description="Time of its first keyframe, RFC 3339; null where it has no times of day."
+    )
+    last_time: Time = Field(title="End", description="Time of its last keyframe, in the same form.")
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from interloc.errors import OutputError
 from interloc.geometry import wrap_angle
 from interloc.output.geojson import damaged, read_json
 from interloc.output.layers import LAYERS, Rows
-from interloc.output.layout import FORMAT, FORMAT_VERSION, RUN_FILE, RUN_KEYS, file_names
+from interloc.output.layout import FORMAT, FORMAT_VERSION, ROAD_FILE, RUN_FILE, RUN_KEYS, TABLES, file_names
 from interloc.results import DetectionTable, DriveResult, IntersectionTable, KeyframeTable, PositionParts
 
 
@@ -36,7 +36,8 @@ def read_results(folder: str | os.PathLike[str]) -> DriveResult:
     run = read_run(folder)
     georeferenced = run["georeferenced"]
     names = file_names(georeferenced=georeferenced)
-    rows = {table: LAYERS[table].read(folder / name) for table, name in names.items()}
+    rows = {table: LAYERS[table].read(folder / names[table]) for table in TABLES}
+    road_file = folder / ROAD_FILE
     keyframes = _read_keyframes(rows["keyframes"], georeferenced=georeferenced)
     intersections = _read_intersections(rows["intersections"], georeferenced=georeferenced)
     detections = _read_detections(rows["detections"], keyframes, intersections, georeferenced=georeferenced)
@@ -49,6 +50,7 @@ def read_results(folder: str | os.PathLike[str]) -> DriveResult:
         trajectory_world_xy=world_xy,
         trajectory_lonlat=lonlat,
         run={k: v for k, v in run.items() if k not in RUN_KEYS},
+        road_file=road_file if road_file.is_file() else None,
     )
 
 

@@ -16,9 +16,10 @@ import numpy as np
 from interloc.arrays import FloatArray, UInt8Array
 from interloc.errors import ConfigError, DamagedResultError
 from interloc.files import atomic_write
-from interloc.mapping.mosaic import TILE, Mosaic, Raster
+from interloc.mapping.mosaic import TILE, Mosaic, Raster, build_mosaic
 from interloc.output.geojson import read_json
 from interloc.output.layout import ROAD_FILE, RUN_FILE, refuse_result_file
+from interloc.results import DriveResult
 
 ROAD_LAYER = "road"
 RASTER_SUFFIXES = (".tif", ".tiff")
@@ -29,8 +30,9 @@ MAX_PICTURE_PX = 4096
 
 _DESCRIPTION = (
     f"{ROAD_TITLE}. Value: number of keyframes, 10 m apart along the drive, from which the cell was seen as road; "
-    "0: not seen."
+    "0: not seen. The second page holds the same of other ground, such as sidewalks, where it was told apart."
 )
+_OTHER_DESCRIPTION = "Other ground seen by LiDAR, counted like the road of the first page; 0 in both: not seen."
 _PIXEL_SCALE, _TIEPOINT, _GEO_KEYS, _NODATA = 33550, 33922, 34735, 42113  # tags of GeoTIFF and GDAL
 _MODEL_TYPE, _RASTER_TYPE, _PROJECTED_CRS = 1024, 1025, 3072  # keys of GeoTIFF
 _PROJECTED, _PIXEL_IS_AREA = 1, 1
@@ -42,7 +44,9 @@ _WEB_MERCATOR, _LONLAT = 3857, 4326
 
 
 def write_road(mosaic: Mosaic, path: Path) -> None:
-    """Write a mosaic as GeoTIFF: tiled, deflated, 0 is no data, empty tiles take no room.
+    """Write a mosaic as GeoTIFF: tiled, deflated, 0 is no data; all empty tiles are one in the file.
+
+    Tiles that are left out, as GDAL can, are no tiles to other readers: OpenCV and Pillow refuse the file.
 
     Raises
     ------
@@ -51,12 +55,22 @@ def write_road(mosaic: Mosaic, path: Path) -> None:
     """
     from tifffile import TiffWriter  # noqa: PLC0415 - slow to import
 
-    raster = mosaic.raster
+    content = io.BytesIO()
+    with TiffWriter(content) as tiff:
+        _write_page(tiff, mosaic.raster, mosaic.epsg, _DESCRIPTION)
+        if mosaic.other is not None:
+            _write_page(tiff, mosaic.other, mosaic.epsg, _OTHER_DESCRIPTION)
+    _share_empty_tile(content)
+    with atomic_write(path) as file:
+        file.write(content.getvalue())
+
+
+def _write_page(tiff: Any, raster: Raster, epsg: int | None, description: str) -> None:  # noqa: ANN401 - a TiffWriter
     top, left, bottom, right = raster.extent()
     side = TILE * raster.cell_m
     keys = [(_RASTER_TYPE, _PIXEL_IS_AREA)]
-    if mosaic.epsg is not None:
-        keys = [(_MODEL_TYPE, _PROJECTED), *keys, (_PROJECTED_CRS, mosaic.epsg)]
+    if epsg is not None:
+        keys = [(_MODEL_TYPE, _PROJECTED), *keys, (_PROJECTED_CRS, epsg)]
     directory = [1, 1, 0, len(keys), *(number for key, value in keys for number in (key, 0, 1, value))]
     tags: list[tuple[int, str, int, Any, bool]] = [
         (_PIXEL_SCALE, "d", 3, (raster.cell_m, raster.cell_m, 0.0), True),
@@ -66,19 +80,34 @@ def write_road(mosaic: Mosaic, path: Path) -> None:
     ]
     there = (raster.tiles.get((row, col)) for row in range(top, bottom + 1) for col in range(left, right + 1))
     tiles = (b"" if tile is None else zlib.compress(tile.tobytes()) for tile in there)
-    with atomic_write(path) as file, TiffWriter(file) as tiff:
-        tiff.write(
-            tiles,
-            shape=((bottom - top + 1) * TILE, (right - left + 1) * TILE),
-            dtype=np.uint8,
-            tile=(TILE, TILE),
-            compression="zlib",
-            photometric="minisblack",
-            description=_DESCRIPTION,
-            software="InterLoc",
-            metadata=None,
-            extratags=tags,
-        )
+    tiff.write(
+        tiles,
+        shape=((bottom - top + 1) * TILE, (right - left + 1) * TILE),
+        dtype=np.uint8,
+        tile=(TILE, TILE),
+        compression="zlib",
+        photometric="minisblack",
+        description=description,
+        software="InterLoc",
+        metadata=None,
+        extratags=tags,
+    )
+
+
+def _share_empty_tile(content: io.BytesIO) -> None:
+    """Let the tiles that were left out be one that is empty, at the end of the file."""
+    from tifffile import TiffFile  # noqa: PLC0415
+
+    empty = zlib.compress(bytes(TILE * TILE))
+    place = content.seek(0, io.SEEK_END)
+    content.write(empty)
+    content.seek(0)
+    with TiffFile(content) as tiff:
+        pages: Any = list(tiff.pages)
+        for tags in (page.tags for page in pages):
+            offsets, counts = (list(tags[name].value) for name in ("TileOffsets", "TileByteCounts"))
+            tags["TileOffsets"].overwrite([offset or place for offset in offsets])
+            tags["TileByteCounts"].overwrite([count or len(empty) for count in counts])
 
 
 def read_road(path: Path) -> Mosaic:
@@ -93,19 +122,34 @@ def read_road(path: Path) -> Mosaic:
 
     try:
         with TiffFile(path) as tiff:
-            page: Any = tiff.pages[0]
-            raster = Raster(float(page.tags[_PIXEL_SCALE].value[0]))
-            _, _, _, x, y, _ = page.tags[_TIEPOINT].value
-            side = TILE * raster.cell_m
-            left, top = round(x / side), round(-y / side)
-            keys = page.tags[_GEO_KEYS].value[4:]
-            epsg = next((int(keys[i + 3]) for i in range(0, len(keys), 4) if keys[i] == _PROJECTED_CRS), None)
-            for cells, index, _ in page.segments():
-                if cells is not None and cells.any():
-                    raster.tiles[top + index[-3] // TILE, left + index[-2] // TILE] = cells.reshape(TILE, TILE)
+            (raster, epsg), *others = (_read_page(page) for page in tiff.pages)
     except (OSError, ValueError, KeyError, IndexError, TypeError, TiffFileError) as error:
         raise DamagedResultError(f"{path} is missing or damaged. Run `interloc detect` again.") from error
-    return Mosaic(raster, epsg)
+    return Mosaic(raster, epsg, others[0][0] if others else None)
+
+
+def _read_page(page: Any) -> tuple[Raster, int | None]:  # noqa: ANN401 - of tifffile
+    raster = Raster(float(page.tags[_PIXEL_SCALE].value[0]))
+    _, _, _, x, y, _ = page.tags[_TIEPOINT].value
+    side = TILE * raster.cell_m
+    left, top = round(x / side), round(-y / side)
+    keys = page.tags[_GEO_KEYS].value[4:]
+    epsg = next((int(keys[i + 3]) for i in range(0, len(keys), 4) if keys[i] == _PROJECTED_CRS), None)
+    for cells, index, _ in page.segments():
+        if cells is not None and cells.any():
+            raster.tiles[top + index[-3] // TILE, left + index[-2] // TILE] = cells.reshape(TILE, TILE)
+    return raster, epsg
+
+
+def mosaic_of(result: DriveResult) -> Mosaic:
+    """Return the road that a run saw: from its patches, or from `road.tif` where it was read from a folder.
+
+    Raises
+    ------
+    DamagedResultError
+        The file is missing or damaged.
+    """
+    return build_mosaic(result) if result.road_file is None else read_road(result.road_file)
 
 
 def export_road(result: Path, out: Path) -> None:

@@ -20,6 +20,7 @@ TRUE, FALSE = "#0072b2", "#d55e00"
 FOUND, MISSED, OUTSIDE = "#009e73", "#b3478c", "#8a9095"
 FUSED, FUSED_EDGE = "#f0e442", "#1d2327"
 TRACK, ROAD, MINOR_ROAD, BUILDING, BUILDING_EDGE = "#2b3136", "#b9b5ac", "#dcd9d2", "#e3ddd3", "#cfcbc2"
+ROAD_LINE, SURFACE, SURFACE_EDGE = "#4b3a8f", "#c3c8cc", "#929ca4"
 INK, QUIET_INK = "#1d2327", "#656c71"
 
 OUTLINES: dict[Shape | Glyph, tuple[Path, ...]] = {
@@ -176,6 +177,17 @@ STYLES = {
     ),
     "trajectory": _single("Trajectory", Line(TRACK, 1.6, 0.85)),
     "keyframes": _single("Keyframes", Mark("disc", TRACK, 1.6, opacity=0.8), times=Times("time", 1.0), is_shown=False),
+    "roads": Style(
+        "Roads seen",
+        (
+            Rule(True, "Driven", Line(ROAD_LINE, 1.8, casing=PAPER)),
+            Rule(False, "Seen from others", Line(ROAD_LINE, 1.0, 0.8)),
+        ),
+        field="is_driven",
+        label=Label("width_m", 3_000, QUIET_INK, 7.0),
+    ),
+    "junctions": _single("Junctions", Area(FUSED, 0.22, FUSED_EDGE, 0.5)),
+    "road_surface": _single("Road surface", Area(SURFACE, 0.6, SURFACE_EDGE, 0.5)),
     "osm_nodes": Style(
         "OSM intersections",
         (
@@ -212,6 +224,7 @@ STYLES = {
 GROUPS = {
     "Verdict": ("intersections", "osm_nodes", "branches", "uncertainty"),
     "Evidence": ("detections", "matches", "keyframes", "trajectory"),
+    "Roads seen by LiDAR": ("roads", "junctions", "road_surface"),
     "Map of OpenStreetMap": (PLACES, "osm_roads", BUILDINGS),
 }
 """Groups of layers, and the layers of each, from the top to the bottom of the map."""

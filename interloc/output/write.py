@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,6 @@ from interloc.arrays import FloatArray
 from interloc.errors import OutputError
 from interloc.files import atomic_write, reason_of
 from interloc.geometry import bearing_deg, thin
-from interloc.mapping.mosaic import build_mosaic
 from interloc.output.geojson import bearings, encode, positions, write_collection
 from interloc.output.layers import LAYERS, PLACES
 from interloc.output.layout import (
@@ -29,9 +28,11 @@ from interloc.output.layout import (
     RUN_NAMES,
     file_names,
 )
-from interloc.output.road import write_road
+from interloc.output.road import mosaic_of, write_road
+from interloc.output.roads import road_features
 from interloc.output.uids import place_uids
 from interloc.results import DriveResult, PositionParts, Verdicts
+from interloc.roadmap.extract import extract_roads
 
 TRAJECTORY_STEP_M = 0.5
 
@@ -66,15 +67,16 @@ def write_results(result: DriveResult, folder: str | os.PathLike[str]) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         if (folder / RUN_FILE).is_file():
             _remove_evaluation(folder, is_placed="location" in result.run)
-        for stale in (RUN_FILE, ROAD_FILE, *file_names(georeferenced=local).values()):
+        rasters = [] if result.road_file == folder / ROAD_FILE else [ROAD_FILE]
+        for stale in (RUN_FILE, *rasters, *file_names(georeferenced=local).values()):
             (folder / stale).unlink(missing_ok=True)
     except OSError as error:
         raise OutputError(f"{folder} could not be written: {reason_of(error)}.") from error
     for table, features_of in TABLE_FEATURES.items():
         write_collection(folder / names[table], features_of(result), local=local)
+    rasters = _write_roads(result, folder, names)
     times = [each for each in result.keyframes.moments if each is not None]
     first, last = (times[0], times[-1]) if times else (None, None)
-    rasters = _write_rasters(result, folder)
     files = [*names.values(), *rasters, RUN_FILE]
     own = (FORMAT, FORMAT_VERSION, result.drive, result.is_georeferenced, files, first, last)
     facts = to_jsonable_python(result.run, inf_nan_mode="null", fallback=_as_number_or_text)
@@ -94,8 +96,11 @@ def _remove_evaluation(folder: Path, *, is_placed: bool) -> None:
         shutil.rmtree(folder / FIGURES)
 
 
-def _write_rasters(result: DriveResult, folder: Path) -> list[str]:
-    mosaic = build_mosaic(result)
+def _write_roads(result: DriveResult, folder: Path, names: Mapping[str, str]) -> list[str]:
+    """Write the map of the roads, and its raster where any road was seen; return the names of rasters."""
+    mosaic = mosaic_of(result)
+    for layer, features in road_features(extract_roads(result, mosaic), result.drive).items():
+        write_collection(folder / names[layer], features, local=not result.is_georeferenced)
     if not mosaic.raster.tiles:
         return []
     write_road(mosaic, folder / ROAD_FILE)

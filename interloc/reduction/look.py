@@ -27,8 +27,8 @@ from interloc.drives.files import EMPTY, NumberedFiles, SourceFile, each_read_on
 from interloc.drives.findings import DriveFileError, Finding, Findings, by_severity
 from interloc.drives.georeference.geodetic import check_georeference
 from interloc.drives.layouts import PCD_ENDINGS, POSE_FILES, DriveParts, find_layout
-from interloc.drives.open import SAMPLED_SCANS
-from interloc.drives.options import LABEL_FILES, DriveOptions, LabelFolder, LayoutName
+from interloc.drives.open import NO_POSES, SAMPLED_SCANS
+from interloc.drives.options import LABEL_FILES, ODOMETRY, DriveOptions, LabelFolder, LayoutName
 from interloc.drives.scans.bin_files import BinScans, open_bin_files
 from interloc.drives.scans.las.tracks import find_tracks
 from interloc.drives.scans.pcd import LABEL_FIELDS, PcdScans, number_scans, open_pcd_files, read_pcd_header
@@ -99,6 +99,9 @@ class DriveLook(ListedName):
     labels: dict[LabelFolder, LookedLabels] = Field({}, description="Folders of label files.")
     unlabelled: list[Finding] = Field([], description="What is wrong where neither label files nor a network are used.")
     carries_labels: bool | None = Field(None, description="Whether the points have labels; null: that is not known.")
+    has_poses: bool | None = Field(
+        None, description="False: they are computed from the points, which needs the scans whole; null: not known."
+    )
     whole: dict[str, str] = Field(
         {}, description="Recordings, or ground points, which are sent as they are: path in the drive -> in the folder."
     )
@@ -289,7 +292,11 @@ class _Look:
         found.frames_to_look_into = _sample(recording.frames)
         if found.wanted:
             return
-        self._show(trajectory_of(recording, options, self.findings), keyframes)
+        found.has_poses = recording.has_poses and options.poses != ODOMETRY
+        if found.has_poses:
+            self._show(trajectory_of(recording, options, self.findings), keyframes)
+        else:
+            self.findings.warning("poses", NO_POSES)
 
     def _open_pcd(self, parts: DriveParts, options: DriveOptions) -> Recording:
         """List PCD files; the header of the first tells whether they carry labels."""

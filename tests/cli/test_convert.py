@@ -28,7 +28,7 @@ def unlabelled(tmp_path: Path) -> Path:
 
 
 def test_label_then_detect(interloc: Callable, unlabelled: Path, model: Path, tmp_path: Path) -> None:
-    assert "interloc label" in interloc("detect", unlabelled, "-o", tmp_path / "out").complaint
+    assert "interloc label" in interloc("detect", unlabelled, "-o", tmp_path / "out", "--labels", "labels").complaint
     labelled = interloc("label", unlabelled, "--model", model)
     assert labelled.code == 0
     assert "12 scans by network flat" in labelled.out
@@ -45,7 +45,11 @@ def test_label_then_detect(interloc: Callable, unlabelled: Path, model: Path, tm
 
 
 def test_info_of_an_unlabelled_drive(interloc: Callable, unlabelled: Path, model: Path) -> None:
-    assert interloc("info", unlabelled).code == 1
+    outcome = interloc("info", unlabelled)
+    assert outcome.code == 0
+    assert "warning: labels: there are none: the road is found by geometry" in outcome.out
+    assert "geometry, scheme semantickitti" in outcome.out
+    assert interloc("info", unlabelled, "--labels", "predictions").code == 1
     outcome = interloc("info", unlabelled, "--model", model)
     assert outcome.code == 0
     assert "network flat, scheme semantickitti" in outcome.out

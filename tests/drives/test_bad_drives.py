@@ -195,6 +195,33 @@ def test_faults_of_many_scans_are_one_message(sequence: Path) -> None:
     assert "all 12 scans have 12 bytes per point: x y z without remission" in problem.message
 
 
+def test_sweeps_whose_sizes_fit_four_and_five_values(sequence: Path) -> None:
+    """A 32-beam sensor: every size is a multiple of 16 and of 20 bytes, and the fifth value is the ring."""
+    for scan in (sequence / "velodyne").iterdir():
+        points = np.fromfile(scan, np.float32).reshape(-1, 4)[:1600]
+        ring = np.arange(len(points)) % 32
+        np.column_stack([points, ring]).astype(np.float32).tofile(scan)
+        labels = sequence / "labels" / f"{scan.stem}.label"
+        np.fromfile(labels, np.uint32)[:1600].tofile(labels)
+    report = inspect_drive(sequence)
+    assert report.ok
+    assert report.points_per_scan == 1600
+
+
+def test_scans_that_are_named_by_times(sequence: Path) -> None:
+    for folder, suffix in (("velodyne", ".bin"), ("labels", ".label")):
+        for file in sorted((sequence / folder).iterdir()):
+            file.rename(file.with_name(f"{1_700_000_000_390_857_630 + int(file.stem)}{suffix}"))
+    assert "is named by a time, in nanoseconds" in refusal(sequence)
+
+
+def test_one_folder_per_keyframe(sequence: Path) -> None:
+    for row, scan in enumerate(sorted((sequence / "velodyne").iterdir())):
+        (sequence / "dump" / f"{row:06d}").mkdir(parents=True)
+        scan.rename(sequence / "dump" / f"{row:06d}" / "cloud.pcd")
+    assert "one .pcd file in each of 12 folders (000000, 000001, ...)" in refusal(sequence / "dump")
+
+
 def test_swapped_latitude_and_longitude(sequence: Path, make: ModuleType) -> None:
     rows = [line.split(",") for line in make.geo_csv(make.lidar_poses()).splitlines()]
     swapped = [rows[0], *([frame, lon, lat, *rest] for frame, lat, lon, *rest in rows[1:])]

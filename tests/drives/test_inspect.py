@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import shutil
+from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 
@@ -127,3 +129,12 @@ def test_single_scan(tmp_path: Path, make: ModuleType) -> None:
 def test_an_option_without_meaning_is_the_callers_fault(sequence: Path) -> None:
     with pytest.raises(ConfigError):
         inspect_drive(sequence, label_scheme="kitty")
+
+
+def test_without_poses_they_are_computed_from_the_points(tmp_path: Path, data: Callable[[str], Path]) -> None:
+    shutil.copytree(data("semantickitti_mini/sequences/07") / "velodyne", tmp_path / "07/velodyne")
+    report = inspect_drive(tmp_path / "07")
+    assert report.ok
+    assert report.pose_frame_reason == "odometry over the points of 10 scans"
+    warned = [str(each.path) for each in report.problems if each.severity == "warning"]
+    assert warned[:2] == ["poses", "labels"]

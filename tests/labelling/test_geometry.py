@@ -11,6 +11,7 @@ import pytest
 from interloc.arrays import Float32Array, FloatArray
 from interloc.labelling.geometry import (
     BESIDE,
+    OTHER_GROUND,
     ROAD,
     GeometryLabeller,
     WindowQuality,
@@ -63,10 +64,11 @@ def test_ground_beside_the_road_and_other_things_are_told_apart() -> None:
     points, aside = STREET.scan(poses[14], 14)
     points[0, 2] += 1.0  # something above the ground
     labels = labeller_of(STREET, poses).label(14, points)
-    beside = (aside > ROAD_M) & (aside < ROAD_M + SIDEWALK_M) & (np.linalg.norm(points[:, :2], axis=1) < 20)
+    near = np.linalg.norm(points[:, :2], axis=1) < 20.0
+    beside = near & (aside > ROAD_M + 1.0) & (aside < ROAD_M + SIDEWALK_M)
     assert (labels[beside] == BESIDE).mean() > 0.9
     assert labels[0] == 0
-    assert set(np.unique(labels[aside < ROAD_M])) <= {0, ROAD, BESIDE}
+    assert set(np.unique(labels[aside < ROAD_M])) <= {0, ROAD, BESIDE, OTHER_GROUND}
 
 
 @pytest.mark.parametrize("spacing_m", [0.5, 8.0, 16.0])
@@ -88,7 +90,7 @@ def test_a_vehicle_that_stands_sees_the_road_ahead() -> None:
     poses = STREET.poses(np.full(12, -15.0))
     precision, recall = agreement(STREET, poses, 5)
     assert precision > 0.9
-    assert recall > 0.7
+    assert recall > 0.6
 
 
 def test_labels_depend_on_the_drive_alone() -> None:
@@ -136,7 +138,7 @@ def test_doubtful_windows_in_a_row_are_one_stretch() -> None:
     doubtful = [0, 1, 0, 0, 1, 1]
     windows = [WindowQuality(25.0 * k, 25.0 * k + 25, 0.0 if bad else 9.0, 8.0) for k, bad in enumerate(doubtful)]
     assert doubtful_stretches(windows) == [(25.0, 50.0), (100.0, 150.0)]
-    assert WindowQuality(0.0, 25.0, 9.0, 30.0).is_doubtful
+    assert WindowQuality(0.0, 25.0, 9.0, 40.0).is_doubtful
 
 
 def test_brightness_is_relative_to_what_the_same_laser_saw_of_the_strip() -> None:

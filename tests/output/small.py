@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ from interloc.evaluation.evaluate import evaluate
 from interloc.evaluation.report import write_report
 from interloc.osm.reader import read_osm
 from interloc.output.write import write_results
-from interloc.results import DetectionTable, DriveResult, IntersectionTable, KeyframeTable
+from interloc.results import DetectionTable, DriveResult, IntersectionTable, KeyframeTable, RoadPatch
 
 TIME_S = np.array([1317386459.1234, 1317386461.0])
 
@@ -68,6 +69,13 @@ def small_result(*, local: bool = False, empty: bool = False) -> DriveResult:
         trajectory_lonlat=None if local else fixes,
         run={"config": {"preset": "paper"}, "peak_memory_mb": 12.5},
     )
+
+
+def with_roads(result: DriveResult) -> DriveResult:
+    """Return a result whose first keyframe saw, twice, two streets of 7 m that cross at its intersection."""
+    cells = np.zeros((200, 200), np.uint8)
+    cells[91:105], cells[:, 113:127] = 1, 1
+    return replace(result, road=(RoadPatch.pack(0, np.array([-50.0, 50.0]), 0.5, cells),) * 2)
 
 
 def write_folder(folder: Path, result: DriveResult, *, scored: bool, osm: str = MAP) -> Path:

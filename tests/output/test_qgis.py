@@ -13,7 +13,7 @@ from interloc.output.credits import ODBL, OSM_ATTRIBUTION
 from interloc.output.qml import qml
 from interloc.output.styles import FOUND, FUSED, RIGHT, ROAD, STYLES
 from interloc.output.vector_files import EXPORTS, write_vector_file
-from tests.output.small import TIME_S, small_result, write_folder
+from tests.output.small import TIME_S, small_result, with_roads, write_folder
 from tests.qgis import ask_qgis, pixels_of, require_qgis
 
 NAMES = [name for name in EXPORTS if name not in {"places", "osm_buildings"}]
@@ -42,10 +42,10 @@ def exported(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The exports of a scored result, and a picture of its project."""
     require_qgis()
     folder = tmp_path_factory.mktemp("qgis")
-    result = replace(small_result(), drive="straße & <b>Co</b>")
+    result = replace(with_roads(small_result()), drive="straße & <b>Co</b>")
     result = replace(result, keyframes=replace(result.keyframes, time_s=TIME_S))
     scored = write_folder(folder / "scored", result, scored=True)
-    local = write_folder(folder / "local", small_result(local=True), scored=False)
+    local = write_folder(folder / "local", with_roads(small_result(local=True)), scored=False)
     for path, source in (("a.gpkg", scored), ("project.qgz", scored), ("local.qgz", local)):
         write_vector_file(source, folder / path)
     database = sqlite3.connect(folder / "a.gpkg")
@@ -111,6 +111,7 @@ def test_it_opens_the_project(told: dict[str, Any]) -> None:
     assert project["groups"] == {
         "Verdict": ["Intersections", "OSM intersections", "Branches", "Uncertainty, 95 %"],
         "Evidence": ["Detections", "Matches", "Keyframes", "Trajectory"],
+        "Roads seen by LiDAR": ["Roads seen", "Junctions", "Road surface"],
         "Map of OpenStreetMap": ["OSM roads"],
     }
     assert project["hidden"] == ["Keyframes"]
@@ -128,7 +129,11 @@ def test_it_opens_the_project(told: dict[str, Any]) -> None:
 
 def test_it_opens_the_project_of_a_drive_in_metres(told: dict[str, Any]) -> None:
     local = told["local"]
-    assert local["groups"] == {"Verdict": ["Intersections"], "Evidence": ["Detections", "Keyframes", "Trajectory"]}
+    assert local["groups"] == {
+        "Verdict": ["Intersections"],
+        "Evidence": ["Detections", "Keyframes", "Trajectory"],
+        "Roads seen by LiDAR": ["Roads seen", "Junctions", "Road surface"],
+    }
     assert all(layer["valid"] and layer["features"] for layer in local["layers"].values())
     assert (local["crs"], local["credit"], local["extent"]) == ("", "", "-50,-51 : 52,50")
     assert local["shown"].endswith(",50")  # wider, as the window is

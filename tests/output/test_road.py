@@ -8,6 +8,7 @@ import subprocess
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -96,6 +97,44 @@ def test_the_file_says_where_it_lies(tmp_path: Path) -> None:
     path.write_bytes(path.read_bytes()[:200])
     with pytest.raises(DamagedResultError, match=r"road\.tif is missing or damaged"):
         read_road(path)
+
+
+def test_other_ground_is_a_page_of_its_own(tmp_path: Path) -> None:
+    """Readers of the first page see what they always saw; a cell that is 0 in both was not seen."""
+    result = result_with_spot()
+    patch = result.road[1]
+    ring = np.minimum(cv2.dilate(patch.cells(), np.ones((5, 5), np.uint8)), 1 - patch.cells())
+    both = RoadPatch.pack(1, patch.corner_xy, patch.resolution_m, patch.cells(), ring)
+    mosaic = build_mosaic(replace(result, road=(both,)))
+    assert mosaic.other is not None
+    assert_allclose(middle(mosaic.other), middle(mosaic.raster), atol=0.3)
+    write_road(mosaic, tmp_path / "both.tif")
+    write_road(replace(mosaic, other=None), tmp_path / "road.tif")
+    again, without = (read_road(tmp_path / name) for name in ("both.tif", "road.tif"))
+    assert again.other is not None
+    assert without.other is None
+    for found, expected in (
+        (again.raster, mosaic.raster),
+        (again.other, mosaic.other),
+        (without.raster, mosaic.raster),
+    ):
+        assert found.tiles.keys() == expected.tiles.keys()
+        assert all(np.array_equal(tile, expected.tiles[key]) for key, tile in found.tiles.items())
+    by_opencv = [cv2.imread(str(tmp_path / name), cv2.IMREAD_UNCHANGED) for name in ("both.tif", "road.tif")]
+    assert np.array_equal(*by_opencv)
+
+
+def test_readers_that_know_no_empty_tiles_read_it(tmp_path: Path) -> None:
+    path = tmp_path / ROAD_FILE
+    tiles = {(row, row): np.full((TILE, TILE), row + 1, np.uint8) for row in range(8)}  # of 64
+    write_road(Mosaic(Raster(0.5, tiles), 32632), path)
+    by_opencv = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    assert by_opencv is not None
+    with Image.open(path) as by_pillow:
+        assert (np.asarray(by_pillow) == by_opencv).all()
+    assert by_opencv[::TILE, ::TILE].tolist() == np.diag(range(1, 9)).tolist()
+    assert read_road(path).raster.tiles.keys() == tiles.keys()
+    assert path.stat().st_size < 4000, "the empty ones are there once"
 
 
 @pytest.mark.skipif(shutil.which("gdallocationinfo") is None, reason="GDAL is not installed")

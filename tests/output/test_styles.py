@@ -18,7 +18,7 @@ from interloc.output.qml import qml
 from interloc.output.sld import sld
 from interloc.output.styles import GROUPS, OUTLINES, STYLES, Mark, Symbol
 from interloc.output.vector_files import EXPORTS, write_vector_file
-from tests.output.small import small_result, write_folder
+from tests.output.small import small_result, with_roads, write_folder
 
 STATIC = Path(__file__).resolve().parents[2] / "static"
 KML = "{http://www.opengis.net/kml/2.2}"
@@ -27,7 +27,7 @@ KML = "{http://www.opengis.net/kml/2.2}"
 @pytest.fixture(scope="module")
 def scored(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A result folder with an evaluation. Shared: do not change it."""
-    return write_folder(tmp_path_factory.mktemp("scored") / "out", small_result(), scored=True)
+    return write_folder(tmp_path_factory.mktemp("scored") / "out", with_roads(small_result()), scored=True)
 
 
 def page_colours() -> dict[str, str]:
@@ -92,7 +92,7 @@ def test_qml_and_sld_name_no_address_but_namespaces() -> None:
 
 
 def test_kmz_holds_styles_and_icons_of_all_that_it_shows(scored: Path, tmp_path: Path) -> None:
-    assert len(write_vector_file(scored, tmp_path / "a.kmz")) == 9
+    assert len(write_vector_file(scored, tmp_path / "a.kmz")) == 12
     with zipfile.ZipFile(tmp_path / "a.kmz") as archive:
         content = {name: archive.read(name) for name in archive.namelist()}
     root = ET.fromstring(content.pop("doc.kml"))  # noqa: S314 - our own
@@ -105,7 +105,7 @@ def test_kmz_holds_styles_and_icons_of_all_that_it_shows(scored: Path, tmp_path:
     hidden = [mark.findtext(f"{KML}name") for mark in marks if mark.findtext(f"{KML}visibility") == "0"]
     assert hidden == ["Keyframe 0", "Keyframe 12"]
     titles = {field.get("name"): field.findtext(f"{KML}displayName") for field in root.iter(f"{KML}SimpleField")}
-    assert (titles["outcome"], titles["number"], titles["street"]) == ("Verdict", "Detection", "Name")
+    assert (titles["outcome"], titles["number"], titles["street"]) == ("Verdict", "Piece", "Name")
     picture = Image.open(io.BytesIO(content["icons/intersections-right.png"]))
     assert picture.getpixel((10, 32)) == (*ImageColor.getrgb(styles.RIGHT), 255)
     assert picture.getpixel((28, 39))[:3] == (255, 255, 255)  # the check mark

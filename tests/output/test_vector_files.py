@@ -30,16 +30,17 @@ from interloc.output.credits import ODBL, OSM_ATTRIBUTION
 from interloc.output.geojson import write_collection
 from interloc.output.layers import LAYERS
 from interloc.output.vector_files import EXPORTS, write_vector_file
-from tests.output.small import MAP, TIME_S, small_result, write_folder
+from tests.output.small import MAP, TIME_S, small_result, with_roads, write_folder
 
-FILES = ["intersections", "detections", "trajectory", "keyframes", "osm_nodes", "matches", "osm_roads"]
+FILES = ["intersections", "detections", "trajectory", "keyframes", "roads", "junctions", "road_surface"]
+FILES += ["osm_nodes", "matches", "osm_roads"]
 DERIVED = ["branches", "uncertainty"]
 
 
 @pytest.fixture(scope="module")
 def scored(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A result folder with an evaluation. Shared: do not change it."""
-    result = small_result()
+    result = with_roads(small_result())
     result = replace(result, drive="straße & Co", keyframes=replace(result.keyframes, time_s=TIME_S))
     return write_folder(tmp_path_factory.mktemp("scored") / "out", result, scored=True)
 
@@ -132,7 +133,7 @@ def test_openstreetmap_is_named_where_its_data_is_inside(name: str, scored: Path
 
 def test_nothing_found_gives_layers_with_their_fields(tmp_path: Path) -> None:
     folder = write_folder(tmp_path / "out", small_result(empty=True), scored=False)
-    assert write_vector_file(folder, tmp_path / "a.gpkg") == [*FILES[:4], *DERIVED]
+    assert write_vector_file(folder, tmp_path / "a.gpkg") == [*FILES[:7], *DERIVED]
     info = pyogrio.read_info(tmp_path / "a.gpkg", layer="intersections")
     assert info["features"] == 0
     assert info["geometry_type"] == "Point"
@@ -248,7 +249,7 @@ def test_geoparquet_holds_one_layer(scored: Path, tmp_path: Path, monkeypatch: p
     assert geopandas.read_parquet(tmp_path / "a.parquet").crs is None
     assert pyarrow.types.is_large_string(pyarrow.parquet.read_schema(tmp_path / "a.parquet").field("reason").type)
     monkeypatch.setitem(sys.modules, "pyarrow", None)
-    with pytest.raises(ConfigError, match=r"pip install \"interloc\[parquet\]\""):
+    with pytest.raises(ConfigError, match=r"pip install \"pyarrow>="):
         write_vector_file(scored, tmp_path / "b.parquet")
 
 
@@ -327,7 +328,9 @@ def test_a_made_up_map_is_not_of_openstreetmap(tmp_path: Path) -> None:
     assert "made up by a simulator" in page
     for path in folder.glob("*.geojson"):
         assert "contributors" not in path.read_text()
-        assert ("made up" in path.read_text()) == (path.stem not in {"trajectory", "keyframes"})
+        assert ("made up" in path.read_text()) == (
+            path.stem not in {"trajectory", "keyframes", "roads", "junctions", "road_surface"}
+        )
     write_vector_file(folder, tmp_path / "a.gpkg")
     assert b"contributors" not in (tmp_path / "a.gpkg").read_bytes()
     write_vector_file(folder, tmp_path / "a.qgz")

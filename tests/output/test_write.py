@@ -63,7 +63,10 @@ def test_the_files_of_a_georeferenced_run(tmp_path: Path) -> None:
     assert sorted(p.name for p in tmp_path.iterdir()) == [
         "detections.geojson",
         "intersections.geojson",
+        "junctions.geojson",
         "keyframes.geojson",
+        "road_surface.geojson",
+        "roads.geojson",
         "run.json",
         "trajectory.geojson",
     ]
@@ -142,6 +145,9 @@ def test_the_files_of_a_georeferenced_run(tmp_path: Path) -> None:
             "keyframes.geojson",
             "trajectory.geojson",
             "intersections.geojson",
+            "roads.geojson",
+            "junctions.geojson",
+            "road_surface.geojson",
             "run.json",
         ],
         "first_time": None,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -93,16 +93,16 @@ def test_a_drive_without_labels_is_labelled_by_the_service(
         upload.pick(unlabelled)
     look = answer.value.json()
     upload.page.get_by_text(f"It labels about {SCANS} keyframes; the time was not measured here yet").wait_for()
-    assert upload.page.get_by_label("Label the scans on the service with flat").is_checked()
-    assert "The network flat runs on the service: all" in upload.text()
+    assert upload.page.get_by_label("By the network flat, on the service").is_checked()
+    assert "The service makes the labels, so the scans are sent whole: all" in upload.text()
     assert "range image of 32 \N{MULTIPLICATION SIGN} 256" in upload.text()
     upload.choose("With label files of mine")
     assert "Expected one .label file per scan" in upload.text()
     assert upload.page.get_by_role("button", name="Upload and run").is_disabled()
-    upload.choose("Label the scans on the service with flat")
+    upload.choose("By the network flat, on the service")
     spacing = upload.page.get_by_label("Distance between keyframes")
     spacing.fill("1")
-    assert upload.page.get_by_text("A network labels the keyframes of 2 m and 5°").is_visible()
+    assert upload.page.get_by_text("The service labels the keyframes of 2 m and 5°").is_visible()
     assert upload.page.get_by_role("button", name="Upload and run").is_disabled()
     spacing.fill("2")
     upload.press("Upload and run")
@@ -128,6 +128,23 @@ def test_a_drive_without_labels_is_labelled_by_the_service(
     upload.page.goto(f"{server.address}/#panel=upload")
     upload.pick(unlabelled)  # the time is known now
     upload.page.get_by_text(re.compile("per scan on one core: about .* for about")).wait_for()
+
+
+def test_scans_alone_make_a_drive(upload: Upload, server: ServerProcess, data: Callable[[str], Path]) -> None:
+    root = data("semantickitti_mini/sequences/07")
+    alone = Path(shutil.copytree(root / "velodyne", server.log.parent / "alone/velodyne")).parent
+    upload.pick(alone)
+    upload.choose("By geometry, on the service")
+    assert "they are computed from the points" in upload.text()
+    upload.press("Upload only")
+
+    def committed() -> str | None:
+        drives = server.client.get(f"{API}/drives").json()["drives"]
+        return next((each["id"] for each in drives if each["name"] == "alone" and each["state"] == "ready"), None)
+
+    report = server.client.get(f"{API}/drives/{wait_until(committed, 'its commit')}").json()["report"]
+    assert report["pose_frame_reason"] == "odometry over the points of 10 scans"
+    assert report["label_folder"] == "geometry"
 
 
 def test_a_recording_shows_its_topics_and_its_limit(upload: Upload, tmp_path: Path) -> None:
@@ -166,17 +183,23 @@ def test_a_recording_shows_its_topics_and_its_limit(upload: Upload, tmp_path: Pa
     (bare / "000000.pcd").write_text(f"{header}POINTS 1\nDATA binary\n{'0' * 16}")
     (bare / "poses.txt").write_text("1 0 0 0 0 1 0 0 0 0 1 0\n")
     upload.pick(bare)
-    assert upload.page.get_by_label("Label the scans on the service with flat").is_checked()
+    assert upload.page.get_by_label("By the network flat, on the service").is_checked()
     assert form.get_by_role("button", name="Upload only").is_enabled()
     upload.choose("With label files of mine")
     assert "000000.pcd has no label: its fields are x, y, z, intensity." in re.sub(r"\s+", " ", upload.text())
     assert form.get_by_role("button", name="Upload only").is_disabled()
 
 
-def test_a_service_without_networks_says_how_labels_are_made(browser: Browser, done: Done, unlabelled: Path) -> None:
+def test_a_service_without_networks_finds_the_road_by_geometry(browser: Browser, done: Done, unlabelled: Path) -> None:
     upload = Upload(browser.new_page(), done.server.address)
     upload.pick(unlabelled)
-    text = upload.text()
-    for words in ("any other segmentation", "interloc label", "INTERLOC_MODELS", "None in the folder"):
-        assert words in text
+    assert upload.page.get_by_label("By geometry, on the service").is_checked()
+    assert "Needs no labels" in upload.text()
+    upload.choose("With label files of mine")
+    assert "Expected one .label file per scan" in upload.text()
     assert upload.page.get_by_role("button", name="Upload and run").is_disabled()
+    upload.choose("By geometry, on the service")
+    upload.press("Upload and run")
+    job = ended(done.server.client, upload.job())
+    assert job["state"] == "successful", job["error"]
+    assert job["request"]["labels"] == "geometry"

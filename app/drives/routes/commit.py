@@ -94,5 +94,5 @@ async def commit_drive(
 )
 def show_trajectory(drive_id: DriveId, context: ContextDep, _client: ClientDep) -> WholeFile:
     """Return the trajectory of a ready drive: longitude and latitude, or metres with `"local": true`."""
-    file = find_trajectory(context, drive_id)
-    return WholeFile(file, media_type="application/geo+json", headers={"Cache-Control": "private, no-cache"})
+    with find_trajectory(context, drive_id).open("rb") as file:
+        return WholeFile(file, media_type="application/geo+json", headers={"Cache-Control": "private, no-cache"})

@@ -15,7 +15,7 @@ from app.drives.upload import check_upload, keep
 from app.http.delivery import WholeFile
 from app.http.headers import sha256_of
 from app.http.intake import PIECE_BYTES, Intake, receive
-from app.http.limits import check_free_space, declared_length
+from app.http.limits import Booking, check_free_space, declared_length
 from app.http.openapi import PAGED
 from app.http.paging import answer_page
 from app.http.patterns import TEXT
@@ -97,7 +97,7 @@ def list_files(
     summary="Upload a file",
 )
 async def put_file(
-    drive_id: DriveId, path: FilePath, request: Request, response: Response, context: ContextDep, _client: ClientDep
+    drive_id: DriveId, path: FilePath, request: Request, response: Response, context: ContextDep, client: ClientDep
 ) -> UploadedFile:
     """Upload one file as it is: 201 if it is new, 200 if it replaced a file of the same name.
 
@@ -108,20 +108,22 @@ async def put_file(
     settings = context.settings
     limit = settings.max_recording_bytes if is_recording(path) else settings.max_file_bytes
     length = declared_length(request, limit, path)
-    if length is None or length > PIECE_BYTES:  # a small body is read sooner than the drive is looked up
-        await run_in_threadpool(check_upload, context, drive_id, path, length or 0)
     intake = Intake(context, path, limit)
 
     def finish() -> tuple[UploadedFile, bool]:
         check_free_space(context, 0)
         arrival = intake.finish(sha256)
-        new = keep(context, drive_id, [arrival])
+        new = keep(context, drive_id, [arrival], client)
         return UploadedFile(path=path, size_bytes=arrival.size_bytes, sha256=arrival.sha256), new
 
-    try:
-        file, new = await receive(request, intake.write, finish)
-    finally:
-        intake.discard()
+    with Booking(context) as booking:
+        if length is None or length > PIECE_BYTES:  # a small body is read sooner than the drive is looked up
+            await run_in_threadpool(check_upload, context, drive_id, path, length or 0, client)
+            await run_in_threadpool(booking.announce, length)
+        try:
+            file, new = await receive(request, booking.taking(intake.write), finish)
+        finally:
+            intake.discard()
     response.status_code = 201 if new else 200
     return file
 
@@ -140,12 +142,14 @@ async def put_file(
 )
 def get_file(drive_id: DriveId, path: FilePath, context: ContextDep, _client: ClientDep) -> WholeFile:
     """Return an uploaded file, as long as it is kept."""
-    file, about = records.find_file(context, drive_id, check_path(path))
-    headers = {"ETag": f'"{about.sha256}"', "X-Content-Type-Options": "nosniff"}
-    return WholeFile(file, media_type="application/octet-stream", filename=file.name, headers=headers)
+    file, sha256 = records.open_file(context, drive_id, path)
+    headers = {"ETag": f'"{sha256}"', "X-Content-Type-Options": "nosniff"}
+    with file:
+        name = path.rpartition("/")[2]
+        return WholeFile(file, media_type="application/octet-stream", filename=name, headers=headers)
 
 
 @router.delete("/{path:path}", status_code=204, responses={**NOT_FOUND, **CLOSED}, summary="Delete a file")
 def delete_file(drive_id: DriveId, path: FilePath, context: ContextDep, _client: ClientDep) -> None:
     """Remove a file of a drive that is not committed yet, or a map of a ready one that no job waits for or reads."""
-    records.delete_file(context, drive_id, check_path(path))
+    records.delete_file(context, drive_id, path)

@@ -252,9 +252,10 @@ def _reduction(task: Task[CommitJob]) -> Reduction:
 
 @lru_cache(maxsize=2)
 def _reduction_once(root: Path, options: DriveOptions, job_id: str) -> Reduction:
-    # A network is asked about the keyframes only; label files are cheap enough to keep every scan.
-    keyframes = None if options.model is None else DEFAULT.keyframes
     readings, findings = _read_once(root, options, job_id)
+    # Labels that are made are made of the keyframes only; label files are cheap enough to keep every scan.
+    are_made = any(each.scans is not None and each.scans.is_slow for each in readings.values())
+    keyframes = DEFAULT.keyframes if are_made else None
     if not findings.ok:  # files that changed since they were checked
         return prepare_reduction(root, options, keyframes=keyframes)
     return reduction_of(readings, options, Findings(stop_at_first=True), keyframes)

@@ -54,6 +54,8 @@ def write_checkpoint(path: Path, part: RangeResult) -> None:
         "road_size": np.array([p.size for p in part.road], dtype=np.int64),
         "road_bytes": np.array([len(p.packed) for p in part.road], dtype=np.int64),
         "road_packed": np.frombuffer(b"".join(p.packed for p in part.road), np.uint8),
+        "road_other_bytes": np.array([len(p.packed_other) for p in part.road], dtype=np.int64),
+        "road_other": np.frombuffer(b"".join(p.packed_other for p in part.road), np.uint8),
     }
     with atomic_write(path) as file:
         np.savez(file, allow_pickle=False, **arrays)
@@ -66,7 +68,7 @@ def read_checkpoint(path: Path) -> RangeResult | None:
             arrays = {name: file[name] for name in file.files}
     except (OSError, ValueError, EOFError, zipfile.BadZipFile):
         return None
-    if str(arrays.get("made_by")) != _made_by() or "branch_widths_m" not in arrays:
+    if str(arrays.get("made_by")) != _made_by() or not {"branch_widths_m", "road_other"} <= arrays.keys():
         return None
     angles = _cut(arrays["branch_angles_rad"], arrays["branches"])
     angles_of = _grouped(angles, arrays["detections"])
@@ -86,12 +88,13 @@ def read_checkpoint(path: Path) -> RangeResult | None:
     ]
     seconds = dict(zip(arrays["stages"].tolist(), arrays["seconds"].tolist(), strict=True))
     packed = _cut(arrays["road_packed"], arrays["road_bytes"])
+    other = _cut(arrays["road_other"], arrays["road_other_bytes"])
     columns = (arrays[f"road_{name}"] for name in ("keyframe", "corner_xy", "resolution_m", "size"))
-    road = tuple(
-        RoadPatch(int(keyframe), corner_xy, float(resolution_m), int(size), data.tobytes())
-        for keyframe, corner_xy, resolution_m, size, data in zip(*columns, packed, strict=True)
+    patches = tuple(
+        RoadPatch(int(keyframe), corner_xy, float(resolution_m), int(size), road.tobytes(), ground.tobytes())
+        for keyframe, corner_xy, resolution_m, size, road, ground in zip(*columns, packed, other, strict=True)
     )
-    return RangeResult(int(arrays["start"]), detections, seconds, int(arrays["peak_memory_bytes"]), road)
+    return RangeResult(int(arrays["start"]), detections, seconds, int(arrays["peak_memory_bytes"]), patches)
 
 
 def _made_by() -> str:

@@ -16,6 +16,7 @@ from app.results.folder import Results, ResultsDep
 from app.results.on_demand import OnDemand, OnDemandDep
 from app.results.routes.results import PROBLEMS, JobId, answers
 from app.results.work import LIVE, export_path
+from interloc.errors import install
 from interloc.output.geoparquet import has_parquet
 from interloc.output.layers import DERIVED
 from interloc.output.vector_files import FORMATS
@@ -25,6 +26,9 @@ Layer = Literal[
     "detections",
     "trajectory",
     "keyframes",
+    "roads",
+    "junctions",
+    "road-surface",
     "osm-nodes",
     "matches",
     "osm-roads",
@@ -182,15 +186,15 @@ async def _deliver(
 ) -> Response:
     result = await run_in_threadpool(results.open, job_id)
     if suffix == ".parquet" and not has_parquet():
-        detail = 'GeoParquet needs pyarrow, which the operator installs: pip install "interloc[parquet]".'
+        detail = f"GeoParquet needs pyarrow, which the operator installs: {install('parquet')}"
         raise Problem(FORMAT_NOT_INSTALLED, detail)
     name = layer or "all"
     path = export_path(result.cache, f"{name}{suffix}")
     if not path.exists():
-        if layer is None:
-            result.require_georeference(f"Its files are in {result.address}/files")
-        else:
-            result.layer("intersections" if layer in DERIVED else layer)
+        if on_earth := FORMATS[suffix].only_on_earth or (layer in DERIVED and "Shapes made of the intersections"):
+            result.require_georeference(f"{on_earth} needs them; export.gpkg and .qgz are in metres of its own frame")
+        if layer is not None:
+            result.layer_file("intersections" if layer in DERIVED else layer)
         await on_demand.export(result, path, layer, request.state.holder.name)
     file_name = f"{result.slug}{suffix}" if layer is None else f"{result.slug}-{name}{suffix}"
     return await run_in_threadpool(deliver, request, path, name=file_name, download=True)

@@ -22,6 +22,8 @@ _BIN_M = 1.0
 _STATION_M = 5.0
 _ROUNDS = 4
 _USUAL_ERROR_M = 0.5
+_BEST_STD_M = 0.3
+"""No fix counts as better than this: what a receiver states of itself is often too good."""
 
 
 @dataclass(frozen=True)
@@ -36,6 +38,8 @@ class Fixes:
         Where the antenna was in the world of the poses, metres.
     distance_m : (K,) float64
         Distance driven until then, ascending.
+    std_m : (K,) float64 or None
+        One-sigma uncertainty along each horizontal axis, as the receiver states it; None where it states none.
     """
 
     lat_deg: FloatArray
@@ -43,6 +47,7 @@ class Fixes:
     alt_m: FloatArray
     position: FloatArray
     distance_m: FloatArray
+    std_m: FloatArray | None = None
 
     @property
     def swapped(self) -> Fixes | None:
@@ -100,6 +105,7 @@ def georeference_from_fixes(
         alt_m=placed[:, 2].copy(),
         R_enu_lidar=rotation_from_rpy(zero, zero, yaw) @ T_world_lidar[:, :3, :3],
         source=source,
+        position_std_m=None if fixes.std_m is None else laid[before, 6] + share * (laid[after, 6] - laid[before, 6]),
     )
 
 
@@ -108,11 +114,15 @@ def _laid_around(fixes: Fixes, here_m: float) -> tuple[float, ...]:
 
     Returns
     -------
-    tuple of 6 float
+    tuple of 7 float
         Longitude and latitude of the origin of the tangent plane, degrees; the angle by which the poses are turned,
-        radians; how they are moved east, north and up, metres.
+        radians; how they are moved east, north and up, metres; and the uncertainty of that, metres: of the fixes as
+        stated, or as they scatter where that is more, NaN where nothing is stated.
     """
     around, weights = _around(fixes.distance_m, here_m)
+    stated = None if fixes.std_m is None else fixes.std_m[around]
+    if stated is not None:
+        weights = weights / (stated**2 + _BEST_STD_M**2)
     lonlat = np.stack([fixes.lon_deg[around], fixes.lat_deg[around]], axis=-1)
     origin = lonlat[int(np.argmax(weights))]
     enu = enu_from_lonlat(origin[1], origin[0], lonlat)
@@ -122,12 +132,17 @@ def _laid_around(fixes: Fixes, here_m: float) -> tuple[float, ...]:
         error = np.linalg.norm(ours[:, :2] @ turn.T + move - enu, axis=1)
         scale = max(_USUAL_ERROR_M, 2.0 * float(np.median(error)))
         robust = weights / (1.0 + (error / scale) ** 2)
-    angle, _, move = _fit(ours[:, :2], enu, robust)
-    return (*origin, angle, *move, float(np.average(fixes.alt_m[around] - ours[:, 2], weights=robust)))
+    angle, turn, move = _fit(ours[:, :2], enu, robust)
+    std_m = float("nan")
+    if stated is not None:
+        squares = ((ours[:, :2] @ turn.T + move - enu) ** 2).sum(axis=1) / 2  # along one axis
+        std_m = float(np.sqrt(max(np.average(stated**2, weights=robust), np.average(squares, weights=robust))))
+    up_m = float(np.average(fixes.alt_m[around] - ours[:, 2], weights=robust))
+    return (*origin, angle, *move, up_m, std_m)
 
 
 def _placed(laid: FloatArray, position: FloatArray) -> FloatArray:
-    """Return (N, 3) longitude, latitude, altitude of (N, 3) positions, each by its row of (N, 6) `_laid_around`."""
+    """Return (N, 3) longitude, latitude, altitude of (N, 3) positions, each by its row of (N, 7) `_laid_around`."""
     enu = rotate_2d(position[:, :2], laid[:, 2]) + laid[:, 3:5]
     return np.column_stack([lonlat_from_enu(laid[:, 1], laid[:, 0], enu), position[:, 2] + laid[:, 5]])
 
@@ -147,6 +162,7 @@ def _averaged(fixes: Fixes) -> Fixes:
         mean(fixes.alt_m),
         np.stack([mean(fixes.position[:, axis]) for axis in range(3)], axis=-1),
         mean(fixes.distance_m),
+        None if fixes.std_m is None else mean(fixes.std_m),
     )
 
 

@@ -125,7 +125,11 @@ def rotation_complaint(rotation: FloatArray) -> str:
 
 
 def read_rows(
-    file: SourceFile, lengths: Collection[int], complain: Callable[[list[str], int], str]
+    file: SourceFile,
+    lengths: Collection[int],
+    complain: Callable[[list[str], int], str],
+    *,
+    plain: Callable[[list[str]], list[str]] = list,
 ) -> tuple[FloatArray, IntArray]:
     """Read the lines of numbers of a file of poses; blank lines and comments (#) are passed over.
 
@@ -136,6 +140,8 @@ def read_rows(
         How many numbers a line may hold; all hold as many as the first.
     complain : callable
         Says what is wrong with the fields of a line, given them and the length of the lines before (0: there are none).
+    plain : callable
+        Brings the lines to numbers separated by spaces.
 
     Returns
     -------
@@ -148,7 +154,7 @@ def read_rows(
     DriveError
         The file cannot be read, holds no such line, or a line holds something else.
     """
-    texts = file.lines()
+    texts = plain(file.lines())
     if (table := _plain_table(texts, lengths)) is not None:
         return table, np.arange(1, len(table) + 1)
     values, lines = array("d"), array("q")  # a tenth of the memory of lists
@@ -186,6 +192,11 @@ def _length_complaint(fields: list[str], length: int) -> str:
     usual = CUT_OFF
     if len(fields) == 8:
         usual = "TUM format (time, position, quaternion); export the poses in KITTI format"
+    elif len(fields) == 7 and not length:
+        usual = (
+            "positions and quaternions without times, such as x y z qw qx qy qz of HBA's pose.json; write time x y z "
+            "qx qy qz qw (TUM), or matrices"
+        )
     elif len(fields) == 4 and not length:
         usual = "4x4 matrices written over four lines; write one matrix per line"
     return f"{len(fields)} numbers; expected {expected}. Usual cause: {usual}."

@@ -1,4 +1,8 @@
-"""Poses in the format of the TUM RGB-D benchmark: time, position and quaternion, one pose per line."""
+"""Poses in the format of the TUM RGB-D benchmark: time, position and quaternion, one pose per line.
+
+Its relatives are read too: with commas, with a first line of column names, with times in nanoseconds, or in seconds and
+nanoseconds as two columns.
+"""
 
 from __future__ import annotations
 
@@ -8,11 +12,17 @@ import numpy as np
 
 from interloc.arrays import FloatArray, IntArray
 from interloc.drives.files import SourceFile, is_number
-from interloc.drives.poses.lines import CUT_OFF, SEPARATED_BY_COMMAS, read_rows, refuse_far
+from interloc.drives.poses.lines import CUT_OFF, read_rows, refuse_far
 from interloc.drives.poses.timed import TimedPoses, rotations_from_quaternions
 
 TUM_FIELDS = 8
 """Numbers of a line: time x y z qx qy qz qw."""
+
+_SPLIT_FIELDS = 9
+"""Numbers of a line of the Newer College data set and others: sec nsec x y z qx qy qz qw."""
+
+_STAMPS_US, _STAMPS_NS = 1e14, 1e17
+"""Times from here on are microseconds and nanoseconds, not seconds, since 1970."""
 
 _OFF_UNIT = 1e-2
 _HEAD_BYTES = 65536
@@ -32,11 +42,21 @@ def looks_like_tum(path: Path) -> bool:
 
 def is_tum(head: bytes) -> bool:
     """Return the same of the first bytes of a file."""
-    for line in head.decode("utf-8-sig", errors="replace").splitlines():
+    for line in _plain(head.decode("utf-8-sig", errors="replace").splitlines()):
         fields = line.split()
         if fields and not fields[0].startswith("#"):
-            return len(fields) == TUM_FIELDS and all(map(is_number, fields))
+            split = len(fields) == _SPLIT_FIELDS and "." not in "".join(fields[:2])
+            return (len(fields) == TUM_FIELDS or split) and all(map(is_number, fields))
     return False
+
+
+def _plain(lines: list[str]) -> list[str]:
+    """Write lines with spaces instead of commas, and a first line of column names as a comment."""
+    lines = [line.replace(",", " ") for line in lines]
+    first = next((row for row, line in enumerate(lines) if line.strip() and not line.lstrip().startswith("#")), None)
+    if first is not None and not any(map(is_number, lines[first].split())):
+        lines[first] = f"# {lines[first]}"
+    return lines
 
 
 def read_tum(file: SourceFile) -> TimedPoses:
@@ -55,7 +75,11 @@ def read_tum(file: SourceFile) -> TimedPoses:
     """
     if not file.path.exists():
         raise file.fault("is missing. Expected one line per pose: time x y z qx qy qz qw (TUM).")
-    values, lines = read_rows(file, (TUM_FIELDS,), _length_complaint)
+    values, lines = read_rows(file, (TUM_FIELDS, _SPLIT_FIELDS), _length_complaint, plain=_plain)
+    if values.shape[1] == _SPLIT_FIELDS:
+        values = np.column_stack([values[:, 0] + values[:, 1] * 1e-9, values[:, 2:]])
+    elif values[0, 0] > _STAMPS_US:
+        values = np.column_stack([values[:, 0] * (1e-6 if values[0, 0] < _STAMPS_NS else 1e-9), values[:, 1:]])
     values, lines = _without_repetitions(values, lines, file)
     refuse_far(values[:, 1:4], lines, file)
     norm = np.linalg.norm(values[:, 4:], axis=1)
@@ -93,8 +117,6 @@ def _without_repetitions(values: FloatArray, lines: IntArray, file: SourceFile) 
 
 def _length_complaint(fields: list[str], length: int) -> str:
     """Return what is wrong with the count of numbers in a line (all lines before are of the one length)."""
-    if any("," in field for field in fields):
-        return SEPARATED_BY_COMMAS
     usual = CUT_OFF
     if len(fields) in {12, 13, 16, 17} and not length:
         usual = "poses as matrices (KITTI), which are read under their own format"

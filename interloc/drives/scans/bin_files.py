@@ -21,6 +21,7 @@ POINT_BYTES = 16
 RING_POINT_BYTES = 20
 """float32 x y z intensity ring."""
 
+_MAX_RINGS = 512
 _BARE_POINT_BYTES = 12
 """float32 x y z: a scan without remission, which is refused."""
 
@@ -106,6 +107,7 @@ def open_bin_files(parts: DriveParts, options: DriveOptions, findings: Findings)
         scan_bytes=int(scans.sizes.sum()),
         usable=usable,
         point_counts=scans.sizes // point_bytes,
+        carries_poses=parts.in_kitti360_world,
         read_trajectory=trajectory if parts.in_kitti360_world else None,  # no files of the drive's folder
     )
 
@@ -130,9 +132,24 @@ def read_points(file: SourceFile, point_bytes: int = POINT_BYTES) -> Float32Arra
 
 
 def _bytes_per_point(scans: NumberedFiles) -> int:
-    """Return 20 where all sizes are multiples of that, and not all are multiples of 16."""
+    """Return 20 where all sizes are multiples of that, and not all of 16 as well, or the fifth value is a ring."""
     fits_ring = scans.sizes.all() and not (scans.sizes % RING_POINT_BYTES).any()
-    return RING_POINT_BYTES if fits_ring and (scans.sizes % POINT_BYTES).any() else POINT_BYTES
+    if not fits_ring:
+        return POINT_BYTES
+    if (scans.sizes % POINT_BYTES).any() or _has_rings(scans.path(int(scans.numbers[0]))):
+        return RING_POINT_BYTES
+    return POINT_BYTES
+
+
+def _has_rings(path: Path) -> bool:
+    """Return whether every fifth value of a scan is the number of a laser: a whole number, and not always the same."""
+    try:
+        ring = np.fromfile(path, dtype="<f4")[4::5]
+    except OSError:  # its reader says why
+        return False
+    with np.errstate(invalid="ignore"):
+        whole = (ring == np.rint(ring)) & (ring >= 0) & (ring < _MAX_RINGS)
+    return bool(len(ring) and whole.all() and ring.min() < ring.max())
 
 
 def _size_complaint(size: int, point_bytes: int) -> str:

@@ -45,6 +45,8 @@ _TYPES = {("F", 4), ("F", 8), *((kind, size) for kind in "IU" for size in (1, 2,
 _STAMPS_US, _STAMPS_NS = 1e14, 1e17
 """Numbers from here on are times since 1970, in microseconds and nanoseconds, not scan numbers."""
 
+_DIGITS = re.compile(r"\d+")
+_SPLIT_TIME = re.compile(r"(?<!\d)(\d{9,10})[^\d.](\d{3,9})$")
 _TOO_LARGE = 10**18  # for a scan number, as in `list_numbered`
 
 
@@ -130,10 +132,12 @@ def open_pcd_files(parts: DriveParts, options: DriveOptions, findings: Findings)
     if how:
         findings.note(folder.name, how)
     header = None
+    first = replace(folder, path=folder.path / scans.names[0])
+    has_header = not first.path.name.endswith(PCD_ENDINGS[1])
     with findings.stage():
-        first = replace(folder, path=folder.path / scans.names[0])
-        if not first.path.name.endswith(PCD_ENDINGS[1]):
+        if has_header:
             header, _ = read_pcd_header(first)
+    is_damaged = has_header and header is None
     label = None if header is None else header.field_among(LABEL_FIELDS)
     if header is not None and label is not None:
         findings.note(folder.name, f"the field {label!r} of the points is their label.")
@@ -147,9 +151,10 @@ def open_pcd_files(parts: DriveParts, options: DriveOptions, findings: Findings)
         frames,
         scan_bytes=int(sizes.sum()),
         usable=np.flatnonzero(sizes[order] > 0) if options.check else None,
-        carries_labels=label is not None,
+        carries_labels=label is not None or is_damaged,  # which is reported; that labels lack would be a guess
         has_remission=header is None or header.field_among(INTENSITY_FIELDS) is not None,
         has_times=header is not None and header.field_among(TIME_FIELDS) is not None,
+        carries_poses=False,
         read_trajectory=trajectory,
     )
 
@@ -160,7 +165,8 @@ def number_scans(names: Sequence[str]) -> tuple[IntArray, IntArray, FloatArray |
     Parameters
     ----------
     names : sequence of str
-        000010.pcd, street_0000000010.pcd (scan 10) or 1305031102.175304.pcd (a time), whatever stands before.
+        000010.pcd, street_0000000010.pcd (scan 10), 1305031102.175304.pcd or cloud_1583836591_182590976.pcd (times),
+        whatever stands before.
 
     Returns
     -------
@@ -174,13 +180,31 @@ def number_scans(names: Sequence[str]) -> tuple[IntArray, IntArray, FloatArray |
         What was assumed, where that is worth saying.
     """
     stems = [name[: -len(pcd_ending(name))] for name in names]
-    ends = [re.search(r"(\d+)(\.\d+)?$", stem) for stem in stems]
     count = len(names)
+    if (split := _split_times(stems)) is not None:
+        order = np.argsort(split, kind="stable")
+        return order, np.arange(count), split[order], "the names are times in seconds and their fractions."
+    return _by_last_number(names, stems)
+
+
+def _by_last_number(names: Sequence[str], stems: Sequence[str]) -> tuple[IntArray, IntArray, FloatArray | None, str]:
+    """Give numbers to scans by the last number in their names, as `number_scans`."""
+    count = len(names)
+    ends = [re.search(r"(\d+)(\.\d+)?$", stem) for stem in stems]
     if not all(ends):
         order = np.argsort(np.array(names), kind="stable")
         return order, np.arange(count), None, "the names hold no numbers: the scans are taken in alphabetical order."
     numbers = [int(end[1]) for end in ends if end]
     fractions = [end[2] or "" for end in ends if end]
+    before = [
+        [int(group) for group in _DIGITS.findall(stem[: end.start()])]
+        for stem, end in zip(stems, ends, strict=True)
+        if end
+    ]
+    if any(groups != before[0] for groups in before):
+        rows = sorted(range(count), key=lambda row: (before[row], numbers[row], float(fractions[row] or 0), names[row]))
+        how = "the names hold several numbers that change: the scans are taken in the order of all of them."
+        return np.array(rows), np.arange(count), None, how
     order = np.array(sorted(range(count), key=lambda row: (numbers[row], float(fractions[row] or 0), names[row])))
     smallest = min(numbers)
     if any(fractions) or smallest > _STAMPS_US:
@@ -193,6 +217,20 @@ def number_scans(names: Sequence[str]) -> tuple[IntArray, IntArray, FloatArray |
     if frames[-1] >= _TOO_LARGE:
         return order, np.arange(count), None, "the numbers in the names are too large: the scans are numbered from 0."
     return order, np.array(frames, dtype=np.int64), None, ""
+
+
+def _split_times(stems: Sequence[str]) -> FloatArray | None:
+    """Return the times of names that end in seconds since 1970 and their fraction: 1583836591_182590976; else None.
+
+    The fraction is in nanoseconds, with zeros in front or not; or in microseconds or milliseconds, with six or three
+    digits in all names.
+    """
+    ends = [_SPLIT_TIME.search(stem) for stem in stems]
+    if not ends or not all(ends):
+        return None
+    digits = {len(end[2]) for end in ends if end}
+    unit = 10.0 ** -digits.pop() if len(digits) == 1 else 1e-9
+    return np.array([int(end[1]) + int(end[2]) * unit for end in ends if end])
 
 
 def read_pcd(file: SourceFile) -> ScanPoints:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -24,11 +25,16 @@ from interloc.drives.files import (
 )
 from interloc.drives.findings import DriveFileError, Findings
 from interloc.drives.labels import SEMANTICKITTI, LabelJudgement, LabelScheme, judge_labels
+from interloc.drives.labels_below import check_below, ids_below
 from interloc.drives.layouts import DriveParts
 from interloc.drives.options import DriveOptions, LabelFolder
 from interloc.drives.scans.recorded import PointSource, Recording, ScanFacts, ScanPoints
 from interloc.drives.trajectory import Trajectory, read_trajectory
+from interloc.errors import DriveError
 from interloc.kernels.points import select_points
+
+_BELOW = 5
+"""How many scans are looked at for what lies under the vehicle."""
 
 LABEL_BYTES = 4
 """uint32, the label id in the lower half."""
@@ -179,7 +185,7 @@ class RawScans:
                     ids = labels.of(frame, source.read(frame), source.name(frame))
                 counts.update(count_ids(ids))
         chosen = options.label_scheme
-        return judge_labels(
+        judgement = judge_labels(
             labels.name,
             dict(counts),
             labels.scheme if chosen == "auto" and labels.scheme is not None else chosen,
@@ -187,6 +193,20 @@ class RawScans:
             check=options.check,
             findings=findings,
         )
+        if options.check and judgement.scheme is not None and isinstance(labels, LabelFiles | PointLabels):
+            self._check_below(sample[:: -(-len(sample) // _BELOW)], judgement, findings)
+        return judgement
+
+    def _check_below(self, sample: list[int], judgement: LabelJudgement, findings: Findings) -> None:
+        """Check that what lies under the vehicle is road."""
+        (source, labels), below = self.sources, Counter[int]()
+        assert self.frames is not None
+        assert judgement.scheme is not None
+        for index in sample:
+            with suppress(DriveError):  # which is said where the scan is read
+                points = source.read(frame := int(self.frames[index]))
+                below += ids_below(points.values, labels.of(frame, points, source.name(frame)))
+        check_below(labels.name, below, judgement.scheme, set(judgement.counts), findings)
 
     def tell_doubts(self, findings: Findings) -> None:
         """Warn of labels that were made by geometry, where the checks have seen that they are doubtful."""
@@ -282,18 +302,30 @@ def trajectory_of(recording: Recording, options: DriveOptions, findings: Finding
     return read_trajectory(recording.parts, recording.frames, options, findings)
 
 
+_FLOAT_1 = 0x3F800000
+"""The bits of 1.0: as uint32, every larger float32 is larger, and only the 16,256th instance of an id is."""
+
+_OTHER_LABELS = {8.0: "8 bytes (int64)", 2.0: "2 bytes (uint16)", 1.0: "1 byte (uint8)"}
+
+
 def read_labels(file: SourceFile) -> UInt32Array:
     """Read the (N,) uint32 labels of a file.
 
     Raises
     ------
     DriveError
-        It cannot be read.
+        It cannot be read, or holds floating-point numbers.
     """
     try:
-        return np.fromfile(file.path, dtype="<u4")
+        labels: UInt32Array = np.fromfile(file.path, dtype="<u4")
     except OSError as error:
         raise file.unreadable(error) from error
+    if np.min(labels, initial=_FLOAT_1, where=labels > 0) >= _FLOAT_1 and labels.any():
+        raise file.fault(
+            f"holds floating-point numbers ({labels[labels > 0].view('<f4')[0]:g}, ...). Expected uint32 ids. Usual "
+            "cause: an array that was written in the type in which a tool holds it; convert it to uint32 first."
+        )
+    return labels
 
 
 def count_ids(labels: UInt32Array) -> dict[int, int]:
@@ -375,7 +407,15 @@ def _check_label_files(
     for row in bad[: 1 if len(bad) > MAX_NAMED else None]:
         number = int(common[row])
         count, left = divmod(int(labels.sizes[at_label[row]]), LABEL_BYTES)
-        if left or recording.point_counts is None:
+        if recording.point_counts is not None and (
+            other := _OTHER_LABELS.get(int(labels.sizes[at_label[row]]) / int(recording.point_counts[at_scan[row]]))
+        ):
+            message = (
+                f"{other} per point of {points.name(number)}. Expected one uint32 (4 bytes) per point, the id in its "
+                "lower half. Usual cause: an array that was written in the type in which a tool holds it; convert it "
+                "to uint32 first."
+            )
+        elif left or recording.point_counts is None:
             message = (
                 f"{labels.sizes[at_label[row]]:,} bytes, which is no multiple of 4. Expected one uint32 per point."
             )

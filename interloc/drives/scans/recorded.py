@@ -112,6 +112,8 @@ class Recording:
     has_remission : bool
     has_times : bool
         The points carry the time at which each was measured.
+    carries_poses : bool
+        The recording holds poses itself, damaged or not; False: they are in the files of `parts`, if anywhere.
     read_trajectory : callable or None
         Reads poses, times and georeference where these are not files of `parts`.
     topics : tuple of Topic
@@ -128,8 +130,14 @@ class Recording:
     scheme: str | None = None
     has_remission: bool = True
     has_times: bool = False
+    carries_poses: bool = True
     read_trajectory: Callable[[DriveOptions, Findings], Trajectory] | None = None
     topics: tuple[Topic, ...] = ()
+
+    @property
+    def has_poses(self) -> bool:
+        """Whether there are poses, damaged or not."""
+        return self.carries_poses or self.parts.has_poses
 
     def sampled_remission(self) -> Float32Array:
         """Return the remission of the points of some scans; empty where the format has none.

@@ -12,7 +12,7 @@ const POLL_MS = 1500;
 export const demo = {
   isRunning: false,
   error: null,
-  text: "The server drives through a small made-up town. This takes half a minute the first time.",
+  text: "The server drives through a small made-up town. This takes about a minute the first time, longer on a busy machine.",
 };
 
 /** @type {Set<() => void>} */

@@ -15,6 +15,7 @@ export const lists = { drives: [], jobs: [], trash: [], isLoaded: false, isWhole
 export const LABEL_FOLDERS = /** @type {Record<string, string>} */ ({
   labels: "labels (by hand)",
   predictions: "predictions (of a network)",
+  geometry: "geometry (of the points and the path driven)",
 });
 
 /** States of a job that has ended. */

@@ -15,6 +15,9 @@ const LAYERS = /** @type {Record<string, string>} */ ({
   detections: "Detections",
   keyframes: "Keyframes",
   trajectory: "Trajectory",
+  roads: "Roads seen",
+  junctions: "Junctions of roads",
+  road_surface: "Road surface",
   osm_nodes: "OSM intersections",
   matches: "Matches",
   osm_roads: "OSM roads",
@@ -66,11 +69,11 @@ function sections(result, link) {
   /** @param {string} name */
   const vector = (name) => {
     const title = el("span", { title: known.get(name)?.description }, LAYERS[name] ?? DERIVED[name]);
-    if (local) return files(title, get("JSON", `${at}/files/${name}.local.json`, `${slug}-${name}.local.json`));
     const path = name.replaceAll("_", "-");
     const others = Object.entries(LAYER_FORMATS)
-      .filter(([ending]) => exports.includes(ending))
+      .filter(([ending]) => exports.includes(ending) && !(local && ending === ".kml"))
       .map(([ending, text]) => get(text, `${at}/export${ending}?layer=${path}`, `${slug}-${name}${ending}`));
+    if (local) return files(title, get("JSON", `${at}/files/${name}.local.json`, `${slug}-${name}.local.json`), others);
     if (name === "trajectory") others.push(get("GPX", `${at}/export.gpx`, `${slug}.gpx`));
     const geojson = name in DERIVED ? `${at}/export.geojson?layer=${path}` : `${at}/${path}`;
     return files(title, get("GeoJSON", geojson, `${slug}-${name}.geojson`), others);
@@ -93,14 +96,14 @@ function sections(result, link) {
   const gpkg = `${at}/export.gpkg`;
   const live = get("project without data", `${at}/export.qgs`, `${slug}.qgs`, { class: "link" });
   const token = getToken() ? ' -H "Authorization: Bearer $INTERLOC_TOKEN"' : "";
-  const whole = address(local ? `${at}/archive.zip` : gpkg);
+  const whole = address(gpkg);
   return [
     el("h2", {}, "Take it along"),
     el(
       "div",
       { class: "row" },
-      !local && get([icon("download"), "GeoPackage, all layers"], gpkg, `${slug}.gpkg`, { class: "primary" }),
-      !local && get([icon("download"), "QGIS project"], `${at}/export.qgz`, `${slug}.qgz`, { title: QGZ }),
+      get([icon("download"), "GeoPackage, all layers"], gpkg, `${slug}.gpkg`, { class: "primary" }),
+      get([icon("download"), "QGIS project"], `${at}/export.qgz`, `${slug}.qgz`, { title: QGZ }),
       !local && get([icon("download"), "Google Earth"], `${at}/export.kmz`, `${slug}.kmz`, { title: KMZ }),
       get([icon("download"), "Everything (.zip)"], `${at}/archive.zip`, `${slug}.zip`, {}),
       !local && get([icon("download"), "PMTiles, for web maps"], `${at}/export.pmtiles`, `${slug}.pmtiles`, {}),
@@ -109,7 +112,7 @@ function sections(result, link) {
       el(
         "p",
         { class: "note" },
-        "Without a georeference the files hold local metres; there are no GIS formats of them.",
+        "Without a georeference the files hold metres of the drive's own frame, without a coordinate system.",
       ),
     resultSection("Layers", el("div", { class: "downloads" }, layers.map(vector), surface && raster())),
     resultSection(

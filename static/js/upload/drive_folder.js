@@ -35,6 +35,7 @@ import { formatBytes, plural } from "../dom.js";
  * @property {Record<string, NumberedLook & {problems: FileProblem[]}>} labels
  * @property {FileProblem[]} unlabelled What is wrong where neither label files nor a network are used.
  * @property {boolean | null} carries_labels Whether the points have labels; null: not known.
+ * @property {boolean | null} has_poses false: the service computes them from the scans.
  * @property {Record<string, string>} whole Sent as they are: path in the drive -> path in the folder.
  * @property {Record<string, string>} small
  * @property {string[]} pose_files Files that may hold the poses of a recording.
@@ -273,7 +274,6 @@ export function runsOf(numbers) {
   return runs;
 }
 
-const NO_NETWORKS = "Whoever runs this service can give it a network (INTERLOC_MODELS).";
 const ORDER = ["error", "warning", "note"];
 
 /** @param {FileProblem[]} problems @returns {FileProblem[]} Errors first. */
@@ -286,17 +286,12 @@ export function sorted(problems) {
  *
  * @param {DriveFolder} drive
  * @param {string[]} folders Label folders that are to be sent.
- * @param {{model: string | null, canLabel: boolean}} labelling `model`: the network that labels the scans; `canLabel`:
- *   whether the service has any.
+ * @param {boolean} isMade Whether the service makes the labels.
  * @returns {FileProblem[]} Errors first.
  */
-export function problemsOf({ look, labels, layout, problems }, folders, { model, canLabel }) {
+export function problemsOf({ look, labels, layout, problems }, folders, isMade) {
   if (!look) return problems;
-  const unlabelled = look.unlabelled.map((each) => ({
-    ...each,
-    message: canLabel ? each.message : `${each.message} ${NO_NETWORKS}`,
-  }));
-  const ofNone = model ? [] : unlabelled;
+  const ofNone = isMade ? [] : look.unlabelled;
   const ofLabels = Object.keys(labels).length ? folders.flatMap((name) => look.labels[name]?.problems ?? []) : ofNone;
   const { georeference_reason: reason } = look;
   const message = `${reason}: place the drive on the map by its roads, or add a file of OXTS rows or a geo.csv below. Otherwise the result is in local metres and cannot be scored against OpenStreetMap.`;

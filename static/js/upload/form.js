@@ -78,7 +78,7 @@ export function formView(
   );
   const wholly = el("div", {});
   /** @returns {boolean} Whether the scans are sent as they are because only the service reads or labels them. */
-  const isWhole = () => isRecorded || labels.model() !== null;
+  const isWhole = () => isRecorded || labels.made() !== null || drive?.look?.has_poses === false;
   const sending = () => (isWhole() ? "raw" : parts.value());
   const whyWhole = el("p", { class: "small" });
   const known = {
@@ -230,11 +230,11 @@ export function formView(
   function refresh() {
     const fix = reading.georeference();
     const folders = isOpen ? labels.folders() : [];
-    const model = labels.model();
+    const made = labels.made();
     (isWhole() ? wholly : keepPlace).append(keep);
     parts.element.hidden = isWhole();
-    whyWhole.textContent = drive && isWhole() ? reasonOf(drive, model) : "";
-    job.setFolders(model ? ["predictions"] : drive && isReduced ? labelNames(drive) : folders);
+    whyWhole.textContent = drive && isWhole() ? reasonOf(drive, made) : "";
+    job.setFolders(made ? [made.folder] : drive && isReduced ? labelNames(drive) : folders);
     if (drive) {
       job.setGeoreference(mayHaveFix(drive) || fix !== null);
       showFacts();
@@ -243,9 +243,7 @@ export function formView(
       const size = /** @type {[string, string]} */ (["Size", formatBytes(archive.size)]);
       fill(facts, factRows([["Archive", archive.name], size]));
     }
-    const list = drive
-      ? sorted([...problemsOf(drive, folders, { model, canLabel: labels.canLabel }), ...labelProblems])
-      : [];
+    const list = drive ? sorted([...problemsOf(drive, folders, made !== null), ...labelProblems]) : [];
     const isError = (/** @type {FileProblem} */ each) => each.severity === "error";
     const borrowed = drive?.look?.borrowed.map((text) => el("p", { class: "small" }, text));
     fill(errors, problemList(list.filter(isError)));
@@ -257,7 +255,7 @@ export function formView(
         : (job.complaint() ??
           reading.complaint() ??
           (isOpen && !isWhole() && !folders.length ? "Choose a folder of labels." : null));
-    const ofRun = job.mapComplaint() ?? (model ? keyframesComplaint(job.keyframes(), usualKeyframes) : null);
+    const ofRun = job.mapComplaint() ?? (made ? keyframesComplaint(job.keyframes(), usualKeyframes) : null);
     only.disabled = complaint !== null;
     run.disabled = (complaint ?? ofRun) !== null;
     why.textContent = complaint ?? ofRun ?? "";
@@ -274,7 +272,6 @@ export function formView(
     const own = request.osm && "file" in request.osm ? drive?.maps.get(request.osm.file) : null;
     if (own) extras.set(/** @type {{file: string}} */ (request.osm).file, own);
     const isRaw = sending() === "raw";
-    const model = labels.model();
     onStart(
       { drive, archive, extras, handle, fingerprint: drive ? fingerprintOfDrive(drive) : "" },
       {
@@ -282,7 +279,7 @@ export function formView(
         folders: isOpen ? labels.folders() : [],
         sending: isReduced ? "raw" : /** @type {any} */ (sending()),
         keepRaw: isRaw && keepRaw.checked,
-        options: { label_scheme: labels.scheme(), ...reading.read(), oxts, model },
+        options: { label_scheme: labels.scheme(), ...reading.read(), oxts, ...labels.made()?.options },
         keyframes: job.keyframes(),
         job: withJob ? request : null,
       },
@@ -372,22 +369,23 @@ const baseName = (archive) => archive?.name.replace(/\.(zip|tgz|tzst|tar(\.\w+)?
 
 /**
  * @param {Settings["keyframes"]} wanted By the settings of the job.
- * @param {Settings["keyframes"]} labelled Those that a network labels.
+ * @param {Settings["keyframes"]} labelled Those that the service labels.
  * @returns {string | null} Why the job could not run.
  */
 function keyframesComplaint(wanted, labelled) {
   if (wanted.distance_m === labelled.distance_m && wanted.angle_deg === labelled.angle_deg) return null;
   const usual = `${labelled.distance_m} m and ${labelled.angle_deg}°`;
-  return `A network labels the keyframes of ${usual}: leave these two settings, or use label files of your own.`;
+  return `The service labels the keyframes of ${usual}: leave these two settings, or use label files of your own.`;
 }
 
 /** @param {Iterable<File>} files */
 const bytesOf = (files) => [...files].reduce((sum, file) => sum + file.size, 0);
 
-/** @param {DriveFolder} drive @param {string | null} model @returns {string} Why its scans are sent as they are. */
-function reasonOf({ scans, recorded }, model) {
+/** @param {DriveFolder} drive @param {import("./label_form.js").MadeLabels | null} made @returns {string} Why its scans are sent as they are. */
+function reasonOf({ scans, recorded, look }, made) {
   const all = formatBytes(scans?.bytes ?? bytesOf(recorded.values()));
-  const why = model ? `The network ${model} runs on the service` : "The browser cannot reduce these files";
+  const lacksPoses = look?.has_poses === false && "The service computes the poses, so the scans are sent whole";
+  const why = made?.why || lacksPoses || "The browser cannot reduce these files";
   return `${why}: all ${all} are sent as they are, and the service keeps what the method needs.`;
 }
 

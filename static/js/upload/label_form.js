@@ -1,4 +1,7 @@
-/** Where the labels of a drive come from: its label folders, its points, or a network of the service; what they mean. */
+/**
+ * Where the labels of a drive come from: its label folders, its points, or the service, which makes them by geometry or by
+ * a network; and what they mean.
+ */
 
 import { getConfig } from "../api.js";
 import { field, filePicker, radios, section, select } from "../controls.js";
@@ -16,8 +19,20 @@ import { el, fill, formatBytes, formatCount, formatDuration, formatPercent, plur
  * @property {number | null} seconds_per_scan null where it was not used on this service yet.
  * @property {string | null} problem Why it cannot be used.
  */
+/**
+ * @typedef {object} MadeLabels Labels that the service makes.
+ * @property {{labels: "geometry"} | {model: string}} options
+ * @property {"geometry" | "predictions"} folder By which name jobs know them.
+ * @property {string} why Why the service needs the scans themselves.
+ */
 
 const OF_NETWORK = "network:";
+const BY_GEOMETRY = "geometry";
+const OF_GEOMETRY = {
+  value: BY_GEOMETRY,
+  title: "By geometry, on the service",
+  hint: "Needs no labels: the road is found by the points and the path driven. Labels of a good network place intersections better.",
+};
 const IN_FILES = {
   title: "With label files of mine",
   hint: "Of any segmentation that writes SemanticKITTI .label files.",
@@ -29,7 +44,7 @@ const UNSEEN = /** @type {Record<string, {title: string, hint: string}>} */ ({
   pcd: { title: "Labels of the points themselves", hint: "Their field label." },
   rosbag: {
     title: "Labels of the points themselves",
-    hint: "The field label of their messages. Without one, the service refuses the drive.",
+    hint: "The field label of their messages. Without one, the road is found by geometry.",
   },
   las: { title: "Classification of the points themselves", hint: "Class 11 is road surface (ASPRS)." },
 });
@@ -54,21 +69,22 @@ export function labelForm({ drive, networks, before }, { onChange, onFolder }) {
   const hints = new Map(usable.map((network) => [network, el("span", {})]));
   const areSeen = drive?.scans || drive?.look?.carries_labels === false; // label files, or none at all
   const unseen = areSeen ? null : UNSEEN[drive?.layout ?? ""];
-  const offers = usable.map((network) => ({
+  const ofNetworks = usable.map((network) => ({
     value: OF_NETWORK + network.name,
-    title: ["Label the scans on the service with ", el("b", {}, network.name)],
+    title: ["By the network ", el("b", {}, network.name), ", on the service"],
     hint: hints.get(network),
   }));
+  const offers = [...ofNetworks, OF_GEOMETRY];
   const choices = unseen
     ? [{ value: "own", ...unseen }, ...offers]
     : [...offers, { value: "own", ...IN_FILES, more: picker }];
-  const wanted = before?.options.model ? OF_NETWORK + before.options.model : unseen || before ? "own" : "";
+  const { model: modelBefore, labels: labelsBefore } = before?.options ?? {};
+  const madeBefore = labelsBefore === BY_GEOMETRY ? BY_GEOMETRY : modelBefore ? OF_NETWORK + modelBefore : null;
+  const wanted = madeBefore ?? (unseen || before ? "own" : "");
   const usual = choices.some(({ value }) => value === wanted) ? wanted : choices[0].value;
   const source = radios("Where labels come from", choices, usual, () => (show(), onChange()));
-  const ofKeyframes = "A network labels the keyframes only, about one scan per two metres.";
-  const chooser = usable.length
-    ? [source.element, el("small", {}, ofKeyframes)]
-    : unseen && [el("p", {}, unseen.title), el("small", {}, unseen.hint)];
+  const ofKeyframes = "The service labels the keyframes only, about one scan per two metres.";
+  const chooser = [source.element, el("small", {}, ofKeyframes)];
   const damaged = networks.filter(({ problem }) => problem !== null);
   const ofDamaged = damaged.map(({ name, problem }) =>
     el("small", {}, `The network ${name} cannot be used: ${problem}`),
@@ -76,15 +92,19 @@ export function labelForm({ drive, networks, before }, { onChange, onFolder }) {
   const offered = el("div", { class: "stack-s" }, chooser, ofDamaged);
 
   // Of a bag or of LAS files only the service knows which scans there are; labels that lie beside are sent all the same.
-  const hasPlace = unseen ? drive?.layout === "pcd" : drive && !usable.length;
+  const hasPlace = unseen && drive?.layout === "pcd";
   const hasFolders = () => boxes.size > 0;
-  const model = () =>
-    !hasFolders() && usable.length && source.value().startsWith(OF_NETWORK)
-      ? source.value().slice(OF_NETWORK.length)
-      : null;
+  /** @returns {MadeLabels | null} */
+  function made() {
+    const chosen = source.value();
+    if (hasFolders() || chosen === "own") return null;
+    const why = "The service makes the labels, so the scans are sent whole";
+    if (chosen === BY_GEOMETRY) return { options: { labels: BY_GEOMETRY }, folder: BY_GEOMETRY, why };
+    return { options: { model: chosen.slice(OF_NETWORK.length) }, folder: "predictions", why };
+  }
   function show() {
     offered.hidden = hasFolders();
-    meaning.element.hidden = model() !== null;
+    meaning.element.hidden = made() !== null;
   }
 
   /** @param {number | null} keyframes About how many the drive has; null where only the service can tell. */
@@ -96,7 +116,6 @@ export function labelForm({ drive, networks, before }, { onChange, onFolder }) {
 
   return {
     element: section("Labels", drive && rows, offered, hasPlace && picker, meaning.element),
-    canLabel: usable.length > 0,
     setKeyframes,
 
     /** @param {DriveFolder["labels"]} folders */
@@ -120,9 +139,9 @@ export function labelForm({ drive, networks, before }, { onChange, onFolder }) {
     },
 
     folders: () => [...boxes].filter(([, box]) => box.checked).map(([name]) => name),
-    /** The network that labels the scans; null: they have labels. */
-    model,
-    scheme: () => (model() === null ? meaning.scheme() : "auto"),
+    /** The labels that the service makes; null: the drive has labels. */
+    made,
+    scheme: () => (made() === null ? meaning.scheme() : "auto"),
     setVerdict: meaning.setVerdict,
   };
 }

@@ -4,6 +4,7 @@ import { factRows, problemList } from "../controls.js";
 import { announce, el, fill, formatBytes, formatCount, formatDuration, formatMetres, icon, plural } from "../dom.js";
 import { problemNote } from "../messages.js";
 import { LAYOUTS } from "./drive_folder.js";
+import { madeFolder } from "./upload.js";
 
 const REDRAW_MS = 150;
 const POSE_OWNERS = { camera: "of the camera", lidar: "of the LiDAR", imu: "of the IMU", oxts: "from OXTS" };
@@ -113,7 +114,7 @@ export function progressView({ onChange, onCorrect, onLeave }) {
       ["Georeference", [found.georeference ?? "none", why(found.georeference_reason)]],
       typeof found.length_m === "number" && ["Distance", formatMetres(found.length_m)],
       ["To be sent", sending === "raw" ? `all ${plural(found.scans, "scan")}` : keyframes],
-      options.model && ["To be labelled", `about ${keyframes}`],
+      madeFolder(options) && ["To be labelled", `about ${keyframes}`],
     ]);
     fill(plan, el("dl", { class: "figures box wordy" }, rows));
   }

@@ -32,7 +32,8 @@ import { Transfer } from "./transfer.js";
  * @property {string | null} points Topic of the scans in a bag.
  * @property {string | null} fix Topic of the GNSS fixes in a bag.
  * @property {string | null} crs Coordinate system of LAS files.
- * @property {string | null} model Network of the service that labels the scans.
+ * @property {"geometry"} [labels] Labels that the service makes of the points.
+ * @property {string} [model] Network of the service that labels the scans.
  */
 
 /**
@@ -54,6 +55,9 @@ import { Transfer } from "./transfer.js";
  * @property {number | null} ground_share Of road, sidewalk, parking and other ground: what is left of a scan.
  * @property {FileProblem[]} problems
  */
+
+/** @param {ReadingOptions} options @returns {"geometry" | "predictions" | null} Labels that the service makes. */
+export const madeFolder = ({ labels, model }) => labels ?? (model ? "predictions" : null);
 
 /** @typedef {"files" | "plan" | "scans" | "archive" | "check" | "run"} Step */
 /** @typedef {"ready" | "running" | "paused" | "failed" | "stopped" | "done"} Status */
@@ -237,9 +241,14 @@ export class Upload {
   async #sendScans(drive, present, isSame) {
     const { folders, sending, options } = this.settings;
     this.#update({ step: "plan", message: "Reading poses and georeference" });
-    const labels = options.model ? [] : folders;
+    const made = madeFolder(options);
+    const labels = made ? [] : folders;
+    if (drive.look?.has_poses === false) {
+      await this.#sendAll(rawFiles(drive, labels), present, isSame);
+      return;
+    }
     const plan = await this.#askPlan(drive, await countFolders(drive, labels));
-    if (options.model || sending === "raw") {
+    if (made || sending === "raw") {
       await this.#sendAll(rawFiles(drive, labels), present, isSame);
       return;
     }
@@ -273,11 +282,12 @@ export class Upload {
    */
   async #askPlan(drive, label_counts) {
     const { folders, options, sending } = this.settings;
+    const made = madeFolder(options);
     const { files, folder } = /** @type {import("./drive_folder.js").NumberedFiles} */ (drive.scans);
     const [[first, count], ...others] = runsOf(files.keys());
     const json = {
       scans: others.length ? [...files.keys()] : { first, last: first + count - 1 },
-      label_folders: options.model ? ["predictions"] : folders,
+      label_folders: made ? [made] : folders,
       label_counts,
       options,
       keyframes: sending === "scans" ? null : this.settings.keyframes,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import base64
 import hashlib
 import os
@@ -16,8 +17,15 @@ import httpx
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from sqlalchemy import update
+from starlette.types import Message
 
+from app.drives import records
+from app.http.delivery import WholeFile
 from app.paths import PATH_PATTERN, BadNameError, check_path
+from app.settings import Settings
+from app.store.database import Database
+from app.store.models import DriveFile
 from tests.app.processes import files_below, wait_until
 
 BIG = os.urandom(3 * 1024 * 1024 + 17)  # more than a piece
@@ -423,3 +431,84 @@ def test_numbers_are_no_text_and_zero_is_not_false(
 ) -> None:
     answer = client.post(address.format(drive=drive), json=body)
     assert answer.status_code == 422, answer.text
+
+
+@pytest.mark.parametrize("size", [10, 3 * 2**20])
+def test_what_is_read_is_one_version(client: httpx.Client, drive: str, size: int) -> None:
+    """While a file is replaced and deleted again and again: bytes and ETag belong together, and no answer is cut."""
+    address = f"{drive}/files/velodyne/000000.bin"
+
+    def write() -> None:
+        for number in range(20):
+            content = bytes([number]) * (size + number)
+            assert client.put(address, content=content).status_code in {200, 201}
+            if number % 7 == 6:
+                assert client.delete(address).status_code == 204
+
+    def read() -> set[int]:
+        seen = set()
+        while not writing.done():
+            answer = client.get(address)
+            seen.add(answer.status_code)
+            if answer.status_code == 200:
+                assert answer.headers["etag"] == f'"{hashlib.sha256(answer.content).hexdigest()}"'
+                assert answer.headers["content-length"] == str(len(answer.content))
+        return seen
+
+    with ThreadPoolExecutor(3) as pool:
+        writing = pool.submit(write)
+        for readers in [pool.submit(read) for _ in range(2)]:
+            assert readers.result() <= {200, 404, 410}
+        writing.result()
+
+
+def test_a_file_that_has_its_name_before_its_row_is_waited_for(
+    client: httpx.Client, drive: str, shared_data: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    address = f"{drive}/files/poses.txt"
+    client.put(address, content=b"old")
+    place = shared_data / "drives" / drive.rsplit("/", 1)[-1] / "files/poses.txt"
+    place.with_name("other").write_bytes(b"new and longer")
+    place.with_name("other").replace(place)
+    monkeypatch.setattr(records, "_LOOKS", 1)
+    answer = client.get(address)
+    assert (answer.status_code, answer.headers["retry-after"]) == (503, "1")
+    place.with_name("other").write_bytes(b"old")
+    place.with_name("other").replace(place)  # of another time, but with the bytes of its row
+    assert client.get(address).content == b"old"
+
+
+def test_what_is_sent_is_what_was_opened(tmp_path: Path) -> None:
+    """Though another file gets its name, or none has it, before the first byte is sent."""
+    path = tmp_path / "a.bin"
+    path.write_bytes(b"old" * 2_000_000)
+    with path.open("rb") as file:
+        answer = WholeFile(file)
+    path.unlink()
+    sent: list[bytes] = []
+
+    async def send(message: Message) -> None:
+        sent.append(message.get("body", b""))
+
+    async def receive() -> Message:
+        await asyncio.sleep(3600)
+        raise AssertionError
+
+    asyncio.run(answer({"type": "http", "method": "GET", "headers": []}, receive, send))
+    assert b"".join(sent) == b"old" * 2_000_000
+
+
+def test_names_that_an_older_version_took_can_be_read_and_deleted(
+    client: httpx.Client, drive: str, shared_data: Path
+) -> None:
+    drive_id = drive.rsplit("/", 1)[-1]
+    assert client.put(f"{drive}/files/poses.txt", content=b"1").status_code == 201
+    folder = shared_data / "drives" / drive_id / "files"
+    (folder / "poses.txt").rename(folder / "con.txt")
+    database = Database(Settings(data_dir=shared_data).sqlalchemy_url)
+    with database.writing() as session:
+        session.execute(update(DriveFile).where(DriveFile.drive_id == drive_id).values(path="con.txt"))
+    database.close()
+    assert client.get(f"{drive}/files/con.txt").content == b"1"
+    assert client.delete(f"{drive}/files/con.txt").status_code == 204
+    assert client.get(f"{drive}/files/con.txt").status_code == 422  # it is no name that a file can have

@@ -231,3 +231,21 @@ def test_a_start_leaves_drives_alone_whose_archive_is_still_to_be_unpacked(conte
 def test_only_drives_that_are_there_are_compared(context: Context) -> None:
     with pytest.raises(Problem, match="There is no drive 0123"):
         reconcile(context, "0123")
+
+
+@pytest.mark.parametrize("drives", [1, 2, 10])
+def test_a_start_unlists_nothing_that_it_cannot_see_at_large(
+    context: Context, caplog: pytest.LogCaptureFixture, drives: int
+) -> None:
+    """As in a copy of the data folder that is older than what was uploaded."""
+    made = [new_drive(context, a=b"1", b=b"2", c=b"3") for _ in range(drives)]
+    before = [listed(context, drive) for drive in made]
+    for drive in made:
+        files = files_of(context, drive)
+        for path in [files / "a"] if drives == 10 else [files / "a", files / "b"]:
+            path.unlink()
+        (files / "d").write_bytes(b"4")
+    reconcile_all(context)
+    assert [list(listed(context, drive)) for drive in made] == [["a", "b", "c", "d"]] * drives
+    assert all(before[i].items() <= listed(context, drive).items() for i, drive in enumerate(made))
+    assert "they stay listed" in caplog.text

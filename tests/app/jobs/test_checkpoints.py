@@ -53,8 +53,10 @@ def found(draw: st.DrawFn) -> RangeResult:
     seconds = draw(st.dictionaries(st.sampled_from(["read", "bev", "centerline"]), REALS, max_size=3))
     sizes = draw(st.lists(st.integers(1, 9), max_size=2))
     road = tuple(
-        RoadPatch.pack(row, np.array([draw(REALS), draw(REALS)]), draw(REALS), np.eye(size, dtype=np.uint8))
-        for row, size in enumerate(sizes)
+        RoadPatch.pack(
+            row, np.array([draw(REALS), draw(REALS)]), draw(REALS), image, draw(st.sampled_from([None, 1 - image]))
+        )
+        for row, image in enumerate(np.eye(size, dtype=np.uint8) for size in sizes)
     )
     return RangeResult(draw(st.integers(0, 9)), detections, seconds, 123, road)
 
@@ -66,7 +68,7 @@ def bits(part: RangeResult) -> list[object]:
         for angles, widths in [(k.branch_angles_rad, k.branch_widths_m)]
     ]
     frames = [(k.keyframe.frame, k.keyframe.time_s) for k in part.detections]
-    road = [(p.keyframe, p.corner_xy.tobytes(), p.resolution_m, p.size, p.packed) for p in part.road]
+    road = [(p.keyframe, p.corner_xy.tobytes(), p.resolution_m, p.size, p.packed, p.packed_other) for p in part.road]
     return [part.start, arrays, frames, part.seconds, part.peak_memory_bytes, road]
 
 

@@ -20,7 +20,7 @@ from interloc.cli.main import run
 from tests.app.processes import Gate, ended, half_way, submit, upload, wait_until
 from tests.app.street import write_street
 
-pytest.importorskip("distributed", reason="the extra interloc[dask] is not installed")
+pytest.importorskip("distributed", reason="the extra dask is not installed")
 
 LAYERS = ("detections", "intersections", "keyframes", "trajectory")
 

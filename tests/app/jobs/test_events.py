@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,6 +15,7 @@ from sqlalchemy import Engine, event
 
 from app.jobs.queue import submit
 from app.settings import Settings
+from app.store import tokens
 from app.store.database import Database
 from app.store.models import Drive, Job
 from tests.app.conftest import running_server
@@ -114,6 +115,30 @@ def test_a_job_that_is_removed_ends_its_events(client: httpx.Client, database: D
         with database.writing() as session:
             session.delete(session.get_one(Job, job))
         assert next(stream, None) is None
+
+
+def test_a_token_that_is_revoked_ends_its_events(
+    serve: Callable[..., httpx.Client], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tokens, "_BELIEVED_S", 0.0)
+    client = serve()
+    database = Database(Settings(data_dir=tmp_path / "data").sqlalchemy_url)
+    with database.writing() as session:
+        now = database.clock(session)
+        drive = Drive(name="town", owner="ann", state="checking", options={}, created_at=now, touched_at=now)
+        session.add(drive)
+        session.flush()
+        job = submit(session, database, kind="intersections", drive_id=drive.id, owner="ann", request={})[0].id
+    tokens.add_token(database, "other")
+    client.headers["Authorization"] = f"Bearer {tokens.add_token(database, 'ann')}"
+    with events(client, job) as stream:
+        next(stream)
+        change(database, job, message="one")
+        assert next(stream)[1]["message"] == "one"
+        tokens.revoke_token(database, "ann")
+        change(database, job, message="two")
+        assert next(stream, None) is None
+    database.close()
 
 
 def test_an_unknown_job_has_no_events(client: httpx.Client) -> None:

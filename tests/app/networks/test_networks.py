@@ -57,9 +57,9 @@ def test_a_drive_without_labels_is_labelled(
     client: httpx.Client, unlabelled: Path, models: Path, tmp_path: Path
 ) -> None:
     drive = upload(client, unlabelled)
-    problems = refused(client, drive)
+    problems = refused(client, drive, options={"labels": "labels"})
     assert any(each["path"] == "labels" and "is missing" in each["message"] for each in problems)
-    shown = commit(client, drive, options={"model": "flat"})
+    shown = commit(client, drive, options={"model": "flat", "labels": "auto"})
     assert shown["options"]["model"] == "flat"
     assert shown["report"]["label_folder"] == "network flat"
     assert 0.01 < shown["report"]["road_share"] < 0.9

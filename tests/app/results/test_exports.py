@@ -16,7 +16,18 @@ import pytest
 from tests.app.results.conftest import Finished
 
 DERIVED = ["branches", "uncertainty"]
-SCORED = ["intersections", "detections", "trajectory", "keyframes", "osm_nodes", "matches", "osm_roads"]
+SCORED = [
+    "intersections",
+    "detections",
+    "trajectory",
+    "keyframes",
+    "roads",
+    "junctions",
+    "road_surface",
+    "osm_nodes",
+    "matches",
+    "osm_roads",
+]
 
 
 def layers_of(content: bytes, path: Path) -> dict[str, int]:
@@ -40,7 +51,7 @@ def test_a_geopackage_of_all_layers(finished: Finished, tmp_path: Path) -> None:
     again = finished.get("/jobs/default/export.gpkg", headers={"if-none-match": answer.headers["etag"]})
     assert again.status_code == 304
     plain = layers_of(finished.get("/jobs/plain/export.gpkg").content, tmp_path / "plain.gpkg")
-    assert list(plain) == [*SCORED[:4], *DERIVED]
+    assert list(plain) == [*SCORED[:7], *DERIVED]
 
 
 @pytest.mark.parametrize(("suffix", "media_type"), [
@@ -55,6 +66,21 @@ def test_one_layer(suffix: str, media_type: str, finished: Finished, tmp_path: P
         assert b"OpenStreetMap contributors" in answer.content
     bare = finished.get(f"/jobs/plain/export.{suffix}").content  # without verdicts it holds nothing of the map
     assert b"OpenStreetMap contributors" not in bare
+
+
+def test_what_has_no_georeference_is_exported_in_metres(finished: Finished, tmp_path: Path) -> None:
+    """The same formats that the command line writes of it."""
+    own = {"intersections", "detections", "trajectory", "keyframes"}
+    layers = layers_of(finished.get("/jobs/local/export.gpkg").raise_for_status().content, tmp_path / "local.gpkg")
+    assert own <= layers.keys()
+    assert not {"osm_nodes", "matches", "osm_roads"} & layers.keys()
+    assert pyogrio.read_info(tmp_path / "local.gpkg", layer="detections")["crs"] is None
+    with zipfile.ZipFile(io.BytesIO(finished.get("/jobs/local/export.qgz").content)) as project:
+        assert project.namelist() == ["project.qgs", "result.gpkg"]
+    for suffix in ("fgb", "csv", "geojson", "parquet"):
+        answer = finished.get(f"/jobs/local/export.{suffix}?layer=detections").raise_for_status()
+        assert len(answer.content) > 500, suffix
+    assert finished.get("/jobs/local/export.csv").text.startswith("x_m,y_m,")
 
 
 def test_tables_and_layers_that_are_made_of_the_intersections(finished: Finished) -> None:
@@ -131,8 +157,10 @@ def test_it_is_built_once_and_leaves_nothing_else(finished: Finished) -> None:
 
 
 @pytest.mark.parametrize(("address", "status", "title"), [
-    ("/jobs/local/export.gpkg", 404, "Not georeferenced"),
     ("/jobs/local/export.kml", 404, "Not georeferenced"),
+    ("/jobs/local/export.kmz", 404, "Not georeferenced"),
+    ("/jobs/local/export.qgs", 404, "Not georeferenced"),
+    ("/jobs/local/export.fgb?layer=matches", 404, "Not georeferenced"),
     ("/jobs/plain/export.fgb?layer=matches", 404, "Not scored"),
     ("/jobs/default/export.fgb?layer=roofs", 422, "Request not valid"),
     ("/jobs/default/export.shp", 404, "Not Found"),

@@ -23,7 +23,8 @@ from app.store.database import Database
 from interloc.output.geojson import write_collection
 from tests.app.results.conftest import Finished, add_job
 
-LAYERS = ["intersections", "detections", "trajectory", "keyframes", "osm-nodes", "matches", "osm-roads"]
+LAYERS = ["intersections", "detections", "trajectory", "keyframes", "roads", "junctions", "road-surface"]
+LAYERS += ["osm-nodes", "matches", "osm-roads"]
 IDENTITY = {"accept-encoding": "identity"}
 
 
@@ -174,7 +175,7 @@ def test_the_archive_holds_the_folder(finished: Finished) -> None:
         assert archive.testzip() is None
         content = {info.filename: archive.read(info) for info in archive.infolist()}
     styles = {name: content.pop(name) for name in list(content) if name.endswith(".qml")}
-    assert len(styles) == 7
+    assert len(styles) == 10
     assert b"categorizedSymbol" in styles["Stra_e_street-default/intersections.qml"]
     expected = files_of(finished.results / "default")
     assert content == {f"Stra_e_street-default/{name}": data for name, data in expected.items()}

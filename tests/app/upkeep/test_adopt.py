@@ -109,6 +109,22 @@ def test_all_is_served_as_before(lost: tuple[Path, dict[str, Any]], data: Path, 
     assert adopted(data) == []  # also while a server runs
 
 
+def test_what_was_in_the_trash_is_there_again(serve: Serve, tmp_path: Path) -> None:
+    client = serve()
+    ids = {}
+    for name in ("deleted", "restored"):
+        ids[name] = client.post(f"{API}/drives", json={"name": name}).json()["id"]
+        client.put(f"{API}/drives/{ids[name]}/files/poses.txt", content=b"1").raise_for_status()
+        client.delete(f"{API}/drives/{ids[name]}").raise_for_status()
+    client.post(f"{API}/trash/drives/{ids['restored']}/restore").raise_for_status()
+    copy = tmp_path / "copy"
+    shutil.copytree(tmp_path / "data", copy, ignore=shutil.ignore_patterns("interloc.sqlite3*", "incoming"))
+    assert [each.text.rpartition(", ")[2] for each in adopted(copy)].count("in the trash") == 1
+    again = serve(copy)
+    assert [each["name"] for each in again.get(f"{API}/drives").json()["drives"]] == ["restored"]
+    assert [each["id"] for each in again.get(f"{API}/trash").json()["items"]] == [ids["deleted"]]
+
+
 def test_what_was_set_aside_comes_back(lost: tuple[Path, dict[str, Any]], data: Path, serve: Serve) -> None:
     known = lost[1]
     (data / "installation").unlink()

@@ -8,6 +8,7 @@ import itertools
 import json
 import os
 import shutil
+import sqlite3
 import subprocess
 import threading
 from collections.abc import Callable, Iterator
@@ -20,7 +21,7 @@ import httpx
 import pytest
 from alembic import command
 from alembic.config import Config
-from sqlalchemy import select, text
+from sqlalchemy import inspect, select, text
 
 from app.context import RESTORING, Context
 from app.drives.archive import queue_archive
@@ -471,6 +472,33 @@ def test_places_where_no_backup_is_restored(data: Path, tmp_path: Path) -> None:
         restore(Settings(data_dir=tmp_path / "restored", database_url=elsewhere), out)
     assert list((tmp_path / "restored").iterdir()) == []
     restore_to(tmp_path / "restored", out)  # into the folder that is empty still
+
+
+def test_a_database_that_is_refused_keeps_its_tables(data: Path, tmp_path: Path) -> None:
+    """One of an older version, for which its own server has no newer one."""
+    make_backup(data, tmp_path / "backup")
+    url = f"sqlite:///{tmp_path / 'older.sqlite3'}"
+    older = Database(url)
+    with older.engine.connect().execution_options(writes=True) as connection, connection.begin():
+        config = Config()
+        config.set_main_option("script_location", str(database_module._MIGRATIONS))
+        config.attributes["connection"] = connection
+        command.upgrade(config, "0001")
+        row = {"id": "d", "name": "d", "owner": "o", "state": "uploading", "created_at": 1, "touched_at": 1}
+        columns = {each["name"] for each in inspect(connection).get_columns("drives") if not each["nullable"]}
+        row |= dict.fromkeys(columns - row.keys(), 0)
+        names, places = ", ".join(row), ", ".join(f":{name}" for name in row)
+        connection.execute(text(f"INSERT INTO drives ({names}) VALUES ({places})"), row)  # noqa: S608
+    older.close()
+    before = tables_of(tmp_path / "older.sqlite3")
+    with pytest.raises(ConfigError, match="is not empty: it holds 1 drives"):
+        restore(Settings(data_dir=tmp_path / "restored", database_url=url), tmp_path / "backup")
+    assert tables_of(tmp_path / "older.sqlite3") == before
+
+
+def tables_of(path: Path) -> list[str]:
+    with sqlite3.connect(path) as connection:
+        return sorted(sql for (sql,) in connection.execute("SELECT sql FROM sqlite_master WHERE sql IS NOT NULL"))
 
 
 def test_a_damaged_backup_is_restored_on_request_only(data: Path, tmp_path: Path) -> None:

@@ -205,6 +205,32 @@ def test_a_job_whose_result_is_gone_fails(context: Context, left: bytes | None) 
     assert (row.state, row.error and row.error["title"]) == ("failed", "Result is gone")
 
 
+def test_a_result_that_is_back_makes_its_job_successful_again(context: Context) -> None:
+    job = finished_job(context, new_drive(context))
+    result = context.storage.folder(f"jobs/{job}/result")
+    result.rename(result.with_name("away"))
+    assert repaired(context) == [("result", f"jobs/{job}/result")]
+    result.with_name("away").rename(result)
+    assert repaired(context) == [("result", f"jobs/{job}/result")]
+    with context.database.reading() as session:
+        row = session.get_one(Job, job)
+    assert (row.state, row.error) == ("successful", None)
+
+
+def test_no_job_fails_where_all_results_are_away(context: Context) -> None:
+    drive = new_drive(context)
+    jobs = [finished_job(context, drive) for _ in range(2)]
+    root = context.storage.folder("jobs")
+    root.rename(root.with_name("away"))
+    found = check(context, repair=True)
+    assert [(each.kind, each.repair) for each in found] == [("result", None)] * 2
+    assert "No job has its result" in found[0].message
+    root.with_name("away").rename(root)
+    assert check(context) == []
+    with context.database.reading() as session:
+        assert {session.get_one(Job, job).state for job in jobs} == {"successful"}
+
+
 def test_sidecars_are_written_anew(context: Context) -> None:
     drive = new_drive(context)
     job = finished_job(context, drive)

@@ -75,6 +75,9 @@ def test_real_frames_of_a_street(data: Callable[[str], Path]) -> None:
         (["1305031102.675.pcd", "1305031102.175.pcd"], [0, 1], [1305031102.175, 1305031102.675]),
         (["1533151603547590.pcd", "1533151604047590.pcd"], [0, 1], [1533151603.54759, 1533151604.04759]),
         (["1533151603547590000.pcd", "1533151604047590000.pcd"], [0, 1], [1533151603.54759, 1533151604.04759]),
+        (["c_1583836592_082590976.pcd", "c_1583836591_182590976.pcd"], [0, 1], [1583836591.1826, 1583836592.0826]),
+        (["c_1583836592_82590976.pcd", "c_1583836591_182590976.pcd"], [0, 1], [1583836591.1826, 1583836592.0826]),
+        (["1583836592-082590.pcd", "1583836591-182590.pcd"], [0, 1], [1583836591.18259, 1583836592.08259]),
         (["n8__LIDAR_TOP__1533151603547590.pcd.bin"], [0], [1533151603.54759]),
         (["a_1.pcd", "b_1.pcd"], [0, 1], None),
         (["5.pcd", "99999999999999999999.pcd"], [0, 1], None),
@@ -89,6 +92,13 @@ def test_scans_are_numbered_by_their_names(names: list[str], frames: list[int], 
     else:
         assert times_s is not None
         np.testing.assert_allclose(times_s, times, rtol=0, atol=1e-4)
+
+
+def test_names_with_several_numbers_are_taken_in_their_order() -> None:
+    names = ["20230501_123000_900.pcd", "20230501_123001_100.pcd", "20230501_122959_950.pcd"]
+    order, numbers, times_s, how = number_scans(names)
+    assert (order.tolist(), numbers.tolist(), times_s) == ([2, 0, 1], [0, 1, 2], None)
+    assert "in the order of all of them" in how
 
 
 def test_numbers_with_gaps_have_one_pose_each(sequence: Path, tmp_path: Path) -> None:
@@ -179,7 +189,8 @@ def test_without_labels_it_is_said_how_they_are_made(sequence: Path, tmp_path: P
     for path in sorted((root / "pcd").iterdir()):
         write_pcd(path, read_pcd(SourceFile(path, root)).values)
     with pytest.raises(DriveError, match=r"labels: is missing\..*interloc label"):
-        open_drive(root)
+        open_drive(root, labels="labels")
+    assert open_drive(root).scans.label_source == "geometry"
 
 
 GOOD = labelled_points(np.arange(40, dtype=np.float32).reshape(10, 4))
@@ -248,3 +259,12 @@ def test_a_damaged_scan_is_listed_with_its_name(sequence: Path, tmp_path: Path) 
     report = inspect_drive(root)
     assert not report.ok
     assert any(each.path == "pcd/000000.pcd" and "cut short" in each.message for each in report.problems)
+
+
+def test_a_damaged_header_is_not_said_to_lack_labels(sequence: Path, tmp_path: Path) -> None:
+    drive = as_pcd(sequence, tmp_path / "drive")
+    first = min((drive / "pcd").iterdir())
+    first.write_bytes(re.sub(rb"POINTS \d+", b"POINTS -1", first.read_bytes()))
+    complaints = " ".join(problem.message for problem in inspect_drive(drive).problems)
+    assert "promises -1 points" in complaints
+    assert "label" not in complaints

@@ -86,24 +86,23 @@ test("without an answer the page says what it would send", async () => {
   assert.deepEqual([...drive.recorded.keys()], ["velodyne/000000.bin"]);
   assert.deepEqual([...drive.maps.keys()], ["map.osm"]);
   assert.equal(drive.layout, "unknown");
-  const [{ severity, message }] = problemsOf(drive, [], { model: null, canLabel: false });
+  const [{ severity, message }] = problemsOf(drive, [], false);
   assert.equal(severity, "warning");
   assert.match(message, /does not answer.* all 1 file \(48.B\) would be sent as they are/);
 });
 
-test("labels count where they are sent, and their lack where no network labels the scans", () => {
+test("labels count where they are sent, and their lack where the service makes none", () => {
   const [bad, none] = ["bad labels", "no labels"].map((message) => ({ severity: "error", path: "labels", message }));
   const texts = (drive, folders, labelling) => problemsOf(drive, folders, labelling).map(({ message }) => message);
   const look = { ...LOOK, unlabelled: [none], labels: { labels: { problems: [bad] } } };
   const labelled = { look, labels: { labels: {} }, layout: "semantickitti", problems: [] };
-  assert.deepEqual(texts(labelled, ["labels"], { model: null, canLabel: true }), ["bad labels"]);
-  assert.deepEqual(texts(labelled, [], { model: null, canLabel: true }), []);
+  assert.deepEqual(texts(labelled, ["labels"], false), ["bad labels"]);
+  assert.deepEqual(texts(labelled, [], false), []);
   const bare = { ...labelled, labels: {} };
-  assert.deepEqual(texts(bare, [], { model: "net", canLabel: true }), []);
-  assert.deepEqual(texts(bare, [], { model: null, canLabel: true }), ["no labels"]);
-  assert.match(texts(bare, [], { model: null, canLabel: false })[0], /no labels.*INTERLOC_MODELS/);
+  assert.deepEqual(texts(bare, [], true), []);
+  assert.deepEqual(texts(bare, [], false), ["no labels"]);
   const local = { ...labelled, look: { ...look, georeference_reason: "there is no oxts/" } };
-  assert.match(texts(local, [], { model: null, canLabel: true })[0], /there is no oxts\/.*local metres/);
+  assert.match(texts(local, [], false)[0], /there is no oxts\/.*local metres/);
 });
 
 test("the fingerprint of a folder tells its files, whatever their order", () => {

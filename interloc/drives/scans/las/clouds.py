@@ -19,7 +19,7 @@ import numpy as np
 from interloc.arrays import BoolArray, FloatArray, UInt8Array, UInt16Array
 from interloc.drives.files import SourceFile
 from interloc.drives.findings import DriveFileError
-from interloc.errors import InterLocError
+from interloc.errors import InterLocError, install
 
 BLOCK_POINTS = 50_000
 """Points that are read at once. LAZ is compressed in chunks of as many, which are unpacked from their beginning."""
@@ -188,7 +188,7 @@ def require_laspy(name: str) -> ModuleType:
         raise DriveFileError(
             name,
             f"needs the package {error.name or 'laspy'} to be read, which is not installed. "
-            'Install it: pip install "interloc[las]".',
+            f"Install it: {install('las')}",
         ) from error
     module: ModuleType = laspy
     return module

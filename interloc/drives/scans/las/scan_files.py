@@ -151,6 +151,7 @@ def open_scan_clouds(
         scheme="las" if has_road else None,
         has_remission=has_intensity,
         has_times=clouds[0].has_time,
+        carries_poses=False,
         read_trajectory=trajectory,
     )
 

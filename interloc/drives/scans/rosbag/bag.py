@@ -18,6 +18,7 @@ from interloc.drives.scans.rosbag import db3, mcap, ros1
 from interloc.drives.scans.rosbag.chunks import MAX_MESSAGE_BYTES, ZSTD_MAGIC, unpacked
 from interloc.drives.scans.rosbag.index import CHUNK_START, OFFSET, BagIndex, reading
 from interloc.drives.scans.rosbag.wire import Encoding
+from interloc.errors import install
 
 SUFFIXES = (".bag", ".db3", ".mcap")
 
@@ -255,7 +256,7 @@ def open_bag(files: tuple[SourceFile, ...], findings: Findings) -> Bag:
         A file is damaged beyond use, or rosbags is missing.
     """
     if find_spec("rosbags") is None:
-        raise files[0].fault('needs the package rosbags to be read. Install it with: pip install "interloc[ros]"')
+        raise files[0].fault(f"needs the package rosbags to be read. Install it with: {install('ros')}")
     parts: dict[tuple[str, str], list[tuple[int, Any]]] = {}
     undefined = 0
     for number, file in enumerate(files):

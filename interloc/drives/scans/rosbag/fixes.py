@@ -21,6 +21,7 @@ from interloc.drives.scans.rosbag.bag import Bag, BagTopic
 from interloc.drives.scans.rosbag.frames import FrameTree, latest_of_each
 from interloc.drives.scans.rosbag.messages import NO_FIX, Fix, read_fix
 from interloc.drives.scans.rosbag.motion import LidarMotion
+from interloc.drives.scans.rosbag.stamps import clock_lead_s, clock_shift
 from interloc.drives.scans.rosbag.wire import WireError
 from interloc.geometry import invert_transform
 
@@ -99,6 +100,14 @@ class BagFixes:
         stamps = np.array([fix.header.stamp_ns for fix in messages], dtype=np.int64)
         log_s = self.topic.log_ns / 1e9
         times_s = log_s if self.by_log or bool((stamps <= 0).any()) else stamps / 1e9
+        shift = None if times_s is log_s else clock_shift(clock_lead_s(stamps, self.topic.log_ns), motion.lead_s)
+        if shift is not None:
+            times_s = times_s - shift.ahead_s
+            findings.warning(
+                self.bag.name,
+                f"the stamps of {name} are {shift.ahead_s:+.3f} s off those of the poses, by the times at which both "
+                f"were recorded: the fixes are put right by that. Usual cause: {shift.why}.",
+            )
         positions = np.array([fix.position for fix in messages], dtype=np.float64).reshape(-1, 3)
         positions[:, 0], positions[:, 1], is_e7 = in_degrees(positions[:, 0], positions[:, 1])
         if is_e7:
@@ -128,7 +137,15 @@ class BagFixes:
         distance_m = _distances(
             np.concatenate([times_s[rows], scan_times_s]), np.concatenate([at_fixes[:, :3, 3], world[:, :3, 3]])
         )
-        fixes = Fixes(positions[rows, 0], positions[rows, 1], positions[rows, 2], places, distance_m[: len(rows)])
+        std_m = np.array([fix.std_m for fix in messages])[rows]
+        fixes = Fixes(
+            positions[rows, 0],
+            positions[rows, 1],
+            positions[rows, 2],
+            places,
+            distance_m[: len(rows)],
+            None if np.isnan(std_m).all() else np.where(np.isnan(std_m), np.nanmax(std_m), std_m),
+        )
         if extent_m(fixes) < MIN_EXTENT_M or float(np.ptp(places, axis=0).max()) < MIN_EXTENT_M / 2:
             return None, (
                 f"{name}: the fixes reach over {extent_m(fixes):.1f} m; expected at least {MIN_EXTENT_M:.0f} m, or the "

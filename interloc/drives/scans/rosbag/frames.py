@@ -22,7 +22,10 @@ ROW = 8
 """Numbers of a transform: time, x y z, quaternion x y z w."""
 
 _EARTH = {"earth", "ecef", "utm"}
-_MOVED = 1e-9
+_MOVED = 1e-4
+"""Metres, or radians: two publishers of one mounting differ by their rounding."""
+
+_RARE_S = 1.0
 _MAX_FRAMES = 10_000
 _OFF_UNIT = 0.05
 
@@ -36,26 +39,36 @@ class Edge:
     parent, child : str
     moves : TimedPoses
         T_parent_child.
+    holds : bool
+        Each holds until the next, as a localiser means it that publishes its corrections when they change.
     """
 
     parent: str
     child: str
     moves: TimedPoses
+    holds: bool = False
 
     @cached_property
     def fixed(self) -> bool:
         """True where it never changes."""
         return bool(np.ptp(self.moves.poses, axis=0).max() < _MOVED)
 
+    @cached_property
+    def is_rare(self) -> bool:
+        """True where it is mostly told less than once a second."""
+        return len(self.moves.times_s) < 2 or float(np.median(np.diff(self.moves.times_s))) > _RARE_S
+
     def at(self, times_s: FloatArray) -> FloatArray:
         """Return (N, 4, 4) T_parent_child at some times."""
         if self.fixed:
             return np.repeat(self.moves.poses[:1], len(times_s), axis=0)
+        if self.holds:
+            return self.moves.poses[np.maximum(np.searchsorted(self.moves.times_s, times_s, side="right") - 1, 0)]
         return self.moves.at(times_s)
 
     def covers(self, times_s: FloatArray) -> BoolArray:
         """Tell at which of (N,) times it is known."""
-        if self.fixed:
+        if self.fixed or self.holds:
             return np.ones(len(times_s), dtype=np.bool_)
         return self.moves.covers(times_s, longest_gap_s=LONGEST_GAP_S)
 
@@ -66,12 +79,15 @@ class FrameTree:
 
     Attributes
     ----------
+    lead_s : float
+        By how much the stamps of /tf are ahead of the times at which they were recorded, the median.
     parents : dict of str to str
         The parent of each frame.
     rows : dict of str to array
         Time in seconds, x y z in metres and quaternion x y z w of all transforms of each frame, one after the other.
     """
 
+    lead_s: float = float("nan")
     parents: dict[str, str] = field(default_factory=dict)
     rows: dict[str, array[float]] = field(default_factory=dict)
     _edges: dict[str, Edge | None] = field(default_factory=dict)
@@ -101,6 +117,10 @@ class FrameTree:
             frame = edge.parent
             seen.add(frame)
         return edges
+
+    def leads_to_motion(self, frame: str) -> bool:
+        """Return whether a frame is carried by one that moves."""
+        return any(not edge.fixed for edge in self.upwards(frame))
 
     def between(self, target: str, source: str) -> FloatArray | None:
         """Return (4, 4) T_target_source, where both are fixed to each other; else None."""
@@ -137,6 +157,7 @@ def read_tree(bag: Bag, topics: list[BagTopic]) -> FrameTree:
         A message is damaged.
     """
     found: dict[tuple[str, str], array[float]] = {}
+    leads = array("d")
     for topic in topics:
         if topic.encoding is None:
             continue
@@ -146,9 +167,11 @@ def read_tree(bag: Bag, topics: list[BagTopic]) -> FrameTree:
                 if key not in found and len(found) >= _MAX_FRAMES:
                     continue
                 rows = found.setdefault(key, array("d"))
+                if transform.header.stamp_ns and not topic.name.endswith("_static"):
+                    leads.append((transform.header.stamp_ns - int(log_ns)) / 1e9)
                 rows.append((transform.header.stamp_ns or int(log_ns)) / 1e9)
                 rows.extend(transform.values)
-    tree = FrameTree()
+    tree = FrameTree(float(np.median(np.frombuffer(leads))) if leads else float("nan"))
     for (parent, child), rows in sorted(found.items(), key=lambda item: len(item[1])):  # the most messages count
         tree.parents[child], tree.rows[child] = parent, rows
     return tree

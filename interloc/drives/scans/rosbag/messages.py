@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
-from interloc.drives.scans.rosbag.wire import Encoding, Header, Wire, read_header
+from interloc.drives.scans.rosbag.wire import Encoding, Header, Wire, WireError, read_header
 
 ODOMETRY = "nav_msgs/msg/Odometry"
 POSE = "geometry_msgs/msg/PoseStamped"
@@ -17,6 +18,7 @@ NO_FIX = -1
 """Status of a receiver without a position."""
 
 _TRANSFORM_BYTES = 68
+_UNKNOWN_COVARIANCE = 0
 
 
 @dataclass(frozen=True)
@@ -50,11 +52,14 @@ class Fix:
         `NO_FIX`, or better.
     position : tuple of 3 float
         Latitude and longitude in degrees, altitude over the ellipsoid in metres.
+    std_m : float
+        One-sigma uncertainty of the position along each horizontal axis, metres; NaN where it is not known.
     """
 
     header: Header
     status: int
     position: tuple[float, ...]
+    std_m: float = float("nan")
 
 
 def read_pose(data: bytes, kind: str, encoding: Encoding) -> StampedPose:
@@ -97,4 +102,11 @@ def read_fix(data: bytes, encoding: Encoding) -> Fix:
     header = read_header(wire)
     status = wire.integer("b")
     wire.integer("H")
-    return Fix(header, status, wire.numbers("d", 3))
+    position = wire.numbers("d", 3)
+    try:
+        covariance, kind = wire.numbers("d", 9), wire.integer("B")
+    except WireError:  # the position is what counts
+        return Fix(header, status, position)
+    variance = (covariance[0] + covariance[4]) / 2
+    known = kind != _UNKNOWN_COVARIANCE and 0 < variance < math.inf
+    return Fix(header, status, position, math.sqrt(variance) if known else math.nan)

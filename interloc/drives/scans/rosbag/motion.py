@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from array import array
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from interloc.drives.findings import DriveFileError, Findings
 from interloc.drives.scans.rosbag.bag import Bag, BagTopic
 from interloc.drives.scans.rosbag.frames import ROW, Edge, FrameTree, timed_poses
 from interloc.drives.scans.rosbag.messages import TRANSFORMS, read_pose
+from interloc.drives.scans.rosbag.stamps import clock_lead_s
 from interloc.drives.scans.rosbag.wire import WireError
 
 TOLERANCE_S = 0.005
@@ -33,17 +34,22 @@ class LidarMotion:
         Poses that were read.
     reason : str
         Which poses these are, in words.
+    lead_s : float
+        By how much their stamps are ahead of the times at which they were recorded; NaN where that is not known.
     """
 
     edges: tuple[Edge, ...]
     T_body_lidar: FloatArray
     count: int
     reason: str
+    lead_s: float = float("nan")
 
     @property
     def span_s(self) -> tuple[float, float]:
         """First and last time at which the pose is known, seconds."""
-        spans = [edge.moves.span_s for edge in self.edges if not edge.fixed] or [self.edges[0].moves.span_s]
+        spans = [edge.moves.span_s for edge in self.edges if not (edge.fixed or edge.holds)] or [
+            self.edges[0].moves.span_s
+        ]
         return max(first for first, _ in spans), min(last for _, last in spans)
 
     def covers(self, times_s: FloatArray) -> BoolArray:
@@ -85,7 +91,7 @@ def read_motion(
     """
     if topic.type in TRANSFORMS:
         return _from_tree(bag, topic, tree, points_frame, findings)
-    edge, count = _read_edge(bag, topic, findings, by_log=by_log)
+    edge, count, lead_s = _read_edge(bag, topic, findings, by_log=by_log)
     if points_frame and points_frame == edge.parent and points_frame != edge.child:
         raise _moved_already(bag, points_frame, topic.name)
     extrinsic = tree.between(edge.child, points_frame) if edge.child and points_frame else None
@@ -104,12 +110,21 @@ def read_motion(
     else:
         how = f"moved to {points_frame} by the transforms of the bag"
     return LidarMotion(
-        (edge,), extrinsic, count, f"poses of {edge.child or 'an unnamed frame'} from {topic.name}, {how}"
+        (edge,), extrinsic, count, f"poses of {edge.child or 'an unnamed frame'} from {topic.name}, {how}", lead_s
     )
 
 
-def _read_edge(bag: Bag, topic: BagTopic, findings: Findings, *, by_log: bool) -> tuple[Edge, int]:
-    """Read the poses of a topic of Odometry or poses."""
+def first_child_frame(bag: Bag, topic: BagTopic) -> str:
+    """Return whose poses the first message of a topic of poses holds; "" where it does not say."""
+    assert topic.encoding is not None
+    try:
+        return read_pose(next(bag.messages(topic)), topic.type, topic.encoding).child_frame
+    except WireError:
+        return ""
+
+
+def _read_edge(bag: Bag, topic: BagTopic, findings: Findings, *, by_log: bool) -> tuple[Edge, int, float]:
+    """Read the poses of a topic of Odometry or poses; how many there are, and how far their clock is ahead."""
     assert topic.encoding is not None
     stamps, values, pairs = array("q"), array("d"), array("q")
     frames: dict[tuple[str, str], int] = {}
@@ -148,7 +163,8 @@ def _read_edge(bag: Bag, topic: BagTopic, findings: Findings, *, by_log: bool) -
             f"{topic.name}: {len(rows) - len(moves.times_s):,} of {len(rows):,} poses repeat a time, or are none, "
             "and are not used.",
         )
-    return Edge(parent, child, moves), len(stamps)
+    lead_s = float("nan") if by_log else clock_lead_s(stamp_ns, topic.log_ns[rows])
+    return Edge(parent, child, moves), len(stamps), lead_s
 
 
 def _from_tree(bag: Bag, topic: BagTopic, tree: FrameTree, points_frame: str, findings: Findings) -> LidarMotion:
@@ -176,9 +192,17 @@ def _from_tree(bag: Bag, topic: BagTopic, tree: FrameTree, points_frame: str, fi
                 "are taken as those of the LiDAR itself. Record /tf_static.",
             )
         chain, how = tree.upwards(body), "taken as those of the LiDAR itself"
+    if any(not edge.fixed and not edge.is_rare for edge in chain):
+        if rare := [edge for edge in chain if edge.is_rare and not edge.fixed]:
+            findings.note(
+                bag.name,
+                f"{topic.name}: {', '.join(f'{edge.parent} -> {edge.child}' for edge in rare)} changes rarely; each "
+                "transform holds until the next.",
+            )
+        chain = [replace(edge, holds=True) if edge in rare else edge for edge in chain]
     names = " -> ".join([chain[-1].parent, *(edge.child for edge in reversed(chain))])
     count = max(len(edge.moves.times_s) for edge in chain)
-    return LidarMotion(tuple(chain), extrinsic, count, f"poses from {topic.name} ({names}), {how}")
+    return LidarMotion(tuple(chain), extrinsic, count, f"poses from {topic.name} ({names}), {how}", tree.lead_s)
 
 
 def _moved_already(bag: Bag, frame: str, topic: str) -> DriveFileError:

@@ -2,26 +2,26 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
-from interloc.arrays import IntArray
+from interloc.arrays import Float32Array, FloatArray, IntArray
 from interloc.drives.files import SourceFile
 from interloc.drives.findings import DriveFileError, Findings
 from interloc.drives.layouts import SCAN_FOLDERS, DriveParts
 from interloc.drives.options import DriveOptions
 from interloc.drives.scans.recorded import Recording, ScanPoints, Topic
-from interloc.drives.scans.rosbag.bag import BagTopic, find_bag, open_bag, read_messages
+from interloc.drives.scans.rosbag.bag import Bag, BagTopic, find_bag, open_bag, read_messages
 from interloc.drives.scans.rosbag.messages import TRANSFORMS
 from interloc.drives.scans.rosbag.pointcloud2 import read_points
-from interloc.drives.scans.rosbag.stamps import read_scan_times
-from interloc.drives.scans.rosbag.topics import choose_points, is_static
+from interloc.drives.scans.rosbag.stamps import ScanTimes, read_scan_times
+from interloc.drives.scans.rosbag.topics import PointsTopic, choose_points, is_static, pose_topics
 from interloc.drives.scans.rosbag.trajectory import BagMotion, find_motion, read_bag_trajectory
-from interloc.drives.scans.rosbag.wire import Encoding, WireError
+from interloc.drives.scans.rosbag.wire import Encoding, Wire, WireError, read_header
 from interloc.files import reason_of
 
 
@@ -43,6 +43,8 @@ class BagScans:
         Which file each scan lies in.
     places : (N, 4) int64
         Where it lies there.
+    mounts : dict of str to (4, 4) float64
+        How other frames lie in that of the points, where the scans come from several sensors.
     """
 
     bag_files: tuple[SourceFile, ...]
@@ -52,6 +54,7 @@ class BagScans:
     frames: IntArray
     file_numbers: IntArray
     places: IntArray
+    mounts: dict[str, FloatArray] = field(default_factory=dict)
 
     def _row(self, frame: int) -> int:
         row = int(np.searchsorted(self.frames, frame))
@@ -81,11 +84,44 @@ class BagScans:
         row = self._row(frame)
         try:
             message = next(read_messages(self._file(row), self.places[row : row + 1]))
-            return read_points(message, self.type, self.encoding)
+            points = read_points(message, self.type, self.encoding)
+            mount = self.mounts.get(read_header(Wire(message, self.encoding)).frame_id) if self.mounts else None
+            return points if mount is None else replace(points, values=_moved(points.values, mount))
         except WireError as error:
             raise DriveFileError(
                 self.name(frame), f"{error}. Usual cause: a damaged bag, or a driver that fills its messages wrongly."
             ) from error
+
+
+def _moved(values: Float32Array, mount: FloatArray) -> Float32Array:
+    """Move (N, 4) points with their remission into another frame."""
+    moved = values.copy()
+    moved[:, :3] = values[:, :3] @ mount[:3, :3].T.astype(np.float32) + mount[:3, 3].astype(np.float32)
+    return moved
+
+
+def _mounts(
+    points: PointsTopic, times: ScanTimes, found: BagMotion, bag: Bag, findings: Findings
+) -> dict[str, FloatArray]:
+    """Return how the frames of other scans lie in that of the points."""
+    others = [frame for frame in times.frame_ids if frame != points.frame_id]
+    mounts = {frame: found.tree.between(points.frame_id, frame) for frame in others}
+    if lost := [frame or "no frame" for frame, mount in mounts.items() if mount is None]:
+        findings.error(
+            DriveFileError(
+                bag.name,
+                f"{points.topic.name} holds scans in {len(others) + 1} frames ({', '.join(times.frame_ids)}), and no "
+                f"transform leads from {', '.join(lost)} to {points.frame_id}. Usual cause: several sensors on one "
+                "topic; record /tf_static, or each sensor on a topic of its own.",
+            )
+        )
+    if others and not lost:
+        findings.note(
+            bag.name,
+            f"{points.topic.name} holds scans in the frames {', '.join(times.frame_ids)}; each is moved to "
+            f"{points.frame_id} by the transforms of the bag.",
+        )
+    return {frame: mount for frame, mount in mounts.items() if mount is not None}
 
 
 def open_rosbag(root: Path, options: DriveOptions, findings: Findings) -> Recording | None:
@@ -142,6 +178,7 @@ def open_rosbag(root: Path, options: DriveOptions, findings: Findings) -> Record
         frames=rows,
         file_numbers=topic.files[times.order[rows]],
         places=topic.places[times.order[rows]],
+        mounts=_mounts(points, times, found, bag, findings),
     )
     return Recording(
         parts,
@@ -151,6 +188,7 @@ def open_rosbag(root: Path, options: DriveOptions, findings: Findings) -> Record
         carries_labels=points.has_labels,
         has_remission=points.has_remission,
         has_times=points.has_times,
+        carries_poses=bool(pose_topics(bag, None)) or found.pose_file is not None,
         read_trajectory=partial(read_bag_trajectory, bag, points, parts, found),
         topics=tuple(
             Topic(name=each.name, type=each.type, messages=len(each), role=_role(each, topic, found))
@@ -167,7 +205,7 @@ def _role(
         return "points"
     if topic is found.poses:
         return "poses"
-    if topic is found.fix:
+    if topic in found.fixes[:1]:
         return "fix"
     if topic.type in TRANSFORMS and len(topic) and found.poses is not None:
         return "extrinsics" if is_static(topic) or found.poses.type not in TRANSFORMS else "poses"

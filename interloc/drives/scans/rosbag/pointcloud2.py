@@ -33,6 +33,7 @@ LABEL_FIELDS = (
 _TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 _TYPE_NAMES = {1: "int8", 2: "uint8", 3: "int16", 4: "uint16", 5: "int32", 6: "uint32", 7: "float32", 8: "float64"}
 _MAX_FIELDS = 1000
+_LOOKED_AT, _TINY_M, _HUGE_M, _MOST = 200, 1e-6, 1e4, 0.5
 _MAX_POINT_BYTES = 65_536
 _LIVOX_FIELDS = (("time", "u4", 0), ("x", "f4", 4), ("y", "f4", 8), ("z", "f4", 12), ("remission", "u1", 16))
 _LIVOX_BYTES = 19  # offset_time, x y z, reflectivity, tag, line
@@ -203,6 +204,7 @@ def read_points(data: bytes, kind: str, encoding: Encoding) -> ScanPoints:
         As `read_layout`.
     """
     layout = read_layout(data, kind, encoding)
+    _refuse_other_order(layout)
     cells: StructuredArray = (
         np.ndarray(
             (layout.height, layout.width),
@@ -227,6 +229,52 @@ def read_points(data: bytes, kind: str, encoding: Encoding) -> ScanPoints:
     if layout.has_times:
         times_s = point_times(cells["time"][returned], layout.header.stamp_ns / 1e9)
     return ScanPoints(values if returned.all() else values[returned], labels, times_s)
+
+
+def first_points(head: bytes, kind: str, encoding: Encoding) -> bytes | None:
+    """Return the points at the beginning of a message, as they stand there.
+
+    b"" where it has none, or none with a return; None where that cannot be told.
+    """
+    try:
+        layout = read_layout(head, kind, encoding, complete=False)
+    except WireError:
+        return None
+    if not layout.count:
+        return b""
+    points = _whole_points(layout)
+    if not len(points):
+        return None
+    with np.errstate(invalid="ignore"):
+        returned = any((np.isfinite(points[axis]) & (points[axis] != 0)).any() for axis in "xyz")
+    if returned:
+        return bytes(layout.data)
+    return b"" if len(points) == layout.count else None
+
+
+def _whole_points(layout: CloudLayout) -> StructuredArray:
+    """Return the points of the first row of which all bytes are there."""
+    step = layout.point_step
+    count = min(layout.width, len(layout.data) // step if step else 0)
+    points: StructuredArray = np.ndarray((count,), dtype=layout.dtype, buffer=layout.data, strides=(step,))
+    return points
+
+
+def _refuse_other_order(layout: CloudLayout) -> None:
+    """Refuse points that are metres only in the other byte order than the message says."""
+    told = _whole_points(layout)[:_LOOKED_AT]
+
+    def sound(points: StructuredArray) -> bool:
+        with np.errstate(invalid="ignore", over="ignore"):
+            values = np.abs(np.stack([points[axis].astype(np.float64) for axis in "xyz"]))
+            values = values[np.isfinite(values) & (values > 0)]
+            return len(values) > 0 and float(np.mean((values > _TINY_M) & (values < _HUGE_M))) > _MOST
+
+    if len(told) and not sound(told) and sound(told.view(told.dtype.newbyteorder())):
+        big = layout.dtype["x"].byteorder == ">"
+        raise WireError(
+            f"says is_bigendian = {str(big).lower()}, but its coordinates are metres only in the other byte order"
+        )
 
 
 def _labels(ids: StructuredArray) -> UInt32Array:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections import Counter
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,9 +11,69 @@ import numpy as np
 from interloc.arrays import FloatArray, IntArray
 from interloc.drives.findings import DriveFileError, Findings
 from interloc.drives.scans.rosbag.bag import Bag, BagTopic
+from interloc.drives.scans.rosbag.pointcloud2 import first_points
 from interloc.drives.scans.rosbag.wire import Wire, WireError, read_header
 
 _MANY_BACKWARDS_S = 1.0
+_MANY_IDLE = 0.05
+_ALIKE_S, _AHEAD_S, _CERTAIN_S = 0.5, 0.1, 0.3
+_CLOCKS = {
+    37.0: "TAI, as PTP gives it, is 37 s ahead of UTC",
+    36.0: "TAI was 36 s ahead of UTC in 2015 and 2016",
+    18.0: "GPS time is 18 s ahead of UTC",
+    17.0: "GPS time was 17 s ahead of UTC in 2015 and 2016",
+    19.0: "TAI is 19 s ahead of GPS time",
+}
+_QUARTER_S, _MAX_ZONE_S = 900.0, 14 * 3600.0
+
+
+@dataclass(frozen=True)
+class ClockShift:
+    """How far a clock is ahead of another.
+
+    Attributes
+    ----------
+    ahead_s : float
+        Seconds; negative where it is behind.
+    why : str
+        What that is, in words.
+    """
+
+    ahead_s: float
+    why: str
+
+
+def clock_lead_s(stamps_ns: IntArray, log_ns: IntArray) -> float:
+    """Return by how much the stamps of messages are ahead of the times at which they were recorded, the median."""
+    return float(np.median(stamps_ns - log_ns)) / 1e9 if len(stamps_ns) else float("nan")
+
+
+def clock_shift(lead_s: float, other_lead_s: float) -> ClockShift | None:
+    """Compare the clocks of two topics that were recorded together.
+
+    Parameters
+    ----------
+    lead_s, other_lead_s : float
+        `clock_lead_s` of both; NaN where it is not known.
+
+    Returns
+    -------
+    ClockShift or None
+        None where the clocks are the same, or where one topic may only have been computed or recorded later.
+    """
+    ahead_s = lead_s - other_lead_s
+    if not abs(ahead_s) > _ALIKE_S:
+        return None
+    for known_s, why in _CLOCKS.items():
+        if abs(abs(ahead_s) - known_s) < _CERTAIN_S:
+            return ClockShift(math.copysign(known_s, ahead_s), why)
+    zones = round(ahead_s / _QUARTER_S)
+    if zones and abs(ahead_s) <= _MAX_ZONE_S + 1 and abs(ahead_s - zones * _QUARTER_S) < _CERTAIN_S:
+        return ClockShift(zones * _QUARTER_S, "a local time, or another time zone")
+    latest_s = max(lead_s, other_lead_s)
+    if latest_s > _AHEAD_S and min(lead_s, other_lead_s) < _AHEAD_S:  # nothing is recorded before it happens
+        return ClockShift(ahead_s, "a clock that is not synchronised")
+    return None
 
 
 @dataclass(frozen=True)
@@ -24,22 +86,40 @@ class ScanTimes:
         Rows of the topic in the order of time: scan number to row.
     stamp_s, log_s : (N,) float64
         Time in the header, and time of recording, of each scan.
+    frame_ids : tuple of str
+        The coordinate frames of the points, those of the most scans first.
     """
 
     order: IntArray
     stamp_s: FloatArray
     log_s: FloatArray
+    frame_ids: tuple[str, ...] = ()
+
+    @property
+    def lead_s(self) -> float:
+        """By how much the stamps are ahead of the times of recording, the median; 0 where these are the stamps."""
+        return float(np.median(self.stamp_s - self.log_s))
 
 
 def read_scan_times(bag: Bag, topic: BagTopic, findings: Findings) -> ScanTimes:
     """Read the stamps of all scans, from the first bytes of each, and number the scans by them."""
     assert topic.encoding is not None
     stamps = np.empty(len(topic), dtype=np.int64)
+    frame_ids: Counter[str] = Counter()
+    empty = repeated = 0
+    before = b""
     for row, head in enumerate(bag.heads(topic)):
         try:
-            stamps[row] = read_header(Wire(head, topic.encoding)).stamp_ns
+            header = read_header(Wire(head, topic.encoding))
         except WireError as error:
             raise DriveFileError(bag.name, f"{topic.name}, message {row}: {error}.") from error
+        stamps[row] = header.stamp_ns
+        frame_ids[header.frame_id] += 1
+        points = first_points(head, topic.type, topic.encoding)
+        empty += points == b""
+        repeated += bool(points) and points == before
+        before = points or b""
+    _tell_idle(bag, topic, empty, repeated, findings)
     unset = int(np.count_nonzero(stamps <= 0))
     constant = len(stamps) > 2 and len(np.unique(stamps)) <= len(stamps) // 2
     if unset or constant:
@@ -58,4 +138,16 @@ def read_scan_times(bag: Bag, topic: BagTopic, findings: Findings) -> ScanTimes:
             "clock that was set while recording.",
         )
     order = recorded[np.argsort(stamps[recorded], kind="stable")]
-    return ScanTimes(order, stamps[order] / 1e9, topic.log_ns[order] / 1e9)
+    frames = tuple(frame for frame, _ in frame_ids.most_common())
+    return ScanTimes(order, stamps[order] / 1e9, topic.log_ns[order] / 1e9, frames)
+
+
+def _tell_idle(bag: Bag, topic: BagTopic, empty: int, repeated: int, findings: Findings) -> None:
+    """Tell of scans without points, and of scans that repeat the one before."""
+    for count, what, usual in (
+        (empty, "hold no points", "a sensor or network that was overloaded"),
+        (repeated, "repeat the scan before under a new stamp", "a driver that hung"),
+    ):
+        if count:
+            say = findings.warning if count > _MANY_IDLE * len(topic) else findings.note
+            say(bag.name, f"{count:,} of {len(topic):,} scans of {topic.name} {what}. Usual cause: {usual}.")

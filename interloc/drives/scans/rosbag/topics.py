@@ -151,8 +151,8 @@ def pose_topics(bag: Bag, given: str | None) -> list[BagTopic]:
     return sorted(candidates, key=lambda topic: (_USUAL_ORDER[topic.type], -len(topic), topic.name))
 
 
-def choose_fix(bag: Bag, given: str | None, findings: Findings) -> BagTopic | None:
-    """Choose the topic of the GNSS fixes, that with the most; None where there is none.
+def fix_topics(bag: Bag, given: str | None) -> tuple[BagTopic, ...]:
+    """Return the topics of GNSS fixes, that with the most first.
 
     Raises
     ------
@@ -160,16 +160,9 @@ def choose_fix(bag: Bag, given: str | None, findings: Findings) -> BagTopic | No
         The given one is not there.
     """
     if given is not None:
-        return named(bag, given, (FIX,), "fix")
+        return (named(bag, given, (FIX,), "fix"),)
     candidates = [topic for topic in bag.topics if topic.type == FIX and topic.encoding is not None and len(topic)]
-    candidates.sort(key=lambda topic: (-len(topic), topic.name))
-    if len(candidates) > 1:
-        findings.note(
-            bag.name,
-            f"the fixes are taken from {candidates[0].name}; others are in "
-            f"{', '.join(topic.name for topic in candidates[1:6])}. Choose with --fix.",
-        )
-    return candidates[0] if candidates else None
+    return tuple(sorted(candidates, key=lambda topic: (-len(topic), topic.name)))
 
 
 def named(bag: Bag, name: str, kinds: Collection[str], option: str) -> BagTopic:

@@ -13,18 +13,23 @@ from interloc.drives.findings import DriveFileError, Findings
 from interloc.drives.georeference.read import read_georeference
 from interloc.drives.layouts import DriveParts
 from interloc.drives.options import ODOMETRY, DriveOptions
+from interloc.drives.poses.motion import body_motion
 from interloc.drives.poses.timed import TimedPoses
 from interloc.drives.scans.rosbag.bag import Bag, BagTopic
 from interloc.drives.scans.rosbag.fixes import BagFixes
-from interloc.drives.scans.rosbag.frames import Edge, FrameTree, read_tree
+from interloc.drives.scans.rosbag.frames import LONGEST_GAP_S, Edge, FrameTree, read_tree
 from interloc.drives.scans.rosbag.messages import TRANSFORMS
-from interloc.drives.scans.rosbag.motion import LidarMotion, read_motion
-from interloc.drives.scans.rosbag.stamps import ScanTimes
-from interloc.drives.scans.rosbag.topics import PointsTopic, choose_fix, pose_topics, topic_list
+from interloc.drives.scans.rosbag.motion import LidarMotion, first_child_frame, read_motion
+from interloc.drives.scans.rosbag.stamps import ScanTimes, clock_shift
+from interloc.drives.scans.rosbag.topics import PointsTopic, fix_topics, pose_topics, topic_list
 from interloc.drives.scans.rosbag.wire import WireError
 from interloc.drives.trajectory import LidarPoses, Trajectory, read_trajectory
 from interloc.errors import InterLocError
 from interloc.geometry import invert_transform
+
+_ALONG_Z = 0.65
+_MANY, _MOST = 0.2, 0.9
+"""Shares of the scans without a pose: that is worth a warning, and no drive."""
 
 
 @dataclass(frozen=True)
@@ -39,8 +44,9 @@ class BagMotion:
         Their times, seconds.
     motion : LidarMotion or None
         None where a file of poses is used instead, or the bag has a fault.
-    poses, fix : BagTopic or None
-        The topics of the poses and of the GNSS fixes.
+    poses : BagTopic or None
+    fixes : tuple of BagTopic
+        The topics of GNSS fixes, the best first.
     tree : FrameTree
     by_log : bool
         Times are those of recording, not those of the headers.
@@ -54,7 +60,7 @@ class BagMotion:
     times_s: FloatArray
     motion: LidarMotion | None = None
     poses: BagTopic | None = None
-    fix: BagTopic | None = None
+    fixes: tuple[BagTopic, ...] = ()
     tree: FrameTree = field(default_factory=FrameTree)
     by_log: bool = False
     pose_file: Path | None = None
@@ -77,25 +83,31 @@ def find_motion(
         return replace(found, fault=DriveFileError(bag.name, "its poses are still to be computed from the points."))
     if given and Path(given).is_file() and not any(_same_name(topic.name, given) for topic in bag.topics):
         with findings.stage():
-            found = replace(found, fix=choose_fix(bag, options.fix, findings))
+            found = replace(found, fixes=fix_topics(bag, options.fix))
             found = replace(found, tree=_read_tree(bag))
         return replace(found, pose_file=Path(given))
     try:
-        found = replace(found, fix=choose_fix(bag, options.fix, findings))
-        candidates = _candidates(bag, options.poses, has_fixes=found.fix is not None)
+        found = replace(found, fixes=fix_topics(bag, options.fix))
+        candidates = _candidates(bag, options.poses, has_fixes=bool(found.fixes))
         found = replace(found, tree=_read_tree(bag))
-        topic, motion, by_log = _first_that_covers(candidates, bag, points, times, found.tree, findings)
+        candidates = _owned_first(candidates, bag, points, found.tree) if options.poses is None else candidates
+        topic, motion, by_log, times = _first_that_covers(candidates, bag, points, times, found.tree, findings)
     except InterLocError as fault:
         return replace(found, fault=fault)
     times_s = times.log_s if by_log else times.stamp_s
     covered = motion.covers(times_s)
     if left_out := int(np.count_nonzero(~covered)):
         first, last = motion.span_s
-        findings.note(
-            bag.name,
+        text = (
             f"{left_out:,} of {len(covered):,} scans are left out: no pose is known at their time. The poses last "
-            f"from {first:.3f} s to {last:.3f} s, the scans from {times_s.min():.3f} s to {times_s.max():.3f} s.",
+            f"from {first:.3f} s to {last:.3f} s, the scans from {times_s.min():.3f} s to {times_s.max():.3f} s"
         )
+        if left_out > _MOST * len(covered):
+            gap = f"{text}, and poses more than {LONGEST_GAP_S:.0f} s apart tell nothing between."
+            return replace(
+                found, fault=DriveFileError(bag.name, f"{gap} Usual cause: poses that were kept too rarely.")
+            )
+        (findings.warning if left_out > _MANY * len(covered) else findings.note)(bag.name, f"{text}.")
     return replace(found, frames=every[covered], times_s=times_s[covered], motion=motion, poses=topic, by_log=by_log)
 
 
@@ -104,6 +116,20 @@ def _read_tree(bag: Bag) -> FrameTree:
         return read_tree(bag, [topic for topic in bag.topics if topic.type in TRANSFORMS])
     except WireError as error:
         raise DriveFileError(bag.name, f"a message of /tf or /tf_static: {error}.") from error
+
+
+def _owned_first(candidates: list[BagTopic], bag: Bag, points: PointsTopic, tree: FrameTree) -> list[BagTopic]:
+    """Put /tf before poses that do not say whose they are, where it leads from the points to a fixed frame."""
+    if not tree.leads_to_motion(points.frame_id):
+        return candidates
+
+    def rank(topic: BagTopic) -> int:
+        if topic.type in TRANSFORMS:
+            return 1
+        owner = first_child_frame(bag, topic)
+        return 0 if owner and tree.between(owner, points.frame_id) is not None else 2
+
+    return sorted(candidates, key=rank)
 
 
 def _same_name(topic: str, given: str) -> bool:
@@ -129,12 +155,15 @@ def _first_that_covers(
     times: ScanTimes,
     tree: FrameTree,
     findings: Findings,
-) -> tuple[BagTopic, LidarMotion, bool]:
-    """Return the first topic whose poses are known at some scan, its motion, and whether by times of recording."""
+) -> tuple[BagTopic, LidarMotion, bool, ScanTimes]:
+    """Return the first topic whose poses are known at some scan, its motion, and whether by times of recording.
+
+    The times of the scans are returned on the clock of the poses.
+    """
     faults: list[DriveFileError] = []
     for topic in candidates:
         try:
-            motion, by_log = _cover(topic, bag, points, times, tree, findings)
+            motion, by_log, on_clock = _cover(topic, bag, points, times, tree, findings)
         except DriveFileError as error:
             faults.append(error)
             continue
@@ -146,17 +175,25 @@ def _first_that_covers(
                 f"the poses are taken from {topic.name} ({topic.type}); others may be in {', '.join(others[:5])}. "
                 "Choose with --poses.",
             )
-        return topic, motion, by_log
+        return topic, motion, by_log, on_clock
     raise faults[0]
 
 
 def _cover(
     topic: BagTopic, bag: Bag, points: PointsTopic, times: ScanTimes, tree: FrameTree, findings: Findings
-) -> tuple[LidarMotion, bool]:
+) -> tuple[LidarMotion, bool, ScanTimes]:
     """Read the poses of a topic: by the times of their headers, or of recording where only these fit the scans."""
-    frame, stamp_s = points.frame_id, times.stamp_s
+    frame = points.frame_id
     said = Findings(stop_at_first=False)
     motion, by_log = read_motion(bag, topic, tree, frame, said), False
+    if (shift := clock_shift(times.lead_s, motion.lead_s)) is not None:
+        times = replace(times, stamp_s=times.stamp_s - shift.ahead_s)
+        said.warning(
+            bag.name,
+            f"the stamps of {points.topic.name} are {shift.ahead_s:+.3f} s off those of {topic.name}, by the times at "
+            f"which both were recorded: the scans are put right by that. Usual cause: {shift.why}.",
+        )
+    stamp_s = times.stamp_s
     covered = motion.covers(stamp_s)
     first, last = motion.span_s
     if not covered.any() and topic.type not in TRANSFORMS and (stamp_s.max() < first or stamp_s.min() > last):
@@ -178,7 +215,7 @@ def _cover(
             "the messages were recorded are used instead, which is less exact. Usual cause: a LiDAR without time "
             "synchronisation.",
         )
-    return motion, by_log
+    return motion, by_log, times
 
 
 def read_bag_trajectory(
@@ -194,7 +231,7 @@ def read_bag_trajectory(
     if found.pose_file is not None:
         parts = replace(parts, poses=found.pose_file)
         trajectory = read_trajectory(parts, found.frames, options, findings, times_s=found.times_s)
-        if trajectory.poses is None or trajectory.georeference is not None or found.fix is None:
+        if trajectory.poses is None or trajectory.georeference is not None or not found.fixes:
             return trajectory
         world = trajectory.poses.T_world_lidar
         edge = Edge("world", points.frame_id, TimedPoses(found.times_s, world))
@@ -216,10 +253,18 @@ def read_bag_trajectory(
         except InterLocError as error:
             reason = str(error)
             raise
-    if georeference is None and not reason and found.fix is None:
-        reason = "the bag holds no GNSS fixes (sensor_msgs/NavSatFix)"
-    elif georeference is None and not reason:
+    if georeference is None and not reason:
         georeference, reason = _georeference(bag, points, found, found.motion, world, findings)
+    how = body_motion(relative)
+    if how is not None and how.along[2] > _ALONG_Z:
+        findings.error(
+            DriveFileError(
+                bag.name,
+                f"{found.motion.reason}: {how.describe()}. Expected the axes of ROS, x forward and z up. Usual cause: "
+                "the axes of LOAM (x left, y up, z forward) or of a camera, whose transform to the points is not in "
+                "the bag. Choose other poses with --poses, or record that transform.",
+            )
+        )
     poses = LidarPoses(relative, "lidar", found.motion.reason)
     return Trajectory(poses, found.motion.count, found.times_s, georeference, "" if georeference else reason)
 
@@ -228,11 +273,18 @@ def _georeference(
     bag: Bag, points: PointsTopic, found: BagMotion, motion: LidarMotion, world: FloatArray, findings: Findings
 ) -> tuple[Georeference | None, str]:
     """Return the georeference by the fixes of a bag, given the (N, 4, 4) poses of its scans; or why there is none."""
-    georeference, reason = None, ""
+    reasons: list[str] = []
     with findings.stage():
-        assert found.fix is not None
-        fixes = BagFixes(bag, found.fix, points.frame_id, found.tree, by_log=found.by_log)
-        georeference, reason = fixes.georeference(motion, found.times_s, world, findings)
-    if georeference is None:
-        findings.note(bag.name, f"no georeference: {reason}")
-    return georeference, reason
+        for topic in found.fixes:
+            fixes = BagFixes(bag, topic, points.frame_id, found.tree, by_log=found.by_log)
+            georeference, reason = fixes.georeference(motion, found.times_s, world, findings)
+            if georeference is None:
+                reasons.append(reason)
+                continue
+            if others := [other.name for other in found.fixes if other is not topic]:
+                why = f", because of {reasons[0]}" if reasons else f"; others are in {', '.join(others[:5])}"
+                findings.note(bag.name, f"the fixes are taken from {topic.name}{why}. Choose with --fix.")
+            return georeference, ""
+    reason = "; ".join(reasons) or "the bag holds no GNSS fixes (sensor_msgs/NavSatFix)"
+    findings.note(bag.name, f"no georeference: {reason}")
+    return None, reason

@@ -1,0 +1,162 @@
+"""Offsets of drives along their tracks and positions of places, by one least squares adjustment.
+
+Unknown are the places, and the offset of each drive at knots along its track, linear between them. What a drive saw at
+x is x = place + offset(along) + noise. The prior of the knots is an Ornstein-Uhlenbeck process: zero on average, as
+uncertain as the georeference states, and forgotten after `drift_length_m`. Its mean of zero is the only thing that
+fixes the map as a whole: what all drives have in common stays in the map. Places are eliminated, so that a system over
+the knots is left, which conjugate gradients solve from where the knots were before; x and y are independent.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from interloc.arrays import BoolArray, FloatArray, IntArray
+
+_CONVERGED_M = 1e-6  # of a step of the steepest descent: of the knots some hundred times that
+_MAX_ROUNDS = 1000
+
+
+def knots_along(along_m: FloatArray, length_m: float, spacing_m: float) -> tuple[IntArray, FloatArray, int]:
+    """Return for (N,) distances driven the knot before each, the share of the knot behind it, and how many there are.
+
+    The knots lie evenly, at most `spacing_m` apart; a track without length has two in one place.
+    """
+    pieces = max(1, int(np.ceil(length_m / spacing_m)))
+    place = np.clip(along_m / max(length_m / pieces, 1e-9), 0.0, pieces)
+    knot = np.minimum(place.astype(np.int64), pieces - 1)
+    return knot, place - knot, pieces + 1
+
+
+@dataclass(frozen=True)
+class Prior:
+    """Inverse of the covariance of the knots of several drives, one after the other: its diagonal, and beside it.
+
+    Attributes
+    ----------
+    diagonal : (K,) float64
+    beside : (K,) float64
+        Between a knot and the next one; 0 behind the last one of a drive.
+    """
+
+    diagonal: FloatArray
+    beside: FloatArray
+
+    @classmethod
+    def of(cls, std_m: float, spacing_m: float, count: int, drift_length_m: float) -> Prior:
+        """Return that of one drive."""
+        kept = min(np.exp(-spacing_m / drift_length_m), 1.0 - 1e-6)
+        unit = 1.0 / (std_m**2 * (1.0 - kept**2))
+        diagonal = np.full(count, (1.0 + kept**2) * unit)
+        diagonal[[0, -1]] = unit
+        beside = np.append(np.full(count - 1, -kept * unit), 0.0)
+        return cls(diagonal, beside)
+
+    @classmethod
+    def joined(cls, priors: Sequence[Prior]) -> Prior:
+        """Return that of several drives."""
+        return cls(np.concatenate([p.diagonal for p in priors]), np.concatenate([p.beside for p in priors]))
+
+    def times(self, knots: FloatArray) -> FloatArray:
+        """Return the product with (K, 2) knots."""
+        product = self.diagonal[:, None] * knots
+        between = self.beside[:-1, None]
+        product[:-1] += between * knots[1:]
+        product[1:] += between * knots[:-1]
+        return product
+
+
+@dataclass(frozen=True)
+class Sightings:
+    """N sightings of P places by drives with K knots in all.
+
+    Attributes
+    ----------
+    xy : (N, 2) float64
+        Where the drive saw it, metres.
+    weight : (N,) float64
+        One over the variance of its noise along each axis.
+    place, knot : (N,) int64
+        Place; knot before it.
+    share : (N,) float64
+        Share of the knot behind it.
+    """
+
+    xy: FloatArray
+    weight: FloatArray
+    place: IntArray
+    knot: IntArray
+    share: FloatArray
+
+    def offsets(self, knots: FloatArray) -> FloatArray:
+        """Return the offset of the drive at each sighting, (N, 2)."""
+        share = self.share[:, None]
+        offset: FloatArray = (1.0 - share) * knots[self.knot] + share * knots[self.knot + 1]
+        return offset
+
+    def places(self, values: FloatArray) -> FloatArray:
+        """Return the weighted mean of (N, 2) values at each place, (P, 2)."""
+        count = int(self.place.max(initial=-1)) + 1
+        total = np.maximum(np.bincount(self.place, self.weight, count), 1e-12)
+        sums = [np.bincount(self.place, self.weight * values[:, i], count) / total for i in (0, 1)]
+        return np.stack(sums, axis=-1)
+
+
+def adjust(sightings: Sightings, prior: Prior, start: FloatArray, free: BoolArray) -> tuple[FloatArray, FloatArray]:
+    """Return the knots of least squares.
+
+    Parameters
+    ----------
+    sightings, prior
+    start : (K, 2) float64
+        Where to look first; the result does not depend on it but for some micrometres.
+    free : (K,) bool
+        Knots that may move.
+
+    Returns
+    -------
+    knots : (K, 2) float64
+    pull : (K, 2) float64
+        How far each knot would move if it alone were free, metres.
+    """
+    from scipy.sparse import csr_array  # noqa: PLC0415 - slow to import
+
+    count, rows = len(start), np.arange(len(sightings.xy))
+    ends = np.concatenate([sightings.knot, sightings.knot + 1])
+    shares = np.concatenate([1.0 - sightings.share, sightings.share])
+    design = csr_array((shares, (np.tile(rows, 2), ends)), shape=(len(rows), count))
+    places = int(sightings.place.max(initial=-1)) + 1
+    total = np.maximum(np.bincount(sightings.place, sightings.weight, places), 1e-12)
+    membership = csr_array((sightings.weight, (sightings.place, rows)), shape=(places, len(rows)))
+    back = csr_array(design.T)
+
+    def apart(values: FloatArray) -> FloatArray:
+        """Take the mean of its place from each value, and weigh what is left."""
+        mean = (membership @ values) / total[:, None]
+        return sightings.weight[:, None] * (values - mean[sightings.place])
+
+    def system(knots: FloatArray) -> FloatArray:
+        product: FloatArray = back @ apart(design @ knots) + prior.times(knots)
+        return product
+
+    alone = sightings.weight * (1.0 - sightings.weight / total[sightings.place])
+    scale = (back.multiply(back) @ alone + prior.diagonal)[:, None]
+    knots = start.copy()
+    may_move = free[:, None]
+    rest = back @ apart(sightings.xy) - system(knots)
+    step = may_move * rest / scale
+    direction, size = step, np.sum(rest * step, axis=0)
+    for _ in range(_MAX_ROUNDS):
+        if np.abs(step).max(initial=0.0) < _CONVERGED_M:
+            break
+        turned = system(direction)
+        length = size / np.maximum(np.sum(direction * turned, axis=0), 1e-300)
+        knots += length * direction
+        rest = rest - length * turned
+        step = may_move * rest / scale
+        before, size = size, np.sum(rest * step, axis=0)
+        direction = step + size / np.maximum(before, 1e-300) * direction
+    return knots, rest / scale

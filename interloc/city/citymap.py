@@ -1,0 +1,319 @@
+"""Many drives as one map: each drive added finds its offset, joins its sightings to the places, and moves the rest.
+
+What the map is depends on which drives are in it, not on the order in which they came. Each step is a function of the
+set of drives, done anew only where something changed: votes between two drives; the offsets that the votes agree on,
+rounded; the places of a neighbourhood; and the adjustment, whose solution is unique.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from interloc.arrays import BoolArray, FloatArray, IntArray
+from interloc.city.adjustment import Prior, adjust, knots_along
+from interloc.city.association import LINK_M, group, linked
+from interloc.city.drives import DriveOnMap, system_of
+from interloc.city.passes import Pass
+from interloc.city.places import PlaceTable, tabulate
+from interloc.city.settings import CityConfig
+from interloc.city.voting import offsets_of, vote
+from interloc.errors import ConfigError, GeoreferenceError
+from interloc.mapping.mosaic import utm_zone
+from interloc.results import DriveResult
+
+ROUNDING_M = 0.5
+"""Offsets by voting count as rounded to this, so that they mostly stay the same when a drive is added."""
+
+_SAME_PLACE_M = 10.0  # a place that lies within this of where it was keeps its name
+_FARTHEST_M = 400_000.0  # from the first drive: the projection is of its zone
+_STILL_M = 1e-4  # a drive that would move by less stays
+
+
+class CityMap:
+    """One map of many drives; drives are added, replaced and removed one by one or several at once.
+
+    Parameters
+    ----------
+    config : CityConfig
+
+    Attributes
+    ----------
+    epsg : int or None
+        The plane of the map: the UTM zone of the first drive; None before.
+    drives : dict of str to DriveOnMap
+        By name.
+
+    Examples
+    --------
+    ::
+
+        city = interloc.merge([result_1, result_2])
+        city.add(result_3)
+        print(city.places.lonlat, city.places.position_std_m)
+    """
+
+    def __init__(self, config: CityConfig | None = None) -> None:
+        self.config = config or CityConfig()
+        self.epsg: int | None = None
+        self.drives: dict[str, DriveOnMap] = {}
+        self.votes: dict[tuple[str, str], tuple[float, float, float]] = {}
+        self.uid_of: dict[int, str] = {}
+        self.register: dict[str, tuple[float, float]] = {}
+        self.next_number = 0
+        self._places: PlaceTable | None = None
+
+    def __repr__(self) -> str:
+        return f"<CityMap {len(self.drives)} drives, {len(self.uid_of)} places>"
+
+    def add(self, *results: DriveResult | Pass) -> None:
+        """Add drives.
+
+        Raises
+        ------
+        ConfigError
+            A drive of that name, or the same drive under another, is on the map already.
+        GeoreferenceError
+            A drive has no georeference, or lies elsewhere on Earth. The map is as it was.
+        """
+        self._change((), results)
+
+    def replace(self, *results: DriveResult | Pass) -> None:
+        """Put other results of drives in the place of those on the map; drives that are not on it are added."""
+        passes = [_as_pass(each) for each in results]
+        self._change([each.name for each in passes if each.name in self.drives], passes)
+
+    def remove(self, *names: str) -> None:
+        """Take drives out of the map: it is then as if they had never been there, but for names that stay taken.
+
+        Raises
+        ------
+        ConfigError
+            A drive is not on the map.
+        """
+        missing = [name for name in names if name not in self.drives]
+        if missing:
+            raise ConfigError(f"drive {missing[0]!r} is not on the map. It has: {', '.join(sorted(self.drives))}.")
+        self._change(names, ())
+
+    @property
+    def places(self) -> PlaceTable:
+        """What is on the map: one row per physical intersection."""
+        if self._places is None:
+            drives = [self.drives[name] for name in sorted(self.drives)]
+            self._places = tabulate(drives, self.uid_of, self.lonlat, self.config)
+        return self._places
+
+    def lonlat(self, xy: FloatArray) -> FloatArray:
+        """Return longitude and latitude of (N, 2) positions in the plane of the map."""
+        return self._project(xy, inverse=True)
+
+    def plane(self, lonlat: FloatArray) -> FloatArray:
+        """Return the positions in the plane of the map of (N, 2) longitudes and latitudes."""
+        return self._project(lonlat, inverse=False)
+
+    def _project(self, places: FloatArray, *, inverse: bool) -> FloatArray:
+        from pyproj import Transformer  # noqa: PLC0415 - slow to import
+
+        assert self.epsg is not None
+        transformer = Transformer.from_crs(4326, self.epsg, always_xy=True)
+        direction = "INVERSE" if inverse else "FORWARD"
+        return np.stack(transformer.transform(places[:, 0], places[:, 1], direction=direction), axis=-1)
+
+    # one change -------------------------------------------------------------------------------------------------------
+
+    def _change(self, removed: Iterable[str], added: Sequence[DriveResult | Pass]) -> None:
+        passes, removed = [_as_pass(each) for each in added], set(removed)
+        names = [*(name for name in self.drives if name not in removed), *(each.name for each in passes)]
+        twice = next((name for number, name in enumerate(names) if name in names[:number]), None)
+        if twice is not None:
+            raise ConfigError(
+                f"drive {twice!r} is on the map already. Replace it, or give the other drive another name."
+            )
+        name_of = {drive.data.key: name for name, drive in self.drives.items() if name not in removed}
+        for each in passes:
+            same = name_of.setdefault(each.key, each.name)
+            if same != each.name:
+                raise ConfigError(f"drive {each.name!r} holds the same as {same!r}: it would count twice.")
+        new = [self.placed(each) for each in passes]
+        touched = [self.drives.pop(name).neighbourhood for name in removed]
+        self.votes = {pair: said for pair, said in self.votes.items() if removed.isdisjoint(pair)}
+        for drive in new:
+            self._vote(drive)
+            self.drives[drive.data.name] = drive
+        self._group(np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *touched])))
+        self._places = None
+
+    def placed(self, data: Pass) -> DriveOnMap:
+        """Bring a drive into the plane of the map."""
+        first = self.epsg is None
+        if self.epsg is None:
+            self.epsg = utm_zone(*data.track_lonlat[0].tolist())
+        xy, track_xy = self.plane(data.lonlat), self.plane(data.track_lonlat)
+        if not np.isfinite(track_xy).all() or np.abs(track_xy[0, 0] - 500_000.0) > _FARTHEST_M:
+            if first:
+                self.epsg = None
+            lon, lat = data.track_lonlat[0]
+            raise GeoreferenceError(
+                f"{data.name}: it lies at lon {lon:.4f}, lat {lat:.4f}, in another part of the world than the map "
+                f"(EPSG:{self.epsg}). Make a map of its own for it."
+            )
+        length = float(data.track_along_m[-1])
+        knot, share, count = knots_along(data.along_m, length, self.config.knot_spacing_m)
+        std = float(np.median(data.fix_std_m)) if len(data) else 1.0
+        prior = Prior.of(max(std, 0.01), length / (count - 1), count, self.config.drift_length_m)
+        return DriveOnMap(data, xy, track_xy, knot, share, prior, np.zeros((count, 2)))
+
+    def _vote(self, drive: DriveOnMap) -> None:
+        """Find the offsets of a drive against those on the map."""
+        others = [each for each in self.drives.values() if drive.overlaps(each, self.config.vote_radius_m)]
+        low = drive.xy.min(axis=0, initial=np.inf) - self.config.vote_radius_m
+        high = drive.xy.max(axis=0, initial=-np.inf) + self.config.vote_radius_m
+        near = [((each.xy >= low) & (each.xy <= high)).all(axis=1) for each in others]
+        xy = np.concatenate([np.zeros((0, 2)), *(each.xy[rows] for each, rows in zip(others, near, strict=True))])
+        of = np.repeat(np.arange(len(others)), [int(rows.sum()) for rows in near])
+        offset, pairs = vote(drive.xy, xy, of, len(others), self.config)
+        for each, said, count in zip(others, offset.tolist(), pairs.tolist(), strict=True):
+            if count > 0:
+                a, b = sorted((drive.data.name, each.data.name))
+                sign = 1.0 if a == drive.data.name else -1.0
+                self.votes[a, b] = sign * said[0], sign * said[1], count
+
+    def _group(self, touched: IntArray) -> None:
+        """Assign sightings to places anew where something changed, then adjust."""
+        names = sorted(self.drives)
+        if not names:
+            self.uid_of = {}
+            return
+        drives = [self.drives[name] for name in names]
+        shifts = np.round(offsets_of(names, self.votes) / ROUNDING_M) * ROUNDING_M
+        moves = [not np.array_equal(drive.shift, shift) for drive, shift in zip(drives, shifts, strict=True)]
+        is_moved = np.repeat(moves, [len(drive.xy) for drive in drives])
+        for drive, shift in zip(drives, shifts, strict=True):
+            drive.shift = shift
+        xy = np.concatenate([d.xy - d.shift for d in drives])
+        of = np.repeat(np.arange(len(drives)), [len(d.xy) for d in drives])
+        place, hood = (np.concatenate([getattr(d, name) for d in drives]) for name in ("place", "neighbourhood"))
+        rows = self._affected(xy, hood, is_moved, touched)
+        old = set(self.uid_of).difference(place.tolist()).union(place[rows].tolist())
+        new_hood = linked(xy[rows])
+        place[rows] = self.next_number + group(xy[rows], of[rows], new_hood, self.config)
+        hood[rows] = self.next_number + new_hood
+        self.next_number += len(rows)
+        for drive, start, end in _slices(drives):
+            drive.place, drive.neighbourhood = place[start:end], hood[start:end]
+        changed = np.unique(place[rows])
+        self._adjust(drives, set(of[np.isin(place, changed)].tolist()) | set(of[is_moved].tolist()))
+        self._name(drives, old, changed)
+
+    @staticmethod
+    def _affected(xy: FloatArray, hood: IntArray, is_moved: BoolArray, touched: IntArray) -> IntArray:
+        """Return the sightings whose neighbourhoods may have changed."""
+        from scipy.spatial import cKDTree  # noqa: PLC0415 - slow to import
+
+        moved, rest = np.flatnonzero(is_moved), np.flatnonzero(~is_moved)
+        beside = np.zeros(0, dtype=np.int64)
+        if len(moved) and len(rest):
+            low, high = xy[moved].min(axis=0) - LINK_M, xy[moved].max(axis=0) + LINK_M
+            rest = rest[((xy[rest] >= low) & (xy[rest] <= high)).all(axis=1)]
+            distance, _ = cKDTree(xy[moved]).query(xy[rest], distance_upper_bound=LINK_M)
+            beside = rest[np.isfinite(distance)]
+        hoods = np.unique(np.concatenate([touched, hood[moved], hood[beside]]))
+        return np.flatnonzero(is_moved | np.isin(hood, hoods[hoods >= 0]))
+
+    def _adjust(self, drives: Sequence[DriveOnMap], changed: set[int]) -> None:
+        """Solve for the knots of drives with changed places, and of as many others as would move with them."""
+        places = [set(drive.place.tolist()) for drive in drives]
+        free = changed
+        while free:
+            seen = set().union(*(places[number] for number in free))
+            used = [number for number, own in enumerate(places) if number in free or not seen.isdisjoint(own)]
+            some = [drives[number] for number in used]
+            sightings, prior, start = system_of(some, self.config)
+            may_move = np.concatenate([np.full(len(drives[n].knots), n in free) for n in used])
+            knots, pull = adjust(sightings, prior, start, may_move)
+            first = 0
+            wants = set()
+            for number, drive in zip(used, some, strict=True):
+                end = first + len(drive.knots)
+                drive.knots = knots[first:end]
+                if number not in free and np.abs(pull[first:end]).max(initial=0.0) > _STILL_M:
+                    wants.add(number)
+                first = end
+            if not wants:
+                return
+            free = free | wants
+
+    def _name(self, drives: Sequence[DriveOnMap], old: set[int], changed: IntArray) -> None:
+        """Give new places the names of those that were there, or new ones."""
+        from scipy.spatial import cKDTree  # noqa: PLC0415
+
+        for gone in old:
+            self.uid_of.pop(gone, None)
+        if not len(changed):
+            return
+        sightings, _, knots = system_of(drives, self.config)
+        number = np.concatenate([d.place for d in drives])
+        numbers = np.unique(number)
+        xy = sightings.places(sightings.xy - sightings.offsets(knots))[np.searchsorted(numbers, changed)]
+        taken = set(self.uid_of.values())
+        free = [uid for uid in self.register if uid not in taken]
+        if free:
+            tree = cKDTree(np.array([self.register[uid] for uid in free]))
+            near = tree.sparse_distance_matrix(cKDTree(xy), _SAME_PLACE_M, output_type="ndarray")
+            used: set[int] = set()
+            for k in np.lexsort((near["i"], near["j"], near["v"])).tolist():
+                was, now = int(near["i"][k]), int(changed[near["j"][k]])
+                if was not in used and now not in self.uid_of:
+                    used.add(was)
+                    self.uid_of[now] = free[was]
+        owner: dict[int, str] = {}
+        for drive in drives:
+            for each, own in zip(drive.place.tolist(), drive.data.number.tolist(), strict=True):
+                owner.setdefault(each, f"{drive.data.name}/{own}")
+        for each, position in zip(changed.tolist(), xy.tolist(), strict=True):
+            uid = self.uid_of.get(each) or self._new_uid(owner[each])
+            self.uid_of[each] = uid
+            self.register[uid] = position[0], position[1]
+
+    def _new_uid(self, seed: str) -> str:
+        """Return a name that no place has or had."""
+        attempt = 0
+        while True:
+            uid = "p" + hashlib.sha256(f"{seed}/{attempt}".encode()).hexdigest()[:12]
+            if uid not in self.register:
+                return uid
+            attempt += 1
+
+
+def merge(results: Iterable[DriveResult | Pass], config: CityConfig | None = None) -> CityMap:
+    """Put many drives together to one map.
+
+    Parameters
+    ----------
+    results
+        Of `interloc.detect` or `interloc.read_results`, georeferenced, of drives with different names.
+    config
+        Settings.
+
+    Raises
+    ------
+    ConfigError
+        Two drives have the same name.
+    GeoreferenceError
+        A drive has no georeference, or lies elsewhere on Earth than the first.
+    """
+    city = CityMap(config)
+    city.add(*results)
+    return city
+
+
+def _slices(drives: Sequence[DriveOnMap]) -> Iterable[tuple[DriveOnMap, int, int]]:
+    ends = np.cumsum([len(d.xy) for d in drives]).tolist()
+    return zip(drives, [0, *ends[:-1]], ends, strict=True)
+
+
+def _as_pass(result: DriveResult | Pass) -> Pass:
+    return result if isinstance(result, Pass) else Pass.of(result)

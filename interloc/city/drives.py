@@ -1,0 +1,69 @@
+"""A drive in the plane of the map, and the sightings of several drives as one system."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from interloc.arrays import FloatArray, IntArray
+from interloc.city.adjustment import Prior, Sightings
+from interloc.city.passes import Pass
+from interloc.city.settings import CityConfig
+
+
+@dataclass
+class DriveOnMap:
+    """A drive of M sightings on the map.
+
+    Attributes
+    ----------
+    data : Pass
+    xy, track_xy : (M, 2), (K, 2) float64
+        Sightings and keyframes in the plane of the map, as the drive has them.
+    knot, share : (M,) int64, float64
+        See `interloc.city.adjustment.Sightings`.
+    prior : Prior
+    knots : (k, 2) float64
+        Offset of the drive at each knot: what it says minus what is, metres.
+    shift : (2,) float64
+        Offset against the other drives by voting, rounded.
+    place, neighbourhood : (M,) int64
+        Which each sighting belongs to; -1: not yet known.
+    """
+
+    data: Pass
+    xy: FloatArray
+    track_xy: FloatArray
+    knot: IntArray
+    share: FloatArray
+    prior: Prior
+    knots: FloatArray
+    shift: FloatArray = field(default_factory=lambda: np.full(2, np.nan))
+    place: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    neighbourhood: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+
+    def __post_init__(self) -> None:
+        if not len(self.place):
+            self.place, self.neighbourhood = (np.full(len(self.xy), -1, dtype=np.int64) for _ in range(2))
+
+    def overlaps(self, other: DriveOnMap, margin_m: float) -> bool:
+        """Tell whether the boxes around what two drives saw come within a margin of each other."""
+        if not len(self.xy) or not len(other.xy):
+            return False
+        low, high = self.xy.min(axis=0) - margin_m, self.xy.max(axis=0) + margin_m
+        return bool((other.xy.max(axis=0) >= low).all() and (other.xy.min(axis=0) <= high).all())
+
+
+def system_of(drives: Sequence[DriveOnMap], config: CityConfig) -> tuple[Sightings, Prior, FloatArray]:
+    """Return the sightings of drives, with places numbered anew, and the prior and the values of their knots."""
+    first = np.cumsum([0, *(len(d.knots) for d in drives)])
+    sightings = Sightings(
+        xy=np.concatenate([d.xy for d in drives]),
+        weight=np.concatenate([1.0 / (d.data.scatter_std_m**2 + config.noise_std_m**2) for d in drives]),
+        place=np.unique(np.concatenate([d.place for d in drives]), return_inverse=True)[1].reshape(-1),
+        knot=np.concatenate([d.knot + start for d, start in zip(drives, first[:-1].tolist(), strict=True)]),
+        share=np.concatenate([d.share for d in drives]),
+    )
+    return sightings, Prior.joined([d.prior for d in drives]), np.concatenate([d.knots for d in drives])

@@ -1,0 +1,175 @@
+"""What the map of a city keeps of one drive: its intersections, what is sure of each, its track."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import zipfile
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from interloc.arrays import FloatArray, IntArray
+from interloc.errors import DamagedResultError, GeoreferenceError
+from interloc.files import atomic_write
+from interloc.geometry import enu_from_lonlat
+from interloc.results import EPOCH_S, DriveResult
+
+ASSUMED_STD_M = 0.3
+"""Standard deviation along each axis of fixes, and of scatter, that a result does not state."""
+
+_TEXTS = ("name", "key")
+_RAGGED = ("bearings_deg", "widths_m")
+
+
+@dataclass(frozen=True)
+class Pass:
+    """One drive on the map: M intersections, K keyframes.
+
+    Attributes
+    ----------
+    name : str
+        Of the drive; no two of a map have the same.
+    key : str
+        Of what it holds: the same drive, read again, has the same.
+    lonlat : (M, 2) float64
+        Intersections, degrees.
+    fix_std_m, shape_cov_m2, scatter_std_m : (M,), (M, 3), (M,) float64
+        As of `interloc.results.PositionParts`, all known.
+    confidence : (M,) float64
+    observations, number : (M,) int64
+        Detections fused; number of the intersection in the result of the drive.
+    along_m : (M,) float64
+        Distance driven where it was nearest.
+    bearings_deg, widths_m : tuple of M (B,) float64
+        Of the branches.
+    seen_s : (M, 2) float64
+        First and last time seen, seconds since 1970; NaN where the drive has no times of the day.
+    track_lonlat : (K, 2) float64
+        Keyframes, degrees.
+    track_along_m : (K,) float64
+        Distance driven up to each.
+    span_s : (2,) float64
+        First and last time of the drive, as `seen_s`.
+    """
+
+    name: str
+    key: str
+    lonlat: FloatArray
+    fix_std_m: FloatArray
+    shape_cov_m2: FloatArray
+    scatter_std_m: FloatArray
+    confidence: FloatArray
+    observations: IntArray
+    number: IntArray
+    along_m: FloatArray
+    bearings_deg: tuple[FloatArray, ...]
+    widths_m: tuple[FloatArray, ...]
+    seen_s: FloatArray
+    track_lonlat: FloatArray
+    track_along_m: FloatArray
+    span_s: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.lonlat)
+
+    @classmethod
+    def of(cls, result: DriveResult) -> Pass:
+        """Take from a result what the map needs.
+
+        Raises
+        ------
+        GeoreferenceError
+            It has no georeference.
+
+        Notes
+        -----
+        Results of versions before do not tell the parts of the covariance of a position. Then fix and scatter are taken
+        to be 0.3 m each, where the whole allows it, and all else is taken for the part that all drives share: too wide,
+        the more so the more drives there are, but never too narrow.
+        """
+        keyframes, table = result.keyframes, result.intersections
+        if keyframes.lonlat is None or table.lonlat is None or not len(keyframes):
+            raise GeoreferenceError(
+                f"{result.drive}: it has no georeference, so nobody knows where it lies beside other drives. "
+                "Detect again with --oxts or a geo.csv in the drive, or place it by `interloc locate`."
+            )
+        steps = np.hypot(*np.diff(keyframes.world_xy, axis=0).T)
+        travelled = np.concatenate([[0.0], np.cumsum(steps)])
+        time_s = np.where(keyframes.time_s >= EPOCH_S, keyframes.time_s, np.nan)
+        first, last = (np.searchsorted(keyframes.frame, each) for each in (table.first_frame, table.last_frame))
+        nearest = np.array(
+            [
+                a + np.argmin(np.hypot(*enu_from_lonlat(place[1], place[0], keyframes.lonlat[a : b + 1]).T))
+                for a, b, place in zip(first.tolist(), last.tolist(), table.lonlat, strict=True)
+            ],
+            dtype=np.int64,
+        )
+        fix_std, shape, scatter_std = _parts(result)
+        known = time_s[np.isfinite(time_s)]
+        arrays: dict[str, Any] = {
+            "lonlat": table.lonlat,
+            "fix_std_m": fix_std,
+            "shape_cov_m2": shape,
+            "scatter_std_m": scatter_std,
+            "confidence": table.confidence,
+            "observations": table.observations,
+            "number": table.id,
+            "along_m": travelled[nearest],
+            "bearings_deg": tuple(table.bearings_deg),
+            "widths_m": tuple(table.widths_m),
+            "seen_s": np.stack([time_s[first], time_s[last]], axis=-1).reshape(-1, 2),
+            "track_lonlat": keyframes.lonlat,
+            "track_along_m": travelled,
+            "span_s": np.array([known.min(), known.max()] if len(known) else [np.nan, np.nan]),
+        }
+        digest = hashlib.sha256()
+        for name in ("lonlat", "confidence", "track_lonlat"):
+            digest.update(np.round(arrays[name], 7).tobytes())
+        return cls(name=result.drive, key=digest.hexdigest()[:16], **arrays)
+
+    def write(self, path: Path) -> None:
+        """Write it as an archive of arrays."""
+        arrays: dict[str, Any] = {each.name: getattr(self, each.name) for each in fields(self)}
+        arrays["branches"] = np.array([len(each) for each in self.bearings_deg], dtype=np.int64)
+        for name in _RAGGED:
+            arrays[name] = np.concatenate([np.zeros(0), *arrays[name]])
+        content = io.BytesIO()
+        np.savez_compressed(content, **arrays)
+        with atomic_write(path) as file:
+            file.write(content.getvalue())
+
+    @classmethod
+    def read(cls, path: Path) -> Pass:
+        """Read what `write` wrote.
+
+        Raises
+        ------
+        DamagedResultError
+            The file is missing or damaged.
+        """
+        try:
+            with np.load(path) as archive:
+                arrays: dict[str, Any] = dict(archive)
+            ends = np.cumsum(arrays.pop("branches"))[:-1]
+            ragged: dict[str, Any] = {name: tuple(np.split(arrays.pop(name), ends)) for name in _RAGGED}
+            if not len(arrays["lonlat"]):
+                ragged = dict.fromkeys(_RAGGED, ())
+            texts: dict[str, Any] = {name: str(arrays.pop(name)) for name in _TEXTS}
+            return cls(**texts, **arrays, **ragged)
+        except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
+            raise DamagedResultError(f"{path} is missing or damaged ({error}). Merge the drives again.") from error
+
+
+def _parts(result: DriveResult) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return fix, shape and scatter of the positions of a result, assumed where it does not tell them."""
+    table = result.intersections
+    if table.parts is not None and all(np.isfinite(each).all() for each in vars(table.parts).values()):
+        return table.parts.fix_std_m, table.parts.shape_cov_m2, table.parts.scatter_std_m
+    whole = table.covariances
+    narrow = np.linalg.eigvalsh(whole)[:, 0] if len(table) else np.zeros(0)
+    assumed = np.sqrt(np.minimum(ASSUMED_STD_M**2, np.maximum(narrow, 0.0) / 2.0))
+    shape = (whole - 2.0 * assumed[:, None, None] ** 2 * np.eye(2)).reshape(-1, 2, 2)
+    return np.maximum(assumed, 0.05), shape[:, [0, 0, 1], [0, 1, 1]], assumed

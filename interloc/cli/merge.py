@@ -1,0 +1,87 @@
+"""`interloc merge`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from interloc.cli import console, options
+from interloc.wording import counted
+
+
+@click.command(short_help="Put many drives together to one map.")
+@click.argument("results", nargs=-1)
+@click.option("-o", "--out", required=True, type=options.PATH, help="Folder of the map; drives are added to one there.")
+@click.option("--replace", is_flag=True, help="Replace drives that are on the map already under the same name.")
+@click.option("--remove", multiple=True, metavar="NAME", help="Take a drive out of the map; as often as needed.")
+@options.QUIET
+@options.JSON
+def command(
+    results: tuple[str, ...], out: Path, replace: bool, remove: tuple[str, ...], quiet: bool, as_json: bool
+) -> None:
+    """Put RESULTS, result folders of `interloc detect` or `run`, together to one map: one point per intersection.
+
+    Offsets between the drives are found where they overlap. A map that exists grows by the drives.
+    NAME=FOLDER gives a drive another name: no two of a map may have the same.
+
+    \b
+    Examples:
+      interloc merge out_monday out_tuesday -o city
+      interloc merge wednesday=out -o city
+    """
+    from dataclasses import replace as changed
+
+    from interloc.city.citymap import CityMap
+    from interloc.city.folder import city_record, is_city, locked, read_city, write_city
+    from interloc.city.passes import Pass
+    from interloc.errors import ConfigError
+    from interloc.output.read import read_results
+
+    if not results and not remove:
+        raise click.UsageError("give one or more result folders, or --remove")
+    console.set_up_log(quiet=quiet)
+    passes = []
+    for given in results:
+        name, _, folder = given.rpartition("=") if not Path(given).is_dir() else ("", "", given)
+        data = Pass.of(read_results(folder))
+        passes.append(changed(data, name=name) if name else data)
+    with locked(out):
+        city = read_city(out) if is_city(out) else CityMap()
+        city.remove(*remove)
+        known = {drive.data.key: name for name, drive in city.drives.items()}
+        there = [each for each in passes if each.key in known]
+        new = [each for each in passes if each not in there]
+        clash = [each.name for each in new if each.name in city.drives]
+        if clash and not replace:
+            raise ConfigError(
+                f"drive {clash[0]!r} is on the map {out} already, with another result. Give --replace to put the new "
+                f"one in its place, or another name: NEW_NAME=FOLDER."
+            )
+        if new:
+            city.replace(*new)
+        if new or remove or not is_city(out):
+            write_city(city, out)
+        record = city_record(city)
+    if as_json:
+        console.say_json({"out": str(out), "added": [each.name for each in new], **record})
+    elif not quiet:
+        for each in there:
+            click.echo(f"{each.name} is on the map already, as {known[each.key]}")
+        console.say_facts(_facts(record, out))
+
+
+def _facts(record: dict[str, Any], out: Path) -> list[tuple[str, str]]:
+    drives = record["drives"]
+    shown = [f"{each['drive']} {each['offset_m'][0]:+.2f}, {each['offset_m'][1]:+.2f} m" for each in drives[:8]]
+    facts = [
+        ("drives", str(len(drives))),
+        ("intersections", f"{record['intersections']}, {record['seen_by_several']} of them seen in several passes"),
+        ("left out", f"{counted(record['left_out'], 'place')} that too few of the drives near it saw"),
+        ("offsets", "; ".join(shown) + ("; ..." if len(drives) > len(shown) else "")),
+    ]
+    std, relative = record["median_position_std_m"], record["median_relative_std_m"]
+    if std is not None:
+        facts.append(("uncertainty", f"{std:.2f} m on the Earth, {relative:.2f} m against the places around (median)"))
+    return [*facts, ("written", str(out / "city.geojson"))]

@@ -1,0 +1,118 @@
+"""Ground plans of scans, laid onto each other by all turns and shifts at once.
+
+What stands upright (house fronts, poles, cars, trunks) makes the plan of a scan; where nothing does, the edges of the
+road do. Two plans are correlated over the plane by the fast Fourier transform, so no guess of the motion is needed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import cv2
+import numpy as np
+import scipy.fft
+
+from interloc.arrays import Float32Array, FloatArray, UInt8Array
+from interloc.geometry import rotate_2d, wrap_angle
+
+MAX_SHIFT_M = 40.0
+MAX_TURN_RAD = np.radians(75.0)
+MIN_CELLS = 60
+"""Of a plan that can be laid onto another."""
+
+_CELL_M, _SIZE = 1.0, 160
+_TURN_STEP_RAD = np.radians(3.0)
+_PLAN_M, _NEAREST_M = 0.5, 2.5
+_UPRIGHT_M = 0.4
+_UPRIGHT_RANGE_M, _EDGE_RANGE_M = 55.0, 26.0
+_KEY = 1 << 12
+
+
+def upright_plan(xyz: Float32Array | FloatArray) -> FloatArray:
+    """Return the (M, 2) cells, metres, of (N, 3) points in L in which points stand over each other by 0.4 m or more."""
+    with np.errstate(invalid="ignore"):
+        distance = np.hypot(xyz[:, 0], xyz[:, 1])
+        points = xyz[(distance > _NEAREST_M) & (distance < _UPRIGHT_RANGE_M) & np.isfinite(xyz[:, 2])]
+    if not len(points):
+        return np.empty((0, 2))
+    cell = np.floor(points[:, :2] / _PLAN_M).astype(np.int64) + _KEY // 2
+    key = cell[:, 0] * _KEY + cell[:, 1]
+    order = np.argsort(key, kind="stable")
+    key, height = key[order], points[order, 2]
+    first = np.flatnonzero(np.diff(key, prepend=-1))
+    span = np.maximum.reduceat(height, first) - np.minimum.reduceat(height, first)
+    upright = key[first][span > _UPRIGHT_M]
+    return (np.stack([upright // _KEY, upright % _KEY], axis=1) - _KEY // 2 + 0.5) * _PLAN_M
+
+
+def road_plan(road: Float32Array | FloatArray) -> FloatArray:
+    """Return the (M, 2) cells, metres, at the edges of the road that (N, 3) points around the sensor show."""
+    size = 2 * int((_EDGE_RANGE_M + 6) / _PLAN_M)
+    near = road[np.hypot(road[:, 0], road[:, 1]) < _EDGE_RANGE_M + 2]
+    image: UInt8Array = np.zeros((size, size), dtype=np.uint8)
+    row, column = (np.floor(near[:, :2] / _PLAN_M).astype(np.int64) + size // 2).T
+    image[row, column] = 1
+    closed = cv2.morphologyEx(image, cv2.MORPH_CLOSE, np.ones((5, 5), np.uint8))
+    edges = np.argwhere(closed - cv2.erode(closed, np.ones((3, 3), np.uint8))).astype(np.float64)
+    edge = (edges - size // 2 + 0.5) * _PLAN_M
+    distance = np.hypot(edge[:, 0], edge[:, 1])
+    return edge[(distance > _NEAREST_M) & (distance < _EDGE_RANGE_M)]  # beyond, the points end, not the road
+
+
+@dataclass(frozen=True)
+class PlanMatch:
+    """How well one plan lies on another, for every turn and shift.
+
+    Attributes
+    ----------
+    shares : (K, S, S) float32
+        Share of the cells of the source that lie on cells of the target, or half so beside them.
+    turns_rad : (K,) float64
+    """
+
+    shares: Float32Array
+    turns_rad: FloatArray
+
+    @classmethod
+    def of(cls, target: FloatArray, source: FloatArray) -> PlanMatch:
+        """Lay (M, 2) cells of a source onto those of a target."""
+        turns = np.arange(-MAX_TURN_RAD, MAX_TURN_RAD + 1e-6, _TURN_STEP_RAD)
+        image = _drawn(target)
+        beside = cv2.dilate(image, np.ones((3, 3), np.uint8))
+        spectrum = scipy.fft.rfft2(np.maximum(image, 0.5 * beside))
+        shares = np.empty((len(turns), _SIZE, _SIZE), dtype=np.float32)
+        for number, turn in enumerate(turns):
+            turned = scipy.fft.rfft2(_drawn(rotate_2d(source, turn)))
+            count = max(1.0, float(turned[0, 0].real))
+            shares[number] = scipy.fft.irfft2(spectrum * np.conj(turned), s=(_SIZE, _SIZE)) / count
+        shift = scipy.fft.fftfreq(_SIZE, 1 / _SIZE) * _CELL_M
+        shares[:, np.hypot(shift[:, None], shift[None]) > MAX_SHIFT_M] = 0.0
+        return cls(shares, turns)
+
+    @cached_property
+    def best(self) -> tuple[float, FloatArray]:
+        """The largest share, and the motion of it: x, y in metres and turn in radians."""
+        number, row, column = np.unravel_index(int(np.argmax(self.shares)), self.shares.shape)
+        shift = scipy.fft.fftfreq(_SIZE, 1 / _SIZE) * _CELL_M
+        motion = np.array([shift[row], shift[column], self.turns_rad[number]])
+        return float(self.shares[number, row, column]), motion
+
+    def at(self, motion: FloatArray) -> float:
+        """Return the largest share near a motion (x, y in metres, turn in radians); NaN beyond what was tried."""
+        turn = float(wrap_angle(float(motion[2])))
+        if abs(turn) > MAX_TURN_RAD or np.hypot(motion[0], motion[1]) > MAX_SHIFT_M:
+            return float("nan")
+        number = round((turn + MAX_TURN_RAD) / _TURN_STEP_RAD)
+        near = np.arange(-1, 2)
+        rows, columns = (np.rint(motion[:2] / _CELL_M).astype(np.int64)[:, None] + near) % _SIZE
+        return float(self.shares[max(0, number - 1) : number + 2][:, rows[:, None], columns].max())
+
+
+def _drawn(cells: FloatArray) -> Float32Array:
+    """Draw (M, 2) cells, metres, around the middle of an image."""
+    image: Float32Array = np.zeros((_SIZE, _SIZE), dtype=np.float32)
+    at = np.floor(cells / _CELL_M).astype(np.int64) + _SIZE // 2
+    at = at[((at >= 0) & (at < _SIZE)).all(axis=1)]
+    image[at[:, 0], at[:, 1]] = 1.0
+    return image

@@ -1,0 +1,301 @@
+"""Do the scans move as the poses do? A few pairs of scans are laid onto each other, and held against the poses."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from interloc.arrays import FloatArray, IntArray
+from interloc.drives.findings import DriveFileError, Findings
+from interloc.drives.folder import FolderDrive
+from interloc.drives.plans import MAX_TURN_RAD, MIN_CELLS, PlanMatch, road_plan, upright_plan
+from interloc.drives.poses.motion import rows_apart
+from interloc.drives.scans.raw import RawScans
+from interloc.geometry import invert_transform, rotate_2d, yaw_of
+
+_APART_M = 7.0
+_MUCH_M = 50.0
+_PAIR_TURN_RAD = np.radians(50.0)
+_SPREAD, _TURNING = 4, 4
+_TURN_RAD = np.radians(12.0)
+
+_MATCHED = {"upright": 0.45, "road": 0.5}
+"""Share of a plan that must lie on the other: streets reach 0.5 to 0.9 up to 23 m apart, other places 0.2 to 0.35."""
+
+_CONTRADICTS = {"upright": 0.8, "road": 0.7}
+"""A motion that fits by less than this share of the best is another one. That of the right poses fits by 0.99 or more
+on real scans, by 0.86 or more where only the edges of a straight road are seen."""
+
+_NO_MOTION_M, _NO_MOTION_RAD = 2.0, np.radians(6.0)
+_MAX_SHIFT = 30
+
+
+@dataclass(frozen=True)
+class _Pair:
+    """Two scans laid onto each other.
+
+    Attributes
+    ----------
+    i, j : int
+        Their rows among the scans that can be read.
+    match : PlanMatch
+    allowed : float
+        Share of the best fit that a motion must reach.
+    """
+
+    i: int
+    j: int
+    match: PlanMatch
+    allowed: float
+
+    @property
+    def motion(self) -> FloatArray:
+        """That of the scans: x, y in metres and turn in radians."""
+        return self.match.best[1]
+
+    def fit(self, motion: FloatArray | None) -> float:
+        """Return how well a motion fits, 1 for enough; 0 where it was not tried."""
+        if motion is None:
+            return 0.0
+        return min(1.0, float(np.nan_to_num(self.match.at(motion))) / (self.match.best[0] * self.allowed))
+
+
+@dataclass(frozen=True)
+class _Explanation:
+    """A way in which poses may be wrong, and how well it explains the scans.
+
+    Attributes
+    ----------
+    words : str
+    fits : (P,) float64
+        Of each pair: 1 where it explains it.
+    """
+
+    words: str
+    fits: FloatArray
+
+    @property
+    def wrong(self) -> IntArray:
+        """Pairs that it does not explain."""
+        return np.flatnonzero(self.fits < 1.0)
+
+    @property
+    def rank(self) -> tuple[int, float]:
+        """The larger, the better."""
+        return -len(self.wrong), float(self.fits.mean())
+
+
+def check_scan_motion(drive: FolderDrive, usable: IntArray, pose_file: str, findings: Findings) -> None:
+    """Check that the scans move as the poses do: in scale, direction, to the right side, at the right time.
+
+    Parameters
+    ----------
+    usable : (M,) int64
+        Positions of the scans that can be read.
+    pose_file : str
+        Name of the pose file in messages.
+
+    Notes
+    -----
+    Pairs some metres apart, spread over the drive and where it turns most, are laid onto each other by all turns and
+    shifts at once (`interloc.drives.plans`). On real drives the motion of the poses fits as well as the best one. Where
+    it does not at several places, usual mistakes are tried on the poses, and the one that explains all is named.
+    """
+    usable = np.asarray(usable, dtype=np.int64)
+    pairs: list[_Pair] = []
+    with findings.stage():
+        pairs = _Matcher(drive, usable).pairs()
+    poses = drive.T_world_lidar[usable]
+    if not pairs and len(poses) and float(np.linalg.norm(np.ptp(poses[:, :3, 3], axis=0))) > _MUCH_M:
+        findings.note(
+            pose_file, "the scans hold too little that stands upright or turns to tell whether they move as the poses."
+        )
+    as_told = _explained(pairs, lambda i, j: _planar(poses, i, j), "")
+    if not len(as_told.wrong):
+        return
+    worst = pairs[int(np.argmin(as_told.fits))]
+    x, y, turn = _planar(poses, worst.i, worst.j)
+    seen_x, seen_y, seen_turn = worst.motion
+    text = (
+        f"from scan {drive.frames[usable[worst.i]]} to {drive.frames[usable[worst.j]]} the poses move by "
+        f"{np.hypot(x, y):,.1f} m and turn by {np.degrees(turn):.0f} degrees, the scans by "
+        f"{np.hypot(seen_x, seen_y):.0f} m and {np.degrees(seen_turn):.0f} degrees"
+    )
+    if len(as_told.wrong) < 2:
+        findings.warning(
+            pose_file, f"the poses jump: {text}. Usual cause: an outage of GNSS or odometry, or scans missing there."
+        )
+        return
+    best = max(_explanations(pairs, poses), key=lambda each: each.rank)
+    is_explained = len(best.wrong) <= len(as_told.wrong) // 3
+    usual = best.words if is_explained else "Usual cause: poses of another sequence, or scans and poses of two clocks"
+    findings.error(
+        DriveFileError(
+            pose_file,
+            f"the scans do not move as the poses do: {text} ({len(as_told.wrong)} of {len(pairs)} places looked at are "
+            f"like that). {usual}.",
+        )
+    )
+
+
+class _Matcher:
+    """Chooses pairs of scans, and lays them onto each other."""
+
+    def __init__(self, drive: FolderDrive, usable: IntArray) -> None:
+        self.drive, self.usable = drive, usable
+        self.poses = drive.T_world_lidar[usable]
+        self.kind = "upright" if isinstance(drive.scans, RawScans) else "road"
+        self._plans: dict[int, FloatArray] = {}
+
+    def pairs(self) -> list[_Pair]:
+        """Return the pairs that lie firmly on each other."""
+        starts = self._starts()
+        found = [pair for start in starts if (pair := self._pair(start)) is not None]
+        if not found and self.kind == "upright" and not self.drive.is_slow:
+            self.kind = "road"
+            self._plans.clear()
+            found = [pair for start in starts if (pair := self._pair(start)) is not None]
+        return found
+
+    def _starts(self) -> list[int]:
+        """Choose rows to start from: spread over the drive, and where it turns most."""
+        if len(self.usable) < 2:
+            return []
+        position, yaw = self.poses[:, :3, 3], np.unwrap(yaw_of(self.poses[:, :3, :3]))
+        rows = np.array([row for row in rows_apart(position, _APART_M) if row < len(self.usable) - 1])
+        if len(rows) < 3:
+            rows = np.arange(len(self.usable) - 1)
+        spread = rows[np.linspace(0, len(rows) - 1, _SPREAD).round().astype(np.int64)]
+        turned = np.abs(np.diff(yaw[rows], append=yaw[-1]))
+        most = [int(row) for row in rows[np.argsort(-turned)[:_TURNING]] if turned[rows == row] > _TURN_RAD]
+        return sorted({*spread.tolist(), *most})
+
+    def _pair(self, i: int) -> _Pair | None:
+        """Lay a scan some metres on onto another, as far on as poses say; where that fails, as scans themselves do."""
+        j = self._some_metres_on(i)
+        if j > i + 1 and (pair := self._laid(i, j)) is not None:
+            return pair
+        near = self._laid(i, i + 1)  # the poses may be in another unit
+        if near is None:
+            return None
+        gap = int(_APART_M / max(float(np.hypot(*near.match.best[1][:2])), 0.5))
+        return (gap > 1 and self._laid(i, min(len(self.usable) - 1, i + gap))) or near
+
+    def _some_metres_on(self, i: int) -> int:
+        last = min(len(self.usable), i + 200)
+        there = invert_transform(self.poses[i]) @ self.poses[i + 1 : last]
+        beyond = (np.linalg.norm(there[:, :2, 3], axis=1) > _APART_M) | (
+            np.abs(yaw_of(there[:, :3, :3])) > _PAIR_TURN_RAD
+        )
+        return i + 1 + int(np.argmax(beyond)) if beyond.any() else last - 1
+
+    def _laid(self, i: int, j: int) -> _Pair | None:
+        if abs(_planar(self.poses, i, j)[2]) > MAX_TURN_RAD:
+            return None
+        target, source = self._plan(i), self._plan(j)
+        if min(len(target), len(source)) < MIN_CELLS:
+            return None
+        pair = _Pair(i, j, PlanMatch.of(target, source), _CONTRADICTS[self.kind])
+        share, motion = pair.match.best
+        if share < _MATCHED[self.kind]:
+            return None
+        if self.kind == "road" and np.hypot(*motion[:2]) < _NO_MOTION_M and abs(motion[2]) < _NO_MOTION_RAD:
+            return None  # a straight road looks the same from everywhere, best of all where points end at one range
+        return pair
+
+    def _plan(self, row: int) -> FloatArray:
+        if row not in self._plans:
+            index = int(self.usable[row])
+            if self.kind == "upright" and isinstance(self.drive.scans, RawScans):
+                points = self.drive.scans.sources[0].read(int(self.drive.frames[index]))
+                self._plans[row] = upright_plan(points.values[:, :3])
+            else:
+                self._plans[row] = road_plan(self.drive.ground_points(index).road)
+        return self._plans[row]
+
+
+def _planar(poses: FloatArray, i: int, j: int) -> FloatArray:
+    """Return x, y in metres and turn in radians of pose j in pose i."""
+    relative = invert_transform(poses[i]) @ poses[j]
+    return np.array([*relative[:2, 3], float(yaw_of(relative[:3, :3]))])
+
+
+def _explained(pairs: list[_Pair], motion: Callable[[int, int], FloatArray | None], words: str) -> _Explanation:
+    return _Explanation(words, np.array([pair.fit(motion(pair.i, pair.j)) for pair in pairs]))
+
+
+def _explanations(pairs: list[_Pair], poses: FloatArray) -> list[_Explanation]:
+    """Try the usual mistakes."""
+
+    def turned(angle: float) -> Callable[[int, int], FloatArray]:
+        def motion(i: int, j: int) -> FloatArray:
+            told = _planar(poses, i, j)
+            return np.append(rotate_2d(told[:2], angle), told[2])
+
+        return motion
+
+    def shifted(scans: int) -> Callable[[int, int], FloatArray | None]:
+        def motion(i: int, j: int) -> FloatArray | None:
+            return _planar(poses, i + scans, j + scans) if i + scans >= 0 and j + scans < len(poses) else None
+
+        return motion
+
+    scale = _scale(pairs, poses)
+    tried = [
+        _explained(
+            pairs,
+            lambda i, j: _planar(poses, i, j) * (scale, scale, 1.0),
+            f"They fit with {scale:.3g} times the distances. Usual cause: poses or points in another unit, or a "
+            "monocular SLAM, which has no scale",
+        ),
+        _explained(
+            pairs,
+            lambda i, j: _planar(poses, i, j) * (1.0, -1.0, -1.0),
+            "They fit with left and right exchanged. Usual cause: poses in a frame with z down (NED, FRD)",
+        ),
+        _explained(
+            pairs,
+            lambda i, j: _planar(poses, j, i),
+            "They fit inverted. Usual cause: transforms from the world to the sensor",
+        ),
+        *(
+            _explained(
+                pairs,
+                turned(np.radians(degrees)),
+                f"They fit with the points turned by {degrees} degrees. Usual cause: poses of another sensor (IMU, "
+                "camera) without the transform between the two",
+            )
+            for degrees in (180, 90, -90, *range(-165, 180, 15))
+            if degrees
+        ),
+        *(
+            _explained(
+                pairs,
+                shifted(scans),
+                f"They fit where each scan gets the pose of {abs(scans)} scans {'later' if scans > 0 else 'earlier'}. "
+                "Usual cause: scans and poses of two clocks, or that start at other frames",
+            )
+            for scans in sorted(range(-_MAX_SHIFT, _MAX_SHIFT + 1), key=abs)
+            if scans
+        ),
+    ]
+    if max(float(np.hypot(*pair.motion[:2])) for pair in pairs) <= _NO_MOTION_M:
+        tried.append(
+            _explained(
+                pairs,
+                lambda _i, _j: np.zeros(3),
+                "The scans stand still. Usual cause: a driver that repeats a scan, or points that were moved into the "
+                "frame of the world already",
+            )
+        )
+    return tried
+
+
+def _scale(pairs: list[_Pair], poses: FloatArray) -> float:
+    """Return how many times as far as the poses the scans move, where they hardly turn or turn alike."""
+    ratios = [
+        float(np.hypot(*pair.motion[:2]) / max(np.hypot(*_planar(poses, pair.i, pair.j)[:2]), 1e-6)) for pair in pairs
+    ]
+    return float(np.median(ratios))

@@ -1,0 +1,235 @@
+"""From the mosaic of a drive and its intersections to the network of its roads; the method on one page."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import shapely
+from scipy.spatial import cKDTree
+
+from interloc.arrays import FloatArray, IntArray
+from interloc.mapping.mosaic import Mosaic
+from interloc.results import DriveResult
+from interloc.roadmap.fit import STEP_M, Street, fit
+from interloc.roadmap.graph import Graph, trace
+from interloc.roadmap.network import PROFILE_STEP_M, NodeKind, RoadEdge, RoadNetwork, RoadNode
+from interloc.roadmap.surface import BLOCK, Ground, survey
+from interloc.roadmap.topology import connect, strokes
+
+_TRACK_STEP_M = 2.0
+_DRIVEN_M = 4.0  # from the track
+_NEAR_TRACK_M = 25.0  # of a dead end: what is behind it was in view
+_MIN_STATIONS = 10
+_MOUTH_M = 5.0  # beyond the edge of the widest road of a junction
+_DEFAULT_HALF_M = 3.0
+_SIMPLIFIED_M = 0.03
+_GRID_M = 0.01
+_TIED_M = 2.0  # a line goes straight to its node from that distance
+_THROUGH_STD_M, _ENDING_STD_M, _MIN_STD_M = 0.15, 0.6, 0.5  # of a street's line at a node; least of the node
+_FORK_STD_M = 2.0  # of a node that only the skeleton has
+_MAX_SHIFT_M = 8.0
+_CORRELATED_M = 12.0  # stations nearer than this to each other err alike
+
+
+def extract_roads(result: DriveResult, mosaic: Mosaic, *, block: int = BLOCK) -> RoadNetwork:
+    """Make the map of the roads that a drive saw.
+
+    Parameters
+    ----------
+    result
+        For its intersections, which become the nodes, and its track.
+    mosaic
+        The road that it saw, see `interloc.mapping.mosaic.build_mosaic`.
+    block
+        Cells per side of the squares that are worked on, a multiple of the side of a tile.
+    """
+    if not mosaic.raster.tiles or not len(result.keyframes):
+        return RoadNetwork(epsg=mosaic.epsg)
+    ground = survey(mosaic.raster, block)
+    fused_xy, track_xy = _places(mosaic.epsg, result)
+    graph = trace(ground)
+    connect(graph, fused_xy, ground.places)
+    track = cKDTree(_filled(track_xy))
+    streets = fit(mosaic.raster, graph, strokes(graph), track)
+    _move_nodes(graph, streets, result.intersections.covariances)
+    track = cKDTree(track_xy)
+    ids = {node: number for number, node in enumerate(graph.nodes, 1)}
+    found = [edge for street in streets for edge in _edges(street, graph, ids, track, ground.places)]
+    edges = [replace(edge, id=number) for number, edge in enumerate(found, 1)]
+    nodes = _nodes(graph, ids, edges, ground, result.intersections.id, track)
+    return RoadNetwork(nodes, edges, ground.surface, mosaic.epsg)
+
+
+def _places(epsg: int | None, result: DriveResult) -> tuple[FloatArray, FloatArray]:
+    """Return intersections and keyframes in metres of the mosaic."""
+    found, track = result.intersections, result.keyframes
+    if epsg is None or found.lonlat is None or track.lonlat is None:
+        return found.world_xy, track.world_xy
+    from pyproj import Transformer  # noqa: PLC0415 - slow to import
+
+    project = Transformer.from_crs(4326, epsg, always_xy=True).transform
+    return (
+        np.stack(project(found.lonlat[:, 0], found.lonlat[:, 1]), axis=-1),
+        np.stack(project(track.lonlat[:, 0], track.lonlat[:, 1]), axis=-1),
+    )
+
+
+def _filled(track_xy: FloatArray) -> FloatArray:
+    """Return the track with a place at least every two metres."""
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(track_xy, axis=0), axis=1))])
+    at = np.union1d(along, np.arange(0.0, along[-1], _TRACK_STEP_M))
+    return np.stack([np.interp(at, along, track_xy[:, k]) for k in (0, 1)], axis=-1)
+
+
+def _nodes(
+    graph: Graph,
+    ids: Mapping[int, int],
+    edges: Sequence[RoadEdge],
+    ground: Ground,
+    fused_id: IntArray,
+    track: cKDTree,
+) -> list[RoadNode]:
+    surface = shapely.STRtree(ground.surface)
+    arms: dict[int, list[RoadEdge]] = {}
+    for edge in edges:
+        for end in {edge.start, edge.end}:
+            arms.setdefault(end, []).append(edge)
+    nodes = []
+    for number, node in graph.nodes.items():
+        kind, area = _kind(graph, number, track), None
+        if node.place is not None:
+            area = ground.places[node.place]
+        elif graph.degree(number) > 1:
+            area = _junction(node.xy, arms[ids[number]], ids[number], surface)
+        intersections = tuple(fused_id[node.intersections].tolist())
+        nodes.append(RoadNode(ids[number], kind, node.xy, intersections, area))
+    return nodes
+
+
+def _kind(graph: Graph, number: int, track: cKDTree) -> NodeKind:
+    node = graph.nodes[number]
+    if node.intersections:
+        return "intersection"
+    if node.place is not None:
+        return "place"
+    if graph.degree(number) > 1:
+        return "fork"
+    return "dead_end" if track.query(node.xy)[0] < _NEAR_TRACK_M else "end_of_view"
+
+
+def _move_nodes(graph: Graph, streets: Sequence[Street], covariances: FloatArray) -> None:
+    """Move each node to where the lines of its streets meet: least squares, with the place of the fused one as one."""
+    lines: dict[int, list[tuple[FloatArray, FloatArray, float]]] = {}
+    for street in streets:
+        used = np.flatnonzero(street.is_used)
+        if len(used) < _MIN_STATIONS:
+            continue
+        for k, (node, row) in enumerate(zip(street.nodes, street.rows, strict=True)):
+            is_end = k in {0, len(street.nodes) - 1}
+            at = int(used[np.argmin(np.abs(used - row))])
+            reach = round(10.0 / STEP_M)
+            around = street.xy[max(0, at - reach) : at + reach + 1]
+            way = around[-1] - around[0]
+            normal = np.array([-way[1], way[0]]) / max(float(np.linalg.norm(way)), 1e-9)
+            here = street.xy[at] if is_end and graph.degree(node) > 1 else street.xy[row]
+            lines.setdefault(node, []).append((here, normal, _ENDING_STD_M if is_end else _THROUGH_STD_M))
+    for number, found in lines.items():
+        place = graph.nodes[number]
+        if place.place is not None:
+            continue
+        if graph.degree(number) == 1 and place.is_free:
+            place.xy = found[0][0]
+            continue
+        covariance = np.eye(2) * _FORK_STD_M**2
+        if place.intersections:
+            covariance = covariances[place.intersections[0]] + np.eye(2) * _MIN_STD_M**2
+        information = np.linalg.inv(covariance)
+        right = information @ place.xy
+        for here, normal, std in found:
+            weight = np.outer(normal, normal) / std**2
+            information, right = information + weight, right + weight @ here
+        shift = np.linalg.solve(information, right) - place.xy
+        place.xy = place.xy + shift * min(1.0, _MAX_SHIFT_M / max(float(np.linalg.norm(shift)), 1e-9))
+
+
+def _edges(
+    street: Street, graph: Graph, ids: Mapping[int, int], track: cKDTree, places: Sequence[shapely.Polygon]
+) -> list[RoadEdge]:
+    """Return the edges of a street, the ends of each tied to its nodes."""
+    is_driven = np.isfinite(np.asarray(track.query(street.xy, distance_upper_bound=_DRIVEN_M)[0]))
+    last, edges = len(street.nodes) - 2, []
+    for k, (start, end) in enumerate(pairwise(street.nodes)):
+        rows = np.arange(street.rows[k], street.rows[k + 1] + 1)
+        used = rows[street.is_used[rows]]
+        line = street.xy[rows]
+        if len(used):  # where a street ends, its line is known as far as it was measured
+            first = used[0] - rows[0] if k == 0 and graph.degree(start) > 1 else 0
+            stop = used[-1] - rows[0] + 1 if k == last and graph.degree(end) > 1 else len(rows)
+            line = line[first : max(stop, first + 1)]
+        ends = np.stack([graph.nodes[start].xy, graph.nodes[end].xy])
+        apart = np.linalg.norm(line[:, None] - ends, axis=2).min(axis=1) > _TIED_M
+        line = np.vstack([ends[0], line[apart], ends[1]])
+        width = street.left_m[used] + street.right_m[used]
+        enough = len(used) >= _MIN_STATIONS
+        low, median, high = np.percentile(width, (10.0, 50.0, 90.0)) if enough else (np.nan,) * 3
+        independent = max(1.0, min(len(used), _CORRELATED_M / STEP_M) * STEP_M / 2.0)
+        edges.append(
+            RoadEdge(
+                id=0,
+                start=ids[start],
+                end=ids[end],
+                xy=_simplified(_outside(line, [graph.nodes[n].place for n in (start, end)], places)),
+                width_m=float(median),
+                width_p10_m=float(low),
+                width_p90_m=float(high),
+                profile_m=_profile(street, rows),
+                seen=float(np.mean(street.is_seen[rows])),
+                keyframes=int(np.median(street.level[rows])),
+                offset_std_m=street.scatter_m / np.sqrt(independent) if enough else np.nan,
+                is_driven=bool(np.mean(is_driven[rows]) > 0.5),
+            )
+        )
+    return edges
+
+
+def _profile(street: Street, rows: IntArray) -> FloatArray:
+    at = rows[:: round(PROFILE_STEP_M / STEP_M)]
+    return np.where(street.is_used[at], street.left_m[at] + street.right_m[at], np.nan)
+
+
+def _outside(line: FloatArray, ends: Sequence[int | None], places: Sequence[shapely.Polygon]) -> FloatArray:
+    """Return a line as far as it lies outside of the open places at its ends."""
+    inside = np.zeros(len(line), np.bool_)
+    for place in {each for each in ends if each is not None}:
+        inside |= shapely.contains_xy(places[place], line)
+    runs = np.split(np.arange(len(line)), np.flatnonzero(np.diff(inside)) + 1)
+    longest = max(runs, key=lambda run: 0 if inside[run[0]] else len(run))
+    return line if inside[longest[0]] or len(longest) < 2 else line[longest]
+
+
+def _simplified(line: FloatArray) -> FloatArray:
+    return shapely.get_coordinates(shapely.simplify(shapely.LineString(line), _SIMPLIFIED_M))
+
+
+def _junction(xy: FloatArray, arms: Sequence[RoadEdge], node: int, surface: shapely.STRtree) -> shapely.Polygon | None:
+    """Return the ground where the roads of a node meet: the road between their mouths."""
+    half_m = [_DEFAULT_HALF_M if np.isnan(edge.width_m) else edge.width_m / 2.0 for edge in arms]
+    reach = max(half_m) + _MOUTH_M
+    corners = [xy]
+    for edge, half in zip(arms, half_m, strict=True):
+        line = shapely.LineString(edge.xy if edge.start == node else edge.xy[::-1])
+        at = min(reach, 0.45 * line.length)
+        mouth = shapely.get_coordinates(shapely.line_interpolate_point(line, [at, at + 0.5]))
+        way = (mouth[1] - mouth[0]) / max(float(np.linalg.norm(mouth[1] - mouth[0])), 1e-9)
+        side = half * np.array([-way[1], way[0]])
+        corners += [mouth[0] + side, mouth[0] - side]
+    hull = shapely.MultiPoint(corners).convex_hull
+    if not isinstance(hull, shapely.Polygon):
+        return None
+    near = surface.geometries[surface.query(hull, predicate="intersects")]
+    ground = shapely.get_parts(shapely.intersection(shapely.union_all(near, grid_size=_GRID_M), hull))
+    polygons = [each for each in ground if isinstance(each, shapely.Polygon)]
+    return max(polygons, key=lambda each: each.area, default=hull)

@@ -1,0 +1,313 @@
+"""Centrelines and widths to a fraction of a cell: both edges of the road, every half metre along each street.
+
+The edge of a road is where the count falls to half of that in its middle, a threshold that moves with the place. Parked
+cars hide the kerb and nothing adds to it, so a side is a high quantile along the road; yards, bays and lay-bys add to
+it for less than 50 m, so the narrower line on both sides of them is held.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from scipy.linalg import solveh_banded
+from scipy.ndimage import median_filter, percentile_filter, uniform_filter1d
+from scipy.spatial import cKDTree
+
+from interloc.arrays import BoolArray, FloatArray, IntArray
+from interloc.mapping.mosaic import Raster
+from interloc.roadmap.graph import Edge, Graph
+
+STEP_M = 0.5
+"""Between the stations of a street."""
+
+_REACH_M, _ACROSS_M = 14.0, 0.25
+_MIDDLE_M = 1.5
+_SHARE = 0.5  # of the count in the middle of the road, at its edge
+_MIN_LEVEL = 2.0
+_ROUNDS = 3
+_SMOOTH_M = 25.0  # bends that are shorter are noise
+_FIRST_SMOOTH_M = 12.0
+_HINT, _FAINT = 0.02, 1e-4  # weights of the line before: where no edges were measured, where they mislead
+_STEADY_M, _ODD_M, _ODD_SHARE = 15.0, 1.0, 0.2  # widths that leave the median around them are not believed
+_QUANTILE, _QUANTILE_M, _MEAN_M = 80, 20.0, 10.0
+_HELD_M, _HELD_SHARE = 100.0, 0.4  # but not more than this share of the street
+_MOST = 85
+_WIDER_M = 1.5  # than the line that is held
+_MOUTH_M = 5.0  # beyond the edge of the other street
+_BESIDE_M, _PARALLEL_COS = 8.0, 0.9  # of the track and a line that it follows
+_LANE_M = 3.0  # from the track to the middle of the road
+_PIECE = 400  # stations whose counts are looked up at once
+
+
+@dataclass
+class Street:
+    """One edge or several that go straight on, as stations every half metre.
+
+    Attributes
+    ----------
+    nodes : list of int
+        That it passes, in its direction.
+    rows : list of int
+        The station at each of them.
+    xy : (N, 2) float64
+        The centreline.
+    is_seen : (N,) bool
+    is_free : (N,) bool
+        Away from the mouths of other streets.
+    track : (N, 2) float64
+        The vehicle where it went beside the line; else NaN.
+    is_used : (N,) bool
+        Both edges of the road were measured there.
+    left_m, right_m : (N,) float64
+        From the centreline to the edges.
+    level : (N,) float64
+        Count in the middle.
+    scatter_m : float
+        One sigma of a single station's middle around the line.
+    """
+
+    nodes: list[int]
+    rows: list[int]
+    xy: FloatArray
+    is_seen: BoolArray
+    is_free: BoolArray
+    track: FloatArray
+    is_used: BoolArray
+    left_m: FloatArray
+    right_m: FloatArray
+    level: FloatArray
+    scatter_m: float = float("nan")
+
+
+def fit(raster: Raster, graph: Graph, chains: Sequence[Sequence[tuple[int, Edge]]], track: cKDTree) -> list[Street]:
+    """Fit the streets of a graph to the counts of a mosaic.
+
+    Parameters
+    ----------
+    raster
+    graph
+        For what meets the streets at their nodes.
+    chains
+        Edges by street, see `interloc.roadmap.topology.strokes`.
+    track
+        Places of the vehicle in their order.
+    """
+    mouths = {node: _half_widths(graph, node) for node in graph.nodes}
+    streets = [_street(chain, mouths, track) for chain in chains]
+    if not streets:
+        return []
+    every = np.concatenate([street.xy[::8] for street in streets])
+    owner = np.repeat(np.arange(len(streets)), [len(street.xy[::8]) for street in streets])
+    tree = cKDTree(every)
+    for number, street in enumerate(streets):
+        for _ in range(_ROUNDS):
+            _measure(raster, street, tree, owner, number)
+    return streets
+
+
+def _half_widths(graph: Graph, node: int) -> dict[int, float]:
+    """Return half the width of each arm some way out."""
+    return {
+        number: float(np.median(edge.half_m[16:60] if len(edge.half_m) > 20 else edge.half_m))
+        for number, edge in graph.arms(node)
+    }
+
+
+def _street(chain: Sequence[tuple[int, Edge]], mouths: Mapping[int, Mapping[int, float]], track: cKDTree) -> Street:
+    whole = chain[0][1]
+    for _, edge in chain[1:]:
+        whole = whole.then(edge)
+    along = _along(whole.xy)
+    count = max(3, round(along[-1] / STEP_M) + 1)
+    at = np.linspace(0.0, along[-1], count)
+    xy = np.stack([np.interp(at, along, whole.xy[:, k]) for k in (0, 1)], axis=-1)
+    rows = np.minimum(np.searchsorted(along, at), len(along) - 1)
+    ends = np.cumsum([edge.length_m for _, edge in chain])
+    is_free = np.ones(count, np.bool_)
+    own = {number for number, _ in chain}
+    nodes = [chain[0][1].start, *(edge.end for _, edge in chain)]
+    for node, where in zip(nodes, [0.0, *ends.tolist()], strict=True):
+        others = [half for number, half in mouths[node].items() if number not in own]
+        reach = max(others) + _MOUTH_M if others else 2.0
+        here, apart = xy[round(where / along[-1] * (count - 1))], np.abs(at - where)
+        is_near = np.linalg.norm(xy - here, axis=1) <= reach  # the skeleton of a fork leads there and back
+        is_free &= (apart > reach) & ~(is_near & (apart < 4.0 * reach))
+    none = np.full(count, np.nan)
+    stops = [0, *(round(end / along[-1] * (count - 1)) for end in ends.tolist())]
+    street = Street(
+        nodes,
+        stops,
+        xy,
+        whole.is_seen[rows],
+        is_free,
+        _beside(xy, track),
+        is_free.copy(),
+        none,
+        none.copy(),
+        np.zeros(count),
+    )
+    street.xy = _smoothed(np.where(np.isnan(street.track), xy, street.track), np.ones(count), _FIRST_SMOOTH_M)
+    return street
+
+
+def _beside(xy: FloatArray, track: cKDTree) -> FloatArray:
+    """Return the place of the vehicle beside each station of a line, (N, 2); NaN where it did not go along it."""
+    way, track_way = (np.gradient(each, axis=0) for each in (xy, track.data))
+    distance, found = track.query(xy, distance_upper_bound=_BESIDE_M)
+    nearest = np.minimum(np.asarray(found), track.n - 1)
+    parallel = np.abs(np.sum(way * track_way[nearest], axis=1))
+    parallel /= np.maximum(np.linalg.norm(way, axis=1) * np.linalg.norm(track_way[nearest], axis=1), 1e-9)
+    is_beside = np.isfinite(distance) & (parallel > _PARALLEL_COS)
+    return np.where(is_beside[:, None], track.data[nearest], np.nan)
+
+
+def _along(xy: FloatArray) -> FloatArray:
+    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(xy, axis=0), axis=1))])
+
+
+def _smoothed(xy: FloatArray, weight: FloatArray, length_m: float) -> FloatArray:
+    """Return the line that bends least and keeps to positions (Whittaker 1923); waves of a length lose half.
+
+    Parameters
+    ----------
+    xy : (N, 2) float64
+    weight : (N,) float64
+        0 where a position is not known.
+    """
+    stiff = (length_m / (2.0 * np.pi * STEP_M)) ** 4
+    bands = np.zeros((3, len(xy)))  # of D'D, where D takes second differences
+    for k, value in ((0, 1.0), (1, -2.0), (2, 1.0)):
+        for j, other in ((0, 1.0), (1, -2.0), (2, 1.0)):
+            if j >= k:
+                bands[2 - (j - k), j : len(xy) - 2 + j] += stiff * value * other
+    bands[2] += weight
+    return np.asarray(solveh_banded(bands, weight[:, None] * xy), np.float64)
+
+
+def _measure(raster: Raster, street: Street, tree: cKDTree, owner: IntArray, number: int) -> None:
+    """Measure the sides of a street around its line, then move the line to the middle."""
+    tangent = np.gradient(street.xy, axis=0)
+    tangent /= np.maximum(np.linalg.norm(tangent, axis=1), 1e-9)[:, None]
+    normal = np.stack([-tangent[:, 1], tangent[:, 0]], axis=-1)  # to the left
+    limit = _limits(street.xy, normal, tree, owner, number)
+    left, right, level = _sides(raster, street.xy, normal, limit)
+    is_known = street.is_free & street.is_seen & np.isfinite(left + right) & (level >= _MIN_LEVEL)
+    street.level = level
+    if np.count_nonzero(is_known) < 3:
+        street.is_used = np.zeros_like(is_known)
+        return
+    left, right = (_filled(side, is_known) for side in (left, right))
+    width = left + right
+    steady = median_filter(width, _odd(_STEADY_M), mode="nearest")
+    is_known &= np.abs(width - steady) <= np.maximum(_ODD_M, _ODD_SHARE * steady)
+    if np.count_nonzero(is_known) < 3:
+        street.is_used = np.zeros_like(is_known)
+        return
+    left, right = (_kerb(_filled(side, is_known)) for side in (left, right))
+    is_pulled = left + right > _held(left + right) + 2.0 * _WIDER_M
+    if np.count_nonzero(is_pulled & is_known) > np.count_nonzero(is_known) / 2:
+        is_pulled[:] = False
+    left, right = (np.where(side > _held(side) + _WIDER_M, _held(side), side) for side in (left, right))
+    left, right = (_mean(side) for side in (left, right))
+    left, right = _near_track(left, right, np.sum((street.track - street.xy) * normal, axis=1))
+    street.left_m, street.right_m = left, right
+    is_sure = is_known & ~is_pulled
+    middle = street.xy + np.where(is_sure, (left - right) / 2.0, 0.0)[:, None] * normal
+    weight = np.where(is_sure, 1.0, np.where(street.is_free & ~is_pulled, _HINT, _FAINT))
+    smooth = _smoothed(middle, weight, _SMOOTH_M)
+    residual = np.sum((middle - smooth) * normal, axis=1)[is_sure]
+    street.scatter_m = float(1.4826 * np.median(np.abs(residual))) if len(residual) else float("nan")
+    street.is_used = is_known
+    street.xy = smooth
+
+
+def _kerb(side: FloatArray) -> FloatArray:
+    """Return the kerb along a side: what cars hide is filled."""
+    steady = median_filter(side, _odd(_STEADY_M), mode="nearest")
+    high = percentile_filter(np.minimum(side, steady + _ODD_M), _QUANTILE, _odd(_QUANTILE_M), mode="nearest")
+    return np.asarray(high, np.float64)
+
+
+def _mean(values: FloatArray) -> FloatArray:
+    return np.asarray(uniform_filter1d(values, _odd(_MEAN_M), mode="nearest"), np.float64)
+
+
+def _held(values: FloatArray) -> FloatArray:
+    """Return values without what is higher for a short way than before and after."""
+    size = _odd(min(_HELD_M, _HELD_SHARE * len(values) * STEP_M))
+    low = percentile_filter(values, 100 - _MOST, size, mode="nearest")  # an opening that does not believe single dips
+    return np.asarray(percentile_filter(low, _MOST, size, mode="nearest"), np.float64)
+
+
+def _near_track(left: FloatArray, right: FloatArray, track: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Cut what would move the middle of the road too far away from the vehicle, which keeps to a lane of it."""
+    away = np.nan_to_num((left - right) / 2.0 - track)
+    return left - 2.0 * np.maximum(away - _LANE_M, 0.0), right - 2.0 * np.maximum(-away - _LANE_M, 0.0)
+
+
+def _odd(length_m: float) -> int:
+    return 2 * round(length_m / STEP_M / 2) + 1
+
+
+def _filled(values: FloatArray, is_known: BoolArray) -> FloatArray:
+    rows = np.arange(len(values))
+    return np.asarray(np.interp(rows, rows[is_known], values[is_known]), np.float64)
+
+
+def _limits(xy: FloatArray, normal: FloatArray, tree: cKDTree, owner: IntArray, number: int) -> FloatArray:
+    """Return how far to look to the left and to the right, (N, 2): half the way to the next street."""
+    limits = np.full((len(xy), 2), _REACH_M)
+    distance, nearest = map(np.asarray, tree.query(xy, k=12, distance_upper_bound=2.0 * _REACH_M))
+    there = np.isfinite(distance) & (owner[np.minimum(nearest, len(owner) - 1)] != number)
+    for k in np.flatnonzero(there.any(axis=0)):
+        rows = np.flatnonzero(there[:, k])
+        across = np.sum((tree.data[nearest[rows, k]] - xy[rows]) * normal[rows], axis=1)
+        beside = np.abs(across) > 0.7 * distance[rows, k]
+        rows, across = rows[beside], across[beside]
+        side = np.where(across > 0.0, 0, 1)
+        limits[rows, side] = np.minimum(limits[rows, side], np.abs(across) / 2.0)
+    return limits
+
+
+def _sides(
+    raster: Raster, xy: FloatArray, normal: FloatArray, limit: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the distance to the left and to the right edge, NaN where none was found, and the count in the middle."""
+    offsets = np.arange(-_REACH_M, _REACH_M + _ACROSS_M / 2, _ACROSS_M)
+    zero = len(offsets) // 2
+    sides, level = np.full((2, len(xy)), np.nan), np.zeros(len(xy))
+    for begin in range(0, len(xy), _PIECE):
+        part = slice(begin, begin + _PIECE)
+        counts = _profiles(raster, xy[part], normal[part], offsets)
+        level[part] = np.median(counts[:, np.abs(offsets) <= _MIDDLE_M], axis=1)
+        threshold = _SHARE * level[part]
+        for side, outward in ((0, counts[:, zero:]), (1, counts[:, zero::-1])):
+            sides[side, part] = np.minimum(_first_fall(outward, threshold), limit[part, side])
+    return sides[0], sides[1], level
+
+
+def _first_fall(counts: FloatArray, threshold: FloatArray) -> FloatArray:
+    """Return where counts outwards fall below a threshold, metres; infinite where they do not."""
+    is_below = counts < threshold[:, None]
+    first = np.argmax(is_below, axis=1)
+    rows = np.flatnonzero(is_below.any(axis=1) & (first > 0))
+    place = np.where(is_below.any(axis=1), np.nan, np.inf)  # NaN: below in the middle already
+    here, before = counts[rows, first[rows]], counts[rows, first[rows] - 1]
+    place[rows] = (first[rows] - 1 + (before - threshold[rows]) / np.maximum(before - here, 1e-9)) * _ACROSS_M
+    return place
+
+
+def _profiles(raster: Raster, xy: FloatArray, normal: FloatArray, offsets: FloatArray) -> FloatArray:
+    """Return the counts across some stations, (N, S), between the middles of cells by bilinear look-up."""
+    places = xy[:, None] + offsets[None, :, None] * normal[:, None]
+    cells = places * [1.0, -1.0] / raster.cell_m - 0.5
+    first = np.floor(cells.min(axis=(0, 1))).astype(int)
+    size = np.ceil(cells.max(axis=(0, 1))).astype(int) + 2 - first
+    window = raster.window(int(first[1]), int(first[0]), int(size[1]), int(size[0]))
+    if window is None:
+        return np.zeros(places.shape[:2])
+    at = (cells - first).astype(np.float32)
+    return np.asarray(cv2.remap(window.astype(np.float32), at[..., 0], at[..., 1], cv2.INTER_LINEAR), np.float64)

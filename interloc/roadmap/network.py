@@ -1,0 +1,126 @@
+"""The map of the roads of a drive: nodes, edges, areas."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+import shapely
+
+from interloc.arrays import FloatArray
+
+NodeKind = Literal["intersection", "fork", "place", "dead_end", "end_of_view"]
+"""What a node is.
+
+intersection: one of the result, or several in one place. fork: three or more lines of the road meet, and the result has
+no intersection there. place: an open place without one. dead_end: the road ends and the drive came near. end_of_view:
+the road was not seen farther.
+"""
+
+PROFILE_STEP_M = 10.0
+"""Between two widths of the profile of an edge."""
+
+
+@dataclass(frozen=True)
+class RoadNode:
+    """Where roads meet or end.
+
+    Attributes
+    ----------
+    id : int
+        From 1.
+    kind : str
+        See `NodeKind`.
+    xy : (2,) float64
+        Metres of the network's coordinate system.
+    intersections : tuple of int
+        Ids of the fused intersections that it is.
+    area : shapely.Polygon or None
+        The ground where its roads meet; None where one ends.
+    """
+
+    id: int
+    kind: NodeKind
+    xy: FloatArray
+    intersections: tuple[int, ...] = ()
+    area: shapely.Polygon | None = None
+
+
+@dataclass(frozen=True)
+class RoadEdge:
+    """A road between two nodes.
+
+    Attributes
+    ----------
+    id : int
+        From 1.
+    start, end : int
+        Ids of its nodes.
+    xy : (N, 2) float64
+        Centreline, metres of the network's coordinate system: from node to node, or to the edge of an open place.
+    width_m, width_p10_m, width_p90_m : float
+        Width from edge to edge: median along it, 10th and 90th percentile; NaN where it is too short to measure.
+    profile_m : (P,) float64
+        Width every `PROFILE_STEP_M` from the start; NaN where it was not measured.
+    seen : float
+        Share of its length that was seen, 0..1; the rest are gaps between two ends that face each other.
+    keyframes : int
+        Median number of the keyframes, 10 m apart, that saw its middle.
+    offset_std_m : float
+        One-sigma uncertainty of the centreline across its direction, without that of the georeference; NaN where the
+        width is not known.
+    is_driven : bool
+        The drive went along it. Of other roads one flank may be hidden: their width is a minimum.
+    """
+
+    id: int
+    start: int
+    end: int
+    xy: FloatArray
+    width_m: float
+    width_p10_m: float
+    width_p90_m: float
+    profile_m: FloatArray
+    seen: float
+    keyframes: int
+    offset_std_m: float
+    is_driven: bool
+
+    @property
+    def length_m(self) -> float:
+        """Length of the centreline."""
+        return float(np.linalg.norm(np.diff(self.xy, axis=0), axis=1).sum())
+
+
+@dataclass(frozen=True)
+class RoadNetwork:
+    """The roads that a drive saw.
+
+    Attributes
+    ----------
+    nodes : list of RoadNode
+    edges : list of RoadEdge
+    surface : list of shapely.Polygon
+        The ground that was seen as road, in squares of 512 m (of 1,024 cells).
+    epsg : int or None
+        Coordinates are metres of this system; None: metres of W, without georeference.
+    """
+
+    nodes: list[RoadNode] = field(default_factory=list)
+    edges: list[RoadEdge] = field(default_factory=list)
+    surface: list[shapely.Polygon] = field(default_factory=list)
+    epsg: int | None = None
+
+    def __repr__(self) -> str:
+        km = sum(edge.length_m for edge in self.edges) / 1000.0
+        return f"<RoadNetwork {len(self.nodes)} nodes, {len(self.edges)} roads, {km:.1f} km>"
+
+    def lonlat(self, xy: FloatArray) -> FloatArray:
+        """Return longitude and latitude, degrees, of (N, 2) places; the places themselves without georeference."""
+        if self.epsg is None:
+            return xy
+        from pyproj import Transformer  # noqa: PLC0415 - slow to import
+
+        to_lonlat = Transformer.from_crs(self.epsg, 4326, always_xy=True)
+        return np.stack(to_lonlat.transform(xy[..., 0], xy[..., 1]), axis=-1)

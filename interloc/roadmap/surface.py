@@ -1,0 +1,174 @@
+"""The ground that was seen as road, block by block: its mask, its skeleton, its outlines, open places.
+
+A block is computed with a margin around it and gives only what lies within, so the memory does not grow with the drive
+and the seams do not show.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import cv2
+import numpy as np
+import shapely
+
+from interloc.arrays import FloatArray, IntArray, UInt8Array
+from interloc.kernels import bits
+from interloc.kernels.thinning import thin
+from interloc.mapping.mosaic import TILE, Raster
+
+BLOCK = 4 * TILE
+"""Cells per side of a block."""
+
+MARGIN_M = 64.0
+"""Around a block: more than twice the half width of the widest road that is thinned."""
+
+PLACE_HALF_M = 12.0
+"""Ground that a disc of this radius fits into is an open place, not a road, unless it is as small as a junction."""
+
+MIN_COUNT = 2  # sightings of a cell
+_HOLE_M2 = 60.0  # shadows of cars; islands of roundabouts and medians are larger
+_OPENING_M = 1.0
+_PIECE_M2 = 150.0
+_PLACE_M2 = 1200.0
+_SIMPLIFIED_M = 0.25
+
+
+@dataclass
+class Ground:
+    """What all blocks found.
+
+    Attributes
+    ----------
+    cell_m : float
+    rows, cols : (P,) int64
+        Cells of the skeleton, in row-major order.
+    half_m : (P,) float64
+        Distance from each to the edge of the road, metres.
+    places : list of shapely.Polygon
+        Open places, metres of the mosaic.
+    surface : list of shapely.Polygon
+        The road, cut at the blocks.
+    """
+
+    cell_m: float
+    rows: IntArray = field(default_factory=lambda: np.zeros(0, np.int64))
+    cols: IntArray = field(default_factory=lambda: np.zeros(0, np.int64))
+    half_m: FloatArray = field(default_factory=lambda: np.zeros(0))
+    places: list[shapely.Polygon] = field(default_factory=list)
+    surface: list[shapely.Polygon] = field(default_factory=list)
+
+    @property
+    def xy(self) -> FloatArray:
+        """(P, 2) middles of the cells of the skeleton, metres of the mosaic."""
+        return np.stack([self.cols + 0.5, -(self.rows + 0.5)], axis=-1) * self.cell_m
+
+
+def survey(raster: Raster, block: int = BLOCK) -> Ground:
+    """Find the road in a raster of counts.
+
+    Parameters
+    ----------
+    raster
+        Of a mosaic.
+    block
+        Cells per side of a block; the result depends on it only in how the surface is cut.
+    """
+    ground = Ground(raster.cell_m)
+    found, places = [], []
+    for row, col in _blocks(raster, block):
+        margin = round(MARGIN_M / raster.cell_m)
+        counts = raster.window(row - margin, col - margin, block + 2 * margin, block + 2 * margin)
+        if counts is None:
+            continue
+        mask = road_mask(counts, raster.cell_m)
+        half_m = _distance(mask) * raster.cell_m
+        place = _open_places(half_m, mask, raster.cell_m)
+        skeleton = _skeleton(mask & ~place)
+        inside = slice(margin, margin + block)
+        rows, cols = np.nonzero(skeleton[inside, inside])
+        found.append((rows + row, cols + col, half_m[inside, inside][rows, cols]))
+        corner = np.array([col - margin, -(row - margin)]) * raster.cell_m
+        box = shapely.box(*(np.array([col, -(row + block), col + block, -row]) * raster.cell_m))
+        ground.surface += _outlines(mask, corner, raster.cell_m, box)
+        places += _outlines(place, corner, raster.cell_m, box)
+    if found:
+        rows, cols, half = (np.concatenate(each) for each in zip(*found, strict=True))
+        order = np.lexsort((cols, rows))
+        ground.rows, ground.cols, ground.half_m = rows[order], cols[order], half[order].astype(np.float64)
+    ground.places = list(shapely.get_parts(shapely.union_all([each.buffer(raster.cell_m / 10) for each in places])))
+    return ground
+
+
+def _blocks(raster: Raster, block: int) -> Iterator[tuple[int, int]]:
+    """Yield first row and column of the blocks that have tiles, in row-major order."""
+    side = block // TILE
+    yield from sorted({(row // side * block, col // side * block) for row, col in raster.tiles})
+
+
+def road_mask(counts: UInt8Array, cell_m: float) -> UInt8Array:
+    """Return 1 where a window of counts is road: holes filled, thin and small pieces gone."""
+    mask = (counts >= MIN_COUNT).astype(np.uint8)
+    mask |= _small(1 - mask, 4, _HOLE_M2 / cell_m**2)
+    reach = int(_OPENING_M / cell_m)
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
+    mask = np.asarray(cv2.morphologyEx(mask, cv2.MORPH_OPEN, disc), np.uint8)
+    return mask & (1 - _small(mask, 8, _PIECE_M2 / cell_m**2))
+
+
+def _small(image: UInt8Array, connectivity: int, limit: float) -> UInt8Array:
+    """Return 1 in the pieces of less than so many cells that do not reach the border."""
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(image, connectivity=connectivity)
+    height, width = image.shape
+    left, top, across, down, area = stats.T
+    is_small = (area < limit) & (left > 0) & (top > 0) & (left + across < width) & (top + down < height)
+    is_small[0] = False
+    small: UInt8Array = is_small.astype(np.uint8)[labels]
+    return small
+
+
+def _distance(mask: UInt8Array) -> FloatArray:
+    """Return how far each cell of a mask is from the nearest one outside of it, cells."""
+    return np.asarray(cv2.distanceTransform(mask, cv2.DIST_L2, cv2.DIST_MASK_PRECISE), np.float64)
+
+
+def _open_places(half_m: FloatArray, mask: UInt8Array, cell_m: float) -> UInt8Array:
+    core = half_m > PLACE_HALF_M
+    if not core.any():
+        return np.zeros_like(mask)
+    away = _distance((~core).astype(np.uint8))
+    place: UInt8Array = ((away * cell_m <= PLACE_HALF_M) & (mask == 1)).astype(np.uint8)
+    place &= 1 - _small(place, 8, _PLACE_M2 / cell_m**2)
+    return place
+
+
+def _skeleton(mask: UInt8Array) -> UInt8Array:
+    """Thin a mask by the kernel of the method, on packed words."""
+    height, width = mask.shape
+    words = np.zeros((height + 2, bits.words_for(width)), np.uint64)
+    packed = np.packbits(np.pad(mask, ((0, 0), (0, 64 * words.shape[1] - width))), axis=1, bitorder="little")
+    words[1:-1] = packed.view("<u8")
+    thin(words)
+    skeleton = np.zeros_like(mask)
+    bits.unpack(words, skeleton)
+    return skeleton
+
+
+def _outlines(mask: UInt8Array, corner_xy: FloatArray, cell_m: float, box: shapely.Polygon) -> list[shapely.Polygon]:
+    """Return what of a mask lies in a box as polygons, whose edges lie between the cells and are not stepped."""
+    if not mask.any():
+        return []
+    from contourpy import FillType, contour_generator  # noqa: PLC0415 - slow to import
+
+    soft = cv2.GaussianBlur(mask.astype(np.float32), (0, 0), 1.0)
+    generator = contour_generator(z=soft, fill_type=FillType.OuterOffset)
+    polygons = []
+    for points, offsets in zip(*generator.filled(0.5, 2.0), strict=True):
+        xy = corner_xy + (points + 0.5) * [cell_m, -cell_m]
+        rings = [xy[begin:end] for begin, end in pairwise(offsets)]
+        polygons.append(shapely.Polygon(rings[0], rings[1:]))
+    cut = shapely.intersection(shapely.make_valid(np.array(polygons)), box)
+    parts = shapely.get_parts(shapely.simplify(cut, _SIMPLIFIED_M))
+    return [each for each in parts if each.geom_type == "Polygon" and each.area > _OPENING_M**2]

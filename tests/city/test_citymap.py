@@ -1,0 +1,159 @@
+"""One map of many drives: towns whose truth is known, with offsets of metres."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from interloc.arrays import FloatArray
+from interloc.city.citymap import CityMap, merge
+from interloc.city.passes import Pass
+from interloc.errors import ConfigError, GeoreferenceError
+from interloc.results import IntersectionTable
+from tests.city.towns import drive, metres, town
+from tests.output.small import small_result
+
+NODES = town(np.random.default_rng(0), 40)
+
+
+def positions(city: CityMap) -> dict[str, FloatArray]:
+    """Return where the places of a map are, by the nodes nearest to them."""
+    xy = metres(city.places.lonlat)
+    nearest = np.argmin(np.hypot(*(xy[:, None] - NODES[None]).transpose(2, 0, 1)), axis=1)
+    assert len(set(nearest.tolist())) == len(xy)
+    return dict(zip(map(str, nearest.tolist()), xy, strict=True))
+
+
+def assert_same_map(a: CityMap, b: CityMap, tolerance_m: float = 0.001) -> None:
+    assert len(a.places) == len(b.places)
+    assert_allclose(a.places.xy, b.places.xy, atol=tolerance_m)
+    assert_allclose(a.places.position_cov_m2, b.places.position_cov_m2)
+    assert a.places.drives == b.places.drives
+
+
+@pytest.mark.parametrize("drifts", [False, True])
+def test_the_order_of_drives_does_not_matter_nor_whether_they_come_at_once(drifts: bool) -> None:
+    drives = [drive(NODES[i : i + 25], f"d{i}", drifts=drifts, seen=0.9) for i in range(0, 16, 2)]
+    at_once = merge(drives)
+    one_by_one = CityMap()
+    for each in reversed(drives):
+        one_by_one.add(each)
+    assert_same_map(one_by_one, at_once)
+
+
+def test_a_drive_that_is_taken_out_leaves_no_trace_and_can_come_back_or_be_replaced() -> None:
+    drives = [drive(NODES, name) for name in "abcd"]
+    city = merge(drives)
+    names = dict(zip(map(tuple, np.round(city.places.xy).tolist()), city.places.uid, strict=True))
+    city.remove("b")
+    assert_same_map(city, merge([drives[0], *drives[2:]]))
+    city.add(drives[1])
+    assert_same_map(city, merge(drives))
+    assert dict(zip(map(tuple, np.round(city.places.xy).tolist()), city.places.uid, strict=True)) == names
+    other = drive(NODES, "b", seed=7)
+    city.replace(other)
+    assert_same_map(city, merge([drives[0], other, *drives[2:]]))
+    city.remove(*"abcd")
+    assert len(city.places) == 0
+
+
+def test_places_keep_their_names_while_drives_are_added() -> None:
+    city = merge([drive(NODES, "a")])
+    named = {node: city.places.uid[row] for row, node in enumerate(positions(city))}
+    for number in range(6):
+        city.add(drive(NODES, f"d{number}", seed=number))
+        assert {node: city.places.uid[row] for row, node in enumerate(positions(city))} == named
+
+
+def test_offsets_of_metres_between_drives_are_found() -> None:
+    city = merge([drive(NODES, "a", bias_m=(3.0, -2.0)), drive(NODES, "b", bias_m=(-3.0, 2.0))])
+    assert len(city.places) == 40
+    difference = city.drives["a"].knots.mean(axis=0) - city.drives["b"].knots.mean(axis=0)
+    assert_allclose(difference, [6.0, -4.0], atol=0.3)
+
+
+def test_two_close_places_stay_two_and_one_is_not_seen_as_two() -> None:
+    pairs = np.repeat(NODES[:20], 2, axis=0) + np.tile([[0.0, 0.0], [8.0, 0.0]], (20, 1))
+    drives = [drive(pairs, f"d{i}", seed=i, bias_m=2.0, noise_m=0.4, seen=0.9) for i in range(4)]
+    places = merge(drives).places
+    distance = np.hypot(*(metres(places.lonlat)[:, None] - pairs[None]).transpose(2, 0, 1))
+    assert len(places) == 40
+    assert (distance.min(axis=0) < 4.0).all()
+
+
+@pytest.mark.parametrize("drifts", [False, True])
+@pytest.mark.parametrize("passes", [1, 6])
+def test_errors_shrink_with_the_passes_as_they_should_and_the_ellipses_hold(passes: int, drifts: bool) -> None:
+    squares, held = [], []
+    for seed in range(6):
+        city = merge([drive(NODES, f"d{i}", seed=100 * seed + i, drifts=drifts) for i in range(passes)])
+        xy = metres(city.places.lonlat)
+        error = xy - NODES[np.argmin(np.hypot(*(xy[:, None] - NODES[None]).transpose(2, 0, 1)), axis=1)]
+        squares.append(np.mean(error**2))
+        held.append(np.mean(np.sum(error**2, axis=1) < 5.991 * city.places.position_std_m**2))
+    assert np.sqrt(np.mean(squares)) < 1.3 * np.sqrt((1.0 + 0.25) / passes)  # few seeds: see docs/accuracy.md for many
+    assert np.mean(held) > 0.85
+
+
+def test_what_all_drives_share_is_not_averaged_away() -> None:
+    shape = np.tile([0.25, 0.0, 0.04], (40, 1))
+    places = merge([replace(drive(NODES, f"d{i}", seed=i), shape_cov_m2=shape) for i in range(4)]).places
+    assert_allclose(places.position_cov_m2 - shape, np.tile([(1.0 + 0.25) / 4, 0.0, (1.0 + 0.25) / 4], (40, 1)))
+    assert_allclose(places.relative_cov_m2 - shape, np.tile([0.25 / 4, 0.0, 0.25 / 4], (40, 1)))
+
+
+def test_a_place_counts_where_enough_of_the_drives_that_came_near_saw_it() -> None:
+    ghost = np.vstack([NODES[:3], NODES[2] + [12.0, 0.0]])
+    drives = [drive(NODES[:3], f"d{i}", bias_m=0.1, noise_m=0.1) for i in range(3)]
+    drives.append(drive(ghost, "e", bias_m=0.1, noise_m=0.1))
+    places = merge(drives).places
+    assert places.is_shown.tolist() == [len(names) == 4 for names in places.drives]
+    assert_allclose(places.confidence[places.is_shown], 0.9)
+    assert_allclose(places.confidence[~places.is_shown], 0.9 / 4)
+
+
+def test_pieces_of_one_drive_are_one_pass() -> None:
+    pieces = [drive(NODES[:5], name, start_s=1.7e9 + start) for name, start in (("a", 0), ("b", 60), ("c", 90_000))]
+    places = merge(pieces).places
+    assert places.passes.tolist() == [2] * 5
+    assert [len(each) for each in places.drives] == [3] * 5
+    assert_allclose(places.seen_s[:, 0].min(), 1.7e9)
+
+
+def test_drives_that_cannot_be_together_are_refused_by_name() -> None:
+    with pytest.raises(GeoreferenceError, match="07: it has no georeference"):
+        merge([small_result(local=True)])
+    elsewhere = replace(drive(NODES, "far"), track_lonlat=np.tile([140.0, -30.0], (40, 1)))
+    city = merge([drive(NODES, "a")])
+    with pytest.raises(GeoreferenceError, match=r"far: it lies at lon 140\.0000"):
+        city.add(elsewhere)
+    with pytest.raises(ConfigError, match="'a' is on the map already"):
+        city.add(drive(NODES, "a"))
+    with pytest.raises(ConfigError, match="'b' is not on the map"):
+        city.remove("b")
+    with pytest.raises(ConfigError, match="'b' holds the same as 'a'"):
+        city.add(replace(drive(NODES, "a"), name="b"))
+    assert list(city.drives) == ["a"]
+
+
+def test_a_result_that_does_not_tell_the_parts_of_its_uncertainty_is_taken_with_care() -> None:
+    """Fix and scatter 0.3 m at most, all else shared by all drives: the sum is what the result states."""
+    result = small_result()
+    table = result.intersections
+    assert isinstance(table, IntersectionTable)
+    wide = replace(result, intersections=replace(table, position_cov_m2=np.array([[4.0, 0.5, 1.0]])))
+    data = Pass.of(wide)
+    assert_allclose([data.fix_std_m, data.scatter_std_m], [[0.3], [0.3]])
+    assert_allclose(data.shape_cov_m2, [[4.0 - 0.18, 0.5, 1.0 - 0.18]])
+    assert_allclose(Pass.of(result).shape_cov_m2[0, 1], 0.03)
+
+
+def test_a_drive_without_intersections_is_on_the_map_too() -> None:
+    city = merge([small_result(empty=True)])
+    assert len(city.places) == 0
+    city.add(replace(Pass.of(small_result()), name="08"))
+    assert city.places.near == [("07", "08")]
+    assert len(city.places) == 1

@@ -1,0 +1,55 @@
+"""The folder of a map of many drives."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+
+from interloc.city.citymap import merge
+from interloc.city.folder import CITY_FILE, city_features, read_city, write_city
+from interloc.errors import DamagedResultError, OutputError
+from tests.city.towns import drive, town
+
+NODES = town(np.random.default_rng(1), 12)
+
+
+def test_a_map_goes_on_where_it_was_written(tmp_path: Path) -> None:
+    drives = [drive(NODES, name, seen=0.9) for name in "abc"]
+    city = merge(drives[:2])
+    write_city(city, tmp_path / "city")
+    again = read_city(tmp_path / "city")
+    assert city_features(again) == city_features(city)
+    for each in (city, again):
+        each.add(drives[2])
+    assert again.places.uid == city.places.uid
+    assert_array_equal(again.places.xy, city.places.xy)
+    write_city(again, tmp_path / "city")
+    assert city_features(read_city(tmp_path / "city")) == city_features(city)
+    assert len(list((tmp_path / "city" / "passes").iterdir())) == 3
+
+
+def test_intersections_and_tracks_are_layers(tmp_path: Path) -> None:
+    write_city(merge([drive(NODES, name, start_s=1.7e9 + 1e5 * k) for k, name in enumerate("ab")]), tmp_path / "city")
+    places = json.loads((tmp_path / "city" / "city.geojson").read_text())["features"]
+    assert len(places) == 12
+    facts = places[0]["properties"]
+    assert (facts["drives"], facts["passes"], facts["drive_names"], facts["branch_drives"]) == (2, 2, "a, b", [2, 2, 2])
+    assert facts["branch_widths_m"] == [6.0, 5.0, None]
+    assert facts["first_time"] < facts["last_time"]
+    tracks = json.loads((tmp_path / "city" / "drives.geojson").read_text())["features"]
+    assert [each["id"] for each in tracks] == ["a", "b"]
+    record = json.loads((tmp_path / "city" / CITY_FILE).read_text())
+    assert (record["intersections"], record["seen_by_several"], len(record["drives"])) == (12, 12, 2)
+
+
+def test_what_is_no_map_or_damaged_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(OutputError, match="is not a map of many drives"):
+        read_city(tmp_path)
+    write_city(merge([drive(NODES, "a")]), tmp_path / "city")
+    (tmp_path / "city" / "state.npz").write_bytes(b"PK")
+    with pytest.raises(DamagedResultError, match="Merge its drives again"):
+        read_city(tmp_path / "city")

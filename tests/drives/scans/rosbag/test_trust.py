@@ -1,0 +1,199 @@
+"""What a bag says is not taken on trust: clocks, owners of poses, frames of scans, rare transforms, poor fixes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from interloc.geometry import enu_from_lonlat, rotation_from_rpy
+from tests.bags import BagWriter, cells_of
+from tests.drives.scans.rosbag.test_open import (
+    COUNT,
+    START,
+    drive_with_fixes,
+    opened,
+    poses_of,
+    refused,
+    said,
+    scans_of,
+    straight,
+    times_of,
+)
+
+
+@pytest.mark.parametrize(
+    ("ahead_s", "words"),
+    [
+        (37.0, "TAI, as PTP gives it, is 37 s ahead"),
+        (-37.0, "TAI"),
+        (18.0, "GPS time is 18 s ahead"),
+        (7200.0, "time zone"),
+        (3.4, "not synchronised"),
+    ],
+)
+def test_a_clock_that_is_ahead_is_put_right(tmp_path: Path, ahead_s: float, words: str) -> None:
+    """Poses last long enough that wrong times have poses, too."""
+    with BagWriter(tmp_path / "drive", "mcap") as bag:
+        for row in range(-50, 50):
+            pose = np.eye(4)
+            pose[0, 3] = 0.5 * row**2
+            bag.odometry("/odom", START + row, pose)
+        for row in range(COUNT):
+            bag.cloud("/points", START + row + 0.02, cells_of(scans_of()[row]), header_s=START + row + ahead_s)
+    _, trajectory, findings = opened(tmp_path / "drive")
+    assert words in said(findings)
+    assert np.allclose(poses_of(trajectory)[:, 0, 3], 0.5 * np.arange(COUNT) ** 2, atol=0.7)
+
+
+def test_poses_that_were_recorded_late_are_left_as_they_are(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "drive", "mcap") as bag:
+        for row, time in enumerate(times_of()):
+            bag.odometry("/odom", time + 2.5, straight()[row], header_s=time)
+            bag.cloud("/points", time + 0.02, cells_of(scans_of()[row]), header_s=time)
+    _, trajectory, findings = opened(tmp_path / "drive")
+    assert "clock" not in said(findings)
+    assert np.allclose(poses_of(trajectory), straight())
+
+
+def test_fixes_of_a_receiver_on_gps_time(tmp_path: Path) -> None:
+    path, enu, _ = drive_with_fixes(
+        tmp_path / "drive", written=lambda bag, time, p: bag.fix("/fix", time, p, header_s=time + 18.0)
+    )
+    found = opened(path)[1].georeference
+    assert found is not None
+    there = enu_from_lonlat(49.0, 8.4, np.stack([found.lon_deg, found.lat_deg], axis=-1))
+    assert np.linalg.norm(there - enu, axis=1).max() < 0.01
+
+
+def test_transforms_come_before_poses_without_an_owner(tmp_path: Path) -> None:
+    mount = np.diag([-1.0, -1.0, 1.0, 1.0])
+    mount[:3, 3] = 1.2, 0.0, 1.9
+    with BagWriter(tmp_path / "drive", "mcap") as bag:
+        bag.transforms("/tf_static", START, {("base_link", "velodyne"): mount})
+        for row, time in enumerate(times_of()):
+            body = straight()[row] @ np.linalg.inv(mount)
+            bag.pose_stamped("/ndt_pose", time, body)
+            bag.transforms("/tf", time, {("map", "base_link"): body})
+            bag.cloud("/points", time, cells_of(scans_of()[row]))
+    _, trajectory, _ = opened(tmp_path / "drive")
+    assert np.allclose(poses_of(trajectory), straight(), atol=1e-9)
+    assert trajectory.poses is not None
+    assert "/tf" in trajectory.poses.reason
+
+
+def test_transforms_that_change_rarely_hold_until_the_next(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "drive", "mcap") as bag:
+        for time in (START, START + 7.5):
+            bag.transforms("/tf", time, {("map", "odom"): np.eye(4)})
+        for row, time in enumerate(times_of()):
+            bag.transforms("/tf", time, {("odom", "velodyne"): straight()[row]})
+            bag.cloud("/points", time, cells_of(scans_of()[row]))
+    _, trajectory, findings = opened(tmp_path / "drive")
+    assert np.allclose(poses_of(trajectory), straight(), atol=1e-9)
+    assert "warning" not in said(findings)
+
+
+def test_one_scan_of_many_is_no_drive(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "drive", "mcap") as bag:
+        for row, time in enumerate(times_of()):
+            bag.cloud("/points", time, cells_of(scans_of()[row]))
+        for row, time in enumerate((START - 6.0, START, START + 60.0)):
+            bag.odometry("/odom", time, straight()[row])
+    assert "11 of 12 scans are left out" in refused(tmp_path / "drive")
+
+
+def test_a_mounting_that_jitters_is_fixed(tmp_path: Path) -> None:
+    mount = np.eye(4)
+    mount[:3, 3] = 1.2, 0.0, 1.7
+    with BagWriter(tmp_path / "drive", "mcap") as bag:
+        for row, time in enumerate(times_of()):
+            mount[0, 3] += 1e-6
+            bag.transforms("/tf", time, {("base_link", "velodyne"): mount})
+            bag.odometry("/odom", time, straight()[row], child="base_link")
+            bag.cloud("/points", time, cells_of(scans_of()[row]))
+    assert "no transform between the two" not in said(opened(tmp_path / "drive")[2])
+
+
+@pytest.mark.parametrize("has_mount", [True, False])
+def test_scans_of_two_sensors_on_one_topic(tmp_path: Path, has_mount: bool) -> None:
+    left = np.eye(4)
+    left[:3, :3], left[:3, 3] = rotation_from_rpy(0.0, 0.0, np.pi / 2), (-1.0, 0.8, 0.0)
+    scans = scans_of()
+    with BagWriter(tmp_path / "drive", "mcap") as bag:
+        mounts: dict[tuple[str, str], Any] = {("base_link", "front"): np.eye(4)}
+        bag.transforms("/tf_static", START, mounts | ({("base_link", "left"): left} if has_mount else {}))
+        for row, time in enumerate(times_of()):
+            bag.odometry("/odom", time, straight()[row], child="base_link")
+            bag.cloud("/points", time, cells_of(scans[row]), frame="left" if row % 2 else "front")
+    if not has_mount:
+        assert "no transform leads from left to front" in refused(tmp_path / "drive")
+        return
+    recording = opened(tmp_path / "drive")[0]
+    assert recording.points is not None
+    assert np.allclose(recording.points.read(0).values, scans[0])
+    expected = scans[1][:, :3] @ left[:3, :3].T + left[:3, 3]
+    assert np.allclose(recording.points.read(1).values[:, :3], expected, atol=1e-4)
+
+
+def test_empty_and_repeated_scans_are_counted(tmp_path: Path) -> None:
+    scans = scans_of()
+    with BagWriter(tmp_path / "drive", "mcap") as bag:
+        for row, time in enumerate(times_of()):
+            scan = scans[0][:0] if row in {2, 3} else scans[4] if row in {5, 6, 7} else scans[row]
+            if row == 9:
+                scan = np.full_like(scan, np.nan)
+            bag.odometry("/odom", time, straight()[row])
+            bag.cloud("/points", time, cells_of(scan))
+    text = said(opened(tmp_path / "drive")[2])
+    assert "3 of 12 scans of /points hold no points" in text
+    assert "3 of 12 scans of /points repeat the scan before" in text
+
+
+def test_the_uncertainty_of_fixes_counts(tmp_path: Path) -> None:
+    """RTK falls back to a single fix for 30 m, 15 m off, and says so."""
+
+    def written(bag: BagWriter, time: float, p: Any) -> None:
+        poor = 18 < time - START < 21
+        bag.fix("/fix", time, (p[0] + 1.35e-4 * poor, *p[1:]), status=0 if poor else 2, std_m=10.0 if poor else 0.02)
+
+    path, enu, _ = drive_with_fixes(tmp_path / "drive", written=written)
+    found = opened(path)[1].georeference
+    assert found is not None
+    there = enu_from_lonlat(49.0, 8.4, np.stack([found.lon_deg, found.lat_deg], axis=-1))
+    off = np.linalg.norm(there - enu, axis=1)
+    assert off.max() < 1.0
+    assert found.position_std_m is not None
+    assert (off < 3 * found.position_std_m + 0.1).all()
+
+
+def test_the_next_topic_of_fixes_counts_where_the_first_has_none(tmp_path: Path) -> None:
+    def written(bag: BagWriter, time: float, p: Any) -> None:
+        for _ in range(2):
+            bag.fix("/broken", time, (np.nan, np.nan, np.nan), status=-1)
+        bag.fix("/gnss", time, p)
+
+    path, *_ = drive_with_fixes(tmp_path / "drive", written=written)
+    _, trajectory, findings = opened(path)
+    assert trajectory.georeference is not None
+    assert trajectory.georeference.source.startswith("/gnss")
+    assert "the fixes are taken from /gnss" in said(findings)
+
+
+def test_a_flag_that_contradicts_the_points_is_named(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "drive", "mcap") as bag:
+        for row, time in enumerate(times_of()):
+            cells = cells_of(scans_of()[row])
+            bag.odometry("/odom", time, straight()[row])
+            bag.cloud("/points", time, cells.astype(cells.dtype.newbyteorder(">")), data=np.frombuffer(cells, np.uint8))
+    assert "says is_bigendian = true" in refused_points(tmp_path / "drive")
+
+
+def refused_points(path: Path) -> str:
+    recording = opened(path)[0]
+    assert recording.points is not None
+    with pytest.raises(Exception, match="is_bigendian") as caught:
+        recording.points.read(0)
+    return str(caught.value)

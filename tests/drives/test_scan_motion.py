@@ -1,0 +1,115 @@
+"""Scans are laid onto each other: poses that move otherwise are refused, and the usual mistake is named."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from interloc.arrays import FloatArray
+from interloc.drives.inspect import inspect_drive
+from interloc.drives.plans import PlanMatch, road_plan, upright_plan
+from interloc.geometry import invert_transform, rotation_from_rpy
+from tests import streets
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return streets.write_street(tmp_path_factory.mktemp("streets") / "street")
+
+
+@pytest.fixture(scope="module")
+def ground(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same street without anything that stands upright."""
+    path = streets.write_street(tmp_path_factory.mktemp("streets") / "ground")
+    for points in sorted((path / "velodyne").iterdir()):
+        labels = path / "labels" / f"{points.stem}.label"
+        ids = np.fromfile(labels, np.uint32)
+        np.fromfile(points, np.float32).reshape(-1, 4)[ids != 50].tofile(points)
+        ids[ids != 50].tofile(labels)
+    return path
+
+
+def with_poses(source: Path, path: Path, poses: FloatArray) -> str:
+    """Return the errors about a copy of a drive with other poses."""
+    shutil.copytree(source, path)
+    (path / "poses.txt").write_text(streets.pose_text(invert_transform(poses[0]) @ poses))
+    return "\n".join(p.message for p in inspect_drive(path).problems if p.severity != "note")
+
+
+def scaled(factor: float) -> Callable[[FloatArray], FloatArray]:
+    def change(poses: FloatArray) -> FloatArray:
+        other = poses.copy()
+        other[:, :3, 3] *= factor
+        return other
+
+    return change
+
+
+def mirrored(poses: FloatArray) -> FloatArray:
+    flip = np.diag([1.0, -1.0, -1.0, 1.0])
+    return flip @ poses @ flip
+
+
+def late(poses: FloatArray) -> FloatArray:
+    return np.concatenate([np.repeat(poses[:1], 5, axis=0), poses[:-5]])
+
+
+def turned(poses: FloatArray) -> FloatArray:
+    mounting = np.eye(4)
+    mounting[:3, :3] = rotation_from_rpy(0.0, 0.0, np.pi / 2)
+    return poses @ mounting
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (mirrored, "with left and right exchanged"),
+        (scaled(0.3), "times the distances"),
+        (scaled(3.28), "0.3"),
+        (late, "scans later"),
+        (turned, "with the points turned by 90 degrees"),
+        (lambda poses: poses[::-1], "the scans do not move as the poses do"),
+    ],
+)
+@pytest.mark.parametrize("kind", ["written", "ground"])
+def test_poses_that_the_scans_contradict(
+    tmp_path: Path, request: pytest.FixtureRequest, kind: str, change: Callable[[FloatArray], FloatArray], words: str
+) -> None:
+    text = with_poses(request.getfixturevalue(kind), tmp_path / "street", change(streets.poses()))
+    assert "the scans do not move as the poses do" in text
+    if kind == "written":
+        assert words in text
+
+
+@pytest.mark.parametrize("kind", ["written", "ground"])
+@pytest.mark.parametrize("rows", [slice(0, 100), slice(0, 30), slice(25, 70), slice(60, 100), slice(0, 100, 4)])
+def test_a_sound_drive_is_sound_in_any_part(
+    tmp_path: Path, request: pytest.FixtureRequest, kind: str, rows: slice
+) -> None:
+    source, path = request.getfixturevalue(kind), tmp_path / "part"
+    for folder, suffix in (("velodyne", ".bin"), ("labels", ".label")):
+        (path / folder).mkdir(parents=True)
+        for number, frame in enumerate(range(100)[rows]):
+            shutil.copy(source / folder / f"{frame:06d}{suffix}", path / folder / f"{number:06d}{suffix}")
+    (path / "poses.txt").write_text(streets.pose_text(streets.poses()[rows]))
+    assert [p for p in inspect_drive(path).problems if p.severity != "note"] == []
+
+
+def test_two_plans_are_laid_onto_each_other_from_far_away() -> None:
+    first, second = (streets.poses()[row] for row in (24, 34))
+    expected = invert_transform(first) @ second
+    (target, _), (source, _) = streets.scan_at(first, 1), streets.scan_at(second, 2)
+    share, motion = PlanMatch.of(upright_plan(target), upright_plan(source)).best
+    assert share > 0.5
+    assert np.abs(motion[:2] - expected[:2, 3]).max() < 1.0
+    assert abs(motion[2] - np.arctan2(expected[1, 0], expected[0, 0])) < np.radians(3.5)
+
+
+def test_plans_of_nothing_are_empty() -> None:
+    assert upright_plan(np.empty((0, 3))).shape == (0, 2)
+    assert road_plan(np.empty((0, 3))).shape == (0, 2)
+    assert upright_plan(np.full((5, 3), np.nan)).shape == (0, 2)

@@ -1,0 +1,160 @@
+"""Roads for robots, vehicles and simulators, opened by their own readers or held against the rules of these."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from itertools import pairwise, permutations, product
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from interloc.errors import GeoreferenceError
+from interloc.output.lanelet2 import lanelet2_map
+from interloc.output.nav2 import nav2_graph
+from interloc.output.opendrive import opendrive_map
+from interloc.output.road_files import write_road_file
+from interloc.roadmap.extract import extract_roads
+from interloc.roadmap.network import RoadNetwork
+from tests.output.small import small_result, with_roads, write_folder
+from tests.roadmap.streets import draw, drive, street
+
+
+@pytest.fixture(scope="module")
+def network() -> RoadNetwork:
+    """A block of four streets around a bend, one of them narrow, and a dead end; in zone 32."""
+    corners = [(0.0, 0.0), (150.0, 0.0), (190.0, 90.0), (0.0, 110.0)]
+    ground = street(*corners, corners[0]) | street((-80.0, 0.0), (0.0, 0.0)) | street((150.0, 0.0), (260.0, -60.0))
+    ground |= street((60.0, 0.0), (60.0, 103.0), width_m=4)
+    result = drive([*corners, corners[0]], [corners[0], corners[1], (60.0, 0.0), (60.0, 104.0)])
+    found = extract_roads(result, draw(ground))
+    origin = np.array([457_000.0, 5_428_000.0])
+    edges = [replace(each, xy=each.xy + origin) for each in found.edges]
+    nodes = [replace(each, xy=each.xy + origin) for each in found.nodes]
+    return RoadNetwork(nodes, edges, [], 32632)
+
+
+def test_nav2_reads_the_graph(network: RoadNetwork) -> None:
+    """The rules of `GeoJsonGraphFileLoader` (nav2_route/src/plugins/graph_file_loaders, ros-navigation/navigation2)."""
+    graph = json.loads(nav2_graph(network))
+    points = [each for each in graph["features"] if each["geometry"]["type"] == "Point"]
+    lines = [each for each in graph["features"] if each["geometry"]["type"] == "LineString"]
+    assert len(points) + len(lines) == len(graph["features"])
+    assert points
+    assert lines  # "Is does not contain nodes or edges" otherwise
+    ids = [each["properties"]["id"] for each in (*points, *lines)]
+    assert len(set(ids)) == len(ids)
+    assert all(isinstance(each, int) and 0 <= each < 2**32 for each in ids)  # read as unsigned int
+    at = {each["properties"]["id"]: each["geometry"]["coordinates"] for each in points}
+    joined: dict[int, set[int]] = {each: set() for each in at}
+    for each in lines:
+        properties = each["properties"]
+        start, end = properties["startid"], properties["endid"]
+        joined[start].add(end)  # KeyError: "Start id does not exist", which throws
+        assert each["geometry"]["coordinates"] == [at[start], at[end]]  # the loader does not read it, people do
+        for value in properties["metadata"].values():  # setPrimitiveType throws at null and at objects in lists
+            assert isinstance(value, (bool, int, float, str))
+    for place in at.values():  # coordinates become float, 32 bit
+        assert_allclose(np.array(place, np.float32), place, atol=1e-4)
+    assert {each["properties"]["frame"] for each in points} == {"map"}
+    reached, stack = {min(at)}, [min(at)]
+    while stack:
+        new = joined[stack.pop()] - reached
+        reached |= new
+        stack += new
+    assert reached == set(at)
+    assert all(start in joined[end] for start, ends in joined.items() for end in ends)  # both ways, an edge each
+    assert graph["origin"] == {"x_m": 456_900.0, "y_m": 5_427_900.0, "crs": "EPSG:32632"}
+
+
+def test_lanelet2_finds_a_route_between_any_two_junctions(network: RoadNetwork, tmp_path: Path) -> None:
+    pytest.importorskip("lanelet2", reason="lanelet2 has no wheel for this Python")
+    from lanelet2 import io, projection, routing, traffic_rules  # noqa: PLC0415
+
+    path = tmp_path / "roads.osm"
+    path.write_bytes(lanelet2_map(network))
+    lon, lat = network.lonlat(network.nodes[0].xy[None])[0].tolist()
+    loaded, errors = io.loadRobust(str(path), projection.UtmProjector(io.Origin(lat, lon)))
+    assert list(errors) == []
+    rules = traffic_rules.create(traffic_rules.Locations.Germany, traffic_rules.Participants.Vehicle)
+    graph = routing.RoutingGraph(loaded, rules)
+    assert list(graph.checkValidity()) == []
+    near = {node.id: (set[int](), set[int]()) for node in network.nodes if node.kind == "intersection"}
+    lanes = {lane.id: lane for lane in loaded.laneletLayer}
+    for node in network.nodes:
+        for lane in lanes.values():
+            for side, point in enumerate((lane.centerline[0], lane.centerline[len(lane.centerline) - 1])):
+                if node.id in near and np.hypot(*(np.array([point.x, point.y]) + network.nodes[0].xy - node.xy)) < 15:
+                    near[node.id][side].add(lane.id)
+    assert len(near) == 4
+    for start, end in permutations(near, 2):
+        pairs = product(near[start][0], near[end][1])
+        assert any(graph.getRoute(lanes[one], lanes[other], 0) for one, other in pairs), (start, end)
+
+
+def test_opendrive_is_without_a_gap(network: RoadNetwork) -> None:
+    """Ends of reference lines meet where their links say so, within a millimetre; lanes have the same widths there."""
+    root = ET.fromstring(opendrive_map(network, "Straße <1> & Co"))  # noqa: S314 - our own
+    header = root.find("header")
+    assert header is not None
+    assert header.get("name") == "Straße <1> & Co"
+    assert header.findtext("geoReference") == "+proj=utm +zone=32 +datum=WGS84 +units=m +no_defs"
+    roads = {road.get("id"): road for road in root.iter("road")}
+    places, widths = {}, {}
+    for number, road in roads.items():
+        pieces = road.findall("planView/geometry")
+        for one, other in pairwise(pieces):
+            assert_allclose(end_of(one), start_of(other), atol=1e-3)
+        assert sum(float(piece.get("length", "")) for piece in pieces) == pytest.approx(float(road.get("length", "")))
+        places[number] = {"start": start_of(pieces[0]), "end": end_of(pieces[-1])}
+        lanes = road.findall("lanes/laneSection/*/lane")
+        widths[number] = {lane.get("id"): lane.find("width") for lane in lanes}
+    turns = 0
+    for number, road in roads.items():
+        if road.get("junction") == "-1":
+            continue
+        for mine, end in (("start", "predecessor"), ("end", "successor")):
+            link = road.find(f"link/{end}")
+            lane = road.find(f"lanes/laneSection/right/lane/link/{end}")
+            assert link is not None
+            assert lane is not None
+            other = link.get("elementId")
+            assert_allclose(places[number][mine], places[other][link.get("contactPoint")], atol=1e-3)
+            width, there = widths[number]["-1"], widths[other][lane.get("id")]
+            s = 0.0 if mine == "start" else float(road.get("length", ""))
+            assert float(width.get("a")) + s * float(width.get("b")) == pytest.approx(float(there.get("a")), abs=1e-4)
+            turns += 1
+    connections = root.findall("junction/connection")
+    assert turns == 2 * len(connections) > 20
+    assert {each.get("incomingRoad") for each in connections} <= roads.keys()
+
+
+def start_of(piece: ET.Element) -> list[float]:
+    return [float(piece.get(name, "")) for name in ("x", "y")]
+
+
+def end_of(piece: ET.Element) -> list[float]:
+    polynomial = piece.find("paramPoly3")
+    assert polynomial is not None
+    u, v = (sum(float(polynomial.get(f"{a}{axis}", "")) for a in "abcd") for axis in "UV")
+    x, y, angle = (float(piece.get(name, "")) for name in ("x", "y", "hdg"))
+    return [x + np.cos(angle) * u - np.sin(angle) * v, y + np.sin(angle) * u + np.cos(angle) * v]
+
+
+@pytest.mark.parametrize("ending", [".nav2.geojson", ".osm", ".xodr"])
+def test_files_are_written_as_far_as_a_result_knows_its_place(ending: str, tmp_path: Path) -> None:
+    placed = write_folder(tmp_path / "placed", with_roads(small_result()), scored=False)
+    write_road_file(placed, tmp_path / f"a{ending}")
+    assert (tmp_path / f"a{ending}").stat().st_size > 1000
+    local = write_folder(tmp_path / "local", with_roads(small_result(local=True)), scored=False)
+    if ending == ".osm":
+        with pytest.raises(GeoreferenceError, match="Lanelet2 knows longitude and latitude only"):
+            write_road_file(local, tmp_path / f"b{ending}")
+    else:
+        write_road_file(local, tmp_path / f"b{ending}")
+    empty = write_folder(tmp_path / "empty", small_result(empty=True), scored=False)
+    write_road_file(empty, tmp_path / f"c{ending}")
+    assert (tmp_path / f"c{ending}").is_file()
