@@ -13,6 +13,7 @@ from fastapi import Depends, Request
 
 from app.metrics import Metrics
 from app.settings import SQLITE_FILE, Settings
+from app.store.bookings import Bookings
 from app.store.database import Database
 from app.store.installation import FILE as INSTALLATION
 from app.store.installation import bind, mark_folder, refuse_lost_database
@@ -34,6 +35,8 @@ class Context:
     settings, database, storage, tokens, metrics
     reserve : Reserve
         Disk space that is given up when there is no other.
+    bookings : Bookings
+        Disk space for bodies under way.
     stopping : threading.Event
         Set when the server begins to stop: streams and waits that would go on must end.
     jobs_changed : threading.Event
@@ -51,6 +54,7 @@ class Context:
     stopping: threading.Event = field(default_factory=threading.Event)
     jobs_changed: threading.Event = field(default_factory=threading.Event)
     lacks_workers: threading.Event = field(default_factory=threading.Event)
+    bookings: Bookings = field(default_factory=Bookings)
 
     @classmethod
     def open(cls, settings: Settings, *, bound: bool = True) -> Context:

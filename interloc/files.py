@@ -11,11 +11,12 @@ import os
 import secrets
 import shutil
 from collections.abc import Collection, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
 
 from interloc.errors import OutputError
+from interloc.exchange import UNFINISHED, IsOurs, discard, exchange, locked, take_back, uninterrupted
 
 _DISK_ERRORS = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO}
 """What a failed write to an open file can be; other errors without a file name come from pipes and the network."""
@@ -87,6 +88,9 @@ def atomic_folder(out: Path, *, marker: str, names: Collection[str] = ()) -> Ite
 
     Notes
     -----
+    No file of the user is out of its place at any moment: see `interloc.exchange`. Several runs into one folder come
+    one after the other.
+
     A folder that cannot be renamed (a mount point, as in a container, or one whose parent is not writable) is
     filled in place instead: built in a hidden folder inside, then its files are renamed into place, `marker` last.
     """
@@ -95,20 +99,33 @@ def atomic_folder(out: Path, *, marker: str, names: Collection[str] = ()) -> Ite
     in_place = target.is_dir() and (target.is_mount() or not os.access(target.parent, os.W_OK | os.X_OK))
     temporary = target / f".partial-{secrets.token_hex(4)}" if in_place else _temporary_name(target)
     created: list[Path] = []
+
+    def is_ours(entry: Path) -> bool:
+        return entry.name in names or entry.name.startswith(".partial-")
+
     ours = True  # whether this function is running: an error of the caller may concern something else than the folder
     try:
         _make_parents(temporary, created)
-        temporary.mkdir()
-        ours = False
-        yield temporary
-        ours = True
-        if in_place:
-            _move_into(temporary, target, marker, names)
-        else:
-            _swap(temporary, target, names)
+        with ExitStack() as at_work:
+            with locked(target.parent):
+                if not in_place:
+                    take_back(target, _hidden(target), marker, is_ours)
+                temporary.mkdir()
+                (temporary / UNFINISHED).touch()
+                at_work.enter_context(locked(temporary))
+            ours = False
+            yield temporary
+            ours = True
+            with locked(target.parent), uninterrupted():
+                _refuse_foreign(target, out, marker)
+                if in_place:
+                    _move_into(temporary, target, marker, is_ours)
+                else:
+                    exchange(temporary, target, is_ours)
             _sync_folder(target.parent)
     except BaseException as error:
-        shutil.rmtree(temporary, ignore_errors=True)
+        with suppress(OSError):
+            discard(temporary)
         for folder in reversed(created):
             with suppress(OSError):
                 folder.rmdir()
@@ -129,7 +146,11 @@ def reason_of(error: OSError) -> str:
 
 def _temporary_name(path: Path) -> Path:
     """Return a hidden name beside `path`, another one at each call: leftovers of a killed run are no obstacle."""
-    return path.parent / f".{path.name[:200]}.partial-{secrets.token_hex(4)}"
+    return path.parent / f"{_hidden(path)}{secrets.token_hex(4)}"
+
+
+def _hidden(path: Path) -> str:
+    return f".{path.name[:200]}.partial-"
 
 
 def _concerns(error: OSError, temporary: Path) -> bool:
@@ -166,39 +187,16 @@ def _make_parents(temporary: Path, created: list[Path]) -> None:
         created.append(folder)
 
 
-def _swap(temporary: Path, target: Path, names: Collection[str]) -> None:
-    """Put the new folder in place of the old one, which comes back if that fails."""
-    if not target.exists():
-        temporary.rename(target)
-        return
-    old = _temporary_name(target)
-    try:
-        target.rename(old)
-        temporary.rename(target)
-    except BaseException:
-        if old.exists() and not target.exists():
-            old.rename(target)
-        raise
-    with suppress(OSError):  # the new result is in place: what fails from here on loses nothing
-        for entry in old.iterdir():
-            if not _is_ours(entry, names) and not (target / entry.name).exists():
-                entry.rename(target / entry.name)
-        shutil.rmtree(old)
-
-
-def _move_into(temporary: Path, target: Path, marker: str, names: Collection[str]) -> None:
+def _move_into(temporary: Path, target: Path, marker: str, is_ours: IsOurs) -> None:
     """Replace the results in `target` by those of `temporary`, file by file; without `marker` meanwhile."""
+    (temporary / UNFINISHED).unlink()
     (target / marker).unlink(missing_ok=True)
     for entry in list(target.iterdir()):
-        if entry != temporary and _is_ours(entry, names):
+        if entry != temporary and is_ours(entry):
             shutil.rmtree(entry) if entry.is_dir() and not entry.is_symlink() else entry.unlink()
     for entry in sorted(temporary.iterdir(), key=lambda e: e.name == marker):
         entry.replace(target / entry.name)
     temporary.rmdir()
-
-
-def _is_ours(entry: Path, names: Collection[str]) -> bool:
-    return entry.name in names or entry.name.startswith(".partial-")
 
 
 def _sync_folder(folder: Path) -> None:

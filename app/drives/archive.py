@@ -50,7 +50,7 @@ def queue_archive(context: Context, drive_id: str, owner: str, arrival: Arrival)
         with context.database.writing() as session:
             drive = lock_drive(session, drive_id)
             refuse_unless_open(drive, ["archive"])
-            check_quota(context, session, drive.owner, arrival.size_bytes)
+            check_quota(context, session, drive.owner, owner, arrival.size_bytes)
             job, _ = submit(
                 session,
                 context.database,

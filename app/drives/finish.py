@@ -136,7 +136,7 @@ def _finish_unpack(session: Session, context: Context, job: Job, drive: Drive, o
             paths = [arrival.path for arrival in arrivals]
             known = sizes_of(session, drive.id, paths)
             refuse_similar_names(session, drive.id, paths)
-            register(context, session, lock_counts(session, drive.id), arrivals, known)
+            register(context, session, lock_counts(session, drive.id), arrivals, known, job.owner)
             placement.move(arrivals)
     except Problem as problem:
         job.state = JobState.FAILED

@@ -17,7 +17,7 @@ from sqlalchemy.orm import Session
 from app.context import Context
 from app.drives.records import files_key, find_drive, remove_empty
 from app.http.intake import Arrival
-from app.http.limits import check_drive, check_free_space, check_quota
+from app.http.limits import check_drive, check_quota
 from app.http.problem_types import DRIVE_IS_BEING_CHECKED, DRIVE_IS_CLOSED, NAMES_IN_CONFLICT
 from app.http.problems import Problem
 from app.jobs.queue import no_drive
@@ -50,7 +50,7 @@ _COUNT = (
 )
 
 
-def keep(context: Context, drive_id: str, arrivals: Sequence[Arrival]) -> bool:
+def keep(context: Context, drive_id: str, arrivals: Sequence[Arrival], sender: str | None = None) -> bool:
     """Place received files in a drive.
 
     Parameters
@@ -59,6 +59,8 @@ def keep(context: Context, drive_id: str, arrivals: Sequence[Arrival]) -> bool:
     drive_id
     arrivals
         Files of different names.
+    sender
+        Client that sent them; by default the owner of the drive.
 
     Returns
     -------
@@ -76,7 +78,7 @@ def keep(context: Context, drive_id: str, arrivals: Sequence[Arrival]) -> bool:
         refuse_unless_open(counts, [arrival.path for arrival in arrivals])
         known = sizes_of(session, drive_id, [arrival.path for arrival in arrivals])
         refuse_similar_names(session, drive_id, [arrival.path for arrival in arrivals])
-        register(context, session, counts, arrivals, known)
+        register(context, session, counts, arrivals, known, sender or counts.owner)
         placement.move(arrivals)
     return not known
 
@@ -129,20 +131,21 @@ def refuse_unless_open(drive: Drive | DriveCounts, paths: Iterable[str]) -> None
         )
 
 
-def check_upload(context: Context, drive_id: str, path: str, length: int) -> None:
-    """Refuse an upload before its body is read, if it would be refused afterwards.
+def check_upload(
+    context: Context, drive_id: str, path: str, length: int, sender: str, *, is_packed: bool = False
+) -> None:
+    """Refuse an upload before its body is read, if it would be refused afterwards; see also `Booking`.
 
     Raises
     ------
     Problem
-        404, 409, 413, 507: as of `keep`.
+        404, 409, 413: as of `keep`.
     """
     with context.database.reading() as session:
         drive = find_drive(session, drive_id)
         refuse_unless_open(drive, [path])
-        check_drive(context, drive.file_count, drive.size_bytes + length)
-        check_quota(context, session, drive.owner, length)
-    check_free_space(context, length)
+        check_drive(context, drive.file_count, drive.size_bytes + (0 if is_packed else length))
+        check_quota(context, session, drive.owner, sender, length)
 
 
 def sizes_of(session: Session, drive_id: str, paths: Sequence[str]) -> dict[str, int]:
@@ -192,19 +195,24 @@ def _too_similar(path: str, other: str) -> Problem:
 
 
 def register(
-    context: Context, session: Session, drive: DriveCounts, arrivals: Sequence[Arrival], known: dict[str, int]
+    context: Context,
+    session: Session,
+    drive: DriveCounts,
+    arrivals: Sequence[Arrival],
+    known: dict[str, int],
+    sender: str,
 ) -> None:
     """List files in the database, and count them.
 
     Raises
     ------
     Problem
-        413: the drive would become too large, or its owner may not store so much.
+        413: the drive would become too large, or its owner or the sender may not store so much.
     """
     more = sum(arrival.size_bytes for arrival in arrivals) - sum(known.values())
     fresh = len(arrivals) - len(known)
     check_drive(context, drive.file_count + fresh, drive.size_bytes + more)
-    check_quota(context, session, drive.owner, more)
+    check_quota(context, session, drive.owner, sender, more)
     rows: list[dict[str, Any]] = [
         {
             "drive_id": drive.id,
@@ -213,6 +221,7 @@ def register(
             "sha256": each.sha256,
             "mtime_ns": each.temporary.stat().st_mtime_ns,  # stays the same when it is renamed
             "folded": folded_hash(each.path),
+            "sender": None if sender == drive.owner else sender,
         }
         for each in arrivals
     ]

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from sqlalchemy import func, select
+from collections.abc import Callable
+from typing import Self
+
+from sqlalchemy import func, or_, select
 from sqlalchemy.orm import Session
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
@@ -11,7 +14,10 @@ from app.context import Context
 from app.http.problem_types import COMPRESSED_BODY, PART_OF_A_FILE, QUOTA_USED_UP, TOO_LARGE, TOO_MANY_FILES
 from app.http.problems import Problem, disk_full
 from app.settings import MB
-from app.store.models import Drive, Token
+from app.states import DriveState
+from app.store.models import Drive, DriveFile, Token
+
+_MARGIN_BYTES = 64 * MB
 
 CLOSE = {"Connection": "close"}
 """Sent when a body is refused before it is read: the rest of it would be taken for the next request."""
@@ -65,8 +71,57 @@ def check_free_space(context: Context, needed: int) -> None:
     Problem
         507.
     """
-    if context.storage.free_bytes() - needed < context.settings.min_free_bytes:
+    free = context.storage.free_bytes() - context.bookings.size_bytes
+    if free - needed < context.settings.min_free_bytes:
         raise disk_full(headers=CLOSE)
+
+
+class Booking:
+    """Disk space for one body, within the block: what it announces is kept from all others until it has come.
+
+    Parameters
+    ----------
+    context
+    """
+
+    def __init__(self, context: Context) -> None:
+        self._context = context
+        self._left = 0
+        self._margin = 0
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._change(-self._left)
+
+    def announce(self, size: int | None) -> None:
+        """Book space before the body is read; None: it comes in chunks, and leaves some space for those that book.
+
+        Raises
+        ------
+        Problem
+            507.
+        """
+        self._margin = min(_MARGIN_BYTES, self._context.settings.min_free_bytes) if size is None else 0
+        with self._context.bookings.lock:
+            check_free_space(self._context, (size or 0) + self._margin)
+            self._change(size or 0)
+
+    def taking(self, take: Callable[[bytes], None]) -> Callable[[bytes], None]:
+        """Return what takes the pieces of the body: it looks at the free space before each."""
+
+        def take_if_there_is_room(piece: bytes) -> None:
+            self._change(-min(self._left, len(piece)))
+            check_free_space(self._context, len(piece) + self._margin)
+            take(piece)
+
+        return take_if_there_is_room
+
+    def _change(self, size: int) -> None:
+        with self._context.bookings.lock:
+            self._context.bookings.size_bytes += size
+            self._left += size
 
 
 async def make_room_to_delete(request: Request) -> None:
@@ -102,8 +157,8 @@ def check_drive(context: Context, files: int, size: int) -> None:
         )
 
 
-def check_quota(context: Context, session: Session, owner: str, more: int) -> None:
-    """Refuse what a client may not store any more by its token.
+def check_quota(context: Context, session: Session, owner: str, sender: str, more: int) -> None:
+    """Refuse what the owner of a drive, or who sends it, may not store any more by its token.
 
     Parameters
     ----------
@@ -112,6 +167,8 @@ def check_quota(context: Context, session: Session, owner: str, more: int) -> No
         The transaction that stores it: those of one client come here one after the other.
     owner
         The client to which the drive belongs.
+    sender
+        The client for which the bytes count.
     more
         Bytes that come in addition.
 
@@ -120,18 +177,31 @@ def check_quota(context: Context, session: Session, owner: str, more: int) -> No
     Problem
         413.
     """
-    allowed = context.tokens.named(owner).max_bytes
-    if allowed is None or more <= 0:
-        return
-    session.execute(select(Token.name).where(Token.name == owner).with_for_update())
-    kept = int(session.scalar(select(func.sum(Drive.stored_bytes)).where(Drive.owner == owner)) or 0)
-    if kept + more > allowed:
-        raise Problem(
-            QUOTA_USED_UP,
-            f"The drives of {owner} keep {kept / MB:,.0f} MB; with {more / MB:,.1f} MB more they would exceed the "
-            f"{allowed / MB:,.0f} MB that its token allows. Nothing was kept; delete drives that are no longer needed.",
-            headers=CLOSE,
-        )
+    for client in sorted({owner, sender}):
+        allowed = context.tokens.named(client).max_bytes
+        if allowed is None or more <= 0:
+            continue
+        session.execute(select(Token.name).where(Token.name == client).with_for_update())
+        kept = _kept_bytes(session, client)
+        if kept + more > allowed:
+            raise Problem(
+                QUOTA_USED_UP,
+                f"What {client} has sent takes {kept / MB:,.0f} MB; with {more / MB:,.1f} MB more it would exceed the "
+                f"{allowed / MB:,.0f} MB that its token allows. Nothing was kept; delete drives that are no longer "
+                "needed.",
+                headers=CLOSE,
+            )
+
+
+def _kept_bytes(session: Session, client: str) -> int:
+    """Return the bytes of the drives of a client, but for what others sent there, and of what it sent to others."""
+    own = select(func.sum(Drive.stored_bytes)).where(Drive.owner == client)
+    foreign = select(func.sum(DriveFile.size_bytes)).join(Drive, Drive.id == DriveFile.drive_id)
+    is_there = or_(Drive.state != DriveState.READY, Drive.keep_raw, DriveFile.path.contains(".osm", autoescape=True))
+    by_others = foreign.where(Drive.owner == client, DriveFile.sender.is_not(None), is_there)
+    to_others = foreign.where(DriveFile.sender == client, is_there)
+    sums = [int(session.scalar(query) or 0) for query in (own, by_others, to_others)]
+    return max(0, sums[0] - sums[1]) + sums[2]
 
 
 def job_limit(context: Context, owner: str) -> int:

@@ -90,8 +90,16 @@ class DriveFile(Base):
     """When its bytes were written: another time, or size, means other bytes. None in rows of older versions."""
     folded: Mapped[str | None] = mapped_column(String(32))
     """See `app.paths.folded_hash`: two files must not differ in nothing but case or composition."""
+    sender: Mapped[str | None] = mapped_column(String(255))
+    """Client that sent it, where that is not the owner of the drive: its bytes count for that client."""
 
     __table_args__ = (
+        Index(
+            "ix_drive_files_sender",
+            "sender",
+            sqlite_where=text("sender IS NOT NULL"),
+            postgresql_where=text("sender IS NOT NULL"),
+        ),
         Index(
             "ix_drive_files_folded",
             "drive_id",

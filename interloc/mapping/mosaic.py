@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import zlib
+from collections import OrderedDict
+from collections.abc import Iterator, MutableMapping
 from dataclasses import dataclass, field
 
 import cv2
@@ -16,8 +18,49 @@ TILE = 256
 """Cells per side of a tile."""
 
 CELL_M = 0.5  # finer than the outline of a road is known
+_OPEN_TILES = 128  # 8 MB
 _MAX_TILES = 250_000  # that a file lists, empty ones too: 64 km by 64 km of the finest cells
 _TANGENT_M = 100.0  # arm by which directions are compared
+
+
+class Tiles(MutableMapping[tuple[int, int], UInt8Array]):
+    """Tiles by row and column, of which all but the last ones that were used are kept deflated.
+
+    A tile may be changed until others were used: then it is another array.
+    """
+
+    def __init__(self) -> None:
+        self._open: OrderedDict[tuple[int, int], UInt8Array] = OrderedDict()
+        self._packed: dict[tuple[int, int], bytes] = {}
+
+    def __getitem__(self, key: tuple[int, int]) -> UInt8Array:
+        tile = self._open.get(key)
+        if tile is None:
+            cells = zlib.decompress(self._packed[key])
+            tile = np.frombuffer(bytearray(cells), np.uint8).reshape(TILE, TILE)
+        self[key] = tile
+        return tile
+
+    def __setitem__(self, key: tuple[int, int], tile: UInt8Array) -> None:
+        self._open[key] = tile
+        self._open.move_to_end(key)
+        self._packed.pop(key, None)
+        if len(self._open) > _OPEN_TILES:
+            oldest, cells = self._open.popitem(last=False)
+            self._packed[oldest] = zlib.compress(cells.tobytes(), 1)
+
+    def __delitem__(self, key: tuple[int, int]) -> None:
+        self._open.pop(key, None)
+        self._packed.pop(key, None)
+
+    def __contains__(self, key: object) -> bool:
+        return key in self._open or key in self._packed
+
+    def __iter__(self) -> Iterator[tuple[int, int]]:
+        return iter([*self._packed, *self._open])
+
+    def __len__(self) -> int:
+        return len(self._open) + len(self._packed)
 
 
 @dataclass
@@ -28,12 +71,12 @@ class Raster:
     ----------
     cell_m : float
         Side of a cell. The cell in row r and column c has its upper left corner at x = c cell_m, y = -r cell_m.
-    tiles : dict of (int, int) to (TILE, TILE) uint8
+    tiles : mapping of (int, int) to (TILE, TILE) uint8
         By row and column of the tile. 0: nothing is known.
     """
 
     cell_m: float
-    tiles: dict[tuple[int, int], UInt8Array] = field(default_factory=dict)
+    tiles: Tiles = field(default_factory=Tiles)
 
     def add(self, row: int, col: int, cells: UInt8Array) -> None:
         """Add cells to those that are there; sums end at 255."""

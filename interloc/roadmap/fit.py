@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from scipy.linalg import solveh_banded
-from scipy.ndimage import grey_opening, median_filter, percentile_filter, uniform_filter1d
+from scipy.ndimage import median_filter, percentile_filter, uniform_filter1d
 from scipy.spatial import cKDTree
 
 from interloc.arrays import BoolArray, FloatArray, IntArray
@@ -34,6 +34,7 @@ _HINT, _FAINT = 0.02, 1e-4  # weights of the line before: where no edges were me
 _STEADY_M, _ODD_M, _ODD_SHARE = 15.0, 1.0, 0.2  # widths that leave the median around them are not believed
 _QUANTILE, _QUANTILE_M, _MEAN_M = 80, 20.0, 10.0
 _HELD_M, _HELD_SHARE = 100.0, 0.4  # but not more than this share of the street
+_MOST = 85
 _WIDER_M = 1.5  # than the line that is held
 _MOUTH_M = 5.0  # beyond the edge of the other street
 _BESIDE_M, _PARALLEL_COS = 8.0, 0.9  # of the track and a line that it follows
@@ -131,7 +132,9 @@ def _street(chain: Sequence[tuple[int, Edge]], mouths: Mapping[int, Mapping[int,
     for node, where in zip(nodes, [0.0, *ends.tolist()], strict=True):
         others = [half for number, half in mouths[node].items() if number not in own]
         reach = max(others) + _MOUTH_M if others else 2.0
-        is_free &= np.abs(at - where) > reach
+        here, apart = xy[round(where / along[-1] * (count - 1))], np.abs(at - where)
+        is_near = np.linalg.norm(xy - here, axis=1) <= reach  # the skeleton of a fork leads there and back
+        is_free &= (apart > reach) & ~(is_near & (apart < 4.0 * reach))
     none = np.full(count, np.nan)
     stops = [0, *(round(end / along[-1] * (count - 1)) for end in ends.tolist())]
     street = Street(
@@ -234,8 +237,9 @@ def _mean(values: FloatArray) -> FloatArray:
 
 def _held(values: FloatArray) -> FloatArray:
     """Return values without what is higher for a short way than before and after."""
-    length_m = min(_HELD_M, _HELD_SHARE * len(values) * STEP_M)
-    return np.asarray(grey_opening(values, (_odd(length_m),), mode="nearest"), np.float64)
+    size = _odd(min(_HELD_M, _HELD_SHARE * len(values) * STEP_M))
+    low = percentile_filter(values, 100 - _MOST, size, mode="nearest")  # an opening that does not believe single dips
+    return np.asarray(percentile_filter(low, _MOST, size, mode="nearest"), np.float64)
 
 
 def _near_track(left: FloatArray, right: FloatArray, track: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-FILES = {"detections", "keyframes", "intersections", "trajectory"}
+FILES = {"detections", "keyframes", "intersections", "trajectory", "roads", "junctions", "road_surface"}
 RUN = {"road.tif", "run.json"}
 
 

@@ -10,7 +10,7 @@ import pyogrio
 
 def test_a_result_as_one_file_for_gis(finished: Path, tmp_path: Path, interloc: Callable) -> None:
     told = interloc("export", finished, "-o", tmp_path / "out.gpkg", "--json").json
-    assert told["layers"][:5] == ["intersections", "detections", "trajectory", "keyframes", "osm_nodes"]
+    assert told["layers"][:5] == ["intersections", "detections", "trajectory", "keyframes", "roads"]
     assert pyogrio.list_layers(tmp_path / "out.gpkg")[:, 0].tolist() == [*told["layers"], "layer_styles"]
     said = interloc("export", finished, "-o", tmp_path / "matches.kml", "--layer", "matches")
     assert (said.code, said.out.splitlines()[-1].split()) == (0, ["layers", "matches"])
@@ -24,7 +24,7 @@ def test_complaints_in_one_line(local_drive: Path, tmp_path: Path, interloc: Cal
     outcome = interloc("export", out, "-o", tmp_path / "out.shp")
     assert outcome.code == 2
     assert "unknown format '.shp'" in outcome.complaint
-    outcome = interloc("export", out, "-o", tmp_path / "out.kml", "--layer", "roads")
+    outcome = interloc("export", out, "-o", tmp_path / "out.kml", "--layer", "lanes")
     assert outcome.code == 2
     assert "Expected one of intersections, detections, trajectory" in outcome.complaint
     outcome = interloc("export", tmp_path, "-o", tmp_path / "out.kml")
@@ -38,6 +38,9 @@ def test_complaints_in_one_line(local_drive: Path, tmp_path: Path, interloc: Cal
         "detections",
         "trajectory",
         "keyframes",
+        "roads",
+        "junctions",
+        "road_surface",
         "layer_styles",
     ]
     assert pyogrio.read_info(tmp_path / "out.gpkg", layer="detections")["crs"] in {None, 'LOCAL_CS["Undefined SRS"]'}

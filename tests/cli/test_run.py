@@ -12,7 +12,7 @@ import pytest
 FILES = {
     *("detections.geojson", "keyframes.geojson", "trajectory.geojson", "intersections.geojson", "run.json"),
     *("report.json", "report.html", "osm_nodes.geojson", "matches.geojson", "osm_roads.geojson"),
-    *("figures", "road.tif"),
+    *("figures", "road.tif", "roads.geojson", "junctions.geojson", "road_surface.geojson"),
 }
 REPORT_FIELDS = {
     *("policy", "osm", "keyframes", "detections", "matched", "ace_m", "ace_tp_m", "median_m", "p95_m", "rmse_m"),

@@ -16,7 +16,7 @@ import pytest
 from tests.app.processes import Gate, ServerProcess, wait_until
 
 API = "/api/v1"
-LAYERS = {"intersections", "detections", "keyframes", "trajectory"}
+LAYERS = {"intersections", "detections", "keyframes", "trajectory", "roads", "junctions", "road_surface"}
 
 
 def layers(folder: Path) -> dict[str, bytes]:
@@ -83,7 +83,7 @@ def test_real_drives(
     drive = data(name)
     assert here("detect", drive, *given, "-o", tmp_path / "local").code == 0
     ours = layers(tmp_path / "local")
-    assert len(ours) == 4
+    assert len(ours) == len(LAYERS)
     for number, sending in enumerate(sendings):
         out = tmp_path / f"out{number}"
         outcome = here("push", drive, *given, *sending, "--run", "-o", out)

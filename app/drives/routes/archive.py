@@ -15,7 +15,7 @@ from app.drives.routes.files import UPLOAD
 from app.drives.upload import check_upload
 from app.http.headers import WaitSeconds
 from app.http.intake import Arrival, Intake, receive
-from app.http.limits import check_free_space, declared_length
+from app.http.limits import Booking, check_free_space, declared_length
 from app.http.multipart import BatchReader, boundary_of
 from app.http.security import ClientDep
 from app.jobs.watcher import wait_for_job
@@ -62,8 +62,7 @@ async def post_archive(
     archives of two drives are refused; nothing is kept of them.
     """
     length = declared_length(request, context.settings.max_archive_bytes, "An archive")
-    await run_in_threadpool(check_upload, context, drive_id, "archive", 0)
-    await run_in_threadpool(check_free_space, context, length or 0)
+    await run_in_threadpool(check_upload, context, drive_id, "archive", length or 0, client, is_packed=True)
     is_form = request.headers.get("content-type", "").startswith("multipart/")
     intake = _Form(context, request) if is_form else _Body(context)
 
@@ -71,10 +70,12 @@ async def post_archive(
         check_free_space(context, 0)
         return queue_archive(context, drive_id, client, intake.finish())
 
-    try:
-        job = await receive(request, intake.take, finish)
-    finally:
-        await run_in_threadpool(intake.discard)
+    with Booking(context) as booking:
+        await run_in_threadpool(booking.announce, length)
+        try:
+            job = await receive(request, booking.taking(intake.take), finish)
+        finally:
+            await run_in_threadpool(intake.discard)
     job = await wait_for_job(context, job.id, wait_s)
     if job.state not in FINAL:
         response.status_code = 202

@@ -15,7 +15,7 @@ from app.drives.upload import check_upload, keep
 from app.http.delivery import WholeFile
 from app.http.headers import sha256_of
 from app.http.intake import PIECE_BYTES, Intake, receive
-from app.http.limits import check_free_space, declared_length
+from app.http.limits import Booking, check_free_space, declared_length
 from app.http.openapi import PAGED
 from app.http.paging import answer_page
 from app.http.patterns import TEXT
@@ -97,7 +97,7 @@ def list_files(
     summary="Upload a file",
 )
 async def put_file(
-    drive_id: DriveId, path: FilePath, request: Request, response: Response, context: ContextDep, _client: ClientDep
+    drive_id: DriveId, path: FilePath, request: Request, response: Response, context: ContextDep, client: ClientDep
 ) -> UploadedFile:
     """Upload one file as it is: 201 if it is new, 200 if it replaced a file of the same name.
 
@@ -108,20 +108,22 @@ async def put_file(
     settings = context.settings
     limit = settings.max_recording_bytes if is_recording(path) else settings.max_file_bytes
     length = declared_length(request, limit, path)
-    if length is None or length > PIECE_BYTES:  # a small body is read sooner than the drive is looked up
-        await run_in_threadpool(check_upload, context, drive_id, path, length or 0)
     intake = Intake(context, path, limit)
 
     def finish() -> tuple[UploadedFile, bool]:
         check_free_space(context, 0)
         arrival = intake.finish(sha256)
-        new = keep(context, drive_id, [arrival])
+        new = keep(context, drive_id, [arrival], client)
         return UploadedFile(path=path, size_bytes=arrival.size_bytes, sha256=arrival.sha256), new
 
-    try:
-        file, new = await receive(request, intake.write, finish)
-    finally:
-        intake.discard()
+    with Booking(context) as booking:
+        if length is None or length > PIECE_BYTES:  # a small body is read sooner than the drive is looked up
+            await run_in_threadpool(check_upload, context, drive_id, path, length or 0, client)
+            await run_in_threadpool(booking.announce, length)
+        try:
+            file, new = await receive(request, booking.taking(intake.write), finish)
+        finally:
+            intake.discard()
     response.status_code = 201 if new else 200
     return file
 

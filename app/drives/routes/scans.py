@@ -11,7 +11,7 @@ from app.drives.routes.drives import DriveId
 from app.drives.routes.files import UPLOAD
 from app.drives.upload import check_upload, keep
 from app.http.intake import receive
-from app.http.limits import check_free_space, declared_length
+from app.http.limits import Booking, check_free_space, declared_length
 from app.http.multipart import FIELDS, BatchReader, boundary_of
 from app.http.security import ClientDep
 
@@ -52,12 +52,12 @@ _ABOUT = {
     },
     summary="Upload a batch of scans",
 )
-async def post_scans(drive_id: DriveId, request: Request, context: ContextDep, _client: ClientDep) -> UploadedBatch:
+async def post_scans(drive_id: DriveId, request: Request, context: ContextDep, client: ClientDep) -> UploadedBatch:
     """Upload several files at once, all or none of them. A repeated request replaces files of the same names."""
     limits = context.settings
     length = declared_length(request, limits.max_batch_bytes, "A request with several files")
     boundary = boundary_of(request.headers.get("content-type"))
-    await run_in_threadpool(check_upload, context, drive_id, "batch", length or 0)
+    await run_in_threadpool(check_upload, context, drive_id, "batch", length or 0, client)
     reader = BatchReader(
         context,
         boundary,
@@ -70,10 +70,12 @@ async def post_scans(drive_id: DriveId, request: Request, context: ContextDep, _
     def finish() -> list[UploadedFile]:
         check_free_space(context, 0)
         arrivals = reader.finish()
-        keep(context, drive_id, arrivals)
+        keep(context, drive_id, arrivals, client)
         return [UploadedFile(path=each.path, size_bytes=each.size_bytes, sha256=each.sha256) for each in arrivals]
 
-    try:
-        return UploadedBatch(files=await receive(request, reader.take, finish))
-    finally:
-        await run_in_threadpool(reader.discard)
+    with Booking(context) as booking:
+        await run_in_threadpool(booking.announce, length)
+        try:
+            return UploadedBatch(files=await receive(request, booking.taking(reader.take), finish))
+        finally:
+            await run_in_threadpool(reader.discard)

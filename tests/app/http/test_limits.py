@@ -5,15 +5,24 @@ from __future__ import annotations
 import asyncio
 import json
 import socket
+import threading
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from pathlib import Path
 
 import httpx
 import pytest
 
+from app.context import Context
+from app.http.limits import Booking
+from app.http.problems import Problem
 from app.http.protocol import MAX_HEAD_BYTES, Protocol
 from app.server import FewFiles
+from app.settings import Settings
+from app.store.storage import Storage
+from tests.app.processes import files_below
 
 Serve = Callable[..., httpx.Client]
 MB = 1024**2
@@ -237,3 +246,63 @@ def test_the_methods_of_an_address_are_all_named(client: httpx.Client) -> None:
         for method in ("OPTIONS", "TRACE"):
             answer = client.request(method, path)
             assert (answer.status_code, answer.headers["allow"]) == (405, allowed)
+
+
+@pytest.mark.parametrize("announced", [True, False])
+def test_bodies_under_way_know_of_each_other(
+    serve: Serve, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, announced: bool
+) -> None:
+    """A disk of 100 MB of which 20 MB must stay free: bodies of 30 MB that are all held back half-way."""
+    data = tmp_path / "data"
+
+    def free_bytes(_storage: Storage) -> int:
+        written = sum(path.stat().st_size for path in files_below(data) if "sqlite" not in path.name)
+        return 100 * MB - written
+
+    monkeypatch.setattr(Storage, "free_bytes", free_bytes)
+    client = serve(min_free_bytes=20 * MB)
+    drive = client.post("/api/v1/drives", json={"name": "town"}).headers["location"]
+    let_go = threading.Event()
+    half_way = threading.Semaphore(0)
+
+    def body() -> Iterator[bytes]:
+        for number in range(30):
+            if number == 5:
+                half_way.release()
+                assert let_go.wait(60)
+            yield bytes(MB)
+
+    def put(number: int) -> int:
+        headers = {"Content-Length": str(30 * MB)} if announced else {}
+        try:
+            with httpx.Client(base_url=client.base_url, timeout=60) as own:
+                return own.put(f"{drive}/files/velodyne/{number:06d}.bin", content=body(), headers=headers).status_code
+        except httpx.WriteError:  # refused before it was sent
+            return 507
+
+    with ThreadPoolExecutor(6) as pool:
+        answers = [pool.submit(put, number) for number in range(6)]
+        for _ in range(2):
+            assert half_way.acquire(timeout=60)
+        let_go.set()
+        statuses = [answer.result() for answer in answers]
+    assert set(statuses) <= {201, 507}
+    assert free_bytes(Storage(data)) >= 20 * MB
+    assert 507 in statuses
+    assert client.put(f"{drive}/files/poses.txt", content=b"1").status_code == 201
+    if announced:
+        assert statuses.count(201) == 2
+
+
+def test_what_is_booked_is_free_again_whatever_happens(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Storage, "free_bytes", lambda _: 100)
+    context = Context.open(Settings(data_dir=tmp_path, min_free_bytes=20, disk_reserve_bytes=0))
+    with Booking(context) as first, Booking(context) as second:
+        first.announce(50)
+        with pytest.raises(Problem, match="no disk space left"):
+            second.announce(31)
+        second.announce(30)
+        first.taking(lambda _: None)(bytes(10))
+        assert context.bookings.size_bytes == 70
+    assert context.bookings.size_bytes == 0
+    context.close()

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import hashlib
+import io
 import re
 import sqlite3
 import time
+import zipfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -206,6 +208,8 @@ def guarded(serve_all: Serve, tmp_path_factory: pytest.TempPathFactory) -> tuple
         "reader": {"scope": Scope.READ},
         "writer": {},
         "poor": {"max_bytes": 1000, "max_jobs": 1},
+        "sparing": {"max_bytes": 1000},
+        "modest": {"max_bytes": 1000},
     }
     tokens = {name: add_token(database, name, **kind) for name, kind in kinds.items()}
     database.close()
@@ -290,6 +294,31 @@ def test_a_client_keeps_no_more_than_its_token_allows(guarded: tuple[httpx.Clien
     assert client.put(f"{first}/files/poses.txt", content=bytes(900), headers=mine).status_code == 200
     assert client.delete(f"{first}/files/poses.txt", headers=mine).status_code == 204
     assert client.put(f"{second}/files/poses.txt", content=bytes(600), headers=mine).status_code == 201
+
+
+def test_what_a_client_sends_into_drives_of_others_counts_for_it(guarded: tuple[httpx.Client, dict[str, str]]) -> None:
+    client, tokens = guarded
+    rich, sparing, modest = (bearer(tokens[name]) for name in ("writer", "sparing", "modest"))
+    others = client.post("/api/v1/drives", json={"name": "others"}, headers=rich).headers["location"]
+    own = client.post("/api/v1/drives", json={"name": "own"}, headers=sparing).headers["location"]
+    sent = [
+        client.put(f"{others}/files/velodyne/{n:06d}.bin", content=bytes(400), headers=sparing).status_code
+        for n in range(4)
+    ]
+    assert sent == [201, 201, 413, 413]
+    assert client.put(f"{own}/files/poses.txt", content=bytes(400), headers=sparing).status_code == 413
+    archive = io.BytesIO()
+    with zipfile.ZipFile(archive, "w") as packed:
+        packed.writestr("poses.txt", bytes(400))
+    answer = client.post(f"{others}/archive", content=archive.getvalue(), headers=sparing)
+    assert (answer.status_code, answer.json()["title"]) == (413, "Quota used up")
+    assert client.delete(f"{others}/files/velodyne/000000.bin", headers=rich).status_code == 204
+    assert client.put(f"{own}/files/poses.txt", content=bytes(400), headers=sparing).status_code == 201
+    # What others send does not use up what an owner may store.
+    theirs = client.post("/api/v1/drives", json={"name": "theirs"}, headers=modest).headers["location"]
+    assert client.put(f"{theirs}/files/times.txt", content=bytes(700), headers=rich).status_code == 201
+    assert client.put(f"{theirs}/files/poses.txt", content=bytes(700), headers=modest).status_code == 201
+    assert client.put(f"{theirs}/files/calib.txt", content=bytes(700), headers=rich).status_code == 413
 
 
 @pytest.mark.parametrize("token", ["", "short", "fifteen-letters", "sixteen-lettersé", "sixteen\nletters.."])
