@@ -51,19 +51,23 @@ def drive_features(storage: Storage, drive_id: str, name: str, job: Job | None) 
     track = (None if result is None else _geometry(result / _FILES["trajectory"])) or _geometry(own)
     points = None if result is None else _geometry(result / _FILES["intersections"])
     common = {"drive": drive_id, "name": name, "job": None if job is None else job.id}
-    count = None if job is None else (job.summary or {}).get("intersections")
+    summary = {} if job is None else job.summary or {}
+    figures = {
+        "intersections": summary.get("intersections"),
+        "verdict": (summary.get("report") or {}).get("map_line"),
+    }
     yield {
         "type": "Feature",
         "id": drive_id,
         "geometry": track,
-        "properties": {"layer": "drives", **common, "intersections": count},
+        "properties": {"layer": "drives", **common, **figures},
     }
     if points is not None:
         yield {
             "type": "Feature",
             "id": f"{drive_id}/intersections",
             "geometry": points,
-            "properties": {"layer": "intersections", **common, "intersections": count},
+            "properties": {"layer": "intersections", **common, **figures},
         }
 
 

@@ -28,6 +28,10 @@ class OverviewProperties(BaseModel):
         description="Id of its newest successful job; null: it has none.", examples=["9b1e44f00c7a2d53"]
     )
     intersections: int | None = Field(description="How many intersections that job found; null: there is no such job.")
+    verdict: str | None = Field(
+        description="How many of them are right, in words; null: the job was not scored.",
+        examples=["5 of 6 intersections right within 10 m, 5 of 5 nodes found, median 1.0 m"],
+    )
 
 
 class OverviewFeature(BaseModel):

@@ -97,6 +97,7 @@ class MapScores(_Document):
     f1_at_5: float | None
     nodes_in_zone: int
     nodes_found: int
+    map_line: str | None = None  # results of versions before had none
 
 
 class MapPlace(_Document):

@@ -31,6 +31,7 @@ def command(results: tuple[Path, ...], out: Path | None, as_json: bool) -> None:
     """
     from interloc.errors import ConfigError
     from interloc.evaluation.compare import compare_reports, write_comparison
+    from interloc.evaluation.report import map_line
     from interloc.output.geojson import read_json
     from interloc.output.read import read_run
 
@@ -48,6 +49,9 @@ def command(results: tuple[Path, ...], out: Path | None, as_json: bool) -> None:
     if as_json:
         console.say_json(comparison)
         return
+    for name, report in zip(names, reports, strict=True):
+        click.echo(f"{name}: {report.get('map_line') or map_line(report['map_level'])}")
+    click.echo()
     _print_table(["", *names], [[row["name"], *map(_text, row["values"])] for row in comparison["figures"]])
     click.echo()
     if comparison["inputs"]:

@@ -138,10 +138,17 @@ def _node(osm_id: int, outcomes: Sequence[Mapping[int, Mapping[str, Any]]]) -> d
 def _outcome(row: Mapping[str, Any] | None) -> str:
     if row is None or not row["in_zone"]:
         return "outside"
-    return "found" if row["found"] else "missed"
+    return str(row.get("outcome") or ("found" if row["found"] else "missed"))  # versions before had none
 
 
 _FIGURES: tuple[tuple[str, Callable[[Mapping[str, Any]], Any]], ...] = (
+    ("map_right", lambda report: report["map_level"]["true"]),
+    ("map_wrong", lambda report: report["map_level"]["false"]),
+    ("map_nodes_found", lambda report: report["map_level"]["nodes_in_zone"] - report["map_level"]["missed"]),
+    ("map_median_m", lambda report: report["map_level"]["median_m"]),
+    ("map_precision", lambda report: report["map_level"]["precision"]),
+    ("map_recall", lambda report: report["map_level"]["recall"]),
+    ("map_mean_m", lambda report: report["map_level"]["mean_m"]),
     ("keyframes", lambda report: report["keyframes"]),
     ("detections", lambda report: report["detections"]),
     ("ace_m", lambda report: report["ace_m"]),
@@ -152,9 +159,6 @@ _FIGURES: tuple[tuple[str, Callable[[Mapping[str, Any]], Any]], ...] = (
     ("f1_at_5", lambda report: report["f1"][_STANDARD]),
     ("nodes_in_zone", lambda report: report["nodes_in_zone"]),
     ("nodes_found", lambda report: report["nodes_found"]),
-    ("map_precision", lambda report: report["map_level"]["precision"]),
-    ("map_recall", lambda report: report["map_level"]["recall"]),
-    ("map_mean_m", lambda report: report["map_level"]["mean_m"]),
 )
 
 

@@ -18,7 +18,7 @@ TILE = 256
 """Cells per side of a tile."""
 
 CELL_M = 0.5  # finer than the outline of a road is known
-_OPEN_TILES = 128  # 8 MB
+_OPEN_TILES = 64  # 4 MB
 _MAX_TILES = 250_000  # that a file lists, empty ones too: 64 km by 64 km of the finest cells
 _TANGENT_M = 100.0  # arm by which directions are compared
 

@@ -307,7 +307,7 @@ class JunctionProperties(Properties):
 
 
 class RoadSurfaceProperties(Properties):
-    """The ground that was seen as road from two keyframes or more, cut at squares of 512 m."""
+    """The ground that was seen as road from two keyframes or more, cut at squares of 256 m."""
 
     id: int = Field(title="Piece", description="Number of the piece, from 1.")
     area_m2: Annotated[float, Decimals(1, "m2")] = Field(title="Area", description="Area, square metres.")
@@ -323,7 +323,13 @@ class OsmNodeProperties(Properties):
         title="In the zone",
         description="Whether it was in the relevant zone of a keyframe, so it should be found.",
     )
-    found: bool = Field(title="Detected", description="Whether a detection within 5 m was matched to it.")
+    found: bool = Field(title="Found", description="Whether its verdict is found: by an intersection of the map.")
+    detected: bool | None = Field(
+        None,
+        title="Detected",
+        description="Whether a detection within 5 m was matched to it, the paper's measure; null in results of older "
+        "versions.",
+    )
     keyframes_in_zone: int = Field(
         title="Keyframes near", description="Number of keyframes with the node in their relevant zone."
     )
@@ -372,6 +378,31 @@ class OsmRoadProperties(Properties):
     highway: str = Field(title="Class of road", description="Value of its tag `highway`.")
     name: str | None = Field(title="Name", description="Name or else reference number; null if it has none.")
     is_drivable: bool = Field(title="Drivable", description="Whether it is a road under policy drive+service.")
+    seen_m: RoadWidth = Field(
+        None,
+        title="Seen",
+        description="Length of the way, all its lines together, on ground that the drive saw as road, metres; null "
+        "where none was seen.",
+    )
+    mapped: Annotated[float | None, Decimals(3)] = Field(
+        None,
+        title="Mapped",
+        description="0 to 1, share of that within 3 m of one of `roads`; null where none was seen.",
+    )
+    offset_m: RoadWidth = Field(
+        None,
+        title="Offset",
+        description="Median distance of the road that was seen from the way, metres, positive to the left of its "
+        "direction; null where no road runs beside it.",
+    )
+    width_m: RoadWidth = Field(
+        None, title="Width", description="Median width of the road that was seen beside it, metres; null for none."
+    )
+    is_driven: bool | None = Field(
+        None,
+        title="Driven",
+        description="Whether the drive went along it; else the width is a minimum. Null where none was seen.",
+    )
 
 
 class OsmBuildingProperties(Properties):

@@ -22,12 +22,14 @@ def report(outcomes: dict[int, str], **values: Any) -> dict[str, Any]:
             "degree": 3,
             "in_zone": outcome != "outside",
             "found": outcome == "found",
+            "outcome": outcome,
             "median_error_m": 1.5 if outcome == "found" else None,
         }
         for osm_id, outcome in outcomes.items()
     ]
     ratios = {name: {"5.0": 0.5} for name in ("precision", "recall", "f1")}
-    level = {"precision": None, "recall": 1.0, "mean_m": 0.5}
+    level = {"precision": None, "recall": 1.0, "mean_m": 0.5, "median_m": 0.4, "true": 3, "false": 1}
+    level |= {"nodes_in_zone": 4, "missed": 1, "intersections_in_zone": 4, "gate_m": 10.0}
     plain = dict.fromkeys(("keyframes", "detections", "nodes_in_zone", "nodes_found"), 7)
     errors = dict.fromkeys(("ace_m", "median_m", "p95_m"), 1.25)
     osm = {"source": "map.osm", "date": None}

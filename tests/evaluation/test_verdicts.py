@@ -118,6 +118,13 @@ def test_the_report_leads_with_the_map(folder: Path) -> None:
     assert "What is wrong, and why" in page
 
 
+def test_a_node_that_was_detected_and_missed_is_not_found(run: Run, graph: Graph, tmp_path: Path) -> None:
+    made = run([(0, 0)], [(0, 1, 0)])  # no intersection came of it
+    write_results(made, tmp_path)
+    write_report(evaluate(made, graph([(0, 0)])), tmp_path)
+    assert told(tmp_path, "osm_nodes", "outcome", "found", "detected") == [("missed", False, True)]
+
+
 def test_the_line_of_a_map_with_nothing_in_it() -> None:
     level = {"true": 0, "intersections_in_zone": 1, "gate_m": 10.0, "nodes_in_zone": 1, "missed": 1, "median_m": None}
     assert map_line(level) == "0 of 1 intersection right within 10 m, 0 of 1 node found"

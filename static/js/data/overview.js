@@ -11,6 +11,7 @@ import { lineOf } from "./results.js";
  * @property {string} name
  * @property {string|null} job Its newest successful one.
  * @property {number[][]} track Longitude, latitude.
+ * @property {string|null} verdict How many of its intersections are right, in words.
  * @property {number[][]} intersections
  */
 /**
@@ -31,9 +32,9 @@ export async function loadOverview() {
   for (let after = ""; ; ) {
     const page = await getJson(`overview?limit=${PAGE}${after && `&after=${encodeURIComponent(after)}`}`);
     for (const { geometry, properties } of page.features) {
-      const { layer, drive: id, name, job } = properties;
+      const { layer, drive: id, name, job, verdict } = properties;
       if (layer === "intersections") drives.get(id)?.intersections.push(...geometry.coordinates);
-      else if (geometry) drives.set(id, { id, name, job, track: lineOf(geometry), intersections: [] });
+      else if (geometry) drives.set(id, { id, name, job, verdict, track: lineOf(geometry), intersections: [] });
       else unplaced += 1;
     }
     if (!page.next || drives.size + unplaced >= MAX_DRIVES)

@@ -170,7 +170,7 @@ function jobRow(job) {
     { "aria-current": String(getState().job === job.id), onClick: () => openJob(job) },
     el("span", { class: "cut", title: titleOf(job) }, titleOf(job)),
     isDone ? el("span", { class: "small" }, formatAgo(job.finished_at)) : stateBadge(job.state),
-    isDone && el("span", { class: "small number both" }, outcomeOf(job)),
+    isDone && el("span", { class: "small both" }, outcomeOf(job)),
   );
   return el("li", {}, button);
 }

@@ -179,12 +179,13 @@ function outcome(job) {
   const unscored = "The job had no map. Run it again with one to see which intersections are right.";
   const withMap = () => openRunDialog(job.drive_id, { job, withMap: true }).catch(showError);
   return [
+    report?.map_line && el("p", { class: "verdict" }, el("strong", {}, report.map_line)),
     el("div", { class: "tiles-row" }, [
       figure(formatCount(summary.intersections ?? 0), "intersections"),
       figure(formatCount(summary.detections ?? 0), "detections"),
       figure(formatCount(keyframes ?? 0), "keyframes"),
       report && [
-        figure(formatMetres(report.ace_m), "mean error (ACE)"),
+        figure(formatMetres(report.ace_m), "mean error of detections (ACE)"),
         figure(formatPercent(report.precision_at_5), "precision, 5 m"),
         figure(formatPercent(report.recall_at_5), "recall, 5 m"),
       ],

@@ -55,9 +55,10 @@ export function jobName(job) {
   return `${titleOf(job)} · ${job.state === "successful" ? formatAgo(job.finished_at ?? job.created_at) : job.state}`;
 }
 
-/** @param {any} job @returns {string} The result in a few words. */
+/** @param {any} job @returns {string} The result in a few words: the verdict of the map, where there was one. */
 export function outcomeOf(job) {
   const { intersections, report } = job.summary ?? {};
+  if (report?.map_line) return report.map_line.replace(/ within [\d.]+ m/, "");
   const parts = [];
   if (intersections !== undefined) parts.push(plural(intersections, "intersection"));
   if (report?.ace_m !== undefined && report.ace_m !== null) parts.push(`ACE ${formatMetres(report.ace_m)}`);

@@ -154,8 +154,8 @@ export function watchDrives(map, scene, redraw) {
     if (current instanceof OverviewScene) current.under = item;
     redraw();
     if (!item) return void tip.remove();
-    const { name, job, intersections } = item.drive;
-    const text = job ? plural(intersections.length, "intersection") : "no result yet";
+    const { name, job, intersections, verdict } = item.drive;
+    const text = job ? (verdict ?? plural(intersections.length, "intersection")) : "no result yet";
     tip
       .setLatLng(event.latlng)
       .setContent(el("div", {}, el("strong", {}, name), el("br"), text))

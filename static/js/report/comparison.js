@@ -129,14 +129,16 @@ function scores(names, reports) {
   const of = (/** @type {(report: any) => number|null} */ value) => reports.map(value);
   /** @type {Array<[string, Array<number|null>, (value: any) => string, number]>} The last: 1 where more is better. */
   const rows = [
+    ["Intersections right", of((r) => r.map_level.true), String, 1],
+    ["Intersections wrong", of((r) => r.map_level.false), String, -1],
+    ["OSM nodes found", of((r) => r.map_level.nodes_in_zone - r.map_level.missed), String, 1],
+    ["Median error of intersections", of((r) => r.map_level.median_m), formatMetres, -1],
     ["Mean error (ACE)", of((r) => r.ace_m), formatMetres, -1],
     ["Median error", of((r) => r.median_m), formatMetres, -1],
     ["Precision, D = 5 m", of((r) => at(r, 5).precision), formatPercent, 1],
     ["Recall, D = 5 m", of((r) => at(r, 5).recall), formatPercent, 1],
     ["F1, D = 5 m", of((r) => at(r, 5).f1), formatPercent, 1],
-    ["OSM nodes found", of((r) => r.nodes_found), String, 1],
-    ["Precision of the map", of((r) => r.map_level.precision), formatPercent, 1],
-    ["Recall of the map", of((r) => r.map_level.recall), formatPercent, 1],
+    ["OSM nodes with a detection within 5 m", of((r) => r.nodes_found), String, 1],
   ];
   const cells = rows.map(([name, values, text, more]) => {
     const known = values.filter((each) => each !== null).map((each) => /** @type {number} */ (each) * more);

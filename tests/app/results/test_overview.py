@@ -39,6 +39,7 @@ def test_every_drive_is_shown_with_its_newest_result(finished: Finished) -> None
         "name": "Straße other",
         "job": "elsewhere",
         "intersections": None,  # a summary that the fixture leaves out
+        "verdict": None,
     }
     points = json.loads((finished.results / "default" / "intersections.geojson").read_text())["features"]
     assert len(found["other/intersections"]["geometry"]["coordinates"]) == len(points)
