@@ -64,6 +64,8 @@ def sweep(context: Context, *, by_age: bool = True) -> Counter[Removal]:
         swept["purged"] = len(empty_trash(context, older_than_s=3600 * context.settings.trash_h))
         swept["lost"] = len(set_unknown_aside(context))
         swept["archive"] = _remove_archives(context)
+    else:
+        _tell_of_unknown(context)
     swept["incoming"] = remove_incoming(context)
     _tidy_drives(context)
     _note_extents(context)
@@ -85,6 +87,16 @@ def unknown_folders(context: Context) -> Iterator[str]:
         for path in paths:
             if path.name not in known and path.exists():  # not purged in between
                 yield f"{kind}/{path.name}"
+
+
+def _tell_of_unknown(context: Context) -> None:
+    """Name folders without a row while nothing goes for its age: soon after a start on an older copy of the rows."""
+    keys = list(unknown_folders(context))
+    if keys:
+        text = (
+            "no row knows %d folders of drives and jobs: %s. Is the database an older copy? `interloc adopt` makes rows"
+        )
+        _log.warning(text, len(keys), ", ".join(keys[:3]) + (", ..." if len(keys) > 3 else ""))
 
 
 def set_unknown_aside(context: Context, *, only: str | None = None) -> list[tuple[str, str]]:

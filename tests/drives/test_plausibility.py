@@ -81,6 +81,13 @@ def test_a_georeference_that_turns_to_the_other_side(street: Path) -> None:
     assert "turns to the other side than the poses" in errors(street)
 
 
+@pytest.mark.parametrize("scans", [5, -8])
+def test_a_georeference_that_starts_at_another_frame(street: Path, scans: int) -> None:
+    streets.write_geo(street, streets.poses()[np.clip(np.arange(streets.COUNT) - scans, 0, streets.COUNT - 1)])
+    found = errors(street)
+    assert "another motion" in found or f"scans {'late' if scans > 0 else 'early'} against the poses" in found
+
+
 def test_how_a_body_turns_with_its_path() -> None:
     true = streets.poses()
     turned, share = turning_with_path(true)

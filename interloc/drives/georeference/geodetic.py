@@ -10,8 +10,9 @@ from interloc.arrays import FloatArray, IntArray
 from interloc.drive import Georeference
 from interloc.drives.files import SourceFile
 from interloc.drives.findings import Findings, GeoreferenceFileError
+from interloc.drives.georeference.shift import fit_shift
 from interloc.drives.poses.motion import body_steps, body_turns, rows_apart
-from interloc.geometry import ecef_from_geodetic, invert_transform
+from interloc.geometry import ecef_from_geodetic, enu_from_lonlat, invert_transform
 
 MAX_GEOREFERENCE_ERROR = 0.1
 """Of the distance between two scans; all KITTI drives stay under 0.02, and those of other drives are over 0.1."""
@@ -20,6 +21,7 @@ MIN_TURNED_RAD = np.radians(30.0)
 """Root of the sum of squared turns over which the turns of poses and georeference are compared."""
 
 _MIN_TURN_SHARE = 0.5
+_MIN_SHIFT_SCANS = 0.7
 _E7, _LEAST_E7 = 1e7, 2e7
 """Some receivers write multiples of 1e-7 degrees; beyond two degrees these are larger than any coordinate in metres."""
 
@@ -166,5 +168,29 @@ def _check_turns(ours: FloatArray, theirs: FloatArray, source: str, findings: Fi
             f"turns {how} than the poses ({share:.0%} of its turns are in them). Usual cause: one of the two has its z "
             "axis down (NED, FRD), so that left and right are mirrored, or an attitude that is not filled in. "
             "Expected x forward, y left, z up in both.",
+        )
+    )
+
+
+def check_shift(poses: FloatArray, georeference: Georeference, findings: Findings) -> None:
+    """Check that the georeference is not late or early: its shape is that of the poses, some scans on.
+
+    Parameters
+    ----------
+    poses : (N, 4, 4) float64
+        T_world_lidar.
+    """
+    lonlat = np.stack([georeference.lon_deg, georeference.lat_deg], axis=-1)
+    enu = enu_from_lonlat(lonlat[0, 1], lonlat[0, 0], lonlat)
+    scans = np.arange(len(poses), dtype=np.float64)
+    shift = fit_shift(scans, poses[:, :2, 3], scans, enu)
+    if shift is None or abs(shift.late) < _MIN_SHIFT_SCANS:
+        return
+    findings.error(
+        GeoreferenceFileError(
+            georeference.source,
+            f"is {abs(shift.late):.1f} scans {'late' if shift.late > 0 else 'early'} against the poses: so shifted it "
+            f"lies {shift.after_m:.1f} m off them, else {shift.before_m:.1f} m, and intersections would be about "
+            f"{shift.metres:.0f} m off along the road. Usual cause: rows that start at another frame, or two clocks.",
         )
     )

@@ -266,3 +266,11 @@ def test_where_a_drive_of_an_older_version_is_gets_written(context: Context) -> 
         rows = {drive: session.get_one(Drive, drive) for drive in (placed, local)}
         found = drive_model(rows[placed], context.settings).bbox, drive_model(rows[local], context.settings).bbox
     assert found == ([8.4, 49.0, 8.5, 49.1], None)
+
+
+def test_folders_without_a_row_are_named_soon_after_a_start(context: Context, caplog: pytest.LogCaptureFixture) -> None:
+    for number in range(4):
+        context.storage.folder(f"drives/{number:016x}").mkdir(parents=True)
+    sweep(context, by_age=False)
+    assert "no row knows 4 folders of drives and jobs: drives/0000000000000000" in caplog.text
+    assert len(list(context.storage.folder("drives").iterdir())) == 4

@@ -17,13 +17,16 @@ from interloc.drives.georeference.fixes import (
     georeference_from_fixes,
 )
 from interloc.drives.georeference.geodetic import check_georeference, in_degrees
+from interloc.drives.georeference.shift import Shift, fit_shift, misfit_m
 from interloc.drives.scans.rosbag.bag import Bag, BagTopic
 from interloc.drives.scans.rosbag.frames import FrameTree, latest_of_each
 from interloc.drives.scans.rosbag.messages import NO_FIX, Fix, read_fix
 from interloc.drives.scans.rosbag.motion import LidarMotion
 from interloc.drives.scans.rosbag.stamps import clock_lead_s, clock_shift
 from interloc.drives.scans.rosbag.wire import WireError
-from interloc.geometry import invert_transform
+from interloc.geometry import enu_from_lonlat, invert_transform
+
+_GRID_S, _MAX_GRID = 0.2, 20_000
 
 
 @dataclass(frozen=True)
@@ -117,6 +120,21 @@ class BagFixes:
         if not sound.any():
             return None, f"{name}: none of {len(messages):,} fixes has a position{_why_unsound(positions, status)}"
         positions[~np.isfinite(positions[:, 2]), 2] = 0.0
+        late = self._late(motion, times_s[sound], positions[sound])
+        if late is not None and not late.is_sure:
+            return None, (
+                f"{name}: the fixes are late or early against the poses, by {abs(late.late):.0f} s or so (about "
+                f"{late.metres:.0f} m): that is not sure enough to put it right. Usual cause: two clocks"
+            )
+        if late is not None:
+            times_s = times_s - late.late
+            findings.warning(
+                self.bag.name,
+                f"{name}: the fixes are {abs(late.late):.2f} s {'late' if late.late > 0 else 'early'} against the "
+                f"poses (so put right they lie {late.after_m:.1f} m off the path, else {late.before_m:.1f} m; about "
+                f"{late.metres:.0f} m along the road). Usual cause: a receiver that tells its positions late, or two "
+                "clocks.",
+            )
         covered = sound & motion.covers(times_s)
         if not covered.any() and (by_log := sound & motion.covers(log_s)).any():
             findings.warning(
@@ -152,6 +170,21 @@ class BagFixes:
                 "heading is not known"
             )
         return (fixes, distance_m[len(rows) :]), ""
+
+    def _late(self, motion: LidarMotion, times_s: FloatArray, positions: FloatArray) -> Shift | None:
+        """Find out whether (K,) fixes are late against the motion."""
+        first, last = motion.span_s
+        rows = latest_of_each(times_s)
+        if len(rows) < MIN_FIXES or last <= first:
+            return None
+        grid = np.linspace(first, last, int(np.clip((last - first) / _GRID_S, 2, _MAX_GRID)))
+        path, lonlat = motion.at(grid)[:, :2, 3], positions[rows][:, [1, 0]]
+        shift = fit_shift(grid, path, times_s[rows], enu_from_lonlat(lonlat[0, 1], lonlat[0, 0], lonlat))
+        if shift is not None:  # exchanged, a path is mirrored, and a shift may seem to help
+            exchanged = enu_from_lonlat(lonlat[0, 0], lonlat[0, 1], lonlat[:, ::-1])
+            if misfit_m(grid, path, times_s[rows], exchanged) < shift.after_m:
+                return None
+        return shift
 
 
 def _sound_fixes(positions: FloatArray, status: IntArray) -> BoolArray:

@@ -68,6 +68,20 @@ def test_fixes_of_a_receiver_on_gps_time(tmp_path: Path) -> None:
     assert np.linalg.norm(there - enu, axis=1).max() < 0.01
 
 
+@pytest.mark.parametrize("late_s", [2.0, -1.5, 0.5])
+def test_fixes_that_are_late_are_put_right(tmp_path: Path, late_s: float) -> None:
+    """They are recorded late, too: only the shape of the path tells."""
+    path, enu, _ = drive_with_fixes(
+        tmp_path / "drive", written=lambda bag, time, p: bag.fix("/fix", time + late_s, p, header_s=time + late_s)
+    )
+    _, trajectory, findings = opened(path)
+    found = trajectory.georeference
+    assert found is not None
+    there = enu_from_lonlat(49.0, 8.4, np.stack([found.lon_deg, found.lat_deg], axis=-1))
+    assert np.linalg.norm(there - enu, axis=1).max() < 1.0  # 0.1 s
+    assert f"s {'late' if late_s > 0 else 'early'} against the poses" in said(findings)
+
+
 def test_transforms_come_before_poses_without_an_owner(tmp_path: Path) -> None:
     mount = np.diag([-1.0, -1.0, 1.0, 1.0])
     mount[:3, 3] = 1.2, 0.0, 1.9

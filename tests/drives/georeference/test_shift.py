@@ -1,0 +1,45 @@
+"""A shift in time between poses and fixes is found by the shape of the path, and none where there is none."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from interloc.arrays import FloatArray
+from interloc.drives.georeference.shift import fit_shift
+from interloc.geometry import rotate_2d
+
+TIMES = np.arange(0.0, 120.0, 0.1)
+
+
+def path(bend: float = 0.8) -> FloatArray:
+    """Return (1200, 2) positions along an S at 8 to 12 m/s."""
+    speed = 10.0 + 2.0 * np.sin(TIMES / 7.0)
+    heading = bend * np.sin(TIMES / 9.0)
+    steps = 0.1 * speed[:, None] * np.stack([np.cos(heading), np.sin(heading)], axis=1)
+    return np.cumsum(steps, axis=0)
+
+
+@pytest.mark.parametrize("noise_m", [0.0, 1.0])
+@pytest.mark.parametrize("late_s", [0.0, 1.0, 2.0, -5.0, 18.0])
+def test_a_shift_is_found_whatever_the_noise(late_s: float, noise_m: float) -> None:
+    noise = np.random.default_rng(4).normal(0.0, noise_m, (120, 2)) if noise_m else 0.0
+    found = fit_shift(TIMES, path(), TIMES[::10] + late_s, rotate_2d(path()[::10], 1.0) + noise)
+    if late_s == 0.0:
+        assert found is None
+        return
+    assert found is not None
+    assert found.is_sure
+    assert found.late == pytest.approx(late_s, abs=0.2)
+    assert found.after_m < found.before_m
+
+
+def test_a_straight_road_at_one_speed_tells_nothing() -> None:
+    straight = np.stack([10.0 * TIMES, np.zeros_like(TIMES)], axis=1)
+    assert fit_shift(TIMES, straight, TIMES[::10] + 3.0, straight[::10]) is None
+
+
+def test_too_few_fixes_tell_nothing() -> None:
+    assert fit_shift(TIMES, path(), TIMES[:30:10] + 3.0, path()[:30:10]) is None
+    standing = np.zeros((len(TIMES), 2))
+    assert fit_shift(TIMES, standing, TIMES[::10], standing[::10]) is None
