@@ -35,7 +35,7 @@ from interloc.results import moment
 
 CITY_FILE, STATE_FILE, PASSES = "city.json", "state.npz", "passes"
 FORMAT, FORMAT_VERSION = "interloc-city", 1
-CITY_NAMES = frozenset([CITY_FILE, STATE_FILE, PASSES, *(f"{name}.geojson" for name in CITY_LAYERS)])
+CITY_NAMES = frozenset([CITY_FILE, STATE_FILE, PASSES, *(f"{name}.geojson" for name in ("city", "drives"))])
 
 _TRACK_STEP_M = 5.0
 

@@ -97,6 +97,19 @@ class Raster:
                 cells[here] = tile[there]
         return cells
 
+    def at(self, xy: FloatArray) -> UInt8Array:
+        """Return the values of the cells at (N, 2) positions, (N,)."""
+        cells = np.floor(xy / self.cell_m).astype(np.int64)
+        row, col = -cells[:, 1] - 1, cells[:, 0]
+        values = np.zeros(len(xy), np.uint8)
+        keys = np.stack([row // TILE, col // TILE], axis=-1)
+        for key in np.unique(keys, axis=0):
+            tile = self.tiles.get((int(key[0]), int(key[1])))
+            if tile is not None:
+                rows = np.flatnonzero((keys == key).all(axis=1))
+                values[rows] = tile[row[rows] % TILE, col[rows] % TILE]
+        return values
+
     def extent(self) -> tuple[int, int, int, int]:
         """Return first row, first column, last row and last column of its tiles, of which there must be some."""
         rows, cols = zip(*self.tiles, strict=True)

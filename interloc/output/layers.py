@@ -27,6 +27,7 @@ from interloc.output.properties import (
     CityDriveProperties,
     CityProperties,
     DetectionProperties,
+    FindingProperties,
     IntersectionProperties,
     JunctionProperties,
     KeyframeProperties,
@@ -290,6 +291,15 @@ CITY_LAYERS = {
     layer.name: layer
     for layer in (
         Layer("city", "Intersections of many drives", "Point", CityProperties, "Intersection {uid}", key="uid"),
+        Layer(
+            "findings",
+            "What OpenStreetMap seems to have wrong",
+            "Point",
+            FindingProperties,
+            "{kind}: {text}",
+            is_osm=True,
+            key="id",
+        ),
         Layer("drives", "Tracks of many drives", "LineString", CityDriveProperties, "{drive}", key="drive"),
     )
 }

@@ -531,6 +531,36 @@ class CityDriveProperties(Properties):
     last_time: Time = Field(title="End", description="Time of its last keyframe, in the same form.")
 
 
+class FindingProperties(Properties):
+    """A place where OpenStreetMap seems to be wrong, by several passes: a question to a person, not an edit."""
+
+    id: str = Field(
+        title="Finding", description="Name of the finding, of its kind and place or node; the same in later audits."
+    )
+    kind: Literal["missing_junction", "missing_branch", "moved", "phantom"] = Field(
+        title="Kind",
+        description="missing_junction: a junction that the map lacks. missing_branch: one that a junction lacks on the "
+        "map. moved: a junction that lies elsewhere. phantom: a node where passes saw no junction.",
+    )
+    text: str = Field(title="Question", description="What was found, for a person who looks at it.")
+    uid: str | None = Field(title="Name of the place", description="The place in `city`; null for a phantom.")
+    osm_id: int | None = Field(
+        title="OSM node", description="The OpenStreetMap node that it is about; null where the map lacks something."
+    )
+    passes: int = Field(title="Passes", description="Number of independent passes that saw the place.")
+    drive_names: str = Field(title="Names of drives", description="Drives that saw it, separated by commas.")
+    distance_m: MetresOrNone = Field(
+        title="Distance",
+        description="Distance to the node of a moved junction, or to the nearest junction of the map; null for others.",
+    )
+    branch_bearings_deg: BranchBearings
+    branch_widths_m: BranchWidths
+    osm_ways: str = Field(
+        title="Ways around", description="OpenStreetMap ways within 25 m with their tags, nearest first."
+    )
+    osm_link: str = Field(title="Link", description="The place on openstreetmap.org.")
+
+
 @dataclass(frozen=True)
 class Attribute:
     """A property of a layer, as files and documents describe it.
