@@ -15,6 +15,8 @@ from interloc.arrays import FloatArray, IntArray
 from interloc.errors import DamagedResultError, GeoreferenceError
 from interloc.files import atomic_write
 from interloc.geometry import enu_from_lonlat
+from interloc.mapping.mosaic import TILE, Mosaic, Raster
+from interloc.output.road import mosaic_of
 from interloc.results import EPOCH_S, DriveResult
 
 ASSUMED_STD_M = 0.3
@@ -53,6 +55,8 @@ class Pass:
         Distance driven up to each.
     span_s : (2,) float64
         First and last time of the drive, as `seen_s`.
+    road : Mosaic or None
+        The road that it saw, and other ground.
     """
 
     name: str
@@ -71,6 +75,7 @@ class Pass:
     track_lonlat: FloatArray
     track_along_m: FloatArray
     span_s: FloatArray
+    road: Mosaic | None = None
 
     def __len__(self) -> int:
         return len(self.lonlat)
@@ -128,11 +133,18 @@ class Pass:
         digest = hashlib.sha256()
         for name in ("lonlat", "confidence", "track_lonlat"):
             digest.update(np.round(arrays[name], 7).tobytes())
-        return cls(name=result.drive, key=digest.hexdigest()[:16], **arrays)
+        return cls(name=result.drive, key=digest.hexdigest()[:16], road=mosaic_of(result), **arrays)
 
     def write(self, path: Path) -> None:
         """Write it as an archive of arrays."""
-        arrays: dict[str, Any] = {each.name: getattr(self, each.name) for each in fields(self)}
+        arrays: dict[str, Any] = {each.name: getattr(self, each.name) for each in fields(self) if each.name != "road"}
+        if self.road is not None:
+            arrays["road_epsg"], arrays["road_cell_m"] = self.road.epsg or 0, self.road.raster.cell_m
+            for name, raster in (("road", self.road.raster), ("other", self.road.other)):
+                tiles = Raster(0.0).tiles if raster is None else raster.tiles
+                keys = list(tiles)
+                arrays[f"{name}_keys"] = np.array(keys, dtype=np.int64).reshape(-1, 2)
+                arrays[f"{name}_tiles"] = np.array([tiles[key] for key in keys], np.uint8).reshape(-1, TILE, TILE)
         arrays["branches"] = np.array([len(each) for each in self.bearings_deg], dtype=np.int64)
         for name in _RAGGED:
             arrays[name] = np.concatenate([np.zeros(0), *arrays[name]])
@@ -157,10 +169,21 @@ class Pass:
             ragged: dict[str, Any] = {name: tuple(np.split(arrays.pop(name), ends)) for name in _RAGGED}
             if not len(arrays["lonlat"]):
                 ragged = dict.fromkeys(_RAGGED, ())
+            road = _mosaic(arrays) if "road_epsg" in arrays else None
             texts: dict[str, Any] = {name: str(arrays.pop(name)) for name in _TEXTS}
-            return cls(**texts, **arrays, **ragged)
+            return cls(**texts, **arrays, **ragged, road=road)
         except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
             raise DamagedResultError(f"{path} is missing or damaged ({error}). Merge the drives again.") from error
+
+
+def _mosaic(arrays: dict[str, Any]) -> Mosaic:
+    """Take the arrays of the road out of those of a file."""
+    cell_m, epsg = float(arrays.pop("road_cell_m")), int(arrays.pop("road_epsg")) or None
+    road, other = (Raster(cell_m) for _ in range(2))
+    for raster, name in ((road, "road"), (other, "other")):
+        for (row, column), tile in zip(arrays.pop(f"{name}_keys").tolist(), arrays.pop(f"{name}_tiles"), strict=True):
+            raster.tiles[row, column] = tile
+    return Mosaic(road, epsg, other if other.tiles else None)
 
 
 def _parts(result: DriveResult) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 from pydantic import BaseModel, ConfigDict, Field
+
+Kind = Literal["missing_junction", "missing_branch", "moved", "phantom"]
+"""Of a finding against OpenStreetMap."""
 
 
 class CityConfig(BaseModel):
@@ -52,4 +57,45 @@ class CityConfig(BaseModel):
     )
     near_m: float = Field(
         20.0, gt=0, le=100, description="Distance of the track within which a drive should see an intersection."
+    )
+
+
+class AuditConfig(BaseModel):
+    """What it takes to say that OpenStreetMap is wrong."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    kinds: tuple[Kind, ...] = Field(
+        ("missing_junction", "missing_branch", "moved"),
+        description="Kinds of findings: a junction that the map lacks; a branch that a junction of the map lacks; a "
+        "junction that lies elsewhere; and, only where asked for, a node where passes saw no junction (phantom).",
+    )
+    min_passes: int = Field(2, ge=1, le=1000, description="Independent passes that must agree.")
+    min_confidence: float = Field(0.8, ge=0, le=1, description="Confidence of a place.")
+    junction_m: float = Field(
+        15.0, gt=0, le=100, description="Distance within which a junction of the map is that of a place."
+    )
+    ray_m: float = Field(
+        5.0,
+        gt=0,
+        le=50,
+        description="Distance of a branch from every way of the map from which on it is not on the map.",
+    )
+    min_width_m: float = Field(3.0, ge=0, le=100, description="Branches that are narrower are paths.")
+    max_width_m: float = Field(
+        9.0, gt=0, le=100, description="Branches that are wider, or of no known width, are squares and car parks."
+    )
+    min_road: float = Field(0.8, ge=0, le=1, description="Share of a branch, 8 to 22 m out, that was seen as road.")
+    moved_m: float = Field(6.0, gt=0, le=100, description="Distance from which on a junction lies elsewhere.")
+    moved_sigma: float = Field(
+        3.5, gt=0, le=100, description="The same in standard deviations of the position of the place."
+    )
+    max_phantom_road: float = Field(
+        0.1, ge=0, le=1, description="Share of the side road of a phantom that may have been seen as road."
+    )
+    min_phantom_other: float = Field(
+        0.5, ge=0, le=1, description="Share of it that must have been seen as other ground."
+    )
+    kept: float = Field(
+        0.7, gt=0, le=1, description="A finding of before stays while it reaches this share of what a new one must."
     )

@@ -26,6 +26,7 @@ COMMANDS = {
     "robustness": "robustness",
     "export": "export",
     "merge": "merge",
+    "audit": "audit",
     "odometry": "odometry",
     "label": "convert:label",
     "convert": "convert:convert",

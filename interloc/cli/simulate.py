@@ -42,6 +42,14 @@ SPEED = click.option(
     show_default=True,
     help="Speed along the track in metres per second; a track of OXTS rows keeps its own.",
 )
+RADIUS = click.option(
+    "--min-radius",
+    "min_radius_m",
+    type=click.FloatRange(0, 50),
+    default=0.0,
+    show_default=True,
+    help="Smallest radius of a bend that is driven, metres; a car needs 5 to 6. 0: as sharp as the streets meet.",
+)
 
 
 scene_options = options.together(
@@ -55,6 +63,20 @@ scene_options = options.together(
     click.option("--exact", is_flag=True, help="A LiDAR without noise, dropout and loss of range."),
     click.option("--bare", is_flag=True, help="No houses, hedges and parked cars: nothing hides the road."),
     click.option("--ground-only", is_flag=True, help="Write only points on the ground: about half the size."),
+    click.option(
+        "--turn-time",
+        "turn_s",
+        type=click.FloatRange(0, 1),
+        default=0.0,
+        show_default=True,
+        help="Seconds that a turn of the LiDAR takes while the vehicle moves on, such as 0.1: scans are written as PCD "
+        "files whose points carry times.",
+    ),
+    click.option(
+        "--worn",
+        is_flag=True,
+        help="Ground that is worn in patches, lasers of unequal brightness, lowered kerbs and flush sidewalks.",
+    ),
     click.option("--max-scans", type=click.IntRange(min=1), help="Number of scans after which the drive ends."),
     click.option(
         "--sensor",
@@ -110,8 +132,9 @@ def command() -> None:
 @click.option("--small", "part", flag_value="plain", help="The same as --part plain.")
 @EVERY_SCAN
 @SPEED
+@RADIUS
 @scene_options
-def town(drive: Path, part: Part, every_scan: bool, speed_mps: float, **common: Any) -> None:
+def town(drive: Path, part: Part, every_scan: bool, speed_mps: float, min_radius_m: float, **common: Any) -> None:
     """Drive through a made-up town whose map is its truth.
 
     The full one has oblique, staggered and compound junctions, a roundabout, a dual carriageway and a bridge.
@@ -127,7 +150,7 @@ def town(drive: Path, part: Part, every_scan: bool, speed_mps: float, **common: 
     console.set_up_log(quiet=quiet)
     options = _options(every_scan=every_scan, **common)
     with console.progress("simulate", "scan", quiet=quiet) as bar:
-        trip = Town(part, seed=options.seed).trip(_track_config(speed_mps))
+        trip = Town(part, seed=options.seed).trip(_track_config(speed_mps, min_radius_m=min_radius_m))
         scans = simulate(trip, drive, options, progress=_Announced(bar, options, quiet=quiet))
     _go_on(scans, drive, drive / MAP_FILE)
 
@@ -153,6 +176,7 @@ def town(drive: Path, part: Part, every_scan: bool, speed_mps: float, **common: 
     show_default=True,
     help="Metres to drive to the right of the track, for tracks along the centre line of the road.",
 )
+@RADIUS
 @scene_options
 def track(
     drive: Path,
@@ -162,6 +186,7 @@ def track(
     every_scan: bool,
     speed_mps: float,
     offset_m: float,
+    min_radius_m: float,
     **common: Any,
 ) -> None:
     """Drive along a real track over a real map.
@@ -177,7 +202,7 @@ def track(
     quiet = common["quiet"]
     console.set_up_log(quiet=quiet)
     with console.progress("simulate", "scan", quiet=quiet) as bar:
-        line = open_track(track_file, _track_config(speed_mps, offset_m))
+        line = open_track(track_file, _track_config(speed_mps, offset_m, min_radius_m))
         trip = Trip(line, read_map(osm, buildings), {"track": track_file.name})
         scans = simulate(trip, drive, _options(every_scan=every_scan, **common), progress=bar)
     _go_on(scans, drive, osm)
@@ -231,14 +256,28 @@ def _options(
     max_scans: int | None,
     sensor: str,
     columns: int | None,
+    turn_s: float,
+    worn: bool,
     quiet: bool,  # noqa: ARG001 - one of `scene_options`
 ) -> SimulationOptions:
     """Return the values of `scene_options` as the simulator takes them."""
-    from interloc.simulate.config import SENSORS, LidarConfig, RoadsideConfig, SceneConfig, SimulationOptions
+    from interloc.simulate.config import (
+        SENSORS,
+        LidarConfig,
+        RoadsideConfig,
+        SceneConfig,
+        SimulationOptions,
+        StreetConfig,
+    )
 
-    changed: dict[str, Any] = {} if columns is None else {"columns": columns}
+    changed: dict[str, Any] = {"turn_s": turn_s, **({} if columns is None else {"columns": columns})}
     no_noise = {"range_noise_m": 0.0, "surface_noise": 0.0, "dropout": 0.0, "road_half_range_m": None} if exact else {}
-    empty = {"roadside": RoadsideConfig(parked_car_density=0.0, hedge_share=0.0, buildings="none")} if bare else {}
+    empty: dict[str, Any] = (
+        {"roadside": RoadsideConfig(parked_car_density=0.0, hedge_share=0.0, buildings="none")} if bare else {}
+    )
+    if worn:
+        changed["gain"] = 0.1
+        empty |= {"wear": 0.2, "streets": StreetConfig(flush_sidewalk_share=0.2, lowered_kerb_share=0.15)}
     return SimulationOptions(
         seed=seed,
         keyframes_only=not every_scan,
@@ -268,10 +307,10 @@ class _Announced:
         self._bar(done, total)
 
 
-def _track_config(speed_mps: float, offset_m: float = 0.0) -> TrackConfig:
+def _track_config(speed_mps: float, offset_m: float = 0.0, min_radius_m: float = 0.0) -> TrackConfig:
     from interloc.simulate.config import TrackConfig
 
-    return TrackConfig(speed_mps=speed_mps, offset_m=offset_m)
+    return TrackConfig(speed_mps=speed_mps, offset_m=offset_m, min_radius_m=min_radius_m)
 
 
 def _go_on(scans: int, drive: Path, osm: Path) -> None:

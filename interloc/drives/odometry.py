@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import tempfile
+import time
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +15,7 @@ from platformdirs import user_cache_path
 from interloc.arrays import FloatArray, IntArray
 from interloc.drives.files import SourceFile
 from interloc.drives.findings import DriveFileError, Findings
-from interloc.drives.options import DriveOptions
+from interloc.drives.options import ODOMETRY, DriveOptions
 from interloc.drives.scans.recorded import PointSource, Recording
 from interloc.drives.trajectory import read_trajectory
 from interloc.errors import DriveError
@@ -24,10 +26,12 @@ from interloc.odometry.registration import MIN_INLIER_SHARE, register, require_s
 from interloc.processes import Progress
 from interloc.wording import counted
 
-_METHOD = "odometry 1"
+_METHOD = "odometry 6"
 """Tracks that another version of the method made are computed anew."""
 
+_BRIDGED = "it was taken to keep its speed"
 _SAMPLED = 12  # pairs of scans, evenly spread
+_KEPT_DAYS = 60
 
 
 def track_file(
@@ -57,18 +61,25 @@ def track_file(
     if source is None or frames is None:
         raise recording.parts.file(recording.parts.scans).fault("holds no scans to compute poses from.")
     require_small_gicp()
-    clock = _clock(recording, options)
+    clock, has_times = _clock(recording, options)
     path = _kept_as(source, frames, clock, options)
-    with FileLock(path.with_suffix(".lock")):
+    with FileLock(path.parent / "odometry.lock"):
         if not path.is_file():
-            findings.note("odometry", f"the poses of {len(frames):,} scans are computed from their points, once.")
-            deskew = options.deskew == "on" or (options.deskew == "auto" and _are_bent(source, frames, clock))
-            poses = _follow(source, frames, clock, deskew, progress)
+            _sweep(path.parent)
+            findings.note(ODOMETRY, f"the poses of {len(frames):,} scans are computed from their points, once.")
+            is_timed = recording.has_times and has_times and options.deskew != "off"
+            deskew = is_timed and (options.deskew == "on" or _are_bent(source, frames, clock))
+            poses, bridged_m = _follow(source, frames, clock, deskew, progress)
             how = f"odometry over the points of {len(frames):,} scans{', deskewed' if deskew else ''}"
+            if bridged_m:
+                how += f"; for {bridged_m:,.0f} m nothing told how fast the vehicle moved, and {_BRIDGED}"
             with atomic_write(path) as file:
                 file.write(f"# {how}\n".encode())
                 np.savetxt(file, np.column_stack([frames, poses[:, :3].reshape(-1, 12)]), fmt=["%d", *["%.9g"] * 12])
-    return SourceFile(path, recording.parts.root)
+    track = SourceFile(path, recording.parts.root)
+    if _BRIDGED in (made := how_made(track)):
+        findings.warning(ODOMETRY, f"{made}.")
+    return track
 
 
 def how_made(file: SourceFile) -> str:
@@ -76,10 +87,18 @@ def how_made(file: SourceFile) -> str:
     return file.head().partition(b"\n")[0].decode().removeprefix("# ")
 
 
+def _sweep(folder: Path) -> None:
+    """Remove tracks that nobody will come back to."""
+    for path in folder.glob("*.txt"):
+        with suppress(OSError):
+            if time.time() - path.stat().st_mtime > _KEPT_DAYS * 86400:
+                path.unlink()
+
+
 def _follow(
     source: PointSource, frames: IntArray, clock: FloatArray, deskew: bool, progress: Progress | None
-) -> FloatArray:
-    """Return the (N, 4, 4) poses of the scans; W is the LiDAR at the first."""
+) -> tuple[FloatArray, float]:
+    """Return the (N, 4, 4) poses of the scans, W is the LiDAR at the first, and the metres that were bridged."""
     odometry, poses, driven_m = Odometry(deskew=deskew), np.tile(np.eye(4), (len(frames), 1, 1)), 0.0
     for row, frame in enumerate(frames.tolist()):
         points = source.read(frame)
@@ -93,11 +112,11 @@ def _follow(
         driven_m += float(np.linalg.norm(poses[row, :3, 3] - poses[row - 1, :3, 3])) if row else 0.0
         if progress is not None:
             progress(row + 1, len(frames))
-    return poses
+    return poses, odometry.bridged_m
 
 
-def _clock(recording: Recording, options: DriveOptions) -> FloatArray:
-    """Return the (N,) times of the scans; their numbers where these are not known."""
+def _clock(recording: Recording, options: DriveOptions) -> tuple[FloatArray, bool]:
+    """Return the (N,) times of the scans, and True; their numbers, and False, where these are not known."""
     frames, unheard = recording.frames, Findings(stop_at_first=False)  # what is wrong is told when the drive is read
     assert frames is not None
     if recording.read_trajectory is not None:
@@ -105,9 +124,8 @@ def _clock(recording: Recording, options: DriveOptions) -> FloatArray:
     else:
         times_s = read_trajectory(recording.parts, frames, options, unheard).times_s
     if times_s is None or (np.diff(times_s) <= 0).any():
-        return frames.astype(np.float64)
-    clock: FloatArray = times_s - times_s[0]
-    return clock
+        return frames.astype(np.float64), False
+    return times_s - times_s[0], True
 
 
 def _are_bent(source: PointSource, frames: IntArray, clock: FloatArray) -> bool:

@@ -24,11 +24,13 @@ from interloc.evaluation.metrics import (
     summarize_errors,
     tabulate_nodes,
 )
+from interloc.evaluation.roads import RoadScores, score_roads
 from interloc.evaluation.verdicts import RunVerdicts, give_verdicts
 from interloc.osm.graph import RoadGraph
 from interloc.osm.intersections import IntersectionNodes, intersection_nodes
 from interloc.osm.policies import Policy
 from interloc.output.geojson import positions
+from interloc.output.roads import roads
 from interloc.results import DetectionTable, DriveResult, IntersectionTable, KeyframeTable
 from interloc.wording import metres
 
@@ -194,6 +196,11 @@ class Evaluation:
         import interloc  # noqa: PLC0415 - the public face stands above everything
 
         return interloc.geodataframe(self, layer)
+
+    @cached_property
+    def roads(self) -> RoadScores | None:
+        """The map of the roads against the map; None where no road was seen."""
+        return score_roads(roads(self.result), self.graph, self.nodes.policy)
 
     @cached_property
     def verdicts(self) -> RunVerdicts:

@@ -22,6 +22,7 @@ from interloc.evaluation.evaluate import Evaluation
 from interloc.evaluation.map_level import MapLevel
 from interloc.evaluation.metrics import NEAR_PAIR_M, STANDARD_THRESHOLD_M
 from interloc.evaluation.reasons import KINDS
+from interloc.evaluation.roads import BUFFER_M
 from interloc.files import atomic_write, reason_of
 from interloc.osm.policies import POLICIES
 from interloc.output.credits import map_credit
@@ -196,7 +197,8 @@ def _match_features(evaluation: Evaluation, result: DriveResult) -> list[dict[st
 
 def _road_features(evaluation: Evaluation, result: DriveResult) -> list[dict[str, Any]]:
     assert result.keyframes.lonlat is not None
-    return road_features(evaluation.graph, track_bounds(result.keyframes.lonlat))
+    seen = {} if evaluation.roads is None else {row: way._asdict() for row, way in evaluation.roads.ways.items()}
+    return road_features(evaluation.graph, track_bounds(result.keyframes.lonlat), seen)
 
 
 def _building_features(evaluation: Evaluation, result: DriveResult) -> list[dict[str, Any]]:
@@ -270,6 +272,7 @@ def report_record(evaluation: Evaluation) -> dict[str, Any]:
         "nodes_found": evaluation.nodes_found,
         "map_level": map_level,
         "map_line": map_line(map_level),
+        "roads": _road_record(evaluation),
         "reasons": evaluation.verdicts.counts,
         "georeference": evaluation.georeference,
         "track_to_road_m": _metres(evaluation.track_to_road_m),
@@ -277,6 +280,14 @@ def report_record(evaluation: Evaluation) -> dict[str, Any]:
         "intersections": _intersection_rows(evaluation),
         "nodes": _node_rows(evaluation),
     }
+
+
+def _road_record(evaluation: Evaluation) -> dict[str, Any] | None:
+    scores = evaluation.roads
+    if scores is None:
+        return None
+    ratios = {name: round(getattr(scores, name), 4) for name in ("completeness", "correctness", "quality")}
+    return {"buffer_m": BUFFER_M, **ratios, "map_m": round(scores.map_m), "roads_m": round(scores.roads_m)}
 
 
 def map_line(level: Mapping[str, Any]) -> str:

@@ -171,7 +171,7 @@ def ground_cells(
             remission[k, 0] = beam
             cells += 1
         if remission[k, 0] == beam:
-            remission[k, 1] += points[i, 3]
+            remission[k, 1] += points[i, 3] if np.isfinite(points[i, 3]) else 0.0
             remission[k, 2] += 1.0
         sums[k, 0] += x
         sums[k, 1] += y

@@ -18,7 +18,7 @@ TILE = 256
 """Cells per side of a tile."""
 
 CELL_M = 0.5  # finer than the outline of a road is known
-_OPEN_TILES = 128  # 8 MB
+_OPEN_TILES = 64  # 4 MB
 _MAX_TILES = 250_000  # that a file lists, empty ones too: 64 km by 64 km of the finest cells
 _TANGENT_M = 100.0  # arm by which directions are compared
 
@@ -96,6 +96,19 @@ class Raster:
                     cells = np.zeros((height, width), np.uint8)
                 cells[here] = tile[there]
         return cells
+
+    def at(self, xy: FloatArray) -> UInt8Array:
+        """Return the values of the cells at (N, 2) positions, (N,)."""
+        cells = np.floor(xy / self.cell_m).astype(np.int64)
+        row, col = -cells[:, 1] - 1, cells[:, 0]
+        values = np.zeros(len(xy), np.uint8)
+        keys = np.stack([row // TILE, col // TILE], axis=-1)
+        for key in np.unique(keys, axis=0):
+            tile = self.tiles.get((int(key[0]), int(key[1])))
+            if tile is not None:
+                rows = np.flatnonzero((keys == key).all(axis=1))
+                values[rows] = tile[row[rows] % TILE, col[rows] % TILE]
+        return values
 
     def extent(self) -> tuple[int, int, int, int]:
         """Return first row, first column, last row and last column of its tiles, of which there must be some."""

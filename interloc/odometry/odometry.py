@@ -9,6 +9,7 @@ from interloc.errors import DriveError
 from interloc.geometry import invert_transform
 from interloc.odometry.deskew import Velocity
 from interloc.odometry.registration import (
+    MIN_INFORMATION,
     MIN_INLIER_SHARE,
     Cloud,
     LocalMap,
@@ -24,8 +25,8 @@ MAX_STEP_M = 10.0
 _SEARCHED_M = 5.0
 _SURE_SHARE = 0.8  # of inliers on the map: what fits less is held against the scan before alone
 _HELD_SHARE, _HELD_INFORMATION = 0.4, 1.0  # of a scan that lies on the one before it as expected
-_NOT_HELD = 0.55  # on a plain, 0.5
-_MAX_CHANGE_M, _MAX_CHANGE_RAD = 1.0, np.radians(10)  # of the motion from scan to scan
+_MAX_BRIDGED_M = 50.0
+_MAX_CHANGE_M, _MAX_CHANGE, _MAX_CHANGE_RAD = 0.3, 0.25, np.radians(10)  # of the motion from scan to scan: m + share
 
 
 class Odometry:
@@ -36,12 +37,18 @@ class Odometry:
     deskew : bool
         Take the motion out of scans whose points carry times.
 
+    Attributes
+    ----------
+    bridged_m : float
+        Metres over which nothing told the motion along some direction, and the velocity was kept.
+
     Notes
     -----
     1. The motion from the first scan to the second is searched for: the LiDAR may stand or drive at any speed.
     2. A scan is expected where constant velocity leads; its points are moved to where they were at its time.
     3. It is laid onto the map of the scans before it, and added to that map.
-    4. Where it fits less well, or the motion jumps, it is held against the scan before alone, and its motion searched
+    4. Along a direction in which nothing holds it, the velocity is kept, for some metres at most.
+    5. Where it fits less well, or the motion jumps, it is held against the scan before alone, and its motion searched
        for anew where that does not agree; where that fails too, the odometry ends: no pose is made up.
     """
 
@@ -49,14 +56,13 @@ class Odometry:
         self._deskew = deskew
         self._map = LocalMap()
         self._first: tuple[Float32Array, Float32Array | None] | None = None
+        self._first_middle = 0.0
         self._before: Cloud | None = None
         self._velocity: Velocity | None = None
         self._pose, self._clock = np.eye(4), 0.0
-
-    @property
-    def velocity(self) -> Velocity | None:
-        """How the LiDAR moved to the last scan, per unit of the clock; None before the second one."""
-        return self._velocity
+        self._T_world_map = np.eye(4)
+        self._unheld_m = 0.0
+        self.bridged_m = 0.0
 
     def add(self, xyz: Float32Array, clock: float, times_s: Float32Array | None = None) -> FloatArray:
         """Take the next scan.
@@ -81,21 +87,24 @@ class Odometry:
             The motion cannot be followed: scans too far apart, too few points that fit, or nothing that holds it; or
             small_gicp is not installed.
         """
-        rows = usable_rows(xyz)
-        xyz, times_s = xyz[rows], None if times_s is None or not self._deskew else times_s[rows]
+        rows, middle = usable_rows(xyz), 0.0
+        xyz, times_s = xyz[rows], None if times_s is None or not self._deskew or not len(rows) else times_s[rows]
+        if times_s is not None:  # poses are those at the middle of a turn: there an error in velocity matters least
+            middle = float(times_s.min() + times_s.max()) / 2
+            times_s = times_s - np.float32(middle)
         if self._first is None:
-            self._first, self._clock = (xyz, times_s), clock
-            return self._pose
-        passed, self._clock = clock - self._clock, clock
+            self._first, self._clock, self._first_middle = (xyz, times_s), clock + middle, middle
+            return np.eye(4)
+        passed, self._clock = clock + middle - self._clock, clock + middle
         if self._velocity is None:
             self._velocity = self._start(xyz, passed)
+            self._T_world_map = self._velocity.after(self._first_middle)
         cloud = self._cloud(xyz, times_s)
-        expected = self._velocity.after(passed)
-        pose = self._follow(cloud, expected)
+        pose = self._follow(cloud, self._velocity.after(passed))
         self._map.add(cloud, pose)
         self._velocity = Velocity.between(invert_transform(self._pose) @ pose, passed)
         self._before, self._pose = cloud, pose
-        return self._pose
+        return self._T_world_map @ pose @ self._velocity.after(-middle)
 
     def _start(self, xyz: Float32Array, passed: float) -> Velocity:
         """Search for the motion from the first scan to the second, and begin the map with the first."""
@@ -114,26 +123,52 @@ class Odometry:
     def _follow(self, cloud: Cloud, expected: FloatArray) -> FloatArray:
         """Return the pose of a scan, (4, 4), given the motion that is expected since the scan before."""
         assert self._before is not None
-        found = self._map.register(cloud, self._pose @ expected)
-        step = self._step_to(found)
+        found, step, is_bridged = self._laid_on_map(cloud, expected)
         if found.inlier_share < _SURE_SHARE or _is_far(step, expected):
             alone = register_clouds(cloud, self._before, step)
             is_held = alone.inlier_share >= _HELD_SHARE and alone.information >= _HELD_INFORMATION
             if not is_held or _is_far(alone.T_target_source, step):
-                step = _searched(cloud, self._before, expected)
-                found = self._map.register(cloud, self._pose @ step)
-                if _is_far(self._step_to(found), step):
+                searched = _searched(cloud, self._before, expected)
+                found, step, is_bridged = self._laid_on_map(cloud, searched)
+                if _is_far(step, searched):
                     raise DriveError(
-                        f"laid onto the scan before it, it moved by {_length(step):.1f} m, laid onto all before it by "
-                        f"{_length(self._step_to(found)):.1f} m: one of them is wrong. Usual cause: missing scans."
+                        f"laid onto the scan before it, it moved by {_length(searched):.1f} m, laid onto all before "
+                        f"it by {_length(step):.1f} m: one of them is wrong. Usual cause: missing scans."
                     )
-        _check(found, self._step_to(found))
-        return found.T_target_source
+        _check(found, step)
+        self._count(step, is_bridged=is_bridged)
+        pose = self._pose @ step
+        pose[:3, :3] = found.T_target_source[:3, :3]  # which is a rotation to the last digit
+        return pose
 
-    def _step_to(self, found: Registration) -> FloatArray:
-        """Return the motion from the scan before to the pose of another on the map."""
+    def _laid_on_map(self, cloud: Cloud, expected: FloatArray) -> tuple[Registration, FloatArray, bool]:
+        """Return how a scan lies on the map, the motion since the scan before, and whether that is partly expected.
+
+        Along directions in which the map hardly holds it, the motion is that against the scan before alone, whose lines
+        of points are not smeared; where that does not hold it either, the expected one.
+        """
+        assert self._before is not None
+        found = self._map.register(cloud, self._pose @ expected)
         step: FloatArray = invert_transform(self._pose) @ found.T_target_source
-        return step
+        if not found.weak.size:
+            return found, step, False
+        alone = register_clouds(cloud, self._before, expected)
+        is_held = alone.inlier_share >= _HELD_SHARE and alone.information >= MIN_INFORMATION
+        if is_held or found.is_unheld:
+            better = alone.T_target_source if is_held else expected
+            axes = step[:3, :3] @ found.weak
+            step[:3, 3] += axes @ (axes.T @ (better[:3, 3] - step[:3, 3]))
+        return found, step, found.is_unheld and not is_held
+
+    def _count(self, step: FloatArray, *, is_bridged: bool) -> None:
+        """Count the metres over which a direction was not held, and end where they are too many."""
+        self._unheld_m = self._unheld_m + _length(step) if is_bridged else 0.0
+        self.bridged_m += _length(step) if is_bridged else 0.0
+        if self._unheld_m > _MAX_BRIDGED_M:
+            raise DriveError(
+                f"for {self._unheld_m:.0f} m nothing has told how far the vehicle moved. Usual cause: points on the "
+                "ground only, a tunnel, or an open field; give poses."
+            )
 
 
 def _length(step: FloatArray) -> float:
@@ -143,7 +178,7 @@ def _length(step: FloatArray) -> float:
 def _is_far(step: FloatArray, other: FloatArray) -> bool:
     between = invert_transform(other) @ step
     turned = np.arccos(np.clip((np.trace(between[:3, :3]) - 1) / 2, -1, 1))
-    return _length(between) > _MAX_CHANGE_M or bool(turned > _MAX_CHANGE_RAD)
+    return _length(between) > _MAX_CHANGE_M + _MAX_CHANGE * _length(other) or bool(turned > _MAX_CHANGE_RAD)
 
 
 def _searched(cloud: Cloud, before: Cloud, expected: FloatArray) -> FloatArray:
@@ -157,6 +192,11 @@ def _searched(cloud: Cloud, before: Cloud, expected: FloatArray) -> FloatArray:
     found = search(cloud, before, expected, _SEARCHED_M)
     if not found.is_certain:
         _check(found.best, found.best.T_target_source)
+        if found.best.information < MIN_INFORMATION:
+            raise DriveError(
+                "little in it tells how far it is from the scan before it. Usual cause: points on the ground only, a "
+                f"tunnel, an open field, or scans more than {_SEARCHED_M:.0f} m apart; give poses, or all scans."
+            )
         best, other = 100 * found.best.inlier_share, 100 * (found.best.inlier_share - found.lead)
         raise DriveError(
             f"it fits the scan before it at several places ({best:.0f} % of its points do "
@@ -180,9 +220,4 @@ def _check(found: Registration, step: FloatArray) -> None:
         raise DriveError(
             f"it was taken {_length(step):.1f} m from the scan before it; at most {MAX_STEP_M:.0f} m can be bridged. "
             "Give all scans, or poses."
-        )
-    if found.information < _NOT_HELD:
-        raise DriveError(
-            "it holds nothing that tells how far the vehicle moved. Usual cause: points on the ground only, a tunnel, "
-            "or an open field; give poses."
         )

@@ -15,6 +15,10 @@ Bounds = tuple[float, float, float, float]
 """West, south, east, north in degrees; west > east where the box crosses the 180th meridian, as in RFC 7946."""
 
 
+KEPT_TAGS = ("access", "motor_vehicle", "service", "junction", "oneway", "bridge", "tunnel", "covered")
+"""Tags of ways that say who may drive there, on which level, and how."""
+
+
 @dataclass(frozen=True)
 class Ways:
     """The W highways that the edges of a road graph are pieces of.
@@ -31,6 +35,8 @@ class Ways:
         True where the way outlines a square (area=yes), not a line to drive along.
     layer : (W,) int64 or None
         Level above (+) or below (-) the ground: the tag `layer`, else 1 of a bridge and -1 of a tunnel; None: all 0.
+    tags : tuple of W dict
+        Those of `KEPT_TAGS` that each way has; empty where nobody looked.
     """
 
     id: IntArray
@@ -38,6 +44,7 @@ class Ways:
     name: tuple[str, ...]
     is_area: BoolArray
     layer: IntArray | None = None
+    tags: tuple[dict[str, str], ...] = ()
 
     def __len__(self) -> int:
         return len(self.id)

@@ -21,7 +21,17 @@ import numpy as np
 
 from interloc.arrays import BoolArray, FloatArray, IntArray
 from interloc.osm.container import MAX_UNPACKED_BYTES, Prolog, read_prolog
-from interloc.osm.graph import NO_BUILDINGS, NO_LOOSE_ENDS, Bounds, Buildings, RoadGraph, Ways, layer_of, within
+from interloc.osm.graph import (
+    KEPT_TAGS,
+    NO_BUILDINGS,
+    NO_LOOSE_ENDS,
+    Bounds,
+    Buildings,
+    RoadGraph,
+    Ways,
+    layer_of,
+    within,
+)
 from interloc.osm.mistakes import history_file, lanelet_map, no_highways, no_nodes, not_read, oddities, too_many
 from interloc.osm.multipolygons import Multipolygon, holes_of, rings_of
 from interloc.osm.plain import write_plain
@@ -126,6 +136,7 @@ def _read(stream: _OsmStream, bounds: Bounds | None) -> RoadGraph:
             name=tuple(way.name for way in found),
             is_area=np.array([way.is_area for way in found], dtype=np.bool_),
             layer=np.array([way.layer for way in found], dtype=np.int64),
+            tags=tuple(way.tags for way in found),
         ),
         source=path.name,
         date=prolog.date or _latest_edit(found),
@@ -199,6 +210,7 @@ class _Way:
     name: str
     is_area: bool
     layer: int
+    tags: dict[str, str]
     refs: array[int]
     places: FloatArray | None  # (n, 2) longitudes and latitudes, where the file holds them in the way
     edited: datetime
@@ -257,6 +269,7 @@ class _OsmStream:
                     name=tags.get("name") or tags.get("ref") or "",
                     is_area=tags.get("area") == "yes",
                     layer=layer_of(tags),
+                    tags={key: tags[key] for key in KEPT_TAGS if key in tags},
                     refs=refs,
                     places=_places(way) if any(node.location.valid() for node in way.nodes) else None,
                     edited=way.timestamp,

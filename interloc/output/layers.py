@@ -24,9 +24,11 @@ from interloc.output.geojson import damaged, joined, read_file, rounded
 from interloc.output.properties import (
     Attribute,
     BranchProperties,
+    ChangeProperties,
     CityDriveProperties,
     CityProperties,
     DetectionProperties,
+    FindingProperties,
     IntersectionProperties,
     JunctionProperties,
     KeyframeProperties,
@@ -290,6 +292,16 @@ CITY_LAYERS = {
     layer.name: layer
     for layer in (
         Layer("city", "Intersections of many drives", "Point", CityProperties, "Intersection {uid}", key="uid"),
+        Layer("changes", "What came or went between drives", "Point", ChangeProperties, "{kind} {uid}", key="id"),
+        Layer(
+            "findings",
+            "What OpenStreetMap seems to have wrong",
+            "Point",
+            FindingProperties,
+            "{kind}: {text}",
+            is_osm=True,
+            key="id",
+        ),
         Layer("drives", "Tracks of many drives", "LineString", CityDriveProperties, "{drive}", key="drive"),
     )
 }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -13,11 +14,16 @@ from interloc.osm.intersections import road_ways
 from interloc.output.geojson import positions
 from interloc.output.layers import BUILDINGS, LAYERS
 
+SEEN = ("seen_m", "mapped", "offset_m", "width_m", "is_driven")
+"""What an evaluation tells of the ways that the drive saw."""
+
 NEAR_M = 80.0
 """Buildings further from the track are not drawn: a LiDAR at street level sees the first row."""
 
 
-def road_features(graph: RoadGraph, bounds: Bounds) -> list[dict[str, Any]]:
+def road_features(
+    graph: RoadGraph, bounds: Bounds, seen: Mapping[int, Mapping[str, Any]] | None = None
+) -> list[dict[str, Any]]:
     """Return the ways that come into bounds as LineString features.
 
     Parameters
@@ -26,6 +32,8 @@ def road_features(graph: RoadGraph, bounds: Bounds) -> list[dict[str, Any]]:
         The map.
     bounds
         West, south, east, north, degrees. The edges of a way that touch them are kept, whole.
+    seen
+        What a drive saw of ways, by row: `seen_m`, `mapped`, `offset_m`, `width_m`, `is_driven`.
 
     Returns
     -------
@@ -55,6 +63,7 @@ def road_features(graph: RoadGraph, bounds: Bounds) -> list[dict[str, Any]]:
         highway=[graph.ways.highway[row] for row in rows],
         name=[graph.ways.name[row] or None for row in rows],
         is_drivable=road_ways(graph, "drive+service")[rows],
+        **{name: [seen.get(row, {}).get(name) if seen else None for row in rows] for name in SEEN},
     )
 
 

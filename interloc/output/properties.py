@@ -287,8 +287,9 @@ class RoadProperties(Properties):
     )
     offset_std_m: MetresOrNone = Field(
         title="Uncertainty",
-        description="One-sigma uncertainty of the line across its direction, metres, without that of the "
-        "georeference; null where no width is known.",
+        description="One-sigma uncertainty of the line across its direction, metres, without that of the georeference: "
+        "0.13 m where it was driven, else 0.37 m, as on simulated drives, and its scatter; null where no width is "
+        "known.",
     )
     drive: DriveName = None
 
@@ -307,7 +308,7 @@ class JunctionProperties(Properties):
 
 
 class RoadSurfaceProperties(Properties):
-    """The ground that was seen as road from two keyframes or more, cut at squares of 512 m."""
+    """The ground that was seen as road from two keyframes or more, cut at squares of 256 m."""
 
     id: int = Field(title="Piece", description="Number of the piece, from 1.")
     area_m2: Annotated[float, Decimals(1, "m2")] = Field(title="Area", description="Area, square metres.")
@@ -378,6 +379,31 @@ class OsmRoadProperties(Properties):
     highway: str = Field(title="Class of road", description="Value of its tag `highway`.")
     name: str | None = Field(title="Name", description="Name or else reference number; null if it has none.")
     is_drivable: bool = Field(title="Drivable", description="Whether it is a road under policy drive+service.")
+    seen_m: RoadWidth = Field(
+        None,
+        title="Seen",
+        description="Length of the way, all its lines together, on ground that the drive saw as road, metres; null "
+        "where none was seen.",
+    )
+    mapped: Annotated[float | None, Decimals(3)] = Field(
+        None,
+        title="Mapped",
+        description="0 to 1, share of that within 3 m of one of `roads`; null where none was seen.",
+    )
+    offset_m: RoadWidth = Field(
+        None,
+        title="Offset",
+        description="Median distance of the road that was seen from the way, metres, positive to the left of its "
+        "direction; null where no road runs beside it.",
+    )
+    width_m: RoadWidth = Field(
+        None, title="Width", description="Median width of the road that was seen beside it, metres; null for none."
+    )
+    is_driven: bool | None = Field(
+        None,
+        title="Driven",
+        description="Whether the drive went along it; else the width is a minimum. Null where none was seen.",
+    )
 
 
 class OsmBuildingProperties(Properties):
@@ -503,6 +529,59 @@ class CityDriveProperties(Properties):
         title="Begin", description="Time of its first keyframe, RFC 3339; null where it has no times of day."
     )
     last_time: Time = Field(title="End", description="Time of its last keyframe, in the same form.")
+
+
+class ChangeProperties(Properties):
+    """An intersection, or a branch of one, that drives of one time saw and those of another did not."""
+
+    id: str = Field(
+        title="Change", description="Name of the change: its kind, the place and the bearing of the branch."
+    )
+    kind: Literal["new_junction", "gone_junction", "new_branch", "gone_branch"] = Field(
+        title="Kind", description="What came or went: the intersection, or a branch of it."
+    )
+    uid: str = Field(title="Name of the place", description="The place in `city`.")
+    bearing_deg: Annotated[float | None, Decimals(1, "degree")] = Field(
+        title="Bearing", description="Bearing of the branch, degrees; null where it is the intersection."
+    )
+    seen_by: str = Field(title="Seen by", description="Drives that saw it, in time, separated by commas.")
+    not_seen_by: str = Field(
+        title="Not seen by",
+        description="Drives that should have seen it and did not: they came within 20 m of an intersection, or saw "
+        "other ground along a branch.",
+    )
+    after_time: Time = Field(title="After", description="End of the last drive before the change, RFC 3339.")
+    before_time: Time = Field(title="Before", description="Begin of the first drive behind the change, RFC 3339.")
+
+
+class FindingProperties(Properties):
+    """A place where OpenStreetMap seems to be wrong, by several passes: a question to a person, not an edit."""
+
+    id: str = Field(
+        title="Finding", description="Name of the finding, of its kind and place or node; the same in later audits."
+    )
+    kind: Literal["missing_junction", "missing_branch", "moved", "phantom"] = Field(
+        title="Kind",
+        description="missing_junction: a junction that the map lacks. missing_branch: one that a junction lacks on the "
+        "map. moved: a junction that lies elsewhere. phantom: a node where passes saw no junction.",
+    )
+    text: str = Field(title="Question", description="What was found, for a person who looks at it.")
+    uid: str | None = Field(title="Name of the place", description="The place in `city`; null for a phantom.")
+    osm_id: int | None = Field(
+        title="OSM node", description="The OpenStreetMap node that it is about; null where the map lacks something."
+    )
+    passes: int = Field(title="Passes", description="Number of independent passes that saw the place.")
+    drive_names: str = Field(title="Names of drives", description="Drives that saw it, separated by commas.")
+    distance_m: MetresOrNone = Field(
+        title="Distance",
+        description="Distance to the node of a moved junction, or to the nearest junction of the map; null for others.",
+    )
+    branch_bearings_deg: BranchBearings
+    branch_widths_m: BranchWidths
+    osm_ways: str = Field(
+        title="Ways around", description="OpenStreetMap ways within 25 m with their tags, nearest first."
+    )
+    osm_link: str = Field(title="Link", description="The place on openstreetmap.org.")
 
 
 @dataclass(frozen=True)

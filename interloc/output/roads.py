@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import shapely
 
 from interloc.arrays import FloatArray
 from interloc.errors import expect
@@ -13,8 +12,10 @@ from interloc.output.geojson import positions
 from interloc.output.layers import LAYERS
 from interloc.output.road import mosaic_of
 from interloc.results import DriveResult
-from interloc.roadmap.extract import extract_roads
 from interloc.roadmap.network import RoadNetwork
+
+if TYPE_CHECKING:
+    import shapely  # slow to import
 
 
 def roads(result: DriveResult) -> RoadNetwork:
@@ -35,6 +36,8 @@ def roads(result: DriveResult) -> RoadNetwork:
     DamagedResultError
         `road.tif` of the folder is damaged.
     """
+    from interloc.roadmap.extract import extract_roads  # noqa: PLC0415 - SciPy and Shapely are slow to import
+
     expect(result, DriveResult)
     return extract_roads(result, mosaic_of(result))
 
@@ -88,5 +91,7 @@ def _line(network: RoadNetwork, xy: FloatArray) -> list[list[float]]:
 
 def _rings(network: RoadNetwork, polygon: shapely.Polygon) -> list[list[list[float]]]:
     """Return the rings of a polygon, the outer one counter-clockwise (RFC 7946, 3.1.6)."""
+    import shapely  # noqa: PLC0415
+
     turned = shapely.orient_polygons(polygon)
     return [_line(network, np.asarray(ring.coords)) for ring in (turned.exterior, *turned.interiors)]

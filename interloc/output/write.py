@@ -32,7 +32,6 @@ from interloc.output.road import mosaic_of, write_road
 from interloc.output.roads import road_features
 from interloc.output.uids import place_uids
 from interloc.results import DriveResult, PositionParts, Verdicts
-from interloc.roadmap.extract import extract_roads
 
 TRAJECTORY_STEP_M = 0.5
 
@@ -98,6 +97,8 @@ def _remove_evaluation(folder: Path, *, is_placed: bool) -> None:
 
 def _write_roads(result: DriveResult, folder: Path, names: Mapping[str, str]) -> list[str]:
     """Write the map of the roads, and its raster where any road was seen; return the names of rasters."""
+    from interloc.roadmap.extract import extract_roads  # noqa: PLC0415 - SciPy and Shapely are slow to import
+
     mosaic = mosaic_of(result)
     for layer, features in road_features(extract_roads(result, mosaic), result.drive).items():
         write_collection(folder / names[layer], features, local=not result.is_georeferenced)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-import shapely
 
 from interloc.arrays import FloatArray
+
+if TYPE_CHECKING:
+    import shapely  # slow to import
 
 NodeKind = Literal["intersection", "fork", "place", "dead_end", "end_of_view"]
 """What a node is.
@@ -102,7 +104,7 @@ class RoadNetwork:
     nodes : list of RoadNode
     edges : list of RoadEdge
     surface : list of shapely.Polygon
-        The ground that was seen as road, in squares of 512 m (of 1,024 cells).
+        The ground that was seen as road, in squares of 256 m (of 512 cells).
     epsg : int or None
         Coordinates are metres of this system; None: metres of W, without georeference.
     """

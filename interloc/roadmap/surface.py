@@ -14,12 +14,12 @@ import cv2
 import numpy as np
 import shapely
 
-from interloc.arrays import FloatArray, IntArray, UInt8Array
+from interloc.arrays import Float32Array, FloatArray, IntArray, UInt8Array
 from interloc.kernels import bits
 from interloc.kernels.thinning import thin
 from interloc.mapping.mosaic import TILE, Raster
 
-BLOCK = 4 * TILE
+BLOCK = 2 * TILE
 """Cells per side of a block."""
 
 MARGIN_M = 64.0
@@ -84,7 +84,7 @@ def survey(raster: Raster, block: int = BLOCK) -> Ground:
         if counts is None:
             continue
         mask = road_mask(counts, raster.cell_m)
-        half_m = _distance(mask) * raster.cell_m
+        half_m = _distance(mask) * np.float32(raster.cell_m)
         place = _open_places(half_m, mask, raster.cell_m)
         skeleton = _skeleton(mask & ~place)
         inside = slice(margin, margin + block)
@@ -129,12 +129,12 @@ def _small(image: UInt8Array, connectivity: int, limit: float) -> UInt8Array:
     return small
 
 
-def _distance(mask: UInt8Array) -> FloatArray:
+def _distance(mask: UInt8Array) -> Float32Array:
     """Return how far each cell of a mask is from the nearest one outside of it, cells."""
-    return np.asarray(cv2.distanceTransform(mask, cv2.DIST_L2, cv2.DIST_MASK_PRECISE), np.float64)
+    return np.asarray(cv2.distanceTransform(mask, cv2.DIST_L2, cv2.DIST_MASK_PRECISE), np.float32)
 
 
-def _open_places(half_m: FloatArray, mask: UInt8Array, cell_m: float) -> UInt8Array:
+def _open_places(half_m: Float32Array, mask: UInt8Array, cell_m: float) -> UInt8Array:
     core = half_m > PLACE_HALF_M
     if not core.any():
         return np.zeros_like(mask)

@@ -72,6 +72,7 @@ def plan_ground(
         roads with rounded kerbs, lane markings.
     """
     paths, lots, drives = Layer(Surface.SIDEWALK), Layer(Surface.PARKING), Layer(Surface.PARKING)
+    flush = Layer(Surface.FLUSH_SIDEWALK)
     medians, walks, bays = Layer(Surface.OTHER_GROUND), Layer(Surface.SIDEWALK), Layer(Surface.PARKING)
     aisles, alleys = Layer(Surface.PARKING), Layer(Surface.OTHER_GROUND)
     roads, marks = Layer(Surface.ROAD), Layer(Surface.MARKING)
@@ -88,6 +89,7 @@ def plan_ground(
         roads.add(surface)
         for part in line_parts(line):
             _add_sides(part, profile, walks, medians, bays)
+            _add_flush(part, profile, config, flush, medians, bays)
             if config.lane_markings and profile.kind.marked:
                 _add_dashes(part, profile, marks)
     for fillet, profile_walk in _fillets(street_map, profiles, lines, config):
@@ -100,7 +102,7 @@ def plan_ground(
         roads.add(disc)
         walks.add(disc.buffer(config.sidewalk_width_m))
     roads.add(driven)
-    return [layer.close() for layer in (paths, lots, drives, medians, walks, bays, aisles, alleys, roads, marks)]
+    return [layer.close() for layer in (paths, lots, drives, medians, walks, flush, bays, aisles, alleys, roads, marks)]
 
 
 def _aside(profile: Profile, config: StreetConfig) -> Literal["drive", "aisle", "alley"] | None:
@@ -183,6 +185,23 @@ def _add_sides(line: LineString, profile: Profile, walks: Layer, medians: Layer,
             bays.add(_side(middle, profile.half_m + profile.bay_left_m))
         if profile.bay_right_m:
             bays.add(_side(middle, -profile.half_m - profile.bay_right_m))
+
+
+def _add_flush(
+    line: LineString, profile: Profile, config: StreetConfig, flush: Layer, medians: Layer, bays: Layer
+) -> None:
+    """Lay sidewalks as high as the road over those behind a kerb: along whole streets, or in pieces of 4 m."""
+    draw = np.random.default_rng([profile.street.way_id & 0x7FFFFFFF, round(line.length), 2])
+    if not config.flush_sidewalk_share and not config.lowered_kerb_share:
+        return
+    if draw.random() < config.flush_sidewalk_share:
+        _add_sides(line, profile, flush, medians, bays)
+        return
+    for start in np.arange(0.0, line.length - 4.0, 4.0):
+        if draw.random() < config.lowered_kerb_share:
+            piece = substring(line, float(start), float(start) + 4.0)
+            for left_m in (profile.edge_m(left=True), -profile.edge_m(left=False)):
+                flush.add(_side(LineString(piece.coords), left_m))
 
 
 def _add_dashes(line: LineString, profile: Profile, marks: Layer) -> None:

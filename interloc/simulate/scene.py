@@ -41,6 +41,8 @@ class Scene:
         The poses of the track, with the sensor at its height above this ground.
     level : (N,) int64
         From which level each pose sees the scene.
+    wear : float
+        Spread of the brightness of the ground from patch to patch.
     """
 
     def __init__(
@@ -52,7 +54,9 @@ class Scene:
         obstacles: Obstacles,
         T_map_lidar: FloatArray,
         level: IntArray,
+        wear: float = 0.0,
     ) -> None:
+        self.wear = wear
         self.frame = street_map.frame
         self.street_map = street_map
         self.profiles = profiles
@@ -120,7 +124,7 @@ def build_scene(
         # Above this ground, not at the satellites' altitude, which drifts by metres between two visits.
         pose[2, 3] = heights[level[i]].at(pose[0, 3], pose[1, 3]) + sensor_height_m
     walls = furnish(street_map, profiles, lines[0], config.roadside, driven_xy=_every_metre(xy), seed=seed)
-    return Scene(street_map, profiles, ground, heights, Obstacles(walls, heights), poses, level)
+    return Scene(street_map, profiles, ground, heights, Obstacles(walls, heights), poses, level, config.wear)
 
 
 def _refuse_elsewhere(roads: Path, profiles: list[Profile], xy: FloatArray, limit_m: float) -> None:

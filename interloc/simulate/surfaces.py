@@ -10,10 +10,14 @@ from enum import IntEnum
 from typing import NamedTuple
 
 import numpy as np
+from scipy.ndimage import map_coordinates
 
+from interloc.arrays import FloatArray
 from interloc.kernels.raycast import STEP_M
 
 KERB_M = 2 * STEP_M
+_PATCH_M = 2.5
+_PATCHES = np.random.default_rng(0).standard_normal((64, 64))
 
 
 class Surface(IntEnum):
@@ -30,6 +34,7 @@ class Surface(IntEnum):
     VEGETATION = 8
     FENCE = 9
     STRUCTURE = 10
+    FLUSH_SIDEWALK = 11
 
 
 class Material(NamedTuple):
@@ -69,7 +74,17 @@ MATERIALS: dict[Surface, Material] = {
     Surface.VEGETATION: Material(70, 0.0, 0.15, 0.35, 0.12, 0.9),
     Surface.FENCE: Material(51, 0.0, 0.04, 0.30, 0.13, 0.7),
     Surface.STRUCTURE: Material(52, 0.0, 0.02, 0.33, 0.12, 1.0),
+    Surface.FLUSH_SIDEWALK: Material(48, 0.0, 0.006, 0.295, 0.088, 1.1),
 }
 
 MATERIAL_TABLE = np.array([MATERIALS[code] for code in Surface], dtype=np.float64)
 """(surfaces, 6) float64: the columns of `Material`, one row per code; the kernel reads it."""
+
+GROUND = np.array([code <= Surface.OTHER_GROUND or code == Surface.FLUSH_SIDEWALK for code in Surface])
+"""(surfaces,) bool: what is ground."""
+
+
+def worn(xy: FloatArray) -> FloatArray:
+    """Return how much (N, 2) places in M are brighter than usual, in standard deviations: patches of some metres."""
+    shades: FloatArray = map_coordinates(_PATCHES, xy.T / _PATCH_M, order=1, mode="grid-wrap")
+    return shades

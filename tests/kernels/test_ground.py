@@ -27,6 +27,7 @@ def scattered(count: int, seed: int = 0) -> Float32Array:
     z = -1.7 + 0.05 * x + generator.normal(0, 0.2, count)
     points = np.column_stack([x, y, z, generator.uniform(0, 1, count)]).astype(np.float32)
     points[::50, 2] = np.nan
+    points[::70, 3] = np.nan
     return points
 
 
@@ -105,7 +106,7 @@ def plain_ground_cells(points: Float32Array, T: FloatArray) -> FloatArray:
             covariance = centred.T @ centred / len(around)
             tilt = np.linalg.solve(covariance[:2, :2] + STIFFNESS_M**2 * np.eye(2), covariance[:2, 2])
             rough, slope = np.sqrt(((centred[:, 2] - centred[:, :2] @ tilt) ** 2).mean()), np.linalg.norm(tilt)
-        remission = points[here & (beam == first), 3].mean()
+        remission = np.nan_to_num(points[here & (beam == first), 3]).mean()
         rows.append([*xyz[here].mean(axis=0), here.sum(), remission, first, rough, slope])
     return np.array(rows)
 

@@ -73,9 +73,9 @@ def test_missing_scans_are_bridged_by_the_clock() -> None:
 
 
 def test_motion_within_scans_is_taken_out() -> None:
-    poses = poses_along(np.full(6, 2.0))
-    speeds = np.full(7, 2.0 / TURN_S)
-    clock = TURN_S * np.arange(7)
+    poses = poses_along(np.full(12, 2.0))  # enough scans to see that errors of velocity do not build up
+    speeds = np.full(13, 2.0 / TURN_S)
+    clock = TURN_S * np.arange(13)
     assert error_m(follow(poses, clock=clock, speeds=speeds), poses) < 0.1
 
 
@@ -85,12 +85,12 @@ def test_the_same_scans_give_the_same_poses() -> None:
 
 
 def test_scans_too_far_apart_are_refused() -> None:
-    with pytest.raises(DriveError, match=r"it (does not fit|fits the scan before it at several places)"):
+    with pytest.raises(DriveError, match=r"it (does not fit|fits the scan before it at several places)|little in it"):
         follow(poses_along(np.full(3, 17.0)))
 
 
 def test_a_jump_is_refused() -> None:
-    with pytest.raises(DriveError, match=r"it (does not fit|fits the scan before it at several places)"):
+    with pytest.raises(DriveError, match=r"it (does not fit|fits the scan before it at several places)|little in it"):
         follow(poses_along(np.array([1.0, 1.0, 14.0, 1.0])))
 
 
@@ -99,7 +99,7 @@ def test_nothing_that_stands_out_is_told() -> None:
     plane = np.column_stack([rng.uniform(-20, 20, (3_000, 2)), np.full(3_000, -1.7)]).astype(np.float32)
     odometry = Odometry()
     odometry.add(plane, 0.0)
-    with pytest.raises(DriveError, match="holds nothing that tells how far"):
+    with pytest.raises(DriveError, match="little in it tells how far it is"):
         odometry.add(plane + np.float32([0.5, 0, 0]), 1.0)
 
 
@@ -116,5 +116,5 @@ def test_the_map_forgets(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_without_small_gicp_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "small_gicp", None)
-    with pytest.raises(DriveError, match=r"pip install \"interloc\[odometry\]\""):
+    with pytest.raises(DriveError, match=r"need small_gicp, which is not installed: pip install .*\[odometry\]"):
         Odometry()

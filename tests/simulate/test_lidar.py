@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from copy import copy
+
 import numpy as np
 import pytest
 
+from interloc.odometry.deskew import Velocity
 from interloc.simulate.config import LidarConfig
 from interloc.simulate.lidar import Lidar, SimulatedScan
 from interloc.simulate.scene import Scene
@@ -103,3 +106,36 @@ def test_rings_are_those_of_an_hdl64() -> None:
     assert np.degrees(lidar.elevations[[0, 31, 63]]) == pytest.approx([2.0, -8.33, -24.9])
     assert (np.diff(lidar.elevations) < 0).all()
     assert np.degrees(lidar.azimuths[1] - lidar.azimuths[0]) == pytest.approx(0.173, abs=0.001)
+
+
+def test_a_turn_that_takes_time_is_bent_by_the_motion(street_scene: Scene, exact_lidar: Lidar) -> None:
+    pose = street_scene.T_map_lidar[MIDDLE]
+    velocity = Velocity(np.array([15.0, 0.0, 0.0]), np.zeros(3))
+    lidar = Lidar(exact_lidar.config.model_copy(update={"turn_s": 0.1}))
+    still = exact_lidar.scan(street_scene, pose, np.random.default_rng(0))
+    bent = lidar.scan(street_scene, pose, np.random.default_rng(0), velocity=velocity)
+    assert still.times_s is None
+    assert bent.times_s is not None
+    assert 0 <= bent.times_s.min() < bent.times_s.max() < 0.1
+    straight = velocity.undo(bent.points[:, :3], bent.times_s)
+    corner = still.points[still.labels == 50, 0].min()  # of the house, ahead of the LiDAR
+    assert straight[bent.labels == 50, 0].min() == pytest.approx(corner, abs=0.1)
+    assert bent.points[bent.labels == 50, 0].min() < corner - 0.1
+
+
+def test_worn_ground_and_unequal_lasers_change_the_brightness_only(street_scene: Scene, exact_lidar: Lidar) -> None:
+    pose = street_scene.T_map_lidar[MIDDLE]
+    plain = exact_lidar.scan(street_scene, pose, np.random.default_rng(0))
+    uneven = Lidar(exact_lidar.config.model_copy(update={"gain": 0.2}))
+    gained = uneven.scan(street_scene, pose, np.random.default_rng(0))
+    np.testing.assert_array_equal(gained.points[:, :3], plain.points[:, :3])
+    elevation = np.degrees(np.arctan2(plain.points[:, 2], np.hypot(plain.points[:, 0], plain.points[:, 1]))).round(2)
+    ratio = gained.points[:, 3] / plain.points[:, 3]
+    assert np.ptp(ratio) > 0.3
+    assert np.ptp(ratio[elevation == elevation[-1]]) < 0.01
+    worn = copy(street_scene)
+    worn.wear = 0.3
+    patched = exact_lidar.scan(worn, pose, np.random.default_rng(0))
+    ground = plain.labels != 50
+    np.testing.assert_array_equal(patched.points[~ground], plain.points[~ground])
+    assert np.std(patched.points[ground, 3] / plain.points[ground, 3]) > 0.1

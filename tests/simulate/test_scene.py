@@ -44,6 +44,20 @@ def test_the_cross_section_of_a_street(street_scene: Scene, frame: LocalFrame) -
     assert found == [Surface.ROAD, *[Surface.SIDEWALK] * 2, Surface.TERRAIN, Surface.SIDEWALK, Surface.TERRAIN]
 
 
+def test_sidewalks_as_high_as_the_road(straight_track: LidarTrack, frame: LocalFrame, write_map: WriteMap) -> None:
+    path = write_map(([(-150.0, 0.0), (150.0, 0.0)], {"highway": "residential"}))
+
+    def along(**streets: float) -> list[Surface]:
+        config = BARE.model_copy(update={"streets": StreetConfig(parking_bay_share=0, **streets)})
+        scene = build_scene(straight_track, read_map(path), config=config)
+        return [surface(scene, frame, x, 4.0) for x in np.arange(-50.0, 50.0, 2.0)]
+
+    assert set(along(flush_sidewalk_share=1.0)) == {Surface.FLUSH_SIDEWALK}
+    pieces = along(lowered_kerb_share=0.5)
+    assert 10 < pieces.count(Surface.FLUSH_SIDEWALK) < 40
+    assert set(pieces) == {Surface.FLUSH_SIDEWALK, Surface.SIDEWALK}
+
+
 def test_kerbs_are_round_at_a_junction(straight_track: LidarTrack, frame: LocalFrame, write_map: WriteMap) -> None:
     path = write_map(
         ([(-150.0, 0.0), (0.0, 0.0), (150.0, 0.0)], {"highway": "residential", "sidewalk": "no"}),

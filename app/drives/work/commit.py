@@ -26,7 +26,7 @@ from interloc.drives.findings import DriveFileError, Finding, Findings, by_sever
 from interloc.drives.formats import find_format
 from interloc.drives.inspect import DriveReport, report_of
 from interloc.drives.open import DriveReading, open_drive, read_drive
-from interloc.drives.options import DriveArguments, DriveOptions, LabelFolder
+from interloc.drives.options import ODOMETRY, DriveArguments, DriveOptions, LabelFolder
 from interloc.drives.scans.reduced import read_ground
 from interloc.drives.scans.reduced_format import MANIFEST, ground_path, is_reduced, read_manifest
 from interloc.errors import InterLocError
@@ -204,7 +204,7 @@ def reading_options(options: UploadOptions, root: Path, name: str, model: Path |
     changed: DriveArguments = {"name": name.replace("/", "_"), "model": model}
     if options.oxts is not None:
         changed["oxts"] = root / options.oxts
-    if options.poses is not None:
+    if options.poses is not None and options.poses != ODOMETRY:
         if options.poses.startswith("/"):  # a topic: nothing but a bag may look at it, or it would be a path of ours
             changed["layout"] = "rosbag"
         else:

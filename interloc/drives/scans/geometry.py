@@ -17,6 +17,8 @@ from interloc.labelling.geometry import METHOD, GeometryLabeller, WindowQuality,
 GEOMETRY = "geometry"
 """The choice of labels by which they are made."""
 
+_MIN_VIEW_DEG = 200.0
+
 
 @dataclass(frozen=True)
 class GeometryLabels:
@@ -109,10 +111,25 @@ def open_geometry(recording: Recording, trajectory: Trajectory, findings: Findin
     if usable is None:
         usable = np.arange(len(recording.frames), dtype=np.int64)
     remission = recording.sampled_remission()
-    if remission.size == 0 or np.ptp(remission[np.isfinite(remission)]) == 0:
+    remission = remission[np.isfinite(remission)]
+    if remission.size == 0 or np.ptp(remission) == 0:
         findings.warning(
             where,
-            "the points have no remission: labels by geometry then rest on kerbs and roughness alone, and places get "
-            "worse.",
+            "the points have no remission: labels by geometry then rest on kerbs and roughness alone, and sidewalks "
+            "beside low kerbs are taken for road.",
         )
+    if len(usable):
+        seen_deg = _field_of_view_deg(recording.points.read(int(recording.frames[usable[len(usable) // 2]])).values)
+        if seen_deg < _MIN_VIEW_DEG:
+            findings.warning(
+                where,
+                f"the sensor sees {seen_deg:.0f} degrees around it. Labels by geometry expect one that turns: side "
+                "streets are then seen late or not at all, and what is behind the vehicle is not labelled.",
+            )
     return GeometryLabels.of_drive(recording.points, recording.frames, trajectory.poses.T_world_lidar, usable)
+
+
+def _field_of_view_deg(points: Float32Array) -> float:
+    """Return how much of the horizon the points of a scan cover, in sectors of 10 degrees."""
+    x, y = points[np.isfinite(points[:, :2]).all(axis=1), :2].T
+    return 10.0 * len(np.unique(np.floor(np.degrees(np.arctan2(y, x)) / 10.0) % 36))

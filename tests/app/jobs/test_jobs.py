@@ -302,7 +302,7 @@ def test_a_job_that_takes_too_long_fails(serve: Serve, street: Path, tmp_path: P
 
 
 def test_a_job_that_needs_too_much_memory_fails(serve: Serve, street: Path) -> None:
-    own = serve(worker_memory_bytes=304 * 2**20)  # a worker has 260 to 275 of them when it begins
+    own = serve(worker_memory_bytes=330 * 2**20)  # a worker has 260 to 275 of them when it begins
     drive_id = upload(own, street)
     config = {"bev": {"resolution_m": 0.05, "size_m": 200}}  # images of 4000 x 4000 cells
     job = ended(own, submit(own, drive_id, config=config))

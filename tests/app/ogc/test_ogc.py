@@ -35,6 +35,7 @@ from interloc.arrays import FloatArray
 from interloc.output.credits import ODBL, map_credit
 from interloc.output.geojson import write_collection
 from interloc.output.layers import LAYERS
+from interloc.output.osm_roads import SEEN
 from interloc.output.styles import RIGHT, ROAD, STYLES
 from tests.app.conftest import running_server
 from tests.app.postgres import postgres_url  # noqa: F401 - a fixture
@@ -137,7 +138,9 @@ def write_result(folder: Path, lonlat: FloatArray, *, with_times: bool = False, 
         )
         write_collection(folder / "matches.geojson", matches, local=False, credit=map_credit(is_made_up=False))
         across = [[[lon, lat - 5e-4], [lon, lat + 5e-4]] for lon, lat in lonlat[:1].tolist()]
-        road = LAYERS["osm_roads"].features(across, osm_id=[7], highway=["service"], name=[None], is_drivable=[True])
+        unseen = {name: [None] for name in SEEN}
+        way = {"osm_id": [7], "highway": ["service"], "name": [None], "is_drivable": [True], **unseen}
+        road = LAYERS["osm_roads"].features(across, **way)
         write_collection(folder / "osm_roads.geojson", road, local=False, credit=map_credit(is_made_up=False))
     spans = {"georeferenced": True, "first_time": times[0], "last_time": times[-1]}
     (folder / "run.json").write_text(json.dumps({"labels": "predictions", **spans}))

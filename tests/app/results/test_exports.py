@@ -70,7 +70,7 @@ def test_one_layer(suffix: str, media_type: str, finished: Finished, tmp_path: P
 
 def test_what_has_no_georeference_is_exported_in_metres(finished: Finished, tmp_path: Path) -> None:
     """The same formats that the command line writes of it."""
-    own = {"intersections", "detections", "trajectory", "keyframes"}
+    own = set(SCORED[:7])
     layers = layers_of(finished.get("/jobs/local/export.gpkg").raise_for_status().content, tmp_path / "local.gpkg")
     assert own <= layers.keys()
     assert not {"osm_nodes", "matches", "osm_roads"} & layers.keys()
@@ -86,7 +86,9 @@ def test_what_has_no_georeference_is_exported_in_metres(finished: Finished, tmp_
 def test_tables_and_layers_that_are_made_of_the_intersections(finished: Finished) -> None:
     table = finished.get("/jobs/default/export.csv?layer=osm-roads")
     assert table.headers["content-type"] == "text/csv; charset=utf-8"
-    assert table.text.startswith('wkt,osm_id,highway,name,is_drivable,attribution\r\n"LINESTRING (')
+    assert table.text.startswith(
+        'wkt,osm_id,highway,name,is_drivable,seen_m,mapped,offset_m,width_m,is_driven,attribution\r\n"LINESTRING ('
+    )
     lines = finished.get("/jobs/default/export.geojson?layer=branches").json()
     stored = json.loads((finished.results / "default/intersections.geojson").read_text())["features"]
     assert len(lines["features"]) == sum(each["properties"]["branch_count"] for each in stored)

@@ -90,3 +90,12 @@ def test_by_geometry_and_by_files_at_once(tmp_path: Path) -> None:
     assert by_geometry is not None
     assert by_files.T_world_lidar is by_geometry.T_world_lidar
     assert by_geometry.label_source == "geometry"
+
+
+def test_a_sensor_that_does_not_turn_is_told(tmp_path: Path) -> None:
+    root = write_semantickitti(tmp_path / "07")
+    for file in (root / "velodyne").iterdir():
+        points = np.fromfile(file, np.float32).reshape(-1, 4)
+        points[points[:, 0] > np.abs(points[:, 1])].tofile(file)
+    told = [problem.message for problem in inspect_drive(root, labels="geometry").problems]
+    assert any("sees 90 degrees" in message or "sees 100 degrees" in message for message in told)

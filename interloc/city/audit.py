@@ -1,0 +1,391 @@
+"""What of OpenStreetMap a map of many drives contradicts: each finding with its evidence.
+
+The map is only said to be wrong where several passes agree, and where nothing explains it away: levels, access,
+squares, the edge of the map. A finding is a question to a person with a picture, not an edit.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Collection, Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from interloc.arrays import FloatArray, IntArray
+from interloc.city.citymap import CityMap
+from interloc.city.osm_plane import OsmPlane
+from interloc.city.places import PlaceTable
+from interloc.city.settings import AuditConfig, Kind
+from interloc.city.surface import ground_at
+from interloc.osm.graph import RoadGraph
+
+_RAY_AT_M = np.array([12.0, 18.0, 24.0])
+_RAY_SEEN_M = np.arange(8.0, 22.1, 1.0)
+_ROAD_START_M = 12.0
+_PHANTOM_M = 45.0
+_BESIDE_M = 8.0  # as far from a node its own junction hides what a side road is
+_LEVEL_M = 25.0
+_PORTAL_M = 50.0
+_EDGE_M = 40.0
+_PARTNER_M = 25.0
+_APART_DEG = 50.0
+_TRACK_M = 15.0
+_ODD_M = 30.0
+_BEGINS_M = 4.0  # a road that bends away from the straight line is still within this of it at its beginning
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A place where OpenStreetMap seems to be wrong.
+
+    Attributes
+    ----------
+    id : str
+        Of the kind and the place, or the node: it stays when drives are added.
+    kind : Kind
+    xy : (2,) float64
+        Where to look, in the plane of the map.
+    uid : str or None
+        The place on the map; None: there is none.
+    osm_node : int or None
+        The node that it is about; None where OpenStreetMap lacks something.
+    passes : int
+        Independent passes that say so.
+    drives : tuple of str
+    text : str
+        What was found, for a person who looks at it.
+    evidence : dict
+        Distances and shares that led to it, and tags of the ways around.
+    """
+
+    id: str
+    kind: Kind
+    xy: FloatArray
+    uid: str | None
+    osm_node: int | None
+    passes: int
+    drives: tuple[str, ...]
+    text: str
+    evidence: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Audit:
+    """Findings, and on how much of the map there could have been any.
+
+    Attributes
+    ----------
+    findings : list of Finding
+    junctions : int
+        Junctions of OpenStreetMap that enough passes came by.
+    offset_m : (2,) float64
+        Common offset of OpenStreetMap against the map, which was taken away.
+    held_back : dict of str to int
+        How many candidates were not claimed, by reason.
+    """
+
+    findings: list[Finding]
+    junctions: int
+    offset_m: FloatArray
+    held_back: dict[str, int]
+
+
+def audit(city: CityMap, graph: RoadGraph, config: AuditConfig | None = None, *, known: Collection[str] = ()) -> Audit:
+    """Compare a map of many drives with OpenStreetMap.
+
+    Parameters
+    ----------
+    city
+    graph
+        The roads of OpenStreetMap around it.
+    config
+        Settings.
+    known
+        Ids of findings of before. They stay while they reach 70 % of what a new one must, so that a finding near a
+        threshold does not come and go.
+    """
+    return _Auditor(city, graph, config or AuditConfig(), frozenset(known)).run()
+
+
+class _Auditor:
+    def __init__(self, city: CityMap, graph: RoadGraph, config: AuditConfig, known: frozenset[str]) -> None:
+        self.city, self.config, self.known = city, config, known
+        self.osm = OsmPlane.of(city, graph)
+        self.places: PlaceTable = city.places
+        self.held_back: dict[str, int] = {}
+
+    def run(self) -> Audit:
+        makers: list[tuple[set[Kind], Callable[[], Iterator[Finding]]]] = [
+            ({"missing_junction", "missing_branch"}, self._missing),
+            ({"moved"}, self._moved),
+            ({"phantom"}, self._phantoms),
+        ]
+        wanted = set(self.config.kinds)
+        findings = [finding for kinds, make in makers if kinds & wanted for finding in make()]
+        elsewhere = {finding.uid for finding in findings if finding.kind == "moved"}  # its branches lie elsewhere, too
+        findings = [
+            each
+            for each in findings
+            if each.kind in wanted and not (each.kind == "missing_branch" and each.uid in elsewhere)
+        ]
+        passed = [
+            node for node in self.osm.open_junctions.tolist() if len(self._came_by(node)) >= self.config.min_passes
+        ]
+        findings.sort(key=lambda each: each.id)
+        return Audit(findings, len(passed), self.osm.offset_m, dict(sorted(self.held_back.items())))
+
+    # kinds ------------------------------------------------------------------------------------------------------------
+
+    def _missing(self) -> Iterator[Finding]:
+        """Yield junctions and branches that OpenStreetMap lacks."""
+        table, osm = self.places, self.osm
+        nearest, node = _nearest(table.xy, osm.xy[osm.junctions])
+        for row in np.flatnonzero(table.is_shown & (table.passes >= self.config.min_passes)).tolist():
+            kind: Kind = "missing_junction" if nearest[row] > self.config.junction_m else "missing_branch"
+            key = _key(kind, table.uid[row])
+            ease = self._ease(key)
+            if table.confidence[row] < self.config.min_confidence * ease:
+                continue
+            # A junction that lies a little elsewhere has its branches elsewhere, too: it lacks none of them.
+            origins = [table.xy[row], *([osm.xy[osm.junctions[node[row]]]] if kind == "missing_branch" else [])]
+            branches = [i for i in range(len(table.bearings_deg[row])) if self._lacks(row, i, origins, ease)]
+            if not branches:
+                continue
+            reason = self._excuse(table.xy[row])
+            if reason is not None:
+                self._hold_back(reason)
+                continue
+            bearings = [float(table.bearings_deg[row][i]) for i in branches]
+            what = "a junction here" if kind == "missing_junction" else "another branch of this junction"
+            yield self._finding(
+                kind,
+                row,
+                None,
+                f"{table.passes[row]} passes of a LiDAR saw {what} that the map does not have: road towards "
+                f"{', '.join(f'{each:.0f} degrees' for each in bearings)}, "
+                f"{', '.join(f'{table.widths_m[row][i]:.1f} m' for i in branches)} wide. Is it a road?",
+                branch_bearings_deg=[round(each, 1) for each in bearings],
+                branch_widths_m=[round(float(table.widths_m[row][i]), 1) for i in branches],
+                distance_m=_round(nearest[row]),
+            )
+
+    def _lacks(self, row: int, branch: int, origins: Sequence[FloatArray], ease: float) -> bool:
+        """Tell whether a branch of a place is a road that OpenStreetMap does not have, from any of the origins."""
+        table, config = self.places, self.config
+        width = table.widths_m[row][branch]
+        if not config.min_width_m <= width <= config.max_width_m:  # not known: neither
+            return False
+        angle = np.radians(table.bearings_deg[row][branch])
+        direction = np.array([np.sin(angle), np.cos(angle)])
+        for origin in origins:
+            away = self.osm.distance(origin + _RAY_AT_M[:, None] * direction)
+            if away[0] <= _BEGINS_M * ease or np.median(away) <= config.ray_m * ease:
+                return False
+        ray = table.xy[row] + _RAY_SEEN_M[:, None] * direction
+        saw = [ground_at(self.city, name, ray).road.mean() >= config.min_road * ease for name in table.drives[row]]
+        return min(int(np.sum(saw)), int(table.branch_drives[row][branch])) >= config.min_passes
+
+    def _moved(self) -> Iterator[Finding]:
+        """Yield junctions that lie elsewhere: place and node are each other's only partner."""
+        from scipy.spatial import cKDTree  # noqa: PLC0415 - slow to import
+
+        table, osm, config = self.places, self.osm, self.config
+        shown = np.flatnonzero(table.is_shown)
+        if not len(shown) or not len(osm.open_junctions):
+            return
+        places, nodes = cKDTree(table.xy[shown]), cKDTree(osm.xy[osm.junctions])
+        is_open = np.isin(osm.junctions, osm.open_junctions)
+        for row in shown.tolist():
+            here = table.xy[row]
+            near = nodes.query_ball_point(here, _PARTNER_M)
+            if table.passes[row] < config.min_passes or len(near) != 1 or not is_open[near[0]]:
+                continue
+            node = int(osm.junctions[near[0]])
+            key = _key("moved", osm.graph.node_id[node])
+            ease, apart = self._ease(key), osm.xy[node] - here
+            distance = float(np.hypot(*apart))
+            cov = table.position_cov_m2[row][[[0, 1], [1, 2]]]
+            sigmas = float(np.sqrt(apart @ np.linalg.solve(cov, apart)))
+            if (
+                distance <= max(config.moved_m, 3.0 * table.position_std_m[row]) * ease
+                or sigmas <= config.moved_sigma * ease
+            ):
+                continue
+            if (
+                len(places.query_ball_point(osm.xy[node], _PARTNER_M)) != 1
+                or table.confidence[row] < config.min_confidence * ease
+            ):
+                self._hold_back("several places near the node, or not sure enough")
+                continue
+            bearings = np.sort(table.bearings_deg[row])
+            gaps = np.diff(np.append(bearings, bearings[0] + 360.0))
+            if gaps.min() < _APART_DEG:
+                self._hold_back("acute: the position slides along the bisector")
+                continue
+            if any(osm.odd[way] for way in osm.ways_near(osm.xy[node], 3.0)):
+                self._hold_back("link, roundabout or one-way road")
+                continue
+            if not self._off_road(row, node, ease):
+                self._hold_back("node and its roads lie on what was seen as road")
+                continue
+            reason = self._excuse(here)
+            if reason is not None:
+                self._hold_back(reason)
+                continue
+            yield self._finding(
+                "moved",
+                row,
+                node,
+                f"{table.passes[row]} passes of a LiDAR saw this junction {distance:.1f} m from its node "
+                f"(uncertainty {table.position_std_m[row]:.1f} m). Does the node, or one of its roads, lie elsewhere?",
+                distance_m=_round(distance),
+                sigmas=_round(sigmas),
+                position_std_m=_round(table.position_std_m[row]),
+            )
+
+    def _off_road(self, row: int, node: int, ease: float) -> bool:
+        """Tell whether a node, or the beginning of one of its roads, lies where enough passes saw no road."""
+        spots = [self.osm.xy[[node]], *self.osm.roads_from(node, _ROAD_START_M)]
+        off = [
+            any(ground_at(self.city, name, spot).road.mean() < 0.5 / ease for spot in spots if len(spot))
+            for name in self.places.drives[row]
+        ]
+        return int(np.sum(off)) >= self.config.min_passes
+
+    def _phantoms(self) -> Iterator[Finding]:
+        """Yield nodes that passes came by where they saw no junction, and other ground where a side road should be."""
+        osm, config = self.osm, self.config
+        nearest, _ = _nearest(osm.xy, self.places.xy[self.places.is_shown])
+        for node in osm.open_junctions.tolist():
+            drives = self._came_by(node)
+            ease = self._ease(_key("phantom", osm.graph.node_id[node]))
+            if len(drives) < config.min_passes or nearest[node] <= config.junction_m:
+                continue
+            sides = [road[int(_BESIDE_M) :] for road in osm.roads_from(node, _PHANTOM_M)]
+            shares = [
+                (np.mean([g.road.mean() for g in seen]), np.mean([g.other[:12].mean() for g in seen]))
+                for seen in ([ground_at(self.city, name, side) for name in drives] for side in sides if len(side) >= 12)
+            ]
+            unseen = [
+                share for share in shares
+                if share[0] < config.max_phantom_road / ease and share[1] >= config.min_phantom_other * ease
+            ]  # fmt: skip
+            if not unseen:
+                self._hold_back("side road seen, or not told from what was not seen")
+                continue
+            reason = self._excuse(osm.xy[node])
+            if reason is not None:
+                self._hold_back(reason)
+                continue
+            yield self._finding(
+                "phantom",
+                None,
+                node,
+                f"{len(drives)} passes of a LiDAR came by this node and saw no junction, and other ground where its "
+                "side road begins. Is there a road?",
+                drives,
+                road_share=_round(unseen[0][0]),
+                other_share=_round(unseen[0][1]),
+            )
+
+    # what they share --------------------------------------------------------------------------------------------------
+
+    def _came_by(self, node: int) -> tuple[str, ...]:
+        """Return the drives that came by a node: three keyframes or more within 15 m."""
+        return self._near_nodes.get(node, ())
+
+    @property
+    def _near_nodes(self) -> dict[int, tuple[str, ...]]:
+        if not hasattr(self, "_near"):
+            from scipy.spatial import cKDTree  # noqa: PLC0415
+
+            rows = self.osm.open_junctions
+            found: dict[int, list[str]] = {}
+            for name, drive in sorted(self.city.drives.items()):
+                tree = cKDTree(drive.track_xy - drive.knots.mean(axis=0))
+                counts = tree.query_ball_point(self.osm.xy[rows], _TRACK_M, return_length=True)
+                for node in rows[np.asarray(counts) >= 3].tolist():
+                    found.setdefault(node, []).append(name)
+            self._near = {node: tuple(names) for node, names in found.items()}
+        return self._near
+
+    def _excuse(self, xy: FloatArray) -> str | None:
+        """Return why nothing is to be claimed at a place; None where nothing speaks against it."""
+        osm = self.osm
+        if osm.graph.areas:
+            corners = self.city.lonlat(xy + osm.offset_m + _EDGE_M * np.array([[1, 1], [1, -1], [-1, 1], [-1, -1]]))
+            if not osm.graph.covers(corners).all():
+                return "edge of the map"
+        around = np.array([xy])
+        if osm.distance(around, osm.tagged("tunnel") | osm.tagged("covered"))[0] < _PORTAL_M:
+            return "tunnel"
+        if osm.distance(around, osm.on_levels)[0] < _LEVEL_M:
+            return "bridge or levels"
+        if osm.distance(around, osm.tagged("junction"))[0] < _ODD_M:
+            return "roundabout"
+        return None
+
+    def _ease(self, key: str) -> float:
+        return self.config.kept if key in self.known else 1.0
+
+    def _hold_back(self, reason: str) -> None:
+        self.held_back[reason] = self.held_back.get(reason, 0) + 1
+
+    def _finding(
+        self,
+        kind: Kind,
+        row: int | None,
+        node: int | None,
+        text: str,
+        drives: tuple[str, ...] | None = None,
+        **evidence: Any,  # noqa: ANN401 - numbers and lists of them
+    ) -> Finding:
+        uid = None if row is None else self.places.uid[row]
+        xy = self.osm.xy[node] if row is None else self.places.xy[row]
+        names = drives or (() if row is None else self.places.drives[row])
+        osm_node = None if node is None else int(self.osm.graph.node_id[node])
+        ways = self.osm.graph.ways
+        around = [
+            " ".join([f"way/{ways.id[way]} highway={ways.highway[way]}", *(f"{k}={v}" for k, v in _tags(ways, way))])
+            for way in self.osm.ways_near(xy, _PARTNER_M)[:6]
+        ]
+        return Finding(
+            id=_key(kind, uid if osm_node is None else osm_node),
+            kind=kind,
+            xy=xy,
+            uid=uid,
+            osm_node=osm_node,
+            passes=len(names) if row is None else int(self.places.passes[row]),
+            drives=names,
+            text=text,
+            evidence={**evidence, "ways": around},
+        )
+
+
+def subclass_of(finding_id: str) -> int:
+    """Return a number of 63 bits that stays for a finding: in Osmose it is what tells findings without OSM objects."""
+    return int.from_bytes(hashlib.sha256(finding_id.encode()).digest()[:8], "big") >> 1
+
+
+def _key(kind: Kind, about: object) -> str:
+    return f"{kind}-{about}"
+
+
+def _tags(ways: Any, way: int) -> list[tuple[str, str]]:  # noqa: ANN401
+    return list(ways.tags[way].items()) if ways.tags else []
+
+
+def _nearest(xy: FloatArray, others: FloatArray) -> tuple[FloatArray, IntArray]:
+    """Return the distance of each of (N, 2) positions from the nearest other one, infinite without any, and its row."""
+    from scipy.spatial import cKDTree  # noqa: PLC0415 - slow to import
+
+    if not len(others) or not len(xy):
+        return np.full(len(xy), np.inf), np.zeros(len(xy), dtype=np.int64)
+    distance, row = cKDTree(others).query(xy)
+    return np.atleast_1d(distance).astype(np.float64), np.atleast_1d(row).astype(np.int64)
+
+
+def _round(value: float) -> float | None:
+    return round(float(value), 2) if np.isfinite(value) else None

@@ -1,0 +1,184 @@
+"""Findings as those take them who mend maps: MapRoulette, Osmose, GPX, GeoJSON.
+
+All receivers tell by an identity whether a finding is new. It must be the same at each upload, else mappers get the
+same task twice, and what they marked as wrong comes back. It is that of the finding (`Finding.id`), never its position.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree as ET
+from xml.sax.saxutils import escape
+
+import numpy as np
+
+from interloc.city.audit import Audit, Finding, subclass_of
+from interloc.city.citymap import CityMap
+from interloc.city.settings import AuditConfig, Kind
+from interloc.files import atomic_folder, atomic_write
+from interloc.output.credits import Credit, map_credit
+from interloc.output.geojson import encode, positions, read_json, write_collection
+from interloc.output.layers import CITY_LAYERS
+
+AUDIT_FILE, FINDINGS_FILE = "audit.json", "findings.geojson"
+MAPROULETTE_FILE, OSMOSE_FILE, GPX_FILE = "maproulette.geojson", "osmose.xml", "findings.gpx"
+AUDIT_NAMES = frozenset([AUDIT_FILE, FINDINGS_FILE, MAPROULETTE_FILE, OSMOSE_FILE, GPX_FILE])
+
+MAX_TASKS = 1000
+"""Of one file for MapRoulette: more than mappers look at in a month helps nobody."""
+
+_RECORD_SEPARATOR = "\x1e"
+_CLASSES: dict[Kind, tuple[int, str]] = {
+    "missing_junction": (1, "Road junction seen by LiDAR, not on the map"),
+    "missing_branch": (2, "Branch of a road junction seen by LiDAR, not on the map"),
+    "moved": (3, "Road junction lies elsewhere by LiDAR"),
+    "phantom": (4, "Road junction on the map, not seen by LiDAR"),
+}
+_ITEM = {"missing_junction": "8490", "missing_branch": "8490", "moved": "8491", "phantom": "7490"}
+
+
+def known_findings(folder: Path) -> frozenset[str]:
+    """Return the ids of the findings of an earlier audit in a folder; none where there is none."""
+    if not (folder / AUDIT_FILE).is_file():
+        return frozenset()
+    return frozenset(str(each["id"]) for each in read_json(folder / FINDINGS_FILE)["features"])
+
+
+def write_audit(
+    found: Audit,
+    city: CityMap,
+    folder: Path,
+    config: AuditConfig,
+    *,
+    made_at: datetime,
+    source: str,
+    made_up: bool = False,
+) -> None:
+    """Write the findings of an audit in all forms, all or nothing.
+
+    Parameters
+    ----------
+    found, city
+    folder
+        A new one, or that of an earlier audit, which is replaced.
+    config
+        That the audit was made with.
+    made_at
+        When it was made, with a time zone.
+    source
+        The OpenStreetMap data.
+    made_up : bool
+        Whether that was made up by a simulator.
+
+    Raises
+    ------
+    OutputError
+        The folder is something else, or could not be written.
+    """
+    credit = map_credit(is_made_up=made_up)
+    features = finding_features(found.findings, city)
+    with atomic_folder(folder, marker=AUDIT_FILE, names=AUDIT_NAMES) as new:
+        write_collection(new / FINDINGS_FILE, features, local=False, credit=credit)
+        texts = {
+            MAPROULETTE_FILE: maproulette(features[:MAX_TASKS]),
+            OSMOSE_FILE: osmose(found.findings, city, made_at),
+            GPX_FILE: gpx(features, credit),
+            AUDIT_FILE: encode(audit_record(found, config, source), indent=2) + "\n",
+        }
+        for name, text in texts.items():
+            with atomic_write(new / name) as file:
+                file.write(text.encode())
+
+
+def audit_record(found: Audit, config: AuditConfig, source: str) -> dict[str, Any]:
+    """Return what `audit.json` holds: counts, settings, and what was not claimed."""
+    return {
+        "osm": source,
+        "findings": len(found.findings),
+        "by_kind": {kind: sum(each.kind == kind for each in found.findings) for kind in config.kinds},
+        "junctions_passed": found.junctions,
+        "osm_offset_m": [round(value, 3) for value in found.offset_m.tolist()],
+        "held_back": found.held_back,
+        "config": config.model_dump(mode="json"),
+    }
+
+
+def finding_features(findings: Sequence[Finding], city: CityMap) -> list[dict[str, Any]]:
+    """Return the features of the layer `findings`."""
+    xy = np.array([each.xy for each in findings]).reshape(-1, 2)
+    lonlat = positions(city.lonlat(xy), local=False) if len(findings) else []
+    return CITY_LAYERS["findings"].features(
+        lonlat,
+        id=[each.id for each in findings],
+        kind=[each.kind for each in findings],
+        text=[each.text for each in findings],
+        uid=[each.uid for each in findings],
+        osm_id=[each.osm_node for each in findings],
+        passes=[each.passes for each in findings],
+        drive_names=[", ".join(each.drives) for each in findings],
+        distance_m=[each.evidence.get("distance_m") for each in findings],
+        branch_bearings_deg=[each.evidence.get("branch_bearings_deg", []) for each in findings],
+        branch_widths_m=[each.evidence.get("branch_widths_m", []) for each in findings],
+        osm_ways=["; ".join(each.evidence["ways"]) for each in findings],
+        osm_link=[_link(lon, lat) for lon, lat in lonlat],
+    )
+
+
+def maproulette(features: Sequence[dict[str, Any]]) -> str:
+    """Return line-by-line GeoJSON: a record separator and a FeatureCollection for each task.
+
+    The separator tells MapRoulette that a file of one line is of this form, too (`ChallengeProvider.scala`). A task's
+    name is the text `id` of its first feature; without one it is random, and a second upload doubles all.
+    """
+    lines = []
+    for feature in features:
+        task = {**feature, "properties": {"id": feature["id"], **feature["properties"]}}
+        lines.append(_RECORD_SEPARATOR + encode({"type": "FeatureCollection", "features": [task]}) + "\n")
+    return "".join(lines)
+
+
+def osmose(findings: Sequence[Finding], city: CityMap, made_at: datetime) -> str:
+    """Return the XML that `send-update` of Osmose takes.
+
+    Osmose knows a finding by source, class, subclass and OSM elements, not by its place: each has its own subclass, and
+    elements are given only where the finding is about one of OpenStreetMap, since another id would make it new.
+    """
+    moment = made_at.strftime("%Y-%m-%dT%H:%M:%SZ")
+    root = ET.Element("analysers", timestamp=moment)
+    analyser = ET.SubElement(root, "analyser", timestamp=moment)
+    for kind, (number, title) in _CLASSES.items():
+        facts = {"id": str(number), "item": _ITEM[kind], "level": "3", "tag": "merge,highway"}
+        described = ET.SubElement(analyser, "class", facts)
+        ET.SubElement(described, "classtext", lang="en", title=title)
+    places = city.lonlat(np.array([each.xy for each in findings])).tolist() if findings else []
+    for finding, (lon, lat) in zip(findings, places, strict=True):
+        number = _CLASSES[finding.kind][0]
+        error = ET.SubElement(analyser, "error", {"class": str(number), "subclass": str(subclass_of(finding.id))})
+        ET.SubElement(error, "location", lat=f"{lat:.7f}", lon=f"{lon:.7f}")
+        ET.SubElement(error, "text", lang="en", value=finding.text)
+        if finding.osm_node is not None:
+            ET.SubElement(error, "node", id=str(finding.osm_node), lat=f"{lat:.7f}", lon=f"{lon:.7f}")
+    ET.indent(root)
+    return ET.tostring(root, encoding="unicode", xml_declaration=True) + "\n"
+
+
+def gpx(features: Sequence[dict[str, Any]], credit: Credit) -> str:
+    """Return the findings as waypoints of GPX 1.1, which iD, JOSM and navigation devices open."""
+    from gpxpy.gpx import GPX, GPXWaypoint  # noqa: PLC0415 - needed for this alone
+
+    made = GPX()
+    made.creator, made.description = "InterLoc", credit.attribution
+    for feature in features:
+        lon, lat = feature["geometry"]["coordinates"]
+        facts = feature["properties"]
+        point = GPXWaypoint(lat, lon, name=facts["id"], description=facts["text"], type=facts["kind"])
+        point.link = escape(facts["osm_link"])  # type: ignore[assignment] # gpxpy does not escape it
+        made.waypoints.append(point)
+    return made.to_xml(version="1.1") + "\n"
+
+
+def _link(lon: float, lat: float) -> str:
+    return f"https://www.openstreetmap.org/?mlat={lat}&mlon={lon}#map=19/{lat}/{lon}"

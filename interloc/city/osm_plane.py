@@ -1,0 +1,150 @@
+"""The roads of OpenStreetMap in the plane of a map of many drives, and the questions that an audit asks them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from interloc.arrays import BoolArray, FloatArray, IntArray
+from interloc.city.citymap import CityMap
+from interloc.osm.graph import RoadGraph, distinct_edges
+from interloc.osm.intersections import MIN_DEGREE, road_ways
+
+_ALIKE_M = 10.0  # place and node that are each other's nearest within this say how the two maps lie
+_ENOUGH = 8
+_NOT_OPEN = ("private", "no", "customers", "delivery", "permit")
+_MINOR = ("driveway", "parking_aisle", "drive-through", "emergency_access")
+
+
+@dataclass(frozen=True)
+class OsmPlane:
+    """A road graph in the plane of a map of many drives.
+
+    Attributes
+    ----------
+    graph : RoadGraph
+    xy : (N, 2) float64
+        Its nodes, metres.
+    offset_m : (2,) float64
+        What OpenStreetMap says minus what the map says, median of the junctions that both have; taken from `xy`.
+    """
+
+    graph: RoadGraph
+    xy: FloatArray
+    offset_m: FloatArray
+
+    @classmethod
+    def of(cls, city: CityMap, graph: RoadGraph) -> OsmPlane:
+        """Lay a road graph over a map: a common offset of the two is no error of either place."""
+        from scipy.spatial import cKDTree  # noqa: PLC0415 - slow to import
+
+        whole = cls(graph, city.plane(graph.lonlat), np.zeros(2))
+        places, nodes = city.places.xy[city.places.is_shown], whole.xy[whole.junctions]
+        if not len(places) or not len(nodes):
+            return whole
+        distance, node = (np.atleast_1d(each) for each in cKDTree(nodes).query(places))
+        place = np.atleast_1d(cKDTree(places).query(nodes)[1])
+        rows = np.flatnonzero((distance < _ALIKE_M) & (place[node] == np.arange(len(places))))
+        if len(rows) < _ENOUGH:
+            return whole
+        offset = np.median(nodes[node[rows]] - places[rows], axis=0)
+        return cls(graph, whole.xy - offset, offset)
+
+    @cached_property
+    def highway(self) -> Any:  # noqa: ANN401 - an array of str
+        """(W,) classes of the ways."""
+        return np.array(self.graph.ways.highway, dtype=np.str_)
+
+    def tagged(self, key: str, *values: str) -> BoolArray:
+        """Return which ways have a tag, (W,), with one of some values or any but no."""
+        tags = self.graph.ways.tags or ({},) * len(self.graph.ways)
+        found = (each.get(key, "") for each in tags)
+        return np.array([value in values if values else value not in {"", "no"} for value in found], dtype=np.bool_)
+
+    @cached_property
+    def roads(self) -> BoolArray:
+        """(W,) ways that are roads or service roads."""
+        return road_ways(self.graph, "drive+service")
+
+    @cached_property
+    def open_roads(self) -> BoolArray:
+        """(W,) roads that everybody may drive, that are no private drives or aisles."""
+        closed = self.tagged("access", *_NOT_OPEN) | self.tagged("motor_vehicle", *_NOT_OPEN)
+        return road_ways(self.graph, "drive") & ~closed & ~self.tagged("service", *_MINOR)
+
+    @cached_property
+    def odd(self) -> BoolArray:
+        """(W,) links, roundabouts and one-way roads: there one junction is several nodes."""
+        is_link = np.char.endswith(self.highway, "_link")
+        return is_link | self.tagged("junction") | self.tagged("oneway", "yes", "-1")
+
+    @cached_property
+    def on_levels(self) -> BoolArray:
+        """(W,) ways on bridges, in tunnels, or above or below others."""
+        layer, level = self.graph.ways.layer, np.zeros(len(self.graph.ways), dtype=np.bool_)
+        if layer is not None:
+            level |= layer != 0
+        return level | self.tagged("bridge") | self.tagged("tunnel") | self.tagged("covered")
+
+    @cached_property
+    def junctions(self) -> IntArray:
+        """Rows of the nodes where three roads or more meet, service roads included."""
+        return np.flatnonzero(self.graph.degree(self.roads) >= MIN_DEGREE)
+
+    @cached_property
+    def open_junctions(self) -> IntArray:
+        """Rows of the nodes where three open roads or more meet, within the bounds of the map."""
+        return np.flatnonzero((self.graph.degree(self.open_roads) >= MIN_DEGREE) & self.graph.inside_bounds)
+
+    def distance(self, xy: FloatArray, ways: BoolArray | None = None) -> FloatArray:
+        """Return the distance of (N, 2) positions from the nearest way under a mask, (N,) metres; infinite without."""
+        import shapely  # noqa: PLC0415 - slow to import
+
+        edges = self.graph.edges if ways is None else self.graph.edges_of(ways)
+        found = np.full(len(xy), np.inf)
+        if len(edges) and len(xy):
+            lines: Any = shapely.linestrings(self.xy[edges])
+            tree = shapely.STRtree(lines)
+            (point, _), metres = tree.query_nearest(shapely.points(xy), return_distance=True, all_matches=False)
+            found[point] = metres
+        return found
+
+    def ways_near(self, xy: FloatArray, reach_m: float) -> list[int]:
+        """Return the rows of the ways within a distance of one position, (2,), nearest first."""
+        ends = self.xy[self.graph.edges]
+        near = np.flatnonzero((np.abs(ends - xy) <= reach_m + 500.0).all(axis=(1, 2)))
+        a, b = ends[near, 0], ends[near, 1]
+        along = b - a
+        share = np.clip(np.sum((xy - a) * along, axis=1) / np.maximum(np.sum(along**2, axis=1), 1e-9), 0.0, 1.0)
+        metres = np.hypot(*(a + share[:, None] * along - xy).T)
+        order = np.argsort(metres, kind="stable")
+        return list(dict.fromkeys(self.graph.edge_way[near[order[metres[order] <= reach_m]]].tolist()))
+
+    @cached_property
+    def _open_neighbours(self) -> dict[int, list[int]]:
+        found: dict[int, list[int]] = {}
+        for a, b in distinct_edges(self.graph.edges_of(self.open_roads)).tolist():
+            found.setdefault(a, []).append(b)
+            found.setdefault(b, []).append(a)
+        return found
+
+    def road_from(self, node: int, neighbour: int, length_m: float, step_m: float = 1.0) -> FloatArray:
+        """Return positions every metre along an open road that leaves a node, (n, 2), as far as the next junction."""
+        line = [self.xy[node], self.xy[neighbour]]
+        before, here = node, neighbour
+        while np.sum(np.hypot(*np.diff(line, axis=0).T)) < length_m:
+            onward = [each for each in self._open_neighbours[here] if each != before]
+            if len(onward) != 1:
+                break
+            before, here = here, onward[0]
+            line.append(self.xy[here])
+        travelled = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
+        at = np.arange(0.0, min(length_m, travelled[-1]), step_m)
+        return np.stack([np.interp(at, travelled, np.array(line)[:, axis]) for axis in (0, 1)], axis=-1)
+
+    def roads_from(self, node: int, length_m: float) -> list[FloatArray]:
+        """Return `road_from` of all open roads that leave a node."""
+        return [self.road_from(node, each, length_m) for each in self._open_neighbours.get(node, [])]

@@ -1,0 +1,77 @@
+"""`interloc audit`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import get_args
+
+import click
+
+from interloc.city.settings import AuditConfig, Kind
+from interloc.cli import console, options
+
+_DEFAULT = AuditConfig()
+
+
+@click.command(short_help="List what OpenStreetMap has wrong, by several drives.")
+@click.argument("city", type=options.PATH)
+@click.option("--osm", required=True, type=options.PATH, help="OSM file: .osm, .osm.gz, .osm.bz2 or .osm.pbf.")
+@click.option("-o", "--out", required=True, type=options.PATH, help="Folder to write.")
+@click.option(
+    "--kind",
+    "kinds",
+    multiple=True,
+    type=click.Choice(get_args(Kind)),
+    help=f"Kind of findings; as often as needed.  [default: {', '.join(_DEFAULT.kinds)}]",
+)
+@click.option(
+    "--passes",
+    default=_DEFAULT.min_passes,
+    show_default=True,
+    type=click.IntRange(1),
+    help="Independent passes that must agree.",
+)
+@options.QUIET
+@options.JSON
+def command(city: Path, osm: Path, out: Path, kinds: tuple[Kind, ...], passes: int, quiet: bool, as_json: bool) -> None:
+    """Compare CITY, a map of many drives that `interloc merge` wrote, with OpenStreetMap.
+
+    OUT holds the findings as GeoJSON, as tasks for MapRoulette, as XML for Osmose and as GPX. Each is a question to a
+    person. An audit into the same folder keeps the names of findings: uploaded again, none is new.
+
+    \b
+    Example:
+      interloc audit city --osm map.osm.gz -o audit
+    """
+    from datetime import UTC, datetime
+
+    from interloc.city.audit import audit
+    from interloc.city.delivery import audit_record, known_findings, write_audit
+    from interloc.city.folder import read_city
+    from interloc.errors import MapError
+    from interloc.evaluation.coverage import map_bounds
+    from interloc.osm.reader import read_osm
+
+    console.set_up_log(quiet=quiet)
+    drives = read_city(city)
+    import numpy as np
+
+    track = np.concatenate([np.zeros((0, 2)), *(each.data.track_lonlat for each in drives.drives.values())])
+    if not len(track):
+        raise MapError(f"{city} holds no drives, so there is nothing to compare with {osm}.")
+    graph = read_osm(osm, map_bounds(track))
+    config = AuditConfig(kinds=kinds or _DEFAULT.kinds, min_passes=passes)
+    found = audit(drives, graph, config, known=known_findings(out))
+    write_audit(found, drives, out, config, made_at=datetime.now(UTC), source=graph.source, made_up=graph.is_made_up)
+    record = audit_record(found, config, graph.source)
+    if as_json:
+        console.say_json({"out": str(out), **record})
+    elif not quiet:
+        console.say_facts(
+            [
+                ("findings", ", ".join(f"{count} {kind}" for kind, count in record["by_kind"].items())),
+                ("junctions", f"{found.junctions} of OpenStreetMap that {passes} passes or more came by"),
+                ("held back", "; ".join(f"{count} {why}" for why, count in found.held_back.items()) or "none"),
+                ("written", str(out / "findings.geojson")),
+            ]
+        )

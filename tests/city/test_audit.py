@@ -1,0 +1,255 @@
+"""What OpenStreetMap lacks, has elsewhere or has too much, along one street; and how receivers of findings know them.
+
+The street runs east. Side roads leave it to the north; drives saw all of them, as road 6 m wide.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import xml.etree.ElementTree as ET
+from collections.abc import Sequence
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+import cv2
+import gpxpy
+import numpy as np
+import pytest
+
+from interloc.city.audit import Audit, audit
+from interloc.city.citymap import CityMap, merge
+from interloc.city.delivery import GPX_FILE, MAPROULETTE_FILE, OSMOSE_FILE, known_findings, write_audit
+from interloc.city.passes import Pass
+from interloc.city.settings import AuditConfig
+from interloc.geometry import lonlat_from_enu
+from interloc.mapping.mosaic import Mosaic, Raster
+from interloc.osm.graph import RoadGraph
+from interloc.osm.reader import read_osm
+from tests.city.towns import ORIGIN, drive
+
+SIDES_M = (-300.0, -200.0, -100.0, 0.0, 100.0, 200.0, 300.0, 400.0, 500.0, 600.0)
+"""x of the side roads."""
+
+ALL_KINDS = AuditConfig(kinds=("missing_junction", "missing_branch", "moved", "phantom"))
+NOON = datetime(2026, 11, 25, 12, tzinfo=UTC)
+
+
+def road_seen(bias_m: Sequence[float], *, other: bool = True) -> Mosaic:
+    """Paint what a drive saw: the street and its sides, and other ground on both sides of them."""
+    plane = merge([drive(np.array([[0.0, 0.0], [10.0, 0.0]]), "plane")])
+    lines = [((-400.0, 0.0), (700.0, 0.0)), *(((x, 0.0), (x, 60.0)) for x in SIDES_M)]
+    rasters = [Raster(0.5) for _ in range(2)]
+    size = 3000
+    left, top = plane.plane(np.array([list(ORIGIN[::-1])]))[0] + [-500.0, 500.0]
+    row, col = round(-top / 0.5), round(left / 0.5)
+    images = []
+    for width in (12, 60):  # cells
+        image = np.zeros((size, size), np.uint8)
+        for line in lines:
+            lonlat = lonlat_from_enu(*ORIGIN, np.array(line) + bias_m)
+            cells = (plane.plane(lonlat) / 0.5 - [col, -row]) * [1, -1]
+            cv2.line(image, *(tuple(np.rint(end).astype(int).tolist()) for end in cells), 1, width)
+        images.append(image)
+    rasters[0].add(row, col, images[0])
+    rasters[1].add(row, col, images[1] & ~images[0] & 1)
+    return Mosaic(rasters[0], plane.epsg, rasters[1] if other else None)
+
+
+def passes(count: int = 2, sides_m: Sequence[float] = SIDES_M) -> list[Pass]:
+    nodes = np.array([(x, 0.0) for x in sides_m])
+    track = np.stack([np.arange(-400.0, 700.0, 2.0), np.zeros(550)], axis=-1)
+    found = []
+    for number in range(count):
+        bias = (0.5 * number, -0.5 * number)
+        seen = drive(nodes, f"d{number}", bias_m=bias, noise_m=0.1)
+        found.append(
+            replace(
+                seen,
+                bearings_deg=(np.array([0.0, 90.0, 270.0]),) * len(seen),
+                widths_m=(np.full(3, 6.0),) * len(seen),
+                shape_cov_m2=np.tile([0.04, 0.0, 0.04], (len(seen), 1)),
+                track_lonlat=lonlat_from_enu(*ORIGIN, track + bias),
+                track_along_m=np.arange(550) * 2.0,
+                along_m=nodes[:, 0] + 400.0,
+                road=road_seen(bias),
+            )
+        )
+    return found
+
+
+def osm(
+    folder: Path,
+    sides: Sequence[tuple[float, float]] = tuple((x, 0.0) for x in SIDES_M),
+    extra: str = "",
+    tags: str = "",
+) -> RoadGraph:
+    """Return a map with the street through the feet of its side roads, (x, y), of which each goes north for 60 m."""
+    lines, refs, number = [], [], 1
+    for x, y in ((-400.0, 0.0), *sorted(sides), (700.0, 0.0)):
+        lon, lat = lonlat_from_enu(*ORIGIN, np.array([x, y])).tolist()
+        lines.append(f'<node id="{number}" version="1" lat="{lat:.8f}" lon="{lon:.8f}"/>')
+        refs.append(number)
+        number += 1
+    ways = [("residential", refs, tags)]
+    for ref, (x, _) in zip(refs[1:-1], sorted(sides), strict=True):
+        lon, lat = lonlat_from_enu(*ORIGIN, np.array([x, 60.0])).tolist()
+        lines.append(f'<node id="{100 + ref}" version="1" lat="{lat:.8f}" lon="{lon:.8f}"/>')
+        ways.append(("residential", [ref, 100 + ref], ""))
+    for way, (highway, nodes, more) in enumerate(ways, 1000):
+        of = "".join(f'<nd ref="{each}"/>' for each in nodes)
+        lines.append(f'<way id="{way}" version="1">{of}<tag k="highway" v="{highway}"/>{more}</way>')
+    (folder / "map.osm").write_text(f'<osm version="0.6">{"".join(lines)}{extra}</osm>')
+    return read_osm(folder / "map.osm")
+
+
+def told(found: Audit) -> list[tuple[str, int]]:
+    """Return the kind of each finding, and x of where it is on the street, to 10 m."""
+    first = merge(passes(1)).plane(np.array([ORIGIN[::-1]]))[0]
+    return sorted((each.kind, int(round((each.xy[0] - first[0]) / 10.0) * 10)) for each in found.findings)
+
+
+@pytest.fixture(scope="module")
+def city() -> CityMap:
+    return merge(passes())
+
+
+def all_but(*missing_m: float) -> list[tuple[float, float]]:
+    return [(x, 0.0) for x in SIDES_M if x not in missing_m]
+
+
+def test_a_right_map_has_no_findings(city: CityMap, tmp_path: Path) -> None:
+    found = audit(city, osm(tmp_path), ALL_KINDS)
+    assert (found.findings, found.junctions) == ([], 10)
+
+
+def test_what_the_map_lacks_and_has_elsewhere_is_found(city: CityMap, tmp_path: Path) -> None:
+    sides = [*all_but(100.0, 300.0), (308.0, -9.0)]
+    found = audit(city, osm(tmp_path, sides))
+    assert told(found) == [("missing_junction", 100), ("moved", 300)]
+    missing, moved = sorted(found.findings, key=lambda each: each.kind)
+    assert missing.evidence["branch_bearings_deg"] == [0.0]
+    assert missing.passes == 2
+    assert moved.evidence["distance_m"] == pytest.approx(12.0, abs=0.5)
+    assert moved.osm_node is not None
+
+
+def test_a_branch_that_a_junction_lacks_is_found(tmp_path: Path) -> None:
+    crossing = [
+        replace(
+            each,
+            bearings_deg=(np.array([0.0, 90.0, 180.0, 270.0]),) * len(each),
+            widths_m=(np.full(4, 6.0),) * len(each),
+        )
+        for each in passes()
+    ]
+    for each in crossing:
+        assert each.road is not None
+    assert told(audit(merge(crossing), osm(tmp_path))) == []  # no road was seen to the south
+    lon, lat = lonlat_from_enu(*ORIGIN, np.array([200.0, -60.0])).tolist()
+    south = f'<node id="900" version="1" lat="{lat:.8f}" lon="{lon:.8f}"/>'
+    way = '<way id="2000" version="1"><nd ref="6"/><nd ref="900"/><tag k="highway" v="residential"/></way>'
+    half = osm(tmp_path, all_but(200.0), extra=south + way)  # node 6 is the one at 100
+    assert told(audit(merge(passes()), half)) == [("missing_junction", 200)]
+
+
+def test_a_node_where_other_ground_was_seen_is_a_phantom_where_asked_for(tmp_path: Path) -> None:
+    south = "".join(
+        f'<node id="{900 + i}" version="1" lat="{lat:.8f}" lon="{lon:.8f}"/>'
+        for i, (lon, lat) in enumerate(lonlat_from_enu(*ORIGIN, np.array([[50.0, 0.0], [50.0, -14.0]])).tolist())
+    )
+    # A road to the south along which other ground was seen, joined to the street by a node of its own.
+    way = '<way id="2000" version="1"><nd ref="900"/><nd ref="901"/><tag k="highway" v="residential"/></way>'
+    links = (
+        '<way id="2001" version="1"><nd ref="5"/><nd ref="900"/><nd ref="6"/><tag k="highway" v="residential"/></way>'
+    )
+    graph = osm(tmp_path, extra=south + way + links)
+    far = [replace(each, road=replace(each.road, other=None)) for each in passes() if each.road is not None]
+    assert told(audit(merge(passes()), graph)) == []
+    assert told(audit(merge(far), graph, ALL_KINDS)) == []  # not told from what was not seen
+    assert {kind for kind, _ in told(audit(merge(passes()), graph, ALL_KINDS))} <= {"phantom"}
+
+
+def test_one_pass_is_not_enough_unless_asked_for(tmp_path: Path) -> None:
+    graph = osm(tmp_path, all_but(100.0))
+    assert told(audit(merge(passes(1)), graph)) == []
+    assert told(audit(merge(passes(1)), graph, AuditConfig(min_passes=1))) == [("missing_junction", 100)]
+
+
+@pytest.mark.parametrize(
+    ("tags", "reason"),
+    [
+        ('<tag k="bridge" v="yes"/>', "bridge or levels"),
+        ('<tag k="tunnel" v="yes"/>', "tunnel"),
+        ('<tag k="junction" v="roundabout"/>', "roundabout"),
+    ],
+)
+def test_levels_and_roundabouts_are_looked_at_before_anything_is_claimed(
+    city: CityMap, tmp_path: Path, tags: str, reason: str
+) -> None:
+    found = audit(city, osm(tmp_path, all_but(100.0), tags=tags))
+    assert found.findings == []
+    assert found.held_back == {reason: 1}
+
+
+def test_a_driveway_on_the_map_is_nothing_missing(city: CityMap, tmp_path: Path) -> None:
+    ends = lonlat_from_enu(*ORIGIN, np.array([[100.0, 0.0], [100.0, 60.0]])).tolist()
+    nodes = "".join(f'<node id="{900 + i}" version="1" lat="{y:.8f}" lon="{x:.8f}"/>' for i, (x, y) in enumerate(ends))
+    way = (
+        '<way id="2000" version="1"><nd ref="900"/><nd ref="901"/><tag k="highway" v="service"/>'
+        '<tag k="access" v="private"/></way>'
+    )
+    assert told(audit(city, osm(tmp_path, all_but(100.0), extra=nodes + way))) == []
+
+
+# receivers ------------------------------------------------------------------------------------------------------------
+
+
+def task_names(path: Path) -> list[str]:
+    """Read a file as MapRoulette does (ChallengeProvider.scala): line by line, a name by the first feature's id."""
+    lines = path.read_text().split("\n")[:-1]
+    assert lines[0].startswith("\x1e") or all(each[:1] == "{" and each[-1:] == "}" for each in lines[:2])
+    names = []
+    for line in lines:
+        first = json.loads(line.lstrip("\x1e"))["features"][0]
+        holders = (first, first["properties"])
+        names.append(next(str(h[key]) for h in holders for key in ("id", "@id", "osmid", "osm_id", "name") if key in h))
+    return names
+
+
+def osmose_ids(path: Path, source: int = 1) -> list[str]:
+    """Return the identities that Osmose gives: of source, class, subclass and elements, not of the place."""
+    ids = []
+    for error in ET.parse(path).getroot().iter("error"):  # noqa: S314 - our own file
+        subclass = int(error.attrib["subclass"])
+        assert 0 <= subclass < 2**63
+        elements = "".join(
+            f"{each.tag}{each.attrib['id']}" for each in error if each.tag in {"node", "way", "relation"}
+        )
+        ids.append(hashlib.sha256(f"{source}/{error.attrib['class']}/{subclass}/{elements}".encode()).hexdigest()[:32])
+    return ids
+
+
+def test_the_same_findings_are_known_again_also_after_more_drives(tmp_path: Path) -> None:
+    graph = osm(tmp_path, [*all_but(100.0, 300.0), (308.0, -9.0)])
+    drives = passes(5)
+    city, out = merge(drives[:2]), tmp_path / "audit"
+    identities = []
+    for extra in (drives[2:3], [], drives[3:]):
+        found = audit(city, graph, known=known_findings(out))
+        write_audit(found, city, out, AuditConfig(), made_at=NOON, source=graph.source)
+        assert known_findings(out) == {each.id for each in found.findings}
+        identities.append((sorted(task_names(out / MAPROULETTE_FILE)), sorted(osmose_ids(out / OSMOSE_FILE))))
+        city.add(*extra)
+    assert identities[0] == identities[1] == identities[2]
+    assert [len(set(each)) for each in identities[0]] == [2, 2]
+    assert [point.name for point in gpxpy.parse((out / GPX_FILE).read_text()).waypoints] == identities[0][0]
+
+
+def test_a_finding_near_a_threshold_does_not_come_and_go(city: CityMap, tmp_path: Path) -> None:
+    graph = osm(tmp_path, [*all_but(300.0), (300.0, -9.0)])
+    (finding,) = audit(city, graph).findings
+    strict = AuditConfig(moved_m=11.0)
+    assert audit(city, graph, strict).findings == []
+    assert [each.id for each in audit(city, graph, strict, known={finding.id}).findings] == [finding.id]
