@@ -8,6 +8,8 @@ from interloc.errors import ConfigError
 from interloc.evaluation.evaluate import Evaluation
 from interloc.evaluation.report import LAYER_FEATURES
 from interloc.output.layers import LAYERS
+from interloc.output.layout import ROAD_LAYERS
+from interloc.output.roads import road_features, roads
 from interloc.output.write import TABLE_FEATURES
 from interloc.results import DriveResult
 
@@ -23,7 +25,8 @@ def geodataframe(of: DriveResult | Evaluation, layer: str = "intersections") -> 
     of
         An evaluation adds its verdicts, and the layers `osm_nodes` and `matches`.
     layer : str
-        intersections, detections, keyframes or trajectory; of an evaluation osm_nodes or matches too.
+        intersections, detections, keyframes, trajectory, roads, junctions or road_surface; of an evaluation osm_nodes,
+        matches or osm_roads too.
 
     Returns
     -------
@@ -45,13 +48,16 @@ def geodataframe(of: DriveResult | Evaluation, layer: str = "intersections") -> 
         features = LAYER_FEATURES[layer](of, result)
     elif layer in TABLE_FEATURES:
         features = TABLE_FEATURES[layer](result)
+    elif layer in ROAD_LAYERS:
+        features = road_features(roads(result), result.drive)[layer]
     elif layer in LAYER_FEATURES:
         raise ConfigError(
             f"{layer!r} is a layer of an evaluation: interloc.evaluate(result, graph).geodataframe({layer!r})"
         )
     else:
         raise ConfigError(
-            f"{layer!r} is not a layer. Expected one of {', '.join({**TABLE_FEATURES, **LAYER_FEATURES})}."
+            f"{layer!r} is not a layer. Expected one of "
+            f"{', '.join(dict.fromkeys((*TABLE_FEATURES, *ROAD_LAYERS, *LAYER_FEATURES)))}."
         )
     fields = LAYERS[layer].fields
     table = GeoDataFrame(

@@ -31,7 +31,7 @@ _TIED_M = 2.0  # a line goes straight to its node from that distance
 _THROUGH_STD_M, _ENDING_STD_M, _MIN_STD_M = 0.15, 0.6, 0.5  # of a street's line at a node; least of the node
 _FORK_STD_M = 2.0  # of a node that only the skeleton has
 _MAX_SHIFT_M = 8.0
-_CORRELATED_M = 12.0  # stations nearer than this to each other err alike
+_OFFSET_STD_M = {True: 0.13, False: 0.37}  # of the line of a whole street, by whether it was driven: as simulated
 
 
 def extract_roads(result: DriveResult, mosaic: Mosaic, *, block: int = BLOCK) -> RoadNetwork:
@@ -175,7 +175,7 @@ def _edges(
         width = street.left_m[used] + street.right_m[used]
         enough = len(used) >= _MIN_STATIONS
         low, median, high = np.percentile(width, (10.0, 50.0, 90.0)) if enough else (np.nan,) * 3
-        independent = max(1.0, min(len(used), _CORRELATED_M / STEP_M) * STEP_M / 2.0)
+        went = bool(np.mean(is_driven[rows]) > 0.5)
         edges.append(
             RoadEdge(
                 id=0,
@@ -188,8 +188,8 @@ def _edges(
                 profile_m=_profile(street, rows),
                 seen=float(np.mean(street.is_seen[rows])),
                 keyframes=int(np.median(street.level[rows])),
-                offset_std_m=street.scatter_m / np.sqrt(independent) if enough else np.nan,
-                is_driven=bool(np.mean(is_driven[rows]) > 0.5),
+                offset_std_m=float(np.hypot(street.scatter_m, _OFFSET_STD_M[went])) if enough else np.nan,
+                is_driven=went,
             )
         )
     return edges

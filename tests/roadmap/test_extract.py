@@ -122,5 +122,7 @@ def test_a_result_in_memory_and_one_read_from_a_folder_have_the_same_roads(tmp_p
         assert_allclose(one.xy, other.xy, atol=0.05)
     interloc.write_results(read, tmp_path)  # into the same folder, from its own road.tif
     assert (tmp_path / "road.tif").is_file()
+    table = read.geodataframe("roads")
+    assert (len(table), table.crs) == (4, "EPSG:4326")
     (tmp_path / "road.tif").unlink()
     assert interloc.roads(replace(read, road_file=None)).edges == []
