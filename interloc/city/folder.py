@@ -6,6 +6,7 @@ file                   content
 ``city.json``          what the map is: format version, settings, drives with their offsets, figures
 ``city.geojson``       its intersections; properties: `interloc.output.properties.CityProperties`
 ``drives.geojson``     the tracks of its drives
+``changes.geojson``    intersections and branches that came or went between drives
 ``passes/KEY.npz``     what it keeps of each drive, so that drives can be added and removed later
 ``state.npz``          votes, offsets, assignments and the register of names: all that would have to be worked out anew
 =====================  ================================================================================================
@@ -22,6 +23,7 @@ from typing import Any
 
 import numpy as np
 
+from interloc.city.change import changes_of
 from interloc.city.citymap import CityMap
 from interloc.city.drives import DriveOnMap
 from interloc.city.passes import Pass
@@ -35,7 +37,7 @@ from interloc.results import moment
 
 CITY_FILE, STATE_FILE, PASSES = "city.json", "state.npz", "passes"
 FORMAT, FORMAT_VERSION = "interloc-city", 1
-CITY_NAMES = frozenset([CITY_FILE, STATE_FILE, PASSES, *(f"{name}.geojson" for name in ("city", "drives"))])
+CITY_NAMES = frozenset([CITY_FILE, STATE_FILE, PASSES, *(f"{name}.geojson" for name in ("city", "drives", "changes"))])
 
 _TRACK_STEP_M = 5.0
 
@@ -185,7 +187,26 @@ def city_features(city: CityMap) -> dict[str, list[dict[str, Any]]]:
         first_time=[moment(float(drive.data.span_s[0])) for drive in drives],
         last_time=[moment(float(drive.data.span_s[1])) for drive in drives],
     )
-    return {"city": intersections, "drives": lines}
+    return {"city": intersections, "drives": lines, "changes": _change_features(city)}
+
+
+def _change_features(city: CityMap) -> list[dict[str, Any]]:
+    changes = changes_of(city)
+    xy = np.array([each.xy for each in changes]).reshape(-1, 2)
+    return CITY_LAYERS["changes"].features(
+        positions(city.lonlat(xy), local=False) if changes else [],
+        id=[
+            f"{each.kind}-{each.uid}" + ("" if each.bearing_deg is None else f"-{round(each.bearing_deg)}")
+            for each in changes
+        ],
+        kind=[each.kind for each in changes],
+        uid=[each.uid for each in changes],
+        bearing_deg=[each.bearing_deg for each in changes],
+        seen_by=[", ".join(each.seen_by) for each in changes],
+        not_seen_by=[", ".join(each.not_seen_by) for each in changes],
+        after_time=[moment(each.between_s[0]) for each in changes],
+        before_time=[moment(each.between_s[1]) for each in changes],
+    )
 
 
 def _sorted(city: CityMap) -> list[DriveOnMap]:

@@ -22,7 +22,13 @@ _SPREAD, _TURNING = 4, 4
 _TURN_RAD = np.radians(12.0)
 
 _MATCHED = {"upright": 0.45, "road": 0.5}
-"""Share of a plan that must lie on the other: streets reach 0.5 to 0.9 up to 23 m apart, other places 0.2 to 0.35."""
+"""Share of a plan that must lie on the other: streets reach 0.5 to 0.9 up to 23 m apart."""
+
+_STRONG = {"upright": 0.62, "road": 0.7}
+"""Share from which a match says something by itself: scans of two places reach it in 1 of 100 pairs of real streets."""
+
+_FAR_M, _FAR_RAD = 25.0, np.radians(60.0)
+"""Where the poses move as far between two scans, these hardly see the same, and what lies on the other is chance."""
 
 _CONTRADICTS = {"upright": 0.8, "road": 0.7}
 """A motion that fits by less than this share of the best is another one. That of the right poses fits by 0.99 or more
@@ -30,6 +36,7 @@ on real scans, by 0.86 or more where only the edges of a straight road are seen.
 
 _NO_MOTION_M, _NO_MOTION_RAD = 2.0, np.radians(6.0)
 _MAX_SHIFT = 30
+_PLACES_WRONG = 2
 
 
 @dataclass(frozen=True)
@@ -43,12 +50,20 @@ class _Pair:
     match : PlanMatch
     allowed : float
         Share of the best fit that a motion must reach.
+    strong : float
+        Share of the plan from which the match says something by itself.
     """
 
     i: int
     j: int
     match: PlanMatch
     allowed: float
+    strong: float = 0.0
+
+    @property
+    def is_strong(self) -> bool:
+        """Whether it says something by itself."""
+        return self.match.best[0] >= self.strong
 
     @property
     def motion(self) -> FloatArray:
@@ -112,32 +127,64 @@ def check_scan_motion(drive: FolderDrive, usable: IntArray, pose_file: str, find
         findings.note(
             pose_file, "the scans hold too little that stands upright or turns to tell whether they move as the poses."
         )
+    near = [pair for pair in pairs if _is_near(_planar(poses, pair.i, pair.j))]
+    if fault := _unlike(near, poses) or _in_another_unit(pairs, near, poses):
+        pair, wrong, of, usual = fault
+        x, y, turn = _planar(poses, pair.i, pair.j)
+        seen_x, seen_y, seen_turn = pair.motion
+        text = (
+            f"from scan {drive.frames[usable[pair.i]]} to {drive.frames[usable[pair.j]]} the poses move by "
+            f"{np.hypot(x, y):,.1f} m and turn by {np.degrees(turn):.0f} degrees, the scans by "
+            f"{np.hypot(seen_x, seen_y):.0f} m and {np.degrees(seen_turn):.0f} degrees"
+        )
+        if wrong < _PLACES_WRONG:
+            findings.warning(pose_file, f"the poses jump: {text}. {usual}.")
+            return
+        findings.error(
+            DriveFileError(
+                pose_file,
+                f"the scans do not move as the poses do: {text} ({wrong} of {of} places looked at are like that). "
+                f"{usual}.",
+            )
+        )
+
+
+def _is_near(told: FloatArray) -> bool:
+    return bool(np.hypot(told[0], told[1]) < _FAR_M and abs(told[2]) < _FAR_RAD)
+
+
+def _unlike(pairs: list[_Pair], poses: FloatArray) -> tuple[_Pair, int, int, str] | None:
+    """Return the worst of some pairs, how many are like it, of how many, and the cause; None where poses are right.
+
+    Matches that are weak count only beside strong ones, where one mistake explains them, or where there are three.
+    """
     as_told = _explained(pairs, lambda i, j: _planar(poses, i, j), "")
-    if not len(as_told.wrong):
-        return
+    wrong = as_told.wrong
+    if not len(wrong):
+        return None
     worst = pairs[int(np.argmin(as_told.fits))]
-    x, y, turn = _planar(poses, worst.i, worst.j)
-    seen_x, seen_y, seen_turn = worst.motion
-    text = (
-        f"from scan {drive.frames[usable[worst.i]]} to {drive.frames[usable[worst.j]]} the poses move by "
-        f"{np.hypot(x, y):,.1f} m and turn by {np.degrees(turn):.0f} degrees, the scans by "
-        f"{np.hypot(seen_x, seen_y):.0f} m and {np.degrees(seen_turn):.0f} degrees"
-    )
-    if len(as_told.wrong) < 2:
-        findings.warning(
-            pose_file, f"the poses jump: {text}. Usual cause: an outage of GNSS or odometry, or scans missing there."
-        )
-        return
+    strong = [row for row in wrong if pairs[row].is_strong]
     best = max(_explanations(pairs, poses), key=lambda each: each.rank)
-    is_explained = len(best.wrong) <= len(as_told.wrong) // 3
-    usual = best.words if is_explained else "Usual cause: poses of another sequence, or scans and poses of two clocks"
-    findings.error(
-        DriveFileError(
-            pose_file,
-            f"the scans do not move as the poses do: {text} ({len(as_told.wrong)} of {len(pairs)} places looked at are "
-            f"like that). {usual}.",
-        )
-    )
+    if len(best.wrong) <= len(wrong) // 3 and len(wrong) - len(best.wrong) >= _PLACES_WRONG:
+        return worst, len(wrong), len(pairs), best.words
+    if not strong and len(wrong) <= _PLACES_WRONG:
+        return None
+    worst = pairs[min(strong or wrong.tolist(), key=lambda row: as_told.fits[row])]
+    if len(wrong) >= _PLACES_WRONG:
+        usual = "Usual cause: poses of another sequence, or scans and poses of two clocks"
+        return worst, len(wrong), len(pairs), usual
+    usual = "Usual cause: an outage of GNSS or odometry, or scans missing there"
+    return (worst, 1, len(pairs), usual) if len(pairs) > _PLACES_WRONG else None
+
+
+def _in_another_unit(pairs: list[_Pair], near: list[_Pair], poses: FloatArray) -> tuple[_Pair, int, int, str] | None:
+    """Return the same for poses that are far apart everywhere, while the scans move by a fixed share of that."""
+    as_told = _explained(pairs, lambda i, j: _planar(poses, i, j), "")
+    if len(near) > len(pairs) // 3 or len(pairs) < 3 or len(as_told.wrong) < len(pairs):
+        return None
+    scaled = _scale_explanation(pairs, poses)
+    is_scaled = len(scaled.wrong) <= len(pairs) // 4
+    return (pairs[0], len(pairs), len(pairs), scaled.words) if is_scaled else None
 
 
 class _Matcher:
@@ -180,6 +227,9 @@ class _Matcher:
         near = self._laid(i, i + 1)  # the poses may be in another unit
         if near is None:
             return None
+        told = _planar(self.poses, i, i + 1)
+        if near.fit(told) >= 1.0 and np.hypot(*told[:2]) > _NO_MOTION_M:
+            return near
         gap = int(_APART_M / max(float(np.hypot(*near.match.best[1][:2])), 0.5))
         return (gap > 1 and self._laid(i, min(len(self.usable) - 1, i + gap))) or near
 
@@ -197,7 +247,7 @@ class _Matcher:
         target, source = self._plan(i), self._plan(j)
         if min(len(target), len(source)) < MIN_CELLS:
             return None
-        pair = _Pair(i, j, PlanMatch.of(target, source), _CONTRADICTS[self.kind])
+        pair = _Pair(i, j, PlanMatch.of(target, source), _CONTRADICTS[self.kind], _STRONG[self.kind])
         share, motion = pair.match.best
         if share < _MATCHED[self.kind]:
             return None
@@ -242,14 +292,8 @@ def _explanations(pairs: list[_Pair], poses: FloatArray) -> list[_Explanation]:
 
         return motion
 
-    scale = _scale(pairs, poses)
     tried = [
-        _explained(
-            pairs,
-            lambda i, j: _planar(poses, i, j) * (scale, scale, 1.0),
-            f"They fit with {scale:.3g} times the distances. Usual cause: poses or points in another unit, or a "
-            "monocular SLAM, which has no scale",
-        ),
+        _scale_explanation(pairs, poses),
         _explained(
             pairs,
             lambda i, j: _planar(poses, i, j) * (1.0, -1.0, -1.0),
@@ -291,6 +335,16 @@ def _explanations(pairs: list[_Pair], poses: FloatArray) -> list[_Explanation]:
             )
         )
     return tried
+
+
+def _scale_explanation(pairs: list[_Pair], poses: FloatArray) -> _Explanation:
+    scale = _scale(pairs, poses)
+    return _explained(
+        pairs,
+        lambda i, j: _planar(poses, i, j) * (scale, scale, 1.0),
+        f"They fit with {scale:.3g} times the distances. Usual cause: poses or points in another unit, or a monocular "
+        "SLAM, which has no scale",
+    )
 
 
 def _scale(pairs: list[_Pair], poses: FloatArray) -> float:

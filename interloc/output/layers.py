@@ -24,6 +24,7 @@ from interloc.output.geojson import damaged, joined, read_file, rounded
 from interloc.output.properties import (
     Attribute,
     BranchProperties,
+    ChangeProperties,
     CityDriveProperties,
     CityProperties,
     DetectionProperties,
@@ -291,6 +292,7 @@ CITY_LAYERS = {
     layer.name: layer
     for layer in (
         Layer("city", "Intersections of many drives", "Point", CityProperties, "Intersection {uid}", key="uid"),
+        Layer("changes", "What came or went between drives", "Point", ChangeProperties, "{kind} {uid}", key="id"),
         Layer(
             "findings",
             "What OpenStreetMap seems to have wrong",

@@ -531,6 +531,29 @@ class CityDriveProperties(Properties):
     last_time: Time = Field(title="End", description="Time of its last keyframe, in the same form.")
 
 
+class ChangeProperties(Properties):
+    """An intersection, or a branch of one, that drives of one time saw and those of another did not."""
+
+    id: str = Field(
+        title="Change", description="Name of the change: its kind, the place and the bearing of the branch."
+    )
+    kind: Literal["new_junction", "gone_junction", "new_branch", "gone_branch"] = Field(
+        title="Kind", description="What came or went: the intersection, or a branch of it."
+    )
+    uid: str = Field(title="Name of the place", description="The place in `city`.")
+    bearing_deg: Annotated[float | None, Decimals(1, "degree")] = Field(
+        title="Bearing", description="Bearing of the branch, degrees; null where it is the intersection."
+    )
+    seen_by: str = Field(title="Seen by", description="Drives that saw it, in time, separated by commas.")
+    not_seen_by: str = Field(
+        title="Not seen by",
+        description="Drives that should have seen it and did not: they came within 20 m of an intersection, or saw "
+        "other ground along a branch.",
+    )
+    after_time: Time = Field(title="After", description="End of the last drive before the change, RFC 3339.")
+    before_time: Time = Field(title="Before", description="Begin of the first drive behind the change, RFC 3339.")
+
+
 class FindingProperties(Properties):
     """A place where OpenStreetMap seems to be wrong, by several passes: a question to a person, not an edit."""
 
