@@ -17,7 +17,7 @@ from interloc.city.adjustment import Prior, adjust, knots_along
 from interloc.city.association import LINK_M, group, linked
 from interloc.city.drives import DriveOnMap, system_of
 from interloc.city.passes import Pass
-from interloc.city.places import PlaceTable, tabulate
+from interloc.city.places import Branches, PlaceTable, tabulate
 from interloc.city.settings import CityConfig
 from interloc.city.voting import offsets_of, vote
 from interloc.errors import ConfigError, GeoreferenceError
@@ -64,6 +64,7 @@ class CityMap:
         self.register: dict[str, tuple[float, float]] = {}
         self.next_number = 0
         self._places: PlaceTable | None = None
+        self._branches_of: dict[int, Branches] = {}
 
     def __repr__(self) -> str:
         return f"<CityMap {len(self.drives)} drives, {len(self.uid_of)} places>"
@@ -103,7 +104,7 @@ class CityMap:
         """What is on the map: one row per physical intersection."""
         if self._places is None:
             drives = [self.drives[name] for name in sorted(self.drives)]
-            self._places = tabulate(drives, self.uid_of, self.lonlat, self.config)
+            self._places = tabulate(drives, self.uid_of, self.lonlat, self.config, self._branches_of)
         return self._places
 
     def lonlat(self, xy: FloatArray) -> FloatArray:

@@ -17,6 +17,9 @@ from interloc.mapping.estimation import fuse_bearings, fuse_widths, members_of
 SAME_PASS_S = 600.0
 """Sightings of a place within this time are one pass: a drive that was cut in pieces passes it once."""
 
+Branches = tuple[FloatArray, FloatArray, IntArray]
+"""Bearings, widths, and how many drives saw each branch of a place."""
+
 _BRANCH_DEG = 20.0  # a branch of a drive that lies within this of one of the place is that
 
 
@@ -91,6 +94,7 @@ def tabulate(
     uid_of: Mapping[int, str],
     to_lonlat: Callable[[FloatArray], FloatArray],
     config: CityConfig,
+    branches_of: dict[int, Branches],
 ) -> PlaceTable:
     """Return the places of a map.
 
@@ -103,6 +107,8 @@ def tabulate(
     to_lonlat
         Of (N, 2) positions in the plane of the map.
     config
+    branches_of
+        Number of a place to its branches, where they were worked out before; changed in place.
 
     Notes
     -----
@@ -142,7 +148,8 @@ def tabulate(
     said, seen_s = joined("confidence"), joined("seen_s")
     best = [np.bincount(of[rows], said[rows]) / np.maximum(np.bincount(of[rows]), 1) for rows in groups]
     seen_count, near_count = (np.array([len(each) for each in lists]) for lists in (drives_of, near_of))
-    bearings, widths, supports = _branches(drives, groups, of, config.min_share)
+    _work_out_branches(drives, dict(zip(numbers.tolist(), groups, strict=True)), of, config.min_share, branches_of)
+    bearings, widths, supports = map(list, zip(*(branches_of[number] for number in numbers.tolist()), strict=True))
     shown = (seen_count >= config.min_share * near_count) & ((near_count < 4) | (seen_count >= 2))
     order = np.lexsort((xy[:, 1], xy[:, 0]))
 
@@ -181,31 +188,29 @@ def _near(drives: Sequence[DriveOnMap], xy: FloatArray, near_m: float) -> list[I
     return [np.array(each, dtype=np.int64) for each in found]
 
 
-def _branches(
-    drives: Sequence[DriveOnMap], groups: Sequence[IntArray], of: IntArray, support: float
-) -> tuple[list[FloatArray], list[FloatArray], list[IntArray]]:
+def _work_out_branches(
+    drives: Sequence[DriveOnMap],
+    rows_of: Mapping[int, IntArray],
+    of: IntArray,
+    support: float,
+    branches_of: dict[int, Branches],
+) -> None:
+    """Add the branches of new places, and forget those of places that are gone."""
     usual = FusionConfig()
     bearings = [each for d in drives for each in d.data.bearings_deg]
     widths = [each for d in drives for each in d.data.widths_m]
-    fused, wide, supports = [], [], []
-    for rows in groups:
+    for number in branches_of.keys() - rows_of.keys():
+        del branches_of[number]
+    for number in rows_of.keys() - branches_of.keys():
+        rows = rows_of[number]
         own, weight = [bearings[row] for row in rows], np.ones(len(rows))
-        angles = fuse_bearings(
-            own,
-            weight,
-            spread_deg=usual.branch_spread_deg,
-            separation_deg=usual.branch_separation_deg,
-            support=support,
-        )
-        fused.append(angles)
-        wide.append(
-            fuse_widths(angles, own, [widths[row] for row in rows], weight, within_deg=usual.branch_separation_deg / 2)
-        )
+        apart = usual.branch_separation_deg
+        angles = fuse_bearings(own, weight, spread_deg=usual.branch_spread_deg, separation_deg=apart, support=support)
+        wide = fuse_widths(angles, own, [widths[row] for row in rows], weight, within_deg=apart / 2)
         saw = [
             len({int(of[row]) for row, each in zip(rows, own, strict=True) if _within(each, angle)}) for angle in angles
         ]
-        supports.append(np.array(saw, dtype=np.int64))
-    return fused, wide, supports
+        branches_of[number] = angles, wide, np.array(saw, dtype=np.int64)
 
 
 def _within(bearings_deg: FloatArray, angle_deg: float) -> bool:
