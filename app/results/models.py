@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, create_model
 
-from interloc.output.layers import Layer
+from interloc.output.layers import Geometry, Layer
 
 MEDIA_TYPE = "application/geo+json"
 
@@ -34,6 +34,27 @@ class LinesGeometry(BaseModel):
     coordinates: list[list[Position]]
 
 
+class PolygonGeometry(BaseModel):
+    """An area: its outer ring, then its holes."""
+
+    type: Literal["Polygon"]
+    coordinates: list[list[Position]]
+
+
+class PolygonsGeometry(BaseModel):
+    """An area in several pieces."""
+
+    type: Literal["MultiPolygon"]
+    coordinates: list[list[list[Position]]]
+
+
+_GEOMETRIES: dict[Geometry, Any] = {
+    "Point": PointGeometry,
+    "LineString": LineGeometry | LinesGeometry | None,
+    "Polygon": PolygonGeometry | PolygonsGeometry | None,
+}
+
+
 class _Collection(BaseModel):
     model_config = ConfigDict(json_schema_extra={"x-media-type": MEDIA_TYPE})
 
@@ -50,13 +71,12 @@ class _Collection(BaseModel):
 def collection_model(layer: Layer) -> type[BaseModel]:
     """Return the model of the GeoJSON of a layer, named after its properties: IntersectionCollection."""
     name = layer.properties.__name__.removesuffix("Properties")
-    geometry: Any = PointGeometry if layer.geometry == "Point" else LineGeometry | LinesGeometry | None
     kind: Any = Literal["Feature"]
     feature: Any = create_model(
         f"{name}Feature",
         __doc__=layer.description,
         type=(kind, ...),
-        geometry=(geometry, ...),
+        geometry=(_GEOMETRIES[layer.geometry], ...),
         properties=(layer.properties, ...),
     )
     return create_model(

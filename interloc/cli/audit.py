@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import get_args
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from interloc.city.settings import AuditConfig, Kind
 from interloc.cli import console, options
 
-_DEFAULT = AuditConfig()
+if TYPE_CHECKING:
+    from interloc.city.settings import Kind
 
 
 @click.command(short_help="List what OpenStreetMap has wrong, by several drives.")
@@ -21,19 +21,18 @@ _DEFAULT = AuditConfig()
     "--kind",
     "kinds",
     multiple=True,
-    type=click.Choice(get_args(Kind)),
-    help=f"Kind of findings; as often as needed.  [default: {', '.join(_DEFAULT.kinds)}]",
+    type=click.Choice(["missing_junction", "missing_branch", "moved", "phantom"]),
+    show_default="all but phantom",
+    help="Kind of findings; as often as needed.",
 )
 @click.option(
-    "--passes",
-    default=_DEFAULT.min_passes,
-    show_default=True,
-    type=click.IntRange(1),
-    help="Independent passes that must agree.",
+    "--passes", type=click.IntRange(1), show_default="2", help="Number of independent passes that must agree."
 )
 @options.QUIET
 @options.JSON
-def command(city: Path, osm: Path, out: Path, kinds: tuple[Kind, ...], passes: int, quiet: bool, as_json: bool) -> None:
+def command(
+    city: Path, osm: Path, out: Path, kinds: tuple[Kind, ...], passes: int | None, quiet: bool, as_json: bool
+) -> None:
     """Compare CITY, a map of many drives that `interloc merge` wrote, with OpenStreetMap.
 
     OUT holds the findings as GeoJSON, as tasks for MapRoulette, as XML for Osmose and as GPX. Each is a question to a
@@ -48,6 +47,7 @@ def command(city: Path, osm: Path, out: Path, kinds: tuple[Kind, ...], passes: i
     from interloc.city.audit import audit
     from interloc.city.delivery import audit_record, known_findings, write_audit
     from interloc.city.folder import read_city
+    from interloc.city.settings import AuditConfig
     from interloc.errors import MapError
     from interloc.evaluation.coverage import map_bounds
     from interloc.osm.reader import read_osm
@@ -60,7 +60,8 @@ def command(city: Path, osm: Path, out: Path, kinds: tuple[Kind, ...], passes: i
     if not len(track):
         raise MapError(f"{city} holds no drives, so there is nothing to compare with {osm}.")
     graph = read_osm(osm, map_bounds(track))
-    config = AuditConfig(kinds=kinds or _DEFAULT.kinds, min_passes=passes)
+    chosen: dict[str, Any] = {"kinds": kinds or None, "min_passes": passes}
+    config = AuditConfig(**{name: value for name, value in chosen.items() if value is not None})
     found = audit(drives, graph, config, known=known_findings(out))
     write_audit(found, drives, out, config, made_at=datetime.now(UTC), source=graph.source, made_up=graph.is_made_up)
     record = audit_record(found, config, graph.source)
@@ -70,7 +71,7 @@ def command(city: Path, osm: Path, out: Path, kinds: tuple[Kind, ...], passes: i
         console.say_facts(
             [
                 ("findings", ", ".join(f"{count} {kind}" for kind, count in record["by_kind"].items())),
-                ("junctions", f"{found.junctions} of OpenStreetMap that {passes} passes or more came by"),
+                ("junctions", f"{found.junctions} of OpenStreetMap that {config.min_passes} passes or more came by"),
                 ("held back", "; ".join(f"{count} {why}" for why, count in found.held_back.items()) or "none"),
                 ("written", str(out / "findings.geojson")),
             ]

@@ -525,7 +525,7 @@ def _near_node(
 
 
 @dataclass(frozen=True)
-class Sightings:
+class FoundByDrive:
     """What a drive found, in the plane of a `MapEvidence`.
 
     Attributes
@@ -553,7 +553,7 @@ class Sightings:
     gate_m: float
 
 
-def explain_missed(evidence: MapEvidence, seen: Sightings, node: int) -> Reason:
+def explain_missed(evidence: MapEvidence, seen: FoundByDrive, node: int) -> Reason:
     """Say of a node that no intersection was assigned to what the drive found there instead.
 
     Parameters
@@ -592,7 +592,7 @@ def explain_missed(evidence: MapEvidence, seen: Sightings, node: int) -> Reason:
     return _not_detected(evidence, seen, node)
 
 
-def _not_detected(evidence: MapEvidence, seen: Sightings, node: int) -> Reason:
+def _not_detected(evidence: MapEvidence, seen: FoundByDrive, node: int) -> Reason:
     """Say of a node at which nothing was detected what may be the cause."""
     keyframe_m = np.hypot(*(seen.keyframe_xy - evidence.node_xy[node]).T)
     near, passed_m = keyframe_m <= LEVEL_M, float(keyframe_m.min())

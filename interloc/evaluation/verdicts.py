@@ -12,10 +12,10 @@ from interloc.evaluation.matching import UNMATCHED, Matching
 from interloc.evaluation.metrics import STANDARD_THRESHOLD_M
 from interloc.evaluation.reasons import (
     FalseKind,
+    FoundByDrive,
     MapEvidence,
     MissKind,
     Reason,
-    Sightings,
     count_kinds,
     explain_false,
     explain_missed,
@@ -116,7 +116,7 @@ def give_verdicts(
         map_level.gate_m,
     )
 
-    seen = Sightings(
+    seen = FoundByDrive(
         keyframe_xy=evidence.plane(keyframes.lonlat),
         detection_xy=evidence.plane(every.lonlat[detection_row]),
         detection_keyframe=every.keyframe[detection_row],

@@ -83,7 +83,7 @@ def densest_parts(xy: FloatArray, weight: FloatArray, labels: IntArray, count: i
 
 
 @dataclass(frozen=True)
-class Sightings:
+class SightingStats:
     """What the sightings of each of M intersections say about it together.
 
     Attributes
@@ -117,7 +117,7 @@ class Sightings:
 def summarize_sightings(
     xy: FloatArray, weight: FloatArray, labels: IntArray, travelled_m: FloatArray, centres: FloatArray, *,
     score: FloatArray, fix_std_m: FloatArray, correlation_m: float, clip_m: float
-) -> Sightings:  # fmt: skip
+) -> SightingStats:  # fmt: skip
     """Sum up the sightings of each centre.
 
     Parameters
@@ -143,10 +143,10 @@ def summarize_sightings(
         scatter[label] = 0.5 * float(w @ squared)
         mean_score[label] = float(w @ score[order])
         fix_var[label] = float(w @ fix_std_m[order] ** 2)
-    return Sightings(independent, scatter, mean_score, fix_var, float(np.median(score)) if len(score) else 1.0)
+    return SightingStats(independent, scatter, mean_score, fix_var, float(np.median(score)) if len(score) else 1.0)
 
 
-def position_std(sightings: Sightings, *, prior_std_m: float) -> FloatArray:
+def position_std(sightings: SightingStats, *, prior_std_m: float) -> FloatArray:
     """Estimate the one-sigma uncertainty of each centre from the scatter of its sightings alone.
 
     Parameters
@@ -174,7 +174,7 @@ def position_std(sightings: Sightings, *, prior_std_m: float) -> FloatArray:
 
 
 def shape_covariance(
-    sightings: Sightings,
+    sightings: SightingStats,
     bearings_deg: Sequence[FloatArray],
     calibration: CalibrationConfig,
     *,
@@ -218,13 +218,13 @@ def shape_covariance(
     return covariance
 
 
-def scatter_variance(sightings: Sightings) -> FloatArray:
+def scatter_variance(sightings: SightingStats) -> FloatArray:
     """Return what the scatter between the sightings leaves to each position, (M,) square metres: s^2 / n_eff."""
     return sightings.scatter_m2 / np.maximum(sightings.independent, 1.0)
 
 
 def position_covariance(
-    sightings: Sightings,
+    sightings: SightingStats,
     bearings_deg: Sequence[FloatArray],
     calibration: CalibrationConfig,
     *,
@@ -238,13 +238,13 @@ def position_covariance(
     return shape + scatter_variance(sightings)[:, None, None] * np.eye(2)
 
 
-def fix_variance(sightings: Sightings, calibration: CalibrationConfig) -> FloatArray:
+def fix_variance(sightings: SightingStats, calibration: CalibrationConfig) -> FloatArray:
     """Return the variance of the georeference at each intersection along each axis, (M,), which all sightings share."""
     return np.where(np.isfinite(sightings.fix_var_m2), sightings.fix_var_m2, calibration.fix_std_m**2)
 
 
 def junction_probability(
-    seen: FloatArray, sightings: Sightings, bearings_deg: Sequence[FloatArray], calibration: CalibrationConfig
+    seen: FloatArray, sightings: SightingStats, bearings_deg: Sequence[FloatArray], calibration: CalibrationConfig
 ) -> FloatArray:
     """Estimate the probability that a road junction lies within 10 m of each intersection.
 

@@ -11,7 +11,7 @@ from interloc.config import CalibrationConfig, FusionConfig
 from interloc.geometry import enu_from_lonlat, lonlat_from_enu, rotate_2d
 from interloc.mapping.clustering import assign, find_peaks, join_peaks
 from interloc.mapping.estimation import (
-    Sightings,
+    SightingStats,
     densest_parts,
     fix_variance,
     fuse_bearings,
@@ -98,7 +98,7 @@ def evidence(
     detections: DetectionTable,
     intersections: IntersectionTable,
     config: FusionConfig | None = None,
-) -> tuple[Sightings, FloatArray]:
+) -> tuple[SightingStats, FloatArray]:
     """Return what a calibration is fitted to: the sightings of fused intersections, and their rates of seeing, (M,).
 
     Parameters
@@ -286,7 +286,7 @@ def _table(
 
 def _sightings(
     keyframes: KeyframeTable, scene: _Scene, centres: FloatArray, labels: IntArray, config: FusionConfig
-) -> Sightings:
+) -> SightingStats:
     fix_std = np.full(len(keyframes), np.nan) if keyframes.position_std_m is None else keyframes.position_std_m
     return summarize_sightings(
         scene.xy,

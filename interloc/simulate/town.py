@@ -48,7 +48,7 @@ _OWN_TAGS = "town:"  # explained in town.osm
 
 
 @dataclass(frozen=True)
-class Junction:
+class TownJunction:
     """The truth about a junction of the town.
 
     Attributes
@@ -187,7 +187,7 @@ class Town:
         alt = 110.0 + hills_m(fine[:, :2]) + fine[:, 2]
         return track_from_line(self.frame.lonlat(fine[:, :2]), alt, config)
 
-    def _find_junctions(self) -> list[Junction]:
+    def _find_junctions(self) -> list[TownJunction]:
         arms: dict[int, set[int]] = {}
         for street in self._streets:
             if street.tags["highway"] not in DRIVABLE:
@@ -205,7 +205,7 @@ class Town:
             lon_deg, lat_deg = self._lonlat[node].tolist()
             x_m, y_m = self._xy[node].tolist()
             name, kind = tags["town:name"], tags["town:junction"]
-            result.append(Junction(name, kind, node, lon_deg, lat_deg, x_m, y_m, tuple(bearings)))
+            result.append(TownJunction(name, kind, node, lon_deg, lat_deg, x_m, y_m, tuple(bearings)))
         return result
 
     def _build(self, seed: int) -> list[FloatArray]:

@@ -12,7 +12,7 @@ from interloc.drives.open import open_drive
 from interloc.evaluation.evaluate import Evaluation, evaluate
 from interloc.osm.reader import read_osm
 from interloc.pipeline import detect
-from interloc.results import DriveResult
+from interloc.results import DriveResult, PositionParts
 from interloc.simulate.town import MAP_FILE
 
 
@@ -47,7 +47,10 @@ def test_result_does_not_depend_on_the_number_of_processes(
     for table in ("keyframes", "detections", "intersections"):
         for name, column in vars(getattr(noisy_result, table)).items():
             theirs = getattr(getattr(other, table), name)
-            if isinstance(column, list):
+            if isinstance(column, PositionParts):
+                for part, value in vars(column).items():
+                    assert np.array_equal(getattr(theirs, part), value, equal_nan=True)
+            elif isinstance(column, list):
                 for value, their in zip(column, theirs, strict=True):
                     assert np.array_equal(their, value, equal_nan=True)
             else:

@@ -151,7 +151,7 @@ def test_labels_of_another_folder_and_scheme(interloc: Callable, short_drive: Pa
     (short_drive / "labels").rename(short_drive / "predictions")
     options = ("--labels", "predictions", "--label-scheme", "3")
     assert interloc("detect", short_drive, "-o", tmp_path / "out", *options).code == 0
-    assert "predictions" in interloc("detect", short_drive, "-o", tmp_path / "other").complaint
+    assert "predictions" in interloc("detect", short_drive, "-o", tmp_path / "other", "--labels", "labels").complaint
 
 
 def test_a_real_excerpt(interloc: Callable, data: Callable[[str], Path], tmp_path: Path) -> None:

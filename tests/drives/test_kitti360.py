@@ -175,7 +175,7 @@ def test_poses_that_are_not_there_are_named(published: Path) -> None:
 
 def test_there_are_no_labels(published: Path) -> None:
     with pytest.raises(DriveError, match="labels: is missing"):
-        open_drive(published)
+        open_drive(published, labels="labels")
 
 
 def test_the_world_of_kitti360_is_mercator_about_its_origin() -> None:

@@ -53,7 +53,7 @@ def test_kitti_raw_without_oxts(tmp_path: Path, make: ModuleType) -> None:
         path.unlink()
     (root / "oxts" / "data").rmdir()
     (root / "oxts").rmdir()
-    with pytest.raises(DriveError, match="oxts: gives no poses"):
+    with pytest.raises(DriveError, match=r"the odometry lost track here.*give poses"):  # the points are noise
         open_drive(root)
 
 

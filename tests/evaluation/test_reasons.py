@@ -13,10 +13,10 @@ import pytest
 from interloc.evaluation.reasons import (
     KINDS,
     FalseKind,
+    FoundByDrive,
     MapEvidence,
     MissKind,
     Reason,
-    Sightings,
     count_kinds,
     explain_false,
     explain_missed,
@@ -177,7 +177,7 @@ def why_missed(lines: Sequence[Line], node: int, **found: Any) -> Reason:
         return evidence.plane(lonlat(found.get(name, [])))
 
     detections, intersections = plane("detections"), plane("intersections")
-    seen = Sightings(
+    seen = FoundByDrive(
         keyframe_xy=evidence.plane(lonlat(found.get("keyframes", [(-5, 0), (5, 0)]))),
         detection_xy=detections,
         detection_keyframe=np.arange(len(detections)),

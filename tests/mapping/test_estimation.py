@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 from interloc.arrays import FloatArray
 from interloc.config import CalibrationConfig
 from interloc.mapping.estimation import (
-    Sightings,
+    SightingStats,
     fix_variance,
     fuse_bearings,
     fuse_widths,
@@ -70,7 +70,9 @@ CALIBRATION = CalibrationConfig(
 def covariance_of(
     bearings_deg: list[float], *, scatter_m2: float = 0.0, score: float = 1.0, usual_score: float = 1.0
 ) -> FloatArray:
-    sightings = Sightings(np.array([2.0]), np.array([scatter_m2]), np.array([score]), np.array([np.nan]), usual_score)
+    sightings = SightingStats(
+        np.array([2.0]), np.array([scatter_m2]), np.array([score]), np.array([np.nan]), usual_score
+    )
     covariance: FloatArray = position_covariance(sightings, [np.array(bearings_deg)], CALIBRATION)[0]
     return covariance
 
@@ -92,14 +94,14 @@ def test_a_right_angle_is_uncertain_in_all_directions_alike_an_acute_one_along_i
 
 
 def test_the_fix_is_as_uncertain_as_it_states_and_else_as_the_calibration_has_it() -> None:
-    sightings = Sightings(np.ones(2), np.zeros(2), np.ones(2), np.array([0.04, np.nan]), 1.0)
+    sightings = SightingStats(np.ones(2), np.zeros(2), np.ones(2), np.array([0.04, np.nan]), 1.0)
     assert_allclose(fix_variance(sightings, CALIBRATION), [0.04, 0.09])
 
 
 def test_more_sightings_and_lines_that_meet_in_a_point_make_a_junction_more_probable() -> None:
     """The lines leave a variance of 1/8 m2; a scatter makes it 1, 1 and 4."""
     crossing, bearings = np.array([0.0, 90.0, 180.0, 270.0]), 3
-    sightings = Sightings(np.ones(3), np.array([0.875, 0.875, 3.875]), np.ones(3), np.full(3, np.nan), 1.0)
+    sightings = SightingStats(np.ones(3), np.array([0.875, 0.875, 3.875]), np.ones(3), np.full(3, np.nan), 1.0)
     probability = junction_probability(np.array([1.0, 0.5, 1.0]), sightings, [crossing] * bearings, CALIBRATION)
     assert_allclose(probability, 1 / (1 + np.exp([-3.0, -2.0, 0.0])), atol=1e-4)
     parallel = junction_probability(np.ones(3), sightings, [crossing[::2]] * bearings, CALIBRATION)

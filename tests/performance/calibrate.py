@@ -43,7 +43,7 @@ from interloc.evaluation.reliability import (
     with_interval,
 )
 from interloc.geometry import enu_from_lonlat
-from interloc.mapping.estimation import Sightings, fix_variance, junction_probability, position_covariance
+from interloc.mapping.estimation import SightingStats, fix_variance, junction_probability, position_covariance
 from interloc.mapping.fusion import evidence, fuse
 from interloc.osm.reader import read_osm
 from interloc.pipeline import detect
@@ -68,7 +68,7 @@ class Places:
     ----------
     sequence, kind : str
         Name of its map; "simulated" or "recorded", and the level of label errors.
-    sightings : Sightings
+    sightings : SightingStats
     seen : (N,) float64
     bearings_deg : list of N (B,) float64
     error : (N, 2) float64
@@ -79,7 +79,7 @@ class Places:
 
     sequence: str
     kind: str
-    sightings: Sightings
+    sightings: SightingStats
     seen: FloatArray
     bearings_deg: list[FloatArray]
     error: FloatArray

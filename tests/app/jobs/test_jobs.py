@@ -111,7 +111,10 @@ def test_the_roads_of_the_map_come_with_the_result(client: httpx.Client, scored:
     (along,) = [road for road in roads if road["properties"]["osm_id"] == 1000]
     assert along["geometry"]["type"] == "LineString"
     assert len(along["geometry"]["coordinates"]) > SCANS * 2.1 / 60  # a crossing every 60 m
-    assert along["properties"] == {"osm_id": 1000, "highway": "residential", "name": None, "is_drivable": True}
+    properties = along["properties"]
+    known = {"osm_id": 1000, "highway": "residential", "name": None, "is_drivable": True, "is_driven": True}
+    assert {name: properties[name] for name in known} == known
+    assert properties["offset_m"] < 0.5
 
 
 def test_other_settings_of_a_job(client: httpx.Client, drive: str) -> None:
