@@ -289,9 +289,12 @@ def list_numbered(folder: SourceFile, suffix: str) -> NumberedFiles:
     return NumberedFiles(folder, suffix, digits, numbers[order], np.array(sizes, dtype=np.int64)[order])
 
 
+_TIME_DIGITS = 19  # nanoseconds since 1970, from 2001 to 2286
+
+
 def _name_complaint(stem: str, suffix: str) -> str:
     expected = f"000000{suffix}, 000001{suffix}, ..."
-    if not (stem.isascii() and stem.isdigit()):
+    if not (stem.isascii() and stem.isdigit()) or len(stem) > _TIME_DIGITS:
         return f"is not named by its scan number. Expected names such as {expected}"
     return (
         f"is named by a time, in nanoseconds. Expected scan numbers, {expected}: rename scans and labels alike in the "
