@@ -27,7 +27,8 @@ import { Frame } from "./frame.js";
  * @property {number[][]} trajectory
  * @property {Place[]} nodes
  * @property {Match[]} matches
- * @property {Array<{line: number[][], properties: any}>} roads
+ * @property {Array<{line: number[][], properties: any}>} roads Of OpenStreetMap.
+ * @property {Array<{line: number[][], properties: any}>} measured Roads as the drive saw them.
  * @property {import("./compared.js").Compared[]} compared Beside those of other jobs; empty where none are compared.
  * @property {number[][][]} buildings Outlines of those of the map near the track, and of their holes, the other way round.
  * @property {number[][][]} places Where else on the map the drive might have been, if it was placed by its roads.
@@ -73,6 +74,8 @@ async function load(job) {
     isPlaced ? orNull(getJson(`${at}/places`)) : null,
   ]);
   const buildings = report?.osm?.buildings ? await orNull(getJson(`${at}/osm-buildings`)) : null; // few maps have any
+  const hasRoads = (run.files ?? []).some((/** @type {string} */ name) => name.startsWith("roads.")); // likewise
+  const measured = hasRoads ? await orNull(layer("roads")) : null;
   const hasSurface = (run.files ?? []).includes("road.tif"); // older versions made none
 
   const points = keyframes.features.map(place);
@@ -99,15 +102,17 @@ async function load(job) {
     buildings: (buildings?.features ?? []).flatMap((/** @type {any} */ f) =>
       f.geometry.type === "MultiPolygon" ? f.geometry.coordinates.flat() : f.geometry.coordinates,
     ),
-    roads: (roads?.features ?? []).map((/** @type {any} */ f) => ({
-      line: lineOf(f.geometry),
-      properties: f.properties,
-    })),
+    roads: linesOf(roads),
+    measured: linesOf(measured),
     surface: hasSurface ? `${at}/road` : null,
     roi_m: report?.roi_m ?? size,
     zone_m: report?.relevant_zone_m ?? (config.branches ? size - 2 * config.branches.outer_radius_m : null),
   };
 }
+
+/** @param {any} layer @returns {Array<{line: number[][], properties: any}>} */
+const linesOf = (layer) =>
+  (layer?.features ?? []).map((/** @type {any} */ f) => ({ line: lineOf(f.geometry), properties: f.properties }));
 
 /**
  * The trajectory of a drive alone, for a job that still runs.
@@ -137,6 +142,7 @@ export function trackAlone(trajectory, local) {
     nodes: [],
     matches: [],
     roads: [],
+    measured: [],
     buildings: [],
     compared: [],
     places: [],

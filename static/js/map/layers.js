@@ -20,6 +20,13 @@ export const LAYERS = [
   layer("tiles", "Base", "Map tiles", "line tiles", "Pictures from a tile server; needs the internet."),
   layer("surface", "Base", "Road seen by LiDAR", "line surface", "Where the drive's LiDAR saw road: a map of its own."),
   layer("roads", "Base", "OSM roads", "line road", "Roads of the map that the drive was scored against."),
+  layer(
+    "measured",
+    "Base",
+    "Roads measured",
+    "line measured",
+    "Centrelines and widths of the roads that the drive saw.",
+  ),
   layer("track", "Drive", "Trajectory", "line track", "Where the vehicle drove."),
   layer("places", "Drive", "Next best places", "line place", "Where else the roads of the map fit the drive, worse."),
   layer("keyframes", "Drive", "Keyframes", "keyframe", "Places at which the method looked for intersections."),
@@ -71,13 +78,14 @@ const UNSCORED = /** @type {Record<string, string>} */ ({ unscored: "Intersectio
 /** Names of layers in older permalinks. */
 const ALIASES = /** @type {Record<string, string[]>} */ ({ intersections: ["right", "unscored"] });
 
-const OFF_BY_DEFAULT = new Set(["tiles", "keyframes", "outside"]);
+const OFF_BY_DEFAULT = new Set(["tiles", "measured", "keyframes", "outside"]);
 
 /** How many things a layer holds; null: no number is shown; 0 hides the layer. */
 const COUNTS = /** @type {Record<string, (result: Result) => number|null>} */ ({
   tiles: (r) => (r.local ? 0 : null),
   surface: (r) => (r.surface ? null : 0),
   roads: (r) => r.roads.length,
+  measured: (r) => r.measured.length,
   places: (r) => r.places.length,
   keyframes: (r) => r.keyframes.length,
   right: (r) => countVerdicts(r, "right"),

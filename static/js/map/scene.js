@@ -2,6 +2,7 @@
  * A result on the surface: positions projected once, painted layer by layer, found again under the pointer.
  * @module map/scene
  */
+import { formatMetres } from "../dom.js";
 import { ellipseOf, SIGMAS_95 } from "./ellipse.js";
 import { passes } from "./filter.js";
 import { kindOfNode, verdictOf } from "./layers.js";
@@ -53,6 +54,11 @@ export class Scene {
       drivable: isDrivable(properties),
       name: properties.name ?? null,
     }));
+    this.measured = result.measured.map(({ line, properties: { width_m, is_driven } }) => ({
+      path: flat(line),
+      width: 0, // its text stands beside the line
+      name: width_m === null ? null : `${is_driven ? "" : "≥ "}${formatMetres(width_m, 1)}`,
+    }));
     this.roads.sort((a, b) => a.width - b.width);
     /** @type {Set<string>} */
     this.on = new Set();
@@ -81,6 +87,11 @@ export class Scene {
     context.lineCap = "round";
     context.lineJoin = "round";
     if (this.on.has("roads") && !this.on.has("tiles")) paintStreetNames(context, view, this.roads); // tiles have their own
+    if (this.on.has("measured")) {
+      const paths = this.measured.map((each) => each.path);
+      strokePaths(context, view, paths, colour("--measured"), 2, 0.9);
+      paintStreetNames(context, view, this.measured);
+    }
     if (this.on.has("places")) strokePaths(context, view, this.places, colour("--track"), 1.4, 0.4);
     if (this.on.has("track")) strokePaths(context, view, [this.track], colour("--track"), 1.6, 0.85);
     if (this.progress > 0)
