@@ -24,7 +24,7 @@ export const LAYERS = [
     "measured",
     "Base",
     "Roads measured",
-    "line measured",
+    "line centreline",
     "Centrelines and widths of the roads that the drive saw.",
   ),
   layer("track", "Drive", "Trajectory", "line track", "Where the vehicle drove."),
