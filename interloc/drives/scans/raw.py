@@ -358,9 +358,9 @@ def _labels_of(
     hint = (
         f"There is {other.name}/: choose it as the label folder (--labels {other.name})."
         if other.is_dir()
-        else "A network of the RangeNet++ family makes them: `interloc label DRIVE --model NETWORK`, or --model with "
-        "any command, or the option model in the service; any other segmentation that writes SemanticKITTI .label "
-        "files will do."
+        else "--labels geometry does without; a network of the RangeNet++ family makes them: `interloc label DRIVE "
+        "--model NETWORK`, or --model with any command, or the option model in the service; any other segmentation "
+        "that writes SemanticKITTI .label files will do."
     )
     if parts.layout == "kitti360":
         hint = f"KITTI-360 publishes none per scan. {hint}"
