@@ -141,6 +141,11 @@ class Detector:
         set) pass before the detections of one come back: `push` answers late. 0 is causal: `push` answers at once, and
         fewer intersections ahead of the vehicle are found.
 
+    Attributes
+    ----------
+    keyframes : int
+        Number of scans so far that were keyframes.
+
     Notes
     -----
     The last keyframes come by `finish` alone: their windows are cut short by the end of the drive. `interloc.stream`
@@ -162,6 +167,7 @@ class Detector:
         expect(config, DetectorConfig)
         self.config = config
         self.stopwatch = Stopwatch()
+        self.keyframes = 0
         self._selector = KeyframeSelector(config.keyframes)
         self._road = RoadAccumulator(config.keyframes, config.bev)
 
@@ -184,7 +190,7 @@ class Detector:
             The pose is no rigid transform of finite numbers, or the points are no (N, 3) array. The scan does not
             count: go on with the next.
         """
-        window = self._take(scan)
+        window = self.take(scan)
         return None if window is None else window.detect()
 
     def finish(self) -> Iterator[KeyframeDetections]:
@@ -195,13 +201,14 @@ class Detector:
     def completed(self, scans: Iterable[ScanLike]) -> Iterator[Window]:
         """Take the last scans of a drive; return the window of each keyframe, in order, without detecting anything."""
         for scan in scans:
-            window = self._take(scan)
+            window = self.take(scan)
             if window is not None:
                 yield window
         while (keyframe := self._road.finish()) is not None:
             yield self._window(keyframe)
 
-    def _take(self, scan: ScanLike) -> Window | None:
+    def take(self, scan: ScanLike) -> Window | None:
+        """Take the next scan as `push` does; return the window of the keyframe that it completes, nothing detected."""
         pose = checked_pose(scan)
         if not self._selector.is_keyframe(pose):
             return None
@@ -212,6 +219,7 @@ class Detector:
             other_points = checked_points(other_points, scan)
         self.stopwatch.lap("read")
         keyframe = Keyframe(scan.frame, pose, scan.time_s)
+        self.keyframes += 1
         completed = self._road.add(keyframe, road_points, other_points)  # III-B.2
         self.stopwatch.lap("accumulate")
         return None if completed is None else self._window(completed)
