@@ -24,6 +24,7 @@ COMMANDS = {
     "locate": "locate",
     "explain": "explain",
     "robustness": "robustness",
+    "live": "live",
     "export": "export",
     "merge": "merge",
     "audit": "audit",

@@ -120,9 +120,9 @@ class Window:
         branches = [segmentation.branches[i] for i in segmentation.kept]
         if config.compound is not None:
             branches = [part for b in branches for part in split_compound(b, config.compound)]
-        prior = config.branches.candidate_std_m
         road = occupancy if config.branches.line == "least_squares" else None
-        junctions = [refine(b, 0.0 if prior is None else prior**-2, road) for b in branches]  # III-C.2
+        prior, fork = (_weight(std_m) for std_m in (config.branches.candidate_std_m, config.branches.fork_std_m))
+        junctions = [refine(b, prior, road, fork) for b in branches]  # III-C.2
         lap("refinement")
         return Steps(bev.roi, bev.min_points, bev.image, occupancy, centerline, candidates, segmentation, junctions)
 
@@ -140,6 +140,11 @@ class Detector:
         Settings of the method; see `interloc.preset`. ``config.keyframes.lookahead`` keyframes (20, about 40 m, unless
         set) pass before the detections of one come back: `push` answers late. 0 is causal: `push` answers at once, and
         fewer intersections ahead of the vehicle are found.
+
+    Attributes
+    ----------
+    keyframes : int
+        Number of scans so far that were keyframes.
 
     Notes
     -----
@@ -162,6 +167,7 @@ class Detector:
         expect(config, DetectorConfig)
         self.config = config
         self.stopwatch = Stopwatch()
+        self.keyframes = 0
         self._selector = KeyframeSelector(config.keyframes)
         self._road = RoadAccumulator(config.keyframes, config.bev)
 
@@ -184,7 +190,7 @@ class Detector:
             The pose is no rigid transform of finite numbers, or the points are no (N, 3) array. The scan does not
             count: go on with the next.
         """
-        window = self._take(scan)
+        window = self.take(scan)
         return None if window is None else window.detect()
 
     def finish(self) -> Iterator[KeyframeDetections]:
@@ -195,13 +201,14 @@ class Detector:
     def completed(self, scans: Iterable[ScanLike]) -> Iterator[Window]:
         """Take the last scans of a drive; return the window of each keyframe, in order, without detecting anything."""
         for scan in scans:
-            window = self._take(scan)
+            window = self.take(scan)
             if window is not None:
                 yield window
         while (keyframe := self._road.finish()) is not None:
             yield self._window(keyframe)
 
-    def _take(self, scan: ScanLike) -> Window | None:
+    def take(self, scan: ScanLike) -> Window | None:
+        """Take the next scan as `push` does; return the window of the keyframe that it completes, nothing detected."""
         pose = checked_pose(scan)
         if not self._selector.is_keyframe(pose):
             return None
@@ -212,6 +219,7 @@ class Detector:
             other_points = checked_points(other_points, scan)
         self.stopwatch.lap("read")
         keyframe = Keyframe(scan.frame, pose, scan.time_s)
+        self.keyframes += 1
         completed = self._road.add(keyframe, road_points, other_points)  # III-B.2
         self.stopwatch.lap("accumulate")
         return None if completed is None else self._window(completed)
@@ -235,6 +243,10 @@ def locate(steps: Steps, keyframe: Keyframe, config: ScoreConfig) -> KeyframeDet
     widths = [branch_widths(j.position, j.branches.lines, steps.occupancy) for j in junctions]
     score = np.array([_score(j, config) for j in junctions], np.float64)
     return KeyframeDetections(keyframe, lidar_xy, world_xy, angles, score, widths)
+
+
+def _weight(std_m: float | None) -> float:
+    return 0.0 if std_m is None else std_m**-2
 
 
 def _score(junction: Junction, config: ScoreConfig) -> float:

@@ -346,12 +346,10 @@ def fuse_bearings(
     offset = np.minimum(np.arange(360), 360 - np.arange(360))
     kernel = np.exp(-0.5 * (offset / spread_deg) ** 2)
     density = np.fft.irfft(np.fft.rfft(histogram) * np.fft.rfft(kernel), 360)
+    is_top = (density > 1e-6 * density.max()) & (density >= np.maximum(np.roll(density, 1), np.roll(density, -1)))
     peaks: list[int] = []
     for degree in np.argsort(-density, kind="stable").tolist():
-        top = density[degree] > 1e-6 * density.max() and density[degree] >= max(
-            density[degree - 1], density[degree - 359]
-        )
-        if top and all(abs((degree - p + 180) % 360 - 180) >= separation_deg for p in peaks):
+        if is_top[degree] and all(abs((degree - p + 180) % 360 - 180) >= separation_deg for p in peaks):
             peaks.append(degree)
     away = (flat[:, None] - np.array(peaks, dtype=np.float64)[None] + 180.0) % 360.0 - 180.0
     nearest = np.argmin(np.abs(away), axis=1)

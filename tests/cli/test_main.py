@@ -26,6 +26,7 @@ COMMANDS = [
     "locate",
     "explain",
     "robustness",
+    "live",
     "export",
     "simulate",
     "benchmark",

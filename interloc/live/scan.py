@@ -1,0 +1,174 @@
+"""A scan on its way into a session: as it was measured, with its labels or sorted already, and where it was."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from interloc.arrays import Float32Array, FloatArray, UInt32Array
+from interloc.drive import Drive, DriveScan, Georeference, GroundPoints
+from interloc.drives.labels import SEMANTICKITTI, LabelScheme
+from interloc.errors import DriveError, GeoreferenceError
+from interloc.kernels.points import select_points
+
+Label = Callable[[Float32Array], UInt32Array]
+"""Gives (N, 4) points, x y z in L and remission, their (N,) labels, as `interloc.labelling.labeller.Labeller.label`."""
+
+
+@dataclass(frozen=True)
+class Fix:
+    """Geodetic pose of the LiDAR at one scan.
+
+    Attributes
+    ----------
+    lat_deg, lon_deg, alt_m : float
+        On WGS84.
+    R_enu_lidar : (3, 3) float64
+        Axes of L in east, north, up.
+    position_std_m : float or None
+        One-sigma uncertainty along each horizontal axis, where the receiver states it.
+    """
+
+    lat_deg: float
+    lon_deg: float
+    alt_m: float
+    R_enu_lidar: FloatArray
+    position_std_m: float | None = None
+
+    @classmethod
+    def of(cls, georeference: Georeference, row: int) -> Fix:
+        """Return the fix of one scan of a drive."""
+        std = None if georeference.position_std_m is None else float(georeference.position_std_m[row])
+        lat, lon, alt = (float(each[row]) for each in (georeference.lat_deg, georeference.lon_deg, georeference.alt_m))
+        return cls(lat, lon, alt, georeference.R_enu_lidar[row], None if std is None or np.isnan(std) else std)
+
+    def checked(self, frame: int) -> Fix:
+        """Return the fix.
+
+        Raises
+        ------
+        GeoreferenceError
+            It is no place on Earth, or its attitude is no rotation.
+        """
+        R = self.R_enu_lidar
+        numbers = np.array([self.lat_deg, self.lon_deg, self.alt_m, *R.ravel()])
+        is_place = np.isfinite(numbers).all() and abs(self.lat_deg) <= 90 and abs(self.lon_deg) <= 360
+        if not is_place or R.shape != (3, 3) or np.abs(R @ R.T - np.eye(3)).max() > 1e-3:
+            raise GeoreferenceError(
+                f"scan {frame}: its fix ({self.lat_deg:g}, {self.lon_deg:g}) is no place on WGS84 with a rotation. "
+                "Expected degrees, and the axes of the LiDAR in east, north, up. Usual cause: radians, or no fix yet."
+            )
+        return self
+
+
+def georeference_of(fixes: list[Fix]) -> Georeference:
+    """Return fixes as columns."""
+    std = [np.nan if fix.position_std_m is None else fix.position_std_m for fix in fixes]
+    return Georeference(
+        lat_deg=np.array([fix.lat_deg for fix in fixes]),
+        lon_deg=np.array([fix.lon_deg for fix in fixes]),
+        alt_m=np.array([fix.alt_m for fix in fixes]),
+        R_enu_lidar=np.array([fix.R_enu_lidar for fix in fixes]).reshape(-1, 3, 3),
+        source="live fixes",
+        position_std_m=np.array(std),
+    )
+
+
+@dataclass(frozen=True)
+class LiveScan:
+    """One scan as it comes from a sensor; its points are sorted only if it becomes a keyframe.
+
+    Attributes
+    ----------
+    frame : int
+        Scan number; ascending.
+    T_world_lidar : (4, 4) float64
+        Pose of the LiDAR in W.
+    points : (N, 4) or (N, 3) float32
+        x y z in L, metres, and remission from 0 to 1, which only a labeller needs.
+    labels : (N,) uint32 or None
+        Label ids; None where `road_count` is given, or where `label` gives them.
+    road_count : int or None
+        Where the points are sorted already: so many are road, those behind them sidewalk, parking and other ground.
+    time_s : float or None
+        Seconds.
+    fix : Fix or None
+        Where it was on Earth, if that is known; then it is of every scan of a session.
+    scheme : LabelScheme
+        Which labels are road.
+    label : callable or None
+        Gives the points their labels.
+    """
+
+    frame: int
+    T_world_lidar: FloatArray
+    points: Float32Array
+    labels: UInt32Array | None = None
+    road_count: int | None = None
+    time_s: float | None = None
+    fix: Fix | None = None
+    scheme: LabelScheme = SEMANTICKITTI
+    label: Label | None = None
+
+    @cached_property
+    def ground(self) -> GroundPoints:
+        """The points that the method can use.
+
+        Raises
+        ------
+        DriveError
+            There are neither labels nor a way to label, they are of other points, or a point is not finite.
+        """
+        if self.road_count is not None:
+            ground = GroundPoints(np.ascontiguousarray(self.points[:, :3]), self.road_count)
+            bad = np.flatnonzero(~np.isfinite(ground.xyz).all(axis=1))
+            bad_point = int(bad[0]) if len(bad) else -1
+        else:
+            labels = self.labels if self.labels is not None or self.label is None else self.label(self.points)
+            if labels is None:
+                raise DriveError(
+                    f"scan {self.frame}: it has no labels, and nothing gives it any. Expected one label per point, "
+                    "points sorted into road and other ground, or a network (--model)."
+                )
+            if len(labels) != len(self.points):
+                raise DriveError(
+                    f"scan {self.frame}: {len(labels):,} labels for {len(self.points):,} points. Every point needs one."
+                )
+            points = self.points if self.points.shape[1] == 4 else np.pad(self.points, ((0, 0), (0, 1)))
+            xyz, road_count, bad_point = select_points(
+                np.ascontiguousarray(points), np.ascontiguousarray(labels, np.uint32), self.scheme.groups()
+            )
+            ground = GroundPoints(xyz, road_count)
+        if bad_point >= 0:
+            raise DriveError(
+                f"scan {self.frame}: point {bad_point:,} is not finite. Usual cause: points without a return that are "
+                "NaN; leave them out, with their labels."
+            )
+        return ground
+
+    @property
+    def road_points(self) -> Float32Array:
+        """(M, 3) float32 road points in L, metres."""
+        return self.ground.road
+
+    @property
+    def other_points(self) -> Float32Array:
+        """(M, 3) float32 points of sidewalk, parking and other ground in L, metres."""
+        return self.ground.confusable
+
+
+def live_scan(drive: Drive, row: int) -> LiveScan:
+    """Read a scan of a drive as the sensor would have sent it: its points sorted, with pose, time and fix."""
+    scan, fixes = DriveScan(drive, row), drive.georeference
+    ground = drive.ground_points(row)
+    return LiveScan(
+        frame=scan.frame,
+        T_world_lidar=scan.T_world_lidar,
+        points=ground.xyz,
+        road_count=ground.road_count,
+        time_s=scan.time_s,
+        fix=None if fixes is None else Fix.of(fixes, row),
+    )

@@ -1,0 +1,95 @@
+"""A session in a thread of its own, behind a queue that drops the oldest scan when the session falls behind."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable
+from typing import Any
+
+from interloc.errors import InterLocError
+from interloc.live.documents import answer_document, intersection_document
+from interloc.live.queue import ScanQueue
+from interloc.live.scan import LiveScan
+from interloc.live.session import Answer, LiveSession
+
+Say = Callable[[dict[str, Any], Answer | None], None]
+"""Takes what a session says: the document for a client, and the answer that it was made of, if any."""
+
+_log = logging.getLogger(__name__)
+
+
+class LiveWorker:
+    """Answers every scan that is put in, in its thread: with what was found, or that it was dropped or refused.
+
+    Parameters
+    ----------
+    session : LiveSession
+    say : callable
+        Called from the thread, but for dropped scans, which are reported by the thread that put the next one in.
+    queue_size : int
+        How many scans may wait.
+    """
+
+    def __init__(self, session: LiveSession, say: Say, *, queue_size: int = 4) -> None:
+        self.session = session
+        self._say = say
+        self._queue: ScanQueue[LiveScan] = ScanQueue(queue_size)
+        self._goes_on = True
+        self._thread = threading.Thread(target=self._work, name="live", daemon=True)
+        self._thread.start()
+
+    @property
+    def dropped(self) -> int:
+        """Number of scans dropped so far."""
+        return self._queue.dropped
+
+    def put(self, scan: LiveScan) -> None:
+        """Hand in the next scan; never waits."""
+        oldest = self._queue.put(scan)
+        if oldest is not None:
+            self._say({"type": "dropped", "frame": oldest.frame, "dropped": self.dropped}, None)
+
+    def finish(self) -> None:
+        """Let it answer what waits, the last keyframes too, and end; `join` waits for that."""
+        self._queue.close()
+
+    def abandon(self) -> None:
+        """End it without the last keyframes."""
+        self._goes_on = False
+        self._queue.close()
+
+    def join(self) -> None:
+        """Wait for the thread to end."""
+        self._thread.join()
+
+    def _work(self) -> None:
+        try:
+            while (scan := self._queue.get()) is not None and self._goes_on:
+                self._take(scan)
+            if self._goes_on:
+                for answer in self.session.finish():
+                    self._say(answer_document(answer, dropped=self.dropped), answer)
+                self._say(end_document(self.session, dropped=self.dropped), None)
+        except Exception:  # noqa: BLE001 - whatever it is, the client gets a line
+            _log.exception("a live session has failed")
+            self._say({"type": "failed", "reason": "a fault of InterLoc itself; its log has the details."}, None)
+
+    def _take(self, scan: LiveScan) -> None:
+        try:
+            answer = self.session.push(scan)
+        except InterLocError as error:
+            self._say({"type": "refused", "frame": scan.frame, "reason": str(error)}, None)
+        else:
+            self._say(answer_document(answer, scan, dropped=self.dropped), answer)
+
+
+def end_document(session: LiveSession, *, dropped: int = 0) -> dict[str, Any]:
+    """Return the last thing that a session says: how much it has seen, and its map."""
+    return {
+        "type": "end",
+        "frame": session.last_frame,
+        "keyframes": session.keyframes,
+        "dropped": dropped,
+        "intersections": [intersection_document(each) for each in session.map.intersections],
+    }
