@@ -22,7 +22,17 @@ from interloc.labelling.labeller import Labeller
 from interloc.labelling.model import read_model
 from interloc.labelling.network import Network, available_providers
 from interloc.labelling.projection import project
-from tests.networks import CHANNELS, MEANS, ROAD_ID, SIDEWALK_ID, STDS, VEGETATION, VEGETATION_ID, add_endless_loop, write_model
+from tests.networks import (
+    CHANNELS,
+    MEANS,
+    ROAD_ID,
+    SIDEWALK_ID,
+    STDS,
+    VEGETATION,
+    VEGETATION_ID,
+    add_endless_loop,
+    write_model,
+)
 
 HEIGHT, WIDTH = 16, 128
 ALL_ROWS: dict[str, Any] = {"height": HEIGHT, "width": WIDTH, "fov_up_deg": 30.0, "fov_down_deg": -60.0}
