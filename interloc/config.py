@@ -231,6 +231,33 @@ class BranchConfig(_Config):
         "value only the lines count.",
     )
 
+    unseen_share: float = Field(
+        0.0,
+        ge=0,
+        le=1,
+        description="Share of the half width of a branch that may be missing at an edge that was not seen; 0: none.",
+    )
+    follow_deg: float | None = Field(
+        None,
+        gt=0,
+        le=90,
+        description="The axis of a branch is followed inwards along the edge that lasts, until it has turned by this; "
+        "without a value it is not followed.",
+    )
+    square_std_deg: float | None = Field(
+        None,
+        gt=0,
+        le=45,
+        description="Standard deviation from the right angle of streets that end at others: a branch that ends at a "
+        "through road is turned towards it, by how badly its direction is known. Without a value none is turned.",
+    )
+    fork_std_m: float | None = Field(
+        None,
+        gt=0,
+        le=50,
+        description="How well the place of a fork is known along its stem. Without a value forks are not looked for.",
+    )
+
     @model_validator(mode="after")
     def _ordered(self) -> BranchConfig:
         if self.outer_radius_m <= self.inner_radius_m:
@@ -363,7 +390,7 @@ class CalibrationConfig(_Config):
     """Uncertainty and confidence of an intersection of the map, as fitted to drives whose truth is known.
 
     The covariance is `interloc.mapping.estimation.position_covariance`, the confidence
-    `interloc.mapping.estimation.junction_probability`. All but `fix_std_m` are fitted by
+    `interloc.mapping.estimation.junction_probability`. All but `fix_std_m` and `log_odds_doubtful` are fitted by
     tests/performance/calibrate.py, for preset `default`.
     """
 
@@ -403,6 +430,12 @@ class CalibrationConfig(_Config):
     )
     log_odds_per_doubling: float = Field(
         0.73, ge=0, le=50, description="Log odds lost each time the uncertainty that the lines leave doubles."
+    )
+    log_odds_doubtful: float = Field(
+        0.9,
+        ge=0,
+        le=50,
+        description="Log odds lost where all sightings come from stretches in which labels by geometry are doubtful.",
     )
 
 
@@ -477,6 +510,10 @@ DEFAULT = DetectorConfig(
         trim_m=2.0,
         margin_m=15.0,
         candidate_std_m=0.7,
+        unseen_share=0.6,
+        follow_deg=60.0,
+        square_std_deg=7.0,
+        fork_std_m=0.8,
     ),
     compound=CompoundConfig(),
     calibration=CalibrationConfig(),

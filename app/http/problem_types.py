@@ -191,6 +191,9 @@ RESULT_NOT_READY = _kind(
     "result-not-ready", 409, "Result not ready", "The job is not successful (yet); `state` is its state."
 )
 SERVER_LOST = _kind("server-lost", 500, "Server lost", "The server that worked on the job was ended too often.")
+STORAGE_READ_ONLY = _kind(
+    "storage-read-only", 503, "Storage read-only", "The disk of the service fails, or cannot be written to any more."
+)
 TOKEN_MAY_ONLY_READ = _kind(
     "token-may-only-read",
     403,

@@ -13,6 +13,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
+
 from interloc.benchmark.fingerprint import file_facts, fingerprint, simulating_program
 from interloc.drive import Drive
 from interloc.drives.georeference.oxts import ODOMETRY_OF_RAW
@@ -26,6 +28,7 @@ from interloc.processes import Progress
 
 Poses = Literal["suma", "gt"]
 
+AXES = "axes.csv"
 TWIN_FACTS = "twin.json"
 KITTI_SENSOR = "hdl-64e"
 
@@ -49,6 +52,25 @@ class FolderCase:
     osm: Path
     options: DriveOptions = field(default_factory=DriveOptions)
     seed: None = None
+
+    def axes(self) -> dict[int, tuple[float, float]]:
+        """Return longitude and latitude of where the axes of the roads meet, by the id of the node of the map.
+
+        They stand in `axes.csv` of the drive (osm_id, lon, lat), where somebody read them.
+
+        Raises
+        ------
+        DriveError
+            The file is damaged.
+        """
+        path = self.path / AXES
+        if not path.is_file():
+            return {}
+        try:
+            rows = np.loadtxt(path, delimiter=",", skiprows=1, ndmin=2)
+            return {int(node): (lon, lat) for node, lon, lat in rows.tolist()}
+        except (OSError, ValueError) as error:
+            raise DriveError(f"{path}: expected a line osm_id,lon,lat and such numbers below it ({error}).") from error
 
     def facts(self) -> dict[str, Any]:
         """Return what the drive depends on: names, sizes and times of all files."""
@@ -101,7 +123,7 @@ class TwinCase:
     sequence : str
         Two digits.
     seed : int
-        Seed of everything random.
+        Seed of everything random; with an odd one service roads are labelled as road, which the policy does not count.
     poses : {"suma", "gt"}
     keep : Path or None
         Folder in which twins stay and are found again.
@@ -125,6 +147,11 @@ class TwinCase:
         return self.sequence if self.sensor == KITTI_SENSOR else f"{self.sequence} {self.sensor}"
 
     @property
+    def shows_service_roads(self) -> bool:
+        """Whether service roads are labelled as road: in half of the seeds."""
+        return self.seed % 2 == 1
+
+    @property
     def osm(self) -> Path:
         """Map of the sequence."""
         return self.kitti / "osm" / f"{self.sequence}.osm.gz"
@@ -143,11 +170,15 @@ class TwinCase:
         buildings = root / "osm_buildings" / f"{name}.osm.gz"
         return [*needed, buildings] if buildings.exists() else needed
 
+    def axes(self) -> None:
+        """Return None: in a simulated drive the axes of the roads meet at the nodes of the map."""
+
     def facts(self) -> dict[str, Any]:
         """Return what the twin depends on: inputs, seed, and the simulator."""
         return {
             "twin": self.sequence,
             "seed": self.seed,
+            "service_roads": self.shows_service_roads,
             "sensor": self.sensor,
             "poses": self.poses,
             "max_scans": self.max_scans,
@@ -177,6 +208,7 @@ class TwinCase:
             return [show]
         make = ["interloc", "simulate", "twin", self.sequence, "--kitti", str(self.kitti), "--seed", str(self.seed)]
         make += [] if self.sensor == KITTI_SENSOR else ["--sensor", self.sensor]
+        make += ["--service-roads"] if self.shows_service_roads else []
         make += ["--poses", self.poses, "-o", str(drive)]
         return [shlex.join(make), show]
 
@@ -202,7 +234,7 @@ class TwinCase:
         return path
 
     def _simulate(self, path: Path, progress: Progress | None) -> None:
-        from interloc.simulate.config import SENSORS, SimulationOptions  # noqa: PLC0415
+        from interloc.simulate.config import SENSORS, SceneConfig, SimulationOptions, StreetConfig  # noqa: PLC0415
         from interloc.simulate.drive import simulate  # noqa: PLC0415
         from interloc.simulate.twins import twin_trip  # noqa: PLC0415 - not needed where all twins are kept
 
@@ -211,6 +243,9 @@ class TwinCase:
             keyframes_only=True,
             ground_only=True,
             max_scans=self.max_scans,
+            scene=SceneConfig(
+                streets=StreetConfig(service_roads="road" if self.shows_service_roads else "other_ground")
+            ),
             sensor=SENSORS[self.sensor],
         )
         simulate(twin_trip(self.kitti, self.sequence, poses=self.poses), path, options, progress=progress)
@@ -229,13 +264,13 @@ def twin_cases(
     kitti: Path,
     sequences: Sequence[str] = SEQUENCES,
     *,
-    seeds: int = 1,
+    seeds: int | Sequence[int] = 1,
     poses: Poses = "suma",
     keep: Path | None = None,
     max_scans: int | None = None,
     sensors: Sequence[str] = (KITTI_SENSOR,),
 ) -> list[TwinCase]:
-    """Return the twins of some sequences, each with several sensors and seeds.
+    """Return the twins of some sequences, each with several sensors and seeds: so many of them, or these.
 
     Raises
     ------
@@ -264,7 +299,7 @@ def twin_cases(
         cases += [
             TwinCase(kitti, sequence, seed, poses, keep, max_scans, sensor)
             for sensor in sensors
-            for seed in range(seeds)
+            for seed in (range(seeds) if isinstance(seeds, int) else seeds)
         ]
     return cases
 

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from interloc.arrays import FloatArray
 from interloc.benchmark.failures import Explain, find_failures
-from interloc.benchmark.row import Cell, MapPicture, Point, Row
+from interloc.benchmark.row import Cell, MapPicture, Place, Point, Row
 from interloc.config import DetectorConfig
 from interloc.detection.keyframes import select_keyframes
 from interloc.drive import Drive
 from interloc.drives.label_errors import MislabelledDrive
 from interloc.evaluation.evaluate import Evaluation, evaluate
 from interloc.evaluation.label_errors import parse_level
+from interloc.evaluation.matching import UNMATCHED
 from interloc.evaluation.metrics import STANDARD_THRESHOLD_M
 from interloc.evaluation.reliability import squared_errors
 from interloc.geometry import enu_from_lonlat, middle_of
@@ -54,6 +56,7 @@ def measure(
     truth: Scoring,
     explain: Explain,
     *,
+    axes: Mapping[int, tuple[float, float]] | None = None,
     progress: Progress | None = None,
 ) -> Row:
     """Measure a cell of the benchmark.
@@ -67,6 +70,8 @@ def measure(
     config, truth
     explain
         Gives the command lines that show a frame.
+    axes
+        Longitude and latitude of where the axes of the roads meet, by node; None: at the nodes.
     progress
         See `interloc.pipeline.detect`.
 
@@ -90,6 +95,7 @@ def measure(
         policy=truth.policy,
         keyframes=len(evaluation.keyframes),
         errors_m=_rounded(matching.error_m[matching.is_matched]),
+        places=_places(evaluation, axes),
         unmatched=int(np.count_nonzero(~matching.is_matched)),
         fn=evaluation.scores.fn,
         nodes_found=evaluation.nodes_found,
@@ -107,6 +113,32 @@ def measure(
         picture=map_picture(evaluation, result),
         failures=find_failures(evaluation, explain),
     )
+
+
+def _places(evaluation: Evaluation, axes: Mapping[int, tuple[float, float]] | None) -> tuple[Place, ...]:
+    matching, lonlat, ids = evaluation.matching, evaluation.detections.lonlat, evaluation.nodes.osm_id
+    assert lonlat is not None
+    missed = np.bincount(matching.zone_node[~matching.zone_found], minlength=len(ids))
+    places = []
+    for node in np.unique([*matching.node.tolist(), *np.flatnonzero(missed).tolist()]).tolist():
+        rows = np.flatnonzero(matching.node == node)
+        known = node != UNMATCHED
+        errors = matching.error_m[rows] if known else np.zeros(0)
+        number = int(ids[node]) if known else UNMATCHED
+        off = float(errors.sum()) if known and axes is None else None
+        if axes is not None and number in axes:
+            off = float(np.hypot(*enu_from_lonlat(*axes[number][::-1], lonlat[rows]).T).sum())
+        places.append(
+            Place(
+                node=number,
+                detections=len(rows),
+                right=int((errors < STANDARD_THRESHOLD_M).sum()),
+                missed=int(missed[node]) if known else 0,
+                error_m=round(float(errors.sum()), 4),
+                axes_error_m=None if off is None else round(off, 4),
+            )
+        )
+    return tuple(places)
 
 
 def _warm_up(drive: Drive, config: DetectorConfig) -> None:

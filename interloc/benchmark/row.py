@@ -46,6 +46,31 @@ class Cell(_Record):
         return "_".join(re.sub(r"[^\w.+-]+", "-", part).strip("-") for part in parts)
 
 
+class Place(_Record):
+    """What was found of a node of the map, over all keyframes of a drive.
+
+    Attributes
+    ----------
+    node : int
+        Of OpenStreetMap; -1 for detections without any node in their region of interest.
+    detections, right : int
+        Matched to the node; within 5 m of it.
+    missed : int
+        Keyframes that had it in their relevant zone and no detection of it.
+    error_m : float
+        Sum of the distances of the detections from the node.
+    axes_error_m : float or None
+        Sum of their distances from where the axes of the roads meet; None where that is not known.
+    """
+
+    node: int
+    detections: int
+    right: int
+    missed: int
+    error_m: float
+    axes_error_m: float | None
+
+
 class MapPicture(_Record):
     """What the map of a drive shows, in metres east and north of the middle of its track.
 
@@ -84,6 +109,8 @@ class Row(_Record):
     keyframes : int
     errors_m : tuple of float
         Center errors of all matched detections, metres.
+    places : tuple of Place
+        The same by the nodes of the map.
     unmatched : int
         Detections without any node in their ROI.
     fn : int
@@ -112,6 +139,7 @@ class Row(_Record):
     policy: str
     keyframes: int
     errors_m: tuple[float, ...]
+    places: tuple[Place, ...]
     unmatched: int
     fn: int
     nodes_found: int

@@ -242,6 +242,7 @@ def _run_task(task: _Task, report: Report, log: Log) -> list[Row]:
                 named.config,
                 task.truth,
                 partial(task.case.explain, settings=named.arguments),
+                axes=task.case.axes(),
                 progress=progress(f"{cell.preset} {cell.noise}"),
             )
             write_row(row, task.out / ROWS)

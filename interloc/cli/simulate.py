@@ -77,6 +77,7 @@ scene_options = options.together(
         is_flag=True,
         help="Ground that is worn in patches, lasers of unequal brightness, lowered kerbs and flush sidewalks.",
     ),
+    click.option("--service-roads", is_flag=True, help="Label service roads as road, not as other ground."),
     click.option("--max-scans", type=click.IntRange(min=1), help="Number of scans after which the drive ends."),
     click.option(
         "--sensor",
@@ -258,6 +259,7 @@ def _options(
     columns: int | None,
     turn_s: float,
     worn: bool,
+    service_roads: bool,
     quiet: bool,  # noqa: ARG001 - one of `scene_options`
 ) -> SimulationOptions:
     """Return the values of `scene_options` as the simulator takes them."""
@@ -275,15 +277,17 @@ def _options(
     empty: dict[str, Any] = (
         {"roadside": RoadsideConfig(parked_car_density=0.0, hedge_share=0.0, buildings="none")} if bare else {}
     )
+    streets: dict[str, Any] = {"service_roads": "road"} if service_roads else {}
     if worn:
         changed["gain"] = 0.1
-        empty |= {"wear": 0.2, "streets": StreetConfig(flush_sidewalk_share=0.2, lowered_kerb_share=0.15)}
+        empty |= {"wear": 0.2}
+        streets |= {"flush_sidewalk_share": 0.2, "lowered_kerb_share": 0.15}
     return SimulationOptions(
         seed=seed,
         keyframes_only=not every_scan,
         ground_only=ground_only,
         max_scans=max_scans,
-        scene=SceneConfig(**empty),
+        scene=SceneConfig(**empty, streets=StreetConfig(**streets)),
         sensor=LidarConfig(**{**SENSORS[sensor].model_dump(), **changed, **no_noise}),
     )
 

@@ -120,9 +120,9 @@ class Window:
         branches = [segmentation.branches[i] for i in segmentation.kept]
         if config.compound is not None:
             branches = [part for b in branches for part in split_compound(b, config.compound)]
-        prior = config.branches.candidate_std_m
         road = occupancy if config.branches.line == "least_squares" else None
-        junctions = [refine(b, 0.0 if prior is None else prior**-2, road) for b in branches]  # III-C.2
+        prior, fork = (_weight(std_m) for std_m in (config.branches.candidate_std_m, config.branches.fork_std_m))
+        junctions = [refine(b, prior, road, fork) for b in branches]  # III-C.2
         lap("refinement")
         return Steps(bev.roi, bev.min_points, bev.image, occupancy, centerline, candidates, segmentation, junctions)
 
@@ -218,7 +218,7 @@ class Detector:
         if other_points is not None:
             other_points = checked_points(other_points, scan)
         self.stopwatch.lap("read")
-        keyframe = Keyframe(scan.frame, pose, scan.time_s)
+        keyframe = Keyframe(scan.frame, pose, scan.time_s, bool(getattr(scan, "is_doubtful", False)))
         self.keyframes += 1
         completed = self._road.add(keyframe, road_points, other_points)  # III-B.2
         self.stopwatch.lap("accumulate")
@@ -243,6 +243,10 @@ def locate(steps: Steps, keyframe: Keyframe, config: ScoreConfig) -> KeyframeDet
     widths = [branch_widths(j.position, j.branches.lines, steps.occupancy) for j in junctions]
     score = np.array([_score(j, config) for j in junctions], np.float64)
     return KeyframeDetections(keyframe, lidar_xy, world_xy, angles, score, widths)
+
+
+def _weight(std_m: float | None) -> float:
+    return 0.0 if std_m is None else std_m**-2
 
 
 def _score(junction: Junction, config: ScoreConfig) -> float:

@@ -20,12 +20,10 @@ MIN_PARALLEL, MIN_PARALLEL_RINGS = 0.5, 6  # a branch with less of it between pa
 REACH = 4  # rings before and behind one that show the direction of its road
 AT_EDGE_PX = 1.0  # an edge was seen if other ground begins so near to it: rounding moves it by as much
 MIN_SEEN_RINGS = 6  # of which both edges were seen: fewer do not tell how wide a branch is
-MAX_UNSEEN = 0.6  # of a half width may not be seen: where more is missing, it may be another road
 LAG = 6  # rings behind that an axis followed inwards takes its direction from
 MAX_MISSES = 4  # rings without an edge that it crosses straight on
 MAX_SHIFT = 0.375  # what it may move sideways in a ring, as a share of the ring
 LASTING_RAD = math.radians(110.0)  # a corner between two roads at this angle is short
-MAX_TURN_COS = 0.5  # it does not turn by more than 60 degrees
 
 MOMENTS = np.dtype([(name, np.float64) for name in ("n", "r", "c", "rr", "rc", "cc")])
 """Sums over pixels: their number, rows, columns, and the products of these."""
@@ -77,7 +75,7 @@ def move_from_unseen_edges(
     is_any = False
     for i in range(rings.size):
         unseen = 2.0 * half - edges[i, 0] - edges[i, 1]
-        if seen[i, 0] != seen[i, 1] and fit.slack < unseen < MAX_UNSEEN * half:
+        if seen[i, 0] != seen[i, 1] and fit.slack < unseen < fit.unseen * half:
             shift = edges[i, 0] - half if seen[i, 0] else half - edges[i, 1]
             _move(rings[i], shift * lefts[i, 0], shift * lefts[i, 1])
             half_widths[i] = half
@@ -191,7 +189,7 @@ def follow_edge(
         u_row, u_col = trail[at, 0] - trail[at - LAG, 0], trail[at, 1] - trail[at - LAG, 1]
         norm = np.sqrt(u_row * u_row + u_col * u_col)
         u_row, u_col = u_row / norm, u_col / norm
-        if -(u_row * line.direction[0] + u_col * line.direction[1]) < MAX_TURN_COS:
+        if -(u_row * line.direction[0] + u_col * line.direction[1]) < fit.follow_cos:
             break
         r, c = trail[at, 0] + step * u_row, trail[at, 1] + step * u_col
         if _is_on_other(r, c, lines, which, fit):

@@ -58,7 +58,6 @@ PARTING_SIN = 0.25  # of half an angle between roads: below 29 degrees they part
 
 LEAN = 4.0  # by how much a line errs in direction more than its scatter tells
 THROUGH_COS, STRAIGHT_ON_COS = math.cos(math.radians(140.0)), math.cos(math.radians(155.0))  # branches of one road
-SQUARE_STD_RAD = math.radians(7.0)  # of the angles at which streets end at others, around the right angle
 SQUARE_SCALE_RAD = math.radians(25.0)  # beyond which an angle is the less likely to be meant as a right one
 
 BEND_SHARE = 0.6  # of the distances of two branches from their lines: what those from one circle must be below
@@ -105,7 +104,7 @@ bend : (2,) float64
 """
 
 # Named tuples would stand in the files of compiled code by the name of their class, which may change; these do not.
-_FIT = "row col width inner length shortest full straight trim max_half_width ring slack"
+_FIT = "row col width inner length shortest full straight trim max_half_width ring slack unseen follow_cos square"
 FIT = np.dtype([(name, np.float64) for name in _FIT.split()])
 """Row and column of a candidate, width and inner radius there, the settings of the fit from `BranchConfig`, half of the
 widest road that is measured, and lengths above; pixels."""
@@ -149,7 +148,12 @@ def least_squares(
     lengths = (limit_m / resolution_m for limit_m in limits_m)
     ring = max(RING_M / resolution_m, MIN_RING_PX)
     slack = max(SLACK_M / resolution_m, MIN_SLACK_PX)
-    fit = np.array((*candidate, width, inner, *lengths, centerline.max_width // 2, ring, slack), FIT)
+    rules = (
+        config.unseen_share,
+        2.0 if config.follow_deg is None else math.cos(math.radians(config.follow_deg)),
+        0.0 if config.square_std_deg is None else math.radians(config.square_std_deg),
+    )
+    fit = np.array((*candidate, width, inner, *lengths, centerline.max_width // 2, ring, slack, *rules), FIT)
     lines = fit_lines(
         fit[()],
         centerline.pixels,
@@ -206,7 +210,7 @@ def fit_lines(
         moved = samples[i].copy()
         line.parallel = keep_parallel(samples[i, INNER_RINGS:], half_widths, is_link, fit)
         variance = _fit_straight_part(line, samples[i], INNER_RINGS + parting, fit)
-        if move_from_unseen_edges(moved[INNER_RINGS:], half_widths, words, against, fit):
+        if fit.unseen > 0.0 and move_from_unseen_edges(moved[INNER_RINGS:], half_widths, words, against, fit):
             trial[0].length = 0.0
             trial[0].parallel = keep_parallel(moved[INNER_RINGS:], half_widths, is_link, fit)
             moved_variance = _fit_straight_part(trial[0], moved, INNER_RINGS + parting, fit)
@@ -215,11 +219,12 @@ def fit_lines(
         line.half_width = usual_half_width(half_widths, is_link)
     straight = lines.copy()
     for i in range(pieces.size):
-        if lines[i].length > 0.0 and lines[i].parallel > 0.0:
+        if fit.follow_cos <= 1.0 and lines[i].length > 0.0 and lines[i].parallel > 0.0:
             first = follow_edge(samples[i], straight, i, words, against, fit)
             _fit_straight_part(lines[i], samples[i], first, fit)
     _weigh(lines, fit)
-    _square_stems(lines)
+    if fit.square > 0.0:
+        _square_stems(lines, fit.square)
     _join_bends(lines, samples, fit)
     return lines
 
@@ -350,7 +355,7 @@ def _scatters(lines: StructuredArray) -> FloatArray:
 
 
 @compiled
-def _square_stems(lines: StructuredArray) -> None:
+def _square_stems(lines: StructuredArray, square_rad: float) -> None:
     """Turn branches that end at a through road towards the right angle, by how badly their direction is known.
 
     A ragged side road leans as a whole, of which its scatter tells only a part. The through road is that of the two
@@ -380,7 +385,7 @@ def _square_stems(lines: StructuredArray) -> None:
         angle = np.arctan2(lines[i].direction[0], lines[i].direction[1])
         off = (angle - road) % np.pi - 0.5 * np.pi  # from the right angle
         if abs(off) < 0.25 * np.pi:
-            prior = SQUARE_STD_RAD**2 * (1.0 + (off / SQUARE_SCALE_RAD) ** 2) ** 2
+            prior = square_rad**2 * (1.0 + (off / SQUARE_SCALE_RAD) ** 2) ** 2
             angle -= off * variances[i] / (variances[i] + prior)
             lines[i].direction[0], lines[i].direction[1] = np.sin(angle), np.cos(angle)
 

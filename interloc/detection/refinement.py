@@ -20,7 +20,6 @@ from interloc.kernels import compiled
 PARALLEL = math.sin(math.radians(10.0)) ** 2 / 2
 
 ACUTE_SIN = 0.1  # of half an angle between roads: below 12 degrees the candidate is known no worse
-FORK_STD_M = 0.8  # how well the place of a fork is known along its stem
 ROUNDS = 4  # the weights of the lines are those at the point of the round before
 TOLERANCE = 1.6  # radii of the inner circle that a line may pass the point at before it counts a quarter
 MAX_SHIFTS = 2.5  # radii of the inner circle by which a point may be moved along the road
@@ -45,7 +44,9 @@ class Junction:
     branches: Branches
 
 
-def refine(branches: Branches, prior_weight: float = 0.0, occupancy: BinaryImage | None = None) -> Junction:
+def refine(
+    branches: Branches, prior_weight: float = 0.0, occupancy: BinaryImage | None = None, fork_weight: float = 0.0
+) -> Junction:
     """Move the candidate to the point of least squared distances to the lines of its branches, within the inner disc.
 
     Near-parallel lines do not fix a point: the candidate stays where it is and its residual is infinite. With the road
@@ -61,6 +62,8 @@ def refine(branches: Branches, prior_weight: float = 0.0, occupancy: BinaryImage
     occupancy
         The road. With it each line counts by what is known of it at the point, not at the candidate, and the point may
         leave the inner disc, but not the road.
+    fork_weight : float
+        Weight of the place of a fork along its stem, with the road; 0: forks are not looked for.
 
     Notes
     -----
@@ -75,17 +78,23 @@ def refine(branches: Branches, prior_weight: float = 0.0, occupancy: BinaryImage
         branches.inner,
         0.0 if branches.is_part else prior_weight,
         None if occupancy is None else occupancy.words,
+        fork_weight,
     )
     return Junction(branches.candidate + np.array([row, col]), residual, branches)
 
 
 @compiled
 def _meet(
-    lines: StructuredArray, candidate: FloatArray, inner: float, prior_weight: float, words: UInt64Array | None
+    lines: StructuredArray,
+    candidate: FloatArray,
+    inner: float,
+    prior_weight: float,
+    words: UInt64Array | None,
+    fork_weight: float,
 ) -> tuple[float, float, float]:
     """Return by how many rows and columns the candidate moves, and the residual."""
     stem, row, col = -1, 0.0, 0.0
-    if words is not None:
+    if words is not None and fork_weight > 0.0:
         stem, row, col = find_fork(lines, candidate, inner, words)
     if not _fix_a_point(lines):
         row, col = _within(row, col, MAX_SHIFTS * inner)
@@ -98,7 +107,7 @@ def _meet(
     else:
         prior = _prior(lines, prior_weight)
         if stem >= 0 and prior_weight > 0.0:
-            prior = _with_fork(prior, lines[stem].direction, row, col)
+            prior = _with_fork(prior, lines[stem].direction, row, col, fork_weight)
         row, col = 0.0, 0.0
         for _ in range(ROUNDS):
             for i in range(lines.size):
@@ -204,11 +213,10 @@ def _prior(lines: StructuredArray, weight: float) -> tuple[float, float, float, 
 
 @compiled
 def _with_fork(
-    prior: tuple[float, float, float, float, float], direction: FloatArray, row: float, col: float
+    prior: tuple[float, float, float, float, float], direction: FloatArray, row: float, col: float, weight: float
 ) -> tuple[float, float, float, float, float]:
     """Add to normal equations how far along its stem a fork lies."""
     a, b, d, u, v = prior
-    weight = FORK_STD_M**-2
     along = weight * (row * direction[0] + col * direction[1])
     a += weight * direction[0] * direction[0]
     b += weight * direction[0] * direction[1]

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from interloc.benchmark.row import Cell, MapPicture, Row
+from interloc.benchmark.row import Cell, MapPicture, Place, Row
 from interloc.simulate.config import LidarConfig, SimulationOptions
 from interloc.simulate.drive import simulate
 from interloc.simulate.town import Town
@@ -22,6 +22,7 @@ def make_row(
     preset: str = "default",
     noise: str = "0/0",
     seed: int = 0,
+    places: Sequence[Place] = (),
     unmatched: int = 0,
     fn: int = 0,
     nodes: tuple[int, int] = (1, 1),
@@ -39,6 +40,7 @@ def make_row(
         policy="drive",
         keyframes=keyframes,
         errors_m=tuple(errors_m),
+        places=tuple(places),
         unmatched=unmatched,
         fn=fn,
         nodes_found=nodes[0],

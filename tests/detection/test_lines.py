@@ -21,6 +21,7 @@ from interloc.kernels.thinning import thin
 from tests.images import binary_image
 
 RING_PX = 4.0
+SQUARE_RAD = math.radians(7.0)
 
 
 def fit(
@@ -39,7 +40,9 @@ def fit(
     traced, is_main, pieces = trace_branches(
         line.rows, line.cols, line.neighbours, place, np.empty((0, 2)), inner, 60.0, 5.0
     )
-    given = np.array((*place, width, inner, length, shortest, 20.0, straight, trim, 99.0, RING_PX, 1.5), FIT)[()]
+    given = np.array(
+        (*place, width, inner, length, shortest, 20.0, straight, trim, 99.0, RING_PX, 1.5, 0.6, 0.5, SQUARE_RAD), FIT
+    )[()]
     no_surface = np.zeros_like(image.words)  # so there are no edges to follow
     return fit_lines(given, line.pixels, traced, is_main, pieces, no_surface, NOWHERE)
 
@@ -186,7 +189,7 @@ def lines_at(*angles_deg: float, length: float | list[float] = 60.0, rms: float 
 
 def squared(lines: StructuredArray) -> list[float]:
     """Turn stems towards the right angle; return the angles of all lines."""
-    _square_stems(lines)
+    _square_stems(lines, SQUARE_RAD)
     row, col = lines["direction"].T
     np.testing.assert_allclose(np.hypot(row, col), 1.0)
     return [float(angle) for angle in np.degrees(np.arctan2(-row, col)) % 360.0]
@@ -308,7 +311,9 @@ def line_of_road(road: UInt8Array, other: UInt8Array | None) -> StructuredArray:
     traced, is_main, pieces = trace_branches(
         line.rows, line.cols, line.neighbours, place, np.empty((0, 2)), 10.0, 150.0, 5.0
     )
-    given = np.array((*place, 21.0, 10.0, 140.0, 75.0, 75.0, 1.25, 0.0, 99.0, RING_PX, 1.5), FIT)[()]
+    given = np.array((*place, 21.0, 10.0, 140.0, 75.0, 75.0, 1.25, 0.0, 99.0, RING_PX, 1.5, 0.6, 0.5, SQUARE_RAD), FIT)[
+        ()
+    ]
     against = NOWHERE if other is None else binary_image(other).words
     (row,) = fit_lines(given, line.pixels, traced, is_main, pieces, surface.words, against)
     return row

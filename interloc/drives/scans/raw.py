@@ -291,7 +291,8 @@ class RawScans:
                 "Expected x y z in metres. Usual cause: points without a return that were written as NaN; "
                 "leave them out, with their labels.",
             )
-        return GroundPoints(xyz, road_count)
+        is_doubtful = labels.name == "geometry" and cast("GeometryLabels", labels).is_doubtful(frame)
+        return GroundPoints(xyz, road_count, is_doubtful)
 
 
 def trajectory_of(recording: Recording, options: DriveOptions, findings: Findings) -> Trajectory:

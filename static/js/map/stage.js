@@ -7,7 +7,7 @@ import { getJson } from "../api.js";
 import { demo, onDemoChange, tryDemo } from "../data/demo.js";
 import { FINAL, lists, onListsChange, rememberJob } from "../data/lists.js";
 import { loadOverview } from "../data/overview.js";
-import { loadResult, loadTrajectory } from "../data/results.js";
+import { loadResult, loadTrajectory, withService } from "../data/results.js";
 import { el, fill, icon, plural } from "../dom.js";
 import { Control, CRS, control, DomEvent, LeafletMap, latLngBounds } from "../leaflet.js";
 import { failureNote, problemNote } from "../messages.js";
@@ -158,8 +158,12 @@ export async function mountStage() {
     return true;
   };
 
-  /** @param {import("../data/results.js").Result} next */
-  const show = (next) => {
+  /** As it was loaded. @type {import("../data/results.js").Result|null} */
+  let loaded = null;
+  /** @param {import("../data/results.js").Result} result */
+  const show = (result) => {
+    loaded = result;
+    const next = getState().service && result.report?.with_service ? withService(result) : result;
     fill(cover);
     closeDetails();
     build(next.local);
@@ -183,6 +187,7 @@ export async function mountStage() {
   const clear = () => {
     isPlaced = false;
     scene = null;
+    loaded = null;
     parts?.legend.show(null);
     parts?.compared.show(new Set());
     parts?.redraw();
@@ -218,6 +223,7 @@ export async function mountStage() {
     const { panel, job, drive } = getState();
     if (panel === "upload" || (!job && !drive)) void showDrive();
   });
+  subscribe(["service"], () => loaded?.job.id === getState().job && loaded && show(loaded));
   subscribe(["layers"], () => (updateLayers(), updateKeyframe()));
   subscribe(["frame", "drawer"], updateKeyframe);
   subscribe(["intersection", "node"], () => openSelection(goTo)); // another address, or back in the history
