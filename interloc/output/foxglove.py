@@ -77,9 +77,9 @@ def write_mcap(result: Path, out: Path) -> list[str]:
 
 
 def _times_ns(run: DriveResult) -> list[int]:
-    seconds = run.keyframes.time_s
+    seconds: FloatArray = run.keyframes.time_s
     if not np.isfinite(seconds).all():
-        seconds = run.keyframes.frame * _USUAL_S
+        seconds = np.asarray(run.keyframes.frame * _USUAL_S, np.float64)
     return [round(1e9 * each) for each in seconds.tolist()]
 
 
@@ -112,9 +112,8 @@ def _scene(fg: Any, run: DriveResult, roads: bytes | None, time_ns: int) -> Any:
 
     table = run.intersections
     places = run.local_xy(table.lonlat, table.world_xy)
-    entities = [
-        entity("track", lines=[line(run.local_xy(run.trajectory_lonlat, run.trajectory_world_xy), _WHITE, 0.3)])
-    ]
+    track = run.local_xy(run.trajectory_lonlat, run.trajectory_world_xy)
+    entities = [entity("track", lines=[line(track, _WHITE, 0.3)])]
     for row, (x, y) in enumerate(places.tolist()):
         bearings = np.radians(table.bearings_deg[row])
         ends = np.stack([x + _BRANCH_M * np.sin(bearings), y + _BRANCH_M * np.cos(bearings)], axis=-1)
@@ -137,7 +136,6 @@ def _scene(fg: Any, run: DriveResult, roads: bytes | None, time_ns: int) -> Any:
     for number, feature in enumerate(features, 1):
         xy = np.array(feature["geometry"]["coordinates"], np.float64)[:, :2]
         placed: FloatArray = run.local_xy(xy if run.is_georeferenced else None, xy)
-        entities.append(
-            entity(f"road {number}", lines=[line(placed, _GREY, feature["properties"].get("width_m") or 1.0)])
-        )
+        width_m = feature["properties"].get("width_m") or 1.0
+        entities.append(entity(f"road {number}", lines=[line(placed, _GREY, width_m)]))
     return fg.SceneUpdate(entities=entities)

@@ -7,19 +7,21 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from numpy.testing import assert_allclose
 
 from interloc.output.foxglove import write_mcap
 from tests.output.small import small_result, with_roads, write_folder
 
 pytest.importorskip("foxglove", reason="foxglove-sdk is not installed")
 reader = pytest.importorskip("mcap.reader", reason="mcap is not installed")
-descriptor_pb2 = pytest.importorskip("google.protobuf.descriptor_pb2", reason="protobuf is not installed")
+descriptor_pb2, descriptor_pool, message_factory = (
+    pytest.importorskip(f"google.protobuf.{each}", reason="protobuf is not installed")
+    for each in ("descriptor_pb2", "descriptor_pool", "message_factory")
+)
 
 
 def read_back(path: Path) -> dict[str, list[tuple[str, int, Any]]]:
     """By topic: schema, time and message, decoded by nothing but the file itself."""
-    from google.protobuf import descriptor_pool, message_factory
-
     found: dict[str, list[tuple[str, int, Any]]] = {}
     with path.open("rb") as file:
         for schema, channel, message in reader.make_reader(file, validate_crcs=True).iter_messages():
@@ -51,7 +53,7 @@ def test_a_result_is_a_recording(tmp_path: Path) -> None:
     assert json.loads(geojson.geojson) == json.loads((folder / "intersections.geojson").read_text())
     assert result.keyframes.lonlat is not None
     fixes = [(each.longitude, each.latitude) for _, _, each in found["/interloc/fix"]]
-    assert fixes == pytest.approx([tuple(each) for each in result.keyframes.lonlat.tolist()], abs=1e-8)
+    assert_allclose(fixes, result.keyframes.lonlat, atol=1e-8)
     ((_, _, scene),) = found["/interloc/scene"]
     assert [each.id for each in scene.entities][:2] == ["track", "intersection 1"]
     assert len(scene.entities[1].lines) == len(result.intersections.bearings_deg[0])
