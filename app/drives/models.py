@@ -10,7 +10,7 @@ from typing import Annotated, Any
 from pydantic import Base64Encoder, BaseModel, ConfigDict, EncodedBytes, Field, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
-from app.http.patterns import NETWORK
+from app.http.patterns import ID, NETWORK
 from app.http.problems import FileProblem
 from app.http.strict import Flag, Name, Note, Whole, strictly
 from app.paths import MAX_PATH, PATH_PATTERN, BadNameError, check_path
@@ -96,6 +96,12 @@ class DriveChanges(BaseModel):
 
     name: Name = Field(default_factory=str, description="Name shown in lists.")
     note: Note | None = Field(None, description="Some lines about it; null for none.")
+    pinned_job: str | None = Field(
+        None,
+        pattern=ID,
+        description="The successful job of the drive that is to stand for it on the map of all drives, at /ogc and "
+        "/stac; null: the best one.",
+    )
 
 
 class DriveModel(BaseModel):
@@ -116,6 +122,8 @@ class DriveModel(BaseModel):
                     "size_bytes": 701124052,
                     "stored_bytes": 109221678,
                     "bbox": [8.412, 49.001, 8.431, 49.014],
+                    "result_job": None,
+                    "pinned_job": None,
                     "created_at": "2026-01-31T12:00:00Z",
                     "expires_at": None,
                     "report": None,
@@ -143,6 +151,12 @@ class DriveModel(BaseModel):
         description="West, south, east, north of a ready drive, degrees; null without georeference.",
         examples=[[8.412, 49.001, 8.431, 49.014]],
     )
+    result_job: str | None = Field(
+        None,
+        description="The job that stands for the drive on the map of all drives, at /ogc and /stac: the pinned one, "
+        "else the best of preset default, else of paper, by F1 of its intersections; null: none was successful.",
+    )
+    pinned_job: str | None = Field(None, description="The same, where it was pinned.")
     created_at: datetime
     expires_at: datetime | None = Field(None, description="When the upload goes to the trash if it is left alone.")
     report: DriveReport | None = Field(

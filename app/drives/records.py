@@ -24,14 +24,17 @@ from app.http.problem_types import (
     FILE_MISSING,
     FILE_NOT_FOUND,
     FILE_NOT_KEPT,
+    JOB_NOT_FOUND,
     MAP_IN_USE,
+    RESULT_NOT_READY,
 )
 from app.http.problems import Problem
+from app.jobs.chosen import chosen_results
 from app.jobs.folders import label_folders
 from app.jobs.queue import key_used, no_drive
 from app.paths import check_path
 from app.settings import Settings
-from app.states import ACTIVE, DriveState
+from app.states import ACTIVE, DriveState, JobKind, JobState
 from app.store import sidecars
 from app.store.database import moment
 from app.store.models import Drive, DriveFile, Job
@@ -142,11 +145,35 @@ def list_drives(
         query = query.where(rows_after(Drive, after))
     with context.database.reading() as session:
         drives = session.scalars(query.limit(limit + 1)).all()
-    page = drives[:limit]
+        page = drives[:limit]
+        results = _results(session, page)
     return DriveList(
-        drives=[drive_model(drive, context.settings, report=False) for drive in page],
+        drives=[drive_model(drive, context.settings, report=False, result=results.get(drive.id)) for drive in page],
         next=cursor_of(page[-1]) if len(drives) > limit else None,
     )
+
+
+def _results(session: Session, drives: Sequence[Drive]) -> dict[str, str]:
+    """Return the job that stands for each of these drives, where there is one."""
+    found = chosen_results(Drive.id.in_([drive.id for drive in drives])).with_only_columns(Job.drive_id, Job.id)
+    return {row.drive_id: row.id for row in session.execute(found)}
+
+
+def pin_job(session: Session, drive: Drive, job_id: str | None) -> None:
+    """Let a job stand for its drive; None: the best one does.
+
+    Raises
+    ------
+    Problem
+        404: the drive has no such job. 409: it has no result.
+    """
+    job = None if job_id is None else session.get(Job, job_id)
+    if job_id is not None:
+        if job is None or job.drive_id != drive.id or job.deleted_at is not None:
+            raise Problem(JOB_NOT_FOUND, f"Drive {drive.id} has no job {job_id}.")
+        if job.state != JobState.SUCCESSFUL or job.kind != JobKind.INTERSECTIONS:
+            raise Problem(RESULT_NOT_READY, f"Job {job_id} is {job.state} and has no intersections to show.")
+    drive.pinned_job = job_id
 
 
 def note_extent(drive: Drive, storage: Storage) -> None:
@@ -317,8 +344,8 @@ def remove_empty(folder: Path, root: Path) -> None:
         folder = folder.parent
 
 
-def drive_model(drive: Drive, settings: Settings, *, report: bool = True) -> DriveModel:
-    """Return a drive as clients see it."""
+def drive_model(drive: Drive, settings: Settings, *, report: bool = True, result: str | None = None) -> DriveModel:
+    """Return a drive as clients see it; `result`: the job that stands for it."""
     expires_at = drive.touched_at + 3600 * settings.upload_expires_h
     return DriveModel(
         id=drive.id,
@@ -332,6 +359,8 @@ def drive_model(drive: Drive, settings: Settings, *, report: bool = True) -> Dri
         size_bytes=drive.size_bytes,
         stored_bytes=drive.stored_bytes,
         bbox=None if drive.west is None else [drive.west, drive.south, drive.east, drive.north],
+        result_job=result,
+        pinned_job=drive.pinned_job if drive.pinned_job == result else None,
         created_at=moment(drive.created_at),
         expires_at=moment(expires_at) if drive.state == DriveState.UPLOADING else None,
         report=DriveReport.model_validate(drive.report) if report and drive.report else None,
@@ -340,7 +369,7 @@ def drive_model(drive: Drive, settings: Settings, *, report: bool = True) -> Dri
 
 def whole_drive_model(session: Session, context: Context, drive: Drive) -> DriveModel:
     """Return a drive as clients see it, with its report and what jobs can take of it."""
-    model = drive_model(drive, context.settings)
+    model = drive_model(drive, context.settings, result=_results(session, [drive]).get(drive.id))
     if drive.state != DriveState.READY:
         return model
     paths = session.scalars(

@@ -9,7 +9,7 @@ from typing import Any
 from app.ogc.work import FOOTPRINTS, INDEXED, RESULT
 from app.results.models import collection_id
 from interloc.output.layers import Layer
-from interloc.output.properties import Attribute
+from interloc.output.properties import ORIGIN, Attribute
 
 GEOMETRY = "geometry"
 """Name of the geometry in schemas and filters."""
@@ -45,7 +45,7 @@ class Collection:
     @cached_property
     def attributes(self) -> list[Attribute]:
         """The properties of its features."""
-        return [*(each for each in self.layer.attributes if each.name != "drive"), *RESULT]
+        return [*(each for each in self.layer.attributes if each.name not in ORIGIN), *RESULT]
 
     @cached_property
     def queryables(self) -> dict[str, str]:
@@ -140,4 +140,4 @@ OF_ALL = {
         "matches",
     )
 }
-"""The collections of the newest results of all drives."""
+"""The collections of the results that stand for all drives."""

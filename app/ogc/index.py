@@ -1,4 +1,4 @@
-"""Features found in the index: of the newest result of every drive, or of one job.
+"""Features found in the index: of the result that stands for every drive, or of one job.
 
 A query first takes the chunks that come into question by their boxes and times, some thousand rows for a million
 features, then reads the columns that it needs of those, and decides for all their features at once. Only the features
@@ -18,12 +18,12 @@ from sqlalchemy import ColumnElement, Select, and_, func, or_, select
 from sqlalchemy.orm import Session
 
 from app.http.parameters import Box
+from app.jobs.chosen import chosen_results
 from app.ogc.candidates import Candidates, Key
 from app.ogc.collections import OF_ALL, OF_JOB, Collection
 from app.ogc.evaluation import matching
 from app.ogc.filters import Filter
 from app.ogc.work import IDS, TIMES
-from app.results.newest import newest_results
 from app.store.models import Drive, FeatureChunk, Job
 
 Interval = tuple[float, float]
@@ -115,9 +115,9 @@ class Source:
     Attributes
     ----------
     job : str or None
-        Of this job; None: of the newest successful one of every drive.
+        Of this job; None: of the one that stands for each drive.
     until : float or None
-        The newest that had ended then, seconds since 1970: so that all pages of a query are of the same jobs.
+        Among those that had ended then, seconds since 1970: so that all pages of a query are of the same jobs.
     """
 
     job: str | None = None
@@ -141,7 +141,7 @@ class Source:
 
     def chunks(self, *columns: Any) -> Select[Any]:  # noqa: ANN401 - of the tables below
         """Return the query for chunks, joined with their drives."""
-        found = select(Job).where(Job.id == self.job) if self.job is not None else self._newest()
+        found = select(Job).where(Job.id == self.job) if self.job is not None else self._chosen()
         jobs = found.with_only_columns(Job.id, Job.drive_id).subquery()
         return (
             select(*columns)
@@ -150,14 +150,14 @@ class Source:
             .join(Drive, Drive.id == jobs.c.drive_id)
         )
 
-    def _newest(self) -> Select[Job]:
-        return newest_results() if self.until is None else newest_results(Job.finished_at <= self.until)
+    def _chosen(self) -> Select[Job]:
+        return chosen_results() if self.until is None else chosen_results(Job.finished_at <= self.until)
 
     def pinned(self, session: Session) -> Source:
         """Return the source of these jobs and no later ones."""
         if self.job is not None or self.until is not None:
             return self
-        ends = newest_results().with_only_columns(Job.finished_at).subquery()
+        ends = chosen_results().with_only_columns(Job.finished_at).subquery()
         return Source(until=session.scalar(select(func.max(ends.c.finished_at))))
 
 

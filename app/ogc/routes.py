@@ -1,4 +1,4 @@
-"""OGC API - Features: the newest result of every drive at /ogc, and each result by itself."""
+"""OGC API - Features: the pinned or best result of every drive at /ogc, and each result by itself."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ from app.results.folder import ResultsDep
 from app.results.routes.results import PROBLEMS, JobId
 
 of_all = APIRouter(tags=["GIS"])
-"""The newest result of every drive; it has its own address beside the API."""
+"""The result that stands for every drive; it has its own address beside the API."""
 
 of_job = APIRouter(tags=["GIS"])
 
@@ -92,11 +92,11 @@ class _Served:
         return answer_tagged(self.request, content.encode(), media_type, **headers)
 
 
-def _newest(request: Request, context: ContextDep) -> _Served:
+def _of_all(request: Request, context: ContextDep) -> _Served:
     place = Place(
         f"{service_address(request)}/ogc",
         "InterLoc",
-        "Road intersections found in LiDAR drives: the newest successful job of every drive.",
+        "Road intersections found in LiDAR drives: the pinned job of every drive, else its best.",
     )
     return _Served(request, context, Source(), place, "/ogc")
 
@@ -251,5 +251,5 @@ def _bound(endpoint: Callable[..., Response], source: Callable[..., _Served]) ->
     return bound
 
 
-_add(of_all, "/ogc", "ogc", _newest, {})
+_add(of_all, "/ogc", "ogc", _of_all, {})
 _add(of_job, "/jobs/{job_id}/ogc", "job_ogc", _one_job, PROBLEMS)

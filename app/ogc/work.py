@@ -32,7 +32,7 @@ from interloc.output.derived import derived_features
 from interloc.output.geojson import DEGREE_DECIMALS, cut, damaged, encode, read_json
 from interloc.output.layers import DERIVED, LAYERS, Layer
 from interloc.output.layout import RUN_FILE, file_names
-from interloc.output.properties import Properties, Time
+from interloc.output.properties import ORIGIN, Properties, ResultProperties, Time, attributes_of
 
 IDS, BOXES, TIMES, SHAPES, CONTENT = "@id", "@box", "@time", "@shape", "@content"
 
@@ -43,15 +43,6 @@ _FOOTPRINT_M = 25.0
 _TOLERANCE_M = 2.0
 _METRES_PER_DEGREE = 111_320.0
 _PACKED = 1  # level of zlib: text becomes five times smaller, and a page is unpacked within milliseconds
-
-
-class ResultProperties(Properties):
-    """What tells features of one result from those of others."""
-
-    drive: str = Field(title="Drive", description="Name of the drive.")
-    job: str = Field(title="Job", description="Id of the job that found it.")
-    preset: str | None = Field(title="Preset", description="Preset of the job: default or paper.")
-    labels: str | None = Field(title="Labels", description="Labels of the points that the job used.")
 
 
 class FootprintProperties(Properties):
@@ -69,7 +60,7 @@ class FootprintProperties(Properties):
     )
 
 
-RESULT = Layer("result", "Result", "Point", ResultProperties, "").attributes
+RESULT = attributes_of(ResultProperties)
 """The properties that every feature of the index has beside its own; they are not stored with it."""
 
 FOOTPRINTS = Layer("drives", "Areas that were driven through", "Polygon", FootprintProperties, "Drive")
@@ -190,7 +181,7 @@ def _typed_first(layer: Layer, features: list[dict[str, Any]]) -> list[int]:
 def _columns(
     layer: Layer, features: list[dict[str, Any]], places: list[int], run: dict[str, Any]
 ) -> tuple[dict[str, float], dict[str, bytes]]:
-    own = [each for each in layer.attributes if each.name != "drive"]  # its name now, not as it was: see `RESULT`
+    own = [each for each in layer.attributes if each.name not in ORIGIN]  # as they are now: see `RESULT`
     rows = [{each.name: feature["properties"].get(each.name) for each in own} for feature in features]
     columns = {}
     for each in own:

@@ -1,4 +1,4 @@
-"""All drives on one map: simplified tracks, and the intersections of the newest result of each."""
+"""All drives on one map: simplified tracks, and the intersections of the result that stands for each."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from app.jobs.chosen import choice_of
+from app.jobs.titles import title_of
 from app.store.models import Job
 from app.store.storage import Storage
 from app.work.places import TRAJECTORY
@@ -30,7 +32,9 @@ _DECIMALS = 6  # 0.1 m
 _FILES = file_names(georeferenced=True)
 
 
-def drive_features(storage: Storage, drive_id: str, name: str, job: Job | None) -> Iterator[dict[str, Any]]:
+def drive_features(
+    storage: Storage, drive_id: str, name: str, job: Job | None, pinned: str | None
+) -> Iterator[dict[str, Any]]:
     """Yield the track of a drive as a line and its intersections as points, both GeoJSON features.
 
     Parameters
@@ -39,7 +43,9 @@ def drive_features(storage: Storage, drive_id: str, name: str, job: Job | None) 
     drive_id, name
         Of the drive.
     job
-        Its newest successful one; None: it has none.
+        That stands for it; None: it has none.
+    pinned
+        Id of the job that was pinned.
 
     Notes
     -----
@@ -50,10 +56,12 @@ def drive_features(storage: Storage, drive_id: str, name: str, job: Job | None) 
     own = storage.folder(f"drives/{drive_id}") / TRAJECTORY[0]
     track = (None if result is None else _geometry(result / _FILES["trajectory"])) or _geometry(own)
     points = None if result is None else _geometry(result / _FILES["intersections"])
-    common = {"drive": drive_id, "name": name, "job": None if job is None else job.id}
+    job_id = None if job is None else job.id
+    common = {"drive": drive_id, "name": name, "job": job_id, "chosen": choice_of(pinned, job_id)}
     summary = {} if job is None else job.summary or {}
     figures = {
         "intersections": summary.get("intersections"),
+        "title": None if job is None else title_of(job),
         "verdict": (summary.get("report") or {}).get("map_line"),
     }
     yield {

@@ -6,6 +6,7 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from app.jobs.chosen import Choice
 from app.results.models import MEDIA_TYPE, LineGeometry, Position
 
 
@@ -20,13 +21,18 @@ class OverviewProperties(BaseModel):
     """Which drive a feature is of."""
 
     layer: Literal["drives", "intersections"] = Field(
-        description="`drives`: the track of a drive; `intersections`: those of its newest result."
+        description="`drives`: the track of a drive; `intersections`: those of the result that stands for it."
     )
     drive: str = Field(description="Id of the drive.", examples=["1f6c0a7e5d2b9348"])
     name: str = Field(description="Name of the drive.", examples=["07"])
     job: str | None = Field(
-        description="Id of its newest successful job; null: it has none.", examples=["9b1e44f00c7a2d53"]
+        description="Id of the job that stands for it; null: none was successful.", examples=["9b1e44f00c7a2d53"]
     )
+    chosen: Choice | None = Field(
+        description="pinned: somebody has chosen that job. best: the best of preset default, else of paper, by F1 of "
+        "its intersections; null: there is no such job."
+    )
+    title: str | None = Field(description="What that job is called; null: there is none.", examples=["default"])
     intersections: int | None = Field(description="How many intersections that job found; null: there is no such job.")
     verdict: str | None = Field(
         description="How many of them are right, in words; null: the job was not scored.",

@@ -14,10 +14,10 @@ from app.http.paging import After, lies_in, next_link
 from app.http.parameters import BoxFilter
 from app.http.security import ClientDep
 from app.http.turns import IN_TURN
+from app.jobs.chosen import chosen_results
 from app.overview.features import drive_features
 from app.overview.models import Overview
 from app.results.models import MEDIA_TYPE
-from app.results.newest import newest_results
 from app.states import DriveState
 from app.store.models import Drive
 from interloc.output.geojson import encode
@@ -44,7 +44,7 @@ def show_overview(
     after: After = None,
     limit: Annotated[int, Query(ge=1, le=1000, description="Maximum number of drives.")] = 100,
 ) -> Response:
-    """Give the track of every ready drive, simplified, and the intersections of its newest successful job.
+    """Give the track of every ready drive, simplified, and the intersections of the job that stands for it.
 
     A drive without georeference has no geometry, unless that job has placed it on the map. `bbox` selects drives by
     their own georeference.
@@ -52,11 +52,11 @@ def show_overview(
     conditions = [Drive.state == DriveState.READY, *([] if box is None else [lies_in(box)])]
     page = records.list_drives(context, after, limit, conditions)
     with context.database.reading() as session:
-        jobs = {job.drive_id: job for job in session.scalars(newest_results(Drive.id.in_([d.id for d in page.drives])))}
+        jobs = {job.drive_id: job for job in session.scalars(chosen_results(Drive.id.in_([d.id for d in page.drives])))}
     features = [
         feature
         for drive in page.drives
-        for feature in drive_features(context.storage, drive.id, drive.name, jobs.get(drive.id))
+        for feature in drive_features(context.storage, drive.id, drive.name, jobs.get(drive.id), drive.pinned_job)
     ]
     content = encode({"type": "FeatureCollection", "features": features, "next": page.next}).encode()
     return answer_tagged(request, content, MEDIA_TYPE, **next_link(request, page.next))

@@ -1,4 +1,4 @@
-"""Results as STAC 1.1: a catalogue, and an item for each drive about its newest result."""
+"""Results as STAC 1.1: a catalogue, and an item for each drive about the result that stands for it."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from datetime import datetime
 from typing import Any
 
 from app.http.delivery import MEDIA_TYPES
+from app.jobs.chosen import choice_of
 from app.overview.features import drive_features
 from app.results.folder import Result
 from app.stac.models import StacAsset, StacCatalog, StacItem, StacLink
@@ -46,12 +47,12 @@ def catalog(base: str, drives: Iterable[tuple[str, str]]) -> StacCatalog:
         stac_version=STAC_VERSION,
         id="interloc",
         title=_TITLE,
-        description="Drives with LiDAR, and the road intersections found in them: the newest result of each.",
+        description="Drives with LiDAR, and the road intersections found in them: the pinned or best result of each.",
         links=links,
     )
 
 
-def item(base: str, storage: Storage, job: Job, result: Result) -> StacItem:
+def item(base: str, storage: Storage, job: Job, result: Result, pinned: str | None) -> StacItem:
     """Return the item of a drive.
 
     Parameters
@@ -60,7 +61,9 @@ def item(base: str, storage: Storage, job: Job, result: Result) -> StacItem:
         As of `catalog`.
     storage
     job, result
-        The newest successful job of the drive, and what it left.
+        The job that stands for the drive, and what it left.
+    pinned
+        Id of the job that was pinned.
 
     Raises
     ------
@@ -68,7 +71,7 @@ def item(base: str, storage: Storage, job: Job, result: Result) -> StacItem:
         A file of the result is damaged or missing.
     """
     run = read_json(result.folder / RUN_FILE)
-    geometry = next(drive_features(storage, result.drive_id, result.drive_name, job))["geometry"]
+    geometry = next(drive_features(storage, result.drive_id, result.drive_name, job, pinned))["geometry"]
     credit = _credit_of(result)
     here = f"{base}/stac/drives/{result.drive_id}"
     links = [
@@ -89,6 +92,7 @@ def item(base: str, storage: Storage, job: Job, result: Result) -> StacItem:
             **_time_of(run, job),
             "created": _text(moment(job.finished_at or job.created_at)),
             "interloc:job": job.id,
+            "interloc:chosen": choice_of(pinned, job.id),
             "interloc:intersections": (job.summary or {}).get("intersections"),
             "attribution": credit.attribution,
             **({} if credit.license is None else {"license": "ODbL-1.0"}),

@@ -37,7 +37,7 @@ class StacAsset(BaseModel):
 
 
 class StacItem(BaseModel):
-    """A drive, where and when it was, and the files of its newest result."""
+    """A drive, where and when it was, and the files of the result that stands for it."""
 
     model_config = ConfigDict(json_schema_extra={"x-media-type": "application/geo+json"})
 

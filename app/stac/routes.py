@@ -15,8 +15,8 @@ from app.http.openapi import TAGGED, get_and_head, headers_named
 from app.http.paging import newest_first
 from app.http.problem_types import NO_RESULTS
 from app.http.problems import Problem, ProblemDocument
+from app.jobs.chosen import chosen_results
 from app.results.folder import ResultsDep
-from app.results.newest import newest_results
 from app.stac import items as stac
 from app.stac.models import StacCatalog, StacItem
 from app.store.models import Drive, Job
@@ -39,7 +39,7 @@ _PROBLEMS: dict[int | str, dict[str, Any]] = {
 )
 def read_catalog(request: Request, context: ContextDep) -> Response:
     """Give a STAC catalogue: an item for each drive with a successful job, for STAC Browser, pystac and others."""
-    with_result = newest_results().with_only_columns(Job.drive_id)
+    with_result = chosen_results().with_only_columns(Job.drive_id)
     found = select(Drive.id, Drive.name).where(Drive.id.in_(with_result)).order_by(*newest_first(Drive))
     with context.database.reading() as session:
         drives = [(row.id, row.name) for row in session.execute(found)]
@@ -60,12 +60,12 @@ def read_catalog(request: Request, context: ContextDep) -> Response:
     },
 )
 def read_item(drive_id: DriveId, request: Request, context: ContextDep, results: ResultsDep) -> Response:
-    """Give the STAC item of a drive: where and when it was, and the files of its newest successful job."""
+    """Give the STAC item of a drive: where and when it was, and the files of the job that stands for it."""
     with context.database.reading() as session:
-        find_drive(session, drive_id)
-        job = session.scalars(newest_results(Drive.id == drive_id)).first()
+        pinned = find_drive(session, drive_id).pinned_job
+        job = session.scalars(chosen_results(Drive.id == drive_id)).first()
     if job is None:
         raise Problem(NO_RESULTS, f"Drive {drive_id} has no successful job of kind intersections yet.")
-    made = stac.item(service_address(request), context.storage, job, results.open(job.id))
+    made = stac.item(service_address(request), context.storage, job, results.open(job.id), pinned)
     unset = {"bbox"} if made.bbox is None else set()
     return answer_tagged(request, made.model_dump_json(exclude=unset).encode(), "application/geo+json")

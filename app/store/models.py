@@ -65,6 +65,8 @@ class Drive(Base):
     """SHA-256 of the request that made it under its key: its options may change with a commit."""
     note: Mapped[str | None] = mapped_column(Text)
     """What somebody wrote about it."""
+    pinned_job: Mapped[str | None]
+    """Id of the job that stands for it; None, or one that is gone: see `app.jobs.chosen`."""
     west: Mapped[float | None]
     """Where it is once it is ready, degrees; None without georeference, and for drives of older versions at first."""
     south: Mapped[float | None]

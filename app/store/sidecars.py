@@ -38,6 +38,7 @@ class DriveSidecar(BaseModel):
     created_at: float = Field(gt=0, allow_inf_nan=False)
     report: dict[str, Any] | None = None
     deleted_at: float | None = Field(None, gt=0, allow_inf_nan=False)
+    pinned_job: str | None = Field(None, max_length=255)
 
 
 class JobSidecar(BaseModel):

@@ -204,6 +204,7 @@ def _drive_of(sidecar: DriveSidecar | None, id_: str, *, keep_raw: bool) -> Driv
         keep_raw=sidecar.keep_raw,
         note=sidecar.note,
         report=report,
+        pinned_job=sidecar.pinned_job,
         created_at=sidecar.created_at,
     )
 

@@ -98,6 +98,7 @@ class MapScores(_Document):
     nodes_in_zone: int
     nodes_found: int
     map_line: str | None = None  # results of versions before had none
+    map_f1: float | None = None  # likewise
 
 
 class MapPlace(_Document):

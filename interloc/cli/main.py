@@ -29,6 +29,7 @@ COMMANDS = {
     "export": "export",
     "merge": "merge",
     "audit": "audit",
+    "verdict": "verdict",
     "odometry": "odometry",
     "label": "convert:label",
     "convert": "convert:convert",

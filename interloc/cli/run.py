@@ -102,5 +102,5 @@ def _place(
             radius_m=radius_m,
             progress=bar,
         )
-    write_places(placed.location, graph, folder)
+    write_places(placed, graph, folder)
     return placed.result, placed.scored

@@ -26,6 +26,7 @@ from interloc.evaluation.metrics import (
 )
 from interloc.evaluation.roads import RoadScores, score_roads
 from interloc.evaluation.verdicts import RunVerdicts, give_verdicts
+from interloc.labelling.doubts import doubts_in_words
 from interloc.osm.graph import RoadGraph
 from interloc.osm.intersections import IntersectionNodes, intersection_nodes
 from interloc.osm.policies import Policy
@@ -203,6 +204,21 @@ class Evaluation:
         return score_roads(roads(self.result), self.graph, self.nodes.policy)
 
     @cached_property
+    def with_service(self) -> Evaluation | None:
+        """The same run under policy drive+service; None where it was scored under another one than drive."""
+        if self.nodes.policy != "drive":
+            return None
+        return _score(
+            self.result,
+            self.graph,
+            intersection_nodes(self.graph, "drive+service"),
+            roi_m=self.roi_m,
+            relevant_zone_m=self.relevant_zone_m,
+            track_to_road_m=self.track_to_road_m,
+            warnings=(),
+        )
+
+    @cached_property
     def verdicts(self) -> RunVerdicts:
         """Right or wrong, found or missed, and why: of every detection, intersection and node."""
         return give_verdicts(self.graph, self.nodes, self.result, self.detection_row, self.matching, self.map_level)
@@ -255,9 +271,29 @@ def evaluate(
     track_to_road_m, warnings = check_coverage(result.keyframes.lonlat, graph, roi_m=roi_m)
     for warning in graph.warnings:
         logger.warning(warning)
-    warnings = graph.warnings + warnings
-    nodes = intersection_nodes(graph, policy, tolerance_m)
+    return _score(
+        result,
+        graph,
+        intersection_nodes(graph, policy, tolerance_m),
+        roi_m=roi_m,
+        relevant_zone_m=relevant_zone_m,
+        track_to_road_m=track_to_road_m,
+        warnings=graph.warnings + warnings,
+    )
 
+
+def _score(
+    result: DriveResult,
+    graph: RoadGraph,
+    nodes: IntersectionNodes,
+    *,
+    roi_m: float,
+    relevant_zone_m: float,
+    track_to_road_m: float,
+    warnings: tuple[str, ...],
+) -> Evaluation:
+    assert result.detections.lonlat is not None
+    assert result.intersections.lonlat is not None
     on_map = np.flatnonzero(graph.covers(result.detections.lonlat))
     detections = result.detections.select(on_map)
     matching = match(result.keyframes, detections, nodes.lonlat, roi_m=roi_m, relevant_zone_m=relevant_zone_m)
@@ -270,6 +306,8 @@ def evaluate(
         relevant_zone_m=relevant_zone_m,
     )
     map_level = replace(map_level, counts=map_level.counts & graph.covers(result.intersections.lonlat))
+    if doubts := result.run.get("doubtful_labels_m"):
+        warnings += (doubts_in_words(doubts),)
     if "location" in result.run:
         warnings += (
             result.run["location"].get("scored")
@@ -278,7 +316,7 @@ def evaluate(
         )
     if not node_table.in_zone.any():
         warnings += (
-            f"No intersection of policy {policy} lies in the relevant zone of any keyframe: recall is undefined.",
+            f"No intersection of policy {nodes.policy} lies in the relevant zone of any keyframe: recall is undefined.",
         )
     return Evaluation(
         roi_m=roi_m,

@@ -9,6 +9,7 @@ from interloc.evaluation.evaluate import Evaluation
 from interloc.evaluation.report import LAYER_FEATURES
 from interloc.output.layers import LAYERS
 from interloc.output.layout import ROAD_LAYERS
+from interloc.output.properties import origin_of
 from interloc.output.roads import road_features, roads
 from interloc.output.write import TABLE_FEATURES
 from interloc.results import DriveResult
@@ -49,7 +50,7 @@ def geodataframe(of: DriveResult | Evaluation, layer: str = "intersections") -> 
     elif layer in TABLE_FEATURES:
         features = TABLE_FEATURES[layer](result)
     elif layer in ROAD_LAYERS:
-        features = road_features(roads(result), result.drive)[layer]
+        features = road_features(roads(result))[layer]
     elif layer in LAYER_FEATURES:
         raise ConfigError(
             f"{layer!r} is a layer of an evaluation: interloc.evaluate(result, graph).geodataframe({layer!r})"
@@ -59,9 +60,9 @@ def geodataframe(of: DriveResult | Evaluation, layer: str = "intersections") -> 
             f"{layer!r} is not a layer. Expected one of "
             f"{', '.join(dict.fromkeys((*TABLE_FEATURES, *ROAD_LAYERS, *LAYER_FEATURES)))}."
         )
-    fields = LAYERS[layer].fields
+    fields, origin = LAYERS[layer].fields, origin_of(result.run, result.drive)
     table = GeoDataFrame(
-        {name: [feature["properties"][name] for feature in features] for name in fields},
+        {name: [(feature["properties"] | origin)[name] for feature in features] for name in fields},
         geometry=[feature["geometry"] and shape(feature["geometry"]) for feature in features],
         crs="EPSG:4326" if result.is_georeferenced else None,
     )

@@ -25,8 +25,10 @@ Of a node that was missed:
 5. `twice`: two of its roads run on one line: a road drawn twice.
 6. `not_driven`: the drive did not come near enough to look into its branches.
 7. `short`: fewer than three of its branches are long enough.
-8. `not_seen`: the drive passed it, and nothing was detected. Whether its road was hidden, or labelled as something
-   else, cannot be known: a result folder holds positions, not the road that was seen. `interloc explain` shows that.
+8. `not_seen`: the drive passed it, and nothing was detected. `interloc explain` shows more.
+
+Where it matters, the reason also says which of its branches were seen as road, by the mosaic of the road
+(`road.tif`), and which as other ground: hidden, or labelled as something else.
 """
 
 from __future__ import annotations
@@ -41,7 +43,8 @@ from typing import Any, Literal, NamedTuple, get_args
 import numpy as np
 
 from interloc.arrays import BoolArray, FloatArray, IntArray
-from interloc.geometry import enu_from_lonlat, middle_of
+from interloc.geometry import enu_from_lonlat, lonlat_from_enu, middle_of
+from interloc.mapping.mosaic import Mosaic
 from interloc.osm.graph import RoadGraph, distinct_edges
 from interloc.osm.intersections import DRIVABLE, MIN_DEGREE, IntersectionNodes, road_ways
 
@@ -105,6 +108,9 @@ PASSED_M = 15.0
 BRANCH_M = 15.0
 """A branch needs so much road: it is fitted beyond one road width, on at least another half."""
 
+SEEN_FROM_M, SEEN_SHARE = 6.0, 0.6
+"""A branch was seen if so much of it was, between so far from its node and `BRANCH_M`; nearer it is the road driven."""
+
 TWICE_M = 1.0
 """A node so near the line to another neighbour lies on it: mappers place the middle of a road to about a metre."""
 
@@ -118,6 +124,9 @@ _VEHICLE = DRIVABLE | {
     *("construction", "emergency_bay"),
 }
 """Values of `highway` as wide as a vehicle; what is left are paths."""
+
+_OF_BRANCHES = {"too_few", "not_driven", "short", "not_seen"}
+"""Kinds of reasons that depend on what was seen of the branches."""
 
 Claims = Iterable[tuple[int, int]]
 
@@ -182,7 +191,8 @@ class MapEvidence:
         self._origin = middle_of(lonlat) if len(lonlat) else graph.lonlat[0]
         self.node_xy = self.plane(nodes.lonlat)
         self._xy = self.plane(graph.lonlat)
-        self._near = _around(self._xy, self.plane(lonlat))
+        self._driven_xy = self.plane(lonlat)
+        self._near = _around(self._xy, self._driven_xy)
         self._is_road = road_ways(graph, nodes.policy)
         self._counted = _Points(self.node_xy, np.arange(len(nodes)))
 
@@ -193,6 +203,22 @@ class MapEvidence:
     def nearest_node(self, xy: FloatArray) -> tuple[FloatArray, IntArray]:
         """Return the distance of (Q, 2) places to the nearest node that counts, and its row; infinite and -1: none."""
         return self._counted.nearest(xy)
+
+    def streets(self, xy: FloatArray, reach_m: FloatArray) -> list[str | None]:
+        """Return the names of the roads within (Q,) distances of (Q, 2) places, as "A / B"; None: no name is there."""
+        import shapely  # noqa: PLC0415 - an eighth of a second of start-up time
+
+        names = self.graph.ways.name
+        edges, ways = self.graph.edges, self.graph.edge_way
+        is_named = np.array([bool(name) for name in names], dtype=np.bool_)
+        rows = np.flatnonzero((is_named & self._is_vehicle)[ways] & self._near[edges].any(axis=1))
+        found: list[set[str]] = [set() for _ in range(len(xy))]
+        if len(rows) and len(xy):
+            lines: Any = shapely.linestrings(self._xy[edges[rows]])
+            place, line = shapely.STRtree(lines).query(shapely.points(xy), "dwithin", distance=reach_m)
+            for at, way in zip(place.tolist(), ways[rows[line]].tolist(), strict=True):
+                found[at].add(str(names[way]))
+        return [" / ".join(sorted(each, key=str.casefold)) or None for each in found]
 
     def way(self, row: int) -> str:
         """Return what a way is: `highway=service "Gottlob-Schreber-Weg"`."""
@@ -362,6 +388,28 @@ class MapEvidence:
             )
         return None
 
+    def oddity(self, node: int) -> str | None:
+        """Say what is odd about a node on the map, whether it was found or not: its levels, a road drawn twice."""
+        near = np.hypot(*(self._driven_xy - self.node_xy[node]).T) <= LEVEL_M
+        return self.levels(node, self._driven_xy[near]) or self.drawn_twice(node)
+
+    def branches_seen(self, node: int, mosaic: Mosaic) -> str | None:
+        """Say which of the branches of a node (row of the nodes that count) a drive saw; None: the node is merged."""
+        if self.nodes.tolerance_m is not None:
+            return None
+        row, roads = self._row_of(node), self._roads
+        along = np.arange(SEEN_FROM_M, BRANCH_M, 1.0)
+        counts: Counter[str] = Counter()
+        for other in roads.neighbours.get(row, []):
+            xy = np.array([roads.walk(self._xy[row], row, other, each)[0] for each in along])
+            road, ground = mosaic.seen_at(lonlat_from_enu(self._origin[1], self._origin[0], xy))
+            is_ground = (road | ground).mean() >= SEEN_SHARE
+            counts["road" if road.mean() >= SEEN_SHARE else "other ground" if is_ground else "nothing"] += 1
+        total = sum(counts.values())
+        parts = [f"{counts[kind]} as {kind}" for kind in ("road", "other ground") if counts[kind]]
+        parts += [f"{counts['nothing']} not"] if counts["nothing"] else []
+        return f"of its {total} branches the LiDAR saw {', '.join(parts)}" if total else None
+
     def drawn_twice(self, node: int) -> str | None:
         """Say which two roads that leave a node (row of the nodes that count) run on one line; None: none do."""
         row = self._row_of(node)
@@ -495,6 +543,8 @@ def explain_false(
         elif node_m[row] <= NEAR_M:
             is_second = (group, int(node[row])) in is_taken
             reason = _near_node(evidence, int(node[row]), xy[row], float(node_m[row]), limit_m, is_second=is_second)
+            if odd := evidence.oddity(int(node[row])):
+                reason = Reason(reason.kind, f"{reason.sentence}; of that node: {odd}")
         elif (turn := evidence.bend_deg(xy[row])) >= BEND_DEG:
             reason = Reason(
                 "bend", f"bend of a road, which turns by {turn:.0f} degrees; no junction within {NEAR_M:g} m"
@@ -553,7 +603,7 @@ class FoundByDrive:
     gate_m: float
 
 
-def explain_missed(evidence: MapEvidence, seen: FoundByDrive, node: int) -> Reason:
+def explain_missed(evidence: MapEvidence, seen: FoundByDrive, node: int, mosaic: Mosaic | None = None) -> Reason:
     """Say of a node that no intersection was assigned to what the drive found there instead.
 
     Parameters
@@ -561,7 +611,17 @@ def explain_missed(evidence: MapEvidence, seen: FoundByDrive, node: int) -> Reas
     evidence, seen
     node
         Row of the nodes that count.
+    mosaic
+        The road that the drive saw; None: it is not known.
     """
+    reason = _explain_missed(evidence, seen, node)
+    if reason.kind not in _OF_BRANCHES:
+        return reason
+    told = "what road was seen is not known" if mosaic is None else evidence.branches_seen(node, mosaic)
+    return reason if told is None else Reason(reason.kind, f"{reason.sentence}; {told}")
+
+
+def _explain_missed(evidence: MapEvidence, seen: FoundByDrive, node: int) -> Reason:
     xy = evidence.node_xy[node]
     fused_m = np.hypot(*(seen.intersection_xy - xy).T)
     is_free = seen.intersection_node < 0
@@ -595,8 +655,8 @@ def explain_missed(evidence: MapEvidence, seen: FoundByDrive, node: int) -> Reas
 def _not_detected(evidence: MapEvidence, seen: FoundByDrive, node: int) -> Reason:
     """Say of a node at which nothing was detected what may be the cause."""
     keyframe_m = np.hypot(*(seen.keyframe_xy - evidence.node_xy[node]).T)
-    near, passed_m = keyframe_m <= LEVEL_M, float(keyframe_m.min())
-    if levels := evidence.levels(node, seen.keyframe_xy[near]):
+    passed_m = float(keyframe_m.min())
+    if levels := evidence.levels(node, seen.keyframe_xy[keyframe_m <= LEVEL_M]):
         return Reason("levels", levels)
     if twice := evidence.drawn_twice(node):
         return Reason("twice", twice)
@@ -606,9 +666,7 @@ def _not_detected(evidence: MapEvidence, seen: FoundByDrive, node: int) -> Reaso
     if lengths is not None and sum(each >= BRANCH_M for each in lengths) < MIN_DEGREE:
         listed = ", ".join(f"{each:.0f}" for each in sorted(lengths))
         return Reason("short", f"branches too short: the next junctions or ends are {listed} m away")
-    return Reason(
-        "not_seen", f"passed at {passed_m:.1f} m, nothing detected; the result does not hold what road was seen"
-    )
+    return Reason("not_seen", f"passed at {passed_m:.1f} m, nothing detected")
 
 
 def _around(xy: FloatArray, track_xy: FloatArray) -> BoolArray:

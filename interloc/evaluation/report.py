@@ -30,6 +30,7 @@ from interloc.output.geojson import DEGREE_DECIMALS, METRE_DECIMALS, encode, pos
 from interloc.output.layers import BUILDINGS, LAYERS
 from interloc.output.layout import FIGURES, RUN_SETTINGS, settings_of
 from interloc.output.osm_roads import building_features, road_features
+from interloc.output.properties import origin_of
 from interloc.output.write import detection_features, intersection_features
 from interloc.results import DriveResult
 from interloc.wording import metres, percent
@@ -63,14 +64,14 @@ def write_report(evaluation: Evaluation, out_dir: str | os.PathLike[str], *, res
             f"{out_dir}: no such folder. Expected the result folder of `interloc detect` or `interloc.write_results`."
         )
     pictures = _write_figures(evaluation, result, out_dir / FIGURES)
-    graph = evaluation.graph
+    graph, origin = evaluation.graph, origin_of(result.run, result.drive)
     for layer, features_of in LAYER_FEATURES.items():
         features = features_of(evaluation, result)
         if layer == BUILDINGS and not features:  # most maps of roads have none; those of an older map are gone
             (out_dir / f"{layer}.geojson").unlink(missing_ok=True)
             continue
         credit = LAYERS[layer].credit(features, made_up_map=graph.is_made_up)
-        write_collection(out_dir / f"{layer}.geojson", features, local=False, credit=credit)
+        write_collection(out_dir / f"{layer}.geojson", features, local=False, credit=credit, origin=origin)
     record = report_record(evaluation)
     with atomic_write(out_dir / "report.html") as handle:
         handle.write(render_html(record, result, pictures).encode())
@@ -209,7 +210,7 @@ def _building_features(evaluation: Evaluation, result: DriveResult) -> list[dict
 LAYER_FEATURES: dict[str, Callable[[Evaluation, DriveResult], list[dict[str, Any]]]] = {
     "detections": lambda evaluation, result: detection_features(result, evaluation.verdicts.detections),
     "intersections": lambda evaluation, result: intersection_features(
-        result, evaluation.verdicts.intersections, evaluation.verdicts.uids
+        result, evaluation.verdicts.intersections, evaluation.verdicts.uids, evaluation.verdicts.names
     ),
     "osm_nodes": lambda evaluation, _: _node_features(evaluation),
     "matches": _match_features,
@@ -279,6 +280,22 @@ def report_record(evaluation: Evaluation) -> dict[str, Any]:
         "warnings": list(evaluation.warnings),
         "intersections": _intersection_rows(evaluation),
         "nodes": _node_rows(evaluation),
+        "with_service": None if (other := evaluation.with_service) is None else _map_record(other),
+    }
+
+
+def _map_record(evaluation: Evaluation) -> dict[str, Any]:
+    """Return what another policy says about the fused map: what a reader can switch to without another run."""
+    level = _map_level(evaluation.map_level)
+    return {
+        "policy": evaluation.nodes.policy,
+        "map_level": level,
+        "map_line": map_line(level),
+        "intersections": [
+            {name: row[name] for name in ("id", "outcome", "osm_id", "error_m", "reason", "names")}
+            for row in _intersection_rows(evaluation)
+        ],
+        "nodes": _node_rows(evaluation),
     }
 
 
@@ -328,6 +345,7 @@ def _node_features(evaluation: Evaluation) -> list[dict[str, Any]]:
         outcome=verdicts.node_outcome,
         intersection=[ids[row] for row in verdicts.node_intersection.tolist()],
         reason=verdicts.node_reason,
+        names=verdicts.node_names,
     )
 
 
@@ -368,6 +386,7 @@ def _intersection_rows(evaluation: Evaluation) -> list[dict[str, Any]]:
             "confidence": _ratio(float(table.confidence[row])),
             "branch_count": len(table.bearings_deg[row]),
             "reason": judged.reason[row],
+            "names": verdicts.names[row],
         }
         for row, (lon, lat) in enumerate(positions(table.lonlat, local=False))
     ]

@@ -11,6 +11,7 @@ from interloc.evaluation.map_level import MapLevel, assign_one_to_one
 from interloc.evaluation.matching import UNMATCHED, Matching
 from interloc.evaluation.metrics import STANDARD_THRESHOLD_M
 from interloc.evaluation.reasons import (
+    SAME_PLACE_M,
     FalseKind,
     FoundByDrive,
     MapEvidence,
@@ -22,8 +23,12 @@ from interloc.evaluation.reasons import (
 )
 from interloc.osm.graph import RoadGraph
 from interloc.osm.intersections import IntersectionNodes, intersection_nodes
+from interloc.output.road import mosaic_of
 from interloc.output.uids import number_repeated, place_uids
 from interloc.results import DriveResult, IntersectionTable, Verdicts
+
+_AT_NODE_M = 0.5
+"""Roads so near a node meet there."""
 
 OUTSIDE_MAP = "beyond the bounds of the map"
 OUTSIDE_ZONE = "in the relevant zone of no keyframe: too far from the track to be counted"
@@ -41,12 +46,16 @@ class RunVerdicts:
         Of the M fused intersections.
     uids : list of M str
         Names of their places, see `interloc.output.uids`.
+    names : list of M str or None
+        Names of the streets that meet there: "A / B".
+    node_names : list of N str or None
+        The same of the nodes.
     node_outcome : list of N str
         found, missed or outside.
     node_intersection : (N,) int64
         Row of the intersection assigned to each node, -1 for none.
     node_reason : list of N str or None
-        Why a node was missed.
+        Why a node was missed; of one that was found, what is odd about it on the map.
     false_kind : list of E str or None
         Kind of the reason, of `KINDS`, why each scored detection is wrong.
     miss_kind : list of N str or None
@@ -58,6 +67,8 @@ class RunVerdicts:
     detections: Verdicts
     intersections: Verdicts
     uids: list[str]
+    names: list[str | None]
+    node_names: list[str | None]
     node_outcome: list[str]
     node_intersection: IntArray
     node_reason: list[str | None]
@@ -126,7 +137,13 @@ def give_verdicts(
         intersection_node=map_level.node,
         gate_m=map_level.gate_m,
     )
-    missed = [explain_missed(evidence, seen, row) if each else None for row, each in enumerate(map_level.missed)]
+    mosaic = mosaic_of(result) if map_level.missed.any() else None
+    if mosaic is not None and (mosaic.epsg is None or not mosaic.raster.tiles):
+        mosaic = None
+    missed = [
+        explain_missed(evidence, seen, row, mosaic) if each else None for row, each in enumerate(map_level.missed)
+    ]
+    odd = [evidence.oddity(row) if each else None for row, each in enumerate(map_level.node_found)]
     assigned = np.flatnonzero(is_node)
     node_intersection = np.full(len(nodes), UNMATCHED, dtype=np.int64)
     node_intersection[map_level.node[assigned]] = assigned
@@ -134,9 +151,11 @@ def give_verdicts(
         detections=detections,
         intersections=fused,
         uids=_uids(graph, intersections, map_level, fused.osm_id),
+        names=_names(evidence, intersections.lonlat, map_level.node),
+        node_names=evidence.streets(evidence.node_xy, np.full(len(nodes), nodes.tolerance_m or _AT_NODE_M)),
         node_outcome=_node_outcomes(map_level.node_found, map_level.node_in_zone),
         node_intersection=node_intersection,
-        node_reason=[each and each.sentence for each in missed],
+        node_reason=[each.sentence if each else other for each, other in zip(missed, odd, strict=True)],
         false_kind=[each and each.kind for each in (false[row] for row in detection_row.tolist())],
         miss_kind=[each and each.kind for each in missed],
         counts={
@@ -175,6 +194,14 @@ def _verdicts(
     outcome = np.select([~is_scored, is_right], ["unscored", "right"], "wrong").tolist()
     osm_ids: list[int | None] = [*evidence.nodes.osm_id.tolist(), None]  # row -1: none
     return Verdicts(outcome, [osm_ids[row] for row in node.tolist()], error_m, sentences), reasons
+
+
+def _names(evidence: MapEvidence, lonlat: FloatArray, node: IntArray) -> list[str | None]:
+    """Name intersections by the streets that meet at their node, or else by those that are near."""
+    has_node = node != UNMATCHED
+    xy = np.where(has_node[:, None], evidence.node_xy[node] if len(evidence.nodes) else 0.0, evidence.plane(lonlat))
+    at_node = evidence.nodes.tolerance_m or _AT_NODE_M
+    return evidence.streets(xy, np.where(has_node, at_node, SAME_PLACE_M))
 
 
 def _node_outcomes(found: BoolArray, in_zone: BoolArray) -> list[str]:

@@ -22,6 +22,7 @@ from interloc.osm.intersections import IntersectionNodes, intersection_nodes
 from interloc.osm.policies import Policy
 from interloc.output.geojson import positions, write_collection
 from interloc.output.layers import LAYERS, PLACES
+from interloc.output.properties import origin_of
 from interloc.processes import Progress
 from interloc.results import DriveResult
 
@@ -86,7 +87,7 @@ def place_run(
     return PlacedRun(placed, fair_result(placed, drive, location, nodes), location)
 
 
-def write_places(location: Location, graph: RoadGraph, folder: Path) -> None:
+def write_places(placed: PlacedRun, graph: RoadGraph, folder: Path) -> None:
     """Write the layer `places` into a result folder: the drive where it was found, and where it might have been.
 
     Raises
@@ -94,7 +95,7 @@ def write_places(location: Location, graph: RoadGraph, folder: Path) -> None:
     OutputError
         The file could not be written.
     """
-    places = location.places
+    places, result = placed.location.places, placed.result
     features = LAYERS[PLACES].features(
         [positions(place.track_lonlat, local=False) for place in places],
         rank=list(range(1, len(places) + 1)),
@@ -105,7 +106,8 @@ def write_places(location: Location, graph: RoadGraph, folder: Path) -> None:
         heading_deg=[place.heading_deg for place in places],
     )
     credit = LAYERS[PLACES].credit(features, made_up_map=graph.is_made_up)
-    write_collection(folder / f"{PLACES}.geojson", features, local=False, credit=credit)
+    origin = origin_of(result.run, result.drive)
+    write_collection(folder / f"{PLACES}.geojson", features, local=False, credit=credit, origin=origin)
 
 
 def require_found(location: Location, drive: str) -> Georeference:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import cv2
 import numpy as np
 
-from interloc.arrays import FloatArray, UInt8Array
+from interloc.arrays import BoolArray, FloatArray, UInt8Array
 from interloc.geometry import lonlat_from_enu, rotate_2d
 from interloc.results import DriveResult
 
@@ -142,6 +142,14 @@ class Mosaic:
     raster: Raster
     epsg: int | None
     other: Raster | None = None
+
+    def seen_at(self, lonlat: FloatArray) -> tuple[BoolArray, BoolArray]:
+        """Return whether road, and else other ground, was seen at (N, 2) degrees, (N,) each; it is georeferenced."""
+        from pyproj import Transformer  # noqa: PLC0415 - slow to import
+
+        xy = np.stack(Transformer.from_crs(4326, self.epsg, always_xy=True).transform(*lonlat.T), axis=-1)
+        road = self.raster.at(xy) > 0
+        return road, np.zeros_like(road) if self.other is None else (self.other.at(xy) > 0) & ~road
 
 
 def build_mosaic(result: DriveResult) -> Mosaic:

@@ -40,7 +40,7 @@ def derived_features(name: str, intersections: Rows) -> list[dict[str, Any]]:
 
 
 def _branches(intersections: Rows) -> list[dict[str, Any]]:
-    lines, ids, bearings, widths, drives = [], [], [], [], []
+    lines, ids, bearings, widths = [], [], [], []
     for feature in intersections.features:
         start, properties = np.array(feature.geometry.coordinates), feature.properties
         measured = properties.branch_widths_m or [None] * len(properties.branch_bearings_deg)  # none of older versions
@@ -51,8 +51,7 @@ def _branches(intersections: Rows) -> list[dict[str, Any]]:
             ids.append(properties.id)
             bearings.append(bearing)
             widths.append(width)
-            drives.append(properties.drive)
-    return DERIVED["branches"].features(lines, intersection=ids, bearing_deg=bearings, width_m=widths, drive=drives)
+    return DERIVED["branches"].features(lines, intersection=ids, bearing_deg=bearings, width_m=widths)
 
 
 def _uncertainty(intersections: Rows) -> list[dict[str, Any]]:
@@ -76,7 +75,6 @@ def _uncertainty(intersections: Rows) -> list[dict[str, Any]]:
         semi_major_m=major_m,
         semi_minor_m=minor_m,
         bearing_deg=bearing_deg,
-        drive=intersections.column("drive"),
     )
 
 

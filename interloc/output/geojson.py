@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import chain, pairwise
 from pathlib import Path
 from typing import Any
@@ -54,7 +54,12 @@ def positions(xy: FloatArray, *, local: bool) -> list[list[float]]:
 
 
 def write_collection(
-    path: Path, features: Sequence[dict[str, Any]], *, local: bool, credit: Credit = OWN_CREDIT
+    path: Path,
+    features: Sequence[dict[str, Any]],
+    *,
+    local: bool,
+    credit: Credit = OWN_CREDIT,
+    origin: Mapping[str, Any] | None = None,
 ) -> None:
     """Write a FeatureCollection, whole or not at all.
 
@@ -68,12 +73,16 @@ def write_collection(
         True for metres of W.
     credit
         Whose data it is, see `interloc.output.layers.Layer.credit`.
+    origin
+        Properties that all features have, see `interloc.output.properties.origin_of`.
 
     Raises
     ------
     OutputError
         The file could not be written.
     """
+    if origin is not None:
+        features = [{**feature, "properties": feature["properties"] | origin} for feature in features]
     head: dict[str, Any] = {"type": "FeatureCollection"}
     if local:
         head |= {"local": True, "units": LOCAL_UNITS}

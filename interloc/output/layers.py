@@ -22,6 +22,7 @@ from interloc.arrays import FloatArray, IntArray
 from interloc.output.credits import OWN_CREDIT, Credit, holds_map_data, map_credit
 from interloc.output.geojson import damaged, joined, read_file, rounded
 from interloc.output.properties import (
+    ORIGIN,
     Attribute,
     BranchProperties,
     ChangeProperties,
@@ -38,6 +39,7 @@ from interloc.output.properties import (
     OsmRoadProperties,
     PlaceProperties,
     Properties,
+    ResultProperties,
     RoadProperties,
     RoadSurfaceProperties,
     Strict,
@@ -137,9 +139,12 @@ class Layer:
         coordinates
             Of each feature, as printed (`interloc.output.geojson.positions`); None: it has no geometry.
         **columns
-            The values of each property of the layer.
+            The values of each property of the layer; those of `ORIGIN` may be left out, and are null then.
         """
+        coordinates = list(coordinates)
         names = [each.name for each in self.attributes]
+        if issubclass(self.properties, ResultProperties):
+            columns = dict.fromkeys(ORIGIN, [None] * len(coordinates)) | columns
         assert columns.keys() == set(names)
         printed = [_printed(columns[each.name], each.decimals) for each in self.attributes]
         rows = [dict(zip(names, row, strict=True)) for row in zip(*printed, strict=True)]

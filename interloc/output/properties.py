@@ -8,6 +8,7 @@ the LiDAR at a keyframe, levelled.
 from __future__ import annotations
 
 import types
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal, get_args, get_origin
 
@@ -78,6 +79,14 @@ KeyframeTime = Annotated[
     Field(title="Time", description="Time of the keyframe, RFC 3339; null where the drive has no times of day."),
 ]
 DriveName = Annotated[str | None, Field(title="Drive", description="Name of the drive.")]
+Streets = Annotated[
+    str | None,
+    Field(
+        title="Streets",
+        description="Names of the streets that meet there on the map, as A / B; of an intersection without a node, of "
+        "the streets within 10 m. Null where none has a name, and before `evaluate`.",
+    ),
+]
 NODE_KINDS = (
     "intersection: one of the result, or several in one place. fork: three or more lines of the road meet where the "
     "result has no intersection. place: an open place without one. dead_end: the road ends, and the drive came near. "
@@ -97,7 +106,30 @@ class Properties(Strict):
     """Properties of the features of a layer."""
 
 
-class IntersectionProperties(Properties):
+class ResultProperties(Properties):
+    """What tells features of one result from those of others; null in files of older versions."""
+
+    drive: DriveName = None
+    job: str | None = Field(
+        None, title="Job", description="Id of the job of the service that made it; null from the command line."
+    )
+    preset: str | None = Field(None, title="Preset", description="Preset of its settings: default or paper.")
+    labels: str | None = Field(
+        None, title="Labels", description="Where the labels of the points came from; null where that is not known."
+    )
+
+
+ORIGIN = tuple(ResultProperties.model_fields)
+"""The properties that all features of a result have in common; the last ones of each layer."""
+
+
+def origin_of(run: Mapping[str, Any], drive: str | None) -> dict[str, str | None]:
+    """Return the values of `ORIGIN` of a result, by its `run.json` and the name of its drive."""
+    preset, labels = (run.get("config") or {}).get("preset"), run.get("labels")
+    return {"drive": drive, "job": run.get("job"), "preset": preset, "labels": labels or None}
+
+
+class IntersectionProperties(ResultProperties):
     """A physical intersection, fused from all detections of it."""
 
     id: int = Field(title="Number", description="Number of the intersection, from 1 in the order of first sight.")
@@ -146,7 +178,6 @@ class IntersectionProperties(Properties):
         description="Name of the place, the same in other runs that were scored: n and the id of the OpenStreetMap "
         "node where there is a junction. Else the cell of a grid of about 22 m, which small moves can change.",
     )
-    drive: DriveName = None
     first_time: Time = Field(
         None,
         title="First seen",
@@ -170,9 +201,10 @@ class IntersectionProperties(Properties):
     )
     error_m: MetresOrNone = Field(None, title="Error", description="Distance to that node, metres; null for none.")
     reason: Reason = None
+    names: Streets = None
 
 
-class DetectionProperties(Properties):
+class DetectionProperties(ResultProperties):
     """An intersection as one keyframe saw it, georeferenced by the fix of that keyframe."""
 
     frame: Scan
@@ -212,7 +244,7 @@ class DetectionProperties(Properties):
     reason: Reason = None
 
 
-class TrajectoryProperties(Properties):
+class TrajectoryProperties(ResultProperties):
     """The track of the LiDAR as one line; beside its geometry `world_xy_m`, the same line in W."""
 
     scans: int = Field(title="Scans", description="Number of scans of the drive.")
@@ -221,7 +253,7 @@ class TrajectoryProperties(Properties):
     )
 
 
-class KeyframeProperties(Properties):
+class KeyframeProperties(ResultProperties):
     """The LiDAR at a keyframe."""
 
     frame: int = Field(title="Scan", description="Scan number.")
@@ -248,7 +280,7 @@ RoadWidth = Annotated[float | None, Decimals(2, "m")]
 RoadLength = Annotated[float, Decimals(2, "m")]
 
 
-class RoadProperties(Properties):
+class RoadProperties(ResultProperties):
     """A road between two nodes, as the LiDAR saw it: its centreline, and its width from edge to edge."""
 
     id: int = Field(title="Road", description="Number of the road, from 1.")
@@ -291,10 +323,9 @@ class RoadProperties(Properties):
         "0.13 m where it was driven, else 0.37 m, as on simulated drives, and its scatter; null where no width is "
         "known.",
     )
-    drive: DriveName = None
 
 
-class JunctionProperties(Properties):
+class JunctionProperties(ResultProperties):
     """The ground where roads meet, as far as their mouths; or an open place, on which no lines are drawn."""
 
     id: int = Field(title="Node", description="Number of the node, from 1: `start_node` and `end_node` of roads.")
@@ -304,18 +335,16 @@ class JunctionProperties(Properties):
     )
     roads: int = Field(title="Roads", description="Number of roads that begin or end there.")
     area_m2: Annotated[float, Decimals(1, "m2")] = Field(title="Area", description="Area, square metres.")
-    drive: DriveName = None
 
 
-class RoadSurfaceProperties(Properties):
+class RoadSurfaceProperties(ResultProperties):
     """The ground that was seen as road from two keyframes or more, cut at squares of 256 m."""
 
     id: int = Field(title="Piece", description="Number of the piece, from 1.")
     area_m2: Annotated[float, Decimals(1, "m2")] = Field(title="Area", description="Area, square metres.")
-    drive: DriveName = None
 
 
-class OsmNodeProperties(Properties):
+class OsmNodeProperties(ResultProperties):
     """A ground truth intersection of OpenStreetMap."""
 
     osm_id: OsmNode
@@ -350,10 +379,16 @@ class OsmNodeProperties(Properties):
     intersection: int | None = Field(
         None, title="Intersection", description="Id of the intersection assigned to it; null for none."
     )
-    reason: str | None = Field(None, title="Reason", description="Why it was missed; null where it was not.")
+    reason: str | None = Field(
+        None,
+        title="Reason",
+        description="Why it was missed, and what of its branches was seen; of one that was found, what is odd about it "
+        "on the map (levels, a road drawn twice). Else null.",
+    )
+    names: Streets = None
 
 
-class MatchProperties(Properties):
+class MatchProperties(ResultProperties):
     """A detection and the OpenStreetMap node that it was matched to."""
 
     frame: Scan
@@ -372,7 +407,7 @@ class MatchProperties(Properties):
     )
 
 
-class OsmRoadProperties(Properties):
+class OsmRoadProperties(ResultProperties):
     """A way of OpenStreetMap around the drive; one that leaves the surroundings and returns is several lines."""
 
     osm_id: int = Field(title="OSM way", description="Id of the OpenStreetMap way.")
@@ -406,7 +441,7 @@ class OsmRoadProperties(Properties):
     )
 
 
-class OsmBuildingProperties(Properties):
+class OsmBuildingProperties(ResultProperties):
     """A building of OpenStreetMap near the track; one of several outlines is several polygons."""
 
     osm_id: int = Field(title="OSM id", description="Id of the OpenStreetMap way or relation.")
@@ -415,7 +450,7 @@ class OsmBuildingProperties(Properties):
     )
 
 
-class PlaceProperties(Properties):
+class PlaceProperties(ResultProperties):
     """The track of a drive at a place of the map that it fits; the first is where it was found to be."""
 
     rank: int = Field(title="Rank", description="1 for the best place; the others are those that came next.")
@@ -432,7 +467,7 @@ class PlaceProperties(Properties):
     )
 
 
-class BranchProperties(Properties):
+class BranchProperties(ResultProperties):
     """A branch of an intersection: a line of 20 m from its position along the bearing."""
 
     intersection: int = Field(title="Intersection", description="Id of the intersection.")
@@ -442,10 +477,9 @@ class BranchProperties(Properties):
     width_m: Annotated[float | None, Decimals(2, "m")] = Field(
         None, title="Width", description="Width of the road across it, metres; null where it could not be measured."
     )
-    drive: DriveName = None
 
 
-class UncertaintyProperties(Properties):
+class UncertaintyProperties(ResultProperties):
     """The ellipse that holds the true position of an intersection with a probability of 95 %: 2.45 sigma."""
 
     intersection: int = Field(title="Intersection", description="Id of the intersection.")
@@ -460,7 +494,6 @@ class UncertaintyProperties(Properties):
     bearing_deg: Annotated[float, Decimals(3, "degree")] = Field(
         title="Bearing", description="Bearing of the longer axis, 0 to 180 degrees."
     )
-    drive: DriveName = None
 
 
 class CityProperties(Properties):
@@ -608,9 +641,10 @@ class Attribute:
 
 
 def attributes_of(properties: type[Properties]) -> list[Attribute]:
-    """Return the properties of a layer in their order."""
+    """Return the properties of a layer in their order, those of `ORIGIN` last."""
     attributes = []
-    for name, field in properties.model_fields.items():
+    shared = ORIGIN if issubclass(properties, ResultProperties) else ()
+    for name, field in sorted(properties.model_fields.items(), key=lambda each: each[0] in shared):
         number = next((each for each in field.metadata if isinstance(each, Decimals)), None)
         is_time = any(isinstance(each, Moment) for each in field.metadata)
         assert field.title is not None

@@ -42,7 +42,7 @@ def roads(result: DriveResult) -> RoadNetwork:
     return extract_roads(result, mosaic_of(result))
 
 
-def road_features(network: RoadNetwork, drive: str | None) -> dict[str, list[dict[str, Any]]]:
+def road_features(network: RoadNetwork) -> dict[str, list[dict[str, Any]]]:
     """Return the GeoJSON features of the layers `roads`, `junctions` and `road_surface`."""
     kinds = {node.id: node.kind for node in network.nodes}
     ends = [end for edge in network.edges for end in (edge.start, edge.end)]
@@ -65,7 +65,6 @@ def road_features(network: RoadNetwork, drive: str | None) -> dict[str, list[dic
             seen=[edge.seen for edge in edges],
             keyframes=[edge.keyframes for edge in edges],
             offset_std_m=[edge.offset_std_m for edge in edges],
-            drive=[drive] * len(edges),
         ),
         "junctions": LAYERS["junctions"].features(
             [_rings(network, area) for _, area in areas],
@@ -74,13 +73,11 @@ def road_features(network: RoadNetwork, drive: str | None) -> dict[str, list[dic
             intersections=[list(node.intersections) for node, _ in areas],
             roads=[ends.count(node.id) for node, _ in areas],
             area_m2=[area.area for _, area in areas],
-            drive=[drive] * len(areas),
         ),
         "road_surface": LAYERS["road_surface"].features(
             [_rings(network, each) for each in network.surface],
             id=list(range(1, len(network.surface) + 1)),
             area_m2=[each.area for each in network.surface],
-            drive=[drive] * len(network.surface),
         ),
     }
 

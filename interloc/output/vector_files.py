@@ -30,6 +30,7 @@ from interloc.output.gpx import GPX_LAYERS, write_gpx
 from interloc.output.kml import NAMES, pack_kmz, style_kml
 from interloc.output.layers import BUILDINGS, DERIVED, LAYERS, PLACES, Layer, Rows
 from interloc.output.layout import RUN_FILE, file_names, refuse_result_file
+from interloc.output.properties import origin_of
 from interloc.output.qgis_project import Source, project, write_qgz
 from interloc.output.vector_tiles import TiledLayer, write_tiles
 
@@ -125,9 +126,16 @@ def write_live_project(result: Path, out: Path, source_of: Callable[[Layer], Sou
 
 
 def _read(result: Path, name: str) -> Rows:
+    """Read a layer; what results of older versions, and what is made of them, do not say of themselves is added."""
     if name in DERIVED:
-        return derive(name, LAYERS["intersections"].read(result / "intersections.geojson"))
-    return LAYERS[name].read(_file_of(result, name))
+        rows = derive(name, LAYERS["intersections"].read(result / "intersections.geojson"))
+    else:
+        rows = LAYERS[name].read(_file_of(result, name))
+    origin = origin_of(read_json(result / RUN_FILE), _name_of(result))
+    for feature in rows.features:
+        if feature.properties.drive is None or feature.properties.preset is None:
+            feature.properties.__dict__.update(origin)
+    return rows
 
 
 def _name_of(result: Path) -> str:

@@ -28,6 +28,7 @@ from interloc.output.layout import (
     RUN_NAMES,
     file_names,
 )
+from interloc.output.properties import origin_of
 from interloc.output.road import mosaic_of, write_road
 from interloc.output.roads import road_features
 from interloc.output.uids import place_uids
@@ -71,9 +72,10 @@ def write_results(result: DriveResult, folder: str | os.PathLike[str]) -> None:
             (folder / stale).unlink(missing_ok=True)
     except OSError as error:
         raise OutputError(f"{folder} could not be written: {reason_of(error)}.") from error
+    origin = origin_of(result.run, result.drive)
     for table, features_of in TABLE_FEATURES.items():
-        write_collection(folder / names[table], features_of(result), local=local)
-    rasters = _write_roads(result, folder, names)
+        write_collection(folder / names[table], features_of(result), local=local, origin=origin)
+    rasters = _write_roads(result, folder, names, origin)
     times = [each for each in result.keyframes.moments if each is not None]
     first, last = (times[0], times[-1]) if times else (None, None)
     files = [*names.values(), *rasters, RUN_FILE]
@@ -95,13 +97,15 @@ def _remove_evaluation(folder: Path, *, is_placed: bool) -> None:
         shutil.rmtree(folder / FIGURES)
 
 
-def _write_roads(result: DriveResult, folder: Path, names: Mapping[str, str]) -> list[str]:
+def _write_roads(
+    result: DriveResult, folder: Path, names: Mapping[str, str], origin: Mapping[str, str | None]
+) -> list[str]:
     """Write the map of the roads, and its raster where any road was seen; return the names of rasters."""
     from interloc.roadmap.extract import extract_roads  # noqa: PLC0415 - SciPy and Shapely are slow to import
 
     mosaic = mosaic_of(result)
-    for layer, features in road_features(extract_roads(result, mosaic), result.drive).items():
-        write_collection(folder / names[layer], features, local=not result.is_georeferenced)
+    for layer, features in road_features(extract_roads(result, mosaic)).items():
+        write_collection(folder / names[layer], features, local=not result.is_georeferenced, origin=origin)
     if not mosaic.raster.tiles:
         return []
     write_road(mosaic, folder / ROAD_FILE)
@@ -155,7 +159,10 @@ def _keyframe_features(result: DriveResult) -> list[dict[str, Any]]:
 
 
 def intersection_features(
-    result: DriveResult, verdicts: Verdicts | None = None, uids: Sequence[str] | None = None
+    result: DriveResult,
+    verdicts: Verdicts | None = None,
+    uids: Sequence[str] | None = None,
+    names: Sequence[str | None] | None = None,
 ) -> list[dict[str, Any]]:
     """Return the features of the layer `intersections`.
 
@@ -166,6 +173,8 @@ def intersection_features(
         Of an evaluation, where there is one.
     uids
         Names of the places; by default those that need no map (`interloc.output.uids.place_uids`).
+    names
+        Of the streets that meet; by default none is known.
     """
     table = result.intersections
     parts = table.parts or PositionParts.unknown(len(table))
@@ -189,13 +198,13 @@ def intersection_features(
         world_x_m=table.world_xy[:, 0],
         world_y_m=table.world_xy[:, 1],
         uid=place_uids(table) if uids is None else list(uids),
-        drive=[result.drive] * len(table),
         first_time=[moment_of.get(frame) for frame in table.first_frame.tolist()],
         last_time=[moment_of.get(frame) for frame in table.last_frame.tolist()],
         outcome=verdicts.outcome,
         osm_id=verdicts.osm_id,
         error_m=verdicts.error_m,
         reason=verdicts.reason,
+        names=[None] * len(table) if names is None else list(names),
     )
 
 

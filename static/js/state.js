@@ -13,8 +13,10 @@
  * @property {string[]|null} layers Switched on; null for the usual ones.
  * @property {string[]|null} compare Ids of the jobs beside which the shown one is.
  * @property {boolean} drawer Whether the keyframe is shown at large.
+ * @property {boolean} service Whether service roads count as roads of the map; it belongs to the job.
  * @property {string|null} intersection Id or uid of the intersection that is chosen; it belongs to the job.
  * @property {number|null} node OSM id of the node that is chosen; it belongs to the job too.
+ * @property {string|null} live Id of the live session that is watched, in the place of a job.
  * @property {string|null} filter Which intersections of the job are looked at, see map/filter.js.
  */
 
@@ -28,9 +30,11 @@ const initial = {
   layers: null,
   compare: null,
   drawer: false,
+  service: false,
   intersection: null,
   node: null,
   filter: null,
+  live: null,
 };
 
 /** @type {State} */
@@ -54,8 +58,9 @@ export function setState(patch) {
   const leaves = patch.drive !== undefined && before.drive !== null && patch.drive !== before.drive;
   const next = {
     ...before,
-    ...(isOther && { intersection: null, node: null, filter: null }),
+    ...(isOther && { intersection: null, node: null, filter: null, service: false }),
     ...(leaves && { compare: null }), // they are of one drive
+    ...((patch.job || patch.drive) && { live: null }),
     ...patch,
   };
   const changed = Object.keys(next).filter(
@@ -63,7 +68,7 @@ export function setState(patch) {
   );
   if (!changed.length) return;
   state = next;
-  writeHash(changed.some((key) => key === "panel" || key === "job" || key === "drive"));
+  writeHash(changed.some((key) => ["panel", "job", "drive", "live"].includes(key)));
   for (const { keys, call } of [...listeners]) {
     if (!keys || keys.some((key) => changed.includes(key))) call(state, before);
   }
@@ -98,7 +103,7 @@ function same(a, b) {
 /** @param {State} shown @returns {string} */
 function format(shown) {
   const parts = [];
-  const { panel, compare, layers, drawer, ...texts } = shown;
+  const { panel, compare, layers, drawer, service, ...texts } = shown;
   if (panel !== initial.panel || shown.job) parts.push(`panel=${encoded(panel)}`);
   for (const [key, value] of Object.entries(texts)) {
     if (value !== null && value !== /** @type {any} */ (initial)[key]) parts.push(`${key}=${encoded(String(value))}`);
@@ -106,6 +111,7 @@ function format(shown) {
   if (compare) parts.push(`compare=${compare.map(encodeURIComponent).join(",")}`);
   if (layers) parts.push(`layers=${layers.join(",")}`);
   if (drawer) parts.push("drawer=1");
+  if (service) parts.push("service=1");
   return parts.join("&");
 }
 
@@ -129,9 +135,11 @@ function parse(hash) {
     layers: layers === null ? null : layers.split(",").filter(Boolean),
     compare: compare.length ? [...new Set(compare)] : null,
     drawer: fields.get("drawer") === "1",
+    service: fields.get("service") === "1",
     intersection: fields.get("intersection") || null,
     node: integer("node"),
     filter: fields.get("filter") || null,
+    live: fields.get("live") || null,
   };
 }
 

@@ -39,6 +39,11 @@ def wait_until(
     raise AssertionError(f"waited {patience_s:.0f} s in vain for {what}")
 
 
+def as_by_command(answer: httpx.Response) -> bytes:
+    """Return a layer of a job as the command line writes it: without the id of the job."""
+    return re.sub(rb'"job":"\w+"', b'"job":null', answer.content)
+
+
 def files_below(folder: Path) -> list[Path]:
     """All files below a folder that a server works in, but its lock: what goes meanwhile is passed over."""
     return [Path(root) / name for root, _, names in os.walk(folder) for name in names if name != "lock"]

@@ -9,6 +9,7 @@ from typing import Any, get_args
 
 import numpy as np
 import pytest
+from pyproj import Transformer
 
 from interloc.evaluation.reasons import (
     KINDS,
@@ -22,6 +23,7 @@ from interloc.evaluation.reasons import (
     explain_missed,
 )
 from interloc.geometry import lonlat_from_enu
+from interloc.mapping.mosaic import Mosaic, Raster
 from interloc.osm.graph import RoadGraph, Ways
 from interloc.osm.intersections import intersection_nodes
 from interloc.osm.policies import Policy
@@ -255,7 +257,30 @@ def test_a_road_drawn_twice_is_named() -> None:
 def test_what_was_passed_and_not_detected_is_not_explained() -> None:
     reason = why_missed(CROSSING, 101)
     assert reason.kind == "not_seen"
-    assert "does not hold what road was seen" in reason.sentence
+    assert "what road was seen is not known" in reason.sentence
+
+
+def test_a_missed_node_says_which_of_its_branches_were_seen() -> None:
+    evidence = evidence_of(CROSSING)
+    road, other = Raster(0.5), Raster(0.5)
+    east, north = Transformer.from_crs(4326, 32632, always_xy=True).transform(*lonlat((0, 0))[0])
+    row, col = -round(north / 0.5), round(east / 0.5)
+    road.add(row - 4, col - 60, np.ones((8, 90), np.uint8))  # west, and east to 15 m
+    other.add(row - 60, col - 4, np.ones((60, 8), np.uint8))  # north
+    assert evidence.branches_seen(0, Mosaic(road, 32632, other)) == (
+        "of its 4 branches the LiDAR saw 2 as road, 1 as other ground, 1 not"
+    )
+
+
+def test_streets_that_meet_are_named_in_the_order_of_the_alphabet() -> None:
+    evidence = evidence_of([*CROSSING, ("footway", [(0, 0), (50, 50)])])
+    places = np.array([[0.0, 0.0], [40.0, 3.0], [40.0, 40.0]])
+    assert evidence.streets(places, np.array([0.5, 10.0, 10.0])) == ["Way 0 / Way 1", "Way 0", None]
+
+
+def test_what_is_odd_about_a_node_is_told_beside_a_wrong_intersection_too() -> None:
+    twice = [*CROSSING, ("residential", [(0, 0), (45, 0.3)])]
+    assert why_false(twice, (14, 0)).sentence.endswith("run 0.3 m apart: drawn twice?")
 
 
 def test_every_kind_has_its_meaning_and_is_counted() -> None:

@@ -85,6 +85,21 @@ def test_a_node_is_found_missed_or_outside(folder: Path) -> None:
     assert reasons[1]
 
 
+def test_service_roads_can_be_counted_without_another_run(run: Run, graph: Graph, tmp_path: Path) -> None:
+    made = run([(0, 0)], [(0, 1, 0)], [(0.5, 1)])
+    write_results(made, tmp_path)
+    roads = graph([(0, 0)])
+    roads = replace(roads, ways=replace(roads.ways, highway=("service",) * len(roads.ways)))
+    write_report(evaluate(made, roads, policy="drive"), tmp_path)
+    report = json.loads((tmp_path / "report.json").read_text())
+    assert report["map_line"] == "0 of 1 intersection right within 10 m, 0 of 0 nodes found"
+    switched = report["with_service"]
+    assert switched["map_line"].startswith("1 of 1 intersection right within 10 m, 1 of 1 node found")
+    assert [(each["id"], each["outcome"], each["osm_id"]) for each in switched["intersections"]] == [(1, "right", 100)]
+    assert [each["outcome"] for each in switched["nodes"]] == ["found"]
+    assert "With service roads counted too" in (tmp_path / "report.html").read_text()
+
+
 def test_a_match_joins_detection_node_and_intersection(folder: Path) -> None:
     assert told(folder, "matches", "detection", "intersection")[:3] == [("0-1", 1), ("10-1", 1), ("10-2", 2)]
 
@@ -167,9 +182,9 @@ def test_a_folder_of_an_older_version_opens_and_exports(folder: Path, tmp_path: 
     old = tmp_path / "old"
     old.mkdir()
     new = {
-        "intersections": [*NEW, "uid", "drive", "first_time", "last_time"],
+        "intersections": [*NEW, "uid", "drive", "first_time", "last_time", "names"],
         "detections": [*NEW, "id", "time"],
-        "osm_nodes": ["outcome", "intersection", "reason"],
+        "osm_nodes": ["outcome", "intersection", "reason", "names"],
         "matches": ["intersection"],
     }
     for path in folder.glob("*.*json"):

@@ -182,14 +182,30 @@ def test_branches_and_uncertainty_are_as_large_as_they_say(scored: Path, tmp_pat
     (lon, lat), (_, north) = branches[0]["geometry"]["coordinates"]
     assert (lon, lat) == (8.4205, 49.011)
     assert (north - lat) * 111.2e3 == pytest.approx(20.0, abs=0.05)
-    assert ellipse["properties"] | {"drive": ""} == {
-        "intersection": 1, "position_std_m": 0.25, "radius_m": 0.6119, "drive": "",
+    origin = {"drive": "", "job": None, "preset": "paper", "labels": None}
+    assert ellipse["properties"] | {"drive": ""} == origin | {
+        "intersection": 1, "position_std_m": 0.25, "radius_m": 0.6119,
         "semi_major_m": 0.7444, "semi_minor_m": 0.4413, "bearing_deg": 45.0,
     }  # fmt: skip
     ring = shapely.geometry.shape(ellipse["geometry"])
     assert ring.exterior.is_ccw
     assert (ring.bounds[3] - ring.bounds[1]) * 111.2e3 == pytest.approx(2 * 0.6119, abs=0.03)
     assert ring.area * 111.2e3**2 * math.cos(math.radians(lat)) == pytest.approx(math.pi * 0.7445 * 0.4413, rel=0.1)
+
+
+def test_every_row_says_of_which_result_it_is_also_of_older_results(tmp_path: Path) -> None:
+    made = replace(small_result(), run=small_result().run | {"job": "9b1e", "labels": "predictions"})
+    folder = write_folder(tmp_path / "out", made, scored=True)
+    own = {"drive": made.drive, "job": "9b1e", "preset": "paper", "labels": "predictions"}
+    for path in folder.glob("*.geojson"):  # as an older version left it
+        content = json.loads(path.read_text())
+        for each in content["features"]:
+            assert {name: each["properties"].pop(name) for name in own} == own, path
+        path.write_text(json.dumps(content))
+    write_vector_file(folder, tmp_path / "all.gpkg")
+    for name in EXPORTS.keys() & set(pyogrio.list_layers(tmp_path / "all.gpkg")[:, 0]):
+        for row in pyogrio.read_dataframe(tmp_path / "all.gpkg", layer=name).to_dict("records"):
+            assert {column: row[column] for column in own} == own, name
 
 
 def test_csv_is_safe_to_open_in_a_spreadsheet(tmp_path: Path) -> None:

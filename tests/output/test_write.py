@@ -59,6 +59,7 @@ def assert_same(found: Any, expected: Any) -> None:
 
 
 def test_the_files_of_a_georeferenced_run(tmp_path: Path) -> None:
+    origin = {"drive": "07", "job": None, "preset": "paper", "labels": None}
     write_results(small_result(), tmp_path)
     assert sorted(p.name for p in tmp_path.iterdir()) == [
         "detections.geojson",
@@ -94,6 +95,7 @@ def test_the_files_of_a_georeferenced_run(tmp_path: Path) -> None:
             "osm_id": None,
             "error_m": None,
             "reason": None,
+            **origin,
         },
     }
     assert detections["features"][2]["properties"]["intersection"] is None
@@ -106,6 +108,7 @@ def test_the_files_of_a_georeferenced_run(tmp_path: Path) -> None:
         "world_y_m": -1.0,
         "world_yaw_rad": 0.5,
         "time": None,
+        **origin,
     }
     assert load(tmp_path / "intersections.geojson")["features"][0]["properties"] == {
         "id": 1,
@@ -124,17 +127,18 @@ def test_the_files_of_a_georeferenced_run(tmp_path: Path) -> None:
         "world_x_m": 10.0625,
         "world_y_m": 1.0,
         "uid": "49.01110,8.42063",
-        "drive": "07",
         "first_time": None,
         "last_time": None,
         "outcome": "unscored",
         "osm_id": None,
         "error_m": None,
         "reason": None,
+        "names": None,
+        **origin,
     }
     (line,) = load(tmp_path / "trajectory.geojson")["features"]
     assert line["geometry"] == {"type": "LineString", "coordinates": [[8.4203, 49.0109], [8.4204, 49.01095]]}
-    assert line["properties"] == {"scans": 2, "thinned_to_m": 0.5}
+    assert line["properties"] == {"scans": 2, "thinned_to_m": 0.5, **origin}
     assert load(tmp_path / "run.json") == {
         "format": "interloc-result",
         "format_version": 1,

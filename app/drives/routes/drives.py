@@ -130,17 +130,20 @@ def _shown(session: Session, context: Context, drive: Drive) -> bytes:
 @router.patch(
     "/{drive_id}",
     response_model=DriveModel,
-    summary="Rename a drive, or note something about it",
+    summary="Rename a drive, note something about it, or pin a result",
     responses={**NOT_FOUND, **CHANGED},
 )
 def change_drive(
     drive_id: DriveId, changes: DriveChanges, context: ContextDep, _client: ClientDep, if_match: IfMatch = None
 ) -> Response:
-    """Change the name or the note of a drive, in whatever state it is; what is left out stays as it is."""
+    """Change the name, the note or the pinned job of a drive, in whatever state; what is left out stays as it is."""
     with context.database.writing() as session:
         drive = records.lock_drive(session, drive_id)
         require_unchanged(if_match, _shown(session, context, drive))
-        for name, value in changes.model_dump(exclude_unset=True).items():
+        values = changes.model_dump(exclude_unset=True)
+        if "pinned_job" in values:
+            records.pin_job(session, drive, values.pop("pinned_job"))
+        for name, value in values.items():
             setattr(drive, name, value)
         content = _shown(session, context, drive)
     sidecars.write_drive(context.storage, drive)

@@ -84,6 +84,7 @@ def finish(task: Task[IntersectionsJob], plan: Plan) -> IntersectionsOutcome:
         workers=min(task.workers, len(plan.parts)),
         seconds=max(0.0, time.time() - plan.began),
     )
+    result.run["job"] = task.job_id
     scored, graph = result, None
     if task.request.osm is not None:
         graph = _read_map(task, _map_bounds(task, drive, keyframes))
@@ -218,7 +219,7 @@ def _place(
         radius_m=None if near is None else 1000.0 * near.radius_km,
         progress=report,
     )
-    write_places(placed.location, graph, folder)
+    write_places(placed, graph, folder)
     return placed.result, placed.scored
 
 
@@ -232,7 +233,10 @@ def _evaluate(
     write_report(evaluation, folder, result=result)
     report = report_record(evaluation)
     at_5 = {f"{name}_at_5": report[name]["5.0"] for name in ("precision", "recall", "f1")}
-    return MapScores.model_validate(report | at_5)
+    level = report["map_level"]
+    judged = 2 * level["true"] + level["false"] + level["missed"]
+    map_f1 = 2 * level["true"] / judged if judged else None
+    return MapScores.model_validate(report | at_5 | {"map_f1": map_f1})
 
 
 def _location(result: DriveResult) -> MapPlace | None:

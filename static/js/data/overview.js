@@ -1,5 +1,5 @@
 /**
- * All drives on one map: their tracks, and the intersections of the newest result of each.
+ * All drives on one map: their tracks, and the intersections of the result that stands for each.
  * @module data/overview
  */
 import { getJson } from "../api.js";
@@ -9,7 +9,9 @@ import { lineOf } from "./results.js";
  * @typedef {object} DriveOnMap
  * @property {string} id
  * @property {string} name
- * @property {string|null} job Its newest successful one.
+ * @property {string|null} job That stands for it.
+ * @property {string|null} title Of that job.
+ * @property {"pinned"|"best"|null} chosen Why it does.
  * @property {number[][]} track Longitude, latitude.
  * @property {string|null} verdict How many of its intersections are right, in words.
  * @property {number[][]} intersections
@@ -32,9 +34,10 @@ export async function loadOverview() {
   for (let after = ""; ; ) {
     const page = await getJson(`overview?limit=${PAGE}${after && `&after=${encodeURIComponent(after)}`}`);
     for (const { geometry, properties } of page.features) {
-      const { layer, drive: id, name, job, verdict } = properties;
+      const { layer, drive: id, name, job, title, chosen, verdict } = properties;
       if (layer === "intersections") drives.get(id)?.intersections.push(...geometry.coordinates);
-      else if (geometry) drives.set(id, { id, name, job, verdict, track: lineOf(geometry), intersections: [] });
+      else if (geometry)
+        drives.set(id, { id, name, job, title, chosen, verdict, track: lineOf(geometry), intersections: [] });
       else unplaced += 1;
     }
     if (!page.next || drives.size + unplaced >= MAX_DRIVES)

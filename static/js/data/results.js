@@ -203,6 +203,25 @@ function detectionsOf(features, matches, evaluated) {
 }
 
 /**
+ * The same result with service roads counted as roads of the map; its detections keep their verdicts.
+ * @param {Result} result Whose report has `with_service`.
+ * @returns {Result}
+ */
+export function withService(result) {
+  const report = { ...result.report, ...result.report.with_service };
+  const told = new Map(report.intersections.map((/** @type {any} */ each) => [each.id, each]));
+  return {
+    ...result,
+    report,
+    intersections: result.intersections.map((each) => ({
+      ...each,
+      properties: { ...each.properties, ...told.get(each.properties.id) },
+    })),
+    nodes: report.nodes.map((/** @type {any} */ node) => ({ lng: node.lon, lat: node.lat, properties: node })),
+  };
+}
+
+/**
  * The median error of the detections of a node: of the true ones where it has any, since a wrong one is no measure of
  * how well it was found.
  * @param {Result} result

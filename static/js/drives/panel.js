@@ -9,9 +9,19 @@ import { lists, onListsChange, refreshLists, rememberDrive, titleOf } from "../d
 import { el, fill, formatAgo, formatBytes, formatCount, formatMetres, icon, plural } from "../dom.js";
 import { isEditing, naming } from "../job/naming.js";
 import { openRunDialog } from "../job/run_dialog.js";
-import { ANYONE, afterDeletion, driveBadge, openDrive, openJob, outcomeOf, stateBadge } from "../job/words.js";
+import {
+  ANYONE,
+  afterDeletion,
+  driveBadge,
+  openDrive,
+  openJob,
+  outcomeOf,
+  standing,
+  stateBadge,
+} from "../job/words.js";
 import { confirmAction, problemNote, showError } from "../messages.js";
 import { getState, setState, subscribe } from "../state.js";
+import { liveSection } from "./live.js";
 import { trashSection } from "./trash.js";
 
 const ROOM = 50; // cards at first, and more each time
@@ -38,7 +48,16 @@ export function mount(container) {
   const find = el("div", { class: "stack-s", hidden: true }, search, status);
   fill(
     container,
-    el("div", { class: "stack" }, el("div", { class: "row" }, upload, button), trouble, find, body, trashSection()),
+    el(
+      "div",
+      { class: "stack" },
+      el("div", { class: "row" }, upload, button),
+      trouble,
+      liveSection(),
+      find,
+      body,
+      trashSection(),
+    ),
   );
 
   const showDemo = () => {
@@ -158,12 +177,22 @@ function driveCard(drive, jobs) {
       rename,
       iconButton("trash", `Delete ${drive.name}`, () => removeDrive(drive).catch(showError), "Delete the drive"),
     ),
-    jobs.length > 0 && el("ul", { class: "jobs" }, jobs.map(jobRow)),
+    jobs.length > 0 &&
+      el(
+        "ul",
+        { class: "jobs" },
+        jobs.map((each) => jobRow(each, jobs.filter(({ state }) => state === "successful").length > 1)),
+      ),
   );
 }
 
-/** @param {any} job */
-function jobRow(job) {
+const STANDS = {
+  pinned: "Shown for the drive: pinned",
+  best: "Shown for the drive: the best of its jobs",
+};
+
+/** @param {any} job @param {boolean} isOneOf Whether the drive has several results. */
+function jobRow(job, isOneOf) {
   const isDone = job.state === "successful";
   const button = el(
     "button",
@@ -171,6 +200,9 @@ function jobRow(job) {
     el("span", { class: "cut", title: titleOf(job) }, titleOf(job)),
     isDone ? el("span", { class: "small" }, formatAgo(job.finished_at)) : stateBadge(job.state),
     isDone && el("span", { class: "small both" }, outcomeOf(job)),
+    isOneOf &&
+      standing(job) &&
+      el("span", { class: "small both stands" }, STANDS[/** @type {"best"} */ (standing(job))]),
   );
   return el("li", {}, button);
 }

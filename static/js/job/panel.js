@@ -4,7 +4,7 @@
  */
 import { follow, getJson, sendJson } from "../api.js";
 import { factRows, figure } from "../controls.js";
-import { FINAL, lists, refreshLists, rememberJob, titleOf } from "../data/lists.js";
+import { FINAL, lists, refreshLists, rememberDrive, rememberJob, titleOf } from "../data/lists.js";
 import {
   announce,
   el,
@@ -21,7 +21,7 @@ import { confirmAction, failureNote, problemNote, showError } from "../messages.
 import { getState, setState, subscribe } from "../state.js";
 import { isEditing, naming } from "./naming.js";
 import { openRunDialog } from "./run_dialog.js";
-import { ANYONE, afterDeletion, stateBadge } from "./words.js";
+import { ANYONE, afterDeletion, standing, stateBadge } from "./words.js";
 
 const STAGES = [
   ["waiting", "Waiting for its turn"],
@@ -124,6 +124,7 @@ export function mount(container) {
     if (focused) [...container.querySelectorAll("button")].find((each) => each.textContent === focused)?.focus();
   };
 
+  redraw = () => last && show(last);
   subscribe(["job"], () => void start());
   void start();
 }
@@ -217,9 +218,30 @@ function outcome(job) {
         ["Job", el("code", {}, job.id)],
       ]),
     ),
-    el("div", { class: "row section" }, runAgain(job, ""), removal(job)),
+    el("div", { class: "row section" }, runAgain(job, ""), pinButton(job), removal(job)),
   ];
 }
+
+/** @param {any} job */
+function pinButton(job) {
+  const why = standing(job);
+  const texts = { pinned: "No longer pin this result", best: "Pin this result" };
+  const text = why ? texts[why] : "Show this result for the drive";
+  const title = "On the map of all drives, and for GIS clients at /ogc and /stac; else the best of its jobs";
+  const onClick = () => pin(job, why === "pinned" ? null : job.id).catch(showError);
+  return el("button", { title, onClick }, text);
+}
+
+/** @param {any} job @param {string|null} pinned_job */
+async function pin(job, pinned_job) {
+  rememberDrive(await sendJson("PATCH", `drives/${job.drive_id}`, { pinned_job }));
+  announce(pinned_job ? "Pinned." : "No longer pinned.");
+  rememberJob(job);
+  redraw();
+}
+
+/** Of the panel. */
+let redraw = () => {};
 
 /** @param {any} location */
 function placedText({ lat_deg, lon_deg, heading_deg, position_std_m }) {

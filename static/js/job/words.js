@@ -65,10 +65,16 @@ export function outcomeOf(job) {
   return parts.join(", ");
 }
 
-/** Show a drive, with its newest job if there is one. @param {string} id */
+/** @param {any} job @returns {"pinned"|"best"|null} Why it stands for its drive; null: it does not. */
+export function standing({ id, drive_id }) {
+  const drive = lists.drives.find((each) => each.id === drive_id);
+  return drive?.result_job !== id ? null : drive?.pinned_job === id ? "pinned" : "best";
+}
+
+/** Show a drive, with the job that stands for it, else its newest. @param {string} id */
 export function openDrive(id) {
   const jobs = lists.jobs.filter((each) => each.drive_id === id);
-  const job = jobs.find((each) => each.state === "successful") ?? jobs[0];
+  const job = jobs.find(standing) ?? jobs[0];
   setState({ drive: id || null, job: job?.id ?? null, frame: null, view: null, panel: job ? "job" : "drives" });
 }
 

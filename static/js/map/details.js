@@ -47,7 +47,8 @@ export function watchPointer(map, scene, isBusy) {
     }
     const at = [hit.item.lat, hit.item.lng];
     mark.setLatLng(at).addTo(map);
-    const content = el("div", {}, el("strong", {}, titleOf(hit)), el("br"), summaryOf(hit));
+    const lines = [hit.item.properties.names, summaryOf(hit)].filter(Boolean).map((line) => [el("br"), line]);
+    const content = el("div", {}, el("strong", {}, titleOf(hit)), lines);
     tip.setLatLng(at).setContent(content).addTo(map);
   };
   map.on("mousemove", (/** @type {any} */ event) =>
@@ -162,6 +163,7 @@ function contentOf(hit, result) {
     "div",
     { class: "details" },
     el("h3", {}, sign && signIcon(sign), titleOf(hit)),
+    hit.item.properties.names && el("p", { class: "streets" }, hit.item.properties.names),
     why && el("p", { class: "why" }, why),
     el("dl", { class: "figures" }, factRows(factsOf(hit, result))),
     el("div", { class: "row" }, actionsOf(hit, result)),
@@ -178,7 +180,23 @@ function actionsOf({ kind, item }, result) {
     frame !== null && el("button", { onClick: () => setState({ frame, drawer: true }) }, "Look at its keyframe"),
     kind !== "detection" &&
       el("button", { onClick: inReport }, kind === "node" ? "See it in the report" : "In the list"),
+    (ofService(p) || getState().service) && serviceSwitch(result),
   ];
+}
+
+/** @param {any} properties @returns {boolean} Whether it is wrong for a junction with a service road alone. */
+export const ofService = ({ reason }) => /highway=service\b.*leaves out/.test(reason ?? "");
+
+/**
+ * A button that counts service roads as roads of the map, or no longer.
+ * @param {import("../data/results.js").Result} result
+ * @returns {HTMLElement|null} null where the result does not say what comes of it.
+ */
+export function serviceSwitch({ report }) {
+  if (!report?.with_service) return null;
+  const { service } = getState();
+  const props = { type: "button", onClick: () => setState({ service: !service }) };
+  return el("button", props, service ? "Leave service roads out" : "Count service roads too");
 }
 
 /**

@@ -154,11 +154,20 @@ export function watchDrives(map, scene, redraw) {
     if (current instanceof OverviewScene) current.under = item;
     redraw();
     if (!item) return void tip.remove();
-    const { name, job, intersections, verdict } = item.drive;
+    const { name, job, title, chosen, intersections, verdict } = item.drive;
     const text = job ? (verdict ?? plural(intersections.length, "intersection")) : "no result yet";
     tip
       .setLatLng(event.latlng)
-      .setContent(el("div", {}, el("strong", {}, name), el("br"), text))
+      .setContent(
+        el(
+          "div",
+          {},
+          el("strong", {}, name),
+          job && ` ${title}${chosen === "pinned" ? ", pinned" : ""}`,
+          el("br"),
+          text,
+        ),
+      )
       .addTo(map);
   };
   map.on("mousemove", (/** @type {any} */ event) => show(find(event), event));

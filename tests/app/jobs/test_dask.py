@@ -17,7 +17,7 @@ import pytest
 from app.jobs.executors import DaskExecutor
 from app.jobs.processes import WorkerLostError
 from interloc.cli.main import run
-from tests.app.processes import Gate, ended, half_way, submit, upload, wait_until
+from tests.app.processes import Gate, as_by_command, ended, half_way, submit, upload, wait_until
 from tests.app.street import write_street
 
 pytest.importorskip("distributed", reason="the extra dask is not installed")
@@ -77,7 +77,9 @@ def test_a_cluster_finds_what_the_command_line_finds(
     job = ended(client, job_id)
     assert job["state"] == "successful", job
     for layer in (*LAYERS, "osm-nodes", "matches"):
-        assert client.get(job["links"][layer]).content == (out / f"{layer.replace('-', '_')}.geojson").read_bytes()
+        assert (
+            as_by_command(client.get(job["links"][layer])) == (out / f"{layer.replace('-', '_')}.geojson").read_bytes()
+        )
     assert client.get("/readyz").json()["ready"] is True
 
 

@@ -9,7 +9,7 @@ import httpx
 import pytest
 
 from interloc.cli.main import run
-from tests.app.processes import API, ended, submit, upload
+from tests.app.processes import API, as_by_command, ended, submit, upload
 from tests.app.street import write_street
 from tests.localization.town import LAT_DEG, LON_DEG, MadeDrive, write_town_drive, write_town_map
 
@@ -40,7 +40,9 @@ def test_a_job_places_a_drive_as_the_command_line_does(
     out = tmp_path / "out"
     assert run(["run", str(root), "-o", str(out), "--osm", str(root / "map.osm"), "--locate", "--quiet"]) == 0
     for layer in ("keyframes", "trajectory", "osm-nodes", "places"):
-        assert client.get(job["links"][layer]).content == (out / f"{layer.replace('-', '_')}.geojson").read_bytes()
+        assert (
+            as_by_command(client.get(job["links"][layer])) == (out / f"{layer.replace('-', '_')}.geojson").read_bytes()
+        )
     assert client.get(f"{API}/jobs/{job['id']}/export.kml?layer=places").status_code == 200
     told = client.get(job["links"]["run"]).json()["location"]
     assert (told["source"], told["outcome"]) == ("map", "found")

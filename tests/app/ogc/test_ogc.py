@@ -117,7 +117,7 @@ def write_result(folder: Path, lonlat: FloatArray, *, with_times: bool = False, 
         confidence=zeros[few],
         first_time=times[few],
         last_time=times[few],
-        drive=[folder.parent.name] * len(seen),
+        names=[None] * len(seen),
         **{name: values[few] for name, values in {**here, **found, **scores}.items()},
     )
     track = LAYERS["trajectory"].features([lonlat.tolist()], scans=[n], thinned_to_m=[0.5])
@@ -707,7 +707,13 @@ def test_the_pages_of_a_query_are_of_one_set_of_jobs_though_another_ends_meanwhi
     try:
         add_drive(context, "street", line(TOWN, 20))
         with context.database.writing() as session:  # ends later
-            late = {"kind": "intersections", "owner": "me", "created_at": 3.0, "request": {}, "summary": {}}
+            late = {
+                "kind": "intersections",
+                "owner": "me",
+                "created_at": 3.0,
+                "request": {"preset": "paper"},
+                "summary": {},
+            }
             session.add(Job(id="street-late", drive_id="street", state="running", **late))
         write_result(context.storage.folder("jobs/street-late/result"), line(TOWN, 35))
         index_missing(context)
@@ -741,6 +747,10 @@ def test_the_index_follows_trash_purge_and_repair(tmp_path: Path) -> None:
                 return extents(session, Source())["detections"].count
 
         assert shown() == 20
+        for pinned, count in (("street-old", 2), (None, 20)):
+            with context.database.writing() as session:
+                session.execute(update(Drive).values(pinned_job=pinned))
+            assert shown() == count
         with context.database.writing() as session:
             session.execute(update(FeatureColumn).where(FeatureColumn.name == "score").values(content=b""))
             session.query(FeatureChunk).where(FeatureChunk.layer == "keyframes").delete()

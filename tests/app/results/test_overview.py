@@ -13,6 +13,8 @@ import pytest
 import shapely
 
 from app.overview.features import MAX_TRACK_POINTS, simplified
+from app.store.database import Database
+from app.store.models import Job
 from interloc.geometry import enu_from_lonlat, lonlat_from_enu
 from tests.app.results.conftest import Finished
 
@@ -40,12 +42,46 @@ def test_every_drive_is_shown_with_its_newest_result(finished: Finished) -> None
         "job": "elsewhere",
         "intersections": None,  # a summary that the fixture leaves out
         "verdict": None,
+        "chosen": "best",
+        "title": "default, no map",
     }
     points = json.loads((finished.results / "default" / "intersections.geojson").read_text())["features"]
     assert len(found["other/intersections"]["geometry"]["coordinates"]) == len(points)
     assert found["local"]["geometry"] is None, "metres are not put on a map"
-    assert found["street"]["properties"]["job"] == "lost", "the newest successful one, though its files are gone"
+    assert found["street"]["properties"]["job"] == "lost", "the newest of those of one rank, though its files are gone"
     assert features(finished, bbox="0,0,1,1") == {}
+
+
+def test_a_pinned_job_stands_for_its_drive_else_the_best_does(finished: Finished) -> None:
+    def shown() -> tuple[Any, ...]:
+        found = features(finished)["street"]["properties"]
+        item = finished.client.get("/stac/drives/street")
+        told = item.json()["properties"] if item.is_success else {"interloc:job": None, "interloc:chosen": None}
+        drive = finished.get("/drives/street").raise_for_status().json()
+        (listed,) = (each for each in finished.get("/drives").json()["drives"] if each["id"] == "street")
+        assert listed["result_job"] == drive["result_job"] == found["job"]
+        return found["job"], found["chosen"], drive["pinned_job"], told["interloc:job"], told["interloc:chosen"]
+
+    def pin(job: str | None) -> httpx.Response:
+        return finished.client.patch("/api/v1/drives/street", json={"pinned_job": job})
+
+    ids = {job: finished.get(f"/jobs/{job}").json()["id"] for job in ("default", "paper")}
+    assert pin(ids["paper"]).is_success
+    assert shown() == ("paper", "pinned", "paper", "paper", "pinned")
+    assert pin("failed").status_code == 409
+    assert pin("elsewhere").status_code == 404, "it is of another drive"
+    assert pin(None).json()["pinned_job"] is None
+    assert shown()[:3] == ("lost", "best", None)
+    database = Database(f"sqlite:///{finished.data_dir}/interloc.sqlite3")
+    scores = {"paper": {"map_f1": 1.0}, "default": {"map_f1": 0.5}, "plain": {"f1_at_5": 0.4}}
+    with database.writing() as session:
+        for job, report in scores.items():
+            session.get_one(Job, job).summary = {"georeferenced": True, "report": report}
+    assert shown() == ("default", "best", None, "default", "best"), "paper comes after, whatever its score"
+    with database.writing() as session:
+        for job in scores:
+            session.get_one(Job, job).summary = None
+    database.close()
 
 
 def test_pages_are_bounded_and_not_sent_again_unchanged(finished: Finished) -> None:
