@@ -27,6 +27,7 @@ COMMANDS = [
     "explain",
     "robustness",
     "live",
+    "ros",
     "export",
     "simulate",
     "benchmark",
