@@ -1,4 +1,4 @@
-"""The times of scans and of OXTS, each in a timestamps.txt (KITTI raw): rows of the same number are of the same time."""
+"""The times of scans and of OXTS, each in a timestamps.txt (KITTI raw): rows of one number are of one time."""
 
 from __future__ import annotations
 

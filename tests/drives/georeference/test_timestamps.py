@@ -1,4 +1,4 @@
-"""KITTI raw has a timestamps.txt for its scans and one for OXTS: rows that are of other times are not taken by number."""
+"""KITTI raw has a timestamps.txt for scans and one for OXTS: rows of other times are not taken by their numbers."""
 
 from __future__ import annotations
 
