@@ -102,7 +102,7 @@ def _road_document(answer: Answer) -> list[list[list[list[float]]]] | None:
     polygons = outlines(patch.cells(), patch.corner_xy, patch.resolution_m, around)
     return [
         [_ring(np.asarray(ring.coords), keyframes).tolist() for ring in (each.exterior, *each.interiors)]
-        for each in polygons
+        for each in map(shapely.orient_polygons, polygons)  # holes go the other way round
     ]
 
 
