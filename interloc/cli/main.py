@@ -21,6 +21,7 @@ COMMANDS = {
     "evaluate": "evaluate",
     "compare": "compare",
     "run": "run",
+    "batch": "batch",
     "locate": "locate",
     "explain": "explain",
     "robustness": "robustness",
