@@ -170,3 +170,6 @@ export function formatDate(iso, timeZone = "UTC") {
   if (Number.isNaN(day.getTime())) return iso;
   return day.toLocaleDateString("en-GB", { day: "numeric", month: "short", year: "numeric", timeZone });
 }
+
+/** @returns {boolean} Whether files can be dropped here: fingers alone cannot. */
+export const takesDrops = () => matchMedia("(any-pointer: fine)").matches;

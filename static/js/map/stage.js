@@ -8,7 +8,7 @@ import { demo, onDemoChange, tryDemo } from "../data/demo.js";
 import { FINAL, lists, onListsChange, rememberJob } from "../data/lists.js";
 import { loadOverview } from "../data/overview.js";
 import { loadResult, loadTrajectory, withService } from "../data/results.js";
-import { el, fill, icon, plural } from "../dom.js";
+import { el, fill, icon, plural, takesDrops } from "../dom.js";
 import { Control, CRS, control, DomEvent, LeafletMap, latLngBounds } from "../leaflet.js";
 import { failureNote, problemNote } from "../messages.js";
 import { addShortcut } from "../shortcuts.js";
@@ -16,7 +16,7 @@ import { getState, setState, subscribe } from "../state.js";
 import { recall } from "../storage.js";
 import { ComparedLayer, followCompared, onCompared } from "./compared.js";
 import { addCoordinates } from "./coordinates.js";
-import { closeDetails, goTo, openDetails, openSelection, watchPointer } from "./details.js";
+import { closeDetails, goTo, keepDetails, openDetails, openSelection, watchPointer } from "./details.js";
 import { clearFilter, isFiltering, onFilterChange } from "./filter.js";
 import { KeyframeLayer } from "./keyframe.js";
 import { layersOn } from "./layers.js";
@@ -28,10 +28,10 @@ import { roadSurface } from "./road_surface.js";
 import { Scene } from "./scene.js";
 import { onPreview, setResult, shown } from "./shown.js";
 import { Surface } from "./surface.js";
-import { makeTiles, onTilesChange } from "./tiles.js";
+import { signIcon } from "./symbols.js";
+import { makeTiles, OSM_CREDIT, onTilesChange } from "./tiles.js";
 import { mountTimeline } from "./timeline.js";
 
-const OSM_CREDIT = "© OpenStreetMap contributors, ODbL";
 const LOCAL_CREDIT = "Metres of the drive’s own frame: it has no georeference";
 
 /** @type {Scene|OverviewScene|null} */
@@ -148,7 +148,15 @@ export async function mountStage() {
     fill(cover);
     const more = unplaced > 0 && ` · ${plural(unplaced, "drive")} without georeference in the list`;
     const cut = isCut && " · the newest of all";
-    fill(note, el("strong", {}, plural(drives.length, "drive")), " to choose from", more, cut, tileSwitch());
+    fill(
+      note,
+      el("strong", {}, plural(drives.length, "drive")),
+      " to choose from",
+      more,
+      cut,
+      overviewKey(drives),
+      tileSwitch(),
+    );
     build(false);
     scene = new OverviewScene(drives, shown.map);
     updateLayers();
@@ -308,9 +316,17 @@ function makeMap(holder, local, current) {
   addCoordinates(made, local);
   const filterNote = addFilterNote(made);
   watchPointer(made, current, measure.isOn);
+  keepDetails(made);
   watchDrives(made, current, () => surface.redraw());
   /** @type {any} */
   let tiles = null;
+  /** @param {boolean} isOn Whether tiles have come, so that streets need no names of their own. */
+  const cover = (isOn) => {
+    holder.classList.toggle("with-tiles", isOn);
+    const scene = current();
+    if (scene) scene.hasTiles = isOn;
+    surface.redraw();
+  };
   /** @type {string|null} */
   let credit = null;
   return {
@@ -329,14 +345,16 @@ function makeMap(holder, local, current) {
     setTiles(on) {
       if (on && !tiles) {
         tiles = makeTiles();
-        tiles?.once("tileload", () => holder.classList.add("with-tiles")); // else the roads stay the base map
+        tiles?.once("tileload", () => cover(true)); // else the roads and their names stay the base map
         tiles?.addTo(made);
       } else if (!on && tiles) {
-        tiles.off();
+        tiles.off("tileload tileerror");
         tiles.remove();
         tiles = null;
-        holder.classList.remove("with-tiles");
+        cover(false);
       }
+      const scene = current();
+      if (scene) scene.hasTiles = holder.classList.contains("with-tiles");
     },
     /** @param {{roads: any[], nodes: any[], local: boolean, isMadeUp: boolean}} shown */
     setAttribution(shown) {
@@ -450,6 +468,23 @@ function waiting(job) {
   return "The map appears here when the job is done.";
 }
 
+/** What the signs mean. @param {import("../data/overview.js").DriveOnMap[]} drives */
+function overviewKey(drives) {
+  const names = { right: "right", wrong: "wrong", unscored: "not scored" };
+  const there = new Set(
+    drives.flatMap(({ intersections, outcomes }) => intersections.map((_, i) => outcomes[i] ?? "unscored")),
+  );
+  const keys = Object.entries(names).filter(([name]) => there.has(name));
+  return (
+    keys.length > 0 &&
+    el(
+      "span",
+      { class: "key-row" },
+      keys.map(([name, text]) => [signIcon(name), text]),
+    )
+  );
+}
+
 /** @returns {HTMLElement} */
 function tileSwitch() {
   const on = layersOn(getState().layers);
@@ -474,7 +509,11 @@ function welcome(drive) {
     "div",
     { class: "drop drop-stage" },
     icon("upload"),
-    el("h2", {}, "Drop the folder of a LiDAR drive here"),
+    el(
+      "h2",
+      {},
+      takesDrops() ? "Drop the folder of a LiDAR drive here" : "Where are the road intersections of a drive?",
+    ),
     el("p", {}, what),
     el("div", { class: "row" }, upload, demoButton()),
     demo.isRunning && el("p", { role: "status" }, demo.text),
