@@ -222,10 +222,11 @@ STYLES = {
 }
 """Layer -> how it is drawn."""
 
+ROAD_GROUP = "Roads seen by LiDAR"
 GROUPS = {
     "Verdict": ("intersections", "osm_nodes", "branches", "uncertainty"),
     "Evidence": ("detections", "matches", "keyframes", "trajectory"),
-    "Roads seen by LiDAR": ("roads", "junctions", "road_surface"),
+    ROAD_GROUP: ("roads", "junctions", "road_surface"),
     "Map of OpenStreetMap": (PLACES, "osm_roads", BUILDINGS),
 }
 """Groups of layers, and the layers of each, from the top to the bottom of the map."""

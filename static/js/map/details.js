@@ -66,6 +66,9 @@ export function watchPointer(map, scene, isBusy) {
 
 /** What is chosen stays in the picture when the map gets another size, as beside a drawer. @param {any} map */
 export function keepDetails(map) {
+  const observer = new ResizeObserver(() => map.invalidateSize({ pan: false }));
+  observer.observe(map.getContainer());
+  map.on("unload", () => observer.disconnect());
   map.on("resize", () => {
     if (!chosen) return;
     const { item } = chosen;
@@ -104,7 +107,6 @@ export function openDetails(hit) {
   const popup = new Popup({
     maxWidth: Math.min(320, room),
     minWidth: Math.min(290, room),
-    maxHeight: Math.max(140, map.getSize().y - 60),
     autoPanPadding: [24, 24],
   });
   popup.on("remove", () => {

@@ -158,11 +158,11 @@ function branchesOf({ branch_count, branch_bearings_deg, branch_widths_m = [] },
   const bearings = branches.map(
     (/** @type {any} */ { bearing: b }) => `${Math.round(b)}°${local ? "" : ` ${names[Math.round(b / 45) % 8]}`}`,
   );
-  const widths = branches.map((/** @type {any} */ { width }) => width?.toFixed(1) ?? "–");
+  const widths = branches.map((/** @type {any} */ { width }) => (width === null ? "–" : formatMetres(width, 1)));
   const isMeasured = branches.some((/** @type {any} */ { width }) => width !== null);
   return [
     [`Branches (${branch_count})`, bearings.join(", ")],
-    isMeasured && ["Widths of their roads", `${widths.join(", ")} m`],
+    isMeasured && ["Widths of their roads", widths.join(", ")],
   ];
 }
 

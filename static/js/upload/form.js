@@ -392,9 +392,10 @@ function reasonOf({ scans, recorded, look }, made) {
 /** @param {DriveFolder} drive @returns {string} */
 function georeferenceOf({ look, layout }) {
   if (look?.georeference) return look.georeference;
+  if (look?.georeference_reason) return "none";
   if (layout === "rosbag") return "the fixes in the bag, if it has any";
   if (layout === "las") return "the coordinate system, if the files name one";
-  return look?.georeference_reason ? "none" : "not known yet";
+  return "not known yet";
 }
 
 /**
