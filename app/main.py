@@ -26,6 +26,8 @@ from app.http.turns import Turns
 from app.jobs import routes as jobs
 from app.jobs.runner import Runner
 from app.jobs.watcher import JobWatcher
+from app.live import routes as live
+from app.live.sessions import LiveSessions
 from app.networks import routes as networks
 from app.ogc import routes as ogc
 from app.ogc.indexing import index_result
@@ -54,10 +56,11 @@ def _assemble() -> APIRouter:
     of_drives = (drives, overview, files, scans, archive, commit, demo, networks)
     of_jobs = (jobs, results, keyframes, road, exports, compare)
     shared = [Depends(client_of), Depends(refuse_unknown_parameters), Depends(make_room_to_delete)]
-    for module in (*of_drives, *of_jobs, trash):
+    for module in (*of_drives, *of_jobs, live, trash):
         router.include_router(module.router, prefix=API, dependencies=shared)
     for more in (ogc.of_job, trash.of_items):
         router.include_router(more, prefix=API, dependencies=shared)
+    router.include_router(live.sockets, prefix=API)
     router.include_router(ogc.of_all, dependencies=shared)
     router.include_router(stac.router, dependencies=shared)
     for module in (system, page):
@@ -94,6 +97,7 @@ def create_app(settings: Settings | None = None, context: Context | None = None)
             parts.watcher = JobWatcher(opened)
             parts.results = Results(opened)
             parts.turns = Turns()
+            parts.live = LiveSessions(opened)
             parts.on_demand = OnDemand(runner)
             parts.probe = system.Probe(opened, runner)
             runner.start()
@@ -106,6 +110,7 @@ def create_app(settings: Settings | None = None, context: Context | None = None)
         try:
             yield
         finally:
+            parts.live.stop()
             for helper in helpers:
                 await run_in_threadpool(helper.stop)
             await run_in_threadpool(runner.stop)

@@ -85,10 +85,11 @@ class Probe:
         floor = self._context.settings.min_free_bytes
         try:
             free = self._context.storage.free_bytes()
+            self._context.storage.check_writable()
         except DataFolderGoneError as error:
             return str(error)
         except OSError as error:
-            return f"the data folder cannot be reached ({error.strerror})"
+            return f"the data folder cannot be used ({error.strerror})"
         if free >= floor:
             return None
         return f"{free / 1e9:.1f} GB free, {floor / 1e9:.1f} GB must stay free (INTERLOC_MIN_FREE_BYTES)"

@@ -390,7 +390,7 @@ class CalibrationConfig(_Config):
     """Uncertainty and confidence of an intersection of the map, as fitted to drives whose truth is known.
 
     The covariance is `interloc.mapping.estimation.position_covariance`, the confidence
-    `interloc.mapping.estimation.junction_probability`. All but `fix_std_m` are fitted by
+    `interloc.mapping.estimation.junction_probability`. All but `fix_std_m` and `log_odds_doubtful` are fitted by
     tests/performance/calibrate.py, for preset `default`.
     """
 
@@ -430,6 +430,12 @@ class CalibrationConfig(_Config):
     )
     log_odds_per_doubling: float = Field(
         0.73, ge=0, le=50, description="Log odds lost each time the uncertainty that the lines leave doubles."
+    )
+    log_odds_doubtful: float = Field(
+        0.9,
+        ge=0,
+        le=50,
+        description="Log odds lost where all sightings come from stretches in which labels by geometry are doubtful.",
     )
 
 

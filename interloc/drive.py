@@ -24,10 +24,13 @@ class GroundPoints:
         Points in L, metres: road points first, then the points most often confused with them.
     road_count : int
         How many of them are road; the rest is sidewalk, parking and other ground.
+    is_doubtful : bool
+        Labels made by geometry say that they may be wrong here.
     """
 
     xyz: Float32Array
     road_count: int
+    is_doubtful: bool = False
 
     @classmethod
     def split(cls, xyz: Float32Array, is_road: BoolArray) -> GroundPoints:
@@ -154,6 +157,11 @@ class DriveScan:
     def other_points(self) -> Float32Array:
         """(N, 3) float32 points of sidewalk, parking and other ground in L, metres."""
         return self._points.confusable
+
+    @property
+    def is_doubtful(self) -> bool:
+        """Whether the labels of the scan may be wrong."""
+        return self._points.is_doubtful
 
 
 def is_slow(drive: Drive) -> bool:

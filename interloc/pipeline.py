@@ -22,7 +22,7 @@ from interloc.drive import Drive, DriveScan, is_slow, read_ahead, scans_of
 from interloc.drives.folder import FolderDrive
 from interloc.errors import DriveError, expect
 from interloc.mapping.fusion import fuse
-from interloc.mapping.georeferencing import build_tables, trajectory
+from interloc.mapping.georeferencing import build_tables, doubtful_stretches, trajectory
 from interloc.processes import Progress, cores, peak_memory_bytes, run_in_processes
 from interloc.results import DriveResult, RoadPatch
 from interloc.stopwatch import Stopwatch
@@ -241,6 +241,7 @@ def assemble(
         "scans": len(drive.frames),
         "keyframes": len(keyframes),
         "labels": drive.label_source if isinstance(drive, FolderDrive) else None,
+        "doubtful_labels_m": doubtful_stretches(keyframe_table),
         "georeference": None if drive.georeference is None else drive.georeference.source,
         "workers": workers,
         "seconds": seconds + time.perf_counter() - began,

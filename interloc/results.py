@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from interloc.arrays import FloatArray, IntArray, UInt8Array
+from interloc.arrays import BoolArray, FloatArray, IntArray, UInt8Array
 from interloc.drawing import Sign, map_sketch
 from interloc.geometry import enu_from_lonlat
 from interloc.wording import counted
@@ -57,6 +57,8 @@ class KeyframeTable:
     position_std_m : (K,) float64 or None
         One-sigma uncertainty of `lonlat` along each axis, as the georeference states it, NaN where it does not; None
         without georeference, and where the run was read from a folder.
+    is_doubtful : (K,) bool or None
+        Where labels, made by geometry, may be wrong; None where the run was read from a folder.
     """
 
     frame: IntArray
@@ -66,6 +68,7 @@ class KeyframeTable:
     lonlat: FloatArray | None = None
     enu_yaw_rad: FloatArray | None = None
     position_std_m: FloatArray | None = None
+    is_doubtful: BoolArray | None = None
 
     def __len__(self) -> int:
         return len(self.frame)

@@ -119,6 +119,22 @@ def data_cfg() -> dict[str, Any]:
     return {"name": "kitti", "learning_map": learning_map, "learning_map_inv": copy.copy(LEARNING_MAP_INV)}
 
 
+def add_endless_loop(graph: onnx.ModelProto) -> None:
+    """Put a loop that does not end before the output of a network."""
+    output = graph.graph.output[0].name
+    shape = [each.dim_value for each in graph.graph.output[0].type.tensor_type.shape.dim]
+    for node in graph.graph.node:
+        node.output[:] = ["looped" if name == output else name for name in node.output]
+    goes_on = [_value(name, TensorProto.BOOL, []) for name in ("go", "go_on")]
+    values = [_value(name, TensorProto.FLOAT, shape) for name in ("before", "after")]
+    same = [helper.make_node("Identity", [a], [b]) for a, b in (("go", "go_on"), ("before", "after"))]
+    inputs = [_value("round", TensorProto.INT64, []), goes_on[0], values[0]]
+    body = helper.make_graph(same, "body", inputs, [goes_on[1], values[1]])
+    graph.graph.initializer.append(numpy_helper.from_array(np.array(2**62), "rounds"))
+    graph.graph.initializer.append(numpy_helper.from_array(np.array(True), "begin"))
+    graph.graph.node.append(helper.make_node("Loop", ["rounds", "begin", "looped"], [output], body=body))
+
+
 def road_graph(
     height: int,
     width: int,

@@ -191,6 +191,9 @@ RESULT_NOT_READY = _kind(
     "result-not-ready", 409, "Result not ready", "The job is not successful (yet); `state` is its state."
 )
 SERVER_LOST = _kind("server-lost", 500, "Server lost", "The server that worked on the job was ended too often.")
+STORAGE_READ_ONLY = _kind(
+    "storage-read-only", 503, "Storage read-only", "The disk of the service fails, or cannot be written to any more."
+)
 TOKEN_MAY_ONLY_READ = _kind(
     "token-may-only-read",
     403,
@@ -205,6 +208,9 @@ TOO_MANY_CONNECTIONS = _kind(
 TOO_MANY_FILES = _kind("too-many-files", 413, "Too many files", "A request or drive has more files than allowed.")
 TOO_MANY_HEADERS = _kind("too-many-headers", 431, "Too many headers", "The request has too many headers.")
 TOO_MANY_JOBS = _kind("too-many-jobs", 429, "Too many jobs", "Too many jobs of this client wait or run.")
+TOO_MANY_SESSIONS = _kind(
+    "too-many-sessions", 429, "Too many sessions", "The client has as many live sessions as it may have."
+)
 TOO_MANY_WRONG_TOKENS = _kind(
     "too-many-wrong-tokens",
     429,

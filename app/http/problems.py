@@ -34,13 +34,14 @@ from app.http.problem_types import (
     NOT_JSON,
     NOT_POSSIBLE,
     REQUEST_NOT_VALID,
+    STORAGE_READ_ONLY,
     TYPES,
     UNTYPED,
     UPLOAD_BROKEN_OFF,
     ProblemType,
 )
 from app.paths import BadNameError
-from app.store.database import is_disk_full
+from app.store.database import is_disk_full, is_read_only
 from app.store.storage import DataFolderGoneError
 from app.work.task import DriveGoneError
 from interloc.errors import ConfigError, DriveError, InterLocError, ModelError
@@ -49,6 +50,7 @@ MEDIA_TYPE = "application/problem+json"
 
 OUT_OF_SPACE = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
 """Of errors of the system: what was written does not fit, by the disk or by a quota."""
+_FAILING = frozenset({errno.EROFS, errno.EIO})
 
 _log = logging.getLogger(__name__)
 
@@ -259,7 +261,19 @@ def _in_words(error: dict[str, Any]) -> str:
 
 
 def _of_os_error(error: OSError) -> Problem:
-    return disk_full() if error.errno in OUT_OF_SPACE else _of_fault(error)
+    if error.errno in OUT_OF_SPACE:
+        return disk_full()
+    return _read_only(error) if error.errno in _FAILING else _of_fault(error)
+
+
+def _read_only(error: Exception) -> Problem:
+    _log.error("the disk of the service: %s", error)
+    return Problem(
+        STORAGE_READ_ONLY,
+        "The disk of the service fails or was made read-only. Nothing of this request was kept; its operator has to "
+        "look after the disk, then send it again.",
+        headers={"Retry-After": "30"},
+    )
 
 
 def _of_disconnect(_: ClientDisconnect) -> Problem:
@@ -271,6 +285,8 @@ def _of_disconnect(_: ClientDisconnect) -> Problem:
 def _of_database_error(error: SQLAlchemyError) -> Problem:
     if is_disk_full(error):
         return disk_full()
+    if is_read_only(error):
+        return _read_only(error)
     _log.warning("database: %s", error)
     detail = "The database did not answer in time. Send the request again in a moment."
     return Problem(DATABASE_BUSY, detail, headers={"Retry-After": "5"})

@@ -117,12 +117,14 @@ class Runner:
 
     def _claim_jobs(self) -> None:
         self._tidy_scratch()
+        told = ""
         while not self._stopping.is_set():
             try:
-                found = self._claim()
+                found, told = self._claim(), ""
             except SQLAlchemyError as error:
-                _log.warning("no job could be claimed: %s", error)
-                found = False
+                if str(error) != told:  # once, not twice a second
+                    _log.warning("no job could be claimed: %s", error)
+                found, told = False, str(error)
             if not found:
                 self._context.jobs_changed.wait(_POLL_S)
                 self._context.jobs_changed.clear()

@@ -301,6 +301,11 @@ def is_disk_full(error: BaseException | None) -> bool:
     return "disk is full" in str(error) or "No space left" in str(error)
 
 
+def is_read_only(error: BaseException | None) -> bool:
+    """Tell whether a database could not write since its disk fails or was made read-only."""
+    return any(sign in str(error) for sign in ("disk I/O error", "readonly database", "Read-only file system"))
+
+
 def moment(seconds: float) -> datetime:
     """Return a time of the database as date and time."""
     return datetime.fromtimestamp(seconds, tz=UTC)

@@ -14,6 +14,7 @@ import secrets
 import shutil
 from contextlib import suppress
 from pathlib import Path
+from tempfile import TemporaryFile
 
 from sqlalchemy.exc import SQLAlchemyError
 
@@ -108,6 +109,20 @@ class Storage:
                     return None
                 return place
         raise InterLocError(f"{self.root / LOST}: holds a thousand folders of the name {key}; clear it up")
+
+    def check_writable(self) -> None:
+        """Write something that nobody sees.
+
+        Raises
+        ------
+        OSError
+            The folder was made read-only, its disk fails or is full.
+        DataFolderGoneError
+            It is gone.
+        """
+        self.check()
+        with TemporaryFile(dir=self.root) as probe:
+            probe.write(b"?")
 
     def free_bytes(self) -> int:
         """Return the space that is left."""

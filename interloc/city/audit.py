@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Collection, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,11 @@ from interloc.city.osm_plane import OsmPlane
 from interloc.city.places import PlaceTable
 from interloc.city.settings import AuditConfig, Kind
 from interloc.city.surface import ground_at
+from interloc.city.verdicts import Judgement
 from interloc.osm.graph import RoadGraph
+
+WRONG_M = 15.0
+"""Within this of what was marked wrong nothing is claimed."""
 
 _RAY_AT_M = np.array([12.0, 18.0, 24.0])
 _RAY_SEEN_M = np.arange(8.0, 22.1, 1.0)
@@ -92,7 +96,14 @@ class Audit:
     held_back: dict[str, int]
 
 
-def audit(city: CityMap, graph: RoadGraph, config: AuditConfig | None = None, *, known: Collection[str] = ()) -> Audit:
+def audit(
+    city: CityMap,
+    graph: RoadGraph,
+    config: AuditConfig | None = None,
+    *,
+    known: Collection[str] = (),
+    wrong: Sequence[Judgement] = (),
+) -> Audit:
     """Compare a map of many drives with OpenStreetMap.
 
     Parameters
@@ -105,8 +116,19 @@ def audit(city: CityMap, graph: RoadGraph, config: AuditConfig | None = None, *,
     known
         Ids of findings of before. They stay while they reach 70 % of what a new one must, so that a finding near a
         threshold does not come and go.
+    wrong
+        Findings that people marked wrong (`interloc.city.verdicts.wrong_ones`): nothing is claimed there again.
     """
-    return _Auditor(city, graph, config or AuditConfig(), frozenset(known)).run()
+    found = _Auditor(city, graph, config or AuditConfig(), frozenset(known)).run()
+    places = city.plane(np.array([(each.lon, each.lat) for each in wrong])) if wrong else np.zeros((0, 2))
+    about = {each.uid for each in wrong} | {each.osm_id for each in wrong} - {None}
+    left = [
+        each
+        for each in found.findings
+        if about.isdisjoint({each.uid, each.osm_node} - {None}) and not _nearest(each.xy[None], places)[0][0] <= WRONG_M
+    ]
+    held = {"marked wrong": len(found.findings) - len(left)} if len(left) < len(found.findings) else {}
+    return replace(found, findings=left, held_back={**found.held_back, **held})
 
 
 class _Auditor:
@@ -360,7 +382,7 @@ class _Auditor:
             passes=len(names) if row is None else int(self.places.passes[row]),
             drives=names,
             text=text,
-            evidence={**evidence, "ways": around},
+            evidence={**evidence, "ways": around, "node_xy": None if node is None else self.osm.xy[node]},
         )
 
 

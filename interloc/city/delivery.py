@@ -17,6 +17,7 @@ import numpy as np
 
 from interloc.city.audit import Audit, Finding, subclass_of
 from interloc.city.citymap import CityMap
+from interloc.city.picture import picture_of
 from interloc.city.settings import AuditConfig, Kind
 from interloc.files import atomic_folder, atomic_write
 from interloc.output.credits import Credit, map_credit
@@ -25,7 +26,8 @@ from interloc.output.layers import CITY_LAYERS
 
 AUDIT_FILE, FINDINGS_FILE = "audit.json", "findings.geojson"
 MAPROULETTE_FILE, OSMOSE_FILE, GPX_FILE = "maproulette.geojson", "osmose.xml", "findings.gpx"
-AUDIT_NAMES = frozenset([AUDIT_FILE, FINDINGS_FILE, MAPROULETTE_FILE, OSMOSE_FILE, GPX_FILE])
+PICTURES = "pictures"
+AUDIT_NAMES = frozenset([AUDIT_FILE, FINDINGS_FILE, MAPROULETTE_FILE, OSMOSE_FILE, GPX_FILE, PICTURES])
 
 MAX_TASKS = 1000
 """Of one file for MapRoulette: more than mappers look at in a month helps nobody."""
@@ -84,13 +86,17 @@ def write_audit(
         write_collection(new / FINDINGS_FILE, features, local=False, credit=credit)
         texts = {
             MAPROULETTE_FILE: maproulette(features[:MAX_TASKS]),
-            OSMOSE_FILE: osmose(found.findings, city, made_at),
+            OSMOSE_FILE: osmose(features, made_at),
             GPX_FILE: gpx(features, credit),
             AUDIT_FILE: encode(audit_record(found, config, source), indent=2) + "\n",
         }
         for name, text in texts.items():
             with atomic_write(new / name) as file:
                 file.write(text.encode())
+        (new / PICTURES).mkdir()
+        for each in found.findings[:MAX_TASKS]:
+            with atomic_write(new / PICTURES / f"{each.id}.png") as file:
+                file.write(picture_of(city, each.xy, each.drives, each.evidence.get("node_xy")))
 
 
 def audit_record(found: Audit, config: AuditConfig, source: str) -> dict[str, Any]:
@@ -140,7 +146,7 @@ def maproulette(features: Sequence[dict[str, Any]]) -> str:
     return "".join(lines)
 
 
-def osmose(findings: Sequence[Finding], city: CityMap, made_at: datetime) -> str:
+def osmose(features: Sequence[dict[str, Any]], made_at: datetime) -> str:
     """Return the XML that `send-update` of Osmose takes.
 
     Osmose knows a finding by source, class, subclass and OSM elements, not by its place: each has its own subclass, and
@@ -153,14 +159,14 @@ def osmose(findings: Sequence[Finding], city: CityMap, made_at: datetime) -> str
         facts = {"id": str(number), "item": _ITEM[kind], "level": "3", "tag": "merge,highway"}
         described = ET.SubElement(analyser, "class", facts)
         ET.SubElement(described, "classtext", lang="en", title=title)
-    places = city.lonlat(np.array([each.xy for each in findings])).tolist() if findings else []
-    for finding, (lon, lat) in zip(findings, places, strict=True):
-        number = _CLASSES[finding.kind][0]
-        error = ET.SubElement(analyser, "error", {"class": str(number), "subclass": str(subclass_of(finding.id))})
+    for feature in features:
+        facts, (lon, lat) = feature["properties"], feature["geometry"]["coordinates"]
+        cls = str(_CLASSES[facts["kind"]][0])
+        error = ET.SubElement(analyser, "error", {"class": cls, "subclass": str(subclass_of(facts["id"]))})
         ET.SubElement(error, "location", lat=f"{lat:.7f}", lon=f"{lon:.7f}")
-        ET.SubElement(error, "text", lang="en", value=finding.text)
-        if finding.osm_node is not None:
-            ET.SubElement(error, "node", id=str(finding.osm_node), lat=f"{lat:.7f}", lon=f"{lon:.7f}")
+        ET.SubElement(error, "text", lang="en", value=facts["text"])
+        if facts["osm_id"] is not None:
+            ET.SubElement(error, "node", id=str(facts["osm_id"]), lat=f"{lat:.7f}", lon=f"{lon:.7f}")
     ET.indent(root)
     return ET.tostring(root, encoding="unicode", xml_declaration=True) + "\n"
 

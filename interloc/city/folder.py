@@ -15,6 +15,7 @@ file                   content
 from __future__ import annotations
 
 import io
+import os
 import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -78,10 +79,9 @@ def write_city(city: CityMap, folder: Path) -> None:
         (new / PASSES).mkdir()
         for drive in city.drives.values():
             there = folder / PASSES / f"{drive.data.key}.npz"
-            if there.is_file():
-                with atomic_write(new / PASSES / there.name) as file:
-                    file.write(there.read_bytes())
-            else:
+            try:
+                os.link(there, new / PASSES / there.name)  # they are never changed, and may be large
+            except OSError:  # a new one, or a file system without links
                 drive.data.write(new / PASSES / there.name)
         content = io.BytesIO()
         np.savez_compressed(content, **_state(city))

@@ -36,7 +36,8 @@ def command(
     """Compare CITY, a map of many drives that `interloc merge` wrote, with OpenStreetMap.
 
     OUT holds the findings as GeoJSON, as tasks for MapRoulette, as XML for Osmose and as GPX. Each is a question to a
-    person. An audit into the same folder keeps the names of findings: uploaded again, none is new.
+    person, with a picture of the ground. An audit into the same folder keeps the names of findings: uploaded again,
+    none is new. What `interloc verdict` marked wrong is not claimed again.
 
     \b
     Example:
@@ -48,6 +49,7 @@ def command(
     from interloc.city.delivery import audit_record, known_findings, write_audit
     from interloc.city.folder import read_city
     from interloc.city.settings import AuditConfig
+    from interloc.city.verdicts import VERDICTS_FILE, read_verdicts, wrong_ones
     from interloc.errors import MapError
     from interloc.evaluation.coverage import map_bounds
     from interloc.osm.reader import read_osm
@@ -62,7 +64,8 @@ def command(
     graph = read_osm(osm, map_bounds(track))
     chosen: dict[str, Any] = {"kinds": kinds or None, "min_passes": passes}
     config = AuditConfig(**{name: value for name, value in chosen.items() if value is not None})
-    found = audit(drives, graph, config, known=known_findings(out))
+    wrong = wrong_ones(read_verdicts(city / VERDICTS_FILE))
+    found = audit(drives, graph, config, known=known_findings(out), wrong=wrong)
     write_audit(found, drives, out, config, made_at=datetime.now(UTC), source=graph.source, made_up=graph.is_made_up)
     record = audit_record(found, config, graph.source)
     if as_json:

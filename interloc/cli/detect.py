@@ -63,4 +63,4 @@ def command(
     if as_json:
         console.say_json(summary.run_summary(result, out))
     elif not quiet:
-        console.say_facts(summary.run_facts(result, out))
+        console.say_facts([*summary.run_facts(result, out), *summary.doubt_facts(result)])

@@ -31,6 +31,14 @@ def run_facts(result: DriveResult, out: Path) -> list[tuple[str, str]]:
     ]
 
 
+def doubt_facts(result: DriveResult) -> list[tuple[str, str]]:
+    """Return the warning of stretches whose labels are doubtful, where there are any; a report holds it anyway."""
+    from interloc.labelling.doubts import doubts_in_words
+
+    stretches = result.run["doubtful_labels_m"]
+    return [("warning", doubts_in_words(stretches))] if stretches else []
+
+
 def georeference_fact(run: dict[str, Any]) -> tuple[str, str]:
     """Return where longitude and latitude of a run come from, for a person."""
     return "georeference", run["georeference"] or "none: positions are metres in the frame of the first scan"

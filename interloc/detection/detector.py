@@ -218,7 +218,7 @@ class Detector:
         if other_points is not None:
             other_points = checked_points(other_points, scan)
         self.stopwatch.lap("read")
-        keyframe = Keyframe(scan.frame, pose, scan.time_s)
+        keyframe = Keyframe(scan.frame, pose, scan.time_s, bool(getattr(scan, "is_doubtful", False)))
         self.keyframes += 1
         completed = self._road.add(keyframe, road_points, other_points)  # III-B.2
         self.stopwatch.lap("accumulate")

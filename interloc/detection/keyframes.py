@@ -22,11 +22,14 @@ class Keyframe:
         Scan number.
     T_world_lidar : (4, 4) float64
     time_s : float or None
+    is_doubtful : bool
+        Its labels may be wrong.
     """
 
     frame: int
     T_world_lidar: FloatArray
     time_s: float | None
+    is_doubtful: bool = False
 
 
 class KeyframeSelector:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import tempfile
 import time
 from contextlib import suppress
@@ -26,10 +27,11 @@ from interloc.odometry.registration import MIN_INLIER_SHARE, register, require_s
 from interloc.processes import Progress
 from interloc.wording import counted
 
-_METHOD = "odometry 6"
+_METHOD = "odometry 8"
 """Tracks that another version of the method made are computed anew."""
 
 _BRIDGED = "it was taken to keep its speed"
+_NEXT_M = 5.0  # between stretches that are told as one
 _SAMPLED = 12  # pairs of scans, evenly spread
 _KEPT_DAYS = 60
 
@@ -69,10 +71,11 @@ def track_file(
             findings.note(ODOMETRY, f"the poses of {len(frames):,} scans are computed from their points, once.")
             is_timed = recording.has_times and has_times and options.deskew != "off"
             deskew = is_timed and (options.deskew == "on" or _are_bent(source, frames, clock))
-            poses, bridged_m = _follow(source, frames, clock, deskew, progress)
+            poses, bridged = _follow(source, frames, clock, deskew, progress)
             how = f"odometry over the points of {len(frames):,} scans{', deskewed' if deskew else ''}"
-            if bridged_m:
-                how += f"; for {bridged_m:,.0f} m nothing told how fast the vehicle moved, and {_BRIDGED}"
+            if bridged:
+                places = ", ".join(f"{start:,.0f} to {stop:,.0f} m" for start, stop in bridged)
+                how += f"; from {places} nothing told how fast the vehicle moved, and {_BRIDGED}"
             with atomic_write(path) as file:
                 file.write(f"# {how}\n".encode())
                 np.savetxt(file, np.column_stack([frames, poses[:, :3].reshape(-1, 12)]), fmt=["%d", *["%.9g"] * 12])
@@ -97,9 +100,10 @@ def _sweep(folder: Path) -> None:
 
 def _follow(
     source: PointSource, frames: IntArray, clock: FloatArray, deskew: bool, progress: Progress | None
-) -> tuple[FloatArray, float]:
-    """Return the (N, 4, 4) poses of the scans, W is the LiDAR at the first, and the metres that were bridged."""
+) -> tuple[FloatArray, list[tuple[float, float]]]:
+    """Return the (N, 4, 4) poses of the scans, W is the LiDAR at the first, and from where to where it was bridged."""
     odometry, poses, driven_m = Odometry(deskew=deskew), np.tile(np.eye(4), (len(frames), 1, 1)), 0.0
+    bridged: list[tuple[float, float]] = []
     for row, frame in enumerate(frames.tolist()):
         points = source.read(frame)
         try:
@@ -109,10 +113,13 @@ def _follow(
                 source.name(frame),
                 f"the odometry lost track here, after {counted(row, 'scan')} and {driven_m:,.0f} m: {error}",
             ) from error
-        driven_m += float(np.linalg.norm(poses[row, :3, 3] - poses[row - 1, :3, 3])) if row else 0.0
+        before_m, driven_m = driven_m, driven_m + float(np.linalg.norm(poses[row, :3, 3] - poses[row - 1, :3, 3]))
+        if odometry.is_bridged:
+            is_next = bool(bridged) and before_m - bridged[-1][1] < _NEXT_M
+            bridged.append((bridged.pop()[0] if is_next else before_m, driven_m))
         if progress is not None:
             progress(row + 1, len(frames))
-    return poses, odometry.bridged_m
+    return poses, bridged
 
 
 def _clock(recording: Recording, options: DriveOptions) -> tuple[FloatArray, bool]:
@@ -152,6 +159,18 @@ def _kept_as(source: PointSource, frames: IntArray, clock: FloatArray, options: 
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError:  # no home, as in some containers
-        folder = Path(tempfile.gettempdir()) / "interloc-odometry"
-        folder.mkdir(exist_ok=True)
+        folder = _own_temporary_folder()
     return folder / f"{key.hexdigest()[:32]}.txt"
+
+
+def _own_temporary_folder() -> Path:
+    """Return a folder that nobody else can read or write, which stays from one command to the next."""
+    folder = Path(tempfile.gettempdir()) / f"interloc-odometry-{os.getuid() if hasattr(os, 'getuid') else 'tracks'}"
+    folder.mkdir(mode=0o700, exist_ok=True)
+    stat = folder.lstat()
+    if hasattr(os, "getuid") and (folder.is_symlink() or stat.st_uid != os.getuid() or stat.st_mode & 0o077):
+        raise DriveError(
+            f"{folder} is not a folder of this user's own (0700). Tracks are kept there where there is no home; remove "
+            "it, or set XDG_CACHE_HOME."
+        )
+    return folder

@@ -26,6 +26,7 @@ from interloc.evaluation.metrics import (
 )
 from interloc.evaluation.roads import RoadScores, score_roads
 from interloc.evaluation.verdicts import RunVerdicts, give_verdicts
+from interloc.labelling.doubts import doubts_in_words
 from interloc.osm.graph import RoadGraph
 from interloc.osm.intersections import IntersectionNodes, intersection_nodes
 from interloc.osm.policies import Policy
@@ -305,6 +306,8 @@ def _score(
         relevant_zone_m=relevant_zone_m,
     )
     map_level = replace(map_level, counts=map_level.counts & graph.covers(result.intersections.lonlat))
+    if doubts := result.run.get("doubtful_labels_m"):
+        warnings += (doubts_in_words(doubts),)
     if "location" in result.run:
         warnings += (
             result.run["location"].get("scored")

@@ -27,7 +27,7 @@ the first ten scans of SemanticKITTI 00 and 07.
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from threading import RLock
 from typing import Any
@@ -37,6 +37,7 @@ import numpy as np
 from interloc.arrays import BoolArray, Float32Array, FloatArray, IntArray, UInt8Array, UInt32Array
 from interloc.kernels.ground import BEAMS
 from interloc.kernels.surface import FEATURES, add_brightness, add_features, label_points
+from interloc.labelling.doubts import WindowQuality
 from interloc.labelling.ground import CELL_M, RANGE_M, ScanGround, find_ground
 from interloc.labelling.growth import classes_of, contrast_of, grow_road, score_cells, width_of
 from interloc.labelling.surface import SURFACE_CELL_M, Grid, PlacedScan, find_surface, lay_on, place, up_of
@@ -55,42 +56,6 @@ _MIN_STRIP = (20, 10)
 _UNKNOWN_BRIGHTNESS = 0.7
 
 _KEPT_GROUNDS, _KEPT_WINDOWS = 80, 32
-_MIN_CONTRAST, _MAX_WIDTH_M = 5.0, 35.0
-
-
-@dataclass(frozen=True)
-class WindowQuality:
-    """How sure the labels of a window are.
-
-    Attributes
-    ----------
-    start_m, stop_m : float
-        Where it begins and ends along the track.
-    contrast : float
-        How much better the driven strip scores than the ground just outside of the road; 0 where nothing was seen.
-    width_m : float
-        Area of the road per metre of track, of the window and the track around it.
-    """
-
-    start_m: float
-    stop_m: float
-    contrast: float
-    width_m: float
-
-    @property
-    def is_doubtful(self) -> bool:
-        """Whether what lies beside the road looks like road, or was taken for it."""
-        return self.contrast < _MIN_CONTRAST or self.width_m > _MAX_WIDTH_M
-
-
-def doubtful_stretches(windows: Iterable[WindowQuality]) -> list[tuple[float, float]]:
-    """Return from where to where along the track labels are doubtful, metres; neighbouring windows are one stretch."""
-    stretches: list[tuple[float, float]] = []
-    for window in windows:
-        if window.is_doubtful:
-            starts_there = bool(stretches) and stretches[-1][1] == window.start_m
-            stretches.append((stretches.pop()[0] if starts_there else window.start_m, window.stop_m))
-    return stretches
 
 
 @dataclass(frozen=True)
@@ -177,12 +142,13 @@ class GeometryLabeller:
                     self._windows.popitem(last=False)
             return self._windows[number]
 
-    def quality(self) -> list[WindowQuality]:
-        """Return how sure the labels of each window of the drive are; all of them are made for it."""
-        for number in self.track.windows.tolist():
+    def quality_of(self, row: int) -> WindowQuality:
+        """Return how sure the labels of a scan are."""
+        number = self.track.window_of(row)
+        with self._lock:
             if number not in self._quality:
                 self.window(number)
-        return self.known_quality()
+            return self._quality[number]
 
     def known_quality(self) -> list[WindowQuality]:
         """Return how sure the labels of the windows are that were made so far, along the track."""

@@ -26,6 +26,7 @@ _HEIGHT_UNIT_M = 0.03
 _PLANE_M, _PLANE_STIFFNESS_M = 2.4, 2.0
 _SMOOTHNESS = 1.5
 _STEP_M, _ROUNDS = 1.6, 36
+_NEAR_STRIP_M = 8.0
 
 
 @dataclass(frozen=True)
@@ -132,9 +133,10 @@ def contrast_of(road: Road, strip: BoolArray) -> float:
 
 
 def width_of(road: Road, strip: BoolArray) -> float:
-    """Return the area of the road that was seen per metre of the strip, metres."""
-    seen, driven = road.cells & ~np.isnan(road.score), np.count_nonzero(strip)
-    return 2 * STRIP_M * int(np.count_nonzero(seen)) / max(1, int(driven))
+    """Return the area of the road that was seen within some metres of the strip, per metre of it, metres."""
+    near = cv2.distanceTransform((~strip).view(np.uint8), cv2.DIST_L2, 5) < _NEAR_STRIP_M / CELL_M
+    road_cells = np.count_nonzero(road.cells & ~np.isnan(road.score) & near)
+    return 2 * STRIP_M * int(road_cells) / max(1, int(np.count_nonzero(strip)))
 
 
 def _mean(total: Float32Array, weight: Float32Array, sides_m: tuple[float, ...]) -> Float32Array:

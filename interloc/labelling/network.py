@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 from pathlib import Path
+from threading import Timer
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,7 @@ _DTYPES = {
     "tensor(uint8)": np.uint8,
 }
 _SUFFIX = "ExecutionProvider"
+_SCAN_LIMIT_S = 600.0  # a loop in the graph may be endless
 _TYPES = {np.dtype(dtype): name for name, dtype in _DTYPES.items()}
 
 
@@ -108,14 +110,25 @@ class Network:
         feed = {self._form.image.name: _laid_out(image, self._form.image)}
         if self._form.mask is not None:
             feed[self._form.mask.name] = _laid_out(filled[None], self._form.mask)
+        options = _onnxruntime().RunOptions()
+        limit = Timer(_SCAN_LIMIT_S, setattr, (options, "terminate", True))
+        limit.daemon = True
+        limit.start()
         try:
             outputs = self._outputs
-            found = self._session.run(outputs, feed)
+            found = self._session.run(outputs, feed, options)
         except Exception as error:  # onnxruntime's errors have no common base
+            if options.terminate:
+                raise ModelError(
+                    f"{self._path} took more than {_SCAN_LIMIT_S:g} s for a range image and was ended. "
+                    "Usual cause: a loop in the graph that does not end, or a network for another device."
+                ) from error
             raise ModelError(
                 f"{self._path} failed on a range image: {_first_line(error)} "
                 "Usual cause: sizes inside of the network that fit another image, or too little memory."
             ) from error
+        finally:
+            limit.cancel()
         for name, output in zip(outputs, found, strict=True):
             layout = output_layout(_TYPES.get(output.dtype, ""), output.shape, self._sizes)
             if layout is not None:

@@ -244,7 +244,11 @@ def fix_variance(sightings: SightingStats, calibration: CalibrationConfig) -> Fl
 
 
 def junction_probability(
-    seen: FloatArray, sightings: SightingStats, bearings_deg: Sequence[FloatArray], calibration: CalibrationConfig
+    seen: FloatArray,
+    sightings: SightingStats,
+    bearings_deg: Sequence[FloatArray],
+    calibration: CalibrationConfig,
+    doubtful_share: FloatArray | float = 0.0,
 ) -> FloatArray:
     """Estimate the probability that a road junction lies within 10 m of each intersection.
 
@@ -254,6 +258,8 @@ def junction_probability(
         Share of the keyframes in reach that saw it, 0..1.
     sightings, bearings_deg, calibration
         As of `position_covariance`: lines that meet in no point, or at an acute angle, are often no junction.
+    doubtful_share : (M,) float64 or float
+        Share of the sightings from keyframes whose labels, made by geometry, may be wrong.
 
     Returns
     -------
@@ -264,6 +270,7 @@ def junction_probability(
     covariance = position_covariance(sightings, bearings_deg, calibration, limit_m=_LINES_LIMIT_M)
     doublings = 0.5 * np.log2(np.trace(covariance, axis1=1, axis2=2) / 2.0)  # of 1 m
     odds = calibration.log_odds + calibration.log_odds_seen * seen - calibration.log_odds_per_doubling * doublings
+    odds -= calibration.log_odds_doubtful * doubtful_share
     probability: FloatArray = 1.0 / (1.0 + np.exp(-np.clip(odds, -500.0, 500.0)))
     return probability
 

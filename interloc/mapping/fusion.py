@@ -257,7 +257,8 @@ def _table(
         scatter_var = scatter_variance(sightings)
         parts = PositionParts(np.sqrt(fix_var), shape[:, [0, 0, 1], [0, 1, 1]], np.sqrt(scatter_var))
         covariance = shape + (fix_var + scatter_var)[:, None, None] * np.eye(2)
-        confidence = junction_probability(rate, sightings, bearings, calibration)
+        doubt = _doubtful_share(keyframes, scene, labels, len(centres))
+        confidence = junction_probability(rate, sightings, bearings, calibration, doubt)
         std = np.sqrt(np.trace(covariance, axis1=1, axis2=2) / 2.0)
     return IntersectionTable(
         id=np.arange(1, len(centres) + 1, dtype=np.int64),
@@ -282,6 +283,16 @@ def _table(
         position_cov_m2=covariance[:, [0, 0, 1], [0, 1, 1]],
         parts=parts,
     )
+
+
+def _doubtful_share(keyframes: KeyframeTable, scene: _Scene, labels: IntArray, count: int) -> FloatArray:
+    """Return which share of the sightings of each centre comes from keyframes whose labels may be wrong, (M,)."""
+    if keyframes.is_doubtful is None:
+        return np.zeros(count)
+    rows = np.flatnonzero(labels >= 0)
+    total = np.bincount(labels[rows], scene.weight[rows], count)
+    doubtful = np.bincount(labels[rows], scene.weight[rows] * keyframes.is_doubtful[scene.keyframe[rows]], count)
+    return doubtful / np.maximum(total, 1e-12)
 
 
 def _sightings(

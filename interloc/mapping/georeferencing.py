@@ -11,6 +11,7 @@ from interloc.detection.detector import KeyframeDetections
 from interloc.drive import Georeference
 from interloc.errors import GeoreferenceError
 from interloc.geometry import bearing_deg, lonlat_from_enu, rotate_2d, yaw_of
+from interloc.labelling.doubts import Stretch, joined
 from interloc.results import DetectionTable, KeyframeTable
 
 
@@ -70,6 +71,7 @@ def build_tables(
         lonlat=lonlat_keyframes,
         enu_yaw_rad=enu_yaw,
         position_std_m=position_std,
+        is_doubtful=np.array([k.keyframe.is_doubtful for k in found], dtype=np.bool_),
     )
     detection_table = DetectionTable(
         keyframe=keyframe,
@@ -82,6 +84,15 @@ def build_tables(
         intersection=np.full(len(keyframe), -1, dtype=np.int64),
     )
     return keyframe_table, detection_table
+
+
+def doubtful_stretches(keyframes: KeyframeTable) -> list[Stretch]:
+    """Return from where to where along the track labels may be wrong, metres: from such a keyframe to the one after."""
+    if keyframes.is_doubtful is None or not keyframes.is_doubtful.any():
+        return []
+    driven = np.cumsum(np.hypot(*np.diff(keyframes.world_xy, axis=0, prepend=keyframes.world_xy[:1]).T)).round()
+    ends = np.append(driven[1:], driven[-1])
+    return joined(zip(driven[keyframes.is_doubtful].tolist(), ends[keyframes.is_doubtful].tolist(), strict=True))
 
 
 def trajectory(T_world_lidar: FloatArray, georeference: Georeference | None) -> tuple[FloatArray, FloatArray | None]:

@@ -25,7 +25,8 @@ MAX_STEP_M = 10.0
 _SEARCHED_M = 5.0
 _SURE_SHARE = 0.8  # of inliers on the map: what fits less is held against the scan before alone
 _HELD_SHARE, _HELD_INFORMATION = 0.4, 1.0  # of a scan that lies on the one before it as expected
-_MAX_BRIDGED_M = 50.0
+_FIRM_INFORMATION = 4.0  # of a scan that nothing holds on the map: rings on the road, which move along, reach 3.6
+_MAX_BRIDGED_M = 25.0  # a car that brakes or speeds up as usual is then off by some metres
 _MAX_CHANGE_M, _MAX_CHANGE, _MAX_CHANGE_RAD = 0.3, 0.25, np.radians(10)  # of the motion from scan to scan: m + share
 
 
@@ -39,8 +40,8 @@ class Odometry:
 
     Attributes
     ----------
-    bridged_m : float
-        Metres over which nothing told the motion along some direction, and the velocity was kept.
+    is_bridged : bool
+        Nothing told the motion of the last scan along some direction, and the velocity was kept.
 
     Notes
     -----
@@ -62,7 +63,7 @@ class Odometry:
         self._pose, self._clock = np.eye(4), 0.0
         self._T_world_map = np.eye(4)
         self._unheld_m = 0.0
-        self.bridged_m = 0.0
+        self.is_bridged = False
 
     def add(self, xyz: Float32Array, clock: float, times_s: Float32Array | None = None) -> FloatArray:
         """Take the next scan.
@@ -123,20 +124,26 @@ class Odometry:
     def _follow(self, cloud: Cloud, expected: FloatArray) -> FloatArray:
         """Return the pose of a scan, (4, 4), given the motion that is expected since the scan before."""
         assert self._before is not None
-        found, step, is_bridged = self._laid_on_map(cloud, expected)
+        found, step, self.is_bridged = self._laid_on_map(cloud, expected)
         if found.inlier_share < _SURE_SHARE or _is_far(step, expected):
             alone = register_clouds(cloud, self._before, step)
             is_held = alone.inlier_share >= _HELD_SHARE and alone.information >= _HELD_INFORMATION
             if not is_held or _is_far(alone.T_target_source, step):
-                searched = _searched(cloud, self._before, expected)
-                found, step, is_bridged = self._laid_on_map(cloud, searched)
+                try:
+                    searched = _searched(cloud, self._before, expected)
+                except _UnheldError:
+                    _check(found, expected)
+                    self.is_bridged = True
+                    self._count(expected)
+                    return self._pose @ expected
+                found, step, self.is_bridged = self._laid_on_map(cloud, searched)
                 if _is_far(step, searched):
                     raise DriveError(
                         f"laid onto the scan before it, it moved by {_length(searched):.1f} m, laid onto all before "
                         f"it by {_length(step):.1f} m: one of them is wrong. Usual cause: missing scans."
                     )
         _check(found, step)
-        self._count(step, is_bridged=is_bridged)
+        self._count(step)
         pose = self._pose @ step
         pose[:3, :3] = found.T_target_source[:3, :3]  # which is a rotation to the last digit
         return pose
@@ -153,17 +160,17 @@ class Odometry:
         if not found.weak.size:
             return found, step, False
         alone = register_clouds(cloud, self._before, expected)
-        is_held = alone.inlier_share >= _HELD_SHARE and alone.information >= MIN_INFORMATION
+        needed = _FIRM_INFORMATION if found.is_unheld else MIN_INFORMATION
+        is_held = alone.inlier_share >= _HELD_SHARE and alone.information >= needed
         if is_held or found.is_unheld:
             better = alone.T_target_source if is_held else expected
             axes = step[:3, :3] @ found.weak
             step[:3, 3] += axes @ (axes.T @ (better[:3, 3] - step[:3, 3]))
         return found, step, found.is_unheld and not is_held
 
-    def _count(self, step: FloatArray, *, is_bridged: bool) -> None:
-        """Count the metres over which a direction was not held, and end where they are too many."""
-        self._unheld_m = self._unheld_m + _length(step) if is_bridged else 0.0
-        self.bridged_m += _length(step) if is_bridged else 0.0
+    def _count(self, step: FloatArray) -> None:
+        """Count the metres over which a direction was not held, less those over which all were; end at too many."""
+        self._unheld_m = max(0.0, self._unheld_m + (1 if self.is_bridged else -1) * _length(step))
         if self._unheld_m > _MAX_BRIDGED_M:
             raise DriveError(
                 f"for {self._unheld_m:.0f} m nothing has told how far the vehicle moved. Usual cause: points on the "
@@ -181,6 +188,10 @@ def _is_far(step: FloatArray, other: FloatArray) -> bool:
     return _length(between) > _MAX_CHANGE_M + _MAX_CHANGE * _length(other) or bool(turned > _MAX_CHANGE_RAD)
 
 
+class _UnheldError(DriveError):
+    """Nothing tells the motion along some direction."""
+
+
 def _searched(cloud: Cloud, before: Cloud, expected: FloatArray) -> FloatArray:
     """Return the motion between two scans, wherever around the expected one it is.
 
@@ -193,7 +204,7 @@ def _searched(cloud: Cloud, before: Cloud, expected: FloatArray) -> FloatArray:
     if not found.is_certain:
         _check(found.best, found.best.T_target_source)
         if found.best.information < MIN_INFORMATION:
-            raise DriveError(
+            raise _UnheldError(
                 "little in it tells how far it is from the scan before it. Usual cause: points on the ground only, a "
                 f"tunnel, an open field, or scans more than {_SEARCHED_M:.0f} m apart; give poses, or all scans."
             )

@@ -17,6 +17,9 @@ from urllib.parse import urlsplit
 import httpx
 import pytest
 
+from app.http.problem_types import STORAGE_READ_ONLY
+from app.http.problems import problem_of
+from app.store.storage import Storage
 from interloc.cli.main import run
 from interloc.reduction.reduce import reduce_drive
 from tests.app.postgres import postgres_url  # noqa: F401 - a fixture
@@ -260,6 +263,15 @@ def test_a_full_disk_refuses_uploads_and_keeps_what_is_there(start: Start, small
     for number in range(codes.count(201)):
         assert server.client.delete(f"{address}/velodyne/{number:06d}.bin").status_code == 204
     assert server.client.put(f"{address}/velodyne/000000.bin", content=piece).status_code == 201  # room again
+
+
+def test_a_disk_made_read_only_is_told(small_disk: Path) -> None:
+    storage = Storage(small_disk)
+    storage.check_writable()
+    subprocess.run(["mount", "-o", "remount,ro", small_disk], check=True)
+    with pytest.raises(OSError, match="Read-only") as refused:
+        storage.check_writable()
+    assert problem_of(refused.value).kind == STORAGE_READ_ONLY
 
 
 def test_a_job_on_a_full_disk_fails_in_words(start: Start, drive: Drive, small_disk: Path, tmp_path: Path) -> None:

@@ -20,13 +20,15 @@ import pytest
 
 from interloc.city.audit import Audit, audit
 from interloc.city.citymap import CityMap, merge
-from interloc.city.delivery import GPX_FILE, MAPROULETTE_FILE, OSMOSE_FILE, known_findings, write_audit
+from interloc.city.delivery import FINDINGS_FILE, GPX_FILE, MAPROULETTE_FILE, OSMOSE_FILE, known_findings, write_audit
 from interloc.city.passes import Pass
 from interloc.city.settings import AuditConfig
+from interloc.city.verdicts import judgement_of
 from interloc.geometry import lonlat_from_enu
 from interloc.mapping.mosaic import Mosaic, Raster
 from interloc.osm.graph import RoadGraph
 from interloc.osm.reader import read_osm
+from interloc.output.geojson import read_json
 from tests.city.towns import ORIGIN, drive
 
 SIDES_M = (-300.0, -200.0, -100.0, 0.0, 100.0, 200.0, 300.0, 400.0, 500.0, 600.0)
@@ -253,3 +255,22 @@ def test_a_finding_near_a_threshold_does_not_come_and_go(city: CityMap, tmp_path
     strict = AuditConfig(moved_m=11.0)
     assert audit(city, graph, strict).findings == []
     assert [each.id for each in audit(city, graph, strict, known={finding.id}).findings] == [finding.id]
+
+
+def test_what_was_marked_wrong_does_not_come_back_whatever_its_kind(city: CityMap, tmp_path: Path) -> None:
+    graph = osm(tmp_path, [*all_but(300.0), (300.0, -9.0)])
+    write_audit(audit(city, graph), city, tmp_path / "audit", AuditConfig(), made_at=NOON, source=graph.source)
+    (feature,) = read_json(tmp_path / "audit" / FINDINGS_FILE)["features"]
+    wrong = judgement_of(feature, "wrong", "Anna", NOON)
+    for name in ("lacks", "elsewhere"):
+        (tmp_path / name).mkdir()
+    lacks = osm(tmp_path / "lacks", all_but(300.0))
+    assert [each.kind for each in audit(city, lacks).findings] == ["missing_junction"]
+    for now in (graph, lacks):
+        found = audit(city, now, wrong=[wrong])
+        assert (found.findings, found.held_back["marked wrong"]) == ([], 1)
+    assert len(audit(city, osm(tmp_path / "elsewhere", all_but(200.0)), wrong=[wrong]).findings) == 1
+    png = (tmp_path / "audit" / "pictures" / f"{wrong.finding}.png").read_bytes()
+    picture = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)
+    assert picture.shape == (640, 640, 3)
+    assert picture[320, 100].tolist() != [255, 255, 255]  # the road, 220 pixels to the west of the cross

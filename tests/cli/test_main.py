@@ -23,6 +23,7 @@ COMMANDS = [
     "evaluate",
     "compare",
     "run",
+    "batch",
     "locate",
     "explain",
     "robustness",

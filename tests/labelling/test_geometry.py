@@ -14,9 +14,7 @@ from interloc.labelling.geometry import (
     OTHER_GROUND,
     ROAD,
     GeometryLabeller,
-    WindowQuality,
     brightness_of_strip,
-    doubtful_stretches,
 )
 from interloc.labelling.ground import RANGE_M
 from tests.kerbs import ROAD_M, SIDEWALK_M, Street
@@ -117,7 +115,7 @@ def test_scans_without_ground_have_no_labels() -> None:
     labeller = GeometryLabeller(poses, np.arange(len(poses)), lambda _: empty)
     points = np.array([[5, 0, -1.8, 0], [np.nan, 0, 0, 0]], np.float32)
     np.testing.assert_array_equal(labeller.label(3, points), [0, 0])
-    assert all(window.is_doubtful for window in labeller.quality())
+    assert labeller.quality_of(3).is_doubtful
 
 
 def test_points_that_are_no_numbers_or_too_far_have_no_label() -> None:
@@ -129,16 +127,11 @@ def test_points_that_are_no_numbers_or_too_far_have_no_label() -> None:
 
 def test_quality_tells_a_street_with_kerbs_from_a_plain() -> None:
     plain = replace(STREET, kerb_m=0.0, shades=(0.3, 0.3, 0.3))
-    street, flat = (labeller_of(each, each.poses(ALONG)).quality() for each in (STREET, plain))
-    assert not doubtful_stretches(street)
-    assert doubtful_stretches(flat) == [(0.0, 75.0)]
-
-
-def test_doubtful_windows_in_a_row_are_one_stretch() -> None:
-    doubtful = [0, 1, 0, 0, 1, 1]
-    windows = [WindowQuality(25.0 * k, 25.0 * k + 25, 0.0 if bad else 9.0, 8.0) for k, bad in enumerate(doubtful)]
-    assert doubtful_stretches(windows) == [(25.0, 50.0), (100.0, 150.0)]
-    assert WindowQuality(0.0, 25.0, 9.0, 40.0).is_doubtful
+    street, flat = (labeller_of(each, each.poses(ALONG)) for each in (STREET, plain))
+    for row in (0, 14):
+        assert not street.quality_of(row).is_doubtful
+        assert flat.quality_of(row).is_doubtful
+    assert [window.start_m for window in flat.known_quality()] == [0.0, 25.0]
 
 
 def test_brightness_is_relative_to_what_the_same_laser_saw_of_the_strip() -> None:
@@ -151,3 +144,16 @@ def test_brightness_is_relative_to_what_the_same_laser_saw_of_the_strip() -> Non
     assert result[2, 1] == result[3, 1] > 0
     nothing = brightness_of_strip(np.tile([100.0, 0.0, 0.0], (4, 1)))
     np.testing.assert_allclose((5.0 - nothing[:, 0]) / nothing[:, 1] + nothing[:, 2], 0.0)
+
+
+def test_a_drive_that_begins_on_grass_doubts_that_stretch_alone() -> None:
+    x = np.arange(-90.0, 40.0, 2.5)
+    poses = STREET.poses(x)
+    poses[:, 1, 3] = np.interp(x, [-60.0, -30.0], [25.0, 0.0])  # across the sidewalk, to the street
+    labeller = labeller_of(STREET, poses)
+    assert labeller.quality_of(2).is_doubtful
+    row = len(x) - 8
+    assert not labeller.quality_of(row).is_doubtful
+    points, aside = STREET.scan(poses[row], row)
+    found = labeller.label(row, points) == ROAD
+    assert (aside[found] < ROAD_M).mean() > 0.9

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import onnx
 import pytest
 
 from interloc.arrays import Float32Array, UInt32Array
@@ -21,7 +22,17 @@ from interloc.labelling.labeller import Labeller
 from interloc.labelling.model import read_model
 from interloc.labelling.network import Network, available_providers
 from interloc.labelling.projection import project
-from tests.networks import CHANNELS, MEANS, ROAD_ID, SIDEWALK_ID, STDS, VEGETATION, VEGETATION_ID, write_model
+from tests.networks import (
+    CHANNELS,
+    MEANS,
+    ROAD_ID,
+    SIDEWALK_ID,
+    STDS,
+    VEGETATION,
+    VEGETATION_ID,
+    add_endless_loop,
+    write_model,
+)
 
 HEIGHT, WIDTH = 16, 128
 ALL_ROWS: dict[str, Any] = {"height": HEIGHT, "width": WIDTH, "fov_up_deg": 30.0, "fov_down_deg": -60.0}
@@ -251,6 +262,16 @@ def test_classes_that_the_settings_do_not_know_are_refused(tmp_path: Path) -> No
     model = read_model(write_model(tmp_path / "m", **ALL_ROWS, output="argmax", edit_data=two_classes))
     with pytest.raises(ModelError, match=r"gives classes from .* to 15, but learning_map_inv .* from 0 to 1"):
         Labeller(model, threads=1).label(street())
+
+
+def test_a_graph_that_does_not_end_is_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = write_model(tmp_path / "m", **ALL_ROWS)
+    graph = onnx.load(folder / "model.onnx")
+    add_endless_loop(graph)
+    onnx.save(graph, folder / "model.onnx")
+    monkeypatch.setattr("interloc.labelling.network._SCAN_LIMIT_S", 0.2)
+    with pytest.raises(ModelError, match=r"took more than 0\.2 s for a range image"):
+        Labeller(read_model(folder), threads=1).label(street())
 
 
 def test_a_graph_that_went_away_is_reported(tmp_path: Path) -> None:

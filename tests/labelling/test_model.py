@@ -9,6 +9,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+import onnx
 import pytest
 
 from interloc.errors import ModelError
@@ -216,6 +217,22 @@ def test_damaged_graph_is_refused(tmp_path: Path) -> None:
     for content in (whole[: len(whole) // 2], b"not a network", bytes(1000)):
         (folder / "model.onnx").write_bytes(content)
         assert "cannot be loaded by onnxruntime" in refusal(folder)
+
+
+def test_weights_outside_of_the_folder_are_not_read(tmp_path: Path) -> None:
+    folder = write_model(tmp_path / "m", **SMALL)
+    other = tmp_path / "secret"
+    other.write_bytes(bytes(1 << 16))
+    (folder / "model.onnx.data").symlink_to(other)
+    for place in ("../secret", str(other), "model.onnx.data"):
+        graph = onnx.load(write_model(folder, **SMALL) / "model.onnx")
+        weights = graph.graph.initializer[0]
+        size = len(onnx.numpy_helper.to_array(weights).tobytes())
+        onnx.external_data_helper.set_external_data(weights, place, length=size)
+        weights.ClearField("raw_data")
+        weights.ClearField("float_data")
+        (folder / "model.onnx").write_bytes(graph.SerializeToString())
+        assert "xternal data path" in refusal(folder)
 
 
 BOMB = "a: &a [x,x,x,x,x,x,x,x,x]\n" + "".join(

@@ -401,6 +401,10 @@ def test_a_calibration_changes_what_is_said_of_intersections_not_where_they_are(
     assert_array_equal(table.lonlat, plain.lonlat)
     assert_allclose(plain.covariances, plain.position_std_m[:, None, None] ** 2 * np.eye(2))
     assert_allclose(np.trace(table.covariances, axis1=1, axis2=2), 2 * table.position_std_m**2)
+    doubted = replace(keyframes, is_doubtful=np.ones(len(keyframes), np.bool_))
+    unsure, _ = fuse(doubted, detections, None, CalibrationConfig())
+    assert (unsure.confidence < table.confidence).all()
+    assert_array_equal(unsure.position_std_m, table.position_std_m)
     doubtful = CalibrationConfig(log_odds=1, log_odds_seen=1)  # less probable than their share of sightings
     bound = float(np.median(fuse(keyframes, detections, FusionConfig(), doubtful)[0].confidence))
     sure, assigned = fuse(keyframes, detections, FusionConfig(min_confidence=bound), doubtful)

@@ -41,6 +41,7 @@ def write_checkpoint(path: Path, part: RangeResult) -> None:
         "frame": np.array([k.keyframe.frame for k in found], dtype=np.int64),
         "T_world_lidar": np.array([k.keyframe.T_world_lidar for k in found], dtype=np.float64).reshape(-1, 4, 4),
         "time_s": np.array([np.nan if k.keyframe.time_s is None else k.keyframe.time_s for k in found]),
+        "is_doubtful": np.array([k.keyframe.is_doubtful for k in found], dtype=np.bool_),
         "detections": np.array([len(k.score) for k in found], dtype=np.int64),
         "lidar_xy": _joined([k.lidar_xy for k in found], (0, 2)),
         "world_xy": _joined([k.world_xy for k in found], (0, 2)),
@@ -68,7 +69,10 @@ def read_checkpoint(path: Path) -> RangeResult | None:
             arrays = {name: file[name] for name in file.files}
     except (OSError, ValueError, EOFError, zipfile.BadZipFile):
         return None
-    if str(arrays.get("made_by")) != _made_by() or not {"branch_widths_m", "road_other"} <= arrays.keys():
+    if (
+        str(arrays.get("made_by")) != _made_by()
+        or not {"is_doubtful", "branch_widths_m", "road_other"} <= arrays.keys()
+    ):
         return None
     angles = _cut(arrays["branch_angles_rad"], arrays["branches"])
     angles_of = _grouped(angles, arrays["detections"])
@@ -77,7 +81,7 @@ def read_checkpoint(path: Path) -> RangeResult | None:
     times = [None if np.isnan(time) else float(time) for time in arrays["time_s"]]
     detections = [
         KeyframeDetections(
-            Keyframe(int(frame), arrays["T_world_lidar"][row], times[row]),
+            Keyframe(int(frame), arrays["T_world_lidar"][row], times[row], bool(arrays["is_doubtful"][row])),
             lidar_xy[row],
             world_xy[row],
             angles_of[row],

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,7 +13,8 @@ from interloc.arrays import Float32Array, FloatArray, IntArray, UInt32Array
 from interloc.drives.findings import DriveFileError, Findings
 from interloc.drives.scans.recorded import PointSource, Recording, ScanPoints
 from interloc.drives.trajectory import Trajectory
-from interloc.labelling.geometry import METHOD, GeometryLabeller, WindowQuality, doubtful_stretches
+from interloc.labelling.doubts import doubts_in_words, joined
+from interloc.labelling.geometry import METHOD, GeometryLabeller
 
 GEOMETRY = "geometry"
 """The choice of labels by which they are made."""
@@ -61,21 +63,19 @@ class GeometryLabels:
         """Label the points of a scan."""
         return self.labeller.label(self._row(frame), points.values)
 
-    def quality(self) -> list[WindowQuality]:
-        """Return how sure the labels are, stretch by stretch; those that no scan was asked for yet are made for it."""
-        return self.labeller.quality()
+    def is_doubtful(self, frame: int) -> bool:
+        """Return whether the labels of a scan may be wrong."""
+        return self.labeller.quality_of(self._row(frame)).is_doubtful
+
+    def windows_of(self, frames: Sequence[int]) -> IntArray:
+        """Return the windows of the track that scans belong to, (N,)."""
+        return np.array([self.labeller.track.window_of(self._row(frame)) for frame in frames], np.int64)
 
     def tell_doubts(self, where: str, findings: Findings) -> None:
         """Warn of the stretches looked at whose labels are doubtful."""
         known = self.labeller.known_quality()
-        if stretches := doubtful_stretches(known):
-            places = ", ".join(f"{start:,.0f} to {stop:,.0f} m" for start, stop in stretches)
-            findings.warning(
-                where,
-                f"labels by geometry are doubtful from {places} of the track: what lies beside the road looks like the "
-                "road, or little of the driven strip was seen. Usual causes: sidewalks without a kerb, a yard or car "
-                "park, snow. Expect missing or wrong intersections there; a network (--model) does better.",
-            )
+        if stretches := joined((window.start_m, window.stop_m) for window in known if window.is_doubtful):
+            findings.warning(where, doubts_in_words(stretches))
 
     def _row(self, frame: int) -> int:
         return int(np.searchsorted(self.frames, frame))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -257,6 +257,13 @@ class RawScans:
         """Where the labels come from, in words."""
         return self.sources[1].name
 
+    def windows_of(self, frames: Sequence[int]) -> IntArray:
+        """Return the windows of the track that scans, by (N,) ascending numbers, are labelled in; or a number each."""
+        labels = self.sources[1]
+        if labels.name != "geometry":
+            return np.arange(len(frames), dtype=np.int64)
+        return cast("GeometryLabels", labels).windows_of(frames)
+
     @property
     def is_slow(self) -> bool:
         """Whether labels are made from the scans: then several should be read at once."""
@@ -291,7 +298,8 @@ class RawScans:
                 "Expected x y z in metres. Usual cause: points without a return that were written as NaN; "
                 "leave them out, with their labels.",
             )
-        return GroundPoints(xyz, road_count)
+        is_doubtful = labels.name == "geometry" and cast("GeometryLabels", labels).is_doubtful(frame)
+        return GroundPoints(xyz, road_count, is_doubtful)
 
 
 def trajectory_of(recording: Recording, options: DriveOptions, findings: Findings) -> Trajectory:

@@ -13,8 +13,9 @@ drive that it was made of, with the same results, bit by bit. This is the format
 ``NNNNNN`` is the scan number, with zeros in front to at least six digits.
 
 **A .ground file** begins with 16 bytes: the letters ``ILGP``, then three unsigned 32-bit numbers, the lowest byte
-first: the version (1), the count n of points (at most 4,000,000), and how many of them are road. The rest of the file
-is one zlib stream (RFC 1950; in a browser ``CompressionStream("deflate")``) of exactly 12 n bytes.
+first: the version (1, or 257 where the labels of the scan may be wrong), the count n of points (at most 4,000,000), and
+how many of them are road. The rest of the file is one zlib stream (RFC 1950; in a browser
+``CompressionStream("deflate")``) of exactly 12 n bytes.
 
 Points come in the order of the scan, those of road first, then sidewalk, parking and other ground. To make the bytes,
 
@@ -333,7 +334,7 @@ MAX_POINTS = 4_000_000
 """A scan has 0.1 to 0.3 million; nothing larger is allocated."""
 
 _HEADER = struct.Struct("<4sIII")
-_MAGIC, _VERSION = b"ILGP", 1
+_MAGIC, _VERSION, _DOUBTFUL = b"ILGP", 1, 256
 _POINT_BYTES = 12
 MIN_BYTES = _HEADER.size + 8
 MAX_BYTES = _HEADER.size + MAX_POINTS * _POINT_BYTES * 9 // 8 + 1024
@@ -357,7 +358,7 @@ def encode_ground(points: GroundPoints) -> bytes:
         raise ValueError(f"{len(xyz):,} ground points; no scan has more than {MAX_POINTS:,}")
     # Runs are all that deflate finds in the planes: looking for nothing else is as small, and five times as fast.
     deflate = zlib.compressobj(strategy=zlib.Z_RLE)
-    header = _HEADER.pack(_MAGIC, _VERSION, len(xyz), points.road_count)
+    header = _HEADER.pack(_MAGIC, _VERSION | _DOUBTFUL * points.is_doubtful, len(xyz), points.road_count)
     return b"".join((header, deflate.compress(to_planes(xyz.view(np.uint32))), deflate.flush()))
 
 
@@ -375,7 +376,7 @@ def decode_ground(data: bytes, name: str) -> GroundPoints:
     DriveError
         It is not such a file, cut short, damaged, or holds a point that is not finite.
     """
-    count, road_count = _counts(data, name)
+    count, road_count, is_doubtful = _head(data, name)
     size = count * _POINT_BYTES
     inflate = zlib.decompressobj()
     try:
@@ -399,7 +400,7 @@ def decode_ground(data: bytes, name: str) -> GroundPoints:
         raise DriveFileError(
             name, f"point {bad_point:,} of {count:,} is not finite ({x:g}, {y:g}, {z:g}). Expected x y z in metres."
         )
-    return GroundPoints(xyz, road_count)
+    return GroundPoints(xyz, road_count, is_doubtful)
 
 
 def to_planes(bits: UInt32Array) -> bytes:
@@ -419,8 +420,8 @@ def from_planes(planes: bytes) -> UInt32Array:
     return np.ascontiguousarray(bits.T)
 
 
-def _counts(data: bytes, name: str) -> tuple[int, int]:
-    """Return the counts of points and of road points that the header promises."""
+def _head(data: bytes, name: str) -> tuple[int, int, bool]:
+    """Return the counts of points and of road points that the header promises, and whether labels may be wrong."""
     if not MIN_BYTES <= len(data) <= MAX_BYTES:
         raise DriveFileError(name, size_complaint(len(data)))
     magic, version, count, road_count = _HEADER.unpack_from(data)
@@ -428,7 +429,7 @@ def _counts(data: bytes, name: str) -> tuple[int, int]:
         raise DriveFileError(
             name, f"starts with {magic!r}; expected {_MAGIC!r}. Usual cause: another kind of file under this name."
         )
-    if version != _VERSION:
+    if version & ~_DOUBTFUL != _VERSION:
         raise DriveFileError(
             name, f"is of version {version}; this InterLoc reads version {_VERSION}. Reduce the drive again with it."
         )
@@ -436,7 +437,7 @@ def _counts(data: bytes, name: str) -> tuple[int, int]:
         raise DriveFileError(name, f"promises {count:,} points; no scan has more than {MAX_POINTS:,}.")
     if road_count > count:
         raise DriveFileError(name, f"promises {road_count:,} road points among {count:,} points.")
-    return count, road_count
+    return count, road_count, version != _VERSION
 
 
 def size_complaint(size: int) -> str:

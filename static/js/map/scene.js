@@ -401,7 +401,7 @@ function nearest({ xs, ys, items }, view, x, y, reach, chosen) {
 }
 
 /** @param {CanvasRenderingContext2D} context @param {import("./surface.js").View} view @param {Float64Array[]} rings @param {string} fill @param {number} [edge] Width of a line around them. */
-function fillRings(context, view, rings, fill, edge = 0) {
+export function fillRings(context, view, rings, fill, edge = 0) {
   context.beginPath();
   for (const ring of rings) {
     for (let i = 0; i < ring.length; i += 2) context[i ? "lineTo" : "moveTo"](view.x(ring[i]), view.y(ring[i + 1]));

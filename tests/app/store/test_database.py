@@ -11,6 +11,7 @@ import pytest
 from sqlalchemy import Connection, event, text
 from sqlalchemy.exc import OperationalError
 
+from app.http.problem_types import STORAGE_READ_ONLY
 from app.http.problems import problem_of
 from app.store.database import Database, afterwards
 from app.store.models import Drive
@@ -107,6 +108,21 @@ def test_a_transaction_that_fails_leaves_nothing(url: str) -> None:
     assert names(database) == set()
     add_drive(database, "b")
     assert names(database) == {"b"}
+    database.close()
+
+
+def test_a_database_that_cannot_be_written_is_told(tmp_path: Path) -> None:
+    database = Database(f"sqlite:///{tmp_path / 'db.sqlite3'}")
+    database.upgrade()
+
+    @event.listens_for(database.engine, "begin")
+    def only_read(connection: Connection) -> None:
+        connection.exec_driver_sql("PRAGMA query_only = 1")
+
+    with pytest.raises(OperationalError) as failure:
+        add_drive(database, "a")
+    assert problem_of(failure.value).status == 503
+    assert problem_of(failure.value).kind == STORAGE_READ_ONLY
     database.close()
 
 

@@ -63,6 +63,8 @@ def test_missing_remission_and_doubts_are_told(tmp_path: Path) -> None:
     told = [problem.message for problem in inspect_drive(root, labels="geometry").problems]
     assert any("no remission" in message for message in told)
     assert any("doubtful from 0 to 25 m" in message for message in told)
+    assert open_drive(root, labels="geometry", check=False).ground_points(3).is_doubtful
+    assert not open_drive(root, check=False).ground_points(3).is_doubtful
 
 
 def test_the_source_is_cheap_to_send_and_says_what_it_depends_on(tmp_path: Path) -> None:
@@ -75,11 +77,6 @@ def test_the_source_is_cheap_to_send_and_says_what_it_depends_on(tmp_path: Path)
     assert {path.name for path in labels.files(3)} >= {"000000.bin", "000011.bin"}
     other = write_semantickitti(tmp_path / "other", poses=open_drive(root).T_world_lidar[:11])
     assert source_of(root).identity == labels.identity != source_of(other).identity
-
-
-def test_every_window_has_a_quality(tmp_path: Path) -> None:
-    (window,) = source_of(write_semantickitti(tmp_path / "07")).quality()
-    assert (window.start_m, window.stop_m) == (0.0, 25.0)
 
 
 def test_by_geometry_and_by_files_at_once(tmp_path: Path) -> None:
@@ -99,3 +96,12 @@ def test_a_sensor_that_does_not_turn_is_told(tmp_path: Path) -> None:
         points[points[:, 0] > np.abs(points[:, 1])].tofile(file)
     told = [problem.message for problem in inspect_drive(root, labels="geometry").problems]
     assert any("sees 90 degrees" in message or "sees 100 degrees" in message for message in told)
+
+
+def test_scans_of_a_window_belong_together(tmp_path: Path) -> None:
+    root = write_semantickitti(tmp_path / "07")
+    made, written = (open_drive(root, labels=labels, check=False).scans for labels in ("geometry", "labels"))
+    assert isinstance(made, RawScans)
+    assert isinstance(written, RawScans)
+    assert made.windows_of([0, 3, 11]).tolist() == [0, 0, 0]
+    assert written.windows_of([0, 3, 11]).tolist() == [0, 1, 2]
