@@ -40,6 +40,8 @@ const LOCAL_CREDIT = "Metres of the drive’s own frame: it has no georeference"
 let scene = null;
 /** What the map was last fitted to. @type {{places: number[][], local: boolean, padding: number[][]}|null} */
 let whole = null;
+/** What was last shown before it was sent: its roads stay while its job runs. @type {import("../data/results.js").Result|null} */
+let previewed = null;
 /** Whether the map shows a place of the result, worth a permalink. */
 let isPlaced = false;
 
@@ -150,8 +152,9 @@ export async function mountStage() {
     if (mine !== token || !track) return;
     fill(cover);
     build(track.local);
-    scene = new Scene(track, shown.map);
-    scene.on = new Set(["track"]);
+    const isOfPreview = previewed?.trajectory.some(([lng, lat]) => isNear([lng, lat], track.trajectory[0]));
+    scene = new Scene(isOfPreview ? { ...track, roads: previewed?.roads ?? [] } : track, shown.map);
+    scene.on = new Set(["roads", "track"]);
     scene.progress = job.progress.fraction;
     const places = track.trajectory.map(([lng, lat]) => [lat, lng]);
     fit(places, false, track.local);
@@ -162,6 +165,7 @@ export async function mountStage() {
   const showPreview = ({ result, title, text, progress }) => {
     const isNew = !(scene instanceof Scene) || scene.result.trajectory !== result.trajectory;
     if (isNew) clear();
+    previewed = result.local ? null : result;
     fill(cover);
     fill(note, el("strong", {}, title), ` ${text}`);
     build(result.local);
@@ -474,6 +478,9 @@ function margins() {
     [hasLegend ? 232 : 40, 40],
   ];
 }
+
+/** @param {number[]} a Longitude, latitude. @param {number[]} b @returns {boolean} Whether they are within some metres. */
+const isNear = (a, b) => Math.abs(a[0] - b[0]) + Math.abs(a[1] - b[1]) < 1e-4;
 
 /** @param {[number, number]} place */
 function keepInView(place) {

@@ -4,7 +4,7 @@
  */
 import { svg } from "../dom.js";
 
-/** @typedef {"disc"|"cross"|"ring"|"square"|"diamond"|"plus"|"dot"|"triangle"|"check"|"bang"|"gap"|"hexagon"|"down"} Shape */
+/** @typedef {"disc"|"cross"|"ring"|"square"|"diamond"|"plus"|"dot"|"triangle"|"check"|"bang"|"gap"|"hexagon"} Shape */
 
 /** @param {string} text "x y x y, x y x y" @returns {number[][][]} Lines of points. */
 const lines = (text) => text.split(",").map((line) => [...line.matchAll(/(\S+) (\S+)/g)].map(([, x, y]) => [+x, +y]));
@@ -15,7 +15,6 @@ const OUTLINES = /** @type {Partial<Record<Shape, number[][][]>>} */ ({
   square: lines("-1 -1 1 -1 1 1 -1 1"),
   diamond: lines("0 -1.25 1.25 0 0 1.25 -1.25 0"),
   hexagon: lines("0 -1.15 1 -.58 1 .58 0 1.15 -1 .58 -1 -.58"),
-  down: lines("0 1.3 1.2 -.8 -1.2 -.8"),
   plus: lines("-.36 -1 .36 -1 .36 -.36 1 -.36 1 .36 .36 .36 .36 1 -.36 1 -.36 .36 -1 .36 -1 -.36 -.36 -.36"),
   triangle: lines("0 -1 1.15 1 -1.15 1"),
   check: lines("-.5 0 -.15 .38 .5 -.38"),
@@ -70,7 +69,7 @@ export const SIGNS = /** @type {Record<string, Sign>} */ ({
   unscored: { colour: "--fused", shape: "plus", filled: true, width: 1.2, edge: "--fused-edge" },
   shared: { colour: "--ink-2", shape: "ring", filled: false, width: 1.4 },
   here: { colour: "--tp", shape: "hexagon", filled: false, width: 1.8 },
-  elsewhere: { colour: "--warn", shape: "down", filled: false, width: 1.8 },
+  elsewhere: { colour: "--tp", shape: "square", filled: false, width: 1.8 },
   keyframe: { colour: "--track", shape: "dot", filled: true, width: 0 },
 });
 

@@ -71,7 +71,7 @@ export function formView(
   const keepPlace = el("div", {});
   const choices = Object.entries(SENDING).filter(([value]) => canReduce || value === "raw");
   const parts = radios(
-    "What is sent",
+    "Of the scans",
     choices.map(([value, [title, hint]]) => ({ value, title, hint, more: value === "raw" ? keepPlace : null })),
     usual,
     refresh,
@@ -297,7 +297,7 @@ export function formView(
     name: "more-files",
   });
   const ofSending = el("summary", {}, "What is sent");
-  const other = el("button", { class: "plain", onClick: onBack }, "Choose another");
+  const other = el("button", { onClick: onBack }, "Choose another");
   const element = el(
     "div",
     { class: "stack upload-form" },
