@@ -108,6 +108,7 @@ def finish(task: Task[IntersectionsJob], plan: Plan) -> IntersectionsOutcome:
         location=_location(result),
         report=scores,
         has_roads=True,
+        doubtful_labels_m=result.run["doubtful_labels_m"],
     )
 
 
