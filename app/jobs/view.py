@@ -18,9 +18,11 @@ from app.states import JobKind, JobState
 from app.store.database import moment
 from app.store.models import Drive, Job
 from interloc.output.layers import LAYERS, PLACES
+from interloc.output.layout import ROAD_LAYERS
 from interloc.output.vector_files import suffixes_here
 
 _LAYERS = [layer.address for layer in LAYERS.values() if not layer.is_osm]
+_ROADS = tuple(LAYERS[name].address for name in ROAD_LAYERS)
 _MAP_LAYERS = [layer.address for layer in LAYERS.values() if layer.is_osm and layer.name != PLACES]
 _NO_WORKER = "It waits for a worker: none can be started at present. The service keeps trying; its log says why."
 
@@ -129,10 +131,11 @@ class _Links:
         if job.state != JobState.SUCCESSFUL or job.kind != JobKind.INTERSECTIONS or summary is None:
             return links
         names = ["run", "files", "archive.zip"]
+        left_out = () if summary.get("has_roads") else _ROADS
         if summary["georeferenced"]:
-            names += self._georeferenced
+            names += [name for name in self._georeferenced if name not in left_out]
         else:
-            links |= {layer: f"{address}/files/{layer}.local.json" for layer in _LAYERS}
+            links |= {layer: f"{address}/files/{layer}.local.json" for layer in _LAYERS if layer not in left_out}
         if summary["report"] is not None:
             names += ["report", *_MAP_LAYERS]
         if summary.get("location") is not None:

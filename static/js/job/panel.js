@@ -182,7 +182,10 @@ function outcome(job) {
     el("code", {}, `${name} = ${JSON.stringify(value)} `),
   );
   const finished = new Date(job.finished_at).toLocaleString("en-GB", { dateStyle: "medium", timeStyle: "short" });
-  const unscored = "The job had no map. Run it again with one to see which intersections are right.";
+  const isPlaced = summary.georeferenced !== false;
+  const unscored = isPlaced
+    ? "The job had no map. Run it again with one to see which intersections are right."
+    : "The drive has no georeference: run it again with a map, and it is placed there by its roads.";
   const withMap = () => openRunDialog(job.drive_id, { job, withMap: true }).catch(showError);
   return [
     report?.map_line && el("p", { class: "verdict" }, el("strong", {}, report.map_line)),
