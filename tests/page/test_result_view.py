@@ -138,9 +138,8 @@ def test_the_report_tells_the_figures_and_leads_to_the_map(page: Any, done: Done
     level = report["map_level"]
     assert f"{level['true']} of {level['intersections_in_zone']}" in text
     assert rows.count() == len(report["nodes"])
-    page.get_by_role("button", name="Node", exact=True).click()
-    ids = [int(each) for each in page.locator(".osm-nodes tbody tr.can td:nth-child(2)").all_inner_texts()]
-    assert ids == sorted(node["osm_id"] for node in report["nodes"])
+    ids = [int(each) for each in page.locator(".osm-nodes tr.below .number").all_inner_texts()]
+    assert sorted(ids) == sorted(node["osm_id"] for node in report["nodes"])
     rows.nth(1).focus()
     page.keyboard.press("Enter")
     popup = page.locator(".leaflet-popup-content")
@@ -148,7 +147,7 @@ def test_the_report_tells_the_figures_and_leads_to_the_map(page: Any, done: Done
     assert str(ids[1]) in popup.inner_text()
     page.locator("#tab-job").click()
     popup.get_by_role("button", name="See it in the report").click()
-    page.locator(".osm-nodes tbody tr.is", has_text=str(ids[1])).wait_for()
+    page.locator(".osm-nodes tbody tr.below.is", has_text=str(ids[1])).wait_for()
 
 
 def test_keys_choose_tabs_and_keyframes(page: Any, done: Done) -> None:
