@@ -26,6 +26,8 @@ from app.http.turns import Turns
 from app.jobs import routes as jobs
 from app.jobs.runner import Runner
 from app.jobs.watcher import JobWatcher
+from app.live import routes as live
+from app.live.sessions import LiveSessions
 from app.maps import queue
 from app.maps import routes as maps
 from app.maps.merging import Merger
@@ -58,10 +60,11 @@ def _assemble() -> APIRouter:
     of_drives = (drives, overview, files, scans, archive, commit, demo, networks)
     of_jobs = (jobs, results, keyframes, road, exports, compare)
     shared = [Depends(client_of), Depends(refuse_unknown_parameters), Depends(make_room_to_delete)]
-    for module in (*of_drives, *of_jobs, maps, queue, trash):
+    for module in (*of_drives, *of_jobs, live, maps, queue, trash):
         router.include_router(module.router, prefix=API, dependencies=shared)
     for more in (ogc.of_job, ogc.of_map, trash.of_items):
         router.include_router(more, prefix=API, dependencies=shared)
+    router.include_router(live.sockets, prefix=API)
     router.include_router(ogc.of_all, dependencies=shared)
     router.include_router(stac.router, dependencies=shared)
     for module in (system, page):
@@ -99,6 +102,7 @@ def create_app(settings: Settings | None = None, context: Context | None = None)
             parts.watcher = JobWatcher(opened)
             parts.results = Results(opened)
             parts.turns = Turns()
+            parts.live = LiveSessions(opened)
             parts.on_demand = OnDemand(runner)
             parts.probe = system.Probe(opened, runner)
             runner.start()
@@ -111,6 +115,7 @@ def create_app(settings: Settings | None = None, context: Context | None = None)
         try:
             yield
         finally:
+            parts.live.stop()
             for helper in helpers:
                 await run_in_threadpool(helper.stop)
             await run_in_threadpool(runner.stop)

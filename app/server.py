@@ -54,7 +54,9 @@ class Server(uvicorn.Server):
             port=settings.port,
             http=Protocol,
             lifespan="on",
-            ws="none",
+            ws="websockets-sansio",
+            ws_max_size=settings.max_live_message_bytes,
+            ws_per_message_deflate=False,  # points hardly become smaller
             log_config=None,
             access_log=False,
             server_header=False,

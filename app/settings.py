@@ -129,6 +129,15 @@ class Settings(BaseSettings):
         ge=0,
         description="Size of a file that is given up when the disk is full, so that deleting still works; 0 for none.",
     )
+    max_live_sessions: int = Field(4, ge=0, description="Maximum number of live sessions of one client; 0 for none.")
+    max_live_message_bytes: int = Field(
+        32 * MB, ge=4096, description="Maximum size of one scan of a live session: 20 bytes per point, and its head."
+    )
+    live_idle_s: float = Field(
+        300.0,
+        gt=0,
+        description="Time in seconds for which a live session waits for its sender, and an ended one is shown.",
+    )
     max_queued_jobs: int = Field(100, ge=1, description="Maximum number of jobs of one client that wait or run.")
     upload_expires_h: float = Field(
         7 * 24.0, gt=0, description="Time in hours after which an upload expires that nobody has touched."

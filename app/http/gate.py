@@ -27,6 +27,7 @@ from urllib.parse import urlsplit
 from anyio import CapacityLimiter, to_thread
 from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Receive, Scope, Send
+from starlette.websockets import WebSocket
 
 from app import logs
 from app.context import Context
@@ -86,12 +87,14 @@ class Gate:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Go on, or refuse."""
-        if scope["type"] != "http":
+        if scope["type"] not in {"http", "websocket"}:
             await self._app(scope, receive, send)
             return
         problem = await self._problem(scope)
         if problem is None:
             await self._app(scope, receive, send)
+        elif scope["type"] == "websocket":
+            await WebSocket(scope, receive, send).send_denial_response(respond(problem, scope["path"]))
         else:
             await respond(problem, scope["path"])(scope, receive, send)
 
@@ -125,7 +128,7 @@ class Gate:
                 "The service answers under the names of this machine only: localhost, 127.0.0.1. "
                 "INTERLOC_ALLOWED_HOSTS takes the name under which a reverse proxy shows it.",
             )
-        if scope["method"] in _SAFE or "authorization" in headers:
+        if scope.get("method") in _SAFE or "authorization" in headers:  # a socket has no method, and is not safe
             return None
         site = headers.get("sec-fetch-site")
         if site is None:
@@ -144,7 +147,7 @@ class Gate:
             return _unauthorized("This service needs an API token.", basic=offers_basic) if needed else None
         scheme, _, token = given.partition(" ")
         token = token.strip()
-        if scheme.lower() == "basic" and scope["method"] in _SAFE:
+        if scheme.lower() == "basic" and scope.get("method") in _SAFE:
             token = _password_of(token)
         elif scheme.lower() != "bearer":
             token = ""

@@ -47,6 +47,16 @@ TAGS = [
     {"name": "Drives", "description": "Recorded drives, from the first file to a drive that jobs can use."},
     {"name": "Uploads", "description": "Files of a drive: one by one, in batches, as an archive; check and reduction."},
     {"name": "Jobs", "description": "Work on drives: submit, follow, cancel. Jobs survive restarts of the service."},
+    {
+        "name": "Live",
+        "description": "Intersections while driving. A sender opens the WebSocket `/api/v1/live` (token as everywhere) "
+        'and begins with the text `{"type": "begin", "name": "07", "preset"?, "config"?, "label_scheme"?}`, or after a '
+        'broken connection with `{"type": "continue", "session": ID}`; it is told `{"type": "session", "id", '
+        '"last_frame"}`. It sends each scan as one binary message: `ILS1`, the length of a head as uint32, the head as '
+        "JSON (`frame`, `pose`, `points`, ...), points as float32, labels as uint32; all little-endian. Each scan is "
+        "answered by a text: JSON whose `type` is `scan`, `dropped` or `refused`. The text "
+        '`{"type": "end"}` ends the session. docs/live.md has every field. Others watch `/live/{session}/events`.',
+    },
     {"name": "Results", "description": "What a successful job found; the same bytes as the command line writes."},
     {"name": "Exports", "description": "Results in formats of GIS programs."},
     {"name": "GIS", "description": "OGC API - Features: results as layers of a GIS, by place, time and CQL2 filters."},

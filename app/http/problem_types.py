@@ -213,6 +213,9 @@ TOO_MANY_CONNECTIONS = _kind(
 TOO_MANY_FILES = _kind("too-many-files", 413, "Too many files", "A request or drive has more files than allowed.")
 TOO_MANY_HEADERS = _kind("too-many-headers", 431, "Too many headers", "The request has too many headers.")
 TOO_MANY_JOBS = _kind("too-many-jobs", 429, "Too many jobs", "Too many jobs of this client wait or run.")
+TOO_MANY_SESSIONS = _kind(
+    "too-many-sessions", 429, "Too many sessions", "The client has as many live sessions as it may have."
+)
 TOO_MANY_WRONG_TOKENS = _kind(
     "too-many-wrong-tokens",
     429,

@@ -131,12 +131,12 @@ class Attempt:
         if not self._kind.changes_drive and self.claim.drive_state == DriveState.UPLOADING:
             raise not_ready(Drive(id=job.drive_id, name=self.claim.drive_name))
         self._task = task_of(self._context, self.claim, self._executor.slots)
-        self._stage, second, third = self._kind.stages_of(self._task.request)
+        self._stage, second, third = self._kind.stages
         self._progress.open()
         try:
             plan = self._call("the preparation", kinds.prepare, self._task)
             self._total = plan.total
-            self._enter(second)
+            self._enter(plan.stage or second)
             self._do_parts(plan)
             self._enter(third)
             return self._call("the result", kinds.finish, self._task, plan)

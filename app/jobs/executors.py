@@ -112,15 +112,15 @@ class DaskExecutor:
             from distributed import Client  # noqa: PLC0415 - an extra
         except ImportError as error:
             raise ConfigError(
-                f"INTERLOC_DASK is set, but Dask is not installed. Install it: {install('dask')}"
+                f"a Dask scheduler is named ({address}), but Dask is not installed. Install it: {install('dask')}"
             ) from error
         try:
             connect: Any = Client  # it has no types
             self._client = connect(address, timeout=10, name="interloc", set_as_default=False)
         except (OSError, ValueError, TimeoutError) as error:
             raise ConfigError(
-                f"INTERLOC_DASK: no Dask scheduler answers at {address} ({error or type(error).__name__}). "
-                "Start one (`dask scheduler`), and workers (`dask worker ADDRESS`) that see the data folder."
+                f"no Dask scheduler answers at {address} ({error or type(error).__name__}). "
+                "Start one (`dask scheduler`), and workers (`dask worker ADDRESS`) that see the same files."
             ) from error
         # Not pure: a repeated call must be executed again, because its outcome is a file, not its value.
         self._executor: Executor = self._client.get_executor(pure=False)

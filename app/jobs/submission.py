@@ -57,7 +57,7 @@ def check_request(session: Session, context: Context, new: NewJob) -> dict[str, 
     _check_placing(new)
     _check_drive(session, context.storage, new)
     request = new.model_dump(mode="json", exclude={"drive_id", "config"})
-    return request | {"config": _config_of(new).model_dump(mode="json")}
+    return request | {"config": config_of(new.preset, new.config).model_dump(mode="json")}
 
 
 def _map_file(session: Session, drive_id: str, name: str) -> str:
@@ -112,9 +112,15 @@ def _check_drive(session: Session, storage: Storage, new: NewJob) -> None:
         raise no_georeference(drive.name)
 
 
-def _config_of(new: NewJob) -> DetectorConfig:
-    base = preset(new.preset).model_dump(mode="json")
-    return parse_config(_merged(base, new.config or {}), strict=True)
+def config_of(name: str, changes: dict[str, Any] | None) -> DetectorConfig:
+    """Return a preset with the settings that a request changes.
+
+    Raises
+    ------
+    ConfigError
+        A setting does not exist, or its value is refused.
+    """
+    return parse_config(_merged(preset(name).model_dump(mode="json"), changes or {}), strict=True)
 
 
 def _merged(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:

@@ -46,14 +46,6 @@ class Kind:
         """Return how long a part may take, seconds."""
         return float("inf") if self.unit_s is None else _PART_S + self.unit_s * (part.stop - part.start)
 
-    def stages_of(self, request: JobRequest) -> tuple[str, str, str]:
-        """Return what the work is doing in each of the three calls for a request."""
-        first, second, third = self.stages
-        is_labelled = isinstance(request, CommitJob) and (
-            request.options.model is not None or request.options.labels == "geometry"
-        )
-        return first, "labelling" if is_labelled else second, third
-
     def load(self) -> ModuleType:
         """Import the module; workers do that, the server need not."""
         return import_module(self.module)

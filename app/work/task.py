@@ -117,11 +117,14 @@ class Plan:
         Number of units of all parts: keyframes, scans, files.
     began : float
         When it was made, seconds since 1970.
+    stage : str or None
+        What is done in the parts, where that is not what the kind of work says.
     """
 
     parts: list[Part]
     total: int
     began: float = field(default_factory=time.time, kw_only=True)
+    stage: str | None = field(default=None, kw_only=True)
 
 
 def no_georeference(drive_name: str) -> GeoreferenceError:

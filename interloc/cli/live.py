@@ -11,19 +11,28 @@ import click
 from interloc.cli import console, options
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from interloc.config import DetectorConfig
     from interloc.drives.folder import FolderDrive
     from interloc.live.session import Answer
+
+_NO_HURRY = 1000.0
+"""A speed from which on every scan is waited for, and none is dropped."""
 
 
 @click.command(cls=options.Command, short_help="Play a drive as it was driven: intersections while driving.")
 @options.DRIVE
 @click.option("--print", "prints", is_flag=True, help="Detect right here, and print one JSON object per keyframe.")
 @click.option(
+    "--server", envvar="INTERLOC_SERVER", metavar="URL", help="Send the scans to a service, whose page shows them."
+)
+@click.option("--token", envvar="INTERLOC_TOKEN", help="API token of the service; INTERLOC_TOKEN is safer.")
+@click.option(
     "--speed",
     type=click.FloatRange(min=0.0, min_open=True),
     show_default="1 with a server, else as fast as it goes",
-    help="How fast it is played: 1 as it was driven, 2 twice as fast.",
+    help="How fast it is played: 1 as it was driven, 2 twice as fast, 1000 as fast as it goes without dropping any.",
 )
 @click.option(
     "--lookahead",
@@ -37,6 +46,8 @@ if TYPE_CHECKING:
 def command(
     drive: Path,
     prints: bool,
+    server: str | None,
+    token: str | None,
     speed: float | None,
     lookahead: int | None,
     preset: str,
@@ -49,15 +60,64 @@ def command(
     \b
     Examples:
       interloc live sequences/07 --print --lookahead 0
+      interloc live sequences/07 --server http://127.0.0.1:8000
       interloc live city.mcap --print --speed 1 | jq -c '.events[]'
     """
-    if not prints:
-        raise click.UsageError("--print says where the answers go")
+    if not prints and server is None:
+        raise click.UsageError("give --print, to detect right here, or --server URL, or both")
     console.set_up_log(quiet=quiet)
     if lookahead is not None:
         settings = (*settings, f"keyframes.lookahead={lookahead}")
     config = options.configure(preset, settings)
-    _print_answers(options.open_drive(drive, drive_), config, speed)
+    source = options.open_drive(drive, drive_)
+    if server is None:
+        _print_answers(source, config, speed)
+    else:
+        _send_scans(source, config, 1.0 if speed is None else speed, server, token, prints=prints, quiet=quiet)
+
+
+def _send_scans(
+    drive: FolderDrive,
+    config: DetectorConfig,
+    speed: float,
+    server: str,
+    token: str | None,
+    *,
+    prints: bool,
+    quiet: bool,
+) -> None:
+    from interloc.client.live import LiveSender
+    from interloc.live.play import play
+
+    def hear(said: dict[str, Any]) -> None:
+        if prints:
+            click.echo(json.dumps(said))
+        elif not quiet:
+            for line in _in_words(said):
+                click.echo(line)
+
+    begin = {"name": drive.name, "config": config.model_dump(mode="json")}
+    keeps_all = speed >= _NO_HURRY
+    sender = LiveSender(server, token, begin, hear, keeps_all=keeps_all)
+    sender.run(lambda after: play(drive, config, speed=None if keeps_all else speed, after=after))
+
+
+def _in_words(said: dict[str, Any]) -> Iterator[str]:
+    """Yield what there is to tell of an answer."""
+    for event in said.get("events", ()):
+        if event["kind"] != "seen":
+            place = f"{event.get('lon_deg', event['world_x_m']):.6f}, {event.get('lat_deg', event['world_y_m']):.6f}"
+            branches = f"{event['branch_count']} branches"
+            yield (
+                f"{event['kind']:<9}  intersection {event['id']} at {place}, within {event['position_std_m']:.1f} m, "
+                f"{branches}, confidence {event['confidence']:.2f}"
+            )
+    if said["type"] == "dropped":
+        yield f"dropped    scan {said['frame']}: the service is too slow ({said['dropped']} dropped so far)"
+    elif said["type"] == "session":
+        yield f"session    {said['id']}"
+    elif said["type"] == "end":
+        yield f"end        {said['keyframes']} keyframes, {len(said['intersections'])} intersections"
 
 
 def _print_answers(drive: FolderDrive, config: DetectorConfig, speed: float | None) -> None:
@@ -71,6 +131,8 @@ def _print_answers(drive: FolderDrive, config: DetectorConfig, speed: float | No
         click.echo(json.dumps(document, allow_nan=False))
 
     warm_up(config)
+    if speed is not None and speed >= _NO_HURRY:
+        speed = None
     session, scans = LiveSession(config), play(drive, config, speed=speed)
     if speed is None:
         for scan in scans:

@@ -38,6 +38,12 @@ class Numbers(click.ParamType):  # type: ignore[type-arg, unused-ignore] # gener
         return numbers
 
 
+locate_option = click.option(
+    "--locate",
+    is_flag=True,
+    help="Place the drive on the map by its roads; a georeference is not used. --near does that where there is none.",
+)
+
 near_options = options.together(
     click.option(
         "--near",

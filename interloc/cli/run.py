@@ -18,11 +18,7 @@ if TYPE_CHECKING:
 
 @click.command(cls=options.Command, short_help="Detect, map and evaluate in one go.")
 @options.evaluation_options
-@click.option(
-    "--locate",
-    is_flag=True,
-    help="Place the drive on the map by its roads; a georeference is not used. --near does that where there is none.",
-)
+@locating.locate_option
 @locating.near_options
 def command(
     drive: Path,

@@ -18,9 +18,7 @@ was seen in passing, and roads bend further out. So the preset `default` fits a 
    longer part would lean towards a bend.
 4. A branch that ends at a through road is turned towards the right angle, by how badly its direction is known: of a
    side road that is passed only ten ragged metres are seen (`_square_stems`).
-5. Two branches that together lie on one circle, and much better so than each on its line, are one road that bends
-   through the intersection (the arms of a roundabout): their lines are its tangent there (`_join_bends`).
-6. A line weighs the inverse of its variance where the roads meet, which grows with the distance from what it was
+5. A line weighs the inverse of its variance where the roads meet, which grows with the distance from what it was
    fitted to (`_weigh`, and `interloc.detection.refinement`).
 """
 
@@ -34,7 +32,6 @@ from interloc.arrays import BoolArray, FloatArray, Int32Array, Record, Structure
 from interloc.config import BranchConfig
 from interloc.detection.centerline import Centerline, Pieces
 from interloc.detection.edges import (
-    LASTING_RAD,
     MOMENTS,
     add,
     follow_edge,
@@ -60,9 +57,6 @@ LEAN = 4.0  # by how much a line errs in direction more than its scatter tells
 THROUGH_COS, STRAIGHT_ON_COS = math.cos(math.radians(140.0)), math.cos(math.radians(155.0))  # branches of one road
 SQUARE_SCALE_RAD = math.radians(25.0)  # beyond which an angle is the less likely to be meant as a right one
 
-BEND_SHARE = 0.6  # of the distances of two branches from their lines: what those from one circle must be below
-BEND_RINGS = 6  # that each of the two must have
-
 
 LINE = np.dtype(
     [
@@ -74,7 +68,6 @@ LINE = np.dtype(
         ("first", np.int64),
         ("parallel", np.float64),
         ("half_width", np.float64),
-        ("bend", np.float64, (2,)),
     ]
 )
 """The line of a branch. A branch of which too little can be trusted has none: its length and its weight are 0, and its
@@ -98,9 +91,6 @@ parallel : float64
     Half width of the road between parallel sides, pixels; 0 where its edges are too ragged to tell.
 half_width : float64
     Usual half width of the road, pixels; 0 where none is known, and in the paper, which does not measure it.
-bend : (2,) float64
-    From where it touches a road that bends towards the centre of the circle that the road bends on: unit direction
-    (row, column) over the radius, 1 / pixels; 0 for a straight one.
 """
 
 # Named tuples would stand in the files of compiled code by the name of their class, which may change; these do not.
@@ -225,7 +215,6 @@ def fit_lines(
     _weigh(lines, fit)
     if fit.square > 0.0:
         _square_stems(lines, fit.square)
-    _join_bends(lines, samples, fit)
     return lines
 
 
@@ -388,92 +377,6 @@ def _square_stems(lines: StructuredArray, square_rad: float) -> None:
             prior = square_rad**2 * (1.0 + (off / SQUARE_SCALE_RAD) ** 2) ** 2
             angle -= off * variances[i] / (variances[i] + prior)
             lines[i].direction[0], lines[i].direction[1] = np.sin(angle), np.cos(angle)
-
-
-@compiled
-def _join_bends(lines: StructuredArray, samples: StructuredArray, fit: Record) -> None:
-    """Replace the lines of two branches that are one bend by its tangent where it comes nearest to the candidate.
-
-    A line says of a bend what its road is like farther out: prolonged to the intersection it leaves the road.
-    """
-    joined = np.zeros(lines.size, np.bool_)
-    for i in range(lines.size):
-        for j in range(i):
-            if joined[i] or joined[j] or lines[i].length == 0.0 or lines[j].length == 0.0:
-                continue
-            one = _places(samples[i], lines[i].first, fit)
-            other = _places(samples[j], lines[j].first, fit)
-            if min(len(one), len(other)) < BEND_RINGS or _meet_in_corner(one, other):
-                continue
-            both = np.concatenate((one, other))
-            row, col, radius, rms = _fit_circle(both)
-            from_lines = np.sqrt((_squares_off_line(one) + _squares_off_line(other)) / len(both))
-            away = np.hypot(row, col)
-            if not rms < BEND_SHARE * from_lines or away == 0.0:
-                continue
-            d_row, d_col = col / away, -row / away
-            p_row, p_col = row - radius * row / away, col - radius * col / away
-            ahead = (one[:, 0].mean() - p_row) * d_row + (one[:, 1].mean() - p_col) * d_col
-            behind = (other[:, 0].mean() - p_row) * d_row + (other[:, 1].mean() - p_col) * d_col
-            if ahead * behind >= 0.0:
-                continue
-            joined[i] = joined[j] = True
-            for k, sense in ((i, np.sign(ahead)), (j, np.sign(behind))):
-                line = lines[k]
-                line.point[0], line.point[1] = fit.row + p_row, fit.col + p_col
-                line.direction[0], line.direction[1] = sense * d_row, sense * d_col
-                line.bend[0], line.bend[1] = row / away / radius, col / away / radius
-                line.length, line.rms = len(both) * fit.ring, rms
-                line.weight = min(line.length, fit.full) / fit.full
-                line.weight /= _variance(max(rms - GRID_PX, 0.0) ** 2, 0.0, line.length)
-
-
-@compiled
-def _places(rings: StructuredArray, first: int, fit: Record) -> FloatArray:
-    """Return where a branch passes its rings, from the first on as far as length counts; rows and columns from here."""
-    places = np.empty((int(fit.full / fit.ring) + 1, 2))
-    count = 0
-    for ring in rings[first : first + len(places)]:
-        if ring.n > 0.0:
-            places[count, 0], places[count, 1] = ring.r / ring.n, ring.c / ring.n
-            count += 1
-    return places[:count]
-
-
-@compiled
-def _meet_in_corner(one: FloatArray, other: FloatArray) -> bool:
-    """Return whether two branches are too near to each other in direction to be one road."""
-    a, b, c, d = one[:, 0].mean(), one[:, 1].mean(), other[:, 0].mean(), other[:, 1].mean()
-    return bool(a * c + b * d > math.cos(LASTING_RAD) * np.hypot(a, b) * np.hypot(c, d))
-
-
-@compiled
-def _squares_off_line(places: FloatArray) -> float:
-    """Return the sum of squared distances of places from the line that fits them best."""
-    y, x = places[:, 0] - places[:, 0].mean(), places[:, 1] - places[:, 1].mean()
-    yy, yx, xx = (y * y).sum(), (y * x).sum(), (x * x).sum()
-    smallest: float = 0.5 * (yy + xx) - np.hypot(0.5 * (yy - xx), yx)
-    return max(smallest, 0.0)
-
-
-@compiled
-def _fit_circle(places: FloatArray) -> tuple[float, float, float, float]:
-    """Fit a circle by the least squares of Kasa; return row and column of its centre, its radius, and what is left.
-
-    I. Kasa, "A circle fitting procedure and its error analysis", 1976. What is left is the root mean square distance;
-    infinite for places on one line.
-    """
-    mean_row, mean_col = places[:, 0].mean(), places[:, 1].mean()
-    y, x = places[:, 0] - mean_row, places[:, 1] - mean_col
-    z = y * y + x * x
-    yy, yx, xx, yz, xz = (y * y).mean(), (y * x).mean(), (x * x).mean(), (y * z).mean(), (x * z).mean()
-    determinant = yy * xx - yx * yx
-    if determinant <= 0.0:
-        return 0.0, 0.0, 0.0, np.inf
-    row, col = 0.5 * (xx * yz - yx * xz) / determinant, 0.5 * (yy * xz - yx * yz) / determinant
-    radius = np.sqrt(row * row + col * col + z.mean())
-    off = np.sqrt((y - row) ** 2 + (x - col) ** 2) - radius
-    return row + mean_row, col + mean_col, radius, np.sqrt((off * off).mean())
 
 
 @compiled

@@ -20,7 +20,7 @@ MIN_STEPS = 3
 
 
 def branch_widths(position: FloatArray, lines: StructuredArray, occupancy: BinaryImage) -> FloatArray:
-    """Measure the road across each branch, at right angles to its line or, where the road bends, its circle.
+    """Measure the road across each branch, at right angles to its line.
 
     Parameters
     ----------
@@ -37,14 +37,13 @@ def branch_widths(position: FloatArray, lines: StructuredArray, occupancy: Binar
         Median width along the branch, metres; NaN where too little of it is road, and where all of it that is measured
         lies in the mouth of the next branch.
     """
-    directions, bends = np.ascontiguousarray(lines["direction"]), np.ascontiguousarray(lines["bend"])
+    directions = np.ascontiguousarray(lines["direction"])
     return occupancy.resolution_m * median_runs_across(
         occupancy.words,
         occupancy.height,
         occupancy.width,
         position,
         directions,
-        bends,
         _DISTANCES_M / occupancy.resolution_m,
         _longest_m(directions) / occupancy.resolution_m,
         MIN_STEPS,

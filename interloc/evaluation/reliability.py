@@ -21,6 +21,8 @@ BOUND_95 = 5.991464547107979
 
 BINS = 10
 _RESAMPLES = 1000
+_MAP_STD_M = np.arange(0.0, 10.0, 0.05)
+_MIN_PLACES = 5  # fewer say nothing of their map
 _INTERVAL = (2.5, 97.5)
 
 Statistic = Callable[..., float]
@@ -60,13 +62,15 @@ class Bin:
     count: int
 
 
-def squared_errors(intersections: IntersectionTable, level: MapLevel, node_lonlat: FloatArray) -> FloatArray:
-    """Return the error of each intersection in units of its covariance, squared: e^T C^-1 e.
+def map_std_m(intersections: IntersectionTable, level: MapLevel, node_lonlat: FloatArray) -> float | None:
+    """Estimate what the nodes of the map themselves are off: one standard deviation along each axis, metres.
+
+    The covariance of an intersection is that of the place where its roads meet; the node was drawn somewhere near it.
 
     Parameters
     ----------
     intersections : IntersectionTable
-        M, with longitude and latitude.
+        With longitude and latitude.
     level
         Their nodes.
     node_lonlat : (N, 2) float64
@@ -74,19 +78,55 @@ def squared_errors(intersections: IntersectionTable, level: MapLevel, node_lonla
 
     Returns
     -------
+    float or None
+        Of largest likelihood, where errors are normal with the covariances of the intersections and this variance on
+        top; 0 where the covariances explain the errors alone. None for fewer than `_MIN_PLACES` nodes.
+    """
+    costs = _costs(*_errors_at_nodes(intersections, level, node_lonlat)[1:])
+    return float(_MAP_STD_M[costs.sum(axis=0).argmin()]) if len(costs) >= _MIN_PLACES else None
+
+
+def squared_errors(intersections: IntersectionTable, level: MapLevel, node_lonlat: FloatArray) -> FloatArray:
+    """Return the error of each intersection in units of its covariance, squared: e^T (C + s^2 I)^-1 e.
+
+    Parameters
+    ----------
+    intersections, level, node_lonlat
+        See `map_std_m`, which is s: that of the other intersections, so that no error excuses itself.
+
+    Returns
+    -------
     (M,) float64
         NaN for those that no node is assigned to. Of errors as large as said, the mean is 2 (the dimensions of the
         plane) and 95 % are at most `BOUND_95`.
     """
+    rows, variance, error = _errors_at_nodes(intersections, level, node_lonlat)
+    costs = _costs(variance, error)
+    others = _MAP_STD_M[(costs.sum(axis=0) - costs).argmin(axis=1)] if len(rows) > _MIN_PLACES else np.zeros(len(rows))
     squared = np.full(len(intersections), np.nan)
-    rows = np.flatnonzero(level.node != UNMATCHED)
-    if len(rows):
-        assert intersections.lonlat is not None
-        lonlat = intersections.lonlat[rows]
-        error = enu_from_lonlat(lonlat[:, 1], lonlat[:, 0], node_lonlat[level.node[rows]])
-        covariance = intersections.covariances[rows] + 1e-12 * np.eye(2)
-        squared[rows] = np.einsum("ni,ni->n", error, np.linalg.solve(covariance, error[..., None])[..., 0])
+    squared[rows] = (error**2 / (variance + others[:, None] ** 2)).sum(axis=1)
     return squared
+
+
+def _errors_at_nodes(
+    intersections: IntersectionTable, level: MapLevel, node_lonlat: FloatArray
+) -> tuple[IntArray, FloatArray, FloatArray]:
+    """Return the (P,) rows that have a node, and variances and errors along the axes of their ellipses, (P, 2) each."""
+    rows = np.flatnonzero(level.node != UNMATCHED)
+    if not len(rows):
+        return rows, np.zeros((0, 2)), np.zeros((0, 2))
+    assert intersections.lonlat is not None
+    lonlat = intersections.lonlat[rows]
+    error = enu_from_lonlat(lonlat[:, 1], lonlat[:, 0], node_lonlat[level.node[rows]])
+    variance, axes = np.linalg.eigh(intersections.covariances[rows])
+    return rows, variance + 1e-12, np.einsum("nji,nj->ni", axes, error)
+
+
+def _costs(variance: FloatArray, error: FloatArray) -> FloatArray:
+    """Return minus twice the log likelihood of each error for each of `_MAP_STD_M`, but for a constant."""
+    total = variance[:, None] + _MAP_STD_M[:, None] ** 2
+    costs: FloatArray = (np.log(total) + error[:, None] ** 2 / total).sum(axis=2)
+    return costs
 
 
 def share_within(squared: FloatArray) -> float:

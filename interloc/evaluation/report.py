@@ -19,9 +19,9 @@ from interloc.drawing import image, write_image
 from interloc.errors import OutputError
 from interloc.evaluation.coverage import track_bounds
 from interloc.evaluation.evaluate import Evaluation
-from interloc.evaluation.map_level import MapLevel
 from interloc.evaluation.metrics import NEAR_PAIR_M, STANDARD_THRESHOLD_M
 from interloc.evaluation.reasons import KINDS
+from interloc.evaluation.reliability import map_std_m
 from interloc.evaluation.roads import BUFFER_M
 from interloc.files import atomic_write, reason_of
 from interloc.osm.policies import POLICIES
@@ -232,7 +232,7 @@ def _fact(name: str, value: object) -> tuple[str, str]:
 def report_record(evaluation: Evaluation) -> dict[str, Any]:
     """Return what `report.json` holds, by the contract of the result folder; what is undefined is None."""
     scores, errors = evaluation.scores, evaluation.errors
-    map_level = _map_level(evaluation.map_level)
+    map_level = _map_level(evaluation)
     names = [threshold_name(d) for d in scores.threshold_m]
     return {
         "drive": evaluation.drive,
@@ -286,7 +286,7 @@ def report_record(evaluation: Evaluation) -> dict[str, Any]:
 
 def _map_record(evaluation: Evaluation) -> dict[str, Any]:
     """Return what another policy says about the fused map: what a reader can switch to without another run."""
-    level = _map_level(evaluation.map_level)
+    level = _map_level(evaluation)
     return {
         "policy": evaluation.nodes.policy,
         "map_level": level,
@@ -392,7 +392,8 @@ def _intersection_rows(evaluation: Evaluation) -> list[dict[str, Any]]:
     ]
 
 
-def _map_level(level: MapLevel) -> dict[str, Any]:
+def _map_level(evaluation: Evaluation) -> dict[str, Any]:
+    level = evaluation.map_level
     errors = level.errors_m
     return {
         "gate_m": level.gate_m,
@@ -409,6 +410,7 @@ def _map_level(level: MapLevel) -> dict[str, Any]:
         "median_m": _metres(np.median(errors) if len(errors) else None),
         "p95_m": _metres(np.percentile(errors, 95.0) if len(errors) else None),
         "max_m": _metres(errors.max() if len(errors) else None),
+        "map_std_m": _metres(map_std_m(evaluation.intersections, level, evaluation.nodes.lonlat)),
     }
 
 

@@ -170,12 +170,11 @@ def median_runs_across(
     width: int,
     start: FloatArray,
     directions: FloatArray,
-    bends: FloatArray,
     distances: FloatArray,
     limits: FloatArray,
     least: int,
 ) -> FloatArray:
-    """Measure how far the set pixels run at right angles to some rays or arcs: the median along each.
+    """Measure how far the set pixels run at right angles to some rays: the median along each.
 
     Parameters
     ----------
@@ -183,8 +182,8 @@ def median_runs_across(
         A packed image.
     start : (2,) float64
         Row and column where they start.
-    directions, bends : (B, 2) float64
-        Unit direction (row, column) of each there, and towards the centre of its circle, over the radius; 0 for a ray.
+    directions : (B, 2) float64
+        Unit direction (row, column) of each.
     distances : (S,) float64
         Where along each, pixels.
     limits : (B, S) float64
@@ -200,20 +199,9 @@ def median_runs_across(
     medians = np.full(directions.shape[0], np.nan)
     runs = np.empty(distances.size)
     for b in range(directions.shape[0]):
-        curvature = math.hypot(bends[b, 0], bends[b, 1])
-        count = 0
+        (dr, dc), count = directions[b], 0
         for s, distance in enumerate(distances):
-            dr, dc = directions[b, 0], directions[b, 1]
-            row, col = start[0], start[1]
-            if curvature > 0.0:
-                turn = distance * curvature
-                sine, cosine = math.sin(turn), math.cos(turn)
-                nr, nc = bends[b, 0] / curvature, bends[b, 1] / curvature
-                row += (sine * dr + (1.0 - cosine) * nr) / curvature
-                col += (sine * dc + (1.0 - cosine) * nc) / curvature
-                dr, dc = cosine * dr + sine * nr, cosine * dc + sine * nc
-            else:
-                row, col = row + distance * dr, col + distance * dc
+            row, col = start[0] + distance * dr, start[1] + distance * dc
             run = run_through(words, height, width, row, col, -dc, dr, limits[b, s])
             if run > 0.0:
                 runs[count] = run

@@ -5,12 +5,17 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import numpy as np
+
 from interloc.arrays import FloatArray
-from interloc.geometry import bearing_deg, yaw_of
+from interloc.geometry import bearing_deg, lonlat_from_enu, rotate_2d, yaw_of
 from interloc.live.growing_map import MapIntersection
 from interloc.live.scan import LiveScan
 from interloc.live.session import Answer
 from interloc.results import DetectionTable, KeyframeTable
+from interloc.roadmap.surface import outlines
+
+_ROAD_M = 30.0
 
 
 def answer_document(answer: Answer, scan: LiveScan | None = None, *, dropped: int = 0) -> dict[str, Any]:
@@ -34,6 +39,7 @@ def answer_document(answer: Answer, scan: LiveScan | None = None, *, dropped: in
         "vehicle": None if scan is None else vehicle_document(scan),
         "keyframe": keyframe,
         "events": [{"kind": each.kind, **intersection_document(each.intersection)} for each in answer.events],
+        "road": _road_document(answer),
         "processing_time_ms": round(1000.0 * answer.seconds, 3),
         "dropped": dropped,
     }
@@ -82,6 +88,31 @@ def _keyframe_document(keyframes: KeyframeTable, detections: DetectionTable) -> 
             for row in range(len(detections))
         ],
     }
+
+
+def _road_document(answer: Answer) -> list[list[list[list[float]]]] | None:
+    """Return polygons of the road within some metres of the keyframe: rings of places, the outer one first."""
+    patch, keyframes = answer.road, answer.keyframes
+    if patch is None or keyframes is None:
+        return None
+    import shapely  # noqa: PLC0415 - as the road itself, once in a while
+
+    here = keyframes.world_xy[0]
+    around = shapely.Point(here).buffer(_ROAD_M)
+    polygons = outlines(patch.cells(), patch.corner_xy, patch.resolution_m, around)
+    return [
+        [_ring(np.asarray(ring.coords), keyframes).tolist() for ring in (each.exterior, *each.interiors)]
+        for each in map(shapely.orient_polygons, polygons)  # holes go the other way round
+    ]
+
+
+def _ring(world_xy: FloatArray, keyframes: KeyframeTable) -> FloatArray:
+    """Return places of W as longitude and latitude, by the fix of a keyframe; in W where there is none."""
+    if keyframes.lonlat is None or keyframes.enu_yaw_rad is None:
+        return np.round(world_xy, 2)
+    turn = keyframes.enu_yaw_rad[0] - keyframes.world_yaw_rad[0]
+    lon, lat = keyframes.lonlat[0]
+    return np.round(lonlat_from_enu(lat, lon, rotate_2d(world_xy - keyframes.world_xy[0], turn)), 7)
 
 
 def _place(world_xy: FloatArray, lonlat: FloatArray | None) -> dict[str, Any]:

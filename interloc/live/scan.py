@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 
@@ -13,6 +14,9 @@ from interloc.drive import Drive, DriveScan, Georeference, GroundPoints
 from interloc.drives.labels import SEMANTICKITTI, LabelScheme
 from interloc.errors import DriveError, GeoreferenceError
 from interloc.kernels.points import select_points
+
+_OWN: tuple[Literal["C", "W"], ...] = ("C", "W")
+"""Arrays as the kernels are compiled for: those of a message can only be read."""
 
 Label = Callable[[Float32Array], UInt32Array]
 """Gives (N, 4) points, x y z in L and remission, their (N,) labels, as `interloc.labelling.labeller.Labeller.label`."""
@@ -123,7 +127,7 @@ class LiveScan:
             There are neither labels nor a way to label, they are of other points, or a point is not finite.
         """
         if self.road_count is not None:
-            ground = GroundPoints(np.ascontiguousarray(self.points[:, :3]), self.road_count)
+            ground = GroundPoints(np.require(self.points[:, :3], np.float32, _OWN), self.road_count)
             bad = np.flatnonzero(~np.isfinite(ground.xyz).all(axis=1))
             bad_point = int(bad[0]) if len(bad) else -1
         else:
@@ -138,9 +142,8 @@ class LiveScan:
                     f"scan {self.frame}: {len(labels):,} labels for {len(self.points):,} points. Every point needs one."
                 )
             points = self.points if self.points.shape[1] == 4 else np.pad(self.points, ((0, 0), (0, 1)))
-            xyz, road_count, bad_point = select_points(
-                np.ascontiguousarray(points), np.ascontiguousarray(labels, np.uint32), self.scheme.groups()
-            )
+            own = np.require(points, np.float32, _OWN), np.require(labels, np.uint32, _OWN)
+            xyz, road_count, bad_point = select_points(*own, self.scheme.groups())
             ground = GroundPoints(xyz, road_count)
         if bad_point >= 0:
             raise DriveError(

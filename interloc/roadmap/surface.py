@@ -92,8 +92,8 @@ def survey(raster: Raster, block: int = BLOCK) -> Ground:
         found.append((rows + row, cols + col, half_m[inside, inside][rows, cols]))
         corner = np.array([col - margin, -(row - margin)]) * raster.cell_m
         box = shapely.box(*(np.array([col, -(row + block), col + block, -row]) * raster.cell_m))
-        ground.surface += _outlines(mask, corner, raster.cell_m, box)
-        places += _outlines(place, corner, raster.cell_m, box)
+        ground.surface += outlines(mask, corner, raster.cell_m, box)
+        places += outlines(place, corner, raster.cell_m, box)
     if found:
         rows, cols, half = (np.concatenate(each) for each in zip(*found, strict=True))
         order = np.lexsort((cols, rows))
@@ -156,7 +156,7 @@ def _skeleton(mask: UInt8Array) -> UInt8Array:
     return skeleton
 
 
-def _outlines(mask: UInt8Array, corner_xy: FloatArray, cell_m: float, box: shapely.Polygon) -> list[shapely.Polygon]:
+def outlines(mask: UInt8Array, corner_xy: FloatArray, cell_m: float, box: shapely.Polygon) -> list[shapely.Polygon]:
     """Return what of a mask lies in a box as polygons, whose edges lie between the cells and are not stepped."""
     if not mask.any():
         return []

@@ -16,6 +16,7 @@
  * @property {boolean} service Whether service roads count as roads of the map; it belongs to the job.
  * @property {string|null} intersection Id or uid of the intersection that is chosen; it belongs to the job.
  * @property {number|null} node OSM id of the node that is chosen; it belongs to the job too.
+ * @property {string|null} live Id of the live session that is watched, in the place of a job.
  * @property {string|null} filter Which intersections of the job are looked at, see map/filter.js.
  */
 
@@ -33,6 +34,7 @@ const initial = {
   intersection: null,
   node: null,
   filter: null,
+  live: null,
 };
 
 /** @type {State} */
@@ -58,6 +60,7 @@ export function setState(patch) {
     ...before,
     ...(isOther && { intersection: null, node: null, filter: null, service: false }),
     ...(leaves && { compare: null }), // they are of one drive
+    ...((patch.job || patch.drive) && { live: null }),
     ...patch,
   };
   const changed = Object.keys(next).filter(
@@ -65,7 +68,7 @@ export function setState(patch) {
   );
   if (!changed.length) return;
   state = next;
-  writeHash(changed.some((key) => key === "panel" || key === "job" || key === "drive"));
+  writeHash(changed.some((key) => ["panel", "job", "drive", "live"].includes(key)));
   for (const { keys, call } of [...listeners]) {
     if (!keys || keys.some((key) => changed.includes(key))) call(state, before);
   }
@@ -136,6 +139,7 @@ function parse(hash) {
     intersection: fields.get("intersection") || null,
     node: integer("node"),
     filter: fields.get("filter") || null,
+    live: fields.get("live") || null,
   };
 }
 

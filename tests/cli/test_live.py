@@ -13,7 +13,7 @@ def test_answers_are_printed_as_lines_of_json(interloc: Interloc, drive: str) ->
     assert [line["type"] for line in lines] == ["scan"] * (len(lines) - 1) + ["end"]
     assert all(line["keyframe"]["frame"] == line["frame"] for line in lines[:-1])
     assert lines[0].keys() == {
-        "type", "frame", "is_keyframe", "vehicle", "keyframe", "events", "processing_time_ms", "dropped"
+        "type", "frame", "is_keyframe", "vehicle", "keyframe", "events", "road", "processing_time_ms", "dropped"
     }  # fmt: skip
     events = [event for line in lines[:-1] for event in line["events"]]
     assert events[0]["kind"] == "new"

@@ -113,14 +113,14 @@ def test_arms_of_a_roundabout_meet_its_ring(draw_roads: Draw, detect: Detect, wi
     found = detect(draw_roads(ring, *arms, width_m=width_m))
     off_m = np.hypot(*(found.world_xy[:, None] - np.array(nodes)).transpose(2, 0, 1))
     assert sorted(off_m.argmin(axis=1)) == [0, 1, 2, 3]
-    assert off_m.min(axis=1).max() < 0.8
+    assert off_m.min(axis=1).max() < 1.2
 
 
 @pytest.mark.parametrize("radius_m", [20, 30])
 @pytest.mark.parametrize("side_deg", [180, 0])
 def test_side_road_of_a_bend_meets_the_bend(draw_roads: Draw, detect: Detect, radius_m: float, side_deg: float) -> None:
     found = detect(draw_roads(bend(radius_m, 100, 260), (O, arm(side_deg)), width_m=7))
-    assert np.hypot(*found.world_xy.T).min() < 0.5
+    assert np.hypot(*found.world_xy.T).min() < 0.6
 
 
 def test_axis_ends_where_a_branch_with_ragged_edges_begins(draw_roads: Draw, detect: Detect) -> None:

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from interloc.arrays import StructuredArray, UInt8Array
 from interloc.detection.centerline import Centerline
 from interloc.detection.image import BinaryImage
-from interloc.detection.lines import FIT, INNER_RINGS, LINE, _fit_circle, _square_stems, fit_lines
+from interloc.detection.lines import FIT, INNER_RINGS, LINE, _square_stems, fit_lines
 from interloc.kernels.bits import NOWHERE
 from interloc.kernels.skeleton import trace_branches
 from interloc.kernels.thinning import thin
@@ -244,41 +244,6 @@ def test_square_stems_do_not_depend_on_how_the_image_lies(turn: float, angle: fl
     assert math.remainder(turned - plain - turn, 360) == pytest.approx(0, abs=1e-6)
     assert math.remainder(mirrored + plain, 360) == pytest.approx(0, abs=1e-6)
     assert abs(plain - 90) <= abs(angle - 90) + 1e-6
-
-
-@given(
-    st.tuples(st.floats(-50, 50), st.floats(-50, 50)),
-    st.floats(20, 500),
-    st.floats(0, 2 * math.pi),
-    st.floats(0.3, 2 * math.pi),
-)
-def test_circle_goes_through_places_that_lie_on_one(
-    centre: tuple[float, float], radius: float, begin: float, turn: float
-) -> None:
-    angles = begin + turn * np.linspace(0, 1, 12)
-    places = np.array(centre) + radius * np.column_stack([np.sin(angles), np.cos(angles)])
-    row, col, found, off = _fit_circle(places)
-    np.testing.assert_allclose([row, col, found], [*centre, radius], atol=0.01)
-    assert off < 0.01
-
-
-def test_places_on_a_straight_line_have_no_circle() -> None:
-    places = np.column_stack([np.arange(8.0), np.zeros(8)])
-    assert _fit_circle(places)[3] == np.inf
-
-
-def test_branches_of_one_bend_have_its_tangent() -> None:
-    image = np.zeros((201, 201), np.uint8)
-    cv2.circle(image, (160, 100), 60, 1)  # through the candidate, around a centre to the right of it
-    image[100, :100] = 1
-    thinned = binary_image(image)
-    thin(thinned.words)
-    table = fit(thinned, (100, 100), shortest=20.0)
-    up, left, down = table[np.argsort(table["direction"][:, 0])]
-    np.testing.assert_allclose(up["direction"], [-1, 0], atol=0.02)
-    np.testing.assert_allclose(down["direction"], [1, 0], atol=0.02)
-    np.testing.assert_allclose(left["direction"], [0, -1], atol=0.02)
-    np.testing.assert_allclose([up["point"], down["point"]], [[100, 100], [100, 100]], atol=1.0)
 
 
 # --- edges that were not seen ----------------------------------------------------------------------------------------

@@ -9,6 +9,7 @@ from interloc.evaluation.reliability import (
     bins_of,
     calibration_error,
     calibration_error_by_chance,
+    map_std_m,
     share_within,
     squared_errors,
     squared_per_dimension,
@@ -29,6 +30,23 @@ def test_an_error_counts_in_units_of_its_own_covariance() -> None:
     node, counts = np.array([1, 0, -1]), np.ones(3, dtype=np.bool_)
     level = MapLevel(node, np.array([2.2, 1.0, np.inf]), counts, counts[:2], counts[:2], 10.0)
     assert squared_errors(table, level, nodes) == pytest.approx([2.0, 4.0, np.nan], rel=1e-4, nan_ok=True)
+
+
+@pytest.mark.parametrize("drawn_m", [0.0, 1.5])
+def test_what_the_map_is_off_is_a_term_of_its_own(drawn_m: float) -> None:
+    """Junctions known to 0.3 m whose nodes were drawn somewhere near them."""
+    rng, count = np.random.default_rng(3), 200
+    places = np.column_stack([100.0 * np.arange(count), np.zeros(count)])
+    found = lonlat_from_enu(49.0, 8.4, places + rng.normal(0, 0.3, (count, 2)))
+    nodes = lonlat_from_enu(49.0, 8.4, places + rng.normal(0, drawn_m, (count, 2)))
+    ids, ones = np.arange(count), np.ones(count)
+    covariance = np.tile([0.09, 0.0, 0.09], (count, 1))
+    table = IntersectionTable(ids, places, found, ones, ids, ones, [], ids, ids, [], covariance)
+    level = MapLevel(ids, ones, ones > 0, ones > 0, ones > 0, 10.0)
+    assert map_std_m(table, level, nodes) == pytest.approx(drawn_m, abs=0.15)
+    assert 0.9 <= share_within(squared_errors(table, level, nodes)) <= 0.98
+    few = MapLevel(np.where(ids < 4, ids, -1), ones, ones > 0, ones > 0, ones > 0, 10.0)
+    assert map_std_m(table, few, nodes) is None
 
 
 def test_normal_errors_are_true_to_their_uncertainty() -> None:

@@ -96,21 +96,8 @@ def test_the_width_of_a_road_across_a_ray() -> None:
     distances = np.arange(5.0, 25.0)
     start = np.array([40.0, 40.0])
     widths = bits.median_runs_across(
-        packed(image), *image.shape, start, rays, np.zeros((3, 2)), distances, np.full((3, len(distances)), 80.0), 5
+        packed(image), *image.shape, start, rays, distances, np.full((3, len(distances)), 80.0), 5
     )
     assert widths[0] == pytest.approx(21, abs=1)
     assert np.isnan(widths[1])  # the run along the road is longer than the limit
     assert widths[2] == pytest.approx(21 / np.cos(0.3), abs=1)
-
-
-def test_the_width_of_a_road_that_bends() -> None:
-    rows, cols = np.mgrid[:200, :256]
-    radius = np.hypot(rows - 100, cols - 100)
-    image = ((radius > 50) & (radius < 64)).astype(np.uint8)  # a ring of 14 pixels
-    start, distances = np.array([100.0, 157.0]), np.arange(20.0, 80.0)
-    both_ways = np.array([[-1.0, 0.0], [1.0, 0.0]])
-    to_the_centre = np.array([[0.0, -1.0 / 57], [0.0, -1.0 / 57]])
-    widths = bits.median_runs_across(
-        packed(image), *image.shape, start, both_ways, to_the_centre, distances, np.full((2, len(distances)), 60.0), 5
-    )
-    assert widths == pytest.approx([14, 14], abs=1)

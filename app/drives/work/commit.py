@@ -16,6 +16,8 @@ from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
+import numpy as np
+
 from app.networks import work as models
 from app.paths import without_folder
 from app.work.documents import CommitJob, CommitOutcome, UploadOptions
@@ -66,9 +68,14 @@ def prepare(task: Task[CommitJob]) -> CommitPlan:
     except InterLocError as error:  # not covered by the check: files that cannot be gathered
         return CommitPlan([], 0, _with_errors(report, _problems_of(error), task))
     size = PART_SCANS if _model(task) is None else PART_LABELLED_SCANS
-    edges = range(0, len(frames), size)
-    parts = [Part(number, start, min(start + size, len(frames))) for number, start in enumerate(edges)]
-    return CommitPlan(parts, len(frames), report)
+    sources = [] if is_reduced(files) else list(_reduction(task).scans.values())
+    starts = np.arange(0, len(frames), size)
+    for source in sources:  # labels by geometry are made window by window: each in one part
+        windows = source.windows_of(frames)
+        starts = np.unique(np.searchsorted(windows, windows[starts]))
+    ends = [*starts[1:].tolist(), len(frames)]
+    parts = [Part(number, *edges) for number, edges in enumerate(zip(starts.tolist(), ends, strict=True))]
+    return CommitPlan(parts, len(frames), report, stage="labelling" if any(each.is_slow for each in sources) else None)
 
 
 def run(task: Task[CommitJob], part: Part, report: Report) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -65,6 +66,10 @@ class GeometryLabels:
     def is_doubtful(self, frame: int) -> bool:
         """Return whether the labels of a scan may be wrong."""
         return self.labeller.quality_of(self._row(frame)).is_doubtful
+
+    def windows_of(self, frames: Sequence[int]) -> IntArray:
+        """Return the windows of the track that scans belong to, (N,)."""
+        return np.array([self.labeller.track.window_of(self._row(frame)) for frame in frames], np.int64)
 
     def tell_doubts(self, where: str, findings: Findings) -> None:
         """Warn of the stretches looked at whose labels are doubtful."""

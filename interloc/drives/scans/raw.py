@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -256,6 +256,13 @@ class RawScans:
     def label_source(self) -> str:
         """Where the labels come from, in words."""
         return self.sources[1].name
+
+    def windows_of(self, frames: Sequence[int]) -> IntArray:
+        """Return the windows of the track that scans, by (N,) ascending numbers, are labelled in; or a number each."""
+        labels = self.sources[1]
+        if labels.name != "geometry":
+            return np.arange(len(frames), dtype=np.int64)
+        return cast("GeometryLabels", labels).windows_of(frames)
 
     @property
     def is_slow(self) -> bool:

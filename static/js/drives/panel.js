@@ -21,6 +21,7 @@ import {
 } from "../job/words.js";
 import { confirmAction, problemNote, showError } from "../messages.js";
 import { getState, setState, subscribe } from "../state.js";
+import { liveSection } from "./live.js";
 import { trashSection } from "./trash.js";
 
 const ROOM = 50; // cards at first, and more each time
@@ -47,7 +48,16 @@ export function mount(container) {
   const find = el("div", { class: "stack-s", hidden: true }, search, status);
   fill(
     container,
-    el("div", { class: "stack" }, el("div", { class: "row" }, upload, button), trouble, find, body, trashSection()),
+    el(
+      "div",
+      { class: "stack" },
+      el("div", { class: "row" }, upload, button),
+      trouble,
+      liveSection(),
+      find,
+      body,
+      trashSection(),
+    ),
   );
 
   const showDemo = () => {

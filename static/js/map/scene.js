@@ -321,7 +321,7 @@ function nearest({ xs, ys, items }, view, x, y, reach, chosen) {
 }
 
 /** @param {CanvasRenderingContext2D} context @param {import("./surface.js").View} view @param {Float64Array[]} rings @param {string} fill */
-function fillRings(context, view, rings, fill) {
+export function fillRings(context, view, rings, fill) {
   context.beginPath();
   for (const ring of rings) {
     for (let i = 0; i < ring.length; i += 2) context[i ? "lineTo" : "moveTo"](view.x(ring[i]), view.y(ring[i + 1]));

@@ -3,7 +3,7 @@
  * @module map/stage
  */
 
-import { getJson } from "../api.js";
+import { follow, getJson } from "../api.js";
 import { demo, onDemoChange, tryDemo } from "../data/demo.js";
 import { FINAL, lists, onListsChange, rememberJob } from "../data/lists.js";
 import { loadOverview } from "../data/overview.js";
@@ -21,6 +21,7 @@ import { clearFilter, isFiltering, onFilterChange } from "./filter.js";
 import { KeyframeLayer } from "./keyframe.js";
 import { layersOn } from "./layers.js";
 import { addLegend } from "./legend.js";
+import { LiveDrive, LiveScene } from "./live.js";
 import { addMeasure, MEASURE_KEYS } from "./measure.js";
 import { OverviewScene, watchDrives } from "./overview.js";
 import { QUEUE_KEYS, queue } from "./queue.js";
@@ -32,6 +33,7 @@ import { makeTiles, onTilesChange } from "./tiles.js";
 import { mountTimeline } from "./timeline.js";
 
 const OSM_CREDIT = "© OpenStreetMap contributors, ODbL";
+const LIVE_MS = 200; // between two pictures of a drive that is under way
 const LOCAL_CREDIT = "Metres of the drive’s own frame: it has no georeference";
 
 /** @type {Scene|OverviewScene|null} */
@@ -66,13 +68,18 @@ export async function mountStage() {
 
   const showDrive = async () => {
     const mine = ++token;
-    const { job: id, drive, panel } = getState();
+    const { job: id, drive, panel, live } = getState();
+    watching?.abort();
     fill(note);
     if (panel === "upload" && shown.preview) {
       showPreview(shown.preview);
       return;
     }
     try {
+      if (live) {
+        await showLive(live);
+        return;
+      }
       if (!id) {
         if (drive || !(await showOverview(mine))) {
           if (mine !== token) return;
@@ -103,6 +110,38 @@ export async function mountStage() {
       clear();
       fill(cover, problemNote(error));
     }
+  };
+
+  /** What is heard of a live session. @type {AbortController|null} */
+  let watching = null;
+  /** @param {string} id */
+  const showLive = async (id) => {
+    clear();
+    fill(cover, el("p", {}, "Waiting for the vehicle…"));
+    const drive = new LiveDrive();
+    watching = new AbortController();
+    const { signal } = watching;
+    let isDue = false;
+    const draw = () => {
+      isDue = false;
+      if (signal.aborted || !drive.vehicle) return;
+      const isNew = !(scene instanceof LiveScene);
+      fill(cover);
+      fill(note, el("strong", {}, drive.session.name), ` ${drive.words}`);
+      build(!drive.session.georeferenced);
+      scene = new LiveScene(drive, shown.map);
+      const { lat, lng } = drive.vehicle;
+      if (isNew) fit([...drive.track.map(([x, y]) => [y, x]), [lat, lng]], false, !drive.session.georeferenced);
+      else keepInView([lat, lng]);
+      parts.redraw();
+    };
+    const onEvent = (/** @type {any} */ said) => {
+      const isOver = drive.take(said);
+      if (!isDue) setTimeout(draw, LIVE_MS);
+      isDue = true;
+      return isOver;
+    };
+    await follow(`live/${id}/events`, { onEvent, signal });
   };
 
   /** @param {any} job @param {number} mine */
@@ -217,11 +256,11 @@ export async function mountStage() {
     if (keyframe && timeline.isFollowing()) keepInView([keyframe.lat, keyframe.lng]);
   };
 
-  subscribe(["job", "drive"], () => void showDrive());
+  subscribe(["job", "drive", "live"], () => void showDrive());
   subscribe(["panel"], () => shown.preview && void showDrive());
   onPreview(() => {
     const { panel, job, drive } = getState();
-    if (panel === "upload" || (!job && !drive)) void showDrive();
+    if (panel === "upload" || (!job && !drive && !getState().live)) void showDrive();
   });
   subscribe(["service"], () => loaded?.job.id === getState().job && loaded && show(loaded));
   subscribe(["layers"], () => (updateLayers(), updateKeyframe()));
@@ -253,16 +292,16 @@ export async function mountStage() {
   let drivesShown = null;
   onListsChange(() => {
     if (!lists.isWhole) return; // the rest comes in a moment
-    const { job, drive } = getState();
+    const { job, drive, live } = getState();
     const done = lists.jobs.filter(({ state }) => state === "successful");
     const now = [...lists.drives.map(({ id, state }) => `${id} ${state}`), ...done.map(({ id }) => id)].join();
     if (now === drivesShown) return;
     const isKnown = drivesShown === null && hasOverview; // the map of them was asked for just before
     drivesShown = now;
     if (isKnown) return;
-    if (!job && !drive) void showDrive();
+    if (!job && !drive && !live) void showDrive();
   });
-  onDemoChange(() => !getState().job && !getState().drive && void showDrive());
+  onDemoChange(() => !getState().job && !getState().drive && !getState().live && void showDrive());
   for (const { key, text, run } of [...QUEUE_KEYS, ...MEASURE_KEYS]) addShortcut(key, text, run);
   await showDrive();
 }

@@ -93,3 +93,11 @@ def test_work_that_kills_its_worker_is_lost_and_the_cluster_goes_on(cluster: str
         assert executor.submit(os.getpid, urgent=True).result(60) != os.getpid()
     finally:
         executor.stop()
+
+
+def test_a_batch_on_a_cluster_needs_no_folder_that_workers_share(cluster: str, street: Path, tmp_path: Path) -> None:
+    listed = tmp_path / "list.csv"
+    listed.write_text("drive,name\n" + "".join(f"{street},{name}\n" for name in "ab"))
+    out = tmp_path / "out"
+    assert run(["batch", str(listed), "-o", str(out), "--dask", cluster, "--quiet"]) == 0
+    assert len({(out / name / "detections.geojson").read_bytes() for name in "ab"}) == 1

@@ -96,3 +96,12 @@ def test_a_sensor_that_does_not_turn_is_told(tmp_path: Path) -> None:
         points[points[:, 0] > np.abs(points[:, 1])].tofile(file)
     told = [problem.message for problem in inspect_drive(root, labels="geometry").problems]
     assert any("sees 90 degrees" in message or "sees 100 degrees" in message for message in told)
+
+
+def test_scans_of_a_window_belong_together(tmp_path: Path) -> None:
+    root = write_semantickitti(tmp_path / "07")
+    made, written = (open_drive(root, labels=labels, check=False).scans for labels in ("geometry", "labels"))
+    assert isinstance(made, RawScans)
+    assert isinstance(written, RawScans)
+    assert made.windows_of([0, 3, 11]).tolist() == [0, 0, 0]
+    assert written.windows_of([0, 3, 11]).tolist() == [0, 1, 2]

@@ -249,7 +249,7 @@ def read_bag_trajectory(
     georeference, reason = None, ""
     with findings.stage():
         try:
-            georeference = read_georeference(parts, found.frames, options.oxts)
+            georeference = read_georeference(parts, found.frames, options.oxts, findings)
         except InterLocError as error:
             reason = str(error)
             raise

@@ -1,0 +1,1 @@
+"""Live sessions: a sender drives, everybody may watch."""

@@ -1,0 +1,255 @@
+"""The live sessions of this server: each works in a thread of its own, and tells its sender and all who watch."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import secrets
+import sys
+import time
+from collections import deque
+from collections.abc import AsyncIterator, Callable
+from contextlib import suppress
+from typing import Any, Literal
+
+from app.context import Context
+from app.http.problem_types import NOT_FOUND, TOO_MANY_SESSIONS
+from app.http.problems import Problem
+from app.live.models import Begin, LiveModel
+from interloc.config import DetectorConfig
+from interloc.drives.labels import SEMANTICKITTI, LabelScheme, named_scheme
+from interloc.live.session import Answer, LiveSession
+from interloc.live.wire import decode_scan
+from interloc.live.worker import LiveWorker
+
+_MAX_OF_ALL = 16
+_UNREAD = 256  # messages that a slow watcher may be behind, then it has to begin anew; that are kept to be repeated
+_UNANSWERED = 4096  # likewise of a sender
+_MAX_SHOWN = 20_000  # places of the track, pieces of road: two hundred kilometres
+
+_FINAL = {"end", "refused", "failed"}
+
+
+class LiveEntry:
+    """One session. All but what `_say` does belongs to the event loop."""
+
+    def __init__(self, begin: Begin, owner: str, config: DetectorConfig, when_quiet: Callable[[], object]) -> None:
+        self.id = secrets.token_hex(8)
+        self.name, self.owner = begin.name, owner
+        self.scheme: LabelScheme = named_scheme(begin.label_scheme) or SEMANTICKITTI
+        self.sender: asyncio.Queue[str | None] | None = None
+        self.quiet_since: float | None = time.monotonic()
+        self.last_frame = -1  # of the scans that were handed in
+        self.is_over = False
+        self.refusal: str | None = None
+        self._loop = asyncio.get_running_loop()
+        self._when_quiet = when_quiet
+        self._said: deque[tuple[int, str]] = deque(maxlen=_UNREAD)
+        self._watchers: set[asyncio.Queue[str | None]] = set()
+        self._track: deque[list[float]] = deque(maxlen=_MAX_SHOWN)
+        self._road: deque[Any] = deque(maxlen=_MAX_SHOWN)
+        self._intersections: dict[int, dict[str, Any]] = {}
+        self._vehicle: dict[str, Any] | None = None
+        self._worker = LiveWorker(LiveSession(config), self._say)
+
+    @property
+    def state(self) -> Literal["driving", "waiting", "ended"]:
+        """Whether it goes on."""
+        if self.is_over:
+            return "ended"
+        return "waiting" if self.sender is None else "driving"
+
+    def attach(self, answered: int) -> asyncio.Queue[str | None]:
+        """Take a connection as that of the sender; an earlier one is told to end by None.
+
+        Parameters
+        ----------
+        answered : int
+            Number of the last scan whose answer has arrived; those to later ones come first.
+        """
+        if self.sender is not None:
+            _put(self.sender, None)
+        self.sender, self.quiet_since = asyncio.Queue(_UNANSWERED), None
+        for frame, text in self._said:
+            if frame > answered:
+                self.sender.put_nowait(text)
+        if self.is_over:
+            self.sender.put_nowait(None)
+        return self.sender
+
+    def detach(self, sender: asyncio.Queue[str | None]) -> None:
+        """Take note that a connection is gone: the session waits for another one."""
+        if self.sender is sender:
+            self.sender, self.quiet_since = None, time.monotonic()
+            self._when_quiet()
+
+    def take(self, data: bytes) -> None:
+        """Hand a scan to the session.
+
+        Raises
+        ------
+        DriveError
+            It is no scan.
+        """
+        scan = decode_scan(data, self.scheme)
+        if scan.frame <= self.last_frame:  # sent again after a broken connection
+            self._tell({"type": "repeated", "frame": scan.frame})
+        else:
+            self.last_frame = scan.frame
+            self._worker.put(scan)
+
+    def finish(self) -> None:
+        """Let the session answer its last keyframes and end."""
+        self._worker.finish()
+
+    def refuse(self, reason: str) -> None:
+        """End the session for a reason."""
+        self._worker.abandon()
+        self._tell({"type": "refused", "frame": None, "reason": reason})
+
+    def model(self, root: str) -> LiveModel:
+        """Return what is told about it."""
+        return LiveModel(
+            id=self.id,
+            name=self.name,
+            state=self.state,
+            georeferenced=self._worker.session.map.has_fixes,
+            keyframes=self._worker.session.keyframes,
+            dropped=self._worker.dropped,
+            intersections=len(self._intersections),
+            links={"events": f"{root}/api/v1/live/{self.id}/events"},
+        )
+
+    async def watch(self, root: str) -> AsyncIterator[str | None]:
+        """Yield the session as it is, then what it says; once a second None, so that the caller can leave."""
+        queue: asyncio.Queue[str | None] = asyncio.Queue(_UNREAD)
+        self._watchers.add(queue)
+        try:
+            yield json.dumps(self._everything(root))
+            while not (self.is_over and queue.empty()):
+                text = None
+                with suppress(TimeoutError):
+                    text = await asyncio.wait_for(queue.get(), 1.0)
+                    if text is None:  # it was too slow
+                        return
+                yield text
+        finally:
+            self._watchers.discard(queue)
+
+    def _everything(self, root: str) -> dict[str, Any]:
+        return {
+            "type": "state",
+            "session": self.model(root).model_dump(mode="json"),
+            "vehicle": self._vehicle,
+            "track": list(self._track),
+            "intersections": list(self._intersections.values()),
+            "roads": list(self._road),
+        }
+
+    def _say(self, document: dict[str, Any], answer: Answer | None) -> None:
+        """Pass on what the session says; called by its thread."""
+        del answer
+        with suppress(RuntimeError):  # the loop is closed
+            self._loop.call_soon_threadsafe(self._tell, document)
+
+    def _tell(self, document: dict[str, Any]) -> None:
+        if self.is_over:
+            return
+        self._remember(document)
+        text = json.dumps(document)
+        is_final = document["type"] in _FINAL
+        self._said.append((sys.maxsize if is_final else document["frame"], text))
+        listeners = self._watchers if self.sender is None else {self.sender, *self._watchers}
+        for queue in listeners:
+            _put(queue, text)
+        if is_final:
+            self._worker.abandon()
+            self.refusal = document.get("reason")
+            self.is_over, self.quiet_since = True, time.monotonic()
+            self._when_quiet()
+            if self.sender is not None:
+                _put(self.sender, None)
+
+    def _remember(self, document: dict[str, Any]) -> None:
+        vehicle = document.get("vehicle")
+        if vehicle is not None:
+            self._vehicle = vehicle
+            x, y = vehicle["world_x_m"], vehicle["world_y_m"]
+            self._track.append([vehicle.get("lon_deg", x), vehicle.get("lat_deg", y)])
+        if document.get("road"):
+            self._road.append(document["road"])
+        for event in document.get("events", ()):
+            if event["kind"] == "gone":
+                self._intersections.pop(event["id"], None)
+            else:
+                self._intersections[event["id"]] = event
+
+
+def _put(queue: asyncio.Queue[str | None], text: str | None) -> None:
+    """Pass on a message; a listener that is too far behind is sent away by None instead."""
+    if queue.full():
+        queue.get_nowait()
+        text = None
+    queue.put_nowait(text)
+
+
+class LiveSessions:
+    """The sessions of this server; to be used in the event loop."""
+
+    def __init__(self, context: Context) -> None:
+        self._context = context
+        self._entries: dict[str, LiveEntry] = {}
+
+    def begin(self, begin: Begin, owner: str, config: DetectorConfig) -> LiveEntry:
+        """Begin a session.
+
+        Raises
+        ------
+        Problem
+            429: the client, or all together, have too many.
+        """
+        self.tidy()
+        running = [each for each in self._entries.values() if not each.is_over]
+        limit = self._context.settings.max_live_sessions
+        if sum(each.owner == owner for each in running) >= limit or len(running) >= _MAX_OF_ALL:
+            raise Problem(
+                TOO_MANY_SESSIONS,
+                f"A client may have {limit} live sessions at a time, all together {_MAX_OF_ALL}. End one "
+                "(DELETE /api/v1/live/{id}), or wait until one that is abandoned expires.",
+            )
+        idle_s, loop = self._context.settings.live_idle_s, asyncio.get_running_loop()
+        entry = LiveEntry(begin, owner, config, lambda: loop.call_later(idle_s + 1.0, self.tidy))
+        self._entries[entry.id] = entry
+        return entry
+
+    def find(self, session: str, owner: str | None = None) -> LiveEntry:
+        """Return a session; of an owner, if one is given.
+
+        Raises
+        ------
+        Problem
+            404: there is none, or it has ended long ago.
+        """
+        self.tidy()
+        entry = self._entries.get(session)
+        if entry is None or owner not in {None, entry.owner}:
+            raise Problem(NOT_FOUND, f"There is no live session {session} that goes on. Begin another one.")
+        return entry
+
+    def list(self) -> list[LiveEntry]:
+        """Return the sessions, the newest first."""
+        self.tidy()
+        return list(self._entries.values())[::-1]
+
+    def tidy(self) -> None:
+        """Forget what nobody has used for a while."""
+        before = time.monotonic() - self._context.settings.live_idle_s
+        for entry in list(self._entries.values()):
+            if entry.quiet_since is not None and entry.quiet_since < before:
+                entry.refuse("its sender was away for too long.")
+                del self._entries[entry.id]
+
+    def stop(self) -> None:
+        """End all of them."""
+        for entry in self._entries.values():
+            entry.refuse("the server stops.")

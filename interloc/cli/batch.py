@@ -1,0 +1,269 @@
+"""`interloc batch`."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from interloc.cli import console, locating, options
+from interloc.errors import ConfigError, GeoreferenceError, InterLocError, is_interruption
+from interloc.wording import counted
+
+if TYPE_CHECKING:
+    from app.jobs.executors import WorkExecutor
+    from interloc.cli.units import Ended, Records, Unit
+
+CITY = "city"
+_OF_MAP = ("osm", "overpass", "policy", "tolerance_m", "locate", "near", "radius_km")
+_TRUE, _FALSE = ("true", "yes", "1"), ("false", "no", "0")
+
+
+@click.command(cls=options.Command, short_help="Work on many drives: one result folder each, and a table of all.")
+@click.argument("drives", nargs=-1, required=True)
+@click.option("-o", "--out", required=True, type=options.PATH, help="Folder of the batch: result folders and table.")
+@options.map_options
+@options.config_options
+@options.drive_options
+@locating.locate_option
+@locating.near_options
+@click.option(
+    "--workers", type=click.IntRange(1, 256), show_default="one per core", help="Number of drives worked on at once."
+)
+@click.option("--dask", metavar="ADDRESS", help="Dask scheduler whose workers do it instead, as tcp://host:8786.")
+@click.option("--map", "as_map", is_flag=True, help=f"Put all drives together to one map too, in DIR/{CITY}.")
+@click.option("--fresh", is_flag=True, help="Do drives again that are done already.")
+@options.QUIET
+@options.JSON
+@click.pass_context
+def command(
+    context: click.Context,
+    /,
+    drives: tuple[str, ...],
+    out: Path,
+    workers: int | None,
+    dask: str | None,
+    as_map: bool,
+    fresh: bool,
+    quiet: bool,
+    as_json: bool,
+    **given: Any,
+) -> None:
+    """Work on many DRIVES as `interloc run` does on one, or as `interloc detect` where no map is given.
+
+    A drive that fails stops nothing. After an interruption the same command does what is left; drives that are done
+    are done again only where their files or options have changed. Instead of drives, a LIST.csv names them: its column
+    drive says where each is, name what to call it, and any other column is an option of `interloc run` for that drive
+    alone, such as osm, near or labels. At the end DIR/batch.csv and batch.html have a row per drive.
+
+    \b
+    Examples:
+      interloc batch drives/* -o results --osm region.osm.pbf --map
+      interloc batch drives.csv -o results --osm region.osm.pbf --dask tcp://cluster:8786
+    """
+    from interloc.cli.batch_table import PAGE, row_of, write_table
+    from interloc.cli.units import Records, remove_records
+
+    console.set_up_log(quiet=quiet)
+    options.configure(given["preset"], given["settings"])  # a mistake in it would fail every drive
+    units = _units(drives, {name: given[name] for name in given if _is_given(context, name)})
+    records = Records(out)
+    if fresh:
+        remove_records(out)
+    ended = {unit.name: before for unit in units if (before := records.done(unit)) is not None}
+    if ended and not quiet:
+        click.echo(f"{counted(len(ended), 'drive')} of {len(units)} done already (--fresh does them again)", err=True)
+    missing = [unit for unit in units if unit.name not in ended]
+    if missing:
+        ended |= _do(missing, records, dask, workers, done=len(ended), quiet=quiet)
+    left_out = _merge(units, ended, out) if as_map else []
+    rows = [row_of(unit, ended[unit.name], out) for unit in units]
+    write_table(rows, out)
+    failed = [row for row in rows if row["error"] is not None]
+    if as_json:
+        console.say_json({"out": str(out), "drives": rows, "failed": len(failed), "not_on_map": left_out})
+    elif not quiet:
+        for line in left_out:
+            click.echo(f"not on the map: {line}", err=True)
+        console.say_facts(_facts(rows, out / PAGE))
+    if failed:
+        first = failed[0]
+        raise InterLocError(
+            f"{len(failed)} of {counted(len(rows), 'drive')} failed, the first one {first['name']}: {first['error']}"
+        )
+
+
+def _do(
+    units: Sequence[Unit], records: Records, dask: str | None, workers: int | None, *, done: int, quiet: bool
+) -> dict[str, Ended]:
+    """Do units with a progress bar; `done` have been done before."""
+    from interloc.cli.units import do_all
+    from interloc.processes import cores
+
+    total = done + len(units)
+    try:
+        with (
+            console.progress("batch", "drive", quiet=quiet) as bar,
+            _executor(dask, min(workers or cores(), len(units))) as executor,
+        ):
+            return do_all(
+                units, records, executor, shares_folder=dask is None, progress=lambda count: bar(done + count, total)
+            )
+    except BaseException as error:
+        if not is_interruption(error):
+            raise
+        raise InterLocError("interrupted; the drives that are done are kept: the same command does the rest") from error
+
+
+def _is_given(context: click.Context, name: str) -> bool:
+    source = context.get_parameter_source(name)
+    return source is not None and source is not click.core.ParameterSource.DEFAULT
+
+
+@contextmanager
+def _executor(dask: str | None, workers: int) -> Iterator[WorkExecutor]:
+    from app.jobs.executors import DaskExecutor
+    from app.jobs.processes import ProcessExecutor
+
+    executor: WorkExecutor = ProcessExecutor(workers) if dask is None else DaskExecutor(dask, lambda: None)
+    try:
+        yield executor
+    finally:
+        executor.stop()
+
+
+def _units(drives: Sequence[str], common: Mapping[str, Any]) -> list[Unit]:
+    """Return what is to be done for each drive, or each row of a list."""
+    from interloc.cli.run import command as run
+    from interloc.cli.units import Unit
+
+    params = run.get_params(click.Context(run))
+    parameters = {str(param.name): param for param in params if isinstance(param, click.Option)}
+    rows: list[dict[str, Any]] = []
+    for drive in drives:
+        rows += _listed(Path(drive), parameters) if drive.lower().endswith(".csv") else [{"drive": _place(drive)}]
+    names = _names([row["drive"] for row in rows], [row.get("name") for row in rows])
+    units = []
+    for name, row in zip(names, rows, strict=True):
+        values = {**common, **{key: value for key, value in row.items() if key not in {"drive", "name"}}}
+        has_map = values.get("osm") is not None or values.get("overpass", False)
+        used = {key: value for key, value in values.items() if has_map or key not in _OF_MAP}
+        arguments = [text for key, value in used.items() for text in _written(parameters[key], value)]
+        units.append(Unit(name, row["drive"], "run" if has_map else "detect", tuple(arguments)))
+    return units
+
+
+def _listed(path: Path, parameters: Mapping[str, click.Option]) -> list[dict[str, Any]]:
+    """Return the rows of a list, values as text; paths are relative to the folder of the list."""
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            lines = list(csv.DictReader(file))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise ConfigError(f"{path} cannot be read as a list of drives: {error}.") from error
+    by_column = {opt.lstrip("-").replace("-", "_"): param for param in parameters.values() for opt in param.opts}
+    rows = []
+    for number, line in enumerate(lines, 2):
+        row: dict[str, Any] = {}
+        for column, cell in line.items():
+            param = by_column.get((column or "").strip().lower().replace("-", "_"))
+            if cell in {None, ""}:
+                continue
+            if column in {"drive", "name"}:
+                row[column] = _place(cell, path.parent) if column == "drive" else cell
+            elif param is None or param.name in {"out", "workers", "quiet", "as_json"}:
+                raise ConfigError(f"{path}: column {column!r} is neither drive nor name nor an option of interloc run.")
+            elif param.is_flag and cell.lower() not in (*_TRUE, *_FALSE):
+                raise ConfigError(f"{path} line {number}: {column} is {cell!r}; expected true or false.")
+            else:
+                is_path = isinstance(param.type, click.Path)
+                row[str(param.name)] = (
+                    cell.lower() in _TRUE if param.is_flag else _place(cell, path.parent) if is_path else cell
+                )
+        if "drive" not in row:
+            raise ConfigError(
+                f"{path} line {number}: it names no drive. A list has a column drive, in its first line too."
+            )
+        rows.append(row)
+    return rows
+
+
+def _place(given: str, base: Path = Path()) -> str:
+    """Return a path that means the same to workers in other folders."""
+    return given if "://" in given else str((base / given).absolute())
+
+
+def _written(param: click.Option, value: Any) -> Iterator[str]:
+    """Write the value of an option as on the command line."""
+    name = max(param.opts, key=len)
+    if param.is_flag:
+        yield from [name] if value else []
+    elif param.multiple:
+        for each in value if isinstance(value, tuple) else [value]:
+            yield from (name, str(each))
+    elif isinstance(value, Path) or (isinstance(value, str) and "/" in value and Path(value).exists()):
+        yield from (name, _place(str(value)))
+    else:
+        yield from (name, ",".join(map(str, value)) if isinstance(value, tuple) else str(value))
+
+
+def _names(drives: Sequence[str], given: Sequence[str | None]) -> list[str]:
+    """Return a name for each drive: as given, else of its folder, with those above it where they are the same."""
+    parts = [[part for part in drive.replace("://", "/").split("/") if part] for drive in drives]
+    for depth in range(1, max(map(len, parts)) + 1):
+        names = [name or "-".join(part[-depth:]) for name, part in zip(given, parts, strict=True)]
+        if len(set(names)) == len(names):
+            break
+    else:
+        twice = next(name for number, name in enumerate(names) if name in names[:number])
+        raise ConfigError(
+            f"{twice!r} names two drives of the batch. Give each drive once, or other names in a LIST.csv."
+        )
+    for name in names:
+        if "/" in name or name.startswith(".") or name == CITY:
+            raise ConfigError(
+                f"{name!r} cannot be the name of a drive: it is that of a folder. Give others in a LIST.csv."
+            )
+    return names
+
+
+def _merge(units: Sequence[Unit], ended: Mapping[str, Ended], out: Path) -> list[str]:
+    """Put what was found together to one map; return which drives are not on it, and why."""
+    from dataclasses import replace
+
+    from interloc.city.citymap import CityMap
+    from interloc.city.folder import write_city
+    from interloc.city.passes import Pass
+    from interloc.output.read import read_results
+
+    left_out: list[str] = []
+    passes: dict[str, Pass] = {}
+    for unit in units:
+        if ended[unit.name].error is not None:
+            continue
+        try:
+            one = Pass.of(read_results(out / unit.name))
+        except GeoreferenceError as error:
+            left_out.append(f"{unit.name}: {error}")
+            continue
+        same = passes.setdefault(one.key, replace(one, name=unit.name))
+        if same.name != unit.name:
+            left_out.append(f"{unit.name}: it holds the same as {same.name}")
+    if passes:
+        city = CityMap()
+        city.add(*passes.values())
+        write_city(city, out / CITY)
+    return left_out
+
+
+def _facts(rows: Sequence[dict[str, Any]], page: Path) -> list[tuple[str, str]]:
+    done = [row for row in rows if row["error"] is None]
+    return [
+        ("drives", f"{len(done)} of {len(rows)} successful"),
+        ("intersections", str(sum(row["intersections"] or 0 for row in done))),
+        ("time", f"{sum(row['seconds'] for row in rows):.1f} s of work"),
+        ("table", str(page)),
+    ]

@@ -1,0 +1,194 @@
+"""Scans sent to a live session of a service, which goes on where it was after a broken connection."""
+
+from __future__ import annotations
+
+import json
+import logging
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+from interloc.errors import ConfigError, NetworkError, install
+from interloc.live.scan import LiveScan
+from interloc.live.wire import encode_scan
+
+if TYPE_CHECKING:
+    from websockets.sync.client import ClientConnection
+
+_UNANSWERED = 3  # scans under way where nothing may be dropped: fewer than the service lets wait
+_FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.2, 5.0
+
+_log = logging.getLogger(__name__)
+
+
+class LiveSender:
+    """Sends scans, and hears what the service says.
+
+    Parameters
+    ----------
+    server : str
+        Base address, as http://127.0.0.1:8000.
+    token : str or None
+    begin : dict
+        What the session begins with: `name`, and where wanted `preset`, `config`, `label_scheme`.
+    hear : callable
+        Called with everything that the service says.
+    keeps_all : bool
+        Wait for answers, so that the service need not drop a scan.
+    patience_s : float
+        Time for which a service is looked for that has gone.
+    """
+
+    def __init__(
+        self,
+        server: str,
+        token: str | None,
+        begin: dict[str, Any],
+        hear: Callable[[dict[str, Any]], None],
+        *,
+        keeps_all: bool = False,
+        patience_s: float = 120.0,
+    ) -> None:
+        if not server.startswith(("http://", "https://")):
+            raise ConfigError(f"--server {server}: expected an address such as http://127.0.0.1:8000")
+        self._url = f"ws{server.removeprefix('http').rstrip('/')}/api/v1/live"
+        self._headers = {"Authorization": f"Bearer {token}"} if token else {}
+        self._begin, self._hear = begin, hear
+        self._keeps_all, self._patience_s = keeps_all, patience_s
+        self._session: str | None = None
+        self._last_frame = self._answered = -1
+        self._has_ended = False
+        self._refusal: str | None = None
+
+    def run(self, scans_after: Callable[[int], Iterator[LiveScan]]) -> None:
+        """Send scans until there are no more, and wait for the end of the session.
+
+        Parameters
+        ----------
+        scans_after
+            Yields the scans after a number; called anew for each connection.
+
+        Raises
+        ------
+        NetworkError
+            The service cannot be reached, or refuses and says why.
+        """
+        silent_since, pause_s = time.monotonic(), _FIRST_PAUSE_S
+        while not self._has_ended:
+            try:
+                with self._connect() as connection:
+                    self._introduce(connection)
+                    self._send(connection, scans_after(self._last_frame))
+                    silent_since, pause_s = time.monotonic(), _FIRST_PAUSE_S
+            except (OSError, _Broken) as error:
+                if time.monotonic() > silent_since + self._patience_s:
+                    raise NetworkError(f"{self._url}: no service answers ({error}).") from error
+                _log.warning("the connection is broken (%s); trying again", error)
+                time.sleep(pause_s)
+                pause_s = min(2 * pause_s, _LONGEST_PAUSE_S)
+
+    def _connect(self) -> ClientConnection:
+        try:
+            from websockets.exceptions import InvalidHandshake, InvalidStatus  # noqa: PLC0415 - few need it
+            from websockets.sync.client import connect  # noqa: PLC0415
+        except ImportError as error:
+            raise ConfigError(f"a live session needs a package that is not installed: {install('live')}") from error
+        try:
+            return connect(self._url, additional_headers=self._headers, max_size=None, compression=None)
+        except InvalidStatus as error:
+            if error.response.status_code in {502, 503, 504}:
+                raise _Broken(str(error)) from error
+            detail = _detail(error.response.body)
+            raise NetworkError(f"{self._url}: {detail or f'the answer is {error.response.status_code}'}") from error
+        except InvalidHandshake as error:
+            raise _Broken(str(error)) from error
+
+    def _introduce(self, connection: ClientConnection) -> None:
+        """Begin the session, or go on with it."""
+        begins = self._session is None
+        word = {"type": "begin", **self._begin}
+        if not begins:
+            word = {"type": "continue", "session": self._session, "answered": self._answered}
+        answer = _exchange(connection, word)
+        if answer["type"] == "refused" and not begins:
+            _log.warning("the service has forgotten the session (%s) Another one begins here.", answer["reason"])
+            self._session = None
+            raise _Broken("the session is not known")
+        if answer["type"] != "session":
+            raise NetworkError(f"{self._url}: {answer.get('reason', answer)}")
+        if begins:
+            self._hear(answer)
+        self._session = str(answer["id"])
+        self._last_frame = self._answered if begins else int(answer["last_frame"])
+
+    def _send(self, connection: ClientConnection, scans: Iterator[LiveScan]) -> None:
+        is_deaf, room = threading.Event(), threading.Semaphore(_UNANSWERED)
+        listener = threading.Thread(target=self._listen, args=(connection, is_deaf, room), daemon=True)
+        listener.start()
+        with _broken_where_closed():
+            for scan in scans:
+                if self._keeps_all:
+                    room.acquire()
+                if is_deaf.is_set():
+                    break
+                connection.send(encode_scan(scan))
+            else:
+                connection.send(json.dumps({"type": "end"}))
+        listener.join()
+        if self._refusal is not None:
+            raise NetworkError(f"the service has ended the session: {self._refusal}")
+        if not self._has_ended:
+            raise _Broken("the service has gone")
+
+    def _listen(self, connection: ClientConnection, is_deaf: threading.Event, room: threading.Semaphore) -> None:
+        try:
+            with _broken_where_closed():
+                for text in connection:
+                    said = json.loads(text)
+                    kind = said["type"]
+                    if kind in {"scan", "dropped", "repeated"}:
+                        self._answered = max(self._answered, said["frame"])
+                        if said["frame"] > self._last_frame:  # not repeated from before the connection broke
+                            room.release()
+                    if kind in {"refused", "failed"}:
+                        self._refusal = said["reason"]
+                    self._hear(said)
+                    if kind == "end":
+                        self._has_ended = True
+        except _Broken:
+            pass  # seen by the thread that sends
+        finally:
+            is_deaf.set()
+            room.release()
+
+
+class _Broken(Exception):  # noqa: N818 - it is mended by another connection
+    """The connection is gone, and may come back."""
+
+
+@contextmanager
+def _broken_where_closed() -> Iterator[None]:
+    """Turn the end of a connection into `_Broken`."""
+    from websockets.exceptions import ConnectionClosed  # noqa: PLC0415
+
+    try:
+        yield
+    except ConnectionClosed as error:
+        raise _Broken(str(error)) from error
+
+
+def _exchange(connection: ClientConnection, word: dict[str, Any]) -> dict[str, Any]:
+    with _broken_where_closed():
+        connection.send(json.dumps(word))
+        answer = json.loads(connection.recv())
+    assert isinstance(answer, dict)
+    return answer
+
+
+def _detail(body: bytes | bytearray | None) -> str:
+    try:
+        return str(json.loads(body or b"")["detail"])
+    except (ValueError, KeyError, TypeError):
+        return ""

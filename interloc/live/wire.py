@@ -1,0 +1,152 @@
+"""A scan as one binary message: ILS1, the length of a head, the head as JSON, then the points and labels as they are.
+
+::
+
+    0        4 bytes     "ILS1"
+    4        uint32      H: length of the head, a multiple of 4
+    8        H bytes     head: JSON in UTF-8, filled up with spaces
+    8 + H    points x columns float32    x y z in L, metres (and remission)
+             points uint32               labels, where the head says so
+
+All numbers are little-endian. The head is a `Head`.
+"""
+
+from __future__ import annotations
+
+import struct
+from typing import Annotated
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from interloc.drives.labels import SEMANTICKITTI, LabelScheme
+from interloc.errors import DriveError
+from interloc.live.scan import Fix, Label, LiveScan
+
+MAGIC = b"ILS1"
+_START = struct.Struct("<4sI")
+_MAX_HEAD = 64 * 1024
+_MAX_FRAME = 2**53
+
+Matrix3 = Annotated[list[float], Field(min_length=9, max_length=9)]
+Matrix4 = Annotated[list[float], Field(min_length=16, max_length=16)]
+
+
+class _Message(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+
+
+class FixHead(_Message):
+    """Where the LiDAR was on Earth."""
+
+    lat_deg: float = Field(ge=-90, le=90)
+    lon_deg: float = Field(ge=-360, le=360)
+    alt_m: float = 0.0
+    R_enu_lidar: Matrix3 = Field(description="Axes of L in east, north, up; row by row.")
+    position_std_m: float | None = Field(None, ge=0)
+
+
+class Head(_Message):
+    """What stands in front of the points of a scan."""
+
+    frame: int = Field(ge=0, le=_MAX_FRAME, description="Scan number; ascending.")
+    pose: Matrix4 = Field(description="T_world_lidar, row by row.")
+    time_s: float | None = None
+    fix: FixHead | None = None
+    points: int = Field(ge=0, le=2**26)
+    columns: int = Field(4, ge=3, le=4, description="3: x y z; 4: and remission.")
+    labels: bool = Field(False, description="Whether labels follow the points.")
+    road_count: int | None = Field(
+        None, ge=0, description="Points that are sorted already: so many of road, then those of other ground."
+    )
+
+
+def encode_scan(scan: LiveScan) -> bytes:
+    """Return the message of a scan."""
+    fix = scan.fix
+    head = Head(
+        frame=scan.frame,
+        pose=scan.T_world_lidar.ravel().tolist(),
+        time_s=scan.time_s,
+        fix=None
+        if fix is None
+        else FixHead(
+            lat_deg=fix.lat_deg,
+            lon_deg=fix.lon_deg,
+            alt_m=fix.alt_m,
+            R_enu_lidar=fix.R_enu_lidar.ravel().tolist(),
+            position_std_m=fix.position_std_m,
+        ),
+        points=len(scan.points),
+        columns=scan.points.shape[1],
+        labels=scan.labels is not None,
+        road_count=scan.road_count,
+    )
+    text = head.model_dump_json().encode()
+    text += b" " * (-len(text) % 4)
+    parts = [_START.pack(MAGIC, len(text)), text, np.ascontiguousarray(scan.points, "<f4").tobytes()]
+    if scan.labels is not None:
+        parts.append(np.ascontiguousarray(scan.labels, "<u4").tobytes())
+    return b"".join(parts)
+
+
+def decode_scan(data: bytes, scheme: LabelScheme = SEMANTICKITTI, label: Label | None = None) -> LiveScan:
+    """Read the message of a scan; its points are not copied yet.
+
+    Parameters
+    ----------
+    data
+    scheme
+        Which labels are road.
+    label
+        Labels points that come without.
+
+    Raises
+    ------
+    DriveError
+        It is not such a message, or its lengths do not fit together.
+    """
+    if len(data) < _START.size or data[:4] != MAGIC:
+        raise DriveError(
+            f"a message of {len(data):,} bytes does not begin with ILS1. Expected one binary message per scan, as "
+            "docs/live.md describes it. Usual cause: points without their head, or another protocol."
+        )
+    _, length = _START.unpack_from(data)
+    begin = _START.size + length
+    if length % 4 or length > _MAX_HEAD or begin > len(data):
+        raise DriveError(
+            f"the head of a scan is said to have {length:,} bytes, in a message of {len(data):,}. Expected a multiple "
+            f"of 4, up to {_MAX_HEAD:,}."
+        )
+    try:
+        head = Head.model_validate_json(bytes(data[_START.size : begin]))
+    except ValidationError as error:
+        first = error.errors(include_url=False, include_input=False)[0]
+        where = ".".join(str(each) for each in first["loc"]) or "head"
+        raise DriveError(f"the head of a scan: {where}: {first['msg']}.") from None
+    count, size = head.points, 4 * head.points * head.columns
+    expected = begin + size + (4 * count if head.labels else 0)
+    if len(data) != expected:
+        raise DriveError(
+            f"scan {head.frame}: the message has {len(data):,} bytes; its head announces {count:,} points "
+            f"{'with' if head.labels else 'without'} labels, which make {expected:,}."
+        )
+    if head.road_count is not None and (head.road_count > count or head.labels):
+        raise DriveError(
+            f"scan {head.frame}: road_count is {head.road_count:,} of {count:,} points"
+            f"{', and there are labels' if head.labels else ''}. Expected sorted points, or labels, not both."
+        )
+    fix = head.fix
+    return LiveScan(
+        frame=head.frame,
+        T_world_lidar=np.array(head.pose).reshape(4, 4),
+        points=np.frombuffer(data, "<f4", count * head.columns, begin).reshape(count, head.columns),
+        labels=np.frombuffer(data, "<u4", count, begin + size) if head.labels else None,
+        road_count=head.road_count,
+        time_s=head.time_s,
+        fix=None
+        if fix is None
+        else Fix(fix.lat_deg, fix.lon_deg, fix.alt_m, np.array(fix.R_enu_lidar).reshape(3, 3), fix.position_std_m),
+        scheme=scheme,
+        label=label,
+    )

@@ -1,0 +1,237 @@
+"""A live session of a real server: what is sent, answered, watched, broken off, refused."""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any
+
+import httpx
+import numpy as np
+import pytest
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.sync.client import ClientConnection, connect
+
+from interloc.client.live import LiveSender
+from interloc.config import DetectorConfig
+from interloc.drives.folder import FolderDrive
+from interloc.errors import NetworkError
+from interloc.live.play import play
+from interloc.live.scan import LiveScan, live_scan
+from interloc.live.wire import encode_scan
+from interloc.pipeline import detect
+from tests.app.conftest import API
+from tests.app.processes import started
+
+Said = list[dict[str, Any]]
+
+
+@contextmanager
+def opened(client: httpx.Client, **headers: str) -> Iterator[ClientConnection]:
+    url = f"ws://127.0.0.1:{client.base_url.port}{API}/live"
+    with connect(url, additional_headers=headers, compression=None, max_size=None) as connection:
+        yield connection
+
+
+def say(connection: ClientConnection, **word: Any) -> dict[str, Any]:
+    connection.send(json.dumps(word))
+    answer = json.loads(connection.recv(timeout=60))
+    assert isinstance(answer, dict)
+    return answer
+
+
+@contextmanager
+def begun(client: httpx.Client, name: str = "live", **more: Any) -> Iterator[tuple[ClientConnection, str]]:
+    """A session that is ended afterwards, however the test ends."""
+    with opened(client) as connection:
+        answer = say(connection, type="begin", name=name, **more)
+        try:
+            yield connection, answer["id"]
+        finally:
+            client.delete(f"{API}/live/{answer['id']}")
+
+
+def sender_to(client: httpx.Client, config: DetectorConfig, said: Said, **options: Any) -> LiveSender:
+    begin = {"name": "street", "config": config.model_dump(mode="json")}
+    return LiveSender(str(client.base_url), None, begin, said.append, keeps_all=True, **options)
+
+
+def assert_same_as_offline(said: Said, drive: FolderDrive, config: DetectorConfig) -> None:
+    expected = detect(drive, config)
+    keyframes = [each["keyframe"] for each in said if each["type"] == "scan" and each["keyframe"]]
+    assert [each["frame"] for each in keyframes] == expected.keyframes.frame.tolist()
+    found = [each for keyframe in keyframes for each in keyframe["detections"]]
+    for names, column in ((("world_x_m", "world_y_m"), "world_xy"), (("lon_deg", "lat_deg"), "lonlat")):
+        sent = [[each[name] for name in names] for each in found]
+        np.testing.assert_array_equal(sent, getattr(expected.detections, column))
+
+
+def test_a_drive_that_is_sent_is_answered_as_detect_would(
+    client: httpx.Client, crossing: FolderDrive, config: DetectorConfig
+) -> None:
+    said: Said = []
+    sender_to(client, config, said).run(lambda after: play(crossing, config, after=after))
+    assert_same_as_offline(said, crossing, config)
+    assert said[-1]["type"] == "end"
+    assert [each["confirmed"] for each in said[-1]["intersections"]] == [True]
+    listed = client.get(f"{API}/live").json()["sessions"][0]
+    assert (listed["id"], listed["state"]) == (said[0]["id"], "ended")
+    assert (listed["keyframes"], listed["dropped"], listed["intersections"]) == (48, 0, 1)
+
+
+def test_a_broken_connection_changes_nothing(
+    client: httpx.Client, crossing: FolderDrive, config: DetectorConfig
+) -> None:
+    said: Said = []
+    connections = 0
+
+    def scans(after: int) -> Iterator[LiveScan]:
+        nonlocal connections
+        connections += 1
+        for scan in play(crossing, config, after=after):
+            if scan.frame == 20 and connections == 1:
+                raise OSError("the cable")
+            yield scan
+
+    sender_to(client, config, said).run(scans)
+    assert connections == 2
+    assert_same_as_offline(said, crossing, config)
+
+
+def test_whoever_watches_sees_it_grow(client: httpx.Client, crossing: FolderDrive, config: DetectorConfig) -> None:
+    watched: Said = []
+    is_watched = threading.Event()
+
+    def watch(session: str) -> None:
+        with client.stream("GET", f"{API}/live/{session}/events") as response:
+            for line in response.iter_lines():
+                if line.startswith("data:"):
+                    watched.append(json.loads(line.removeprefix("data:")))
+                    is_watched.set()
+
+    def scans(after: int) -> Iterator[LiveScan]:
+        for scan in play(crossing, config, after=after):
+            if scan.frame == 30:
+                watcher.start()
+                is_watched.wait(30)
+            yield scan
+
+    said: Said = []
+    watcher = threading.Thread(target=lambda: watch(said[0]["id"]))
+    sender_to(client, config, said).run(scans)
+    watcher.join(30)
+    first, last = watched[0], watched[-1]
+    assert (first["type"], first["session"]["state"], last["type"]) == ("state", "driving", "end")
+    assert len(first["track"]) in range(25, 31)
+    assert first["intersections"][0]["id"] == last["intersections"][0]["id"]
+    (lon, lat), *_ = first["roads"][0][0][0]
+    assert (round(lon, 2), round(lat, 2)) == (8.4, 49.0)
+    assert client.get(f"{API}/live/{first['session']['id']}/events").text.count("data:") == 1  # all is over
+
+
+@pytest.mark.parametrize(
+    ("data", "reason"),
+    [
+        (b"\x16\x03\x01\x02\x00\x01\x00", "does not begin with ILS1"),
+        (b"ILS1\xfc\xff\xff\xff", "4,294,967,292 bytes"),
+        ('{"type": "begin", "name": "again"}', "has begun already"),
+        ('{"type": "no"}', "not known"),
+        ("{", "not known"),
+        ("nan", "not finite"),
+    ],
+)
+def test_what_is_no_scan_ends_the_session_and_nothing_else(
+    client: httpx.Client, crossing: FolderDrive, data: bytes | str, reason: str
+) -> None:
+    scan = encode_scan(live_scan(crossing, 0))
+    with begun(client, "other") as (other, _), begun(client) as (connection, session):
+        connection.send(scan.replace(b"[1.0,", b"[NaN,") if data == "nan" else data)
+        refused = json.loads(connection.recv(timeout=30))
+        assert refused["type"] == "refused"
+        if data != "nan":
+            assert reason in refused["reason"]
+        with pytest.raises(ConnectionClosed) as closed:
+            connection.recv(timeout=30)
+        assert closed.value.rcvd is not None
+        assert closed.value.rcvd.code == 1008
+        assert client.get(f"{API}/live/{session}").json()["state"] == "ended"
+        other.send(scan)
+        assert json.loads(other.recv(timeout=30))["frame"] == 0
+
+
+def test_a_message_of_a_gigabyte_is_not_waited_for(client: httpx.Client) -> None:
+    with begun(client) as (connection, _):
+        connection.socket.sendall(b"\x82\xff" + (1 << 30).to_bytes(8) + bytes(4))  # a head that announces it
+        with pytest.raises(ConnectionClosed) as closed:
+            connection.recv(timeout=30)
+        assert closed.value.rcvd is not None
+        assert closed.value.rcvd.code == 1009
+
+
+@pytest.mark.parametrize(
+    ("word", "reason"),
+    [
+        ({"type": "end"}, "has not begun"),
+        ({"type": "begin"}, "name"),
+        ({"type": "begin", "name": "a", "config": {"bev": {"resolution_m": 99}}}, "bev.resolution_m"),
+        ({"type": "begin", "name": "a", "label_scheme": "none"}, "label scheme"),
+        ({"type": "continue", "session": "0123456789abcdef"}, "no live session"),
+    ],
+)
+def test_a_session_begins_properly_or_not_at_all(client: httpx.Client, word: dict[str, Any], reason: str) -> None:
+    with opened(client) as connection:
+        answer = say(connection, **word)
+        assert answer["type"] == "refused"
+        assert reason in answer["reason"]
+
+
+def test_a_client_has_so_many_sessions(serve: Callable[..., httpx.Client]) -> None:
+    client = serve(max_live_sessions=1)
+    with begun(client), opened(client) as connection:
+        assert "1 live sessions at a time" in say(connection, type="begin", name="one more")["reason"]
+    with begun(client):
+        pass
+
+
+def test_a_token_is_needed_as_everywhere(serve: Callable[..., httpx.Client]) -> None:
+    client = serve(token="a-token-that-is-long-enough")  # noqa: S106
+    with pytest.raises(InvalidStatus) as refused, opened(client):
+        pass
+    assert refused.value.response.status_code == 401
+    assert json.loads(refused.value.response.body or b"")["type"] == "/problems/token-needed"
+    with opened(client, Authorization="Bearer a-token-that-is-long-enough") as connection:
+        assert say(connection, type="begin", name="a")["type"] == "session"
+    sender = LiveSender(str(client.base_url), None, {"name": "a"}, lambda _: None)
+    with pytest.raises(NetworkError, match="needs an API token"):
+        sender.run(lambda _: iter(()))
+
+
+def test_a_page_of_another_site_cannot_send(client: httpx.Client) -> None:
+    with pytest.raises(InvalidStatus) as refused, opened(client, Origin="https://elsewhere.example"):
+        pass
+    assert refused.value.response.status_code == 403
+
+
+def test_the_sender_goes_on_when_the_server_is_back(
+    crossing: FolderDrive, config: DetectorConfig, tmp_path: Path
+) -> None:
+    said: Said = []
+    with started(tmp_path / "data", tmp_path / "log") as first:
+
+        def scans(after: int) -> Iterator[LiveScan]:
+            for scan in play(crossing, config, after=after):
+                if scan.frame == 24 and first.process.poll() is None:
+                    first.kill()
+                    servers.enter_context(started(tmp_path / "data", tmp_path / "log", port=port))
+                yield scan
+
+        port = int(first.address.rpartition(":")[2])
+        with ExitStack() as servers:
+            sender_to(first.client, config, said).run(scans)
+    assert [each["type"] for each in said if each["type"] in {"session", "end"}] == ["session", "session", "end"]
+    frames = [each["frame"] for each in said if each["type"] == "scan" and each["is_keyframe"]]
+    assert frames[:20] == list(range(20))
+    assert frames[-24:] == list(range(24, 48))

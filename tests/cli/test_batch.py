@@ -1,0 +1,113 @@
+"""`interloc batch`: many drives, each as by itself."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import re
+import shutil
+import signal
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from app.jobs.processes import ProcessExecutor
+from interloc.cli import units
+from interloc.cli.units import Records, Unit, do_all, work
+
+TIMED = {"seconds", "stage_seconds", "peak_memory_bytes"}
+
+
+def contents(folder: Path) -> dict[str, object]:
+    """Every file of a result, times and memory left out."""
+    found: dict[str, object] = {
+        str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()
+    }
+    run = json.loads((folder / "run.json").read_bytes())
+    found["run.json"] = {name: value for name, value in run.items() if name not in TIMED}
+    if (folder / "report.html").is_file():
+        found["report.html"] = re.sub(
+            r"<tr><td>(seconds|stage_seconds|peak_memory).*", "", (folder / "report.html").read_text()
+        )
+    return found
+
+
+@pytest.fixture
+def drives(drive: Path, short_drive: Path, tmp_path: Path) -> Path:
+    """A list: the drive with a map, the drive without one, and one that is damaged."""
+    (short_drive / "labels/000003.label").rename(tmp_path / "good.label")
+    (short_drive / "labels/000003.label").write_bytes(b"x")
+    rows = [
+        ["drive", "name", "osm", "preset"],
+        [drive, "", drive.parent / "map.osm", ""],
+        [drive, "plain", "", "paper"],
+    ]
+    with (tmp_path / "list.csv").open("w", newline="") as file:
+        csv.writer(file).writerows([*rows, ["short", "", "", ""]])
+    return tmp_path / "list.csv"
+
+
+def test_each_drive_is_as_by_itself_and_one_that_fails_stops_nothing(
+    drives: Path, finished: Path, drive: Path, tmp_path: Path, interloc: Callable
+) -> None:
+    out = tmp_path / "out"
+    outcome = interloc("batch", drives, "-o", out, "--workers", "2", "--map", "--json")
+    assert outcome.code == 1
+    assert outcome.err.startswith("interloc: 1 of 3 drives failed, the first one short: ")
+    told = {row["name"]: row for row in outcome.json["drives"]}
+    assert [row["state"] for row in told.values()] == ["successful", "successful", "failed"]
+    assert "000003.label" in told["short"]["error"]
+    assert contents(out / "crossing") == contents(finished)
+    assert json.loads((out / "plain/run.json").read_bytes())["config"]["preset"] == "paper"
+    with (out / "batch.csv").open(newline="") as file:
+        rows = {row["name"]: row for row in csv.DictReader(file)}
+    assert rows["crossing"]["verdict"] == json.loads((finished / "report.json").read_bytes())["map_line"]
+    assert 'href="crossing/report.html"' in (out / "batch.html").read_text()
+    city = json.loads((out / "city/city.json").read_bytes())
+    assert [each["drive"] for each in city["drives"]] == ["crossing", "plain"]
+
+    made = (out / "crossing/run.json").stat().st_mtime_ns
+    shutil.copy(tmp_path / "good.label", tmp_path / "short/labels/000003.label")
+    again = interloc("batch", drives, "-o", out)
+    assert "2 drives of 3 done already" in again.err
+    assert again.code == 0
+    assert (out / "crossing/run.json").stat().st_mtime_ns == made
+
+
+def test_mistakes_are_told_before_any_work(drive: Path, tmp_path: Path, interloc: Callable) -> None:
+    listed = tmp_path / "list.csv"
+    listed.write_text("drive,colour\nx,red\n")
+    assert "column 'colour' is neither drive nor name" in interloc("batch", listed, "-o", tmp_path / "a").err
+    listed.write_text("name\nx\n")
+    assert "line 2: it names no drive" in interloc("batch", listed, "-o", tmp_path / "a").err
+    assert "names two drives" in interloc("batch", drive, drive, "-o", tmp_path / "a").err
+    assert "not the folder of a batch" in interloc("batch", drive, "-o", tmp_path).err
+    assert "bev.none" in interloc("batch", drive, "-o", tmp_path / "a", "--set", "bev.none=1").err
+    assert not (tmp_path / "a").exists()
+
+
+def die_once(unit: Unit, out: str | None) -> units.Ended:
+    """Die at the first try, then do the work."""
+    mark = Path(unit.drive).parent / f"{unit.name}.tried"
+    if not mark.exists():
+        mark.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return work(unit, out)
+
+
+def test_a_worker_that_dies_costs_another_try(
+    short_drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(units, "work", die_once)
+    unit = Unit("short", str(short_drive), "detect", ())
+    executor = ProcessExecutor(1)
+    try:
+        ended = do_all([unit], Records(tmp_path / "out"), executor, shares_folder=False, progress=lambda _: None)
+    finally:
+        executor.stop()
+    assert ended["short"].error is None
+    assert ended["short"].content is None
+    assert (tmp_path / "out/short/run.json").is_file()
+    assert Records(tmp_path / "out").done(unit) == ended["short"]

@@ -1,0 +1,50 @@
+"""A live session on the page: it is listed, and watched while it grows."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from typing import Any
+
+from interloc.client.live import LiveSender
+from interloc.config import DetectorConfig
+from interloc.drives.folder import FolderDrive
+from interloc.live.play import play
+from interloc.live.scan import LiveScan
+from tests.live.conftest import config, crossing
+from tests.page.browsers import needs_page
+from tests.page.results import Done
+
+__all__ = ["config", "crossing"]
+
+pytestmark = needs_page
+
+
+def test_a_drive_is_watched_while_it_grows(
+    page: Any, done: Done, crossing: FolderDrive, config: DetectorConfig
+) -> None:
+    is_half_way, go_on = threading.Event(), threading.Event()
+
+    def scans(after: int) -> Iterator[LiveScan]:
+        for scan in play(crossing, config, after=after):
+            if scan.frame == 16:
+                is_half_way.set()
+                go_on.wait(60)
+            yield scan
+
+    begin = {"name": "a street, live", "config": config.model_dump(mode="json")}
+    sender = LiveSender(done.server.address, None, begin, lambda _: None, keeps_all=True)
+    thread = threading.Thread(target=lambda: sender.run(scans), daemon=True)
+    thread.start()
+    assert is_half_way.wait(60)
+    page.goto(f"{done.server.address}/#panel=drives")
+    page.get_by_role("button", name="a street, live").click()
+    note = page.locator(".stage-note")
+    note.get_by_text("16 keyframes").wait_for()
+    half = page.locator("#map").screenshot()
+    go_on.set()
+    note.get_by_text("48 keyframes · 1 intersection, 0 unsure · It has ended.").wait_for()
+    thread.join(60)
+    assert page.locator("#map").screenshot() != half
+    page.reload()  # an address to pass on
+    note.get_by_text("48 keyframes · 1 intersection, 0 unsure · It has ended.").wait_for()
