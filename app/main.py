@@ -24,6 +24,7 @@ from app.http.problems import ProblemDocument, add_handlers
 from app.http.security import client_of
 from app.http.turns import Turns
 from app.jobs import routes as jobs
+from app.jobs.deliverer import Deliverer
 from app.jobs.runner import Runner
 from app.jobs.watcher import JobWatcher
 from app.live import routes as live
@@ -109,7 +110,7 @@ def create_app(settings: Settings | None = None, context: Context | None = None)
         except Exception as error:
             parts.start_fault = error  # uvicorn reports it as text only
             raise
-        helpers = (Sweeper(opened), Background(opened), Merger(opened, runner))
+        helpers = (Sweeper(opened), Background(opened), Merger(opened, runner), Deliverer(opened))
         for helper in helpers:
             helper.start()
         try:

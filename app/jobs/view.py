@@ -13,6 +13,7 @@ from app.http.problems import Problem, ProblemDocument, stored
 from app.jobs.models import JobModel, Progress
 from app.jobs.outlook import outlook, seconds_left
 from app.jobs.titles import own_settings, title_of
+from app.jobs.webhooks import deliveries_of
 from app.states import JobKind, JobState
 from app.store.database import moment
 from app.store.models import Drive, Job
@@ -60,7 +61,9 @@ def job_models(session: Session, context: Context, rows: Iterable[tuple[Job, str
     else:
         told = outlook(session, now, context.settings.jobs_at_once) if waiting else {}
     links = _Links(context.settings.root_path)
-    return [_job_model(job, name, links, now, job.message or told.get(job.id)) for job, name in rows]
+    deliveries = deliveries_of(session, [job for job, _ in rows])
+    models = [_job_model(job, name, links, now, job.message or told.get(job.id)) for job, name in rows]
+    return [model.model_copy(update={"deliveries": deliveries.get(model.id, [])}) for model in models]
 
 
 def _waits_for_its_turn(job: Job) -> bool:

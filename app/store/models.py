@@ -234,6 +234,29 @@ class MapVerdict(Base):
     __table_args__ = (Index("ix_map_verdicts", "map_id", "finding"),)
 
 
+class Delivery(Base):
+    """What a subscriber is told of a job: see `app.jobs.webhooks`."""
+
+    __tablename__ = "deliveries"
+
+    number: Mapped[int] = mapped_column(Integer, primary_key=True, autoincrement=True)
+    id: Mapped[str] = mapped_column(unique=True)
+    """Of the message, the same at each try."""
+    job_id: Mapped[str] = mapped_column(ForeignKey("jobs.id", ondelete="CASCADE"))
+    type: Mapped[str]
+    uri: Mapped[str] = mapped_column(Text)
+    host: Mapped[str] = mapped_column(Text)
+    body: Mapped[str] = mapped_column(Text)
+    attempts: Mapped[int] = mapped_column(Integer, default=0)
+    next_at: Mapped[float | None]
+    """When it is tried next; None: it was delivered, or given up."""
+    error: Mapped[str | None] = mapped_column(Text)
+    """Why the last try failed."""
+    delivered_at: Mapped[float | None]
+
+    __table_args__ = (Index("ix_deliveries_next", "next_at"), Index("ix_deliveries_job", "job_id"))
+
+
 class FeatureChunk(Base):
     """Some hundred features of a layer of a result, in the order of the file: what a query looks at first.
 

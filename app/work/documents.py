@@ -125,6 +125,8 @@ class IntersectionsOutcome(Outcome):
     peak_memory_bytes: int
     location: MapPlace | None
     report: MapScores | None
+    doubtful_labels_m: list[tuple[float, float]] = []
+    """From where to where along the track labels by geometry are doubtful."""
 
 
 class CommitOutcome(Outcome):

@@ -291,7 +291,7 @@ def test_an_address_that_is_no_service(here: Any, street: Path, tmp_path: Path) 
     assert len(outcome.err.splitlines()) == 1
 
 
-def test_a_map_needs_a_georeference_before_anything_is_sent(
+def test_a_map_needs_a_georeference_or_a_place_to_search_before_anything_is_sent(
     here: Any, server: ServerProcess, street: Path, tmp_path: Path
 ) -> None:
     drive = copy_of(street, tmp_path / "nowhere")
@@ -300,6 +300,10 @@ def test_a_map_needs_a_georeference_before_anything_is_sent(
     assert outcome.code == 1
     assert "the drive has no georeference" in outcome.err
     assert not [each for each in drives_on(server) if each["name"] == "nowhere"]
+    here("push", drive, "--run", "--osm", street / "map.osm", "--near", "49.01,8.43", "--radius", "2")
+    (job,) = server.client.get(f"{API}/jobs?name=nowhere").json()["jobs"]  # whether it could be placed or not
+    assert job["request"]["georeference"] == "map"
+    assert job["request"]["near"] == {"lat_deg": 49.01, "lon_deg": 8.43, "radius_km": 2.0}
 
 
 def test_a_server_that_gives_other_bytes_than_it_got_is_not_trusted(

@@ -165,6 +165,11 @@ async function cancel(job) {
   rememberJob(await sendJson("DELETE", `jobs/${job.id}`));
 }
 
+/** @param {[number, number][]} stretches Along the track, metres. */
+function doubtfulText(stretches) {
+  return `${stretches.map(([start, stop]) => `${formatCount(start)} to ${formatCount(stop)} m`).join(", ")} of the track`;
+}
+
 /** @param {any} job */
 function outcome(job) {
   const summary = job.summary ?? {};
@@ -207,6 +212,7 @@ function outcome(job) {
       factRows([
         ["Preset", job.request.preset ?? "default"],
         job.request.labels && ["Labels", job.request.labels],
+        summary.doubtful_labels_m?.length && ["Labels doubtful", doubtfulText(summary.doubtful_labels_m)],
         ["Map", osm ? (osm.file ?? "OpenStreetMap, by Overpass") : "none"],
         osm && ["Policy", policy ?? "drive"],
         summary.location && ["Placed by its roads", placedText(summary.location)],
