@@ -25,7 +25,7 @@ from interloc.detection.keyframes import select_keyframes
 from interloc.drives.checks import sample_indices
 from interloc.drives.files import EMPTY, NumberedFiles, SourceFile, each_read_once, list_numbered
 from interloc.drives.findings import DriveFileError, Finding, Findings, by_severity
-from interloc.drives.georeference.geodetic import check_georeference
+from interloc.drives.georeference.geodetic import check_against_poses
 from interloc.drives.layouts import PCD_ENDINGS, POSE_FILES, DriveParts, find_layout
 from interloc.drives.open import NO_POSES, SAMPLED_SCANS
 from interloc.drives.options import LABEL_FILES, ODOMETRY, DriveOptions, LabelFolder, LayoutName
@@ -425,7 +425,7 @@ class _Look:
             places = np.stack([fixes.lon_deg, fixes.lat_deg], axis=1)
         if fixes is not None and poses.frame != "oxts":
             with self.findings.stage():
-                check_georeference(poses.T_world_lidar, fixes, self.findings)
+                check_against_poses(poses.T_world_lidar, fixes, self.findings)
             fitted, fit_m = _laid_over(poses, places)
         step = -(-len(places) // _MAX_POSITIONS)
         digits = 3 if fixes is None else 8

@@ -369,3 +369,17 @@ def test_a_bag_is_reduced_on_the_way(here: Any, server: ServerProcess, tmp_path:
     assert {"poses.txt", "times.txt", "reduced.json"} <= set(files)
     assert not [path for path in files if path.endswith(".bag")]
     assert "Leave it out" in here("push", bag, "--raw").err
+
+
+def test_what_was_odd_about_a_bag_arrives_with_it(here: Any, server: ServerProcess, tmp_path: Path) -> None:
+    """The reduced drive is whole again: only its manifest tells that the odometry jumped."""
+    poses = lidar_poses()
+    poses[9:, 1, 3] += 60.0
+    scans, labels = zip(*(scan_at(pose, (40, 48, 70)) for pose in poses), strict=True)
+    times = (1.7e9 + 0.1 * np.arange(12)).tolist()
+    bag = write_bag(tmp_path / "lost", "bag", scans, times, labels=labels, poses=list(poses))
+    pushed = here("push", bag, "--json")
+    assert "the poses of /odom jump" in pushed.err
+    assert pushed.json["scans"] == 9
+    shown = server.client.get(f"{API}/drives/{pushed.json['drive_id']}").raise_for_status().json()
+    assert "the poses of /odom jump" in str(shown)
