@@ -138,6 +138,11 @@ NAMES_IN_CONFLICT = _kind(
 NO_RESULTS = _kind(
     "no-results", 404, "No results", "The job is of a kind that has no results, or no job of the drive was successful."
 )
+MAP_IS_OF_THE_SERVER = _kind(
+    "map-is-of-the-server", 409, "Map is of the server", "The map of all drives of the server is not deleted."
+)
+MAP_NOT_FOUND = _kind("map-not-found", 404, "Map not found", "There is no such map, or it does not have that yet.")
+NO_SUCH_FINDING = _kind("no-such-finding", 404, "No such finding", "A map has no such finding.")
 NO_SUCH_COLLECTION = _kind(
     "no-such-collection",
     404,

@@ -22,11 +22,11 @@ SCANS = 48
 PATIENCE_S = 60.0
 
 
-def cloud(header: Header, points: np.ndarray) -> PointCloud2:
+def cloud(header: Header, points: np.ndarray, labels: np.ndarray | int = 40) -> PointCloud2:
     cells = np.zeros(len(points), [("x", "f4"), ("y", "f4"), ("z", "f4"), ("label", "u2"), ("", "u2")])
     for column, name in enumerate("xyz"):
         cells[name] = points[:, column]
-    cells["label"] = 40
+    cells["label"] = labels
     offsets = {"x": (0, 7), "y": (4, 7), "z": (8, 7), "label": (12, 4)}
     fields = [PointField(name=n, offset=at, datatype=kind, count=1) for n, (at, kind) in offsets.items()]
     message = PointCloud2(header=header, height=1, width=len(points), fields=fields, point_step=16, is_dense=True)
