@@ -1,4 +1,4 @@
-"""What all parts of the service share: settings, database, storage, tokens, metrics, the reserve, and three signals."""
+"""What all parts of the service share: settings, database, storage, tokens, metrics, the reserve, and signals."""
 
 from __future__ import annotations
 
@@ -41,6 +41,8 @@ class Context:
         Set when the server begins to stop: streams and waits that would go on must end.
     jobs_changed : threading.Event
         Set when a job was submitted, was cancelled or has ended: the runner looks for the next one at once.
+    maps_changed : threading.Event
+        Set when a map may have to be brought up to date: it is looked at at once.
     lacks_workers : threading.Event
         Set while this server takes no job, because it has no worker for it.
     """
@@ -53,6 +55,7 @@ class Context:
     reserve: Reserve
     stopping: threading.Event = field(default_factory=threading.Event)
     jobs_changed: threading.Event = field(default_factory=threading.Event)
+    maps_changed: threading.Event = field(default_factory=threading.Event)
     lacks_workers: threading.Event = field(default_factory=threading.Event)
     bookings: Bookings = field(default_factory=Bookings)
 

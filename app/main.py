@@ -24,10 +24,15 @@ from app.http.problems import ProblemDocument, add_handlers
 from app.http.security import client_of
 from app.http.turns import Turns
 from app.jobs import routes as jobs
+from app.jobs.deliverer import Deliverer
 from app.jobs.runner import Runner
 from app.jobs.watcher import JobWatcher
 from app.live import routes as live
 from app.live.sessions import LiveSessions
+from app.maps import queue
+from app.maps import routes as maps
+from app.maps.merging import Merger
+from app.maps.records import make_server_map
 from app.networks import routes as networks
 from app.ogc import routes as ogc
 from app.ogc.indexing import index_result
@@ -56,9 +61,9 @@ def _assemble() -> APIRouter:
     of_drives = (drives, overview, files, scans, archive, commit, demo, networks)
     of_jobs = (jobs, results, keyframes, road, exports, compare)
     shared = [Depends(client_of), Depends(refuse_unknown_parameters), Depends(make_room_to_delete)]
-    for module in (*of_drives, *of_jobs, live, trash):
+    for module in (*of_drives, *of_jobs, live, maps, queue, trash):
         router.include_router(module.router, prefix=API, dependencies=shared)
-    for more in (ogc.of_job, trash.of_items):
+    for more in (ogc.of_job, ogc.of_map, trash.of_items):
         router.include_router(more, prefix=API, dependencies=shared)
     router.include_router(live.sockets, prefix=API)
     router.include_router(ogc.of_all, dependencies=shared)
@@ -93,6 +98,7 @@ def create_app(settings: Settings | None = None, context: Context | None = None)
             parts.context = opened
             await run_in_threadpool(opened.storage.incoming)  # its lock shows that a server is at work here
             await run_in_threadpool(reconcile_all, opened)  # before the first request: what a kill has left apart
+            await run_in_threadpool(make_server_map, opened)
             parts.runner = runner = Runner(opened, finish_drive=finish_drive, index_result=index_result)
             parts.watcher = JobWatcher(opened)
             parts.results = Results(opened)
@@ -104,7 +110,7 @@ def create_app(settings: Settings | None = None, context: Context | None = None)
         except Exception as error:
             parts.start_fault = error  # uvicorn reports it as text only
             raise
-        helpers = (Sweeper(opened), Background(opened))
+        helpers = (Sweeper(opened), Background(opened), Merger(opened, runner), Deliverer(opened))
         for helper in helpers:
             helper.start()
         try:

@@ -54,6 +54,9 @@ class Metrics:
             "interloc_removed_bytes", "Bytes of what was removed or set aside.", ("reason",), registry=self.registry
         )
 
+        self.webhooks = Counter(
+            "interloc_webhooks", "Calls of subscribers, by outcome.", ("outcome",), registry=self.registry
+        )
         self.refused_tokens = Counter(
             "interloc_refused_tokens",
             "Requests refused for their token: unknown, too many, expired, read only.",

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import base64
 import ipaddress
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, Self
 from urllib.parse import urlsplit
 
 from pydantic import Field, SecretStr, field_validator, model_validator
@@ -160,6 +161,18 @@ class Settings(BaseSettings):
     )
     tile_attribution: str = Field("© OpenStreetMap contributors", description="Attribution shown on the map tiles.")
 
+    # Whom it calls.
+    webhook_hosts: str = Field(
+        "",
+        description="Hosts that may be told of jobs (`subscriber`), separated by commas: names, addresses, networks, "
+        "for example hooks.example.org,10.1.0.0/16. A name must mean public addresses, or listed ones. Empty: none.",
+    )
+    webhook_secret: SecretStr | None = Field(
+        None,
+        description="By which calls of subscribers are signed: `whsec_` and 24 to 64 bytes in Base64; needed with "
+        "`WEBHOOK_HOSTS`.",
+    )
+
     # What is logged.
     log_format: Literal["json", "text"] = Field(
         "json", description="Format of the log: json (one object per line) or text."
@@ -177,6 +190,25 @@ class Settings(BaseSettings):
                 f"a token has {_MIN_TOKEN_CHARS} or more printable ASCII characters: shorter ones can be guessed"
             )
         return token
+
+    @model_validator(mode="after")
+    def _check_webhooks(self) -> Self:
+        if self.webhook_hosts and not 24 <= len(self.webhook_key) <= 64:
+            raise ValueError(
+                "WEBHOOK_HOSTS needs a WEBHOOK_SECRET to sign by: whsec_ and 24 to 64 bytes in Base64, for example "
+                "from `python -c \"import base64, secrets; print('whsec_' + "
+                'base64.b64encode(secrets.token_bytes(32)).decode())"`'
+            )
+        return self
+
+    @property
+    def webhook_key(self) -> bytes:
+        """The secret as bytes; empty where there is none, or it is not Base64."""
+        text = "" if self.webhook_secret is None else self.webhook_secret.get_secret_value().removeprefix("whsec_")
+        try:
+            return base64.b64decode(text, validate=True)
+        except ValueError:
+            return b""
 
     @field_validator("root_path")
     @classmethod

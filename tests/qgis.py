@@ -48,7 +48,11 @@ def read_project(path):
     span = project.timeSettings().temporalRange()
     return {
         "read": was_read, "title": project.title(), "crs": project.crs().authid(),
-        "layers": {layer.name(): describe(layer) for layer in tree.layerOrder()},
+        "layers": {each.name(): describe(each) for each in tree.layerOrder() if isinstance(each, QgsVectorLayer)},
+        "rasters": {
+            each.name(): [each.isValid(), each.crs().authid(), each.renderer().type()]
+            for each in tree.layerOrder() if isinstance(each, QgsRasterLayer)
+        },
         "groups": {group.name(): [each.name() for each in group.children()] for group in tree.children()},
         "hidden": [layer.name() for layer in tree.layerOrder() if not tree.findLayer(layer.id()).isVisible()],
         "times": [span.begin().toString("hh:mm:ss"), span.end().toString("hh:mm:ss")],

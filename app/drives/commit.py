@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 from sqlalchemy.orm import Session
@@ -15,6 +16,7 @@ from app.http.problem_types import ARCHIVE_IS_BEING_UNPACKED, DRIVE_IS_BEING_CHE
 from app.http.problems import Problem
 from app.jobs.failures import raise_failure
 from app.jobs.queue import active_job, submit
+from app.jobs.webhooks import check_subscriber
 from app.networks import work as models
 from app.states import DriveState, JobKind
 from app.store.database import Database
@@ -64,7 +66,10 @@ def begin_commit(context: Context, drive_id: str, owner: str, request: CommitReq
         if request.keep_raw is not None:
             drive.keep_raw = request.keep_raw
         limit = job_limit(context, owner)
-        job = queue_commit(session, context.database, drive, owner, check_only=request.check_only, limit=limit)
+        told = check_subscriber(context.settings, request.subscriber)
+        job = queue_commit(
+            session, context.database, drive, owner, check_only=request.check_only, limit=limit, told=told
+        )
     context.jobs_changed.set()
     return job
 
@@ -84,6 +89,9 @@ def _refuse_others(drive: Drive, running: Job | None, request: CommitRequest) ->
         given["keep_raw"] = request.keep_raw
     if running is not None and CommitJob.model_validate(running.request).check_only and not request.check_only:
         in_force["check_only"], given["check_only"] = True, False
+    if running is not None and request.subscriber is not None:
+        in_force["subscriber"] = running.request.get("subscriber")
+        given["subscriber"] = request.subscriber.model_dump(exclude_none=True)
     differing = [name for name, value in given.items() if in_force[name] != value]
     others = "; ".join(f"{name} is {in_force[name]!r}, not {given[name]!r}" for name in differing)
     if others and running is None:
@@ -109,9 +117,11 @@ def queue_commit(
     *,
     check_only: bool = False,
     limit: int | None = None,
+    told: Mapping[str, Any] | None = None,
 ) -> Job:
     """Queue the check of a drive, in a transaction that has locked it."""
     work: dict[str, Any] = {"options": drive.options, "keep_raw": drive.keep_raw, "check_only": check_only}
+    work |= told or {}
     job, _ = submit(session, database, kind=JobKind.COMMIT, drive_id=drive.id, owner=owner, request=work, limit=limit)
     drive.state = DriveState.CHECKING
     drive.touched_at = job.created_at

@@ -29,6 +29,7 @@ async def look_at(context: Context, runner: Runner, request: LookRequest, client
         request.root,
         UploadOptions.model_validate(dict(request.options)),
         request.keyframes,
+        request.ranges,
         WorkSettings.model_validate(context.settings),
         await run_in_threadpool(context.storage.incoming),
         client=client,

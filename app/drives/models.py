@@ -13,6 +13,7 @@ from pydantic_core import PydanticCustomError
 from app.http.patterns import ID, NETWORK
 from app.http.problems import FileProblem
 from app.http.strict import Flag, Name, Note, Whole, strictly
+from app.jobs.webhooks import Subscriber
 from app.paths import MAX_PATH, PATH_PATTERN, BadNameError, check_path
 from app.states import DriveState
 from app.work.documents import UploadOptions
@@ -200,6 +201,9 @@ class CommitRequest(BaseModel):
     options: DriveOptionsModel | None = None
     keep_raw: Flag | None = None
     check_only: Flag = Field(False, description="Check and report, but leave the drive open for more files.")
+    subscriber: Subscriber | None = Field(
+        None, description="Who is told when the check begins and ends; it fails, too, where the drive has errors."
+    )
 
 
 class ScanRange(BaseModel):
@@ -322,6 +326,9 @@ class LookRequest(BaseModel):
         {},
         description="Path in the folder -> contents, Base64: poses, times, calibration, georeference. `wanted` of an "
         "answer names those that were left out.",
+    )
+    ranges: dict[str, dict[Annotated[int, Field(ge=0)], Annotated[bytes, EncodedBytes(encoder=_StrictBase64)]]] = Field(
+        {}, description="Path of a bag -> first byte of a range -> its bytes, Base64; see `wanted_ranges`."
     )
     root: str | None = Field(
         None, description="Path in the folder of the drive to look into; null: the first. Empty: the folder itself."

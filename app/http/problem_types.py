@@ -138,6 +138,11 @@ NAMES_IN_CONFLICT = _kind(
 NO_RESULTS = _kind(
     "no-results", 404, "No results", "The job is of a kind that has no results, or no job of the drive was successful."
 )
+MAP_IS_OF_THE_SERVER = _kind(
+    "map-is-of-the-server", 409, "Map is of the server", "The map of all drives of the server is not deleted."
+)
+MAP_NOT_FOUND = _kind("map-not-found", 404, "Map not found", "There is no such map, or it does not have that yet.")
+NO_SUCH_FINDING = _kind("no-such-finding", 404, "No such finding", "A map has no such finding.")
 NO_SUCH_COLLECTION = _kind(
     "no-such-collection",
     404,
@@ -168,6 +173,7 @@ NOT_POSSIBLE = _kind(
     "not-possible", 500, "Not possible", "What was asked for cannot be done with this drive; `detail` says why."
 )
 NOT_SCORED = _kind("not-scored", 404, "Not scored", "The job was submitted without a map, so it has no evaluation.")
+WEBHOOK_REFUSED = _kind("webhook-refused", 422, "Webhook refused", "The service does not call this address.")
 NOT_USED = _kind("not-used", 422, "Not used", "A member of the request has no effect without another one.")
 OVERPASS_SWITCHED_OFF = _kind("overpass-switched-off", 422, "Overpass switched off", "The service does not fetch maps.")
 PART_OF_A_FILE = _kind("part-of-a-file", 400, "Part of a file", "Files are taken whole only.")

@@ -10,6 +10,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 from app.http.patterns import ID, TEXT
 from app.http.problems import ProblemDocument
 from app.http.strict import Name, Note, Number, Yes
+from app.jobs.webhooks import DeliveryModel, Subscriber
 from app.paths import MAX_PATH
 from app.states import JobKind, JobState
 from interloc.config import DetectorConfig
@@ -85,6 +86,9 @@ class NewJob(BaseModel):
     policy: Policy = Field("drive", description=POLICY_HELP)
     tolerance_m: Number = Field(15.0, gt=0, le=100, description=TOLERANCE_HELP)
     name: str | None = Field(None, max_length=200, pattern=TEXT, description="Name shown in lists.")
+    subscriber: Subscriber | None = Field(
+        None, description="Who is told when it begins and ends, signed as Standard Webhooks says; see docs/service.md."
+    )
 
 
 class JobChanges(BaseModel):
@@ -180,6 +184,9 @@ class JobModel(BaseModel):
     )
     links: dict[str, str] = Field(
         default_factory=dict, description="Addresses of the results of a successful job, by name."
+    )
+    deliveries: list[DeliveryModel] = Field(
+        default_factory=list, description="What the subscriber was told, or will be."
     )
     version: int = Field(description="Number of changes so far; the id of its events.")
 

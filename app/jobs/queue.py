@@ -22,6 +22,7 @@ from sqlalchemy.orm import Session, aliased
 
 from app.http.problem_types import DRIVE_NOT_FOUND, DRIVE_NOT_READY, IDEMPOTENCY_KEY_USED_BEFORE, TOO_MANY_JOBS
 from app.http.problems import Problem
+from app.jobs.webhooks import note
 from app.states import ACTIVE, FINAL, DriveState, JobKind, JobState
 from app.store.clock import ClockWatch
 from app.store.database import Database
@@ -171,6 +172,8 @@ class JobQueue:
             job.lease_owner = f"{self._server}-{secrets.token_hex(8)}"
             job.lease_until = times["now"] + self._lease_s
             job.version += 1
+            if job.attempts == 1:
+                note(session, job, JobState.RUNNING, times["now"])
             return Claim(job, drive_name, drive_state, job.lease_owner)
 
     def _times(self, session: Session) -> dict[str, float]:
@@ -237,7 +240,8 @@ class JobQueue:
         summary: dict[str, Any] | None = None,
     ) -> bool:
         """End a job in a transaction of the caller; False if the lease is lost: then nothing else may be written."""
-        return _change(
+        now = self._database.clock(session)
+        has_ended = _change(
             session,
             claim,
             state=state,
@@ -245,10 +249,13 @@ class JobQueue:
             message=None,
             error=error,
             summary=summary,
-            finished_at=self._database.clock(session),
+            finished_at=now,
             lease_owner=None,
             lease_until=None,
         )
+        if has_ended:
+            note(session, claim.job, state, now, summary=summary, error=error)
+        return has_ended
 
 
 def _change(session: Session, claim: Claim, **values: Any) -> bool:  # noqa: ANN401
@@ -366,6 +373,7 @@ def cancel(session: Session, database: Database, job: Job) -> None:
         job.stage = "finished"
         job.message = None
         job.finished_at = database.clock(session)
+        note(session, job, JobState.DISMISSED, job.finished_at)
     else:
         job.message = "It is being cancelled."
 

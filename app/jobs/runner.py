@@ -7,6 +7,7 @@ import logging
 import threading
 import time
 from collections.abc import Callable
+from concurrent.futures import Future
 from functools import partial
 from typing import Annotated, TypeVar, TypeVarTuple
 
@@ -76,6 +77,16 @@ class Runner:
             thread = threading.Thread(target=target, name=target.__name__, daemon=True)
             thread.start()
             self._threads.append(thread)
+
+    def submit(
+        self, function: Callable[[*Given], Returned], *args: *Given, client: str, seconds: float
+    ) -> Future[Returned]:
+        """Have a worker call a function when none of the work that somebody waits for is left to begin.
+
+        The future fails with `WorkerLimitError` or `WorkerLostError` as those of jobs do.
+        """
+        assert self._executor is not None, "the runner has not been started"
+        return self._executor.submit(function, *args, client=client, seconds=seconds, urgent=False)
 
     async def run_in_worker(self, function: Callable[[*Given], Returned], *args: *Given, client: str) -> Returned:
         """Call a function in a worker process, before all that waits; once more where the worker dies.

@@ -21,6 +21,7 @@ from app.http.problem_types import (
 from app.http.problems import Problem, disk_full
 from app.jobs.folders import label_folders
 from app.jobs.models import NewJob, OsmFile, OsmOverpass
+from app.jobs.webhooks import check_subscriber
 from app.states import DriveState
 from app.store.models import Drive, DriveFile
 from app.store.storage import Storage
@@ -56,7 +57,8 @@ def check_request(session: Session, context: Context, new: NewJob) -> dict[str, 
         )
     _check_placing(new)
     _check_drive(session, context.storage, new)
-    request = new.model_dump(mode="json", exclude={"drive_id", "config"})
+    request = new.model_dump(mode="json", exclude={"drive_id", "config", "subscriber"})
+    request |= check_subscriber(context.settings, new.subscriber)
     return request | {"config": config_of(new.preset, new.config).model_dump(mode="json")}
 
 

@@ -13,13 +13,16 @@ from app.http.problems import Problem, ProblemDocument, stored
 from app.jobs.models import JobModel, Progress
 from app.jobs.outlook import outlook, seconds_left
 from app.jobs.titles import own_settings, title_of
+from app.jobs.webhooks import deliveries_of
 from app.states import JobKind, JobState
 from app.store.database import moment
 from app.store.models import Drive, Job
 from interloc.output.layers import LAYERS, PLACES
+from interloc.output.layout import ROAD_LAYERS
 from interloc.output.vector_files import suffixes_here
 
 _LAYERS = [layer.address for layer in LAYERS.values() if not layer.is_osm]
+_ROADS = tuple(LAYERS[name].address for name in ROAD_LAYERS)
 _MAP_LAYERS = [layer.address for layer in LAYERS.values() if layer.is_osm and layer.name != PLACES]
 _NO_WORKER = "It waits for a worker: none can be started at present. The service keeps trying; its log says why."
 
@@ -60,7 +63,9 @@ def job_models(session: Session, context: Context, rows: Iterable[tuple[Job, str
     else:
         told = outlook(session, now, context.settings.jobs_at_once) if waiting else {}
     links = _Links(context.settings.root_path)
-    return [_job_model(job, name, links, now, job.message or told.get(job.id)) for job, name in rows]
+    deliveries = deliveries_of(session, [job for job, _ in rows])
+    models = [_job_model(job, name, links, now, job.message or told.get(job.id)) for job, name in rows]
+    return [model.model_copy(update={"deliveries": deliveries.get(model.id, [])}) for model in models]
 
 
 def _waits_for_its_turn(job: Job) -> bool:
@@ -126,10 +131,11 @@ class _Links:
         if job.state != JobState.SUCCESSFUL or job.kind != JobKind.INTERSECTIONS or summary is None:
             return links
         names = ["run", "files", "archive.zip"]
+        left_out = () if summary.get("has_roads") else _ROADS
         if summary["georeferenced"]:
-            names += self._georeferenced
+            names += [name for name in self._georeferenced if name not in left_out]
         else:
-            links |= {layer: f"{address}/files/{layer}.local.json" for layer in _LAYERS}
+            links |= {layer: f"{address}/files/{layer}.local.json" for layer in _LAYERS if layer not in left_out}
         if summary["report"] is not None:
             names += ["report", *_MAP_LAYERS]
         if summary.get("location") is not None:

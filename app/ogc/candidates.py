@@ -49,11 +49,14 @@ class Candidates:
         ``job``, ``preset``, ``labels``.
     is_point : bool
         Whether features are points.
+    of_results : bool
+        Whether the latter are properties of the features.
     """
 
     session: Session
     chunks: Sequence[Any]
     is_point: bool
+    of_results: bool = True
     _known: dict[str, Any] = field(default_factory=dict)
 
     @cached_property
@@ -105,7 +108,7 @@ class Candidates:
         """Return a property that is a text."""
 
         def read() -> Texts:
-            if name not in _OF_RESULT:
+            if not self.of_results or name not in _OF_RESULT:
                 return unpack_texts(self._contents(name).values())
             values = [getattr(each, name) for each in self.chunks]
             numbers = {value: number for number, value in enumerate(dict.fromkeys(values))}  # null is one of them, too
@@ -140,12 +143,14 @@ class Candidates:
         contents = self._contents_of(CONTENT, numbers)
         lines = {number: zlib.decompress(content).decode().split("\n") for number, content in contents.items()}
         ids = {number: unpack_texts([content]) for number, content in self._contents_of(IDS, numbers).items()}
-        of_result = {number: {name: getattr(self.chunks[number], name) for name in _OF_RESULT} for number in lines}
-        tails = {number: encode(properties)[1:] for number, properties in of_result.items()}
+        tails = dict.fromkeys(lines, "}")
+        if self.of_results:
+            told = {number: {name: getattr(self.chunks[number], name) for name in _OF_RESULT} for number in lines}
+            tails = {number: f",{encode(properties)[1:]}" for number, properties in told.items()}
         for number, row in zip(numbers, rows, strict=True):
             id_ = id_of(self.chunks[number].job, ids[number].values[ids[number].codes[row]])
             line = _OSM_ID.sub(r'\1"\2"', lines[number][row])
-            yield f'{{"type":"Feature","id":{encode(id_)},{line[:-1]},{tails[number]}}}'
+            yield f'{{"type":"Feature","id":{encode(id_)},{line[:-1]}{tails[number]}}}'
 
     def _contents_of(self, name: str, numbers: Sequence[int]) -> dict[int, bytes]:
         """Return a column of some chunks, by their numbers."""

@@ -8,7 +8,7 @@ from typing import Any
 
 from app.ogc.work import FOOTPRINTS, INDEXED, RESULT
 from app.results.models import collection_id
-from interloc.output.layers import Layer
+from interloc.output.layers import CITY_LAYERS, Layer
 from interloc.output.properties import ORIGIN, Attribute
 
 GEOMETRY = "geometry"
@@ -37,14 +37,19 @@ class Collection:
     id : str
         Its name in addresses.
     layer : Layer
+    of_results : bool
+        Whether its features are of results of drives, and say of which.
     """
 
     id: str
     layer: Layer
+    of_results: bool = True
 
     @cached_property
     def attributes(self) -> list[Attribute]:
         """The properties of its features."""
+        if not self.of_results:
+            return self.layer.attributes
         return [*(each for each in self.layer.attributes if each.name not in ORIGIN), *RESULT]
 
     @cached_property
@@ -141,3 +146,6 @@ OF_ALL = {
     )
 }
 """The collections of the results that stand for all drives."""
+
+OF_MAP = {name: Collection(name, layer, of_results=False) for name, layer in CITY_LAYERS.items()}
+"""The collections of a map of many drives."""

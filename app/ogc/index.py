@@ -14,13 +14,13 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from sqlalchemy import ColumnElement, Select, and_, func, or_, select
+from sqlalchemy import ColumnElement, Select, and_, func, literal, or_, select
 from sqlalchemy.orm import Session
 
 from app.http.parameters import Box
 from app.jobs.chosen import chosen_results
 from app.ogc.candidates import Candidates, Key
-from app.ogc.collections import OF_ALL, OF_JOB, Collection
+from app.ogc.collections import OF_ALL, OF_JOB, OF_MAP, Collection
 from app.ogc.evaluation import matching
 from app.ogc.filters import Filter
 from app.ogc.work import IDS, TIMES
@@ -122,25 +122,33 @@ class Source:
 
     job: str | None = None
     until: float | None = None
+    map: str | None = None
 
     @property
     def collections(self) -> Mapping[str, Collection]:
         """The collections that there may be."""
-        return OF_ALL if self.job is None else OF_JOB
+        return OF_MAP if self.map is not None else OF_ALL if self.job is None else OF_JOB
+
+    @property
+    def is_of_all(self) -> bool:
+        """Whether its features are of all drives, and their ids begin with the job."""
+        return self.job is None and self.map is None
 
     def feature_id(self, job: str, own: str) -> str:
         """Return the id of a feature: it is the same as long as there is the job."""
-        return f"{job}.{own}" if self.job is None else own
+        return f"{job}.{own}" if self.is_of_all else own
 
     def split_id(self, feature: str) -> tuple[str, str]:
         """Return the job of a feature, and the id within its layer."""
-        if self.job is not None:
-            return self.job, feature
+        if not self.is_of_all:
+            return self.job or "", feature
         job, _, own = feature.partition(".")
         return job, own
 
     def chunks(self, *columns: Any) -> Select[Any]:  # noqa: ANN401 - of the tables below
         """Return the query for chunks, joined with their drives."""
+        if self.map is not None:
+            return select(*columns).select_from(FeatureChunk).where(FeatureChunk.map_id == self.map)
         found = select(Job).where(Job.id == self.job) if self.job is not None else self._chosen()
         jobs = found.with_only_columns(Job.id, Job.drive_id).subquery()
         return (
@@ -155,7 +163,7 @@ class Source:
 
     def pinned(self, session: Session) -> Source:
         """Return the source of these jobs and no later ones."""
-        if self.job is not None or self.until is not None:
+        if not self.is_of_all or self.until is not None:
             return self
         ends = chosen_results().with_only_columns(Job.finished_at).subquery()
         return Source(until=session.scalar(select(func.max(ends.c.finished_at))))
@@ -189,7 +197,7 @@ def extents(session: Session, source: Source) -> dict[str, Extent]:
     return {
         name: found.get(each.layer.name, nothing)
         for name, each in source.collections.items()
-        if source.job is None or each.layer.name in found
+        if source.is_of_all or each.layer.name in found
     }
 
 
@@ -201,7 +209,7 @@ def find_page(session: Session, source: Source, collection: Collection, query: Q
     Problem
         400: the filter takes too long.
     """
-    candidates = _candidates(session, source, collection, *_conditions(query))
+    candidates = _candidates(session, source, collection, *_conditions(query, source))
     masks = list(_masks(candidates, query))
     matched = np.flatnonzero(reduce(np.logical_and, masks)) if masks else np.arange(len(candidates))
     start = min(query.offset, len(matched))
@@ -222,7 +230,7 @@ def find_page(session: Session, source: Source, collection: Collection, query: Q
 def find_feature(session: Session, source: Source, collection: Collection, feature: str) -> str | None:
     """Return a feature by its id; None where there is none."""
     job, own = source.split_id(feature)
-    candidates = _candidates(session, source, collection, FeatureChunk.job_id == job)
+    candidates = _candidates(session, source, collection, *([FeatureChunk.job_id == job] if job else []))
     ids = candidates.texts(IDS)
     if own not in ids.values:
         return None
@@ -234,10 +242,11 @@ def _candidates(
     session: Session, source: Source, collection: Collection, *conditions: ColumnElement[bool]
 ) -> Candidates:
     chunk = FeatureChunk
-    of_result = (Drive.name.label("drive"), chunk.job_id.label("job"), chunk.preset, chunk.labels)
+    drive = literal(None) if source.map is not None else Drive.name
+    of_result = (drive.label("drive"), chunk.job_id.label("job"), chunk.preset, chunk.labels)
     query = source.chunks(chunk.id, chunk.count, *of_result).order_by(chunk.id)
     chunks = query.where(chunk.layer == collection.layer.name, chunk.count > 0, *conditions)
-    return Candidates(session, session.execute(chunks).all(), collection.is_point)
+    return Candidates(session, session.execute(chunks).all(), collection.is_point, collection.of_results)
 
 
 def _masks(candidates: Candidates, query: Query) -> Iterator[NDArray[np.bool_]]:
@@ -271,7 +280,7 @@ def _inside(candidates: Candidates, area: Area) -> NDArray[np.bool_]:
     return touches
 
 
-def _conditions(query: Query) -> Iterator[ColumnElement[bool]]:
+def _conditions(query: Query, source: Source) -> Iterator[ColumnElement[bool]]:
     """Yield conditions on chunks that hold where one of their features matches."""
     chunk = FeatureChunk
     areas = [] if query.area is None else [query.area]
@@ -282,6 +291,6 @@ def _conditions(query: Query) -> Iterator[ColumnElement[bool]]:
         yield or_(*(and_(chunk.west <= east, chunk.east >= west) for west, east in area.parts))
     if query.interval is not None:
         yield and_(chunk.first_time <= query.interval[1], chunk.last_time >= query.interval[0])
-    if query.filter is not None:
+    if query.filter is not None and source.map is None:
         names = {"drive": Drive.name, "job": FeatureChunk.job_id}
         yield from (names[name] == value for name, value in query.filter.equal.items() if name in names)

@@ -37,25 +37,34 @@ def read_chunks(context: Context, job_id: str) -> list[Chunk]:
 def write_chunks(session: Session, job: Job, chunks: list[Chunk]) -> None:
     """Write the features of a job into the index, in the place of those that it had."""
     session.execute(delete(FeatureChunk).where(FeatureChunk.job_id == job.id))
+    labels = job.request.get("labels")
     for chunk in chunks:
-        row = FeatureChunk(
-            job_id=job.id,
-            layer=chunk.layer,
-            number=chunk.number,
-            count=chunk.count,
-            preset=job.request.get("preset"),
-            labels=chunk.labels or job.request.get("labels"),
-            attribution=chunk.attribution,
-            license=chunk.license,
-            **chunk.extent,
-        )
-        session.add(row)
-        session.flush()
-        if chunk.columns:
-            columns = [
-                {"chunk_id": row.id, "name": name, "content": content} for name, content in chunk.columns.items()
-            ]
-            session.execute(insert(FeatureColumn), columns)
+        _write(session, chunk, job_id=job.id, preset=job.request.get("preset"), labels=chunk.labels or labels)
+
+
+def write_map_chunks(session: Session, map_id: str, chunks: list[Chunk]) -> None:
+    """Write layers of a map of many drives into the index, in the place of the same layers that it had."""
+    layers = {chunk.layer for chunk in chunks}
+    session.execute(delete(FeatureChunk).where(FeatureChunk.map_id == map_id, FeatureChunk.layer.in_(layers)))
+    for chunk in chunks:
+        _write(session, chunk, map_id=map_id)
+
+
+def _write(session: Session, chunk: Chunk, **of: str | None) -> None:
+    row = FeatureChunk(
+        layer=chunk.layer,
+        number=chunk.number,
+        count=chunk.count,
+        attribution=chunk.attribution,
+        license=chunk.license,
+        **of,
+        **chunk.extent,
+    )
+    session.add(row)
+    session.flush()
+    if chunk.columns:
+        columns = [{"chunk_id": row.id, "name": name, "content": content} for name, content in chunk.columns.items()]
+        session.execute(insert(FeatureColumn), columns)
 
 
 def index_result(result: Path) -> Callable[[Session, Job], None]:
@@ -117,7 +126,7 @@ def index_missing(context: Context) -> int:
     int
         Number of jobs.
     """
-    indexed = select(FeatureChunk.job_id).distinct()
+    indexed = select(FeatureChunk.job_id).where(FeatureChunk.job_id.is_not(None)).distinct()
     is_result = (Job.kind == JobKind.INTERSECTIONS, Job.state == JobState.SUCCESSFUL)
     with context.database.reading() as session:
         missing = session.scalars(

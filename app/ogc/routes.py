@@ -16,7 +16,8 @@ from app.context import ContextDep
 from app.http.delivery import DOCUMENT_POLICY, answer_tagged, service_address
 from app.http.openapi import TAGGED, get_and_head
 from app.http.parameters import OF_ITS_DATA, refuse_others
-from app.http.problem_types import NO_SUCH_COLLECTION, NO_SUCH_FEATURE
+from app.http.patterns import ID
+from app.http.problem_types import MAP_NOT_FOUND, NO_SUCH_COLLECTION, NO_SUCH_FEATURE
 from app.http.problems import Problem, ProblemDocument
 from app.http.turns import IN_TURN
 from app.ogc.collections import Collection
@@ -38,15 +39,18 @@ from app.ogc.pages import page_of
 from app.ogc.parameters import AskedDep, Format, FormatDep, page_token
 from app.results.folder import ResultsDep
 from app.results.routes.results import PROBLEMS, JobId
+from app.store.models import CityMap
 
 of_all = APIRouter(tags=["GIS"])
 """The result that stands for every drive; it has its own address beside the API."""
 
 of_job = APIRouter(tags=["GIS"])
+of_map = APIRouter(tags=["GIS"])
 
 _CollectionId = Annotated[
     str, Path(description="Name of the collection, as listed.", max_length=100, examples=["intersections"])
 ]
+MapId = Annotated[str, Path(pattern=ID, description="Id of the map; `default` holds all drives.")]
 _FeatureId = Annotated[str, Path(description="Id of the feature.", max_length=400)]
 
 
@@ -74,7 +78,7 @@ class _Served:
             404.
         """
         found = self.source.collections.get(name)
-        if found is None or (self.source.job is not None and name not in self.extents()):
+        if found is None or (not self.source.is_of_all and name not in self.extents()):
             known = ", ".join(self.extents())
             raise Problem(NO_SUCH_COLLECTION, f"There is no collection {name[:80]!r}. There are {known}.")
         return found
@@ -112,6 +116,16 @@ def _one_job(job_id: JobId, request: Request, context: ContextDep, results: Resu
     address = f"{service_address(request)}{result.address}/ogc"
     place = Place(address, f"InterLoc: {result.drive_name}", description)
     return _Served(request, context, Source(job_id), place, f"{result.address}/ogc".replace(job_id, "{job_id}"))
+
+
+def _one_map(map_id: MapId, request: Request, context: ContextDep) -> _Served:
+    with context.database.reading() as session:
+        city = session.get(CityMap, map_id)
+    if city is None:
+        raise Problem(MAP_NOT_FOUND, f"There is no map {map_id}. GET /api/v1/maps lists them.")
+    description = f"Road intersections of many drives, fused, and what OpenStreetMap has wrong: map {city.name}."
+    place = Place(f"{service_address(request)}/api/v1/maps/{map_id}/ogc", f"InterLoc: {city.name}", description)
+    return _Served(request, context, Source(map=map_id), place, "/api/v1/maps/{map_id}/ogc")
 
 
 _HTML = {"text/html": {"schema": {"type": "string"}}}
@@ -195,7 +209,7 @@ def _feature(collection_id: _CollectionId, feature_id: _FeatureId, served: _Serv
     if content is None:
         hint = (
             ""
-            if served.source.job or "." in feature_id
+            if not served.source.is_of_all or "." in feature_id
             else " Ids of features of all drives begin with the job: JOB.ID."
         )
         raise Problem(NO_SUCH_FEATURE, f"{found.id} has no feature {feature_id[:80]!r}.{hint}")
@@ -253,3 +267,4 @@ def _bound(endpoint: Callable[..., Response], source: Callable[..., _Served]) ->
 
 _add(of_all, "/ogc", "ogc", _of_all, {})
 _add(of_job, "/jobs/{job_id}/ogc", "job_ogc", _one_job, PROBLEMS)
+_add(of_map, "/maps/{map_id}/ogc", "map_ogc", _one_map, PROBLEMS)

@@ -30,7 +30,7 @@ from interloc.arrays import FloatArray
 from interloc.output.credits import OWN_CREDIT
 from interloc.output.derived import derived_features
 from interloc.output.geojson import DEGREE_DECIMALS, cut, damaged, encode, read_json
-from interloc.output.layers import DERIVED, LAYERS, Layer
+from interloc.output.layers import CITY_LAYERS, DERIVED, LAYERS, Layer
 from interloc.output.layout import RUN_FILE, file_names
 from interloc.output.properties import ORIGIN, Properties, ResultProperties, Time, attributes_of
 
@@ -136,6 +136,12 @@ def chunks_of(folder: Path) -> Iterator[Chunk]:
             yield from _cut(INDEXED[name], collection, run)
     except (KeyError, TypeError, ValueError, AttributeError, shapely.errors.ShapelyError) as error:
         raise damaged(folder, f"its layers are not as they were written ({error!r})") from error
+
+
+def chunks_of_layers(layers: dict[str, list[dict[str, Any]]], credit: dict[str, str] | None = None) -> Iterator[Chunk]:
+    """Yield the features of layers of a map of many drives in chunks."""
+    for name, features in layers.items():
+        yield from _cut(CITY_LAYERS[name], {"features": features, **(credit or {})}, {})
 
 
 def seconds_of(time: str | None) -> float | None:

@@ -54,8 +54,8 @@ def drive_features(
     """
     result = None if job is None else storage.folder(f"jobs/{job.id}/result")
     own = storage.folder(f"drives/{drive_id}") / TRAJECTORY[0]
-    track = (None if result is None else _geometry(result / _FILES["trajectory"])) or _geometry(own)
-    points = None if result is None else _geometry(result / _FILES["intersections"])
+    track = (None if result is None else _layer(result / _FILES["trajectory"])[0]) or _layer(own)[0]
+    points, outcomes = (None, []) if result is None else _layer(result / _FILES["intersections"])
     job_id = None if job is None else job.id
     common = {"drive": drive_id, "name": name, "job": job_id, "chosen": choice_of(pinned, job_id)}
     summary = {} if job is None else job.summary or {}
@@ -75,34 +75,36 @@ def drive_features(
             "type": "Feature",
             "id": f"{drive_id}/intersections",
             "geometry": points,
-            "properties": {"layer": "intersections", **common, **figures},
+            "properties": {"layer": "intersections", **common, **figures, "outcomes": list(outcomes)},
         }
 
 
-def _geometry(path: Path) -> dict[str, Any] | None:
-    """Return a layer as one geometry: its line simplified, or its points; None where there is none."""
+def _layer(path: Path) -> tuple[dict[str, Any] | None, tuple[str, ...]]:
+    """Return a layer as one geometry, its line simplified, or its points, or None; and the verdicts on its points."""
     try:
         stat = path.stat()
     except OSError:
-        return None
-    return _read_geometry(path, stat.st_mtime_ns, stat.st_size)
+        return None, ()
+    return _read_layer(path, stat.st_mtime_ns, stat.st_size)
 
 
 @lru_cache(_KEPT)
-def _read_geometry(path: Path, _mtime_ns: int, _size: int) -> dict[str, Any] | None:
+def _read_layer(path: Path, _mtime_ns: int, _size: int) -> tuple[dict[str, Any] | None, tuple[str, ...]]:
     try:
-        found = [each["geometry"] for each in read_json(path)["features"] if each["geometry"] is not None]
-    except (InterLocError, KeyError, TypeError):  # damaged: `interloc check` finds it
-        return None
+        features = [each for each in read_json(path)["features"] if each["geometry"] is not None]
+        found = [each["geometry"] for each in features]
+        outcomes = tuple(str(each["properties"].get("outcome", "unscored")) for each in features[:MAX_INTERSECTIONS])
+    except (InterLocError, KeyError, TypeError, AttributeError):  # damaged: `interloc check` finds it
+        return None, ()
     lines = [
         whole["coordinates"] for whole in map(joined, found) if whole is not None and whole["type"] == "LineString"
     ]
     if lines:
         lonlat = np.array(lines[0])[:, :2]
         lonlat[:, 0] = np.unwrap(lonlat[:, 0], period=360.0)  # across the antimeridian without a jump
-        return cut({"type": "LineString", "coordinates": _rounded(simplified(lonlat))})
+        return cut({"type": "LineString", "coordinates": _rounded(simplified(lonlat))}), ()
     points = [each["coordinates"][:2] for each in found if each["type"] == "Point"][:MAX_INTERSECTIONS]
-    return {"type": "MultiPoint", "coordinates": _rounded(np.array(points))} if points else None
+    return ({"type": "MultiPoint", "coordinates": _rounded(np.array(points))} if points else None), outcomes
 
 
 def simplified(lonlat: FloatArray) -> FloatArray:

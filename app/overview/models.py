@@ -34,6 +34,9 @@ class OverviewProperties(BaseModel):
     )
     title: str | None = Field(description="What that job is called; null: there is none.", examples=["default"])
     intersections: int | None = Field(description="How many intersections that job found; null: there is no such job.")
+    outcomes: list[Literal["right", "wrong", "unscored"]] | None = Field(
+        None, description="Of `intersections`: the verdict on each, in the order of the points; left out of tracks."
+    )
     verdict: str | None = Field(
         description="How many of them are right, in words; null: the job was not scored.",
         examples=["5 of 6 intersections right within 10 m, 5 of 5 nodes found, median 1.0 m"],

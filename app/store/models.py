@@ -164,6 +164,99 @@ class Job(Base):
     )
 
 
+class CityMap(Base):
+    """A map of many drives. What it shows is in its folder, and can be made anew from the results of its drives."""
+
+    __tablename__ = "maps"
+
+    id: Mapped[str] = mapped_column(primary_key=True, default=new_id)
+    name: Mapped[str]
+    owner: Mapped[str]
+    holds_all: Mapped[bool] = mapped_column(default=False)
+    """Whether all drives belong to it but those that were taken out: the map of the server."""
+    created_at: Mapped[float]
+    revision: Mapped[int] = mapped_column(default=0)
+    """How many times it was brought up to date."""
+    merged_at: Mapped[float | None]
+    epsg: Mapped[int | None]
+    """Plane in which it is fused."""
+    summary: Mapped[dict[str, Any] | None]
+    """Figures of its `city.json`."""
+    audited: Mapped[str | None]
+    """Of which revision, OSM file and verdicts its audit is."""
+    audit: Mapped[dict[str, Any] | None]
+    """Its `audit.json`; or the problem that it had."""
+    lease_owner: Mapped[str | None]
+    lease_until: Mapped[float | None]
+
+
+class MapDrive(Base):
+    """A drive that belongs to a map, or is on it, or was taken out of it."""
+
+    __tablename__ = "map_drives"
+
+    map_id: Mapped[str] = mapped_column(ForeignKey("maps.id", ondelete="CASCADE"), primary_key=True)
+    drive_id: Mapped[str] = mapped_column(primary_key=True)
+    """It may be gone: then it is taken off the map."""
+    is_member: Mapped[bool | None]
+    """None: it belongs to the map because all drives do."""
+    label: Mapped[str | None]
+    """Name of the drive on the map."""
+    job_id: Mapped[str | None]
+    """Job whose result the map holds, or refuses."""
+    problem: Mapped[str | None] = mapped_column(Text)
+    """Why it does not hold it."""
+
+
+class MapPlace(Base):
+    """A name of a place that was given on a map; none is given to another place."""
+
+    __tablename__ = "map_places"
+
+    map_id: Mapped[str] = mapped_column(ForeignKey("maps.id", ondelete="CASCADE"), primary_key=True)
+    uid: Mapped[str] = mapped_column(String(32), primary_key=True)
+    lon: Mapped[float]
+    lat: Mapped[float]
+
+
+class MapVerdict(Base):
+    """What somebody said of a finding of a map; the last one of a finding counts."""
+
+    __tablename__ = "map_verdicts"
+
+    id: Mapped[str] = mapped_column(primary_key=True, default=new_id)
+    map_id: Mapped[str] = mapped_column(ForeignKey("maps.id", ondelete="CASCADE"))
+    finding: Mapped[str] = mapped_column(String(64))
+    at: Mapped[float]
+    judgement: Mapped[dict[str, Any]]
+    """See `interloc.city.verdicts.Judgement`."""
+
+    __table_args__ = (Index("ix_map_verdicts", "map_id", "finding"),)
+
+
+class Delivery(Base):
+    """What a subscriber is told of a job: see `app.jobs.webhooks`."""
+
+    __tablename__ = "deliveries"
+
+    number: Mapped[int] = mapped_column(Integer, primary_key=True, autoincrement=True)
+    id: Mapped[str] = mapped_column(unique=True)
+    """Of the message, the same at each try."""
+    job_id: Mapped[str] = mapped_column(ForeignKey("jobs.id", ondelete="CASCADE"))
+    type: Mapped[str]
+    uri: Mapped[str] = mapped_column(Text)
+    host: Mapped[str] = mapped_column(Text)
+    body: Mapped[str] = mapped_column(Text)
+    attempts: Mapped[int] = mapped_column(Integer, default=0)
+    next_at: Mapped[float | None]
+    """When it is tried next; None: it was delivered, or given up."""
+    error: Mapped[str | None] = mapped_column(Text)
+    """Why the last try failed."""
+    delivered_at: Mapped[float | None]
+
+    __table_args__ = (Index("ix_deliveries_next", "next_at"), Index("ix_deliveries_job", "job_id"))
+
+
 class FeatureChunk(Base):
     """Some hundred features of a layer of a result, in the order of the file: what a query looks at first.
 
@@ -175,7 +268,9 @@ class FeatureChunk(Base):
 
     id: Mapped[int] = mapped_column(Integer, primary_key=True, autoincrement=True)
     """Pages of features are in this order."""
-    job_id: Mapped[str] = mapped_column(ForeignKey("jobs.id", ondelete="CASCADE"))
+    job_id: Mapped[str | None] = mapped_column(ForeignKey("jobs.id", ondelete="CASCADE"))
+    """None: they are of a map of many drives."""
+    map_id: Mapped[str | None] = mapped_column(ForeignKey("maps.id", ondelete="CASCADE"))
     layer: Mapped[str]
     number: Mapped[int] = mapped_column(Integer)
     """From 0 within the layer."""
@@ -194,6 +289,7 @@ class FeatureChunk(Base):
 
     __table_args__ = (
         UniqueConstraint("job_id", "layer", "number", name="uq_feature_chunks"),
+        UniqueConstraint("map_id", "layer", "number", name="uq_feature_chunks_of_map"),
         {"sqlite_autoincrement": True},
     )
 

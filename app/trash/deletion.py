@@ -21,6 +21,7 @@ from app.http.paging import deleted_after, deletion_cursor_of, last_deleted_firs
 from app.http.problem_types import DRIVE_IN_THE_TRASH, JOB_NOT_ENDED, NOT_IN_THE_TRASH
 from app.http.problems import Problem
 from app.jobs.queue import cancel, no_drive
+from app.jobs.titles import title_of
 from app.jobs.view import no_job
 from app.states import FINAL
 from app.store import sidecars
@@ -264,6 +265,7 @@ def _item(context: Context, row: Drive | Job, name: str) -> TrashItem:
         kind=kind,
         id=row.id,
         name=name,
+        title=title_of(row) if isinstance(row, Job) else None,
         owner=row.owner,
         size_bytes=size,
         deleted_at=moment(row.deleted_at),

@@ -16,6 +16,7 @@ class TrashItem(BaseModel):
     kind: TrashKind
     id: str = Field(examples=["5f0c2b7d9a41e386"])
     name: str = Field(description="Name of the drive, also for a job.")
+    title: str | None = Field(None, description="What a job is called; null for a drive.")
     owner: str
     size_bytes: int = Field(description="Size of what is kept of it.")
     deleted_at: datetime

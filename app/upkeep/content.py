@@ -17,7 +17,7 @@ from app.drives.records import drive_key, files_key, reduced_key, stays_uploaded
 from app.states import ACTIVE, DriveState, JobKind, JobState
 from app.store import sidecars
 from app.store.database import Database
-from app.store.models import Drive, DriveFile, Installation, Job, Token
+from app.store.models import CityMap, Drive, DriveFile, Installation, Job, MapDrive, MapPlace, MapVerdict, Token
 from app.store.storage import Storage
 from app.work.places import TRAJECTORY
 from interloc.drives.scans.reduced_format import MANIFEST
@@ -31,7 +31,9 @@ _drives, _files, _jobs = (cast("Table", table.__table__) for table in (Drive, Dr
 DRIVE_TABLES = (_drives, _files, _jobs)
 """Tables whose rows belong to a drive."""
 
-SHARED_TABLES = tuple(cast("Table", table.__table__) for table in (Installation, Token))
+SHARED_TABLES = tuple(
+    cast("Table", table.__table__) for table in (Installation, Token, CityMap, MapDrive, MapPlace, MapVerdict)
+)
 """Tables whose rows belong to the service as a whole."""
 
 

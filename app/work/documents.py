@@ -125,6 +125,10 @@ class IntersectionsOutcome(Outcome):
     peak_memory_bytes: int
     location: MapPlace | None
     report: MapScores | None
+    has_roads: bool = False
+    """Whether its layers hold a map of the roads: those of versions before do not."""
+    doubtful_labels_m: list[tuple[float, float]] = []
+    """From where to where along the track labels by geometry are doubtful."""
 
 
 class CommitOutcome(Outcome):

@@ -161,6 +161,7 @@ def _place_by_anchor(
         facts = {
             "matched_by": placed.matched_by,
             "rms_m": round(placed.rms_m, 1),
+            "clock_late_s": round(placed.late_s, 2),
             "position_std_m": round(locating.median(placed.position_std_m), 1),
         }
         uncertainty = f"{facts['position_std_m']} m (one sigma, median; what all fixes of a phone share included)"

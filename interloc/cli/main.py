@@ -26,6 +26,7 @@ COMMANDS = {
     "explain": "explain",
     "robustness": "robustness",
     "live": "live",
+    "ros": "ros",
     "export": "export",
     "merge": "merge",
     "audit": "audit",

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from interloc.cli import console, options
+from interloc.cli import console, locating, options
 from interloc.cli.fetch import bring, result_facts, result_summary, wait_for
 
 if TYPE_CHECKING:
@@ -34,6 +34,7 @@ _THREADS = 8
 @click.option("--osm", type=options.PATH, help="OSM file to send too, for the evaluation.")
 @click.option("--all-scans", is_flag=True, help="Send every scan, not only the keyframes of the default preset.")
 @click.option("--raw", is_flag=True, help="Send scans and labels as they are; the server reduces them.")
+@click.option("--network", metavar="NAME", help="Network of the server that labels the scans there; needs --raw.")
 @click.option("--keep-raw", is_flag=True, help="Let the server keep scans and labels; needs --raw.")
 @click.option(
     "--jobs", type=click.IntRange(1, 64), default=_THREADS, show_default=True, help="Number of files sent at once."
@@ -45,6 +46,9 @@ _THREADS = 8
 @click.option("--overpass", is_flag=True, help="Let the server fetch the map; needs --run.")
 @options.POLICY
 @options.TOLERANCE
+@locating.locate_option
+@locating.near_options
+@click.option("--notify", metavar="URL", help="Let the server call this address when the job ends; needs --run.")
 @options.QUIET
 @options.JSON
 def command(
@@ -56,6 +60,7 @@ def command(
     osm: Path | None,
     all_scans: bool,
     raw: bool,
+    network: str | None,
     keep_raw: bool,
     jobs: int,
     run: bool,
@@ -68,6 +73,10 @@ def command(
     tolerance_m: float,
     model: Path | None,
     provider: str,
+    locate: bool,
+    near: tuple[float, float] | None,
+    radius_km: float | None,
+    notify: str | None,
     quiet: bool,
     as_json: bool,
     **reading: Any,
@@ -80,10 +89,15 @@ def command(
     Examples:
       interloc push sequences/07 --server https://interloc.example.org
       interloc push sequences/07 --osm karlsruhe.osm.pbf --run -o out     from a drive to a result
+      interloc push drive.mcap --overpass --near 49.01,8.43 --run         without GNSS
     """
     _check_usage(run=run, fresh=fresh, out=out, osm=osm, overpass=overpass, settings=settings)
+    search = locating.search_area(near, radius_km)
+    _check_placing(run=run, by_map=locate or near is not None, has_map=osm is not None or overpass, notify=notify)
+    if locate and overpass and near is None:
+        raise click.UsageError("the map of which place is to be fetched? Say it by --near LAT,LON, or give --osm FILE")
     from interloc.client.connection import Connection
-    from interloc.client.jobs import finished, submit
+    from interloc.client.jobs import finished, placing, submit
     from interloc.client.prepare import PushOptions, prepare
     from interloc.drives.options import ReadingOptions
 
@@ -95,6 +109,7 @@ def command(
         keyframes=None if all_scans else config.keyframes,
         raw=raw,
         keep_raw=keep_raw,
+        network=network,
         maps=() if osm is None else (osm,),
         reading=ReadingOptions.of(**reading),
         model=model,
@@ -103,8 +118,11 @@ def command(
     with Connection(server, token, connections=jobs) as connection:
         connection.check_server()
         prepared = prepare(drive, push_options)
-        if run and (osm is not None or overpass) and not prepared.is_georeferenced:
-            raise options.no_georeference(prepared.name, "or leave the map out. Nothing was sent.")
+        place = placing(*search) if locate or (near is not None and not prepared.is_georeferenced) else None
+        if run and (osm is not None or overpass) and not prepared.is_georeferenced and place is None:
+            raise options.no_georeference(
+                prepared.name, "place it by its roads (--locate, --near), or leave the map out. Nothing was sent."
+            )
         pushed = _send(connection, drive, prepared, push_options, threads=jobs, quiet=quiet)
         job: JobAnswer | None = None
         if run:
@@ -114,11 +132,13 @@ def command(
                 "osm": None if osm is None else osm.name,
                 "policy": policy,
                 "tolerance_m": tolerance_m,
+                "place": place,
             }
             if not pushed.files_sent and not overpass and not fresh:
                 job = finished(connection, pushed.drive_id, **wanted)
             if job is None:
-                job = submit(connection, pushed.drive_id, overpass=overpass, **wanted)
+                told = None if notify is None else {"successUri": notify, "failedUri": notify}
+                job = submit(connection, pushed.drive_id, overpass=overpass, subscriber=told, **wanted)
             elif not quiet:
                 click.echo(f"job {job.id} has done the same already: it is not repeated (--fresh repeats it)", err=True)
             job = _finish(connection, job, out, quiet=quiet)
@@ -138,6 +158,13 @@ def _check_usage(
         raise click.UsageError("--fresh, -o, --overpass and --set need --run")
     if osm is not None and overpass:
         raise click.UsageError("give the map by one of --osm FILE and --overpass")
+
+
+def _check_placing(*, run: bool, by_map: bool, has_map: bool, notify: str | None) -> None:
+    if not run and (by_map or notify is not None):
+        raise click.UsageError("--locate, --near and --notify need --run")
+    if by_map and not has_map:
+        raise click.UsageError("--locate and --near place the drive on a map: give it by --osm FILE or --overpass")
 
 
 def _send(

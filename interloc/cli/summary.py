@@ -73,7 +73,7 @@ def report_facts(report: dict[str, Any], out: Path) -> list[tuple[str, str]]:
     """Return the main figures of report.json for a person, the map first."""
     return [
         *([("map", report["map_line"])] if "map_line" in report else []),  # servers of older versions do not send it
-        ("policy", f"{report['policy']}: {report['nodes_in_zone']} OSM nodes in the relevant zone"),
+        ("policy", f"{report['policy']}: {counted(report['nodes_in_zone'], 'OSM node')} in the relevant zone"),
         ("by detections", f"{report['nodes_found']} of {report['nodes_in_zone']} nodes have one within 5 m"),
         ("center error", f"{metres(report['ace_m'])} mean (ACE), {metres(report['median_m'])} median"),
         ("at D = 5 m", f"precision {percent(report['precision']['5.0'])}, recall {percent(report['recall']['5.0'])}"),

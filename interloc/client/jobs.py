@@ -32,6 +32,8 @@ def submit(
     overpass: bool = False,
     policy: Policy = "drive",
     tolerance_m: float = 15.0,
+    place: dict[str, Any] | None = None,
+    subscriber: dict[str, str] | None = None,
     name: str | None = None,
 ) -> JobAnswer:
     """Let the service find the intersections of a drive, and score them where a map is given.
@@ -50,6 +52,10 @@ def submit(
         Let the service fetch the present map from OpenStreetMap instead.
     policy, tolerance_m
         Which OSM nodes count as intersections.
+    place
+        Place the drive on the map by its roads, and where to search: the members of `placing`.
+    subscriber
+        Addresses that the service calls when the job begins or ends, if it may.
     name
         Name of the job in lists.
 
@@ -67,10 +73,19 @@ def submit(
         request["labels"] = labels
     if osm is not None or overpass:
         request["osm"] = {"overpass": True} if osm is None else {"file": osm}
+    request |= place or {}
+    if subscriber is not None:
+        request["subscriber"] = subscriber
     if name is not None:
         request["name"] = name
     # The key makes it safe to ask again when an answer is lost: there will be one job.
     return connection.ask("POST", "/jobs", JobAnswer, json=request, headers={"Idempotency-Key": secrets.token_hex(16)})
+
+
+def placing(near: tuple[float, float] | None, radius_m: float | None = None) -> dict[str, Any]:
+    """Return what of a request says that a drive is to be placed on the map, and around which latitude, longitude."""
+    there = None if near is None else {"lat_deg": near[0], "lon_deg": near[1], "radius_km": (radius_m or 3000.0) / 1e3}
+    return {"georeference": "map", "near": there}
 
 
 def finished(
@@ -82,6 +97,7 @@ def finished(
     osm: str | None,
     policy: Policy,
     tolerance_m: float,
+    place: dict[str, Any] | None = None,
 ) -> JobAnswer | None:
     """Return the newest job of a drive that has done what `submit` would ask for; None where there is none.
 
@@ -93,7 +109,7 @@ def finished(
         "osm": None if osm is None else {"file": osm},
         "policy": policy,
         "tolerance_m": tolerance_m,
-        "georeference": "drive",
+        **(placing(None) | {"georeference": "drive"} if place is None else place),
     }
     address = f"/jobs?drive={quote(drive_id, safe='')}&state=successful&limit=1000"
     for job in connection.ask("GET", address, JobsAnswer).jobs:

@@ -45,6 +45,8 @@ class PushOptions:
         Folder of a network that labels the scans here; label files do not count.
     provider : str
         What the network runs on.
+    network : str or None
+        Name of a network of the server that labels the scans there; needs `raw`.
     """
 
     name: str | None = None
@@ -56,6 +58,7 @@ class PushOptions:
     maps: tuple[Path, ...] = ()
     model: Path | None = None
     provider: str = "cpu"
+    network: str | None = None
 
     @property
     def for_drive(self) -> DriveOptions:
@@ -68,6 +71,8 @@ class PushOptions:
                 "--model labels the scans here: it goes neither with --labels nor with --raw, by which the server "
                 "gets scans without labels."
             )
+        if self.network is not None and not self.raw:
+            raise ConfigError("--network labels the scans on the server, which needs them as they are: give --raw too.")
         if self.keep_raw and not self.raw:
             raise ConfigError("--keep-raw: the server has no raw scans to keep unless they are sent (--raw).")
         if self.name is not None and (not self.name.strip() or len(self.name) > 200 or not _is_plain(self.name)):
@@ -174,7 +179,9 @@ def _as_it_is(root: Path, reduction: Reduction, options: PushOptions, maps: list
         for frame in plan.frames:
             for path in source.files(int(frame)):
                 scans[path.relative_to(root).as_posix()] = path
-    by_geometry = {"labels": "geometry"} if "geometry" in reduction.scans else {}
+    labelled: dict[str, str] = {"labels": "geometry"} if "geometry" in reduction.scans else {}
+    if options.network is not None:
+        labelled = {"model": options.network}
     given = manifest.files.geo or manifest.files.oxts if options.reading.oxts is not None else None
     return PreparedDrive(
         name=manifest.name,
@@ -186,7 +193,7 @@ def _as_it_is(root: Path, reduction: Reduction, options: PushOptions, maps: list
             *(_small_file(name, source) for name, source in plan.copies.sources.items()),
             *(UploadFile(name, path) for name, path in scans.items()),
         ],
-        options={**options.reading.model_dump(), "oxts": given, **by_geometry},
+        options={**options.reading.model_dump(), "oxts": given, **labelled},
         maps=maps,
     )
 

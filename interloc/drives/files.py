@@ -11,6 +11,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, replace
+from datetime import datetime
 from pathlib import Path
 from typing import ClassVar
 
@@ -209,6 +210,18 @@ def is_number(text: str) -> bool:
     except ValueError:
         return False
     return True
+
+
+def seconds_of(text: str) -> float:
+    """Read seconds, or a date and time with up to nanoseconds (KITTI raw); NaN where it is neither."""
+    if is_number(text):
+        return float(text)
+    whole, _, fraction = text.strip().partition(".")
+    try:
+        moment = datetime.fromisoformat(whole + "+00:00")
+        return moment.timestamp() + (float("0." + fraction) if fraction else 0.0)
+    except ValueError:
+        return float("nan")
 
 
 @dataclass(frozen=True)

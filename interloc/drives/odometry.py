@@ -27,7 +27,7 @@ from interloc.odometry.registration import MIN_INLIER_SHARE, register, require_s
 from interloc.processes import Progress
 from interloc.wording import counted
 
-_METHOD = "odometry 7"
+_METHOD = "odometry 8"
 """Tracks that another version of the method made are computed anew."""
 
 _BRIDGED = "it was taken to keep its speed"

@@ -14,7 +14,7 @@ from interloc.drives.files import SourceFile, each_read_once
 from interloc.drives.findings import Findings
 from interloc.drives.folder import FolderDrive, Scans
 from interloc.drives.formats import FORMATS, ScanFormat, find_format, installed_formats
-from interloc.drives.georeference.geodetic import check_georeference, check_shift
+from interloc.drives.georeference.geodetic import check_against_poses
 from interloc.drives.labels import SEMANTICKITTI, LabelJudgement
 from interloc.drives.layouts import SCAN_FOLDERS, not_a_drive, recognise_layout
 from interloc.drives.odometry import how_made, track_file
@@ -304,8 +304,5 @@ def _checked(reading: DriveReading, findings: Findings) -> DriveReading:
         scans.tell_doubts(findings)
     if drive.georeference is None or drive.pose_frame == "oxts":
         return reading
-    errors = findings.errors
-    error = check_georeference(drive.T_world_lidar, drive.georeference, findings)
-    if findings.errors == errors:
-        check_shift(drive.T_world_lidar, drive.georeference, findings)
+    error = check_against_poses(drive.T_world_lidar, drive.georeference, findings)
     return replace(reading, georeference_error=error)

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from datetime import datetime
 
 import numpy as np
 
 from interloc.arrays import FloatArray, IntArray
 from interloc.drive import Georeference
-from interloc.drives.files import SourceFile, gaps, is_number, listed, missing_numbers, rows_by_frame
+from interloc.drives.files import SourceFile, gaps, listed, missing_numbers, rows_by_frame, seconds_of
 from interloc.drives.findings import DriveFileError, Findings
 from interloc.drives.georeference.geodetic import poses_of
 from interloc.drives.georeference.kitti360 import georeference_of_kitti360, is_karlsruhe
@@ -113,7 +112,7 @@ def read_trajectory(
     poses, pose_count, is_odd = None, 0, False
     with findings.stage():
         try:
-            georeference = read_georeference(parts, frames, options.oxts)
+            georeference = read_georeference(parts, frames, options.oxts, findings)
         except InterLocError as error:
             reason = str(error)
             if options.oxts is not None or not parts.in_kitti360_world:  # its poses may tell
@@ -328,7 +327,7 @@ def _read_times(file: SourceFile, frames: IntArray, findings: Findings) -> Float
         )
         return None
     chosen = [lines[row] for row in rows]
-    times = np.array([_seconds(text) for text in chosen])
+    times = np.array([seconds_of(text) for text in chosen])
     if not np.isfinite(times).all():
         row = int(np.argmax(~np.isfinite(times)))
         findings.warning(file.name, f"line {rows[row] + 1}: {chosen[row][:40]!r} is not a time; times are not used.")
@@ -338,15 +337,3 @@ def _read_times(file: SourceFile, frames: IntArray, findings: Findings) -> Float
         findings.warning(file.name, f"line {rows[row + 1] + 1}: time runs backwards; times are not used.")
         return None
     return times
-
-
-def _seconds(text: str) -> float:
-    """Read seconds, or a date and time with up to nanoseconds (KITTI raw); NaN where it is neither."""
-    if is_number(text):
-        return float(text)
-    whole, _, fraction = text.partition(".")
-    try:
-        moment = datetime.fromisoformat(whole + "+00:00")
-        return moment.timestamp() + (float("0." + fraction) if fraction else 0.0)
-    except ValueError:
-        return float("nan")

@@ -1,7 +1,8 @@
 """Placing a drive by the track of a phone or a watch that was along: a GPX file.
 
-The two tracks are laid on each other by time where both know the hour, else by shape: the drive is slid along the track
-of the file, each time with the best rigid motion (Arun et al. 1987, in the plane). Then the drive is bent onto the
+The two tracks are laid on each other by time where both know the hour, and a shift between their clocks is put right
+where it is sure; else by shape: the drive is slid along the track of the file, each time with the best rigid motion
+(Arun et al. 1987, in the plane). Then the drive is bent onto the
 track as it is bent onto the roads of a map (`interloc.localization.refine`): the file says where it ran, the odometry
 how smoothly.
 """
@@ -14,6 +15,7 @@ import numpy as np
 
 from interloc.arrays import FloatArray
 from interloc.drive import Drive, Georeference
+from interloc.drives.georeference.shift import Shift, fit_shift
 from interloc.errors import LocationError
 from interloc.geometry import rotate_2d, thin
 from interloc.gpx import GpxTrack
@@ -36,6 +38,7 @@ _APART_M = 50.0
 _LEAD = 2.0  # the next place along the track must fit that much worse
 _SLIDE_M = 5.0
 _SHARE = 0.8  # of the drive that the track must cover
+_MUCH_SCATTER = 2.0
 _STEP_M = 5.0  # points of the track that are closer are scatter, above all where it stands
 
 
@@ -51,12 +54,15 @@ class GpxPlacement:
         Of the distances of the drive from the track, before it was bent onto it.
     position_std_m : (N,) float64
         One sigma of the position of each scan, what all fixes share included.
+    late_s : float
+        By how much the clock of the track was put right: so much its fixes are late, early where it is negative.
     """
 
     georeference: Georeference
     matched_by: str
     rms_m: float
     position_std_m: FloatArray
+    late_s: float = 0.0
 
 
 def georeference_by_gpx(drive: Drive, gpx: GpxTrack) -> GpxPlacement:
@@ -76,9 +82,16 @@ def georeference_by_gpx(drive: Drive, gpx: GpxTrack) -> GpxPlacement:
     roads = _as_roads(gpx)
     xy = roads.xy(gpx.lonlat)
     chain = Chain.of(track, no_sightings())
-    target = _by_time(drive, track, chain, gpx, xy)
-    matched_by = "shape" if target is None else "time"
+    matched_by, late_s = "shape", 0.0
+    target = None
+    if (times_s := _common_clock(drive, gpx)) is not None:
+        shift_s = _clock_shift(times_s, track, gpx, xy)
+        if shift_s is None or shift_s.is_sure:  # else the shape alone must tell where it is
+            late_s = 0.0 if shift_s is None else shift_s.late
+            target = _by_time(times_s + late_s, track, chain, gpx, xy)
+            matched_by = "shape" if target is None else "time"
     if target is None:
+        late_s = 0.0
         target = _by_shape(drive.name, chain, xy[thin(xy, _STEP_M)], gpx.source)
     turn, shift, rms_m = _rigid(chain.pose[:, :2], target)
     if rms_m > MAX_RMS_M:
@@ -91,9 +104,10 @@ def georeference_by_gpx(drive: Drive, gpx: GpxTrack) -> GpxPlacement:
     bent = fit(chain, start, ways, nodes)
     covariance = uncertainty(chain, bent, ways, nodes)
     rows = np.round(np.interp(track.at_m, chain.at_m, np.arange(len(chain)))).astype(np.int64)
-    georeference = georeference_by(chain, bent, track, roads, f"the track {gpx.source} (by {matched_by})")
+    moved = f", whose clock is put right by {-late_s:+.1f} s" if late_s else ""
+    georeference = georeference_by(chain, bent, track, roads, f"the track {gpx.source} (by {matched_by}{moved})")
     position_std_m = np.sqrt((covariance[rows, 0, 0] + covariance[rows, 1, 1]) / 2.0 + FIX_STD_M**2)
-    return GpxPlacement(replace(georeference, position_std_m=position_std_m), matched_by, rms_m, position_std_m)
+    return GpxPlacement(replace(georeference, position_std_m=position_std_m), matched_by, rms_m, position_std_m, late_s)
 
 
 def _as_roads(gpx: GpxTrack) -> RoadMap:
@@ -113,11 +127,27 @@ def _as_roads(gpx: GpxTrack) -> RoadMap:
     return road_map(graph)
 
 
-def _by_time(drive: Drive, track: Track, chain: Chain, gpx: GpxTrack, xy: FloatArray) -> FloatArray | None:
-    """Return where the poses of the chain were, (n, 2), by the clocks of both; None where they do not say."""
+def _common_clock(drive: Drive, gpx: GpxTrack) -> FloatArray | None:
+    """Return the times of the scans, where both know the hour and the track was recorded meanwhile."""
     times_s = drive.times_s
     if times_s is None or gpx.time_s is None or times_s[0] < EPOCH_S:
         return None
+    during = (times_s >= gpx.time_s[0]) & (times_s <= gpx.time_s[-1])
+    return times_s if during.mean() >= _SHARE else None
+
+
+def _clock_shift(times_s: FloatArray, track: Track, gpx: GpxTrack, xy: FloatArray) -> Shift | None:
+    """Find out whether the track is late against the drive, by more than the scatter of its fixes pretends."""
+    assert gpx.time_s is not None
+    shift = fit_shift(times_s, track.xy, gpx.time_s, xy)
+    if shift is None or shift.metres < FIX_STD_M or not (shift.is_sure or shift.before_m > _MUCH_SCATTER * FIX_STD_M):
+        return None
+    return shift
+
+
+def _by_time(times_s: FloatArray, track: Track, chain: Chain, gpx: GpxTrack, xy: FloatArray) -> FloatArray | None:
+    """Return where the poses of the chain were, (n, 2), by the clock of the track; None where it hardly covers them."""
+    assert gpx.time_s is not None
     then = np.interp(chain.at_m, track.at_m, times_s)
     if ((then >= gpx.time_s[0]) & (then <= gpx.time_s[-1])).mean() < _SHARE:
         return None

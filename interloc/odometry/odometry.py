@@ -129,7 +129,13 @@ class Odometry:
             alone = register_clouds(cloud, self._before, step)
             is_held = alone.inlier_share >= _HELD_SHARE and alone.information >= _HELD_INFORMATION
             if not is_held or _is_far(alone.T_target_source, step):
-                searched = _searched(cloud, self._before, expected)
+                try:
+                    searched = _searched(cloud, self._before, expected)
+                except _UnheldError:
+                    _check(found, expected)
+                    self.is_bridged = True
+                    self._count(expected)
+                    return self._pose @ expected
                 found, step, self.is_bridged = self._laid_on_map(cloud, searched)
                 if _is_far(step, searched):
                     raise DriveError(
@@ -182,6 +188,10 @@ def _is_far(step: FloatArray, other: FloatArray) -> bool:
     return _length(between) > _MAX_CHANGE_M + _MAX_CHANGE * _length(other) or bool(turned > _MAX_CHANGE_RAD)
 
 
+class _UnheldError(DriveError):
+    """Nothing tells the motion along some direction."""
+
+
 def _searched(cloud: Cloud, before: Cloud, expected: FloatArray) -> FloatArray:
     """Return the motion between two scans, wherever around the expected one it is.
 
@@ -194,7 +204,7 @@ def _searched(cloud: Cloud, before: Cloud, expected: FloatArray) -> FloatArray:
     if not found.is_certain:
         _check(found.best, found.best.T_target_source)
         if found.best.information < MIN_INFORMATION:
-            raise DriveError(
+            raise _UnheldError(
                 "little in it tells how far it is from the scan before it. Usual cause: points on the ground only, a "
                 f"tunnel, an open field, or scans more than {_SEARCHED_M:.0f} m apart; give poses, or all scans."
             )

@@ -10,9 +10,11 @@ import sqlite3
 from collections.abc import Sequence
 from pathlib import Path
 
-from interloc.output.credits import Credit
+from interloc.mapping.mosaic import TILE, Mosaic
+from interloc.output.credits import OWN_CREDIT, Credit
 from interloc.output.layers import Layer
 from interloc.output.qml import metadata, qml
+from interloc.output.road import ROAD_LAYER, ROAD_TITLE, png_of
 from interloc.output.sld import sld
 
 _JSON_URI = "https://www.rfc-editor.org/rfc/rfc8259"
@@ -47,6 +49,20 @@ CREATE TABLE IF NOT EXISTS layer_styles (
 INSERT OR REPLACE INTO gpkg_contents (table_name, data_type, identifier, description)
   VALUES ('layer_styles', 'attributes', 'layer_styles', 'How QGIS draws the layers.');
 """
+
+_TILES = """
+CREATE TABLE IF NOT EXISTS gpkg_tile_matrix_set (
+  table_name TEXT NOT NULL PRIMARY KEY, srs_id INTEGER NOT NULL, min_x DOUBLE NOT NULL, min_y DOUBLE NOT NULL,
+  max_x DOUBLE NOT NULL, max_y DOUBLE NOT NULL);
+CREATE TABLE IF NOT EXISTS gpkg_tile_matrix (
+  table_name TEXT NOT NULL, zoom_level INTEGER NOT NULL, matrix_width INTEGER NOT NULL, matrix_height INTEGER NOT NULL,
+  tile_width INTEGER NOT NULL, tile_height INTEGER NOT NULL, pixel_x_size DOUBLE NOT NULL, pixel_y_size DOUBLE NOT NULL,
+  CONSTRAINT pk_ttm PRIMARY KEY (table_name, zoom_level));
+CREATE TABLE road (
+  id INTEGER PRIMARY KEY AUTOINCREMENT, zoom_level INTEGER NOT NULL, tile_column INTEGER NOT NULL,
+  tile_row INTEGER NOT NULL, tile_data BLOB NOT NULL, UNIQUE (zoom_level, tile_column, tile_row));
+"""
+_MAX_LEVELS = 5
 
 _SCHEMA, _METADATA = (f"http://www.geopackage.org/spec121/#extension_{name}" for name in ("schema", "metadata"))
 _EXTENSIONS = [
@@ -104,6 +120,64 @@ def describe(database: Path, layers: Sequence[tuple[Layer, Credit]], run: str) -
                 _add_metadata(connection, layer.name, _QGIS_URI, "text/xml", metadata(layer, credit))
     finally:
         connection.close()
+
+
+def add_road(database: Path, mosaic: Mosaic) -> None:
+    """Add the road seen by LiDAR to a GeoPackage as tiles, the picture of the page, in cells of 0.5 m and coarser ones.
+
+    Raises
+    ------
+    sqlite3.Error
+        The disk is full.
+    """
+    rasters = [mosaic.raster]
+    while len(rasters[-1].tiles) > 1 and len(rasters) < _MAX_LEVELS:
+        rasters.append(rasters[-1].coarser())
+    step = 2 ** (len(rasters) - 1)  # every level must have the same corners
+    top, left, bottom, right = mosaic.raster.extent()
+    top, left = top // step, left // step
+    rows, columns = bottom // step - top + 1, right // step - left + 1
+    side = step * TILE * mosaic.raster.cell_m
+    box = (left * side, -(top + rows) * side, (left + columns) * side, -top * side)
+    srs = -1 if mosaic.epsg is None else mosaic.epsg
+    connection = sqlite3.connect(database)
+    try:
+        with connection:
+            connection.executescript(_TILES)
+            if mosaic.epsg is not None:
+                _add_crs(connection, mosaic.epsg)
+            connection.execute(
+                "INSERT INTO gpkg_contents (table_name, data_type, identifier, description, min_x, min_y, max_x, "
+                "max_y, srs_id) VALUES (?, 'tiles', ?, ?, ?, ?, ?, ?, ?)",
+                (ROAD_LAYER, ROAD_TITLE, OWN_CREDIT.attribution, *box, srs),
+            )
+            connection.execute("INSERT INTO gpkg_tile_matrix_set VALUES (?, ?, ?, ?, ?, ?)", (ROAD_LAYER, srs, *box))
+            for level, raster in enumerate(reversed(rasters)):
+                many, cell = 2**level, raster.cell_m
+                connection.execute(
+                    "INSERT INTO gpkg_tile_matrix VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
+                    (ROAD_LAYER, level, columns * many, rows * many, TILE, TILE, cell, cell),
+                )
+                connection.executemany(
+                    "INSERT INTO road (zoom_level, tile_column, tile_row, tile_data) VALUES (?, ?, ?, ?)",
+                    (
+                        (level, column - left * many, row - top * many, png_of(tile))
+                        for (row, column), tile in raster.tiles.items()
+                    ),
+                )
+    finally:
+        connection.close()
+
+
+def _add_crs(connection: sqlite3.Connection, epsg: int) -> None:
+    from pyproj import CRS  # noqa: PLC0415 - slow to import
+
+    crs = CRS.from_epsg(epsg)
+    connection.execute(
+        "INSERT OR IGNORE INTO gpkg_spatial_ref_sys (srs_name, srs_id, organization, organization_coordsys_id, "
+        "definition) VALUES (?, ?, 'EPSG', ?, ?)",
+        (crs.name, epsg, epsg, crs.to_wkt("WKT1_GDAL")),
+    )
 
 
 def _add_metadata(connection: sqlite3.Connection, table: str | None, uri: str, mime_type: str, text: str) -> None:

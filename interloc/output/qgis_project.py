@@ -19,8 +19,10 @@ from interloc.arrays import FloatArray
 from interloc.mapping.mosaic import utm_zone
 from interloc.output.credits import ODBL
 from interloc.output.layers import Layer, Rows
+from interloc.output.layout import ROAD_FILE
 from interloc.output.qml import VERSION, attributes, document, elements, metadata_elements
-from interloc.output.styles import GROUPS, STYLES
+from interloc.output.road import ALPHA, GREY, ROAD_LAYER, ROAD_TITLE
+from interloc.output.styles import GROUPS, ROAD_GROUP, STYLES
 
 _DATA = "result.gpkg"
 _MARGIN = 0.08  # of the extent, around it
@@ -47,7 +49,10 @@ class Source:
     place: str
 
 
-def write_qgz(out: Path, database: Path, layers: Layers, name: str, *, local: bool) -> None:
+_ROAD = Source("gdal", f"attachment:{ROAD_FILE}")
+
+
+def write_qgz(out: Path, database: Path, layers: Layers, name: str, *, local: bool, road: Path | None = None) -> None:
     """Write a project with its data.
 
     Parameters
@@ -62,18 +67,24 @@ def write_qgz(out: Path, database: Path, layers: Layers, name: str, *, local: bo
         Title of the project.
     local
         Whether the layers are in metres of their own frame.
+    road
+        The road seen by LiDAR, a GeoTIFF, where there is one; it lies below the others.
     """
 
     def source_of(layer: Layer) -> Source:
         return Source("ogr", f"attachment:{_DATA}|layername={layer.name}")
 
-    text = project(layers, name, source_of, local=local)
+    text = project(layers, name, source_of, local=local, has_road=road is not None)
     with ZipFile(out, "w", ZIP_DEFLATED) as archive:
         archive.writestr(ZipInfo("project.qgs"), text, ZIP_DEFLATED)
         archive.write(database, _DATA)
+        if road is not None:
+            archive.write(road, ROAD_FILE)
 
 
-def project(layers: Layers, name: str, source_of: Callable[[Layer], Source], *, local: bool = False) -> str:
+def project(
+    layers: Layers, name: str, source_of: Callable[[Layer], Source], *, local: bool = False, has_road: bool = False
+) -> str:
     """Return a project as a document of QGIS (``.qgs``).
 
     Parameters
@@ -86,6 +97,8 @@ def project(layers: Layers, name: str, source_of: Callable[[Layer], Source], *, 
         Tells where the data of a layer is.
     local
         Whether the layers are in metres of their own frame.
+    has_road
+        Whether the road seen by LiDAR lies beside the project, as `road.tif`.
     """
     there = {layer.name: (layer, rows) for layer, rows in layers}
     points = there["keyframes"][1].points()
@@ -94,11 +107,18 @@ def project(layers: Layers, name: str, source_of: Callable[[Layer], Source], *, 
     ET.SubElement(root, "title").text = name
     _add_crs(ET.SubElement(root, "projectCrs"), epsg)
     groups = {title: [each for each in names if each in there] for title, names in GROUPS.items()}
-    root.append(_tree(groups, lambda each: source_of(there[each][0])))
+    tree = _tree(groups, lambda each: source_of(there[each][0]))
+    root.append(tree)
     shown = ET.SubElement(root, "projectlayers")
     for each in (name for names in groups.values() for name in names):
         layer, rows = there[each]
         shown.append(_layer(layer, rows, source_of(layer), None if local else 4326))
+    if has_road:
+        group = tree.find(f"layer-tree-group[@name='{ROAD_GROUP}']")
+        (tree if group is None else group).append(
+            _tree_layer(ROAD_LAYER, ROAD_TITLE, _ROAD, is_shown=True, is_open=False)
+        )
+        shown.append(_road(None if local else epsg))
     times = list(_times(layers))
     root.append(_properties(credited=any(rows.credit.license == ODBL for _, rows in layers), times=times))
     about = ET.SubElement(root, "projectMetadata")
@@ -116,19 +136,40 @@ def _tree(groups: Mapping[str, Sequence[str]], source_of: Callable[[str], Source
             continue
         group = ET.SubElement(root, "layer-tree-group", {"name": title, "checked": "Qt::Checked", "expanded": "1"})
         for name in names:
-            style, source = STYLES[name], source_of(name)
-            ET.SubElement(
-                group,
-                "layer-tree-layer",
-                {
-                    "id": _id(name),
-                    "name": style.title,
-                    "source": source.place,
-                    "providerKey": source.provider,
-                    "checked": "Qt::Checked" if style.is_shown else "Qt::Unchecked",
-                    "expanded": "1" if len(style.rules) > 1 else "0",
-                },
-            )
+            style = STYLES[name]
+            is_open = len(style.rules) > 1
+            group.append(_tree_layer(name, style.title, source_of(name), is_shown=style.is_shown, is_open=is_open))
+    return root
+
+
+def _tree_layer(name: str, title: str, source: Source, *, is_shown: bool, is_open: bool) -> ET.Element:
+    return ET.Element(
+        "layer-tree-layer",
+        {
+            "id": _id(name),
+            "name": title,
+            "source": source.place,
+            "providerKey": source.provider,
+            "checked": "Qt::Checked" if is_shown else "Qt::Unchecked",
+            "expanded": "1" if is_open else "0",
+        },
+    )
+
+
+def _road(epsg: int | None) -> ET.Element:
+    """Return the layer of the road seen by LiDAR, drawn as on the page."""
+    root = ET.Element("maplayer", {"type": "raster"})
+    for tag, text in (("id", _id(ROAD_LAYER)), ("datasource", _ROAD.place), ("layername", ROAD_TITLE)):
+        ET.SubElement(root, tag).text = text
+    _add_crs(ET.SubElement(root, "srs"), epsg)
+    ET.SubElement(root, "provider").text = _ROAD.provider
+    band = {"type": "singlebandpseudocolor", "band": "1", "opacity": "1", "alphaBand": "-1"}
+    renderer = ET.SubElement(ET.SubElement(root, "pipe"), "rasterrenderer", band)
+    ramp = ET.SubElement(ET.SubElement(renderer, "rastershader"), "colorrampshader", {"colorRampType": "DISCRETE"})
+    colour = "#{:02x}{:02x}{:02x}".format(*GREY)
+    for value, alpha in enumerate(ALPHA):
+        item = {"value": "inf" if value == len(ALPHA) - 1 else str(value), "label": str(value), "color": colour}
+        ET.SubElement(ramp, "item", {**item, "alpha": str(alpha)})
     return root
 
 

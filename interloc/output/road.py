@@ -36,8 +36,9 @@ _OTHER_DESCRIPTION = "Other ground seen by LiDAR, counted like the road of the f
 _PIXEL_SCALE, _TIEPOINT, _GEO_KEYS, _NODATA = 33550, 33922, 34735, 42113  # tags of GeoTIFF and GDAL
 _MODEL_TYPE, _RASTER_TYPE, _PROJECTED_CRS = 1024, 1025, 3072  # keys of GeoTIFF
 _PROJECTED, _PIXEL_IS_AREA = 1, 1
-_GREY = (146, 156, 164)
-_ALPHA = (0, 100, 160, 210)  # of 0, 1, 2, 3 and more
+GREY = (146, 156, 164)
+ALPHA = (0, 100, 160, 210)
+"""Of cells that 0, 1, 2, 3 and more keyframes saw as road."""
 
 _BLOCK = 256  # pixels of the picture per piece that is taken for plane
 _WEB_MERCATOR, _LONLAT = 3857, 4326
@@ -221,7 +222,7 @@ def draw_road(mosaic: Mosaic) -> Picture:
     if mosaic.epsg is not None:
         edge = _transform(_WEB_MERCATOR, _LONLAT)(edge)
     (west, south), (east, north) = edge.tolist()
-    return Picture(_png(cells), (west, south, east, north), (width, height), raster.cell_m)
+    return Picture(png_of(cells), (west, south, east, north), (width, height), raster.cell_m)
 
 
 def _draw_block(raster: Raster, corners: FloatArray, part: UInt8Array) -> None:
@@ -240,13 +241,14 @@ def _draw_block(raster: Raster, corners: FloatArray, part: UInt8Array) -> None:
     part[:] = cv2.warpAffine(window, affine, part.shape[::-1], flags=flags)
 
 
-def _png(cells: UInt8Array) -> bytes:
+def png_of(cells: UInt8Array) -> bytes:
+    """Return cells as a picture: the more keyframes saw a cell, the less transparent it is."""
     from PIL import Image  # noqa: PLC0415
 
-    picture = Image.fromarray(np.minimum(cells, len(_ALPHA) - 1))
-    picture.putpalette(_GREY * len(_ALPHA))
+    picture = Image.fromarray(np.minimum(cells, len(ALPHA) - 1))
+    picture.putpalette(GREY * len(ALPHA))
     buffer = io.BytesIO()
-    picture.save(buffer, "PNG", transparency=bytes(_ALPHA), bits=2, compress_level=6)
+    picture.save(buffer, "PNG", transparency=bytes(ALPHA), bits=2, compress_level=6)
     return buffer.getvalue()
 
 

@@ -12,7 +12,7 @@ from typing import Literal
 from interloc.output.layers import BUILDINGS, PLACES
 
 Shape = Literal["disc", "square", "diamond", "triangle", "plus", "cross"]
-Glyph = Literal["check", "bang"]
+Glyph = Literal["check", "bang", "gap"]
 Path = tuple[tuple[float, float], ...]
 
 RIGHT, WRONG, PAPER = "#007a59", "#c24f00", "#ffffff"
@@ -36,6 +36,7 @@ OUTLINES: dict[Shape | Glyph, tuple[Path, ...]] = {
     "triangle": (((0, -1), (1.15, 1), (-1.15, 1)),),
     "check": (((-0.5, 0), (-0.15, 0.38), (0.5, -0.38)),),
     "bang": (((0, -0.4), (0, 0.32)), ((0, 0.68), (0, 0.7))),
+    "gap": (((-0.5, 0), (0.5, 0)),),
 }
 """Shapes that are not round, at half size 1, y down; cross and glyphs are open lines."""
 
@@ -191,8 +192,8 @@ STYLES = {
     "osm_nodes": Style(
         "OSM intersections",
         (
-            Rule("found", "Found", Mark("square", FOUND, 9, is_filled=False, width_px=2.4)),
-            Rule("missed", "Missed", Mark("diamond", MISSED, 8, is_filled=False, width_px=2.6)),
+            Rule("found", "Found", Mark("square", FOUND, 9, is_filled=False, width_px=2)),
+            Rule("missed", "Missed", Mark("diamond", MISSED, 8, width_px=1.6, edge=PAPER, glyph="gap")),
             Rule("outside", "Out of reach", Mark("square", OUTSIDE, 4, is_filled=False, width_px=1.2)),
         ),
         field="outcome",
@@ -221,10 +222,11 @@ STYLES = {
 }
 """Layer -> how it is drawn."""
 
+ROAD_GROUP = "Roads seen by LiDAR"
 GROUPS = {
     "Verdict": ("intersections", "osm_nodes", "branches", "uncertainty"),
     "Evidence": ("detections", "matches", "keyframes", "trajectory"),
-    "Roads seen by LiDAR": ("roads", "junctions", "road_surface"),
+    ROAD_GROUP: ("roads", "junctions", "road_surface"),
     "Map of OpenStreetMap": (PLACES, "osm_roads", BUILDINGS),
 }
 """Groups of layers, and the layers of each, from the top to the bottom of the map."""

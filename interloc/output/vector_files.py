@@ -24,14 +24,15 @@ from interloc.errors import ConfigError, GeoreferenceError, OutputError
 from interloc.files import atomic_write, reason_of
 from interloc.output.derived import derive
 from interloc.output.geojson import cut, read_file, read_json, write_collection
-from interloc.output.geopackage import describe
+from interloc.output.geopackage import add_road, describe
 from interloc.output.geoparquet import has_parquet, parquet_bytes, require_parquet
 from interloc.output.gpx import GPX_LAYERS, write_gpx
 from interloc.output.kml import NAMES, pack_kmz, style_kml
 from interloc.output.layers import BUILDINGS, DERIVED, LAYERS, PLACES, Layer, Rows
-from interloc.output.layout import RUN_FILE, file_names, refuse_result_file
+from interloc.output.layout import ROAD_FILE, ROAD_LAYERS, RUN_FILE, file_names, refuse_result_file
 from interloc.output.properties import origin_of
 from interloc.output.qgis_project import Source, project, write_qgz
+from interloc.output.road import read_road
 from interloc.output.vector_tiles import TiledLayer, write_tiles
 
 EXPORTS = LAYERS | DERIVED
@@ -171,9 +172,14 @@ def _write_database(export: _Export) -> None:
         for number, (layer, rows) in enumerate(layers):
             _write_layer(database, "GPKG", layer, rows, append=number > 0)
         describe(database, [(layer, rows.credit) for layer, rows in layers], run)
+        road: Path | None = export.result / ROAD_FILE
+        if road is not None and road.is_file():
+            add_road(database, read_road(road))
+        else:
+            road = None
         if export.out.suffix.lower() == ".qgz":
             data, database = database, database.with_name("project")
-            write_qgz(database, data, layers, export.name, local=_in_metres(layers[0][1]))
+            write_qgz(database, data, layers, export.name, local=_in_metres(layers[0][1]), road=road)
         with database.open("rb") as file:
             os.fsync(file.fileno())
         database.replace(export.out)
@@ -254,6 +260,8 @@ def _why_missing(result: Path, layer: str) -> str:
         return f"It is in metres of its own frame: the drive has no georeference. {PLACE_IT}."
     if layer == PLACES:
         return "Only a drive that was placed on the map by its roads has it: `interloc run --locate` does that."
+    if layer in ROAD_LAYERS:
+        return "An older version of InterLoc made it, without a map of the roads; `interloc detect` draws one."
     if (result / "report.json").exists():
         if layer == BUILDINGS and "buildings" in read_json(result / "report.json").get("osm", {}):
             return "The map that it was scored against has no buildings near the drive."

@@ -14,6 +14,7 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from types import MappingProxyType
 from typing import Literal
 
 import numpy as np
@@ -25,7 +26,7 @@ from interloc.detection.keyframes import select_keyframes
 from interloc.drives.checks import sample_indices
 from interloc.drives.files import EMPTY, NumberedFiles, SourceFile, each_read_once, list_numbered
 from interloc.drives.findings import DriveFileError, Finding, Findings, by_severity
-from interloc.drives.georeference.geodetic import check_georeference
+from interloc.drives.georeference.geodetic import check_against_poses
 from interloc.drives.layouts import PCD_ENDINGS, POSE_FILES, DriveParts, find_layout
 from interloc.drives.open import NO_POSES, SAMPLED_SCANS
 from interloc.drives.options import LABEL_FILES, ODOMETRY, DriveOptions, LabelFolder, LayoutName
@@ -37,6 +38,7 @@ from interloc.drives.scans.recorded import Recording
 from interloc.drives.scans.reduced import ReducedScans, reduced_trajectory
 from interloc.drives.scans.reduced_format import read_manifest, to_runs
 from interloc.drives.scans.rosbag.bag import find_bag
+from interloc.drives.scans.rosbag.peek import MissingRangeError, Pieces, peek
 from interloc.drives.trajectory import LidarPoses, Trajectory, read_trajectory
 from interloc.geometry import enu_from_lonlat, lonlat_from_enu
 from interloc.reduction.listing import Kind, ListedDrive, Listing, find_drives, reason_for_none
@@ -47,6 +49,7 @@ HEAD_BYTES = 65_536
 _MEMORY = Path("/dev/shm")  # noqa: S108 - a folder of a random name is made there
 _PAGE_BYTES = 4096
 _MAX_POSITIONS = 20_000
+_MAX_TOPICS = 20
 _MAX_TRACK_BYTES = 4_000_000  # of what may be the trajectory of a cloud; of a longer one the head is enough
 
 
@@ -111,6 +114,11 @@ class DriveLook(ListedName):
     wanted: dict[str, int] = Field(
         {}, description="Files whose contents tell more: path in the folder -> how many of their first bytes to give."
     )
+    wanted_ranges: dict[str, list[tuple[int, int]]] = Field(
+        {},
+        description="Bags, of which some ranges tell more: path in the folder -> first byte, and that after the last, "
+        "of each range to give (`ranges`).",
+    )
     georeference: str | None = Field(None, description="Where the georeference comes from.")
     georeference_reason: str | None = Field(None, description="Why there is none.")
     pose_frame: str | None = Field(None, description="Sensor whose poses the pose file holds.")
@@ -138,6 +146,7 @@ def look_into(
     options: Callable[[Path, str], DriveOptions] = lambda _, name: DriveOptions(name=name),
     *,
     keyframes: KeyframeConfig = KeyframeConfig(),  # noqa: B008 - frozen
+    ranges: Mapping[str, Mapping[int, bytes]] = MappingProxyType({}),
     max_files: int = 1_000_000,
     place: Path | None = None,
 ) -> FolderLook:
@@ -157,6 +166,8 @@ def look_into(
         From the place where the drive is laid out, and its name, how it is to be read.
     keyframes
         Scans that a job needs.
+    ranges
+        Of bags: path -> bytes, by where they begin.
     max_files
         A drive of more is not laid out.
     place
@@ -173,7 +184,7 @@ def look_into(
     if chosen is None:
         return FolderLook(drives=names, drive=None, reason=reason_for_none(listing, name))
     with TemporaryDirectory(dir=_quickest(place, chosen, contents), prefix="interloc-look-") as above:
-        look = _Look(chosen, listing, contents, Path(above) / "drive")
+        look = _Look(chosen, listing, contents, Path(above) / "drive", ranges)
         if len(chosen.files) > max_files:
             text = f"{len(chosen.files):,} are too many; expected at most {max_files:,}. Cut the drive."
             look.findings.error(DriveFileError("files", text))
@@ -194,10 +205,17 @@ def _quickest(place: Path | None, drive: ListedDrive, contents: Mapping[str, byt
 class _Look:
     """What is found out about one drive."""
 
-    def __init__(self, drive: ListedDrive, listing: Listing, contents: Mapping[str, bytes], place: Path) -> None:
+    def __init__(
+        self,
+        drive: ListedDrive,
+        listing: Listing,
+        contents: Mapping[str, bytes],
+        place: Path,
+        ranges: Mapping[str, Mapping[int, bytes]],
+    ) -> None:
         self.place = place
         self.findings = Findings(stop_at_first=False)
-        self._drive, self._listing, self._contents = drive, listing, contents
+        self._drive, self._listing, self._contents, self._ranges = drive, listing, contents, ranges
         self._found = DriveLook(
             root=drive.root,
             name=drive.name,
@@ -372,8 +390,39 @@ class _Look:
                 found.frames_to_look_into = found.frames_to_look_into or _sample_of(found.labels.get(folder))
         if self._drive.kind == "rosbag":
             find_bag(place, required=True, findings=self.findings)
+            self._peek_into_bag(options)
         else:
             self._read_clouds(options, keyframes)
+
+    def _peek_into_bag(self, options: DriveOptions) -> None:
+        """Tell from some ranges of the first file of a bag which topics it has, and whether its points carry labels."""
+        found = self._found
+        inside, path = next(iter(self._drive.scans.items()))
+        try:
+            seen = peek(Pieces(self._listing[path], self._ranges.get(path, {})))
+        except MissingRangeError as missing:
+            found.wanted_ranges[path] = [(missing.start, missing.stop)]
+            return
+        if seen is None:
+            return
+        topics = ", ".join(f"{name} ({type_})" for name, type_ in sorted(seen.topics.items())[:_MAX_TOPICS])
+        if not seen.of("points"):
+            text = (
+                f"holds no points. Expected a topic of sensor_msgs/PointCloud2 or Livox's CustomMsg. It has: {topics}."
+            )
+            self.findings.error(DriveFileError(inside, text))
+            return
+        found.carries_labels = seen.has_labels
+        if seen.has_labels is False and not found.labels:
+            text = "has points without the field label. Expected labels/ with a .label file per scan."
+            found.unlabelled.append(Finding("error", inside, text))
+        if not seen.of("poses") and options.poses is None:
+            found.has_poses = False
+            self.findings.warning("poses", NO_POSES)
+        if fixes := seen.of("fixes"):
+            found.georeference = f"the fixes of {fixes[0]}"
+        elif options.oxts is None and "geo.csv" not in self._drive.small:
+            found.georeference_reason = "the bag has no topic of GNSS fixes (sensor_msgs/NavSatFix)"
 
     def _read_clouds(self, options: DriveOptions, keyframes: KeyframeConfig) -> None:
         """Look for the trajectory of LAS files, or for the poses where each holds a scan."""
@@ -425,7 +474,7 @@ class _Look:
             places = np.stack([fixes.lon_deg, fixes.lat_deg], axis=1)
         if fixes is not None and poses.frame != "oxts":
             with self.findings.stage():
-                check_georeference(poses.T_world_lidar, fixes, self.findings)
+                check_against_poses(poses.T_world_lidar, fixes, self.findings)
             fitted, fit_m = _laid_over(poses, places)
         step = -(-len(places) // _MAX_POSITIONS)
         digits = 3 if fixes is None else 8

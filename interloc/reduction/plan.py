@@ -167,6 +167,11 @@ def plan_of(
                     "pose_frame": poses.frame if poses_in_files else "lidar",
                     "pose_frame_reason": poses.reason,
                     "files": copies.files,
+                    "warnings": [
+                        {"path": each.path, "message": each.message}
+                        for each in findings.found
+                        if each.severity == "warning"
+                    ][:100],
                 }
             )
     return ReductionPlan(

@@ -144,7 +144,8 @@ def gather_small_files(parts: DriveParts, frames: IntArray, given: Path | None) 
 
     oxts = geo = None
     if found is not None and found.kind == "folder":
-        oxts = _take_folder(copies, found.path, found.first, frames, parts)
+        assert found.rows is not None
+        oxts = _take_folder(copies, found.path, found.rows, frames, parts)
     elif found is not None:
         packed = ".gz" if found.path.suffix == ".gz" else ""
         name = "geo.csv" if found.kind == "geo" else "oxts.txt"
@@ -160,16 +161,17 @@ def gather_small_files(parts: DriveParts, frames: IntArray, given: Path | None) 
     return copies
 
 
-def _take_folder(copies: SmallFileCopies, folder: Path, first: int, frames: IntArray, parts: DriveParts) -> str:
+def _take_folder(copies: SmallFileCopies, folder: Path, rows: IntArray, frames: IntArray, parts: DriveParts) -> str:
     """Note the OXTS files of the frames; return their folder in the reduced drive."""
     files = list_numbered(GeoreferenceFile(folder, parts.root), ".txt")
-    if _is_inside(folder, parts.root) and first == 0:
+    if _is_inside(folder, parts.root) and np.array_equal(rows, frames):
         place = folder.relative_to(parts.root).as_posix()
         digits = files.digits
     else:
         place, digits = f"{GEOREFERENCE_FOLDER}/oxts", 10
-    for frame in frames[np.isin(frames + first, files.numbers)]:  # a missing fix is the complaint of who reads them
-        copies.sources[f"{place}/{int(frame):0{digits}d}.txt"] = files.path(int(frame) + first)
+    there = np.isin(rows, files.numbers)  # a missing fix is the complaint of who reads them
+    for frame, row in zip(frames[there].tolist(), rows[there].tolist(), strict=True):
+        copies.sources[f"{place}/{frame:0{digits}d}.txt"] = files.path(row)
     return place
 
 

@@ -145,7 +145,7 @@ export function formatMetres(metres, digits = 2) {
 /** @param {number|null|undefined} share 0..1 @returns {string} 0.895 -> "89.5 %" */
 export function formatPercent(share) {
   if (share === null || share === undefined || !Number.isFinite(share)) return "–";
-  return `${(100 * share).toFixed(1)}${thin}%`;
+  return `${(100 * share - 1e-9).toFixed(1).replace("-0.0", "0.0")}${thin}%`; // 6.25 is 6.2, as of the command line
 }
 
 /** @param {string|null|undefined} iso @returns {string} "just now", "5 min ago", "yesterday", "21 Nov 2026" */
@@ -170,3 +170,6 @@ export function formatDate(iso, timeZone = "UTC") {
   if (Number.isNaN(day.getTime())) return iso;
   return day.toLocaleDateString("en-GB", { day: "numeric", month: "short", year: "numeric", timeZone });
 }
+
+/** @returns {boolean} Whether files can be dropped here: fingers alone cannot. */
+export const takesDrops = () => matchMedia("(any-pointer: fine)").matches;

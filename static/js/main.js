@@ -27,6 +27,7 @@ const PANELS = {
   upload: { title: "Upload", load: () => import("./upload/panel.js") },
   job: { title: "Job", load: () => import("./job/panel.js") },
   report: { title: "Report", load: () => import("./report/panel.js") },
+  compare: { title: "Compare", load: () => import("./report/comparison.js") },
   export: { title: "Export", load: () => import("./exports/panel.js") },
 };
 

@@ -52,7 +52,7 @@ export function mountHeader(header) {
     const own = lists.jobs.filter((each) => each.drive_id === drive);
     fill(
       jobs,
-      option("", own.length ? "Choose a job" : "No job yet"),
+      option("", own.length ? "Choose a job" : drive ? "No job yet" : "No drive chosen"),
       job && !own.some((each) => each.id === job) && option(job, job),
       own.map((each) => option(each.id, jobName(each))),
     );
@@ -144,7 +144,7 @@ export function mountTabs(panels) {
       ([name, body]) => name !== current && body.contains(document.activeElement),
     );
     names.forEach((name, i) => {
-      const needsJob = name === "job" || name === "report" || name === "export";
+      const needsJob = ["job", "report", "compare", "export"].includes(name);
       tabs[i].disabled = needsJob && !getState().job && name !== current;
       tabs[i].setAttribute("aria-selected", String(name === current));
       tabs[i].tabIndex = name === current ? 0 : -1;

@@ -5,7 +5,7 @@
 
 /**
  * @typedef {object} State
- * @property {string} panel drives, upload, job, report, export; an address that names none shows that of its job.
+ * @property {string} panel drives, upload, job, report, compare, export; an address that names none shows that of its job.
  * @property {string|null} drive Id of the drive that is shown.
  * @property {string|null} job Id of the job that is shown.
  * @property {number|null} frame Scan number of the keyframe that is shown.

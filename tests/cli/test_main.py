@@ -28,6 +28,7 @@ COMMANDS = [
     "explain",
     "robustness",
     "live",
+    "ros",
     "export",
     "simulate",
     "benchmark",

@@ -291,7 +291,7 @@ def test_an_address_that_is_no_service(here: Any, street: Path, tmp_path: Path) 
     assert len(outcome.err.splitlines()) == 1
 
 
-def test_a_map_needs_a_georeference_before_anything_is_sent(
+def test_a_map_needs_a_georeference_or_a_place_to_search_before_anything_is_sent(
     here: Any, server: ServerProcess, street: Path, tmp_path: Path
 ) -> None:
     drive = copy_of(street, tmp_path / "nowhere")
@@ -300,6 +300,10 @@ def test_a_map_needs_a_georeference_before_anything_is_sent(
     assert outcome.code == 1
     assert "the drive has no georeference" in outcome.err
     assert not [each for each in drives_on(server) if each["name"] == "nowhere"]
+    here("push", drive, "--run", "--osm", street / "map.osm", "--near", "49.01,8.43", "--radius", "2")
+    (job,) = server.client.get(f"{API}/jobs?name=nowhere").json()["jobs"]  # whether it could be placed or not
+    assert job["request"]["georeference"] == "map"
+    assert job["request"]["near"] == {"lat_deg": 49.01, "lon_deg": 8.43, "radius_km": 2.0}
 
 
 def test_a_server_that_gives_other_bytes_than_it_got_is_not_trusted(
@@ -365,3 +369,17 @@ def test_a_bag_is_reduced_on_the_way(here: Any, server: ServerProcess, tmp_path:
     assert {"poses.txt", "times.txt", "reduced.json"} <= set(files)
     assert not [path for path in files if path.endswith(".bag")]
     assert "Leave it out" in here("push", bag, "--raw").err
+
+
+def test_what_was_odd_about_a_bag_arrives_with_it(here: Any, server: ServerProcess, tmp_path: Path) -> None:
+    """The reduced drive is whole again: only its manifest tells that the odometry jumped."""
+    poses = lidar_poses()
+    poses[9:, 1, 3] += 60.0
+    scans, labels = zip(*(scan_at(pose, (40, 48, 70)) for pose in poses), strict=True)
+    times = (1.7e9 + 0.1 * np.arange(12)).tolist()
+    bag = write_bag(tmp_path / "lost", "bag", scans, times, labels=labels, poses=list(poses))
+    pushed = here("push", bag, "--json")
+    assert "the poses of /odom jump" in pushed.err
+    assert pushed.json["scans"] == 9
+    shown = server.client.get(f"{API}/drives/{pushed.json['drive_id']}").raise_for_status().json()
+    assert "the poses of /odom jump" in str(shown)

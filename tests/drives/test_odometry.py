@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -127,3 +128,19 @@ def test_a_real_drive_at_speed_has_no_slip_at_its_start(data: Callable[[str], Pa
 def test_real_scans_far_apart_are_refused(data: Callable[[str], Path]) -> None:
     with pytest.raises(DriveError, match=r"velodyne/000001\.bin: the odometry lost track here, after 1 scan and 0 m"):
         open_drive(data("kitti360_0009"), poses="odometry")
+
+
+def test_without_a_home_tracks_are_kept_where_nobody_else_can_put_any(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    root = write_scans(tmp_path / "drive", [seen(street(), pose) for pose in poses_along(np.full(2, 1.5))])
+    trajectory_of(root)
+    (folder,) = tmp_path.glob("interloc-odometry-*")
+    assert folder.stat().st_mode & 0o777 == 0o700
+    assert list(folder.glob("*.txt"))
+    folder.chmod(0o777)
+    with pytest.raises(DriveError, match="not a folder of this user's own"):
+        trajectory_of(root)

@@ -144,3 +144,16 @@ def test_brightness_is_relative_to_what_the_same_laser_saw_of_the_strip() -> Non
     assert result[2, 1] == result[3, 1] > 0
     nothing = brightness_of_strip(np.tile([100.0, 0.0, 0.0], (4, 1)))
     np.testing.assert_allclose((5.0 - nothing[:, 0]) / nothing[:, 1] + nothing[:, 2], 0.0)
+
+
+def test_a_drive_that_begins_on_grass_doubts_that_stretch_alone() -> None:
+    x = np.arange(-90.0, 40.0, 2.5)
+    poses = STREET.poses(x)
+    poses[:, 1, 3] = np.interp(x, [-60.0, -30.0], [25.0, 0.0])  # across the sidewalk, to the street
+    labeller = labeller_of(STREET, poses)
+    assert labeller.quality_of(2).is_doubtful
+    row = len(x) - 8
+    assert not labeller.quality_of(row).is_doubtful
+    points, aside = STREET.scan(poses[row], row)
+    found = labeller.label(row, points) == ROAD
+    assert (aside[found] < ROAD_M).mean() > 0.9

@@ -111,10 +111,11 @@ def test_it_opens_the_project(told: dict[str, Any]) -> None:
     assert project["groups"] == {
         "Verdict": ["Intersections", "OSM intersections", "Branches", "Uncertainty, 95 %"],
         "Evidence": ["Detections", "Matches", "Keyframes", "Trajectory"],
-        "Roads seen by LiDAR": ["Roads seen", "Junctions", "Road surface"],
+        "Roads seen by LiDAR": ["Roads seen", "Junctions", "Road surface", "Road seen by LiDAR"],
         "Map of OpenStreetMap": ["OSM roads"],
     }
     assert project["hidden"] == ["Keyframes"]
+    assert project["rasters"] == {"Road seen by LiDAR": [True, "EPSG:32632", "singlebandpseudocolor"]}
     layers = project["layers"]
     assert all(layer["valid"] and layer["crs"] == "EPSG:4326" for layer in layers.values())
     assert layers["OSM intersections"]["legend"] == ["Found", "Missed", "Out of reach"]
@@ -132,7 +133,7 @@ def test_it_opens_the_project_of_a_drive_in_metres(told: dict[str, Any]) -> None
     assert local["groups"] == {
         "Verdict": ["Intersections"],
         "Evidence": ["Detections", "Keyframes", "Trajectory"],
-        "Roads seen by LiDAR": ["Roads seen", "Junctions", "Road surface"],
+        "Roads seen by LiDAR": ["Roads seen", "Junctions", "Road surface", "Road seen by LiDAR"],
     }
     assert all(layer["valid"] and layer["features"] for layer in local["layers"].values())
     assert (local["crs"], local["credit"], local["extent"]) == ("", "", "-50,-51 : 52,50")

@@ -39,14 +39,19 @@ def test_a_job_is_run_again_with_a_map_named_and_compared(page: Any, done: Done)
     assert page.inner_text("#panel-job .noted") == "Two\nlines"
     assert page.title().split()[0] == "coarse"
 
-    page.locator("#tab-report").click()
+    page.get_by_role("button", name="Show this result for the drive").click()
+    page.get_by_role("button", name="No longer pin this result").wait_for()
+    assert client.get(f"{API}/drives/{drive}").json()["pinned_job"] in address_of(page)
+    page.get_by_role("button", name="No longer pin this result").click()
+
+    page.locator("#tab-compare").click()
     page.locator(f"#compare-{done.job}").check()
     page.get_by_role("heading", name="Intersections of the map").wait_for()
     assert address_of(page).endswith(f"&compare={done.job}")
-    heads = page.locator("#panel-report .wide-table").first.locator("th").all_inner_texts()
+    heads = page.locator("#panel-compare .wide-table").first.locator("th").all_inner_texts()
     assert [head.split("\n")[0] for head in heads] == ["Figure", "coarse", "default"]
     count = len(done.features("intersections"))
-    assert f"{count} found by both" in page.inner_text("#panel-report")
+    assert f"{count} found by both" in page.inner_text("#panel-compare")
     page.wait_for_selector(f"#map .sign.beside >> nth={count - 1}")
     assert page.locator("#map .sign.beside").count() == count
     page.reload()

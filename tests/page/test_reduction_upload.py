@@ -19,7 +19,7 @@ import pytest
 from interloc import detect, evaluate, open_drive, read_osm, write_report, write_results
 from interloc.drives.options import LabelFolder
 from interloc.evaluation.evaluate import Evaluation
-from tests.app.processes import API, ServerProcess, ended, started
+from tests.app.processes import API, ServerProcess, as_by_command, ended, started
 from tests.app.street import write_street
 from tests.localization.town import LAT_DEG, LON_DEG, write_town_drive, write_town_map
 from tests.page.browsers import Browser, Watch, needs_page
@@ -174,7 +174,7 @@ def check_results(client: httpx.Client, job_id: str, expected: Expected) -> None
     job = ended(client, job_id)
     assert job["state"] == "successful", job["error"]
     for name in LAYERS:
-        served = client.get(f"{API}/jobs/{job_id}/{name}").raise_for_status().content
+        served = as_by_command(client.get(f"{API}/jobs/{job_id}/{name}").raise_for_status())
         assert features(served) == expected.layers[name], name
     if expected.evaluation is None:
         return

@@ -138,9 +138,8 @@ def test_the_report_tells_the_figures_and_leads_to_the_map(page: Any, done: Done
     level = report["map_level"]
     assert f"{level['true']} of {level['intersections_in_zone']}" in text
     assert rows.count() == len(report["nodes"])
-    page.get_by_role("button", name="Node", exact=True).click()
-    ids = [int(each) for each in page.locator(".osm-nodes tbody tr.can td:nth-child(2)").all_inner_texts()]
-    assert ids == sorted(node["osm_id"] for node in report["nodes"])
+    ids = [int(each) for each in page.locator(".osm-nodes tr.below .number").all_inner_texts()]
+    assert sorted(ids) == sorted(node["osm_id"] for node in report["nodes"])
     rows.nth(1).focus()
     page.keyboard.press("Enter")
     popup = page.locator(".leaflet-popup-content")
@@ -148,7 +147,7 @@ def test_the_report_tells_the_figures_and_leads_to_the_map(page: Any, done: Done
     assert str(ids[1]) in popup.inner_text()
     page.locator("#tab-job").click()
     popup.get_by_role("button", name="See it in the report").click()
-    page.locator(".osm-nodes tbody tr.is", has_text=str(ids[1])).wait_for()
+    page.locator(".osm-nodes tbody tr.below.is", has_text=str(ids[1])).wait_for()
 
 
 def test_keys_choose_tabs_and_keyframes(page: Any, done: Done) -> None:
@@ -335,3 +334,17 @@ def test_a_token_is_asked_for_once_and_refused_in_words(browser: Browser, watch:
     assert tab.locator("dialog").count() == 0
     assert TOKEN not in tab.url
     tab.close()
+
+
+def test_a_measured_road_tells_its_width(page: Any, done: Done) -> None:
+    known = [road for road in done.features("roads") if road["properties"]["width_m"] is not None]
+    road = max(known, key=lambda each: each["properties"]["length_m"])
+    line = road["geometry"]["coordinates"]
+    lon, lat = line[len(line) // 2]
+    show(page, done, f"layers=measured&view=19/{lat}/{lon}")
+    page.mouse.click(*on_screen(page, lon, lat))
+    popup = page.locator(".leaflet-popup-content")
+    popup.wait_for()
+    text = popup.inner_text().replace("\u00a0", " ").replace("\u202f", " ")
+    assert f"Road {road['properties']['id']}, measured" in text
+    assert f"{road['properties']['width_m']:.1f} m" in text

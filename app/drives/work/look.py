@@ -24,6 +24,7 @@ def look(
     root: str | None,
     options: UploadOptions,
     keyframes: KeyframeConfig,
+    ranges: dict[str, dict[int, bytes]],
     limits: WorkSettings,
     place: Path,
 ) -> FolderLook:
@@ -49,6 +50,7 @@ def look(
         root,
         partial(reading_options, options),
         keyframes=keyframes,
+        ranges=ranges,
         max_files=limits.max_drive_files,
         place=place,
     )

@@ -107,6 +107,8 @@ def finish(task: Task[IntersectionsJob], plan: Plan) -> IntersectionsOutcome:
         peak_memory_bytes=result.run["peak_memory_bytes"],
         location=_location(result),
         report=scores,
+        has_roads=True,
+        doubtful_labels_m=result.run["doubtful_labels_m"],
     )
 
 

@@ -40,6 +40,8 @@ class Fixes:
         Distance driven until then, ascending.
     std_m : (K,) float64 or None
         One-sigma uncertainty along each horizontal axis, as the receiver states it; None where it states none.
+    arm_std_m : float
+        One-sigma uncertainty that all fixes share: that of the place of the antenna on the vehicle.
     """
 
     lat_deg: FloatArray
@@ -48,6 +50,7 @@ class Fixes:
     position: FloatArray
     distance_m: FloatArray
     std_m: FloatArray | None = None
+    arm_std_m: float = 0.0
 
     @property
     def swapped(self) -> Fixes | None:
@@ -88,7 +91,7 @@ def georeference_from_fixes(
     matter, and with the error of a fix, so that one that jumped does not either (Cauchy weights, some rounds). Between
     two such places, position and heading are interpolated. Roll and pitch are those of the poses.
     """
-    fixes = _averaged(fixes)
+    fixes, arm_std_m = _averaged(fixes), fixes.arm_std_m
     cell = np.floor(distance_m / _STATION_M)
     stations = np.unique(np.concatenate([cell, cell + 1]))
     before, after = np.searchsorted(stations, cell), np.searchsorted(stations, cell + 1)
@@ -98,6 +101,9 @@ def georeference_from_fixes(
     first, second = (_placed(laid[rows], T_world_lidar[:, :3, 3]) for rows in (before, after))
     placed = first + share[:, None] * (second - first)
     yaw = angle[before] + share * (angle[after] - angle[before])
+    std_m = None if fixes.std_m is None else laid[before, 6] + share * (laid[after, 6] - laid[before, 6])
+    if arm_std_m:
+        std_m = np.hypot(0.0 if std_m is None else std_m, np.full(len(yaw), arm_std_m))
     zero = np.zeros(len(yaw))
     return Georeference(
         lat_deg=placed[:, 1].copy(),
@@ -105,7 +111,7 @@ def georeference_from_fixes(
         alt_m=placed[:, 2].copy(),
         R_enu_lidar=rotation_from_rpy(zero, zero, yaw) @ T_world_lidar[:, :3, :3],
         source=source,
-        position_std_m=None if fixes.std_m is None else laid[before, 6] + share * (laid[after, 6] - laid[before, 6]),
+        position_std_m=std_m,
     )
 
 

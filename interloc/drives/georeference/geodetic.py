@@ -111,6 +111,15 @@ def ecef_poses(georeference: Georeference) -> FloatArray:
     return poses
 
 
+def check_against_poses(poses: FloatArray, georeference: Georeference, findings: Findings) -> float | None:
+    """Check that the georeference moves as the poses do, and neither late nor early; as `check_georeference`."""
+    errors = findings.errors
+    error = check_georeference(poses, georeference, findings)
+    if findings.errors == errors:
+        check_shift(poses, georeference, findings)
+    return error
+
+
 def check_georeference(poses: FloatArray, georeference: Georeference, findings: Findings) -> float | None:
     """Check that the georeference moves as the poses do, piece by piece (drift does not matter).
 

@@ -9,6 +9,7 @@ from typing import Literal
 from interloc.arrays import IntArray
 from interloc.drive import Georeference
 from interloc.drives.files import GeoreferenceFile
+from interloc.drives.findings import Findings
 from interloc.drives.georeference.geo_csv import read_geo_csv
 from interloc.drives.georeference.oxts import (
     georeference_of_lidar,
@@ -17,6 +18,7 @@ from interloc.drives.georeference.oxts import (
     read_oxts_folder,
     read_oxts_rows,
 )
+from interloc.drives.georeference.timestamps import rows_in_time
 from interloc.drives.layouts import DriveParts
 from interloc.drives.poses.calibration import (
     IMU_CALIBRATION,
@@ -39,15 +41,18 @@ class GeoreferenceFiles:
     kind : {"geo", "folder", "rows"}
         A geo.csv, a folder with one OXTS file per frame, or a file with one OXTS row per frame.
     path : Path
-    first : int
-        Number of the OXTS file of frame 0.
+    rows : (N,) int64 or None
+        Number of the OXTS file of each scan, where there is a folder of them.
+    odd : str
+        What is odd about the times of these files, in words.
     imu_calibration : Path or None
         The calib_imu_to_velo.txt that goes with OXTS.
     """
 
     kind: Literal["geo", "folder", "rows"]
     path: Path
-    first: int = 0
+    rows: IntArray | None = None
+    odd: str = ""
     imu_calibration: Path | None = None
 
 
@@ -81,10 +86,14 @@ def locate_georeference(parts: DriveParts, frames: IntArray, given: Path | None)
     imu = locate_imu_calibration(parts)
     if parts.oxts.is_file():
         return GeoreferenceFiles("rows", parts.oxts, imu_calibration=imu)
-    return GeoreferenceFiles("folder", _data_folder(parts.oxts), imu_calibration=imu)
+    folder = _data_folder(parts.oxts)
+    rows, odd = rows_in_time(folder, parts, frames)
+    return GeoreferenceFiles("folder", folder, rows, odd, imu)
 
 
-def read_georeference(parts: DriveParts, frames: IntArray, given: Path | None) -> Georeference | None:
+def read_georeference(
+    parts: DriveParts, frames: IntArray, given: Path | None, findings: Findings | None = None
+) -> Georeference | None:
     """Read the georeference of a drive; parameters as of `locate_georeference`.
 
     Raises
@@ -98,7 +107,9 @@ def read_georeference(parts: DriveParts, frames: IntArray, given: Path | None) -
     file = GeoreferenceFile(files.path, parts.root)
     if files.kind == "geo":
         return read_geo_csv(file, frames)
-    rows = read_oxts_rows(file, frames) if files.kind == "rows" else read_oxts_folder(file, frames + files.first)
+    if files.odd and findings is not None:
+        findings.warning("oxts", files.odd)
+    rows = read_oxts_rows(file, frames) if files.rows is None else read_oxts_folder(file, files.rows)
     if files.imu_calibration is None and (T_lidar_imu := find_kitti360_imu(parts)) is not None:
         return georeference_of_lidar(rows, T_lidar_imu, f"{file.name}, lever arm of calib_cam_to_pose.txt")
     if files.imu_calibration is None:
@@ -118,7 +129,7 @@ def _locate_given(given: Path, parts: DriveParts, frames: IntArray) -> Georefere
         given = _raw_drive_in(given, parts)
         folder = _data_folder(given / "oxts" if (given / "oxts").is_dir() else given)
         first = raw_offset(given, parts.drive_name, frames)
-        return GeoreferenceFiles("folder", folder, first, _imu_calibration_near(given, parts))
+        return GeoreferenceFiles("folder", folder, frames + first, imu_calibration=_imu_calibration_near(given, parts))
     if given.name.endswith((".csv", ".csv.gz")):
         return GeoreferenceFiles("geo", given)
     near = given.absolute().parent

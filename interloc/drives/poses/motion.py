@@ -5,12 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.ndimage import median_filter
 
-from interloc.arrays import FloatArray
+from interloc.arrays import FloatArray, IntArray
 
 MIN_MOTION_M = 1.0
 TURNED_RAD = 0.15
 """Turning over a drive that is worth mentioning."""
+
+_JUMP_M, _ACCELERATION_MPS2, _LONGEST_S = 5.0, 10.0, 2.0
+_AROUND, _RARELY = 11, 0.05
 
 _STEP_M = 3.0
 _JUDGED = 100_000  # poses at the beginning of a file; hours of driving tell enough
@@ -135,3 +139,26 @@ def _rotation_vectors(rotation: FloatArray) -> FloatArray:
     angle = np.arctan2(sine, (np.trace(rotation, axis1=1, axis2=2) - 1) / 2)
     vectors: FloatArray = skew * (angle / np.maximum(2 * sine, 1e-12))[:, None]
     return vectors
+
+
+def jumps(positions: FloatArray, times_s: FloatArray) -> IntArray:
+    """Return after which poses the next lies farther than any vehicle drives meanwhile.
+
+    Parameters
+    ----------
+    positions : (N, 3) float64
+    times_s : (N,) float64
+        Ascending.
+
+    Returns
+    -------
+    (K,) int64
+        Ascending; none where they jump so often that it is noise.
+    """
+    if len(times_s) < 3:
+        return np.empty(0, np.int64)
+    steps, passed_s = np.linalg.norm(np.diff(positions, axis=0), axis=1), np.diff(times_s)
+    usual_mps = median_filter(steps / np.maximum(passed_s, 1e-3), size=_AROUND, mode="nearest")
+    allowed_m = usual_mps * passed_s + _JUMP_M + _ACCELERATION_MPS2 * passed_s**2
+    found = np.flatnonzero((steps > allowed_m) & (passed_s < _LONGEST_S)).astype(np.int64)
+    return found if len(found) <= max(2, _RARELY * len(steps)) else found[:0]

@@ -92,6 +92,8 @@ class ReducedScans:
             raise DriveFileError(
                 MANIFEST, f"is a drive of layout {manifest.layout}, not {options.layout}. Give layout 'auto'."
             )
+        for each in manifest.warnings:
+            findings.warning(each.path, each.message)
         parts = _parts_of(manifest, root, folder)
         frames, kept = manifest.frames, manifest.kept_frames
         labels = ground_bytes = None

@@ -206,6 +206,13 @@ class SourceScans(_Model):
     most_points: _Total | None = None
 
 
+class SourceWarning(_Model):
+    """What was odd about the drive, or was put right; the reduced drive may not show it any more."""
+
+    path: str = Field(max_length=1000, description="File or folder.")
+    message: str = Field(max_length=4000)
+
+
 class ReducedManifest(_Model):
     """A reduced drive."""
 
@@ -223,6 +230,7 @@ class ReducedManifest(_Model):
     files: SmallFiles = SmallFiles()
     labels: list[ReducedLabels] = Field([], max_length=2)
     source: SourceScans | None = None
+    warnings: list[SourceWarning] = Field([], max_length=100, description="What was odd about that drive.")
 
     @model_validator(mode="after")
     def _consistent(self) -> ReducedManifest:

@@ -15,6 +15,7 @@ import { lineOf } from "./results.js";
  * @property {number[][]} track Longitude, latitude.
  * @property {string|null} verdict How many of its intersections are right, in words.
  * @property {number[][]} intersections
+ * @property {string[]} outcomes Of these.
  */
 /**
  * @typedef {object} Overview
@@ -35,9 +36,22 @@ export async function loadOverview() {
     const page = await getJson(`overview?limit=${PAGE}${after && `&after=${encodeURIComponent(after)}`}`);
     for (const { geometry, properties } of page.features) {
       const { layer, drive: id, name, job, title, chosen, verdict } = properties;
-      if (layer === "intersections") drives.get(id)?.intersections.push(...geometry.coordinates);
+      const known = drives.get(id);
+      if (layer === "intersections" && known)
+        Object.assign(known, { intersections: geometry.coordinates, outcomes: properties.outcomes ?? [] });
+      else if (layer === "intersections") continue;
       else if (geometry)
-        drives.set(id, { id, name, job, title, chosen, verdict, track: lineOf(geometry), intersections: [] });
+        drives.set(id, {
+          id,
+          name,
+          job,
+          title,
+          chosen,
+          verdict,
+          track: lineOf(geometry),
+          intersections: [],
+          outcomes: [],
+        });
       else unplaced += 1;
     }
     if (!page.next || drives.size + unplaced >= MAX_DRIVES)

@@ -29,6 +29,7 @@ import { Frame } from "./frame.js";
  * @property {Match[]} matches
  * @property {Array<{line: number[][], properties: any}>} roads Of OpenStreetMap.
  * @property {Array<{line: number[][], properties: any}>} measured Roads as the drive saw them.
+ * @property {number[][][]} mouths Outlines of the areas where these meet.
  * @property {import("./compared.js").Compared[]} compared Beside those of other jobs; empty where none are compared.
  * @property {number[][][]} buildings Outlines of those of the map near the track, and of their holes, the other way round.
  * @property {number[][][]} places Where else on the map the drive might have been, if it was placed by its roads.
@@ -75,7 +76,9 @@ async function load(job) {
   ]);
   const buildings = report?.osm?.buildings ? await orNull(getJson(`${at}/osm-buildings`)) : null; // few maps have any
   const hasRoads = (run.files ?? []).some((/** @type {string} */ name) => name.startsWith("roads.")); // likewise
-  const measured = hasRoads ? await orNull(layer("roads")) : null;
+  const [measured, junctions] = hasRoads
+    ? await Promise.all(["roads", "junctions"].map((name) => orNull(layer(name))))
+    : [];
   const hasSurface = (run.files ?? []).includes("road.tif"); // older versions made none
 
   const points = keyframes.features.map(place);
@@ -99,11 +102,10 @@ async function load(job) {
     matches: pairs,
     compared: [],
     places: (places?.features ?? []).slice(1).map((/** @type {any} */ f) => lineOf(f.geometry)),
-    buildings: (buildings?.features ?? []).flatMap((/** @type {any} */ f) =>
-      f.geometry.type === "MultiPolygon" ? f.geometry.coordinates.flat() : f.geometry.coordinates,
-    ),
+    buildings: ringsOf(buildings),
     roads: linesOf(roads),
     measured: linesOf(measured),
+    mouths: ringsOf(junctions),
     surface: hasSurface ? `${at}/road` : null,
     roi_m: report?.roi_m ?? size,
     zone_m: report?.relevant_zone_m ?? (config.branches ? size - 2 * config.branches.outer_radius_m : null),
@@ -113,6 +115,12 @@ async function load(job) {
 /** @param {any} layer @returns {Array<{line: number[][], properties: any}>} */
 const linesOf = (layer) =>
   (layer?.features ?? []).map((/** @type {any} */ f) => ({ line: lineOf(f.geometry), properties: f.properties }));
+
+/** @param {any} layer Of polygons. @returns {number[][][]} */
+const ringsOf = (layer) =>
+  (layer?.features ?? []).flatMap((/** @type {any} */ f) =>
+    f.geometry.type === "MultiPolygon" ? f.geometry.coordinates.flat() : f.geometry.coordinates,
+  );
 
 /**
  * The trajectory of a drive alone, for a job that still runs.
@@ -143,6 +151,7 @@ export function trackAlone(trajectory, local) {
     matches: [],
     roads: [],
     measured: [],
+    mouths: [],
     buildings: [],
     compared: [],
     places: [],

@@ -161,7 +161,7 @@ function driveCard(drive, jobs) {
     "div",
     { class: "grow" },
     name,
-    el("p", { class: "small cut" }, facts.join(" · ")),
+    el("p", { class: "small" }, facts.join(" · ")),
     drive.state !== "ready" && el("p", {}, driveBadge(drive)),
     current && report && el("p", { class: "small" }, place),
     current && network && el("p", { class: "small" }, `Labels: ${network}`),

@@ -29,7 +29,7 @@ export function trashSection() {
 
 /** @param {any} item */
 function row(item) {
-  const what = item.kind === "jobs" ? `Job of ${item.name}` : item.name;
+  const what = item.kind === "jobs" ? `Job ${item.title} of ${item.name}` : item.name;
   const why = item.deleted_by ? `deleted ${formatAgo(item.deleted_at)} by ${item.deleted_by}` : "upload expired";
   const left = (new Date(item.purged_at).getTime() - Date.now()) / 3.6e6;
   const until = left > 0 ? `gone in ${formatHours(left)}` : "gone soon";

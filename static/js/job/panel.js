@@ -165,6 +165,11 @@ async function cancel(job) {
   rememberJob(await sendJson("DELETE", `jobs/${job.id}`));
 }
 
+/** @param {[number, number][]} stretches Along the track, metres. */
+function doubtfulText(stretches) {
+  return `${stretches.map(([start, stop]) => `${formatCount(start)} to ${formatCount(stop)} m`).join(", ")} of the track`;
+}
+
 /** @param {any} job */
 function outcome(job) {
   const summary = job.summary ?? {};
@@ -177,7 +182,10 @@ function outcome(job) {
     el("code", {}, `${name} = ${JSON.stringify(value)} `),
   );
   const finished = new Date(job.finished_at).toLocaleString("en-GB", { dateStyle: "medium", timeStyle: "short" });
-  const unscored = "The job had no map. Run it again with one to see which intersections are right.";
+  const isPlaced = summary.georeferenced !== false;
+  const unscored = isPlaced
+    ? "The job had no map. Run it again with one to see which intersections are right."
+    : "The drive has no georeference: run it again with a map, and it is placed there by its roads.";
   const withMap = () => openRunDialog(job.drive_id, { job, withMap: true }).catch(showError);
   return [
     report?.map_line && el("p", { class: "verdict" }, el("strong", {}, report.map_line)),
@@ -207,6 +215,7 @@ function outcome(job) {
       factRows([
         ["Preset", job.request.preset ?? "default"],
         job.request.labels && ["Labels", job.request.labels],
+        summary.doubtful_labels_m?.length && ["Labels doubtful", doubtfulText(summary.doubtful_labels_m)],
         ["Map", osm ? (osm.file ?? "OpenStreetMap, by Overpass") : "none"],
         osm && ["Policy", policy ?? "drive"],
         summary.location && ["Placed by its roads", placedText(summary.location)],

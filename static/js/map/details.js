@@ -64,6 +64,22 @@ export function watchPointer(map, scene, isBusy) {
   });
 }
 
+/** What is chosen stays in the picture when the map gets another size, as beside a drawer. @param {any} map */
+export function keepDetails(map) {
+  const observer = new ResizeObserver(() => map.invalidateSize({ pan: false }));
+  observer.observe(map.getContainer());
+  map.on("unload", () => observer.disconnect());
+  map.on("resize", () => {
+    if (!chosen) return;
+    const { item } = chosen;
+    map.panInside([item.lat, item.lng], {
+      paddingTopLeft: [170, Math.min(300, map.getSize().y - 40)],
+      paddingBottomRight: [170, 30],
+      animate: false,
+    });
+  });
+}
+
 /** @param {any} event */
 function overControl(event) {
   return event.originalEvent.target.closest?.(".leaflet-control, .leaflet-popup");
@@ -91,7 +107,6 @@ export function openDetails(hit) {
   const popup = new Popup({
     maxWidth: Math.min(320, room),
     minWidth: Math.min(290, room),
-    maxHeight: Math.max(140, map.getSize().y - 110),
     autoPanPadding: [24, 24],
   });
   popup.on("remove", () => {
@@ -175,6 +190,7 @@ function contentOf(hit, result) {
 function actionsOf({ kind, item }, result) {
   const { properties: p } = item;
   const frame = kind === "detection" ? p.frame : kind === "intersection" ? frameOf(p, result) : null;
+  if (kind === "road") return [];
   const inReport = () => setState({ panel: "report" });
   return [
     frame !== null && el("button", { onClick: () => setState({ frame, drawer: true }) }, "Look at its keyframe"),
@@ -214,11 +230,11 @@ function waysOut(hit, result) {
   const { item, kind } = hit;
   const copy = copyButton("Copy coordinates", () => coordinates(item, result.local));
   if (result.local || result.isMadeUp) return el("div", { class: "ways-out" }, copy);
-  const id = kind === "detection" ? null : item.properties.osm_id;
+  const id = kind === "detection" ? null : (item.properties.osm_id ?? null);
   const links = linksAt(item.lat, item.lng, isOsmNode(id, result) ? id : null).map(({ name, href, title }) =>
     el("a", { href, title, target: "_blank", rel: "noopener", onClick: name === "JOSM" && tellOfJosm }, name),
   );
-  const note = copyButton("Copy OSM note", () => noteText(hit, result.report?.osm.date));
+  const note = kind !== "road" && copyButton("Copy OSM note", () => noteText(hit, result.report?.osm.date));
   return el("div", { class: "ways-out" }, el("p", {}, links), copy, note);
 }
 

@@ -23,6 +23,7 @@ const DETECTIONS = /** @type {Record<string, string>} */ ({
 export function signOf({ kind, item }) {
   if (kind === "intersection") return verdictOf(item);
   if (kind === "node") return kindOfNode(item);
+  if (kind === "road") return null;
   return kind === "detection" ? { TP: "tp", FP: "fp", none: "detection" }[/** @type {"TP"} */ (item.outcome)] : null;
 }
 
@@ -30,12 +31,14 @@ export function signOf({ kind, item }) {
 export function titleOf({ kind, item }) {
   if (kind === "intersection") return `Intersection ${item.properties.id}${VERDICTS[verdictOf(item)]}`;
   if (kind === "node") return `OSM intersection: ${NODES[kindOfNode(item)]}`;
+  if (kind === "road") return `Road ${item.properties.id}, measured`;
   return kind === "detection" ? DETECTIONS[item.outcome] : `Keyframe at scan ${item.properties.frame}`;
 }
 
 /** @param {Hit} hit @returns {string} One line below the title. */
 export function summaryOf({ kind, item }) {
   const { properties: p } = item;
+  if (kind === "road") return `${widthText(p) ?? "width not known"} wide, ${formatMetres(p.length_m, 0)} long`;
   if (kind === "detection") {
     return `scan ${p.frame}${item.error_m === null ? "" : `, ${formatMetres(item.error_m)} from the OSM intersection`}`;
   }
@@ -55,7 +58,7 @@ export function summaryOf({ kind, item }) {
  */
 export function whyOf({ kind, item }, result) {
   const { properties: p } = item;
-  if (kind === "keyframe") return null;
+  if (kind === "keyframe" || kind === "road") return null;
   if (kind === "node") {
     if (p.reason) return sentence(p.reason);
     return kindOfNode(item) === "outside" ? "In the relevant zone of no keyframe: it does not count." : null;
@@ -74,6 +77,10 @@ function ellipseText(properties) {
   const axes = `${(SIGMAS_95 * major).toFixed(1)} × ${formatMetres(SIGMAS_95 * minor, 1)}`;
   return minor > 0.95 * major ? axes : `${axes}, longest toward ${Math.round((bearing * 180) / Math.PI)}°`;
 }
+
+/** @param {any} road Properties of a measured one. @returns {string|null} Its width; at least so much where it was not driven. */
+export const widthText = ({ width_m, is_driven }) =>
+  width_m === null ? null : `${is_driven ? "" : "≥ "}${formatMetres(width_m, 1)}`;
 
 /** @param {string} text @returns {string} */
 const sentence = (text) => `${text[0].toUpperCase()}${text.slice(1)}.`;
@@ -118,6 +125,15 @@ export function factsOf({ kind, item }, result) {
       ...branchesOf(p, local),
       ["Part of", p.intersection === null ? "no intersection of the map" : `intersection ${p.intersection}`],
     ],
+    road: () => [
+      ["Width (median)", widthText(p) ?? "not known"],
+      p.width_m !== null && ["Of 80 % of it", `${p.width_p10_m.toFixed(1)} to ${formatMetres(p.width_p90_m, 1)}`],
+      ["Length", formatMetres(p.length_m, 0)],
+      ["Driven", p.is_driven ? "yes" : "no: a side may have been hidden"],
+      ["Seen as road", formatPercent(p.seen)],
+      p.offset_std_m !== null && ["Uncertainty across (1 σ)", formatMetres(p.offset_std_m)],
+      ["From, to", [p.start_kind, p.end_kind].map((end) => end.replaceAll("_", " ")).join(", ")],
+    ],
     keyframe: () => [
       ["Scan", String(p.frame)],
       p.time_s !== null && ["Time", formatDuration(p.time_s)],
@@ -142,11 +158,11 @@ function branchesOf({ branch_count, branch_bearings_deg, branch_widths_m = [] },
   const bearings = branches.map(
     (/** @type {any} */ { bearing: b }) => `${Math.round(b)}°${local ? "" : ` ${names[Math.round(b / 45) % 8]}`}`,
   );
-  const widths = branches.map((/** @type {any} */ { width }) => width?.toFixed(1) ?? "–");
+  const widths = branches.map((/** @type {any} */ { width }) => (width === null ? "–" : formatMetres(width, 1)));
   const isMeasured = branches.some((/** @type {any} */ { width }) => width !== null);
   return [
     [`Branches (${branch_count})`, bearings.join(", ")],
-    isMeasured && ["Widths of their roads", `${widths.join(", ")} m`],
+    isMeasured && ["Widths of their roads", widths.join(", ")],
   ];
 }
 

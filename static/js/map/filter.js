@@ -97,7 +97,7 @@ export function matches({ verdicts, words, ranges }, intersection) {
 }
 
 /** @param {string} text In lower case. @param {any} properties @returns {boolean} */
-function isCalled(text, { id, osm_id, uid, reason }) {
+function isCalled(text, { id, osm_id, uid, reason, names }) {
   if (/^\d+$/.test(text)) return text === String(id) || text === String(osm_id) || `n${text}` === uid;
-  return [uid, reason].some((each) => each?.toLowerCase().includes(text));
+  return [uid, reason, names].some((each) => each?.toLowerCase().includes(text));
 }

@@ -66,7 +66,7 @@ export const LAYERS = [
   layer(
     "zone",
     "Keyframe",
-    "Seen area",
+    "Seen area, zone",
     "line roi",
     "Region of interest (S) and relevant zone of the chosen keyframe.",
   ),

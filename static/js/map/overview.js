@@ -6,7 +6,7 @@ import { el, plural } from "../dom.js";
 import { Tooltip } from "../leaflet.js";
 import { setState } from "../state.js";
 import { View } from "./surface.js";
-import { colour, trace } from "./symbols.js";
+import { colour, SIGNS, trace } from "./symbols.js";
 
 /** @typedef {import("../data/overview.js").DriveOnMap} DriveOnMap */
 /**
@@ -56,6 +56,7 @@ export class OverviewScene {
     /** @type {Set<string>} */
     this.on = new Set();
     this.progress = 0;
+    this.hasTiles = false;
   }
 
   paintGround() {}
@@ -73,14 +74,18 @@ export class OverviewScene {
     for (const { middle } of discs) trace(context, "disc", view.x(middle[0]), view.y(middle[1]), 6);
     fillAndRim(context, colour("--accent"), colour("--surface"), 2);
     if (view.zoom >= SIGNS_FROM_ZOOM) {
-      context.beginPath();
-      for (const { points } of seen) {
-        for (let i = 0; i < points.length; i += 2) {
-          const [x, y] = [view.x(points[i]), view.y(points[i + 1])];
-          if (view.shows(x, y)) trace(context, "plus", x, y, view.zoom > 15 ? 6 : 4);
+      for (const name of ["unscored", "right", "wrong"]) {
+        const { shape, colour: inside, edge } = SIGNS[name];
+        context.beginPath();
+        for (const { points, drive } of seen) {
+          for (let i = 0; i < points.length; i += 2) {
+            const [x, y] = [view.x(points[i]), view.y(points[i + 1])];
+            if ((drive.outcomes[i / 2] ?? "unscored") === name && view.shows(x, y))
+              trace(context, shape, x, y, view.zoom > 15 ? 6 : 4);
+          }
         }
+        fillAndRim(context, colour(inside), colour(edge ?? inside), 1);
       }
-      fillAndRim(context, colour("--fused"), colour("--fused-edge"), 1);
     }
     paintNames(context, view, seen);
   }

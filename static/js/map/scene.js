@@ -2,21 +2,41 @@
  * A result on the surface: positions projected once, painted layer by layer, found again under the pointer.
  * @module map/scene
  */
-import { formatMetres } from "../dom.js";
 import { ellipseOf, SIGMAS_95 } from "./ellipse.js";
+import { widthText } from "./facts.js";
 import { passes } from "./filter.js";
 import { kindOfNode, verdictOf } from "./layers.js";
 import { paintStreetNames } from "./street_names.js";
 import { colour, SIGNS, trace } from "./symbols.js";
 
 /**
- * @typedef {{kind: "intersection"|"node"|"detection"|"keyframe", item: any}} Hit
+ * @typedef {{kind: "intersection"|"node"|"detection"|"keyframe"|"road", item: any}} Hit
  * @typedef {{xs: Float64Array, ys: Float64Array, items: any[]}} Points Projected at zoom 0.
  */
 
-const MAJOR = new Set(["motorway", "trunk", "primary", "secondary", "tertiary"]);
+/** Classes of roads: metres as drawn, and the name of the colours; the widest are drawn last. */
+const CLASSES = /** @type {Record<string, [number, string]>} */ ({
+  motorway: [12, "major"],
+  trunk: [11, "major"],
+  primary: [9, "major"],
+  secondary: [8.5, "main"],
+  tertiary: [7.5, "main"],
+  living_street: [5.5, "road"],
+  service: [4, "service"],
+});
+const USUAL_CLASS = /** @type {[number, string]} */ ([6.5, "road"]);
 const RAY_M = 14;
 const VERDICT_PX = { unscored: 7.5, right: 8, wrong: 10 };
+/** From so many pixels per metre on (zoom 18.5) a sign is a ring, in which the detections of a place are seen. */
+const RING_FROM = 3;
+const RING_PX = 13;
+const RINGED = new Set(["right", "wrong", "unscored"]);
+/** Colours of branches and ellipses: those of the sign of their intersection. */
+const OF_VERDICT = /** @type {Record<string, {colour: string, edge: string}>} */ ({
+  right: { colour: "--right", edge: "--right" },
+  wrong: { colour: "--wrong", edge: "--wrong" },
+  unscored: { colour: "--fused", edge: "--fused-edge" },
+});
 
 export class Scene {
   /**
@@ -26,6 +46,8 @@ export class Scene {
   constructor(result, map) {
     /** @param {number} lng @param {number} lat */
     const project = (lng, lat) => map.options.crs.latLngToPoint({ lat, lng }, 0);
+    /** @param {number} x At zoom 0. @param {number} y @returns {{lat: number, lng: number}} */
+    this.unproject = (x, y) => map.options.crs.pointToLatLng({ x, y }, 0);
     /** @param {any[]} items @returns {Points} */
     const points = (items) => {
       const xs = new Float64Array(items.length);
@@ -50,20 +72,24 @@ export class Scene {
     this.errors = result.matches.map(({ line, outcome }) => ({ path: flat(line), outcome }));
     this.roads = result.roads.map(({ line, properties }) => ({
       path: flat(line),
-      width: widthOf(properties),
+      ...classOf(properties),
       drivable: isDrivable(properties),
       name: properties.name ?? null,
     }));
-    this.measured = result.measured.map(({ line, properties: { width_m, is_driven } }) => ({
+    this.measured = result.measured.map(({ line, properties }) => ({
       path: flat(line),
-      width: 0, // its text stands beside the line
-      name: width_m === null ? null : `${is_driven ? "" : "≥ "}${formatMetres(width_m, 1)}`,
+      width: properties.width_m ?? 0,
+      name: widthText(properties),
+      properties,
     }));
+    this.mouths = result.mouths.map(flat);
     this.roads.sort((a, b) => a.width - b.width);
     /** @type {Set<string>} */
     this.on = new Set();
     /** Share of the drive that a running job has processed. */
     this.progress = 0;
+    /** Whether map tiles have come: they bring names of streets. */
+    this.hasTiles = false;
   }
 
   /**
@@ -75,6 +101,7 @@ export class Scene {
     context.lineCap = "round";
     context.lineJoin = "round";
     if (this.on.has("roads")) this.#paintRoads(context, view);
+    if (this.on.has("measured")) this.#paintMeasured(context, view);
   }
 
   /**
@@ -86,12 +113,13 @@ export class Scene {
     const size = Math.min(1.35, Math.max(0.6, (view.zoom - (this.result.local ? -4 : 12)) / 6));
     context.lineCap = "round";
     context.lineJoin = "round";
-    if (this.on.has("roads") && !this.on.has("tiles")) paintStreetNames(context, view, this.roads); // tiles have their own
-    if (this.on.has("measured")) {
-      const paths = this.measured.map((each) => each.path);
-      strokePaths(context, view, paths, colour("--measured"), 2, 0.9);
-      paintStreetNames(context, view, this.measured);
-    }
+    if (this.on.has("roads") && !this.hasTiles) paintStreetNames(context, view, this.roads); // tiles have their own
+    if (this.on.has("measured"))
+      paintStreetNames(
+        context,
+        view,
+        this.measured.map((each) => ({ ...each, width: 0 })), // the text stands beside the line
+      );
     if (this.on.has("places")) strokePaths(context, view, this.places, colour("--track"), 1.4, 0.4);
     if (this.on.has("track")) strokePaths(context, view, [this.track], colour("--track"), 1.6, 0.85);
     if (this.progress > 0)
@@ -130,7 +158,7 @@ export class Scene {
           view,
           this.nodes,
           kind,
-          (kind === "outside" ? 4 : kind === "found" ? 9 : 8) * size,
+          (kind === "missed" ? 8 : 4.5) * size,
           1,
           (each) => kindOfNode(each) === kind,
         );
@@ -160,29 +188,43 @@ export class Scene {
     const width = (metres) => Math.max(1.2, Math.min(metres * view.perMetre, 40));
     fillRings(context, view, this.buildings, colour("--building"));
     const driven = this.roads.filter((each) => each.drivable);
-    const others = this.roads.filter((each) => !each.drivable);
-    strokePaths(
-      context,
-      view,
-      others.map((each) => each.path),
-      colour("--road-minor"),
-      width(2.5),
-    );
-    const widths = [...new Set(driven.map((each) => each.width))];
-    for (const [variable, more] of /** @type {const} */ ([
-      ["--road-casing", 2],
-      ["--road", 0],
+    const paths = this.roads.filter((each) => !each.drivable).map((each) => each.path);
+    context.setLineDash(view.perMetre > 1 ? [5, 4] : []);
+    strokePaths(context, view, paths, colour("--road-path"), Math.min(2, width(1.5)));
+    context.setLineDash([]);
+    /** @type {Map<string, {path: Float64Array, width: number, kind: string}[]>} */
+    const groups = new Map();
+    for (const each of driven) {
+      const group = groups.get(`${each.width}`);
+      if (group) group.push(each);
+      else groups.set(`${each.width}`, [each]);
+    }
+    for (const [end, more] of /** @type {const} */ ([
+      ["-casing", 2],
+      ["", 0],
     ])) {
-      for (const metres of widths) {
-        strokePaths(
-          context,
-          view,
-          driven.filter((each) => each.width === metres).map((each) => each.path),
-          colour(variable),
-          width(metres) + more,
-        );
+      for (const group of groups.values()) {
+        const [{ width: metres, kind }] = group;
+        const own = group.map((each) => each.path);
+        strokePaths(context, view, own, colour(`--road-${kind}${end}`), width(metres) + more);
       }
     }
+  }
+
+  /** As wide as they were measured, on the picture of what was seen. @param {CanvasRenderingContext2D} context @param {import("./surface.js").View} view */
+  #paintMeasured(context, view) {
+    const edge = colour("--measured");
+    const inside = colour("--measured-inside");
+    for (const [stroke, more] of /** @type {const} */ ([
+      [edge, 2.5],
+      [inside, 0],
+    ])) {
+      for (const { path, width } of this.measured)
+        if (width) strokePaths(context, view, [path], stroke, Math.max(2, width * view.perMetre) + more);
+      fillRings(context, view, this.mouths, stroke, stroke === edge ? more : 0);
+    }
+    const lines = this.measured.map((each) => each.path);
+    strokePaths(context, view, lines, edge, view.perMetre > 2 ? 1.6 : 1);
   }
 
   /**
@@ -195,7 +237,11 @@ export class Scene {
    * @param {(item: any) => boolean} [chosen]
    */
   #paintPoints(context, view, { xs, ys, items }, name, r, alpha, chosen) {
-    const sign = SIGNS[name];
+    const isRing = RINGED.has(name) && view.perMetre >= RING_FROM;
+    const sign = isRing
+      ? { ...SIGNS[name], filled: false, width: 3, edge: undefined, glyph: undefined, rim: true }
+      : SIGNS[name];
+    if (isRing) r = RING_PX;
     const taken = new Set(); // pixels: a sign over a sign of the same kind changes nothing
     const drawn = [];
     context.beginPath();
@@ -238,24 +284,28 @@ export class Scene {
   /** @param {CanvasRenderingContext2D} context @param {import("./surface.js").View} view */
   #paintUncertainty(context, view) {
     const { xs, ys, items } = this.intersections;
-    context.beginPath();
-    items.forEach((item, i) => {
-      const { major, minor, bearing } = ellipseOf(item.properties);
-      const r = SIGMAS_95 * major * view.perMetre;
-      const [x, y] = [view.x(xs[i]), view.y(ys[i])];
-      if (r <= 2 || !view.shows(x, y, r) || !passes(item)) return;
-      const turn = bearing - Math.PI / 2; // of the canvas: clockwise from east
-      context.moveTo(x + r * Math.cos(turn), y + r * Math.sin(turn));
-      context.ellipse(x, y, r, SIGMAS_95 * minor * view.perMetre, turn, 0, 2 * Math.PI);
-    });
-    context.fillStyle = colour("--fused");
-    context.globalAlpha = 0.28;
-    context.fill();
-    context.globalAlpha = 0.9;
-    context.strokeStyle = colour("--fused-edge");
-    context.lineWidth = 0.8;
-    context.stroke();
-    context.globalAlpha = 1;
+    for (const verdict of Object.keys(VERDICT_PX)) {
+      context.beginPath();
+      items.forEach((item, i) => {
+        if (verdictOf(item) !== verdict) return;
+        const { major, minor, bearing } = ellipseOf(item.properties);
+        const r = SIGMAS_95 * major * view.perMetre;
+        const [x, y] = [view.x(xs[i]), view.y(ys[i])];
+        if (r <= 2 || !view.shows(x, y, r) || !passes(item)) return;
+        const turn = bearing - Math.PI / 2; // of the canvas: clockwise from east
+        context.moveTo(x + r * Math.cos(turn), y + r * Math.sin(turn));
+        context.ellipse(x, y, r, SIGMAS_95 * minor * view.perMetre, turn, 0, 2 * Math.PI);
+      });
+      const { colour: inside, edge } = OF_VERDICT[verdict];
+      context.fillStyle = colour(inside);
+      context.globalAlpha = 0.22;
+      context.fill();
+      context.globalAlpha = 0.9;
+      context.strokeStyle = colour(edge);
+      context.lineWidth = 0.8;
+      context.stroke();
+      context.globalAlpha = 1;
+    }
   }
 
   /** @param {CanvasRenderingContext2D} context @param {import("./surface.js").View} view */
@@ -263,22 +313,26 @@ export class Scene {
     const reach = Math.min(60, Math.max(16, RAY_M * view.perMetre));
     if (RAY_M * view.perMetre < 6) return;
     const { xs, ys, items } = this.intersections;
-    context.beginPath();
-    items.forEach((item, i) => {
-      const [x, y] = [view.x(xs[i]), view.y(ys[i])];
-      if (!view.shows(x, y, reach) || !passes(item)) return;
-      for (const bearing of item.properties.branch_bearings_deg) {
-        const angle = (bearing * Math.PI) / 180;
-        context.moveTo(x + 9 * Math.sin(angle), y - 9 * Math.cos(angle));
-        context.lineTo(x + reach * Math.sin(angle), y - reach * Math.cos(angle));
-      }
-    });
-    context.strokeStyle = colour("--fused-edge");
-    context.lineWidth = 4;
-    context.stroke();
-    context.strokeStyle = colour("--fused");
-    context.lineWidth = 2;
-    context.stroke();
+    const from = view.perMetre >= RING_FROM ? RING_PX : 9;
+    for (const verdict of Object.keys(VERDICT_PX)) {
+      context.beginPath();
+      items.forEach((item, i) => {
+        const [x, y] = [view.x(xs[i]), view.y(ys[i])];
+        if (verdictOf(item) !== verdict || !view.shows(x, y, reach) || !passes(item)) return;
+        for (const bearing of item.properties.branch_bearings_deg) {
+          const angle = (bearing * Math.PI) / 180;
+          context.moveTo(x + from * Math.sin(angle), y - from * Math.cos(angle));
+          context.lineTo(x + reach * Math.sin(angle), y - reach * Math.cos(angle));
+        }
+      });
+      const { colour: inside, edge } = OF_VERDICT[verdict];
+      context.strokeStyle = colour(verdict === "unscored" ? edge : "--surface");
+      context.lineWidth = 4.5;
+      context.stroke();
+      context.strokeStyle = colour(inside);
+      context.lineWidth = 2;
+      context.stroke();
+    }
   }
 
   /**
@@ -305,8 +359,34 @@ export class Scene {
       const row = nearest(points, view, x, y, reach, chosen);
       if (row >= 0) return { kind, item: points.items[row] };
     }
+    return this.on.has("measured") ? this.#findRoad(view, x, y) : null;
+  }
+
+  /** @param {import("./surface.js").View} view @param {number} x @param {number} y @returns {Hit|null} The measured road there. */
+  #findRoad(view, x, y) {
+    for (const { path, width, properties } of this.measured) {
+      const { away, at } = nearestOn(path, view, x, y);
+      if (away > Math.max(6, (width * view.perMetre) / 2)) continue;
+      return { kind: "road", item: { ...this.unproject(at[0], at[1]), properties } };
+    }
     return null;
   }
+}
+
+/** @param {Float64Array} path @param {import("./surface.js").View} view @param {number} x @param {number} y @returns {{away: number, at: [number, number]}} Pixels, and the nearest place at zoom 0. */
+function nearestOn(path, view, x, y) {
+  let away = Infinity;
+  let at = /** @type {[number, number]} */ ([path[0], path[1]]);
+  for (let i = 2; i < path.length; i += 2) {
+    const [ax, ay] = [view.x(path[i - 2]), view.y(path[i - 1])];
+    const [dx, dy] = [view.x(path[i]) - ax, view.y(path[i + 1]) - ay];
+    const t = Math.max(0, Math.min(1, ((x - ax) * dx + (y - ay) * dy) / (dx * dx + dy * dy || 1)));
+    const d = Math.hypot(ax + t * dx - x, ay + t * dy - y);
+    if (d >= away) continue;
+    away = d;
+    at = [path[i - 2] + t * (path[i] - path[i - 2]), path[i - 1] + t * (path[i + 1] - path[i - 1])];
+  }
+  return { away, at };
 }
 
 /** @param {Points} points @param {import("./surface.js").View} view @param {number} x @param {number} y @param {number} reach @param {(item: any) => boolean} chosen */
@@ -320,8 +400,8 @@ function nearest({ xs, ys, items }, view, x, y, reach, chosen) {
   return row;
 }
 
-/** @param {CanvasRenderingContext2D} context @param {import("./surface.js").View} view @param {Float64Array[]} rings @param {string} fill */
-export function fillRings(context, view, rings, fill) {
+/** @param {CanvasRenderingContext2D} context @param {import("./surface.js").View} view @param {Float64Array[]} rings @param {string} fill @param {number} [edge] Width of a line around them. */
+export function fillRings(context, view, rings, fill, edge = 0) {
   context.beginPath();
   for (const ring of rings) {
     for (let i = 0; i < ring.length; i += 2) context[i ? "lineTo" : "moveTo"](view.x(ring[i]), view.y(ring[i + 1]));
@@ -329,6 +409,10 @@ export function fillRings(context, view, rings, fill) {
   }
   context.fillStyle = fill;
   context.fill();
+  if (!edge) return;
+  context.strokeStyle = fill;
+  context.lineWidth = edge;
+  context.stroke();
 }
 
 /**
@@ -366,11 +450,10 @@ function isFresh(line, view, taken) {
   return true;
 }
 
-/** @param {any} properties @returns {number} Metres as drawn. */
-function widthOf({ highway }) {
-  const kind = String(highway).replace(/_link$/, "");
-  if (MAJOR.has(kind)) return 9;
-  return kind === "service" ? 4 : 6.5;
+/** @param {any} properties @returns {{width: number, kind: string}} Metres as drawn, and the name of its colours. */
+function classOf({ highway }) {
+  const [width, kind] = CLASSES[String(highway).replace(/_link$/, "")] ?? USUAL_CLASS;
+  return { width, kind };
 }
 
 /** @param {any} properties @returns {boolean} */

@@ -8,7 +8,7 @@ import { demo, onDemoChange, tryDemo } from "../data/demo.js";
 import { FINAL, lists, onListsChange, rememberJob } from "../data/lists.js";
 import { loadOverview } from "../data/overview.js";
 import { loadResult, loadTrajectory, withService } from "../data/results.js";
-import { el, fill, icon, plural } from "../dom.js";
+import { el, fill, icon, plural, takesDrops } from "../dom.js";
 import { Control, CRS, control, DomEvent, LeafletMap, latLngBounds } from "../leaflet.js";
 import { failureNote, problemNote } from "../messages.js";
 import { addShortcut } from "../shortcuts.js";
@@ -16,7 +16,7 @@ import { getState, setState, subscribe } from "../state.js";
 import { recall } from "../storage.js";
 import { ComparedLayer, followCompared, onCompared } from "./compared.js";
 import { addCoordinates } from "./coordinates.js";
-import { closeDetails, goTo, openDetails, openSelection, watchPointer } from "./details.js";
+import { closeDetails, goTo, keepDetails, openDetails, openSelection, watchPointer } from "./details.js";
 import { clearFilter, isFiltering, onFilterChange } from "./filter.js";
 import { KeyframeLayer } from "./keyframe.js";
 import { layersOn } from "./layers.js";
@@ -29,10 +29,10 @@ import { roadSurface } from "./road_surface.js";
 import { Scene } from "./scene.js";
 import { onPreview, setResult, shown } from "./shown.js";
 import { Surface } from "./surface.js";
-import { makeTiles, onTilesChange } from "./tiles.js";
+import { signIcon } from "./symbols.js";
+import { makeTiles, OSM_CREDIT, onTilesChange } from "./tiles.js";
 import { mountTimeline } from "./timeline.js";
 
-const OSM_CREDIT = "© OpenStreetMap contributors, ODbL";
 const LIVE_MS = 200; // between two pictures of a drive that is under way
 const LOCAL_CREDIT = "Metres of the drive’s own frame: it has no georeference";
 
@@ -40,6 +40,8 @@ const LOCAL_CREDIT = "Metres of the drive’s own frame: it has no georeference"
 let scene = null;
 /** What the map was last fitted to. @type {{places: number[][], local: boolean, padding: number[][]}|null} */
 let whole = null;
+/** What was last shown before it was sent: its roads stay while its job runs. @type {import("../data/results.js").Result|null} */
+let previewed = null;
 /** Whether the map shows a place of the result, worth a permalink. */
 let isPlaced = false;
 
@@ -150,8 +152,9 @@ export async function mountStage() {
     if (mine !== token || !track) return;
     fill(cover);
     build(track.local);
-    scene = new Scene(track, shown.map);
-    scene.on = new Set(["track"]);
+    const isOfPreview = previewed?.trajectory.some(([lng, lat]) => isNear([lng, lat], track.trajectory[0]));
+    scene = new Scene(isOfPreview ? { ...track, roads: previewed?.roads ?? [] } : track, shown.map);
+    scene.on = new Set(["roads", "track"]);
     scene.progress = job.progress.fraction;
     const places = track.trajectory.map(([lng, lat]) => [lat, lng]);
     fit(places, false, track.local);
@@ -162,6 +165,7 @@ export async function mountStage() {
   const showPreview = ({ result, title, text, progress }) => {
     const isNew = !(scene instanceof Scene) || scene.result.trajectory !== result.trajectory;
     if (isNew) clear();
+    previewed = result.local ? null : result;
     fill(cover);
     fill(note, el("strong", {}, title), ` ${text}`);
     build(result.local);
@@ -187,7 +191,15 @@ export async function mountStage() {
     fill(cover);
     const more = unplaced > 0 && ` · ${plural(unplaced, "drive")} without georeference in the list`;
     const cut = isCut && " · the newest of all";
-    fill(note, el("strong", {}, plural(drives.length, "drive")), " to choose from", more, cut, tileSwitch());
+    fill(
+      note,
+      el("strong", {}, plural(drives.length, "drive")),
+      " to choose from",
+      more,
+      cut,
+      overviewKey(drives),
+      tileSwitch(),
+    );
     build(false);
     scene = new OverviewScene(drives, shown.map);
     updateLayers();
@@ -347,9 +359,17 @@ function makeMap(holder, local, current) {
   addCoordinates(made, local);
   const filterNote = addFilterNote(made);
   watchPointer(made, current, measure.isOn);
+  keepDetails(made);
   watchDrives(made, current, () => surface.redraw());
   /** @type {any} */
   let tiles = null;
+  /** @param {boolean} isOn Whether tiles have come, so that streets need no names of their own. */
+  const cover = (isOn) => {
+    holder.classList.toggle("with-tiles", isOn);
+    const scene = current();
+    if (scene) scene.hasTiles = isOn;
+    surface.redraw();
+  };
   /** @type {string|null} */
   let credit = null;
   return {
@@ -368,14 +388,16 @@ function makeMap(holder, local, current) {
     setTiles(on) {
       if (on && !tiles) {
         tiles = makeTiles();
-        tiles?.once("tileload", () => holder.classList.add("with-tiles")); // else the roads stay the base map
+        tiles?.once("tileload", () => cover(true)); // else the roads and their names stay the base map
         tiles?.addTo(made);
       } else if (!on && tiles) {
-        tiles.off();
+        tiles.off("tileload tileerror");
         tiles.remove();
         tiles = null;
-        holder.classList.remove("with-tiles");
+        cover(false);
       }
+      const scene = current();
+      if (scene) scene.hasTiles = holder.classList.contains("with-tiles");
     },
     /** @param {{roads: any[], nodes: any[], local: boolean, isMadeUp: boolean}} shown */
     setAttribution(shown) {
@@ -457,6 +479,9 @@ function margins() {
   ];
 }
 
+/** @param {number[]} a Longitude, latitude. @param {number[]} b @returns {boolean} Whether they are within some metres. */
+const isNear = (a, b) => Math.abs(a[0] - b[0]) + Math.abs(a[1] - b[1]) < 1e-4;
+
 /** @param {[number, number]} place */
 function keepInView(place) {
   const [[left, top], [right, bottom]] = margins();
@@ -489,6 +514,23 @@ function waiting(job) {
   return "The map appears here when the job is done.";
 }
 
+/** What the signs mean. @param {import("../data/overview.js").DriveOnMap[]} drives */
+function overviewKey(drives) {
+  const names = { right: "right", wrong: "wrong", unscored: "not scored" };
+  const there = new Set(
+    drives.flatMap(({ intersections, outcomes }) => intersections.map((_, i) => outcomes[i] ?? "unscored")),
+  );
+  const keys = Object.entries(names).filter(([name]) => there.has(name));
+  return (
+    keys.length > 0 &&
+    el(
+      "span",
+      { class: "key-row" },
+      keys.map(([name, text]) => [signIcon(name), text]),
+    )
+  );
+}
+
 /** @returns {HTMLElement} */
 function tileSwitch() {
   const on = layersOn(getState().layers);
@@ -513,7 +555,11 @@ function welcome(drive) {
     "div",
     { class: "drop drop-stage" },
     icon("upload"),
-    el("h2", {}, "Drop the folder of a LiDAR drive here"),
+    el(
+      "h2",
+      {},
+      takesDrops() ? "Drop the folder of a LiDAR drive here" : "Where are the road intersections of a drive?",
+    ),
     el("p", {}, what),
     el("div", { class: "row" }, upload, demoButton()),
     demo.isRunning && el("p", { role: "status" }, demo.text),

@@ -4,7 +4,7 @@
  */
 import { svg } from "../dom.js";
 
-/** @typedef {"disc"|"cross"|"ring"|"square"|"diamond"|"plus"|"dot"|"triangle"|"check"|"bang"|"hexagon"|"down"} Shape */
+/** @typedef {"disc"|"cross"|"ring"|"square"|"diamond"|"plus"|"dot"|"triangle"|"check"|"bang"|"gap"|"hexagon"} Shape */
 
 /** @param {string} text "x y x y, x y x y" @returns {number[][][]} Lines of points. */
 const lines = (text) => text.split(",").map((line) => [...line.matchAll(/(\S+) (\S+)/g)].map(([, x, y]) => [+x, +y]));
@@ -15,13 +15,13 @@ const OUTLINES = /** @type {Partial<Record<Shape, number[][][]>>} */ ({
   square: lines("-1 -1 1 -1 1 1 -1 1"),
   diamond: lines("0 -1.25 1.25 0 0 1.25 -1.25 0"),
   hexagon: lines("0 -1.15 1 -.58 1 .58 0 1.15 -1 .58 -1 -.58"),
-  down: lines("0 1.3 1.2 -.8 -1.2 -.8"),
   plus: lines("-.36 -1 .36 -1 .36 -.36 1 -.36 1 .36 .36 .36 .36 1 -.36 1 -.36 .36 -1 .36 -1 -.36 -.36 -.36"),
   triangle: lines("0 -1 1.15 1 -1.15 1"),
   check: lines("-.5 0 -.15 .38 .5 -.38"),
   bang: lines("0 -.4 0 .32, 0 .68 0 .7"),
+  gap: lines("-.5 0 .5 0"),
 });
-const OPEN = new Set(["cross", "check", "bang"]);
+const OPEN = new Set(["cross", "check", "bang", "gap"]);
 
 /**
  * Add a symbol to the path of a canvas context.
@@ -61,15 +61,15 @@ export const SIGNS = /** @type {Record<string, Sign>} */ ({
   detection: { colour: "--tp", shape: "disc", filled: true, width: 0 },
   tp: { colour: "--tp", shape: "disc", filled: true, width: 0 },
   fp: { colour: "--fp", shape: "cross", filled: false, width: 2, rim: true },
-  found: { colour: "--found", shape: "square", filled: false, width: 2.4, rim: true },
-  missed: { colour: "--missed", shape: "diamond", filled: false, width: 2.6, rim: true },
+  found: { colour: "--found", shape: "square", filled: false, width: 2, rim: true },
+  missed: { colour: "--missed", shape: "diamond", filled: true, width: 1.6, edge: "--surface", glyph: "gap" },
   outside: { colour: "--outside", shape: "square", filled: false, width: 1.2 },
   right: { colour: "--right", shape: "disc", filled: true, width: 1.6, edge: "--surface", glyph: "check" },
   wrong: { colour: "--wrong", shape: "triangle", filled: true, width: 1.6, edge: "--surface", glyph: "bang" },
   unscored: { colour: "--fused", shape: "plus", filled: true, width: 1.2, edge: "--fused-edge" },
   shared: { colour: "--ink-2", shape: "ring", filled: false, width: 1.4 },
   here: { colour: "--tp", shape: "hexagon", filled: false, width: 1.8 },
-  elsewhere: { colour: "--warn", shape: "down", filled: false, width: 1.8 },
+  elsewhere: { colour: "--tp", shape: "square", filled: false, width: 1.8 },
   keyframe: { colour: "--track", shape: "dot", filled: true, width: 0 },
 });
 
@@ -78,7 +78,7 @@ const RADII = /** @type {Partial<Record<Shape, number>>} */ ({ dot: 2.5, disc: 4
 /** @param {string} name @returns {Element} The sign for legends and tables. */
 export function signIcon(name) {
   const { colour, shape, filled, width, edge, glyph } = SIGNS[name];
-  const r = glyph === "check" ? 7 : (RADII[shape] ?? 4.5);
+  const r = glyph === "check" || glyph === "gap" ? (glyph === "gap" ? 6 : 7) : (RADII[shape] ?? 4.5);
   const stroke = glyph ? "none" : edge ? `var(${edge})` : width ? `var(${colour})` : "none";
   const props = { fill: filled ? `var(${colour})` : "none", stroke, "stroke-width": width };
   const mark = { fill: "none", stroke: "var(--surface)", "stroke-width": 1.8, "stroke-linecap": "round" };

@@ -10,6 +10,8 @@ import { showError } from "../messages.js";
 import { keep, recall } from "../storage.js";
 
 const URL_KEY = "interloc.tiles";
+const OSM = "© OpenStreetMap contributors";
+export const OSM_CREDIT = `${OSM}, ODbL`;
 /** @type {Set<() => void>} */
 const listeners = new Set();
 
@@ -27,10 +29,11 @@ export function onTilesChange(call) {
 export function makeTiles() {
   const url = tileUrl();
   if (!url) return null;
+  const credit = getConfig().tile_attribution || OSM;
   const layer = new TileLayer(url, {
     maxNativeZoom: 19,
     maxZoom: 24,
-    attribution: el("span", {}, getConfig().tile_attribution || "© OpenStreetMap contributors").outerHTML,
+    attribution: credit.startsWith(OSM) ? OSM_CREDIT : el("span", {}, credit).outerHTML, // alike, it is shown once
     referrerPolicy: "strict-origin-when-cross-origin",
     className: "tiles",
   });

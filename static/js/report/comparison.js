@@ -1,19 +1,20 @@
 /**
- * Jobs of one drive side by side.
+ * The panel that puts jobs of one drive side by side.
  * @module report/comparison
  */
 import { getConfig, getJson } from "../api.js";
-import { resultSection, select, table } from "../controls.js";
+import { select, table } from "../controls.js";
 import { kindOfCompared } from "../data/compared.js";
-import { lists, onListsChange } from "../data/lists.js";
+import { lists, onListsChange, titleOf } from "../data/lists.js";
 import { el, fill, formatMetres, formatPercent, plural } from "../dom.js";
 import { jobName } from "../job/words.js";
 import { comparedJobs, getCompared, onCompared } from "../map/compared.js";
 import { goTo } from "../map/details.js";
-import { shown } from "../map/shown.js";
+import { verdictOf } from "../map/layers.js";
+import { onResult, shown } from "../map/shown.js";
 import { signIcon } from "../map/symbols.js";
 import { problemNote } from "../messages.js";
-import { setState, subscribe } from "../state.js";
+import { getState, setState, subscribe } from "../state.js";
 import { lineChart } from "./chart.js";
 import { at, curve } from "./scores.js";
 
@@ -32,19 +33,32 @@ onListsChange(() => showJobs());
 subscribe(["compare"], () => (showJobs(), showCompared()));
 onCompared((compared) => showPlaces(compared));
 
+/** @param {HTMLElement} container */
+export function mount(container) {
+  onResult((result) => {
+    showJobs = showCompared = showPlaces = () => {};
+    if (!result?.report) {
+      const text = "Jobs of one drive that were scored are compared here: run it again with another map or settings.";
+      return fill(container, el("p", { class: "quiet" }, text));
+    }
+    fill(container, el("div", { class: "stack" }, comparison(result)));
+  });
+}
+
 /** @param {import("../data/results.js").Result} result */
-export function comparison({ job, report }) {
+function comparison({ job, report }) {
   const choice = el("fieldset", { class: "others" });
   const holder = el("div", { class: "stack-s" });
   const places = el("div", { class: "stack-s" });
-  const section = resultSection("Compare", el("div", { class: "stack-s" }, choice, holder, places));
+  const alone = el("p", { class: "quiet" }, "The drive has no other job with a map yet: run it again to compare.");
   /** @type {string[]} */
   let names = [];
   let token = 0;
 
   showJobs = () => {
     const others = lists.jobs.filter((each) => isComparable(each, job));
-    section.hidden = !others.length;
+    alone.hidden = others.length > 0;
+    choice.hidden = !others.length;
     const chosen = comparedJobs();
     const maxOthers = getConfig().max_compared_jobs - 1;
     const focused = choice.contains(document.activeElement) ? document.activeElement?.id : null;
@@ -63,6 +77,7 @@ export function comparison({ job, report }) {
   showCompared = async () => {
     const mine = ++token;
     const ids = [job.id, ...comparedJobs()];
+    const { service } = getState();
     fill(places);
     if (ids.length < 2) return fill(holder);
     try {
@@ -72,7 +87,10 @@ export function comparison({ job, report }) {
       ]);
       if (mine !== token) return;
       names = compared.names;
-      const reports = [report, ...others];
+      const reports = [
+        report,
+        ...others.map((each) => (service && each.with_service ? { ...each, ...each.with_service } : each)),
+      ];
       const jobs = ids.map((id) => lists.jobs.find((each) => each.id === id));
       fill(holder, scores(names, reports), curves(names, reports), differences(names, jobs, compared));
       showPlaces(getCompared());
@@ -89,7 +107,14 @@ export function comparison({ job, report }) {
 
   showJobs();
   void showCompared();
-  return section;
+  return [
+    el("h2", { class: "cut" }, job.drive_name),
+    el("p", { class: "small" }, "This job: ", titleOf(job)),
+    alone,
+    choice,
+    holder,
+    places,
+  ];
 }
 
 /** @param {any} other @param {any} job @returns {boolean} */
@@ -227,10 +252,12 @@ function placesOf(names, { items }) {
   ];
   let others = 0;
   const nameOf = (/** @type {any} */ { found, properties }) =>
-    found[0] ? `No. ${properties.id}` : `Other ${(others += 1)}`;
+    properties.names ?? (found[0] ? `No. ${properties.id}` : `Other ${(others += 1)}`);
   const rows = differing.map((item) => [
     el("button", { class: "link", onClick: () => showPlace(item) }, nameOf(item)),
-    ...item.found.map((isFound) => (isFound ? outcome("unscored", "found", names.length) : "–")),
+    ...item.found.map((isFound, i) =>
+      isFound ? outcome(i === item.found.indexOf(true) ? verdictOf(item) : "unscored", "found", names.length) : "–",
+    ),
   ]);
   return [
     el("h4", {}, "Intersections of the map"),

@@ -4,13 +4,13 @@
  */
 import { iconButton } from "../controls.js";
 import { el, fill, plural } from "../dom.js";
-import { goTo, isNamed } from "../map/details.js";
+import { goTo, isNamed, ofService, serviceSwitch } from "../map/details.js";
 import { clearFilter, getFilter, isFiltering, onFilterChange, setFilter } from "../map/filter.js";
 import { verdictOf } from "../map/layers.js";
 import { queue, setOrder, step, VERDICT_ORDER } from "../map/queue.js";
 import { signIcon } from "../map/symbols.js";
 import { getState, subscribe } from "../state.js";
-import { sortedTable } from "./sorted_table.js";
+import { belowRow, sortedTable } from "./sorted_table.js";
 
 /** @typedef {import("../data/results.js").Place} Place */
 /** @typedef {import("../map/filter.js").Figure} Figure */
@@ -64,16 +64,9 @@ const COLUMNS = [
     meaning: "Observations: detections that are part of it.",
     value: ({ properties: p }) => p.observations,
   },
-  {
-    name: "Reason",
-    class: "words",
-    meaning: "Why it is wrong or not scored: what the map holds at its place.",
-    value: ({ properties: p }) => p.reason,
-    text: ({ properties: p }) => p.reason ?? "",
-  },
 ];
 /** Columns that only a score, or only its lack, has. */
-const IF_SCORED = /** @type {Record<string, boolean>} */ ({ Outcome: true, Error: true, Reason: true, "±": false });
+const IF_SCORED = /** @type {Record<string, boolean>} */ ({ Outcome: true, Error: true });
 
 /** @type {{figure: Figure, name: string, scale: number, step: string}[]} */
 const RANGES = [
@@ -92,6 +85,7 @@ export function intersectionList(result) {
       keyOf: ({ properties }) => String(properties.id),
       onChoose: (item) => goTo({ kind: "intersection", item }),
       onSort: setOrder,
+      below: ({ properties: p }) => belowRow(p, ofService(p) && serviceSwitch(result)),
     },
   );
   setOrder(null);
@@ -99,9 +93,9 @@ export function intersectionList(result) {
   const status = el("p", { class: "small", role: "status" });
   const search = el("input", {
     type: "search",
-    placeholder: "Id, place or reason",
-    "aria-label": "Find intersections by id, name of the place, or words of the reason",
-    title: "An id (3), a name of a place (n24546294), or words of the reason (worth a look)",
+    placeholder: "Street, id, place or reason",
+    "aria-label": "Find intersections by street, id, name of the place, or words of the reason",
+    title: "A street, an id (3), a name of a place (n24546294), or words of the reason (worth a look)",
     value: getFilter().words,
     onInput: () => setFilter({ words: search.value }),
     onKeydown: (/** @type {KeyboardEvent} */ event) => event.key === "Enter" && step(1),

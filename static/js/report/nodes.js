@@ -8,7 +8,7 @@ import { goTo } from "../map/details.js";
 import { kindOfNode } from "../map/layers.js";
 import { signIcon } from "../map/symbols.js";
 import { getState, subscribe } from "../state.js";
-import { sortedTable } from "./sorted_table.js";
+import { belowRow, sortedTable } from "./sorted_table.js";
 
 const ORDER = { missed: 0, found: 1, outside: 2 };
 const NAMES = { missed: "missed", found: "found", outside: "out of reach" };
@@ -25,7 +25,6 @@ const COLUMNS = [
       return el("span", { title: name }, signIcon(kind), el("span", { class: "unseen" }, name));
     },
   },
-  { name: "Node", meaning: "Number of the node in OpenStreetMap.", value: (node) => node.osm_id },
   {
     name: "Error",
     meaning: "Distance of the intersection of the map that is assigned to it, metres.",
@@ -55,6 +54,8 @@ export function nodeTable(result) {
   const places = new Map(result.nodes.map((node) => [node.properties.osm_id, node]));
   const table = sortedTable(COLUMNS, {
     keyOf: ({ osm_id }) => String(osm_id),
+    below: (node) =>
+      belowRow({ ...node, names: `${node.names ?? "Node"} ` }, el("span", { class: "number" }, ` ${node.osm_id}`)),
     onChoose: ({ osm_id }) => {
       const item = places.get(osm_id);
       if (item) goTo({ kind: "node", item });

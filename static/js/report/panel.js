@@ -6,11 +6,11 @@ import { getJson } from "../api.js";
 import { figure, resultSection as section, table } from "../controls.js";
 import { el, fill, formatCount, formatDate, formatMetres, formatPercent, plural } from "../dom.js";
 import { openRunDialog } from "../job/run_dialog.js";
+import { serviceSwitch } from "../map/details.js";
 import { onResult } from "../map/shown.js";
 import { showError } from "../messages.js";
-import { setState } from "../state.js";
+import { getState, setState } from "../state.js";
 import { barChart, lineChart } from "./chart.js";
-import { comparison } from "./comparison.js";
 import { intersectionList } from "./intersections.js";
 import { nodeTable } from "./nodes.js";
 import { at, curve, histogram, sequenceOf } from "./scores.js";
@@ -87,6 +87,7 @@ function sections(result, report) {
       { class: "group" },
       el("h3", {}, "The map"),
       mapFigures(level),
+      serviceNote(result),
       el("h4", {}, "Intersections"),
       intersectionList(result),
       el("h4", {}, "OSM intersections"),
@@ -116,8 +117,19 @@ function sections(result, report) {
       el("h4", {}, "Center errors"),
       barChart(histogram(errors, 0.5, 20), { width: 0.5, limit: report.ace_tp_threshold_m ?? D }),
     ),
-    comparison(result),
   ];
+}
+
+/** What service roads would change, or do. @param {import("../data/results.js").Result} result */
+function serviceNote(result) {
+  const other = result.report.with_service;
+  if (!other) return null;
+  const isOn = getState().service;
+  if (!isOn && other.map_line === result.report.map_line) return null;
+  const text = isOn
+    ? "Service roads count here; the detections below are scored without them. "
+    : `With service roads too: ${other.map_line.replace(/ within [\d.]+ m/, "")}. `;
+  return el("p", { class: "small service" }, text, serviceSwitch(result));
 }
 
 /** @param {any} level `map_level` of the report. */

@@ -17,10 +17,14 @@ import { el, fill } from "../dom.js";
 
 /**
  * @param {Column[]} columns Sorted by the first.
- * @param {{keyOf: (row: any) => string, onChoose: (row: any) => void, onSort?: (order: Order) => void}} options
+ * @param {object} options
+ * @param {(row: any) => string} options.keyOf
+ * @param {(row: any) => void} options.onChoose
+ * @param {(order: Order) => void} [options.onSort]
+ * @param {(row: any) => any} [options.below] What stands below a row, over its whole width; null for nothing.
  * @returns {{element: HTMLElement, show: (rows: any[]) => void, mark: (key: string|null) => void}}
  */
-export function sortedTable(columns, { keyOf, onChoose, onSort }) {
+export function sortedTable(columns, { keyOf, onChoose, onSort, below }) {
   let column = 0;
   let down = Boolean(columns[0].down);
   /** @type {any[]} */
@@ -51,7 +55,10 @@ export function sortedTable(columns, { keyOf, onChoose, onSort }) {
       head.querySelector("span").textContent = i === column ? (down ? "▾" : "▴") : "";
     });
     rows.sort((a, b) => order(a, b) || compare(keyOf(a), keyOf(b), false));
-    fill(body, rows.map(rowOf));
+    fill(
+      body,
+      rows.map((row) => [rowOf(row), belowOf(row)]),
+    );
     markRows();
   };
   /** @param {any} row */
@@ -60,16 +67,24 @@ export function sortedTable(columns, { keyOf, onChoose, onSort }) {
     const props = { class: "can", dataset: { key: keyOf(row) }, tabIndex: -1, title: "Show it on the map" };
     return el("tr", { ...props, onClick: () => onChoose(row) }, cells);
   };
+  /** @param {any} row */
+  const belowOf = (row) => {
+    const more = below?.(row);
+    const props = { class: "below", dataset: { key: keyOf(row) }, onClick: () => onChoose(row) };
+    return more && el("tr", props, el("td", { colSpan: columns.length }, more));
+  };
+  /** @returns {any[]} Those that have a stop of the Tab key. */
+  const stops = () => [...body.querySelectorAll("tr.can")];
   const markRows = () => {
     for (const row of body.children) row.classList.toggle("is", row.dataset.key === marked);
-    const stop = body.querySelector(".is") ?? body.firstChild;
-    for (const row of body.children) row.tabIndex = row === stop ? 0 : -1;
+    const stop = body.querySelector("tr.can.is") ?? body.firstChild;
+    for (const row of stops()) row.tabIndex = row === stop ? 0 : -1;
   };
   /** @param {KeyboardEvent} event */
   const move = (event) => {
     const row = /** @type {any} */ (event.target);
     if (row.parentElement !== body) return;
-    const all = [...body.children];
+    const all = stops();
     const at = all.indexOf(row);
     const next = { ArrowDown: at + 1, ArrowUp: at - 1, Home: 0, End: all.length - 1 }[event.key];
     if (next !== undefined && all[next]) {
@@ -119,4 +134,14 @@ export function compare(a, b, down) {
   if (noA || noB) return Number(noA) - Number(noB);
   const sign = typeof a === "number" ? a - b : String(a).localeCompare(String(b), "en", { numeric: true });
   return down ? -sign : sign;
+}
+
+/**
+ * What stands below the row of an intersection or a node: its streets, and why its verdict is what it is.
+ * @param {{names?: string|null, reason?: string|null}} properties
+ * @param {...any} more
+ */
+export function belowRow({ names, reason }, ...more) {
+  const parts = [names && el("b", {}, names), reason && `${names ? " " : ""}${reason}`, ...more].filter(Boolean);
+  return parts.length ? parts : null;
 }

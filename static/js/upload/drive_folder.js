@@ -41,6 +41,7 @@ import { formatBytes, plural } from "../dom.js";
  * @property {string[]} pose_files Files that may hold the poses of a recording.
  * @property {string[]} borrowed Notes on files that were taken from beside the drive.
  * @property {Record<string, number>} wanted Files whose first bytes would tell more.
+ * @property {Record<string, [number, number][]>} wanted_ranges Parts of bags that would tell more.
  * @property {string | null} georeference
  * @property {string | null} georeference_reason
  * @property {Track | null} track
@@ -83,6 +84,7 @@ const MAX_SMALL_BYTES = 8e6;
 const MAX_CONTENT_BYTES = 16e6; // the service takes 32 MB, and Base64 makes a third more of them
 const MAX_CONTENTS = 20_000;
 const READ_AT_ONCE = 64;
+const MAX_TURNS = 6; // of asking for parts of a bag
 
 /**
  * @typedef {object} Wish
@@ -115,6 +117,16 @@ export async function lookInto(folder, { root, options, extras = new Map() } = {
     contents = { ...contents, ...more };
     if (Object.keys(more).length)
       answer = await sendJson("POST", "drives/look", { ...json, root: answer.drive.root, contents });
+    /** @type {Record<string, Record<string, string>>} */
+    const ranges = {};
+    for (let turn = 0; turn < MAX_TURNS && Object.keys(answer.drive?.wanted_ranges ?? {}).length; turn += 1) {
+      for (const [path, pieces] of /** @type {[string, [number, number][]][]} */ (
+        Object.entries(answer.drive.wanted_ranges)
+      ))
+        for (const [start, stop] of pieces)
+          (ranges[path] ??= {})[start] = await base64Of(/** @type {File} */ (files.get(path)).slice(start, stop));
+      answer = await sendJson("POST", "drives/look", { ...json, root: answer.drive.root, contents, ranges });
+    }
     return { ...answer, drive: answer.drive && driveOf(folder, answer.drive) };
   } catch (fault) {
     if (!(fault instanceof ApiError)) throw fault;

@@ -71,7 +71,7 @@ export function formView(
   const keepPlace = el("div", {});
   const choices = Object.entries(SENDING).filter(([value]) => canReduce || value === "raw");
   const parts = radios(
-    "What is sent",
+    "Of the scans",
     choices.map(([value, [title, hint]]) => ({ value, title, hint, more: value === "raw" ? keepPlace : null })),
     usual,
     refresh,
@@ -297,7 +297,7 @@ export function formView(
     name: "more-files",
   });
   const ofSending = el("summary", {}, "What is sent");
-  const other = el("button", { class: "plain", onClick: onBack }, "Choose another");
+  const other = el("button", { onClick: onBack }, "Choose another");
   const element = el(
     "div",
     { class: "stack upload-form" },
@@ -392,9 +392,10 @@ function reasonOf({ scans, recorded, look }, made) {
 /** @param {DriveFolder} drive @returns {string} */
 function georeferenceOf({ look, layout }) {
   if (look?.georeference) return look.georeference;
+  if (look?.georeference_reason) return "none";
   if (layout === "rosbag") return "the fixes in the bag, if it has any";
   if (layout === "las") return "the coordinate system, if the files name one";
-  return look?.georeference_reason ? "none" : "not known yet";
+  return "not known yet";
 }
 
 /**

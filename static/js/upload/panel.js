@@ -4,7 +4,7 @@ import { ApiError, getConfig, getJson, isArchive, sendJson } from "../api.js";
 import { filePicker, iconButton, section } from "../controls.js";
 import { refreshLists, rememberJob } from "../data/lists.js";
 import { onUploadsChange, tellUpload, uploadElsewhere, uploadOf, uploadText } from "../data/uploads.js";
-import { el, fill, formatAgo, formatBytes, icon, plural } from "../dom.js";
+import { el, fill, formatAgo, formatBytes, icon, plural, takesDrops } from "../dom.js";
 import { afterDeletion } from "../job/words.js";
 import { confirmAction, problemNote, showError, showMessage } from "../messages.js";
 import { getState, setState } from "../state.js";
@@ -127,7 +127,7 @@ async function showStart(message = null, begun = null) {
       iconButton("trash", `Remove ${name}`, () => run(() => remove(upload)), "Remove it from the service"),
     );
   });
-  const call = el("strong", {}, "Drop the folder of a drive here");
+  const call = el("strong", {}, takesDrops() ? "Drop the folder of a drive here" : "Choose the folder of a drive");
   const kinds = `or files: ${recordings.join(", ")}; archives: .zip, .tar, .tar.gz, .tar.zst`;
   const or = el("span", { class: "quiet" }, kinds);
   const buttons = [el("button", { class: "primary", onClick: pick }, "Choose a folder"), pickFiles];

@@ -112,7 +112,7 @@ export function progressView({ onChange, onCorrect, onLeave }) {
       ["Layout", LAYOUTS[/** @type {keyof typeof LAYOUTS} */ (found.layout)] ?? found.layout],
       owner && ["Poses", [owner, why(found.pose_frame_reason)]],
       ["Georeference", [found.georeference ?? "none", why(found.georeference_reason)]],
-      typeof found.length_m === "number" && ["Distance", formatMetres(found.length_m)],
+      typeof found.length_m === "number" && ["Distance", formatMetres(found.length_m, 0)],
       ["To be sent", sending === "raw" ? `all ${plural(found.scans, "scan")}` : keyframes],
       madeFolder(options) && ["To be labelled", `about ${keyframes}`],
     ]);
@@ -161,7 +161,10 @@ function figuresOf(upload, isSending) {
   const seconds = isUnderWay && step !== "files" ? meter.secondsLeft : step === "check" ? upload.secondsLeft : null;
   const left = seconds !== null && formatDuration(seconds);
   return factRows([
-    total && [isOfScans ? "Scans" : "Files", `${formatCount(done)} of ${formatCount(total)}`],
+    total && [
+      isOfScans && total === upload.plan?.frames.length ? "Scans" : "Files",
+      `${formatCount(done)} of ${formatCount(total)}`,
+    ],
     (meter.sent || meter.skipped) && ["Sent", `${formatBytes(meter.sent)} of about ${all}`],
     meter.skipped && ["There already", formatBytes(meter.skipped)],
     isUnderWay && meter.speed !== null && ["Speed", `${formatBytes(meter.speed)}/s`],

@@ -20,6 +20,7 @@ from app.http.parameters import Box
 from app.results.routes import results
 from app.results.selection import select_features
 from app.store.database import Database
+from app.store.models import Job
 from interloc.output.geojson import write_collection
 from tests.app.results.conftest import Finished, add_job
 
@@ -30,6 +31,29 @@ IDENTITY = {"accept-encoding": "identity"}
 
 def files_of(folder: Path) -> dict[str, bytes]:
     return {p.relative_to(folder).as_posix(): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
+
+
+def test_a_result_of_an_older_version_is_linked_without_roads(finished: Finished) -> None:
+    roads = {"roads", "junctions", "road-surface"}
+    database = Database(f"sqlite:///{finished.data_dir}/interloc.sqlite3")
+    add_job(database, finished.data_dir, "older", "street", finished.results / "plain")
+    for summary, linked in (({}, set()), ({"has_roads": True}, roads)):
+        with database.writing() as session:
+            session.get_one(Job, "older").summary = {"georeferenced": True, "report": None, **summary}
+        links = finished.get("/jobs/older").json()["links"]
+        assert roads & links.keys() == linked
+        assert {"intersections", "export.gpkg"} <= links.keys()
+    folder = finished.data_dir / "jobs/older/result"
+    for name in roads:
+        (folder / f"{name.replace('-', '_')}.geojson").unlink()
+        answer = finished.get(f"/jobs/older/{name}")
+        assert (answer.status_code, "an older version made its result" in answer.json()["detail"]) == (404, True)
+    answer = finished.get("/jobs/older/export.fgb", params={"layer": "roads"})
+    assert answer.status_code == 404
+    assert finished.get("/jobs/older/export.gpkg").status_code == 200
+    with database.writing() as session:
+        session.delete(session.get_one(Job, "older"))
+    database.close()
 
 
 @pytest.mark.parametrize("layer", LAYERS)

@@ -26,6 +26,9 @@ from interloc.drives.scans.rosbag.stamps import clock_lead_s, clock_shift
 from interloc.drives.scans.rosbag.wire import WireError
 from interloc.geometry import enu_from_lonlat, invert_transform
 
+_ARM_STD_M = 1.0
+"""Along each axis, of a place on a car that is not known."""
+
 _GRID_S, _MAX_GRID = 0.2, 20_000
 
 
@@ -151,6 +154,13 @@ class BagFixes:
         antenna_frame = messages[int(rows[0])].header.frame_id
         T_lidar_antenna = self.tree.between(self.points_frame, antenna_frame) if antenna_frame else None
         antenna = np.zeros(3) if T_lidar_antenna is None else T_lidar_antenna[:3, 3]
+        if T_lidar_antenna is None:
+            findings.note(
+                self.bag.name,
+                f"{name}: where the antenna is on the vehicle is not known (no transform leads from "
+                f"{self.points_frame} to {antenna_frame or 'its frame, which is not named'}): it is taken to be at "
+                f"the LiDAR, and positions count as {_ARM_STD_M:.0f} m less sure. Record it in /tf_static.",
+            )
         places = at_fixes[:, :3, :3] @ antenna + at_fixes[:, :3, 3]
         distance_m = _distances(
             np.concatenate([times_s[rows], scan_times_s]), np.concatenate([at_fixes[:, :3, 3], world[:, :3, 3]])
@@ -163,6 +173,7 @@ class BagFixes:
             places,
             distance_m[: len(rows)],
             None if np.isnan(std_m).all() else np.where(np.isnan(std_m), np.nanmax(std_m), std_m),
+            0.0 if T_lidar_antenna is not None else _ARM_STD_M,
         )
         if extent_m(fixes) < MIN_EXTENT_M or float(np.ptp(places, axis=0).max()) < MIN_EXTENT_M / 2:
             return None, (

@@ -35,19 +35,19 @@ from interloc.drives.scans.rosbag.wire import Encoding
 
 MAGIC = b"\x89MCAP0\r\n"
 
-_HEADER, _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _MESSAGE_INDEX, _CHUNK_INDEX = range(1, 9)
+_HEADER, _FOOTER, _SCHEMA, _CHANNEL, MESSAGE, _CHUNK, _MESSAGE_INDEX, _CHUNK_INDEX = range(1, 9)
 _DATA_END = 0x0F
-_PREFIX = struct.Struct("<BQ")  # of every record: its kind, its size
-_MESSAGE_HEAD = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
+PREFIX = struct.Struct("<BQ")  # of every record: its kind, its size
+MESSAGE_HEAD = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
 _CHUNK_HEAD = struct.Struct("<QQQI")  # first and last time, unpacked size, checksum
-_FOOTER_BYTES = _PREFIX.size + 20 + len(MAGIC)
+FOOTER_BYTES = PREFIX.size + 20 + len(MAGIC)
 _SMALL_RECORD = 64 * 1024 * 1024
 _Place = tuple[int, int, int]  # where the bytes of a chunk start, their size, their compression
-_ENCODINGS: dict[str, Encoding] = {"cdr": "cdr", "ros1": "ros1"}
+ENCODINGS: dict[str, Encoding] = {"cdr": "cdr", "ros1": "ros1"}
 
 
 @dataclass
-class _Contents:
+class Contents:
     """What was found so far.
 
     Attributes
@@ -96,7 +96,7 @@ class _Contents:
                 Channel(
                     topic,
                     ros2_spelling(name),
-                    _ENCODINGS.get(encoding),
+                    ENCODINGS.get(encoding),
                     rows[:, 0].copy(),
                     rows[:, 1:].copy(),
                     defined,
@@ -130,31 +130,27 @@ def index_mcap(file: SourceFile) -> BagIndex:
             contents = None
         if contents is not None:
             return contents.index()
-        contents = _Contents()
+        contents = Contents()
         damage = _look_through(raw, size, contents)
         if damage and not contents.count:
             raise ValueError(damage)
         return contents.index(damage)
 
 
-def _by_summary(raw: BinaryIO, size: int) -> _Contents | None:
+def _by_summary(raw: BinaryIO, size: int) -> Contents | None:
     """Read the summary at the end, and the indexes of the chunks; None where there is no complete one."""
-    raw.seek(max(0, size - _FOOTER_BYTES))
+    raw.seek(max(0, size - FOOTER_BYTES))
     footer = raw.read()
-    if len(footer) != _FOOTER_BYTES or not footer.endswith(MAGIC) or footer[0] != _FOOTER:
+    if len(footer) != FOOTER_BYTES or not footer.endswith(MAGIC) or footer[0] != _FOOTER:
         return None
-    (start,) = struct.unpack_from("<Q", footer, _PREFIX.size)
-    end = size - _FOOTER_BYTES
+    (start,) = struct.unpack_from("<Q", footer, PREFIX.size)
+    end = size - FOOTER_BYTES
     if not 0 < start <= end:
         return None
-    contents = _Contents()
+    contents = Contents()
     chunks: list[tuple[_Place, int, int]] = []
     raw.seek(start)
-    while raw.tell() < end:
-        kind, length = _PREFIX.unpack(raw.read(_PREFIX.size))
-        if length > end - raw.tell():
-            raise DamagedChunkError("a record of the summary is longer than the summary")
-        content = raw.read(length)
+    for kind, content in _records_of(raw.read(end - start)):
         contents.add_record(kind, content)
         if kind == _CHUNK_INDEX:
             chunk_start, chunk_length = struct.unpack_from("<QQ", content, 16)
@@ -164,7 +160,7 @@ def _by_summary(raw: BinaryIO, size: int) -> _Contents | None:
             (packed,) = struct.unpack_from("<Q", content, at)
             if chunk_start + chunk_length + index_length > size:
                 raise DamagedChunkError("the index of a chunk lies outside of the file")
-            data_start = chunk_start + _PREFIX.size + _CHUNK_HEAD.size + 4 + len(compression) + 8
+            data_start = chunk_start + PREFIX.size + _CHUNK_HEAD.size + 4 + len(compression) + 8
             place = (data_start, packed, codec_number(compression))
             chunks.append((place, chunk_start + chunk_length, index_length))
     if not contents.channels or not chunks or not all(length for *_, length in chunks):
@@ -174,14 +170,44 @@ def _by_summary(raw: BinaryIO, size: int) -> _Contents | None:
     return contents
 
 
-def _read_message_index(raw: BinaryIO, place: _Place, start: int, length: int, contents: _Contents) -> None:
+def _records_of(summary: bytes) -> Iterator[tuple[int, bytes]]:
+    at = 0
+    while at < len(summary):
+        kind, length = PREFIX.unpack_from(summary, at)
+        at += PREFIX.size
+        if length > len(summary) - at:
+            raise DamagedChunkError("a record of the summary is longer than the summary")
+        yield kind, summary[at : at + length]
+        at += length
+
+
+def read_summary(summary: bytes) -> tuple[Contents, list[tuple[int, int, frozenset[int]]]]:
+    """Return the channels that a summary names, and where each chunk begins, its length, and its channels.
+
+    Raises
+    ------
+    ValueError, struct.error
+        It is damaged.
+    """
+    contents, chunks = Contents(), []
+    for kind, content in _records_of(summary):
+        contents.add_record(kind, content)
+        if kind == _CHUNK_INDEX:
+            start, length = struct.unpack_from("<QQ", content, 16)
+            (offsets,) = struct.unpack_from("<I", content, 32)
+            pairs = struct.iter_unpack("<HQ", content[36 : 36 + offsets])
+            chunks.append((start, length, frozenset(channel for channel, _ in pairs)))
+    return contents, chunks
+
+
+def _read_message_index(raw: BinaryIO, place: _Place, start: int, length: int, contents: Contents) -> None:
     """Read which messages a chunk holds, from the records that follow it."""
     raw.seek(start)
     records = raw.read(length)
     at = 0
     while at < len(records):
-        kind, size = _PREFIX.unpack_from(records, at)
-        at += _PREFIX.size
+        kind, size = PREFIX.unpack_from(records, at)
+        at += PREFIX.size
         if kind == _MESSAGE_INDEX:
             channel, entries = struct.unpack_from("<HI", records, at)
             pairs = np.frombuffer(records, "<u8", entries // 16 * 2, at + 6).reshape(-1, 2).astype(np.int64)
@@ -191,7 +217,7 @@ def _read_message_index(raw: BinaryIO, place: _Place, start: int, length: int, c
         at += size
 
 
-def _chunk_place(raw: BinaryIO) -> tuple[_Place, int]:
+def chunk_place(raw: BinaryIO) -> tuple[_Place, int]:
     """Return where the bytes of a chunk lie, their size and compression, and their size when unpacked."""
     _, _, unpacked, _ = _CHUNK_HEAD.unpack(raw.read(_CHUNK_HEAD.size))
     (length,) = struct.unpack("<I", raw.read(4))
@@ -203,25 +229,25 @@ def _chunk_place(raw: BinaryIO) -> tuple[_Place, int]:
     return (raw.tell(), size, codec), unpacked
 
 
-def _look_through(raw: BinaryIO, size: int, contents: _Contents) -> str:
+def _look_through(raw: BinaryIO, size: int, contents: Contents) -> str:
     """Read a file from its beginning, past chunks that are damaged; return the first damage, or nothing."""
     at, damage = len(MAGIC), ""
     try:
         while at < size:
             raw.seek(at)
-            kind, length = _PREFIX.unpack(raw.read(_PREFIX.size))
+            kind, length = PREFIX.unpack(raw.read(PREFIX.size))
             if kind in {_FOOTER, _DATA_END}:
                 return damage
-            content_at = at + _PREFIX.size
+            content_at = at + PREFIX.size
             if kind == _CHUNK:
                 error = _look_through_chunk(raw, size, contents)
                 if error is not None and content_at + length > size:
                     raise error
                 damage = damage or ("" if error is None else f"{error} (at byte {at:,} of {size:,})")
-            elif kind == _MESSAGE:
-                channel, _, log_ns, _ = _MESSAGE_HEAD.unpack(raw.read(_MESSAGE_HEAD.size))
+            elif kind == MESSAGE:
+                channel, _, log_ns, _ = MESSAGE_HEAD.unpack(raw.read(MESSAGE_HEAD.size))
                 if content_at + length <= size:
-                    contents.add_messages(channel, np.array([[log_ns, at, _PREFIX.size + length, 0, 0]], np.int64))
+                    contents.add_messages(channel, np.array([[log_ns, at, PREFIX.size + length, 0, 0]], np.int64))
             elif kind in {_SCHEMA, _CHANNEL}:
                 contents.add_record(kind, raw.read(min(length, _SMALL_RECORD)))
             at = content_at + length
@@ -233,10 +259,10 @@ def _look_through(raw: BinaryIO, size: int, contents: _Contents) -> str:
     return damage or "it has no end (the footer is missing)"
 
 
-def _look_through_chunk(raw: BinaryIO, size: int, contents: _Contents) -> Exception | None:
+def _look_through_chunk(raw: BinaryIO, size: int, contents: Contents) -> Exception | None:
     """Find the messages of the chunk that a file of some bytes stands at; return what ended that too early."""
     try:
-        (start, packed, codec), unpacked = _chunk_place(raw)
+        (start, packed, codec), unpacked = chunk_place(raw)
         there = min(packed, size - start)
         _find_messages(ChunkStream(raw, start, there, codec), unpacked, (start, there, codec), contents)
     except (ValueError, struct.error, OverflowError) as error:
@@ -244,18 +270,18 @@ def _look_through_chunk(raw: BinaryIO, size: int, contents: _Contents) -> Except
     return None
 
 
-def _find_messages(stream: ChunkStream, unpacked: int, place: _Place, contents: _Contents) -> None:
+def _find_messages(stream: ChunkStream, unpacked: int, place: _Place, contents: Contents) -> None:
     while stream.position < unpacked:
         at = stream.position
-        prefix = stream.read(_PREFIX.size)
+        prefix = stream.read(PREFIX.size)
         if not prefix:
             raise DamagedChunkError("a chunk ends too early")
-        kind, length = _PREFIX.unpack(prefix)
+        kind, length = PREFIX.unpack(prefix)
         end = stream.position + length
         if end > unpacked:
             raise DamagedChunkError("a record is longer than its chunk")
-        if kind == _MESSAGE:
-            channel, _, log_ns, _ = _MESSAGE_HEAD.unpack(stream.exactly(_MESSAGE_HEAD.size))
+        if kind == MESSAGE:
+            channel, _, log_ns, _ = MESSAGE_HEAD.unpack(stream.exactly(MESSAGE_HEAD.size))
             if place[2]:
                 stream.skip_to(end)
             elif end > place[1]:
@@ -275,11 +301,11 @@ def read_messages(path: Path, places: IntArray, limit: int = MAX_MESSAGE_BYTES) 
         The file is damaged.
     """
     for stream in streams_at(path, places):
-        kind, length = _PREFIX.unpack(stream.exactly(_PREFIX.size))
-        if kind != _MESSAGE or length < _MESSAGE_HEAD.size:
+        kind, length = PREFIX.unpack(stream.exactly(PREFIX.size))
+        if kind != MESSAGE or length < MESSAGE_HEAD.size:
             raise DamagedChunkError("its index leads to a place where no message is")
-        stream.exactly(_MESSAGE_HEAD.size)
-        yield stream.message(length - _MESSAGE_HEAD.size, limit)
+        stream.exactly(MESSAGE_HEAD.size)
+        yield stream.message(length - MESSAGE_HEAD.size, limit)
 
 
 def _text(content: bytes, at: int) -> tuple[str, int]:

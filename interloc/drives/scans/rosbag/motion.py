@@ -36,6 +36,8 @@ class LidarMotion:
         Which poses these are, in words.
     lead_s : float
         By how much their stamps are ahead of the times at which they were recorded; NaN where that is not known.
+    within_s : tuple of two float
+        Only between these times it is used.
     """
 
     edges: tuple[Edge, ...]
@@ -43,6 +45,7 @@ class LidarMotion:
     count: int
     reason: str
     lead_s: float = float("nan")
+    within_s: tuple[float, float] = (-np.inf, np.inf)
 
     @property
     def span_s(self) -> tuple[float, float]:
@@ -50,6 +53,7 @@ class LidarMotion:
         spans = [edge.moves.span_s for edge in self.edges if not (edge.fixed or edge.holds)] or [
             self.edges[0].moves.span_s
         ]
+        spans.append(self.within_s)
         return max(first for first, _ in spans), min(last for _, last in spans)
 
     def covers(self, times_s: FloatArray) -> BoolArray:

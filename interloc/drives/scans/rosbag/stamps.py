@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from dataclasses import dataclass
 
 import numpy as np
 
 from interloc.arrays import FloatArray, IntArray
+from interloc.drives.clocks import ClockShift, known_shift
 from interloc.drives.findings import DriveFileError, Findings
 from interloc.drives.scans.rosbag.bag import Bag, BagTopic
 from interloc.drives.scans.rosbag.pointcloud2 import first_points
@@ -16,31 +16,7 @@ from interloc.drives.scans.rosbag.wire import Wire, WireError, read_header
 
 _MANY_BACKWARDS_S = 1.0
 _MANY_IDLE = 0.05
-_ALIKE_S, _AHEAD_S, _CERTAIN_S = 0.5, 0.1, 0.3
-_CLOCKS = {
-    37.0: "TAI, as PTP gives it, is 37 s ahead of UTC",
-    36.0: "TAI was 36 s ahead of UTC in 2015 and 2016",
-    18.0: "GPS time is 18 s ahead of UTC",
-    17.0: "GPS time was 17 s ahead of UTC in 2015 and 2016",
-    19.0: "TAI is 19 s ahead of GPS time",
-}
-_QUARTER_S, _MAX_ZONE_S = 900.0, 14 * 3600.0
-
-
-@dataclass(frozen=True)
-class ClockShift:
-    """How far a clock is ahead of another.
-
-    Attributes
-    ----------
-    ahead_s : float
-        Seconds; negative where it is behind.
-    why : str
-        What that is, in words.
-    """
-
-    ahead_s: float
-    why: str
+_ALIKE_S, _AHEAD_S = 0.5, 0.1
 
 
 def clock_lead_s(stamps_ns: IntArray, log_ns: IntArray) -> float:
@@ -64,12 +40,8 @@ def clock_shift(lead_s: float, other_lead_s: float) -> ClockShift | None:
     ahead_s = lead_s - other_lead_s
     if not abs(ahead_s) > _ALIKE_S:
         return None
-    for known_s, why in _CLOCKS.items():
-        if abs(abs(ahead_s) - known_s) < _CERTAIN_S:
-            return ClockShift(math.copysign(known_s, ahead_s), why)
-    zones = round(ahead_s / _QUARTER_S)
-    if zones and abs(ahead_s) <= _MAX_ZONE_S + 1 and abs(ahead_s - zones * _QUARTER_S) < _CERTAIN_S:
-        return ClockShift(zones * _QUARTER_S, "a local time, or another time zone")
+    if (known := known_shift(ahead_s)) is not None:
+        return known
     latest_s = max(lead_s, other_lead_s)
     if latest_s > _AHEAD_S and min(lead_s, other_lead_s) < _AHEAD_S:  # nothing is recorded before it happens
         return ClockShift(ahead_s, "a clock that is not synchronised")

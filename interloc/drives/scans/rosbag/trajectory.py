@@ -13,7 +13,7 @@ from interloc.drives.findings import DriveFileError, Findings
 from interloc.drives.georeference.read import read_georeference
 from interloc.drives.layouts import DriveParts
 from interloc.drives.options import ODOMETRY, DriveOptions
-from interloc.drives.poses.motion import body_motion
+from interloc.drives.poses.motion import body_motion, jumps
 from interloc.drives.poses.timed import TimedPoses
 from interloc.drives.scans.rosbag.bag import Bag, BagTopic
 from interloc.drives.scans.rosbag.fixes import BagFixes
@@ -108,7 +108,34 @@ def find_motion(
                 found, fault=DriveFileError(bag.name, f"{gap} Usual cause: poses that were kept too rarely.")
             )
         (findings.warning if left_out > _MANY * len(covered) else findings.note)(bag.name, f"{text}.")
-    return replace(found, frames=every[covered], times_s=times_s[covered], motion=motion, poses=topic, by_log=by_log)
+    found = replace(found, frames=every[covered], times_s=times_s[covered], motion=motion, poses=topic, by_log=by_log)
+    return _cut_at_jumps(found, topic, bag, findings)
+
+
+def _cut_at_jumps(found: BagMotion, topic: BagTopic, bag: Bag, findings: Findings) -> BagMotion:
+    """Keep the longest piece between two jumps of the poses: what lies beyond one lies at another place of the map."""
+    assert found.motion is not None
+    position = found.motion.at(found.times_s)[:, :3, 3]
+    after = jumps(position, found.times_s)
+    if not len(after):
+        return found
+    ends = np.concatenate([[0], after + 1, [len(position)]])
+    longest = int(np.argmax(np.diff(ends)))
+    piece = slice(int(ends[longest]), int(ends[longest + 1]))
+    driven_m = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(position, axis=0), axis=1))])
+    places = ", ".join(
+        f"by {driven_m[row + 1] - driven_m[row]:.0f} m after scan {found.frames[row]} ({driven_m[row]:.0f} m on)"
+        for row in after[:3].tolist()
+    )
+    findings.warning(
+        bag.name,
+        f"the poses of {topic.name} jump: {places}{', ...' if len(after) > 3 else ''}. The drive is cut there, and its "
+        f"longest piece is used: scans {found.frames[piece][0]} to {found.frames[piece][-1]}, "
+        f"{piece.stop - piece.start:,} of {len(position):,}. Usual cause: an odometry that was reset or lost track.",
+    )
+    times_s = found.times_s[piece]
+    motion = replace(found.motion, within_s=(float(times_s[0]), float(times_s[-1])))
+    return replace(found, frames=found.frames[piece], times_s=times_s, motion=motion)
 
 
 def _read_tree(bag: Bag) -> FrameTree:
@@ -249,7 +276,7 @@ def read_bag_trajectory(
     georeference, reason = None, ""
     with findings.stage():
         try:
-            georeference = read_georeference(parts, found.frames, options.oxts)
+            georeference = read_georeference(parts, found.frames, options.oxts, findings)
         except InterLocError as error:
             reason = str(error)
             raise

@@ -183,6 +183,36 @@ def test_the_uncertainty_of_fixes_counts(tmp_path: Path) -> None:
     assert (off < 3 * found.position_std_m + 0.1).all()
 
 
+@pytest.mark.parametrize("is_unknown", [False, True])
+def test_an_antenna_whose_place_is_not_known_widens_the_uncertainty(tmp_path: Path, is_unknown: bool) -> None:
+    path, _, _ = drive_with_fixes(
+        tmp_path / "drive",
+        antenna=None if is_unknown else np.eye(4),
+        written=lambda bag, time, p: bag.fix("/fix", time, p, status=2, std_m=0.02),
+    )
+    _, trajectory, findings = opened(path)
+    assert trajectory.georeference is not None
+    std_m = trajectory.georeference.position_std_m
+    assert std_m is not None
+    assert ("where the antenna is on the vehicle is not known" in said(findings)) == is_unknown
+    assert (std_m > 0.9).all() if is_unknown else (std_m < 0.5).all()
+
+
+def test_a_jump_of_the_odometry_cuts_the_drive(tmp_path: Path) -> None:
+    """After two thirds of the drive the odometry starts anew, somewhere else."""
+    with BagWriter(tmp_path / "drive", "mcap") as bag:
+        for row in range(60):
+            pose = np.eye(4)
+            pose[:2, 3] = (1.0 * row, 0.0) if row < 40 else (1.0 * row - 40.0, 12.0)
+            bag.odometry("/odom", START + 0.1 * row, pose, child="velodyne")
+            bag.cloud("/points", START + 0.1 * row, cells_of(scans_of()[row % COUNT]))
+    recording, trajectory, findings = opened(tmp_path / "drive")
+    assert "jump: by 41 m after scan 39 (39 m on)" in said(findings)
+    assert recording.frames is not None
+    assert recording.frames.tolist() == list(range(40))
+    assert np.allclose(poses_of(trajectory)[:, 0, 3], np.arange(40.0))
+
+
 def test_the_next_topic_of_fixes_counts_where_the_first_has_none(tmp_path: Path) -> None:
     def written(bag: BagWriter, time: float, p: Any) -> None:
         for _ in range(2):

@@ -1,0 +1,1 @@
+"""Maps of many drives, and the queue of what they contradict of OpenStreetMap."""

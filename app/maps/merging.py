@@ -1,0 +1,213 @@
+"""Keeps maps up to date: what the end of a job, a drive put in or taken out, or a verdict has changed is done anew.
+
+Nothing is queued. Again and again the rows say what a map should hold and what it holds; where that differs, a worker
+does the rest, and the rows are written with its outcome in one transaction. Whatever is killed in between is found
+again: nothing is lost, and nothing is done twice.
+"""
+
+from __future__ import annotations
+
+import logging
+import secrets
+import threading
+from collections.abc import Callable
+from concurrent.futures import Future, wait
+from contextlib import suppress
+from typing import Any, TypeVar
+
+from sqlalchemy import bindparam, delete, insert, select, update
+from sqlalchemy.exc import SQLAlchemyError
+from sqlalchemy.orm import Session
+
+from app.context import Context
+from app.jobs.processes import WorkerLimitError, WorkerLostError
+from app.jobs.runner import Runner
+from app.maps import work
+from app.maps.records import Standing, map_key, standing_of
+from app.maps.work import Audited, Merged, Register, Source
+from app.ogc.indexing import write_map_chunks
+from app.store.models import CityMap, Drive, Job, MapDrive, MapPlace
+from interloc.errors import InterLocError
+
+_LOOK_S = 1.0
+_AGAIN_S = 5.0
+_OWNER = "maps"
+_log = logging.getLogger(__name__)
+Outcome = TypeVar("Outcome")
+
+
+class _LostError(Exception):
+    """The lease is lost, or the server stops."""
+
+
+class Merger:
+    """Brings maps up to date, one after the other, from `start` to `stop`."""
+
+    def __init__(self, context: Context, runner: Runner) -> None:
+        self._context = context
+        self._runner = runner
+        self._lease = secrets.token_hex(8)
+        self._stopping = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="maps", daemon=True)
+
+    def start(self) -> None:
+        """Begin, in the background."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End; a map that is at work is left as it was, and done again later."""
+        self._stopping.set()
+        self._context.maps_changed.set()
+        self._thread.join(5)
+
+    def _run(self) -> None:
+        while not self._stopping.is_set():
+            self._context.maps_changed.wait(_LOOK_S)
+            self._context.maps_changed.clear()
+            with suppress(SQLAlchemyError):  # the database is told of elsewhere
+                with self._context.database.reading() as session:
+                    known = list(session.scalars(select(CityMap.id)))
+                for map_id in known:
+                    if self._stopping.is_set():
+                        return
+                    self._look_at(map_id)
+
+    def _look_at(self, map_id: str) -> None:
+        try:
+            with self._context.database.reading() as session:
+                city = session.get(CityMap, map_id)
+                standing = None if city is None else standing_of(session, self._context.storage, city)
+            if city is None or standing is None:
+                return
+            if standing.is_stale:
+                self._merge(city, standing)
+            elif standing.audit_key is not None and standing.audit_key != city.audited:
+                self._audit(city, standing)
+        except _LostError:
+            pass
+        except SQLAlchemyError as error:
+            _log.warning("map %s: not brought up to date, tried again: %s", map_id, error)
+        except Exception:  # noqa: BLE001 - the others go on
+            _log.exception("map %s: not brought up to date, tried again later", map_id)
+            self._stopping.wait(_AGAIN_S)
+
+    def _merge(self, city: CityMap, standing: Standing) -> None:
+        storage = self._context.storage
+        with self._context.database.reading() as session:
+            named = select(Drive.id, Drive.name).where(Drive.id.in_([job.drive_id for job in standing.jobs]))
+            names: dict[str, str] = dict(session.execute(named).all())
+            places = session.execute(select(MapPlace.uid, MapPlace.lon, MapPlace.lat).where(MapPlace.map_id == city.id))
+            register = Register(city.epsg, {uid: (lon, lat) for uid, lon, lat in places})
+        label_of = _labels(standing, names)
+        wanted = {label_of[j.drive_id]: Source(j.id, storage.folder(f"jobs/{j.id}/result")) for j in standing.jobs}
+        merged = self._work(city, work.merge, storage.folder(map_key(city.id)), wanted, register)
+
+        def write(session: Session, row: CityMap) -> None:
+            _write_rows(session, city.id, standing, label_of, merged)
+            write_map_chunks(session, city.id, merged.chunks)
+            row.revision, row.epsg, row.summary = row.revision + 1, merged.register.epsg, merged.record
+            row.merged_at = self._context.database.clock(session)
+
+        self._end(city.id, write)
+        _log.info("map %s: %d drives merged, %d refused", city.id, len(wanted), len(merged.problems))
+
+    def _audit(self, city: CityMap, standing: Standing) -> None:
+        assert standing.osm is not None
+        wrong = [each.model_dump(mode="json") for each in standing.wrong]
+        outcome: Audited | InterLocError
+        try:
+            outcome = self._work(city, work.audit, self._context.storage.folder(map_key(city.id)), standing.osm, wrong)
+        except (WorkerLostError, WorkerLimitError):
+            raise
+        except InterLocError as error:  # the file is at fault: tried again when something changes
+            outcome = error
+
+        def write(session: Session, row: CityMap) -> None:
+            row.audited = standing.audit_key
+            if isinstance(outcome, Audited):
+                row.audit = outcome.record
+                write_map_chunks(session, city.id, outcome.chunks)
+            else:
+                row.audit = {"problem": str(outcome).replace(f"{self._context.storage.root}/", "")}
+
+        self._end(city.id, write)
+
+    def _work(self, city: CityMap, function: Callable[..., Outcome], *args: Any) -> Outcome:  # noqa: ANN401
+        """Call a function in a worker under a lease of the map."""
+        if not self._hold(city.id):
+            raise _LostError
+        seconds = self._context.settings.job_stage_s
+        future: Future[Outcome] = self._runner.submit(function, *args, client=_OWNER, seconds=seconds)
+        while not wait({future}, timeout=_LOOK_S).done:
+            if self._stopping.is_set() or not self._hold(city.id):
+                future.cancel()
+                self._end(city.id, None)
+                raise _LostError
+        try:
+            return future.result()
+        except BaseException:
+            self._end(city.id, None)
+            raise
+
+    def _hold(self, map_id: str) -> bool:
+        """Take the lease of a map, or keep it; return whether no other server has it."""
+        database = self._context.database
+        with database.writing(patient=True) as session:
+            now = database.clock(session)
+            is_free = (
+                (CityMap.lease_until.is_(None)) | (CityMap.lease_until < now) | (CityMap.lease_owner == self._lease)
+            )
+            held = {"lease_owner": self._lease, "lease_until": now + self._context.settings.lease_s}
+            found = session.execute(update(CityMap).where(CityMap.id == map_id, is_free).values(**held))
+            return bool(found.rowcount)  # type: ignore[attr-defined]
+
+    def _end(self, map_id: str, write: Callable[[Session, CityMap], None] | None) -> None:
+        """Write an outcome and give the lease back, where this server still has it."""
+        with self._context.database.writing(patient=True) as session:
+            row = session.get(CityMap, map_id, with_for_update=True)
+            if row is None or row.lease_owner != self._lease:
+                return
+            if write is not None:
+                write(session, row)
+            row.lease_owner = row.lease_until = None
+        if write is not None:
+            self._context.maps_changed.set()  # what comes next: a merged map is audited
+
+
+def _labels(standing: Standing, names: dict[str, str]) -> dict[str, str]:
+    """Return the names of drives on the map: that of the drive, and its id where another one has that name."""
+    label_of = {
+        j.drive_id: label for j in standing.jobs if (row := standing.rows.get(j.drive_id)) and (label := row.label)
+    }
+    taken = set(label_of.values())
+    for job in standing.jobs:
+        if job.drive_id not in label_of:
+            name = names.get(job.drive_id, job.drive_id)
+            label_of[job.drive_id] = name if name not in taken else f"{name} {job.drive_id}"
+            taken.add(label_of[job.drive_id])
+    return label_of
+
+
+def _write_rows(session: Session, map_id: str, standing: Standing, label_of: dict[str, str], merged: Merged) -> None:
+    """Write which results a map holds, and the names of its places."""
+    job_of: dict[str, Job] = {job.drive_id: job for job in standing.jobs}
+    for drive_id in standing.rows.keys() | job_of.keys():
+        row = session.get(MapDrive, (map_id, drive_id))
+        job = job_of.get(drive_id)
+        if row is None and job is None:
+            continue
+        if row is None:
+            row = MapDrive(map_id=map_id, drive_id=drive_id)
+            session.add(row)
+        row.job_id = None if job is None else job.id
+        row.label = None if job is None else label_of[drive_id]
+        row.problem = None if row.label is None else merged.problems.get(row.label)
+        if job is None and row.is_member is None:
+            session.delete(row)
+    places = [
+        {"map_id": map_id, "uid": uid, "lon": lon, "lat": lat} for uid, (lon, lat) in merged.register.places.items()
+    ]
+    if places:
+        here = [MapPlace.map_id == map_id, MapPlace.uid == bindparam("uid")]
+        session.connection().execute(delete(MapPlace).where(*here), [{"uid": each["uid"]} for each in places])
+        session.execute(insert(MapPlace), places)

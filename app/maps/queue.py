@@ -1,0 +1,263 @@
+"""Endpoints: the queue of what OpenStreetMap has wrong by a map of many drives, and its deliveries."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from datetime import UTC, datetime
+from functools import lru_cache
+from pathlib import Path as FilePath
+from typing import Annotated, Any, Literal, get_args
+from urllib.parse import urlencode
+
+from fastapi import APIRouter, Path, Query, Request, Response
+
+from app.context import Context, ContextDep
+from app.http.delivery import answer_tagged, deliver
+from app.http.openapi import PAGED, TAGGED, get_and_head
+from app.http.paging import answer_page
+from app.http.patterns import TEXT
+from app.http.problem_types import NO_SUCH_FINDING
+from app.http.problems import Problem, ProblemDocument
+from app.http.security import ClientDep
+from app.maps.models import Links, NewVerdict, PrecisionModel, QueueEntry, QueuePage, State, WholeEntry
+from app.maps.records import find_map, judgements_of, map_key
+from app.maps.work import AUDIT
+from app.ogc.routes import MapId
+from app.store.models import MapVerdict
+from interloc.city.settings import Kind
+from interloc.city.verdicts import Judgement, Precision, Verdict, judgement_of, latest
+from interloc.errors import OutputError
+from interloc.output.geojson import encode, read_json
+
+router = APIRouter(prefix="/maps/{map_id}", tags=["Maps"])
+
+_NOT_FOUND: dict[int | str, dict[str, Any]] = {
+    404: {"model": ProblemDocument, "description": "There is no such map or finding."}
+}
+_FindingId = Annotated[str, Path(description="Id of the finding.", max_length=64, pattern=TEXT)]
+
+_Delivery = Literal["maproulette.geojson", "osmose.xml", "findings.gpx", "findings.geojson"]
+_DELIVERIES: dict[_Delivery, tuple[str, str]] = {
+    "maproulette.geojson": ("application/geo+json", "Tasks for MapRoulette, line by line; at most 1,000."),
+    "osmose.xml": ("application/xml", "For `send-update` of Osmose."),
+    "findings.gpx": ("application/gpx+xml", "Waypoints for iD, JOSM and devices."),
+    "findings.geojson": ("application/geo+json", "GeoJSON."),
+}
+
+
+@get_and_head(
+    router,
+    "/deliveries/{name}",
+    summary="Download findings for those who mend maps",
+    response_class=Response,
+    responses={
+        **TAGGED,
+        **_NOT_FOUND,
+        200: {
+            "description": "The file.",
+            "content": {kind: {"schema": {"type": "string"}} for kind, _ in _DELIVERIES.values()},
+        },
+    },
+)
+def read_delivery(
+    map_id: MapId,
+    name: Annotated[_Delivery, Path(description=" ".join(f"{key}: {of[1]}" for key, of in _DELIVERIES.items()))],
+    request: Request,
+    context: ContextDep,
+    _client: ClientDep,
+) -> Response:
+    """Give the findings but those marked wrong or fixed. The same finding has the same identity in each upload."""
+    from interloc.city.delivery import MAX_TASKS, gpx, maproulette, osmose  # noqa: PLC0415 - of scientific packages
+    from interloc.output.credits import Credit  # noqa: PLC0415
+
+    collection, last = _findings(context, map_id), _latest(context, map_id)
+    done = {"wrong", "fixed"}
+    features = [
+        each for each in collection["features"] if each["id"] not in last or last[each["id"]].verdict not in done
+    ]
+    if name == "maproulette.geojson":
+        text = maproulette(features[:MAX_TASKS])
+    elif name == "osmose.xml":
+        text = osmose(features, datetime.fromtimestamp(collection["made_at"], UTC))
+    elif name == "findings.gpx":
+        text = gpx(features, Credit(collection.get("attribution", ""), collection.get("license")))
+    else:
+        text = encode({key: value for key, value in collection.items() if key != "made_at"} | {"features": features})
+    return answer_tagged(request, text.encode(), _DELIVERIES[name][0])
+
+
+@get_and_head(
+    router,
+    "/queue",
+    summary="List what OpenStreetMap has wrong",
+    response_model=QueuePage,
+    responses={**PAGED, **_NOT_FOUND},
+)
+def list_queue(
+    map_id: MapId,
+    request: Request,
+    context: ContextDep,
+    _client: ClientDep,
+    state: Annotated[State, Query(description="open: nobody has looked at them.")] = "open",
+    kind: Annotated[Kind | None, Query(description="Only those of this kind.")] = None,
+    after: Annotated[str | None, Query(max_length=64, pattern=TEXT, description="`next` of the previous page.")] = None,
+    limit: Annotated[int, Query(ge=1, le=1000)] = 100,
+) -> Response:
+    """List findings, those judged also where the last audit has them no more, and how many of those judged are right.
+
+    Verdicts are kept with who gave them and when. A place marked wrong never comes back, whatever is merged later.
+    """
+    features, last = _features(context, map_id), _latest(context, map_id)
+    ids = sorted({*features, *last}) if state != "open" else sorted(features)
+    some = [
+        each
+        for each in ids
+        if (state == "all" or (each in last) == (state == "judged"))
+        and (kind is None or kind == (features[each]["properties"]["kind"] if each in features else last[each].kind))
+    ]
+    left = [each for each in some if after is None or each > after]
+    page = QueuePage(
+        entries=[_entry(map_id, each, features.get(each), last.get(each)) for each in left[:limit]],
+        open=len(features.keys() - last.keys()),
+        judged=len(last),
+        precision=_precision(last.values()),
+        by_kind={each: _precision(j for j in last.values() if j.kind == each) for each in get_args(Kind)},
+        next=left[limit - 1] if len(left) > limit else None,
+    )
+    return answer_page(request, page)
+
+
+@get_and_head(
+    router,
+    "/queue/{finding}",
+    summary="Show a finding",
+    response_model=WholeEntry,
+    responses={**TAGGED, **_NOT_FOUND},
+)
+def show_finding(
+    map_id: MapId, finding: _FindingId, request: Request, context: ContextDep, _client: ClientDep
+) -> Response:
+    """Show a finding with links to where it can be seen and mended, and the next and previous open ones."""
+    return answer_tagged(request, _whole(context, map_id, finding).model_dump_json().encode())
+
+
+@router.put("/queue/{finding}/verdict", summary="Say whether a finding is right", responses=_NOT_FOUND)
+def judge_finding(
+    map_id: MapId, finding: _FindingId, new: NewVerdict, context: ContextDep, client: ClientDep
+) -> WholeEntry:
+    """Keep what you saw there, with your name and the time; earlier verdicts stay in its history."""
+    features, last = _features(context, map_id), _latest(context, map_id)
+    if finding not in features and finding not in last:
+        raise _no_finding(map_id, finding)
+    with context.database.writing() as session:
+        now = context.database.clock(session)
+        at = datetime.fromtimestamp(now, UTC)
+        if finding in features:
+            judgement = judgement_of(features[finding], new.verdict, client, at, new.note)
+        else:
+            judgement = last[finding].model_copy(
+                update={"verdict": new.verdict, "by": client, "at": at, "note": new.note}
+            )
+        told = judgement.model_dump(mode="json")
+        session.add(MapVerdict(map_id=map_id, finding=finding, at=now, judgement=told))
+    context.maps_changed.set()
+    return _whole(context, map_id, finding)
+
+
+@get_and_head(
+    router,
+    "/queue/{finding}/picture.png",
+    summary="Show the ground at a finding",
+    response_class=Response,
+    responses={**TAGGED, **_NOT_FOUND, 200: {"content": {"image/png": {}}, "description": "80 m, north up."}},
+)
+def show_picture(
+    map_id: MapId, finding: _FindingId, request: Request, context: ContextDep, _client: ClientDep
+) -> Response:
+    """Show the road (grey) and other ground (green) that the drives saw, their tracks (blue), and the place (cross)."""
+    path = _picture(context, map_id, finding)
+    if not path.is_file():
+        raise _no_finding(map_id, finding)
+    return deliver(request, path)
+
+
+def _findings(context: Context, map_id: str) -> dict[str, Any]:
+    with context.database.reading() as session:
+        find_map(session, map_id)
+    path = context.storage.folder(map_key(map_id)) / AUDIT / "findings.geojson"
+    try:
+        return _read(path, path.stat().st_mtime_ns)
+    except (OSError, OutputError):
+        return {"type": "FeatureCollection", "features": [], "made_at": 0.0}
+
+
+@lru_cache(16)
+def _read(path: FilePath, mtime_ns: int) -> dict[str, Any]:
+    return {**read_json(path), "made_at": mtime_ns / 1e9}
+
+
+def _features(context: Context, map_id: str) -> dict[str, dict[str, Any]]:
+    return {str(each["id"]): each for each in _findings(context, map_id)["features"]}
+
+
+def _latest(context: Context, map_id: str) -> dict[str, Judgement]:
+    with context.database.reading() as session:
+        return latest(judgements_of(session, map_id))
+
+
+def _no_finding(map_id: str, finding: str) -> Problem:
+    return Problem(
+        NO_SUCH_FINDING, f"The map {map_id} has no finding {finding!r}. GET /api/v1/maps/{map_id}/queue lists them."
+    )
+
+
+def _precision(judgements: Any) -> PrecisionModel:  # noqa: ANN401 - an iterable
+    verdicts: Iterator[Verdict] = (each.verdict for each in judgements)
+    return PrecisionModel(**vars(Precision.of(verdicts)))
+
+
+def _picture(context: Context, map_id: str, finding: str) -> FilePath:
+    known = finding if finding in _features(context, map_id) else ""
+    return context.storage.folder(map_key(map_id)) / AUDIT / "pictures" / f"{known}.png"
+
+
+def _entry(map_id: str, finding: str, feature: dict[str, Any] | None, last: Judgement | None) -> QueueEntry:
+    if feature is not None:
+        (lon, lat), kind = feature["geometry"]["coordinates"], feature["properties"]["kind"]
+    else:
+        assert last is not None
+        lon, lat, kind = last.lon, last.lat, last.kind
+    return QueueEntry(
+        id=finding,
+        lon=lon,
+        lat=lat,
+        kind=kind,
+        properties=None if feature is None else feature["properties"],
+        verdict=last,
+        picture=None if feature is None else f"/api/v1/maps/{map_id}/queue/{finding}/picture.png",
+        links=_links(lon, lat),
+    )
+
+
+def _links(lon: float, lat: float) -> Links:
+    box = {"left": lon - 0.001, "right": lon + 0.001, "top": lat + 0.0007, "bottom": lat - 0.0007}
+    return Links(
+        osm=f"https://www.openstreetmap.org/?mlat={lat}&mlon={lon}#map=19/{lat}/{lon}",
+        id=f"https://www.openstreetmap.org/edit?editor=id#map=19/{lat}/{lon}",
+        josm=f"http://127.0.0.1:8111/load_and_zoom?{urlencode({key: f'{value:.7f}' for key, value in box.items()})}",
+        mapillary=f"https://www.mapillary.com/app/?lat={lat}&lng={lon}&z=18",
+        panoramax=f"https://api.panoramax.xyz/#focus=map&map=18/{lat}/{lon}",
+    )
+
+
+def _whole(context: Context, map_id: str, finding: str) -> WholeEntry:
+    features, last = _features(context, map_id), _latest(context, map_id)
+    if finding not in features and finding not in last:
+        raise _no_finding(map_id, finding)
+    open_ = sorted(features.keys() - last.keys())
+    behind, before = [each for each in open_ if each > finding], [each for each in open_ if each < finding]
+    with context.database.reading() as session:
+        history = judgements_of(session, map_id, finding)
+    entry = _entry(map_id, finding, features.get(finding), last.get(finding))
+    following = behind[0] if behind else before[0] if before else None
+    return WholeEntry(**entry.model_dump(), next=following, previous=before[-1] if before else None, history=history)

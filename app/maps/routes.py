@@ -1,0 +1,232 @@
+"""Endpoints: maps of many drives."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from fastapi import APIRouter, Path, Query, Request, Response
+from fastapi.concurrency import run_in_threadpool
+from sqlalchemy import delete, select
+from sqlalchemy.orm import Session
+
+from app.context import ContextDep
+from app.http.delivery import answer_tagged, deliver
+from app.http.intake import Intake, receive
+from app.http.limits import Booking, check_free_space, declared_length
+from app.http.openapi import PAGED, TAGGED, get_and_head
+from app.http.paging import answer_page
+from app.http.patterns import ID
+from app.http.problem_types import MAP_IS_OF_THE_SERVER, MAP_NOT_FOUND
+from app.http.problems import Problem, ProblemDocument
+from app.http.security import ClientDep
+from app.jobs.queue import no_drive
+from app.maps.models import MapDriveList, MapDriveModel, MapList, MapModel, NewMap
+from app.maps.records import OSM, find_map, map_key, map_model
+from app.maps.work import AUDIT, CITY
+from app.ogc.routes import MapId
+from app.paths import check_path
+from app.store.models import CityMap, Drive, MapDrive
+from interloc.osm.container import is_map
+
+router = APIRouter(prefix="/maps", tags=["Maps"])
+
+_NOT_FOUND: dict[int | str, dict[str, Any]] = {
+    404: {"model": ProblemDocument, "description": "There is no such map, drive or finding, or not yet."}
+}
+_DriveId = Annotated[str, Path(description="Id of the drive.", pattern=ID)]
+
+
+@router.post("", status_code=201, summary="Make a map of many drives", responses=_NOT_FOUND)
+def create_map(new: NewMap, response: Response, context: ContextDep, client: ClientDep) -> MapModel:
+    """Make a map of drives; the best or pinned result of each is merged into it, now and whenever that changes."""
+    with context.database.writing() as session:
+        city = CityMap(name=new.name, owner=client, created_at=context.database.clock(session))
+        session.add(city)
+        session.flush()
+        for drive_id in dict.fromkeys(new.drives):
+            _put(session, city, drive_id)
+        session.flush()
+        made = map_model(session, context.storage, city)
+    context.maps_changed.set()
+    response.headers["Location"] = f"{context.settings.root_path}/api/v1/maps/{made.id}"
+    return made
+
+
+@get_and_head(router, "", summary="List maps", response_model=MapList, responses=TAGGED)
+def list_maps(request: Request, context: ContextDep, _client: ClientDep) -> Response:
+    """List the maps of many drives: that of the server, which holds all drives, first."""
+    with context.database.reading() as session:
+        rows = session.scalars(select(CityMap).order_by(CityMap.holds_all.desc(), CityMap.created_at, CityMap.id))
+        found = MapList(maps=[map_model(session, context.storage, each) for each in rows])
+    return answer_tagged(request, found.model_dump_json().encode())
+
+
+@get_and_head(router, "/{map_id}", summary="Show a map", response_model=MapModel, responses={**TAGGED, **_NOT_FOUND})
+def show_map(map_id: MapId, request: Request, context: ContextDep, _client: ClientDep) -> Response:
+    """Show what is on a map of many drives, and how far it is."""
+    with context.database.reading() as session:
+        found = map_model(session, context.storage, find_map(session, map_id))
+    return answer_tagged(request, found.model_dump_json().encode())
+
+
+@router.delete(
+    "/{map_id}",
+    status_code=204,
+    summary="Delete a map",
+    responses={**_NOT_FOUND, 409: {"model": ProblemDocument, "description": "It is that of the server."}},
+)
+def delete_map(map_id: MapId, context: ContextDep, _client: ClientDep) -> None:
+    """Delete a map for good, with its names of places and all verdicts; its drives stay."""
+    with context.database.writing() as session:
+        if find_map(session, map_id, lock=True).holds_all:
+            raise Problem(MAP_IS_OF_THE_SERVER, f"The map {map_id} holds all drives of the server, and stays.")
+        session.execute(delete(CityMap).where(CityMap.id == map_id))
+    context.storage.delete(map_key(map_id))
+
+
+@get_and_head(
+    router,
+    "/{map_id}/drives",
+    summary="List the drives of a map",
+    response_model=MapDriveList,
+    responses={**PAGED, **_NOT_FOUND},
+)
+def list_map_drives(
+    map_id: MapId,
+    request: Request,
+    context: ContextDep,
+    _client: ClientDep,
+    after: Annotated[str | None, Query(pattern=ID, description="`next` of the previous page.")] = None,
+    limit: Annotated[int, Query(ge=1, le=1000)] = 100,
+) -> Response:
+    """List the drives that belong to a map or are on it, with why one is not."""
+    with context.database.reading() as session:
+        find_map(session, map_id)
+        asked = select(MapDrive, Drive.name).outerjoin(Drive, Drive.id == MapDrive.drive_id)
+        asked = asked.where(
+            MapDrive.map_id == map_id, MapDrive.is_member.is_not(False), MapDrive.drive_id > (after or "")
+        )
+        rows = session.execute(asked.order_by(MapDrive.drive_id).limit(limit + 1)).all()
+    drives = [
+        MapDriveModel(drive_id=row.drive_id, name=name, label=row.label, job_id=row.job_id, problem=row.problem)
+        for row, name in rows[:limit]
+    ]
+    return answer_page(request, MapDriveList(drives=drives, next=drives[-1].drive_id if len(rows) > limit else None))
+
+
+@router.put("/{map_id}/drives/{drive_id}", status_code=204, summary="Put a drive into a map", responses=_NOT_FOUND)
+def put_drive(map_id: MapId, drive_id: _DriveId, context: ContextDep, _client: ClientDep) -> None:
+    """Let a drive belong to a map: its result is merged as soon as there is one. Repeating it changes nothing."""
+    with context.database.writing() as session:
+        _put(session, find_map(session, map_id, lock=True), drive_id)
+    context.maps_changed.set()
+
+
+@router.delete(
+    "/{map_id}/drives/{drive_id}", status_code=204, summary="Take a drive out of a map", responses=_NOT_FOUND
+)
+def take_drive_out(map_id: MapId, drive_id: _DriveId, context: ContextDep, _client: ClientDep) -> None:
+    """Take a drive out of a map: it is then as if it had never been there, but for names of places that stay taken."""
+    with context.database.writing() as session:
+        _put(session, find_map(session, map_id, lock=True), drive_id, is_member=False)
+    context.maps_changed.set()
+
+
+def _put(session: Session, city: CityMap, drive_id: str, *, is_member: bool = True) -> None:
+    drive = session.get(Drive, drive_id)
+    if is_member and (drive is None or drive.deleted_at is not None):
+        raise no_drive(drive_id)
+    row = session.get(MapDrive, (city.id, drive_id))
+    if row is None:
+        row = MapDrive(map_id=city.id, drive_id=drive_id)
+        session.add(row)
+    row.is_member = None if is_member and city.holds_all else is_member
+
+
+@router.put(
+    "/{map_id}/osm/{name}",
+    status_code=204,
+    summary="Give a map the OpenStreetMap data to compare it with",
+    responses=_NOT_FOUND,
+    openapi_extra={
+        "requestBody": {
+            "required": True,
+            "content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}},
+        }
+    },
+)
+async def put_osm(
+    map_id: MapId,
+    name: Annotated[str, Path(max_length=200, description="Its name: .osm, .osm.gz, .osm.bz2 or .osm.pbf.")],
+    request: Request,
+    context: ContextDep,
+    _client: ClientDep,
+) -> None:
+    """Send an OSM file; without one of its own a map is compared with that of its newest drive that was scored."""
+    check_path(name)
+    if not is_map(name):
+        raise Problem(MAP_NOT_FOUND, f"{name} is not an OSM file: .osm, .osm.gz, .osm.bz2 or .osm.pbf.", status=422)
+    limit = context.settings.max_file_bytes
+    length = declared_length(request, limit, name)
+    intake = Intake(context, name, limit)
+    folder = context.storage.folder(map_key(map_id)) / OSM
+
+    def finish() -> None:
+        check_free_space(context, 0)
+        arrival = intake.finish()
+        with context.database.reading() as session:
+            find_map(session, map_id)
+        folder.mkdir(parents=True, exist_ok=True)
+        arrival.temporary.replace(folder / name)
+        for other in folder.iterdir():
+            if other.name != name:
+                other.unlink()
+        context.maps_changed.set()
+
+    with Booking(context) as booking:
+        await run_in_threadpool(booking.announce, length)
+        try:
+            await receive(request, booking.taking(intake.write), finish)
+        finally:
+            intake.discard()
+
+
+_File = Literal["city.geojson", "drives.geojson", "changes.geojson", "city.json", "findings.geojson", "audit.json"]
+_FILES: dict[_File, str] = {
+    "city.geojson": "Its intersections, one point each.",
+    "drives.geojson": "The tracks of its drives.",
+    "changes.geojson": "What came or went between drives.",
+    "city.json": "Settings, figures, and the offset of each drive.",
+    "findings.geojson": "What OpenStreetMap has wrong.",
+    "audit.json": "What was compared, and what was held back.",
+}
+
+
+@get_and_head(
+    router,
+    "/{map_id}/files/{name}",
+    summary="Download a file of a map",
+    response_class=Response,
+    responses={
+        **TAGGED,
+        **_NOT_FOUND,
+        200: {"description": "The file.", "content": {"application/json": {"schema": {"type": "object"}}}},
+    },
+)
+def read_map_file(
+    map_id: MapId,
+    name: Annotated[_File, Path(description="; ".join(f"{key}: {told}" for key, told in _FILES.items()))],
+    request: Request,
+    context: ContextDep,
+    _client: ClientDep,
+) -> Response:
+    """Give a file of the map as `interloc merge` and `interloc audit` write it; parts of layers are at `/ogc` of it."""
+    folder = context.storage.folder(map_key(map_id))
+    path = folder / (AUDIT if name in {"findings.geojson", "audit.json"} else CITY) / name
+    if not path.is_file():
+        with context.database.reading() as session:
+            find_map(session, map_id)
+        raise Problem(
+            MAP_NOT_FOUND, f"The map {map_id} has no {name} yet. GET /api/v1/maps/{map_id} says how far it is."
+        )
+    return deliver(request, path, gzip_copies=folder / "cache", name=f"{map_id}-{name}")

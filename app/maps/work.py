@@ -1,0 +1,217 @@
+"""Work of workers on a map of many drives: bringing it up to date, and comparing it with OpenStreetMap.
+
+The folder of a map says by itself which results it holds (``jobs.json``). Work is told which it should hold, and does
+what is missing: done again, after a kill or by two servers, it changes nothing.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import shutil
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from app.ogc.work import Chunk, chunks_of_layers
+from interloc.errors import DamagedResultError, InterLocError, OutputError
+from interloc.files import atomic_write
+
+if TYPE_CHECKING:
+    from interloc.city.citymap import CityMap
+
+CITY, AUDIT = "city", "audit"
+JOBS_FILE = "jobs.json"
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Source:
+    """A result that the map should hold.
+
+    Attributes
+    ----------
+    job : str
+    folder : Path
+    """
+
+    job: str
+    folder: Path
+
+
+@dataclass(frozen=True)
+class Register:
+    """Names of places that were given, and where: they are never given to another place.
+
+    Attributes
+    ----------
+    epsg : int or None
+        Plane of the map; None: there was none.
+    places : dict
+        Name -> longitude, latitude.
+    """
+
+    epsg: int | None = None
+    places: dict[str, tuple[float, float]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Merged:
+    """What came of bringing a map up to date.
+
+    Attributes
+    ----------
+    problems : dict
+        Name of a drive -> why the map does not hold it.
+    register : Register
+        Names that are new, and where all are that have moved.
+    record : dict
+        Of `city.json`, without its drives.
+    chunks : list of Chunk
+        Its features, for the index.
+    """
+
+    problems: dict[str, str]
+    register: Register
+    record: dict[str, Any]
+    chunks: list[Chunk]
+
+
+def merge(folder: Path, wanted: Mapping[str, Source], register: Register) -> Merged:
+    """Bring the map in a folder up to date.
+
+    Parameters
+    ----------
+    folder
+        Of the map; without a map that can be read, a new one is made with the names of the register.
+    wanted
+        Name of each drive -> its result.
+    register
+        As the database has it.
+    """
+    from interloc.city.folder import city_features, city_record, locked, write_city  # noqa: PLC0415 - of workers only
+    from interloc.city.passes import Pass  # noqa: PLC0415
+    from interloc.output.read import read_results  # noqa: PLC0415
+
+    problems: dict[str, str] = {}
+    new = []
+    with locked(folder / CITY):
+        city, held = _opened(folder / CITY, register)
+        for name, source in wanted.items():
+            if held.get(name) == source.job and name in city.drives:
+                continue
+            try:
+                new.append(replace(Pass.of(read_results(source.folder)), name=name))
+            except InterLocError as error:
+                problems[name] = str(error).replace(f"{source.folder}/", "")
+        city.remove(*(name for name in city.drives if name not in wanted or name in problems))
+        try:
+            city.replace(*new)
+        except InterLocError:  # one of them is at fault
+            for each in new:
+                try:
+                    city.replace(each)
+                except InterLocError as error:
+                    problems[each.name] = str(error)
+        write_city(city, folder / CITY)
+        jobs = {name: source.job for name, source in wanted.items() if name in city.drives}
+        with atomic_write(folder / CITY / JOBS_FILE) as file:
+            file.write(json.dumps(jobs).encode())
+        record = city_record(city) | {"drives": len(city.drives)}
+        return Merged(problems, _changes(city, register), record, list(chunks_of_layers(city_features(city))))
+
+
+def _opened(folder: Path, register: Register) -> tuple[CityMap, dict[str, str]]:
+    """Return the map in a folder, and the job of each drive on it; a new one with known names where it is lost."""
+    from interloc.city.citymap import CityMap  # noqa: PLC0415 - workers need it, the server need not
+    from interloc.city.folder import is_city, read_city  # noqa: PLC0415
+
+    try:
+        if is_city(folder):
+            found = read_city(folder)
+            if found.drives:
+                return found, json.loads((folder / JOBS_FILE).read_text())
+    except (OutputError, OSError, ValueError) as error:
+        _log.warning("%s: made anew: %s", folder, error)
+    shutil.rmtree(folder, ignore_errors=True)
+    city = CityMap()
+    if register.places:
+        city.epsg = register.epsg
+        places = city.plane(np.array(list(register.places.values()))).tolist()
+        city.register = {uid: (x, y) for uid, (x, y) in zip(register.places, places, strict=True)}
+    return city, {}
+
+
+def _changes(city: CityMap, register: Register) -> Register:
+    """Return the names that the database does not have yet, or has far from where they are."""
+    if not city.register:
+        return Register(city.epsg)
+    names = list(city.register)
+    lonlat = np.round(city.lonlat(np.array(list(city.register.values()))), 7)
+    known = np.array([register.places.get(name, (np.nan, np.nan)) for name in names])
+    moved = ~(np.abs(lonlat - known).max(axis=1) < 5e-6)  # half a metre
+    places = lonlat.tolist()
+    return Register(city.epsg, {names[row]: tuple(places[row]) for row in np.flatnonzero(moved).tolist()})
+
+
+@dataclass(frozen=True)
+class Audited:
+    """What came of comparing a map with OpenStreetMap.
+
+    Attributes
+    ----------
+    record : dict
+        Of `audit.json`.
+    chunks : list of Chunk
+        The findings, for the index.
+    """
+
+    record: dict[str, Any]
+    chunks: list[Chunk]
+
+
+def audit(folder: Path, osm: Path, wrong: Sequence[dict[str, Any]]) -> Audited:
+    """Compare the map in a folder with an OSM file.
+
+    Parameters
+    ----------
+    folder
+        Of the map.
+    osm
+    wrong
+        Judgements of findings that people marked wrong.
+
+    Raises
+    ------
+    InterLocError
+        The file cannot be read, or the map is damaged.
+    """
+    from interloc.city.audit import audit as compare  # noqa: PLC0415
+    from interloc.city.delivery import FINDINGS_FILE, audit_record, known_findings, write_audit  # noqa: PLC0415
+    from interloc.city.folder import locked, read_city  # noqa: PLC0415
+    from interloc.city.settings import AuditConfig  # noqa: PLC0415
+    from interloc.city.verdicts import Judgement  # noqa: PLC0415
+    from interloc.evaluation.coverage import map_bounds  # noqa: PLC0415
+    from interloc.osm.reader import read_osm  # noqa: PLC0415
+    from interloc.output.geojson import read_json  # noqa: PLC0415
+
+    with locked(folder / CITY):
+        city, config = read_city(folder / CITY), AuditConfig()
+    if not city.drives:
+        raise DamagedResultError(f"{folder.name}: the map holds no drives.")
+    track = np.concatenate([drive.data.track_lonlat for drive in city.drives.values()])
+    graph = read_osm(osm, map_bounds(track))
+    marked = [Judgement.model_validate(each) for each in wrong]
+    found = compare(city, graph, config, known=known_findings(folder / AUDIT), wrong=marked)
+    write_audit(
+        found, city, folder / AUDIT, config, made_at=datetime.now(UTC), source=osm.name, made_up=graph.is_made_up
+    )
+    collection = read_json(folder / AUDIT / FINDINGS_FILE)
+    credit: dict[str, str] = {name: collection[name] for name in ("attribution", "license") if name in collection}
+    chunks = list(chunks_of_layers({"findings": collection["features"]}, credit))
+    return Audited(audit_record(found, config, osm.name), chunks)

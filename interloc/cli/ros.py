@@ -1,0 +1,81 @@
+"""`interloc ros`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from interloc.cli import console, options
+
+
+@click.command(
+    cls=options.Command,
+    short_help="Run as a node of ROS 2: point clouds in, intersections out.",
+)
+@click.argument("points", required=False)
+@click.argument("ros_arguments", nargs=-1, type=click.UNPROCESSED)
+@click.option("--odom", "odometry", metavar="TOPIC", help="Poses as nav_msgs/Odometry.  [default: /tf]")
+@click.option("--world-frame", metavar="FRAME", help="Frame of the map.  [default: the topmost one of the poses]")
+@click.option("--label-scheme", default="semantickitti", show_default=True, help="Scheme of the labels of the points.")
+@click.option(
+    "--lookahead", type=click.IntRange(0, 500), help="Keyframes that an answer waits for, as `interloc live`."
+)
+@click.option("--files", is_flag=True, help="Print the folder of the launch file and the RViz configuration.")
+@options.config_options
+@options.model_options
+def command(
+    points: str | None,
+    ros_arguments: tuple[str, ...],
+    odometry: str | None,
+    world_frame: str | None,
+    label_scheme: str,
+    lookahead: int | None,
+    files: bool,
+    preset: str,
+    settings: tuple[str, ...],
+    model: Path | None,
+    provider: str,
+) -> None:
+    """Find intersections in the clouds of the topic POINTS (sensor_msgs/PointCloud2), and publish them.
+
+    The labels are a field of the points (`label`), or made by a network (--model). Published: interloc/markers
+    (visualization_msgs/MarkerArray, latched), interloc/intersections and interloc/detections (JSON in
+    std_msgs/String), interloc/processing_time_ms and interloc/latency_ms (std_msgs/Float64).
+
+    \b
+    Examples:
+      interloc ros /velodyne_points
+      interloc ros /points --odom /odometry -- --ros-args -p use_sim_time:=true
+      ros2 launch $(interloc ros --files)/interloc.launch.py points:=/velodyne_points rviz:=true
+    """
+    import interloc.ros
+
+    if files:
+        click.echo(Path(interloc.ros.__file__).parent)
+        return
+    if points is None:
+        raise click.UsageError("name the topic of the points: interloc ros /velodyne_points")
+    from interloc.drives.labels import SEMANTICKITTI, named_scheme
+    from interloc.errors import ConfigError, install
+
+    console.set_up_log(quiet=False)
+    try:
+        from interloc.ros.node import NodeOptions, run
+    except ImportError as error:
+        raise ConfigError(
+            f"rclpy of ROS 2 is not installed ({error}). Source the setup.bash of a ROS, or {install('ros2')}"
+        ) from error
+    if lookahead is not None:
+        settings = (*settings, f"keyframes.lookahead={lookahead}")
+    label = None
+    if model is not None:
+        from interloc.labelling.labeller import Labeller
+        from interloc.labelling.model import read_model
+
+        label = Labeller(read_model(model), provider)
+        label.load()
+    scheme = named_scheme(label_scheme) or SEMANTICKITTI
+    config = options.configure(preset, settings)
+    chosen = NodeOptions(points, odometry, world_frame, config, scheme, None if label is None else label.label)
+    run(chosen, ["interloc", *ros_arguments])

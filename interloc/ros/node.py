@@ -1,0 +1,236 @@
+"""The node: point clouds and poses in, intersections out.
+
+Messages come in serialized and are read by the readers of bags, so that a drive that is played from a bag gives what
+the bag gives.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections import deque
+from dataclasses import dataclass, replace
+from typing import Any
+
+import rclpy
+from nav_msgs.msg import Odometry
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
+from rclpy.signals import SignalHandlerOptions
+from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import Float64, Header, String
+from visualization_msgs.msg import MarkerArray
+
+from interloc.arrays import Float32Array, FloatArray
+from interloc.config import DetectorConfig
+from interloc.detection.warm import warm_up
+from interloc.drives.labels import LabelScheme
+from interloc.drives.scans.rosbag.messages import ODOMETRY, read_pose, read_transforms
+from interloc.drives.scans.rosbag.pointcloud2 import POINT_CLOUD, read_layout, read_points
+from interloc.drives.scans.rosbag.wire import WireError
+from interloc.errors import ConfigError
+from interloc.labelling.remission import remission_scale
+from interloc.live.scan import Label, LiveScan
+from interloc.live.session import Answer, LiveSession
+from interloc.live.worker import LiveWorker
+from interloc.ros.frames import Frames
+from interloc.ros.markers import map_json, map_markers
+
+_WAITING = 8  # clouds whose poses have not come yet
+_LATE_S = 1.0  # a cloud that waits for longer goes
+_SIGNALS_S = 0.5  # in between Python sees that it is to stop
+_TOLD_EVERY_S = 5.0
+_LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+_STATIC = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+@dataclass(frozen=True)
+class NodeOptions:
+    """What the node is told.
+
+    Attributes
+    ----------
+    points : str
+        Topic of the clouds.
+    odometry : str or None
+        Topic of the poses; None: /tf.
+    world_frame : str or None
+        Frame of the map; None: the topmost frame of the poses.
+    config : DetectorConfig
+    scheme : LabelScheme
+        Of the labels of the points.
+    label : callable or None
+        Gives labels to points that have none; their remission is brought to 0..1 before.
+    """
+
+    points: str
+    odometry: str | None
+    world_frame: str | None
+    config: DetectorConfig
+    scheme: LabelScheme
+    label: Label | None = None
+
+
+class InterlocNode(Node):  # type: ignore[misc]  # rclpy has no types
+    """Subscribes to clouds and poses, publishes below `interloc/`."""
+
+    def __init__(self, options: NodeOptions) -> None:
+        super().__init__("interloc")
+        self._options = options
+        self._frames = Frames()
+        self._clouds: deque[tuple[bytes, float, str]] = deque()
+        self._frame = 0
+        self._lost = 0
+        self._body: str | None = None  # frame whose poses the odometry gives
+        self._under_way: dict[int, tuple[float, str, float]] = {}  # of scans: time, world frame, height
+        self._remission_scale: float | None = None
+        self._markers = self.create_publisher(MarkerArray, "interloc/markers", _LATCHED)
+        self._intersections = self.create_publisher(String, "interloc/intersections", _LATCHED)
+        self._answers = self.create_publisher(String, "interloc/detections", 10)
+        self._processing_ms = self.create_publisher(Float64, "interloc/processing_time_ms", 10)
+        self._latency_ms = self.create_publisher(Float64, "interloc/latency_ms", 10)
+        self.worker = LiveWorker(LiveSession(options.config), self._say)
+        self._subscribe(options)
+
+    def _subscribe(self, options: NodeOptions) -> None:
+        self.create_subscription(PointCloud2, options.points, self._on_cloud, qos_profile_sensor_data, raw=True)
+        try:
+            from tf2_msgs.msg import TFMessage  # noqa: PLC0415 - not among the wheels; every ROS has it
+        except ImportError:
+            if options.odometry is None:
+                raise ConfigError(
+                    "poses from /tf need tf2_msgs of a ROS (source its setup.bash); --odom TOPIC does without"
+                ) from None
+        else:
+            self.create_subscription(TFMessage, "/tf_static", self._on_static, _STATIC, raw=True)
+            if options.odometry is None:
+                self.create_subscription(TFMessage, "/tf", self._on_tf, 100, raw=True)
+        if options.odometry is not None:
+            self.create_subscription(Odometry, options.odometry, self._on_odometry, qos_profile_sensor_data, raw=True)
+
+    def _on_cloud(self, data: bytes) -> None:
+        try:
+            header = read_layout(data, POINT_CLOUD, "cdr").header
+        except WireError as error:
+            self._warn(f"a cloud {error}")
+            return
+        self._clouds.append((data, header.stamp_ns / 1e9, header.frame_id))
+        if len(self._clouds) > _WAITING:
+            self._lose("too many clouds wait for their poses")
+        self._take_clouds()
+
+    def _on_odometry(self, data: bytes) -> None:
+        pose = read_pose(data, ODOMETRY, "cdr")
+        self._body = pose.child_frame or "base_link"
+        self._frames.put(replace(pose, child_frame=self._body))
+        self._take_clouds()
+
+    def _on_tf(self, data: bytes) -> None:
+        for pose in read_transforms(data, "cdr"):
+            self._frames.put(pose)
+        self._take_clouds()
+
+    def _on_static(self, data: bytes) -> None:
+        for pose in read_transforms(data, "cdr"):
+            self._frames.put(pose, is_fixed=True)
+
+    def _take_clouds(self) -> None:
+        """Hand on the clouds whose poses are known, in their order."""
+        while self._clouds:
+            data, time_s, frame = self._clouds[0]
+            if self._body is not None and not self._frames.knows(frame):
+                frame = self._body  # nothing says where on the vehicle the LiDAR is
+            found = self._frames.pose(frame, time_s, self._options.world_frame)
+            if found is None:
+                if self._clouds[-1][1] - time_s < _LATE_S:
+                    return
+                self._lose(f"no pose of {frame} at {time_s:.3f} s")
+                continue
+            self._clouds.popleft()
+            self._put(data, time_s, *found)
+
+    def _put(self, data: bytes, time_s: float, T_world_lidar: FloatArray, world: str) -> None:
+        try:
+            points = read_points(data, POINT_CLOUD, "cdr")
+        except WireError as error:
+            self._warn(f"a cloud {error}")
+            return
+        options, self._frame = self._options, self._frame + 1
+        self._under_way[self._frame] = (time_s, world, float(T_world_lidar[2, 3]))
+        self.worker.put(
+            LiveScan(
+                frame=self._frame,
+                T_world_lidar=T_world_lidar,
+                points=points.values if options.label is None else self._scaled(points.values),
+                labels=points.labels,
+                time_s=time_s,
+                scheme=options.scheme,
+                label=options.label,
+            )
+        )
+
+    def _scaled(self, points: Float32Array) -> Float32Array:
+        """Bring the remission to 0..1, as networks take it."""
+        if self._remission_scale is None:
+            self._remission_scale = remission_scale(points[:, 3])
+        points[:, 3] /= self._remission_scale
+        return points
+
+    def _say(self, document: dict[str, Any], answer: Answer | None) -> None:
+        """Publish what the session says; called by its thread, and for dropped scans by that of the node."""
+        time_s, world, z_m = self._under_way.pop(document.get("frame", 0), (0.0, "map", 0.0))
+        if document["type"] == "dropped":
+            self._warn(f"it is too slow: {document['dropped']} scans dropped so far, the oldest first")
+        elif document["type"] in {"refused", "failed"}:
+            self._warn(document["reason"])
+        if answer is None:
+            return
+        header = Header(frame_id=world)
+        header.stamp.sec, header.stamp.nanosec = math.floor(time_s), round(time_s % 1.0 * 1e9)
+        self._processing_ms.publish(Float64(data=document["processing_time_ms"]))
+        self._latency_ms.publish(Float64(data=self.get_clock().now().nanoseconds / 1e6 - 1e3 * time_s))
+        if answer.keyframes is None:
+            return
+        intersections = self.worker.session.map.intersections
+        self._answers.publish(String(data=json.dumps(document)))
+        self._markers.publish(map_markers(header, intersections, z_m))
+        self._intersections.publish(String(data=map_json(header, intersections)))
+
+    def _lose(self, why: str) -> None:
+        """Leave the oldest cloud out that waits for its pose."""
+        self._clouds.popleft()
+        self._lost += 1
+        self._warn(f"{why}; {self._lost} clouds left out so far")
+
+    def _warn(self, text: str) -> None:
+        self.get_logger().warning(text, throttle_duration_sec=_TOLD_EVERY_S)
+
+
+def run(options: NodeOptions, arguments: list[str]) -> None:
+    """Run the node until it is stopped.
+
+    Parameters
+    ----------
+    options
+    arguments : list of str
+        Of ROS: ``--ros-args -p use_sim_time:=true``.
+
+    Raises
+    ------
+    ConfigError
+        The poses are to come from /tf, and this installation does not know its messages.
+    """
+    warm_up(options.config)
+    rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        node = InterlocNode(options)
+        node.get_logger().info(f"waits for {options.points}")
+        executor = SingleThreadedExecutor()
+        executor.add_node(node)
+        while rclpy.ok():
+            executor.spin_once(timeout_sec=_SIGNALS_S)
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    finally:
+        rclpy.try_shutdown()

@@ -1,0 +1,206 @@
+"""Whoever is named in a request is told of the job: signed, again where that fails, and nobody else is ever called."""
+
+from __future__ import annotations
+
+import base64
+import json
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+
+from app.jobs import calls, deliverer
+from app.jobs.calls import AllowedHosts, CallRefusedError, call, signature
+from tests.app.processes import API, job_of, started, wait_until
+
+KEY = b"0123456789abcdef0123456789abcdef"
+SECRET = f"whsec_{base64.b64encode(KEY).decode()}"
+
+
+class Receiver(ThreadingHTTPServer):
+    """Notes what it is told, and answers what is next in `answers`, else 204."""
+
+    daemon_threads = True
+
+    def __init__(self) -> None:
+        self.told: list[tuple[str, dict[str, str], bytes]] = []
+        self.answers: list[int] = []
+        super().__init__(("127.0.0.1", 0), _Handler)
+        self.uri = f"http://127.0.0.1:{self.server_port}"
+
+
+class _Handler(BaseHTTPRequestHandler):
+    server: Receiver
+
+    def do_POST(self) -> None:
+        body = self.rfile.read(int(self.headers["Content-Length"]))
+        self.server.told.append((self.path, dict(self.headers), body))
+        status = self.server.answers.pop(0) if self.server.answers else 204
+        self.send_response(status)
+        if status == 302:
+            self.send_header("Location", f"{self.server.uri}/elsewhere")
+        self.end_headers()
+
+    def log_message(self, *_: object) -> None:
+        pass
+
+
+@contextmanager
+def receiving() -> Iterator[Receiver]:
+    with Receiver() as receiver:
+        threading.Thread(target=receiver.serve_forever, args=(0.02,), daemon=True).start()
+        yield receiver
+        receiver.shutdown()
+
+
+@pytest.fixture
+def receiver() -> Iterator[Receiver]:
+    with receiving() as one:
+        yield one
+
+
+def commit(client: httpx.Client, **subscriber: str) -> str:
+    """Make a drive without anything in it, and commit it; returns the id of the job of its check, which fails."""
+    drive_id = client.post(f"{API}/drives", json={"name": "empty"}).json()["id"]
+    body = {"subscriber": subscriber}
+    answer = client.post(f"{API}/drives/{drive_id}/commit", json=body, headers={"Prefer": "wait=0"})
+    assert answer.status_code in {202, 422}, answer.text
+    (job,) = client.get(f"{API}/jobs?kind=commit&drive={drive_id}").json()["jobs"]
+    job_id: str = job["id"]
+    return job_id
+
+
+def test_a_subscriber_is_told_signed_and_again_where_that_failed(
+    serve: Callable[..., httpx.Client], receiver: Receiver, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(deliverer, "RETRIES_S", (0.0, 0.0))
+    monkeypatch.setattr(deliverer, "_LOOK_S", 0.05)
+    client = serve(webhook_hosts="127.0.0.0/8", webhook_secret=SECRET)
+    receiver.answers = [204, 500]  # the begin; then the end, twice
+    uris = {"inProgressUri": f"{receiver.uri}/began", "failedUri": f"{receiver.uri}/failed?x=1"}
+    job_id = commit(client, **uris, successUri=f"{receiver.uri}/good")
+    wait_until(lambda: len(receiver.told) == 3, "three calls")
+    paths = [path for path, _, _ in receiver.told]
+    assert sorted(paths) == ["/began", "/failed?x=1", "/failed?x=1"]
+    ends = [(headers, body) for path, headers, body in receiver.told if path != "/began"]
+    assert len({headers["webhook-id"] for headers, _ in ends}) == 1
+    for _, headers, body in receiver.told:
+        expected = signature(KEY, headers["webhook-id"], int(headers["webhook-timestamp"]), body)
+        assert headers["webhook-signature"] == expected
+    told = json.loads(ends[0][1])
+    assert told["type"] == "job.successful"  # the check was made; the drive has errors
+    assert told["data"]["job_id"] == job_id
+    assert told["data"]["summary"]["ok"] is False
+
+    def both_delivered() -> Any:
+        deliveries = job_of(client, job_id)["deliveries"]
+        return deliveries if all(each["state"] == "delivered" for each in deliveries) else None
+
+    first, last = wait_until(both_delivered, "both deliveries")
+    assert (first["type"], first["attempts"], first["error"]) == ("job.running", 1, None)
+    assert (last["id"], last["attempts"]) == (ends[0][0]["webhook-id"], 2)
+    assert 'interloc_webhooks_total{outcome="failed"} 1.0' in client.get("/metrics").text
+
+    receiver.answers = [302, 410]
+    job_id = commit(client, failedUri=f"{receiver.uri}/moved")
+    (gone,) = wait_until(lambda: [d for d in job_of(client, job_id)["deliveries"] if d["next_at"] is None], "the end")
+    assert (gone["state"], gone["attempts"]) == ("given up", 2)
+    assert gone["error"].startswith("410 Gone")
+    assert "/elsewhere" not in [path for path, _, _ in receiver.told]
+
+
+def test_signatures_are_those_of_the_library_of_standard_webhooks() -> None:
+    key = base64.b64decode("MfKQ9r8GKYqrTwjUPD8ILPZIo2LaLaSw")
+    signed = signature(key, "msg_p5jXN8AQM9LWM0D4loKWxJek", 1614265330, b'{"test": 2432232314}')
+    assert signed == "v1,g0hM9SsE+OTPJTGt/tmIKtSyZlE3uFJELVlNIOLJ1OE="
+
+
+def test_a_server_killed_before_the_call_still_calls(tmp_path: Path, receiver: Receiver) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as silent:  # takes the connection, and never answers
+        settings = {"webhook_hosts": "127.0.0.1", "webhook_secret": SECRET, "workers": 1}
+        uri = f"http://127.0.0.1:{silent.getsockname()[1]}/x"
+        with started(tmp_path / "data", tmp_path / "1.log", **settings) as server:
+            job_id = commit(server.client, failedUri=uri)
+            wait_until(lambda: [d for d in job_of(server.client, job_id)["deliveries"] if d["attempts"]], "the call")
+            server.kill()
+    with started(tmp_path / "data", tmp_path / "2.log", **settings) as server:
+        (delivery,) = job_of(server.client, job_id)["deliveries"]
+        assert (delivery["state"], delivery["attempts"]) == ("waiting", 1)
+        assert delivery["next_at"] is not None
+
+
+def test_who_may_not_be_called_is_refused_at_once(serve: Callable[..., httpx.Client], receiver: Receiver) -> None:
+    def refused(client: httpx.Client, uri: str) -> str:
+        drive_id = client.post(f"{API}/drives", json={"name": "x"}).json()["id"]
+        answer = client.post(f"{API}/drives/{drive_id}/commit", json={"subscriber": {"failedUri": uri}})
+        assert (answer.status_code, answer.json()["type"]) == (422, "/problems/webhook-refused"), answer.text
+        return str(answer.json()["detail"])
+
+    client = serve(webhook_hosts="hooks.example.org", webhook_secret=SECRET)
+    assert "none of the hosts" in refused(client, receiver.uri)
+    assert "none of the hosts" in refused(client, "https://hooks.example.org.evil.test/")
+    assert "without a user" in refused(client, "https://a:b@hooks.example.org/")
+
+
+@pytest.mark.parametrize(
+    ("address", "listed", "may"),
+    [
+        ("93.184.216.34", "hooks.test", True),
+        ("127.0.0.1", "hooks.test", False),
+        ("10.0.0.7", "hooks.test", False),
+        ("10.0.0.7", "hooks.test,10.0.0.0/24", True),
+        ("169.254.169.254", "hooks.test", False),
+        ("::ffff:10.0.0.7", "hooks.test", False),
+        ("64:ff9b::a00:7", "hooks.test", False),
+        ("fd00::1", "hooks.test", False),
+        ("::1", "hooks.test", False),
+        ("100.64.0.1", "hooks.test", False),
+        ("0.0.0.0", "hooks.test", False),  # noqa: S104
+    ],
+)
+def test_a_name_must_mean_a_public_address(
+    address: str, listed: str, may: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = []
+
+    def look_up(*given: object, **_: object) -> list[Any]:
+        asked.append(given)
+        return [(0, 0, 0, "", (address, 443))]
+
+    monkeypatch.setattr(calls.socket, "getaddrinfo", look_up)
+    if may:
+        assert AllowedHosts(listed).resolve("https://hooks.test/x") == (address, 443)
+    else:
+        with pytest.raises(CallRefusedError, match="not a public address"):
+            AllowedHosts(listed).resolve("https://hooks.test/x")
+    assert len(asked) == 1  # what is connected to is what was checked
+
+
+def test_a_subscriber_that_dribbles_or_never_ends_is_cut_off(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(calls, "CALL_S", 0.3)
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+
+        def dribble() -> None:
+            connection, _ = listener.accept()
+            with connection:
+                try:
+                    for byte in iter(lambda: b"a", b""):
+                        connection.send(byte)
+                        time.sleep(0.02)
+                except OSError:
+                    return
+
+        thread = threading.Thread(target=dribble, daemon=True)
+        thread.start()
+        uri = f"http://127.0.0.1:{listener.getsockname()[1]}/"
+        with pytest.raises((OSError, calls.http.client.HTTPException)):
+            call(uri, b"{}", {}, AllowedHosts("127.0.0.1"))
+        thread.join(10)
+        assert not thread.is_alive()

@@ -1,0 +1,179 @@
+"""Maps of many drives: what belongs to them is merged, whatever stops in between; the queue of their findings."""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+from sqlalchemy import delete
+
+from app.store.database import Database
+from app.store.models import FeatureChunk
+from tests.app.conftest import running_server
+from tests.app.results.conftest import add_drive, add_job, work
+from tests.app.street import write_street
+
+API = "/api/v1"
+EAST_DEG = 1.37e-4  # 10 m
+CROSSING = 'lon="8.400821'  # of the street at 60 m
+
+
+@dataclass(frozen=True)
+class Street:
+    """Two drives along a street that have ended, and an OSM file with one of its crossings 10 m to the east."""
+
+    root: Path
+    osm: bytes
+
+    def fill(self, data: Path, database: Database) -> None:
+        for drive, job in (("monday", "first"), ("tuesday", "second")):
+            add_drive(database, data, drive, self.root / drive)
+            add_job(database, data, job, drive, self.root / job, finished_at=1.0, summary={"georeferenced": True})
+
+
+@pytest.fixture(scope="module")
+def street(tmp_path_factory: pytest.TempPathFactory) -> Street:
+    root = tmp_path_factory.mktemp("street")
+    for name, scans, job in (("monday", 62, "first"), ("tuesday", 63, "second")):
+        work(write_street(root / name, scans), root / job, scored=False)
+    osm = (root / "monday" / "map.osm").read_text()
+    moved = re.sub(r'(<node id="[789]" .*lon=)"([^"]*)"', lambda node: f'{node[1]}"{float(node[2]) + EAST_DEG}"', osm)
+    return Street(root, moved.encode())
+
+
+@dataclass(frozen=True)
+class Served:
+    client: httpx.Client
+    data: Path
+
+    def get(self, path: str, **options: Any) -> Any:
+        answer = self.client.get(f"{API}{path}", **options)
+        answer.raise_for_status()
+        return answer.json()
+
+    def until(self, path: str, is_so: Callable[[Any], bool]) -> Any:
+        for _ in range(600):
+            found = self.client.get(f"{API}{path}")
+            if found.is_success and is_so(found.json()):
+                return found.json()
+            time.sleep(0.05)
+        raise AssertionError(found.text)
+
+    def database(self) -> Database:
+        return Database(f"sqlite:///{self.data}/interloc.sqlite3")
+
+
+@pytest.fixture(scope="module")
+def served(street: Street, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
+    data = tmp_path_factory.mktemp("data")
+    with running_server(data) as address, httpx.Client(base_url=address, timeout=60) as client:
+        server = Served(client, data)
+        database = server.database()
+        street.fill(data, database)
+        database.close()
+        client.put(f"{API}/maps/default/osm/town.osm", content=street.osm).raise_for_status()
+        yield server
+
+
+def ready(city: dict[str, Any]) -> bool:
+    return city["revision"] > 0 and not city["is_waiting"]
+
+
+def test_all_drives_become_the_map_of_the_server(served: Served) -> None:
+    city = served.until("/maps/default", ready)
+    assert (city["drives"], city["intersections"], city["seen_by_several"]) == (2, 3, 3)
+    assert (city["findings"], city["osm"], city["problem"]) == (1, "town.osm", None)
+    assert city["bbox"][0] == pytest.approx(8.4, abs=1e-3)
+    drives = served.get("/maps/default/drives", params={"limit": 1})
+    assert [(each["drive_id"], each["label"], each["job_id"]) for each in drives["drives"]] == [
+        ("monday", "Straße monday", "first")
+    ]
+    assert served.get("/maps/default/drives", params={"after": drives["next"]})["drives"][0]["job_id"] == "second"
+    assert served.get("/maps")["maps"] == [city]
+    assert served.client.delete(f"{API}/maps/default").status_code == 409
+    tracks = served.get("/maps/default/files/drives.geojson")["features"]
+    assert [each["id"] for each in tracks] == ["Straße monday", "Straße tuesday"]
+
+
+def test_a_map_and_its_findings_are_layers_of_a_gis(served: Served) -> None:
+    served.until("/maps/default", ready)
+    listed = served.get("/maps/default/ogc/collections")["collections"]
+    assert sorted(each["id"] for each in listed) == ["changes", "city", "drives", "findings"]
+    items = "/maps/default/ogc/collections/city/items"
+    page = served.get(items, params={"limit": 2, "filter": "passes >= 2", "bbox": "8.39,48.9,8.41,49.1"})
+    assert (page["numberMatched"], page["numberReturned"]) == (3, 2)
+    one = page["features"][0]
+    assert one["properties"]["drive_names"] == "Straße monday, Straße tuesday"
+    assert "job" not in one["properties"]
+    assert served.get(f"{items}/{one['id']}")["properties"] == one["properties"]
+    schema = served.get("/maps/default/ogc/collections/drives/schema")
+    assert {"drive", "offset_east_m"} < schema["properties"].keys()
+
+
+def test_a_map_of_its_own_holds_what_was_put_into_it(served: Served) -> None:
+    made = served.client.post(f"{API}/maps", json={"name": "North", "drives": ["monday"]})
+    assert made.status_code == 201
+    address = made.headers["location"].removeprefix(API)
+    one = served.until(address, lambda city: city["drives"] == 1)
+    assert (one["name"], one["holds_all"], one["intersections"]) == ("North", False, 3)
+    names = {each["properties"]["uid"] for each in served.get(f"{address}/files/city.geojson")["features"]}
+    served.client.put(f"{API}{address}/drives/tuesday").raise_for_status()
+    served.until(address, lambda city: city["drives"] == 2)
+    served.client.delete(f"{API}{address}/drives/monday").raise_for_status()
+    served.until(address, lambda city: city["drives"] == 1)
+    left = served.get(f"{address}/files/city.geojson")["features"]
+    assert {each["properties"]["uid"] for each in left} == names
+    assert {each["properties"]["drive_names"] for each in left} == {"Straße tuesday"}
+    assert served.client.put(f"{API}{address}/drives/nobody").status_code == 404
+    served.client.delete(f"{API}{address}").raise_for_status()
+    assert served.client.get(f"{API}{address}").status_code == 404
+    assert not (served.data / address.removeprefix("/")).exists()
+
+
+def test_findings_are_looked_at_one_after_the_other(served: Served) -> None:
+    served.until("/maps/default", ready)
+    (entry,) = served.get("/maps/default/queue")["entries"]
+    assert (entry["kind"], entry["verdict"]) == ("moved", None)
+    picture = served.client.get(entry["picture"])
+    assert picture.content.startswith(b"\x89PNG")
+    assert f"{entry['lat']}" in entry["links"]["id"]
+    deliveries = "/maps/default/deliveries"
+    assert served.client.get(f"{API}{deliveries}/maproulette.geojson").text.count("\x1e") == 1
+    assert "<error " in served.client.get(f"{API}{deliveries}/osmose.xml").text
+    address = f"{API}/maps/default/queue/{entry['id']}"
+    assert served.client.put(f"{address}/verdict", json={"verdict": "maybe"}).status_code == 422
+    judged = served.client.put(f"{address}/verdict", json={"verdict": "right", "note": "a street"}).json()
+    assert (judged["verdict"]["by"], judged["verdict"]["note"], judged["next"]) == ("anonymous", "a street", None)
+    page = served.get("/maps/default/queue")
+    assert (page["entries"], page["open"], page["judged"]) == ([], 0, 1)
+    assert page["precision"]["low"] == pytest.approx(0.2065, abs=1e-4)
+    served.client.put(f"{address}/verdict", json={"verdict": "wrong"}).raise_for_status()
+    assert served.client.get(f"{API}{deliveries}/maproulette.geojson").text == ""
+    gone = served.until("/maps/default", lambda city: city["findings"] == 0)  # compared again without the place
+    assert ready(gone)
+    kept = served.get(f"/maps/default/queue/{entry['id']}")
+    assert [each["verdict"] for each in kept["history"]] == ["right", "wrong"]
+    assert kept["properties"] is None
+    served.client.put(f"{address}/verdict", json={"verdict": "cannot_tell"}).raise_for_status()  # it was a mistake
+    served.until("/maps/default", lambda city: city["findings"] == 1)
+
+
+def test_what_is_lost_is_made_anew_with_the_same_names(street: Street, served: Served) -> None:
+    before = served.until("/maps/default", ready)
+    features = served.get("/maps/default/files/city.geojson")["features"]
+    (served.data / "maps/default/city/state.npz").write_bytes(b"damaged")
+    (served.data / "maps/default/city/city.json").unlink()
+    database = served.database()
+    with database.writing() as session:
+        session.execute(delete(FeatureChunk).where(FeatureChunk.map_id == "default"))
+    database.close()
+    after = served.until("/maps/default", lambda city: city["revision"] > before["revision"] and ready(city))
+    assert served.get("/maps/default/files/city.geojson")["features"] == features
+    assert after["findings"] == before["findings"]
+    assert served.get("/maps/default/ogc/collections/city/items")["numberMatched"] == 3

@@ -1,0 +1,73 @@
+"""The real node and real messages, in a network of their own with nothing but a loopback."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from interloc.config import preset
+from interloc.detection.scan import Scan
+from interloc.pipeline import stream
+from tests.crossing import SPACING_M, pose_at, road_at
+
+ROOT = Path(__file__).resolve().parents[2]
+SCANS = 48
+ALONE = ("unshare", "--map-root-user", "--net")
+
+BOTH = """
+ip link set lo up
+"{python}" -m interloc ros points --odom odom --lookahead 4 &
+node=$!
+"{python}" -m tests.ros.played
+code=$?
+kill -INT $node
+wait $node
+exit $((code + $?))
+"""
+
+
+def why_not() -> str:
+    """Why the node cannot be tried here; empty where it can."""
+    wheels = ("rclpy", "nav_msgs", "sensor_msgs", "std_msgs", "visualization_msgs")
+    if not all(importlib.util.find_spec(each) for each in wheels):
+        return "rclpy of ROS 2 is not installed"
+    if shutil.which("unshare") is None or shutil.which("ip") is None:
+        return "no unshare or ip on the PATH, for a network of its own"
+    alone = subprocess.run([*ALONE, "ip", "link", "set", "lo", "up"], capture_output=True, check=False)
+    return "" if alone.returncode == 0 else "no network namespace can be made here"
+
+
+def test_the_node_finds_what_the_library_finds(tmp_path: Path) -> None:
+    if reason := why_not():
+        pytest.skip(reason)
+    environment = {**os.environ, "ROS_LOG_DIR": str(tmp_path), "ROS_DOMAIN_ID": "45", "PYTHONPATH": str(ROOT)}
+    played = subprocess.run(
+        [*ALONE, "sh", "-c", BOTH.format(python=sys.executable)],
+        capture_output=True, text=True, env=environment, cwd=ROOT, timeout=100, check=False,
+    )  # fmt: skip
+    assert played.returncode == 0, played.stderr
+    said = json.loads(played.stdout.splitlines()[-1])
+
+    scans = [Scan(row, pose_at(SPACING_M * row), road_at(SPACING_M * row)) for row in range(SCANS)]
+    expected = list(stream(scans, preset("default", "keyframes.lookahead=4")))
+    assert len(said["keyframes"]) >= SCANS - 8  # the first ones may be lost, as long as the two have not met
+    for keyframe in said["keyframes"]:
+        found = [(each["x_m"], each["y_m"]) for each in keyframe["detections"]]
+        row = round(keyframe["time_s"]) - 100
+        np.testing.assert_array_equal(np.reshape(found, (-1, 2)), expected[row].lidar_xy)
+    assert said["processing_times"] == SCANS
+    assert (said["frame_id"], said["types"]) == ("odom", [7, 5])  # SPHERE_LIST, LINE_LIST
+    assert said["points"] == [1, 8]
+    np.testing.assert_allclose(said["place"], [60, 0], atol=0.3)
+    (intersection,) = said["intersections"]["intersections"]
+    assert intersection["confirmed"]
+    assert len(intersection["position_cov_m2"]) == 3
+    assert len(intersection["branch_bearings_deg"]) == 4
