@@ -23,6 +23,7 @@ class Begin(BaseModel):
     label_scheme: str = Field(
         "semantickitti", max_length=200, description="Scheme of the labels, or the ids of road with commas between."
     )
+    keep: bool = Field(False, description="Make a drive of the keyframes; at the end it is checked, and a job runs.")
 
 
 class Continue(BaseModel):

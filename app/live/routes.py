@@ -20,6 +20,7 @@ from app.http.problem_types import TOKEN_MAY_ONLY_READ
 from app.http.problems import Problem, ProblemDocument, respond
 from app.http.security import ClientDep
 from app.jobs.submission import config_of
+from app.live.keeper import Keeper
 from app.live.models import SENT, Begin, Continue, End, LiveList, LiveModel
 from app.live.sessions import LiveEntry, LiveSessions
 from app.states import Scope
@@ -137,7 +138,10 @@ async def _first_word(socket: WebSocket, live: LiveSessions, holder: Holder) -> 
         raise ConfigError('the session has not begun. Expected {"type": "begin", "name": ...} as the first message.')
     config = config_of(word.preset, word.config)
     await run_in_threadpool(warm_up, config)
-    return live.begin(word, holder.name, config), -1
+    live.refuse_more(holder.name)
+    context: Context = socket.app.state.context
+    keeper = await run_in_threadpool(Keeper, context, holder.name, word.name, config) if word.keep else None
+    return live.begin(word, holder.name, config, keeper), -1
 
 
 async def _text(socket: WebSocket) -> str:

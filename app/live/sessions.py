@@ -15,9 +15,12 @@ from typing import Any, Literal
 from app.context import Context
 from app.http.problem_types import NOT_FOUND, TOO_MANY_SESSIONS
 from app.http.problems import Problem
+from app.live.keeper import Keeper
 from app.live.models import Begin, LiveModel
 from interloc.config import DetectorConfig
 from interloc.drives.labels import SEMANTICKITTI, LabelScheme, named_scheme
+from interloc.errors import DriveError
+from interloc.live.scan import LiveScan
 from interloc.live.session import Answer, LiveSession
 from interloc.live.wire import decode_scan
 from interloc.live.worker import LiveWorker
@@ -33,7 +36,14 @@ _FINAL = {"end", "refused", "failed"}
 class LiveEntry:
     """One session. All but what `_say` does belongs to the event loop."""
 
-    def __init__(self, begin: Begin, owner: str, config: DetectorConfig, when_quiet: Callable[[], object]) -> None:
+    def __init__(
+        self,
+        begin: Begin,
+        owner: str,
+        config: DetectorConfig,
+        when_quiet: Callable[[], object],
+        keeper: Keeper | None = None,
+    ) -> None:
         self.id = secrets.token_hex(8)
         self.name, self.owner = begin.name, owner
         self.scheme: LabelScheme = named_scheme(begin.label_scheme) or SEMANTICKITTI
@@ -50,7 +60,8 @@ class LiveEntry:
         self._road: deque[Any] = deque(maxlen=_MAX_SHOWN)
         self._intersections: dict[int, dict[str, Any]] = {}
         self._vehicle: dict[str, Any] | None = None
-        self._worker = LiveWorker(LiveSession(config), self._say)
+        self._keeper = keeper
+        self._worker = LiveWorker(LiveSession(config), self._say, keep=self._keep)
 
     @property
     def state(self) -> Literal["driving", "waiting", "ended"]:
@@ -149,8 +160,20 @@ class LiveEntry:
     def _say(self, document: dict[str, Any], answer: Answer | None) -> None:
         """Pass on what the session says; called by its thread."""
         del answer
+        if document["type"] == "end" and self._keeper is not None:
+            try:
+                document |= self._keeper.finish()
+            except Problem as problem:
+                document |= {"drive_id": self._keeper.drive_id, "problem": problem.detail}
         with suppress(RuntimeError):  # the loop is closed
             self._loop.call_soon_threadsafe(self._tell, document)
+
+    def _keep(self, scan: LiveScan) -> None:
+        if self._keeper is not None:
+            try:
+                self._keeper.keep(scan)
+            except Problem as problem:
+                raise DriveError(f"the scan could not be kept: {problem.detail}") from problem
 
     def _tell(self, document: dict[str, Any]) -> None:
         if self.is_over:
@@ -200,13 +223,27 @@ class LiveSessions:
         self._context = context
         self._entries: dict[str, LiveEntry] = {}
 
-    def begin(self, begin: Begin, owner: str, config: DetectorConfig) -> LiveEntry:
+    def begin(self, begin: Begin, owner: str, config: DetectorConfig, keeper: Keeper | None = None) -> LiveEntry:
         """Begin a session.
 
         Raises
         ------
         Problem
             429: the client, or all together, have too many.
+        """
+        self.refuse_more(owner)
+        idle_s, loop = self._context.settings.live_idle_s, asyncio.get_running_loop()
+        entry = LiveEntry(begin, owner, config, lambda: loop.call_later(idle_s + 1.0, self.tidy), keeper)
+        self._entries[entry.id] = entry
+        return entry
+
+    def refuse_more(self, owner: str) -> None:
+        """Refuse another session of a client that has too many, or where all together have.
+
+        Raises
+        ------
+        Problem
+            429.
         """
         self.tidy()
         running = [each for each in self._entries.values() if not each.is_over]
@@ -217,10 +254,6 @@ class LiveSessions:
                 f"A client may have {limit} live sessions at a time, all together {_MAX_OF_ALL}. End one "
                 "(DELETE /api/v1/live/{id}), or wait until one that is abandoned expires.",
             )
-        idle_s, loop = self._context.settings.live_idle_s, asyncio.get_running_loop()
-        entry = LiveEntry(begin, owner, config, lambda: loop.call_later(idle_s + 1.0, self.tidy))
-        self._entries[entry.id] = entry
-        return entry
 
     def find(self, session: str, owner: str | None = None) -> LiveEntry:
         """Return a session; of an owner, if one is given.

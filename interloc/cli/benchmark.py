@@ -88,7 +88,7 @@ def twin_options(sequences: str) -> Callable[[options.Function], options.Functio
         click.option(
             "--sequences",
             default=sequences,
-            show_default=True,
+            show_default=sequences or "those of the part",
             help="KITTI odometry sequences to measure.",
         ),
         click.option(

@@ -27,6 +27,7 @@ _NO_HURRY = 1000.0
 @click.option(
     "--server", envvar="INTERLOC_SERVER", metavar="URL", help="Send the scans to a service, whose page shows them."
 )
+@click.option("--keep", is_flag=True, help="Have the service make a drive of it, and run it, when it ends.")
 @click.option("--token", envvar="INTERLOC_TOKEN", help="API token of the service; INTERLOC_TOKEN is safer.")
 @click.option(
     "--speed",
@@ -48,6 +49,7 @@ def command(
     prints: bool,
     server: str | None,
     token: str | None,
+    keep: bool,
     speed: float | None,
     lookahead: int | None,
     preset: str,
@@ -73,7 +75,9 @@ def command(
     if server is None:
         _print_answers(source, config, speed)
     else:
-        _send_scans(source, config, 1.0 if speed is None else speed, server, token, prints=prints, quiet=quiet)
+        _send_scans(
+            source, config, 1.0 if speed is None else speed, server, token, keep=keep, prints=prints, quiet=quiet
+        )
 
 
 def _send_scans(
@@ -83,6 +87,7 @@ def _send_scans(
     server: str,
     token: str | None,
     *,
+    keep: bool,
     prints: bool,
     quiet: bool,
 ) -> None:
@@ -96,7 +101,7 @@ def _send_scans(
             for line in _in_words(said):
                 click.echo(line)
 
-    begin = {"name": drive.name, "config": config.model_dump(mode="json")}
+    begin = {"name": drive.name, "config": config.model_dump(mode="json"), "keep": keep}
     keeps_all = speed >= _NO_HURRY
     sender = LiveSender(server, token, begin, hear, keeps_all=keeps_all)
     sender.run(lambda after: play(drive, config, speed=None if keeps_all else speed, after=after))
@@ -118,6 +123,8 @@ def _in_words(said: dict[str, Any]) -> Iterator[str]:
         yield f"session    {said['id']}"
     elif said["type"] == "end":
         yield f"end        {said['keyframes']} keyframes, {len(said['intersections'])} intersections"
+        if "drive_id" in said:
+            yield f"kept       drive {said['drive_id']}, {said.get('problem') or 'job ' + said['job_id']}"
 
 
 def _print_answers(drive: FolderDrive, config: DetectorConfig, speed: float | None) -> None:

@@ -8,7 +8,8 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
+from urllib.parse import urlsplit
 
 from interloc.errors import ConfigError, NetworkError, install
 from interloc.live.scan import LiveScan
@@ -17,6 +18,7 @@ from interloc.live.wire import encode_scan
 if TYPE_CHECKING:
     from websockets.sync.client import ClientConnection
 
+_HERE = {"localhost", "127.0.0.1", "::1"}
 _UNANSWERED = 3  # scans under way where nothing may be dropped: fewer than the service lets wait
 _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.2, 5.0
 
@@ -54,6 +56,8 @@ class LiveSender:
         if not server.startswith(("http://", "https://")):
             raise ConfigError(f"--server {server}: expected an address such as http://127.0.0.1:8000")
         self._url = f"ws{server.removeprefix('http').rstrip('/')}/api/v1/live"
+        # A proxy of the environment cannot reach the own ports of this machine.
+        self._proxy: Literal[True] | None = None if urlsplit(server).hostname in _HERE else True
         self._headers = {"Authorization": f"Bearer {token}"} if token else {}
         self._begin, self._hear = begin, hear
         self._keeps_all, self._patience_s = keeps_all, patience_s
@@ -96,7 +100,9 @@ class LiveSender:
         except ImportError as error:
             raise ConfigError(f"a live session needs a package that is not installed: {install('live')}") from error
         try:
-            return connect(self._url, additional_headers=self._headers, max_size=None, compression=None)
+            return connect(
+                self._url, additional_headers=self._headers, max_size=None, compression=None, proxy=self._proxy
+            )
         except InvalidStatus as error:
             if error.response.status_code in {502, 503, 504}:
                 raise _Broken(str(error)) from error

@@ -9,7 +9,6 @@ import numpy as np
 
 from interloc.arrays import FloatArray, Record, StructuredArray, UInt64Array
 from interloc.detection.branches import Branches
-from interloc.detection.edges import to_edge
 from interloc.detection.forks import find_fork
 from interloc.detection.image import BinaryImage
 from interloc.detection.lines import SIDE_BY_SIDE_COS
@@ -61,7 +60,7 @@ def refine(
         Only with it the place of a fork counts, along its stem.
     occupancy
         The road. With it each line counts by what is known of it at the point, not at the candidate, and the point may
-        leave the inner disc, but not the road.
+        leave the inner disc.
     fork_weight : float
         Weight of the place of a fork along its stem, with the road; 0: forks are not looked for.
 
@@ -121,7 +120,6 @@ def _meet(
                     weights[i] = at_point / (1.0 + off * off) ** 2
             row, col = _solve(lines, weights, candidate, prior)
             row, col = _within(row, col, MAX_SHIFTS * inner)
-            row, col = _on_road(words, candidate, row, col, inner)
     total = 0.0
     for i in range(lines.size):
         total += weights[i] * _distance(lines[i], candidate, row, col) ** 2
@@ -222,13 +220,3 @@ def _with_fork(
     b += weight * direction[0] * direction[1]
     d += weight * direction[1] * direction[1]
     return a, b, d, u + along * direction[0], v + along * direction[1]
-
-
-@compiled
-def _on_road(words: UInt64Array, candidate: FloatArray, row: float, col: float, free: float) -> tuple[float, float]:
-    """Return a shift up to where it leaves the road, if that is farther than ``free``."""
-    length = math.hypot(row, col)
-    if length <= free:
-        return row, col
-    share = max(to_edge(words, candidate[0], candidate[1], row / length, col / length, length), free) / length
-    return row * share, col * share

@@ -13,7 +13,6 @@ from interloc.live.growing_map import MapIntersection
 from interloc.live.scan import LiveScan
 from interloc.live.session import Answer
 from interloc.results import DetectionTable, KeyframeTable
-from interloc.roadmap.surface import outlines
 
 _ROAD_M = 30.0
 
@@ -95,7 +94,9 @@ def _road_document(answer: Answer) -> list[list[list[list[float]]]] | None:
     patch, keyframes = answer.road, answer.keyframes
     if patch is None or keyframes is None:
         return None
-    import shapely  # noqa: PLC0415 - as the road itself, once in a while
+    import shapely  # noqa: PLC0415 - slow to import
+
+    from interloc.roadmap.surface import outlines  # noqa: PLC0415 - likewise
 
     here = keyframes.world_xy[0]
     around = shapely.Point(here).buffer(_ROAD_M)

@@ -27,13 +27,23 @@ class LiveWorker:
     session : LiveSession
     say : callable
         Called from the thread, but for dropped scans, which are reported by the thread that put the next one in.
+    keep : callable or None
+        Called with each scan that was a keyframe, before it is answered.
     queue_size : int
         How many scans may wait.
     """
 
-    def __init__(self, session: LiveSession, say: Say, *, queue_size: int = 4) -> None:
+    def __init__(
+        self,
+        session: LiveSession,
+        say: Say,
+        *,
+        keep: Callable[[LiveScan], None] | None = None,
+        queue_size: int = 4,
+    ) -> None:
         self.session = session
         self._say = say
+        self._keep = keep
         self._queue: ScanQueue[LiveScan] = ScanQueue(queue_size)
         self._goes_on = True
         self._thread = threading.Thread(target=self._work, name="live", daemon=True)
@@ -78,6 +88,8 @@ class LiveWorker:
     def _take(self, scan: LiveScan) -> None:
         try:
             answer = self.session.push(scan)
+            if answer.is_keyframe and self._keep is not None:
+                self._keep(scan)
         except InterLocError as error:
             self._say({"type": "refused", "frame": scan.frame, "reason": str(error)}, None)
         else:

@@ -40,8 +40,13 @@ def wait_until(
 
 
 def as_by_command(answer: httpx.Response) -> bytes:
-    """Return a layer of a job as the command line writes it: without the id of the job."""
-    return re.sub(rb'"job":"\w+"', b'"job":null', answer.content)
+    """Return a layer of a job as the command line writes it."""
+    return without_job(answer.content)
+
+
+def without_job(layer: bytes) -> bytes:
+    """Return a layer without the id of the job that made it."""
+    return re.sub(rb'"job":"\w+"', b'"job":null', layer)
 
 
 def files_below(folder: Path) -> list[Path]:

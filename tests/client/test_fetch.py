@@ -13,16 +13,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.app.processes import Gate, ServerProcess, wait_until
+from tests.app.processes import Gate, ServerProcess, wait_until, without_job
 
 API = "/api/v1"
 LAYERS = {"intersections", "detections", "keyframes", "trajectory", "roads", "junctions", "road_surface"}
 
 
 def layers(folder: Path) -> dict[str, bytes]:
-    """All layers of a result, as bytes."""
+    """All layers of a result, as bytes, without the id of a job."""
     found = [path for path in folder.iterdir() if path.name.endswith((".geojson", ".local.json"))]
-    return {path.name: path.read_bytes() for path in found}
+    return {path.name: without_job(path.read_bytes()) for path in found}
 
 
 @pytest.fixture(scope="session")

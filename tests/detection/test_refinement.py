@@ -249,10 +249,3 @@ def test_candidate_between_two_carriageways_is_as_well_known_as_that_of_a_crossi
     points = [(140.0, 212.0), (200.0, 260.0), (230.0, 260.0)]  # the stem runs beside the candidate
     dual = branches(points, [180, 90, 89], candidate=(200, 200), inner=60, weights=[0.1, 9, 0.1], length=60.0)
     assert on_open_road(dual, 4.0)[1] == pytest.approx(200.0, abs=1.0)
-
-
-def test_point_does_not_leave_the_road() -> None:
-    lines = branches([(50.0, 75.0), (75.0, 50.0)], [0, 90], candidate=(50.0, 50.0), inner=10.0)
-    image = np.zeros((101, 101), np.uint8)
-    image[:66, :66] = 1
-    np.testing.assert_allclose(refine(lines, 0.0, binary_image(image)).position, [65.5, 65.5], atol=0.5)

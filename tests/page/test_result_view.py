@@ -334,3 +334,17 @@ def test_a_token_is_asked_for_once_and_refused_in_words(browser: Browser, watch:
     assert tab.locator("dialog").count() == 0
     assert TOKEN not in tab.url
     tab.close()
+
+
+def test_a_measured_road_tells_its_width(page: Any, done: Done) -> None:
+    known = [road for road in done.features("roads") if road["properties"]["width_m"] is not None]
+    road = max(known, key=lambda each: each["properties"]["length_m"])
+    line = road["geometry"]["coordinates"]
+    lon, lat = line[len(line) // 2]
+    show(page, done, f"layers=measured&view=19/{lat}/{lon}")
+    page.mouse.click(*on_screen(page, lon, lat))
+    popup = page.locator(".leaflet-popup-content")
+    popup.wait_for()
+    text = popup.inner_text().replace("\u00a0", " ").replace("\u202f", " ")
+    assert f"Road {road['properties']['id']}, measured" in text
+    assert f"{road['properties']['width_m']:.1f} m" in text

@@ -34,9 +34,10 @@ def rows_in_time(oxts: Path, parts: DriveParts, frames: IntArray) -> tuple[IntAr
     why : str
         What is odd about the times; empty where they agree, or where one of the two is not known.
     """
-    scans_s, rows_s = _times(parts.times), _times(oxts.parent / "timestamps.txt")
     theirs = parts.times is not None and parts.times.parent == oxts.parent
-    if theirs or scans_s is None or rows_s is None or len(rows_s) < 2:
+    rows_s = None if theirs else _times(oxts.parent / "timestamps.txt")
+    scans_s = None if rows_s is None else _times(parts.times)
+    if scans_s is None or rows_s is None or len(rows_s) < 2:
         return frames, ""
     at = rows_by_frame(frames, len(scans_s))
     if at is None or len(frames) < 2:

@@ -23,11 +23,8 @@ export function liveSection() {
     if (document.visibilityState === "visible") {
       const { sessions } = await getJson("live").catch(() => ({ sessions: [] })); // the lists say what is wrong
       section.hidden = !sessions.length;
-      fill(
-        section,
-        el("h3", {}, "Live"),
-        el("article", { class: "drive" }, el("ul", { class: "jobs" }, sessions.map(row))),
-      );
+      const rows = el("div", { class: "drive" }, el("ul", { class: "jobs" }, sessions.map(row)));
+      fill(section, ...(sessions.length ? [el("h3", {}, "Live"), rows] : []));
     }
     timer = window.setTimeout(look, LOOK_MS);
   };

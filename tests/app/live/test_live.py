@@ -24,7 +24,7 @@ from interloc.live.scan import LiveScan, live_scan
 from interloc.live.wire import encode_scan
 from interloc.pipeline import detect
 from tests.app.conftest import API
-from tests.app.processes import started
+from tests.app.processes import ended, started
 
 Said = list[dict[str, Any]]
 
@@ -235,3 +235,19 @@ def test_the_sender_goes_on_when_the_server_is_back(
     frames = [each["frame"] for each in said if each["type"] == "scan" and each["is_keyframe"]]
     assert frames[:20] == list(range(20))
     assert frames[-24:] == list(range(24, 48))
+
+
+def test_a_session_that_is_kept_becomes_a_drive_with_a_job(
+    client: httpx.Client, crossing: FolderDrive, config: DetectorConfig
+) -> None:
+    said: Said = []
+    begin = {"name": "kept", "config": config.model_dump(mode="json"), "keep": True}
+    sender = LiveSender(str(client.base_url), None, begin, said.append, keeps_all=True)
+    sender.run(lambda after: play(crossing, config, after=after))
+    job = ended(client, said[-1]["job_id"])
+    assert job["state"] == "successful"
+    drive = client.get(f"{API}/drives/{said[-1]['drive_id']}").json()
+    assert (drive["name"], drive["state"], drive["report"]["scans"]) == ("kept", "ready", 48)
+    features = client.get(f"{API}/jobs/{job['id']}/intersections").json()["features"]
+    (found,) = said[-1]["intersections"]
+    np.testing.assert_allclose(features[0]["geometry"]["coordinates"], [found["lon_deg"], found["lat_deg"]], atol=1e-6)
