@@ -16,9 +16,12 @@ COPY interloc interloc
 COPY app app
 COPY --from=page /static static
 RUN python -m venv /opt/interloc \
- && /opt/interloc/bin/pip install --no-cache-dir -c constraints.txt ".[service,dask,label,ros,las,odometry]"
+ && /opt/interloc/bin/pip install --no-cache-dir -c constraints.txt ".[service,dask,label,ros,las,odometry,parquet]"
 
 FROM python:3.11-slim
+LABEL org.opencontainers.image.title=InterLoc \
+      org.opencontainers.image.description="Road intersections from LiDAR drives, scored against OpenStreetMap" \
+      org.opencontainers.image.licenses=MIT
 # The bindings of libosmium read XML through expat.
 RUN apt-get update \
  && apt-get install -y --no-install-recommends libexpat1 \
@@ -31,6 +34,8 @@ COPY --from=build /opt/interloc /opt/interloc
 ENV PATH=/opt/interloc/bin:$PATH NUMBA_CACHE_DIR=/var/cache/interloc MPLCONFIGDIR=/var/cache/interloc \
     INTERLOC_DATA_DIR=/data INTERLOC_HOST=0.0.0.0
 USER interloc
+# Compiled once, here: the first job of a container does not wait for it.
+RUN python -c "from app.work.kinds import compile_kernels; compile_kernels()"
 WORKDIR /data
 VOLUME /data
 EXPOSE 8000
