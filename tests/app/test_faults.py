@@ -29,6 +29,7 @@ from tests.app.processes import (
     Gate,
     ServerProcess,
     archive_of,
+    as_by_command,
     ended,
     files_below,
     half_way,
@@ -87,7 +88,7 @@ def assert_result(client: httpx.Client, job: dict[str, Any], drive: Drive) -> No
     for layer, features in drive.expected.items():
         answer = client.get(f"{API}/jobs/{job['id']}/{layer}")
         assert answer.status_code == 200, answer.text
-        assert json.dumps(answer.json()["features"]) == json.dumps(features), layer
+        assert json.dumps(json.loads(as_by_command(answer))["features"]) == json.dumps(features), layer
 
 
 def standing_job(

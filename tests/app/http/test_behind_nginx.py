@@ -15,6 +15,7 @@ from pathlib import Path
 
 import httpx
 import pytest
+from websockets.sync.client import connect
 
 from app.context import Context
 from app.ogc.collections import OF_ALL
@@ -111,6 +112,16 @@ def test_links_begin_with_the_address_of_the_proxy_with_and_without_a_slash(
         assert client.get(f"{address}/").status_code == 200
         project = client.get(f"{address}/api/v1/jobs/town-new/export.qgs").text
         assert f"url='{address}/api/v1/jobs/town-new/ogc'" in project
+
+
+def test_live_sessions_pass(data: Path, tmp_path: Path) -> None:
+    with (
+        running_server(data, root_path="/interloc") as service,
+        nginx(tmp_path, free_port(), service) as address,
+        connect(f"{address.replace('http', 'ws', 1)}/api/v1/live", proxy=None) as socket,
+    ):
+        socket.send(json.dumps({"type": "begin", "name": "proxied"}))
+        assert json.loads(socket.recv(60))["type"] == "session"
 
 
 READ = """
