@@ -40,6 +40,8 @@ TYPES: dict[str, ProblemType] = {}
 
 
 def _kind(name: str, status: int, title: str, meaning: str) -> ProblemType:
+    if name in TYPES:
+        raise ValueError(f"two kinds of problems are called {name}")
     TYPES[name] = ProblemType(name, status, title, meaning)
     return TYPES[name]
 
@@ -141,7 +143,7 @@ NO_RESULTS = _kind(
 MAP_IS_OF_THE_SERVER = _kind(
     "map-is-of-the-server", 409, "Map is of the server", "The map of all drives of the server is not deleted."
 )
-MAP_NOT_FOUND = _kind("map-not-found", 404, "Map not found", "There is no such map, or it does not have that yet.")
+NO_SUCH_MAP = _kind("no-such-map", 404, "No such map", "There is no such map, or it does not have that yet.")
 NO_SUCH_FINDING = _kind("no-such-finding", 404, "No such finding", "A map has no such finding.")
 NO_SUCH_COLLECTION = _kind(
     "no-such-collection",

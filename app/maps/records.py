@@ -11,7 +11,7 @@ from sqlalchemy import exists, func, select
 from sqlalchemy.orm import Session
 
 from app.context import Context
-from app.http.problem_types import MAP_NOT_FOUND
+from app.http.problem_types import NO_SUCH_MAP
 from app.http.problems import Problem
 from app.jobs.chosen import chosen_results
 from app.maps.models import MapModel
@@ -33,7 +33,7 @@ def map_key(map_id: str) -> str:
 
 def no_map(map_id: str) -> Problem:
     """Return the problem of a map that does not exist."""
-    return Problem(MAP_NOT_FOUND, f"There is no map {map_id}. GET /api/v1/maps lists them.")
+    return Problem(NO_SUCH_MAP, f"There is no map {map_id}. GET /api/v1/maps lists them.")
 
 
 def find_map(session: Session, map_id: str, *, lock: bool = False) -> CityMap:

@@ -16,7 +16,7 @@ from app.http.limits import Booking, check_free_space, declared_length
 from app.http.openapi import PAGED, TAGGED, get_and_head
 from app.http.paging import answer_page
 from app.http.patterns import ID
-from app.http.problem_types import MAP_IS_OF_THE_SERVER, MAP_NOT_FOUND
+from app.http.problem_types import MAP_IS_OF_THE_SERVER, NO_SUCH_MAP
 from app.http.problems import Problem, ProblemDocument
 from app.http.security import ClientDep
 from app.jobs.queue import no_drive
@@ -165,7 +165,7 @@ async def put_osm(
     """Send an OSM file; without one of its own a map is compared with that of its newest drive that was scored."""
     check_path(name)
     if not is_map(name):
-        raise Problem(MAP_NOT_FOUND, f"{name} is not an OSM file: .osm, .osm.gz, .osm.bz2 or .osm.pbf.", status=422)
+        raise Problem(NO_SUCH_MAP, f"{name} is not an OSM file: .osm, .osm.gz, .osm.bz2 or .osm.pbf.", status=422)
     limit = context.settings.max_file_bytes
     length = declared_length(request, limit, name)
     intake = Intake(context, name, limit)
@@ -226,7 +226,5 @@ def read_map_file(
     if not path.is_file():
         with context.database.reading() as session:
             find_map(session, map_id)
-        raise Problem(
-            MAP_NOT_FOUND, f"The map {map_id} has no {name} yet. GET /api/v1/maps/{map_id} says how far it is."
-        )
+        raise Problem(NO_SUCH_MAP, f"The map {map_id} has no {name} yet. GET /api/v1/maps/{map_id} says how far it is.")
     return deliver(request, path, gzip_copies=folder / "cache", name=f"{map_id}-{name}")

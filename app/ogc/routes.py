@@ -17,7 +17,7 @@ from app.http.delivery import DOCUMENT_POLICY, answer_tagged, service_address
 from app.http.openapi import TAGGED, get_and_head
 from app.http.parameters import OF_ITS_DATA, refuse_others
 from app.http.patterns import ID
-from app.http.problem_types import MAP_NOT_FOUND, NO_SUCH_COLLECTION, NO_SUCH_FEATURE
+from app.http.problem_types import NO_SUCH_COLLECTION, NO_SUCH_FEATURE, NO_SUCH_MAP
 from app.http.problems import Problem, ProblemDocument
 from app.http.turns import IN_TURN
 from app.ogc.collections import Collection
@@ -122,7 +122,7 @@ def _one_map(map_id: MapId, request: Request, context: ContextDep) -> _Served:
     with context.database.reading() as session:
         city = session.get(CityMap, map_id)
     if city is None:
-        raise Problem(MAP_NOT_FOUND, f"There is no map {map_id}. GET /api/v1/maps lists them.")
+        raise Problem(NO_SUCH_MAP, f"There is no map {map_id}. GET /api/v1/maps lists them.")
     description = f"Road intersections of many drives, fused, and what OpenStreetMap has wrong: map {city.name}."
     place = Place(f"{service_address(request)}/api/v1/maps/{map_id}/ogc", f"InterLoc: {city.name}", description)
     return _Served(request, context, Source(map=map_id), place, "/api/v1/maps/{map_id}/ogc")

@@ -46,7 +46,7 @@ def test_the_report_joins_the_result(interloc: Callable, out: Path, osm: Path) -
     facts = dict(line.split("  ", 1) for line in outcome.out.splitlines())
     assert facts["map"].strip().startswith("1 of 1 intersection right within 10 m, 1 of 1 node found, median ")
     assert facts["by detections"].strip() == "1 of 1 nodes have one within 5 m"
-    assert facts["policy"].strip() == "drive: 1 OSM nodes in the relevant zone"
+    assert facts["policy"].strip() == "drive: 1 OSM node in the relevant zone"
 
 
 def test_policy_and_tolerance_are_saved(interloc: Callable, out: Path, osm: Path, strict_json: Callable) -> None:

@@ -144,7 +144,7 @@ def test_the_geopackage_and_the_archive_hold_everything(opened: Open, tmp_path: 
     files = [opened.take(panel.get_by_role("button", name=name), tmp_path) for name in names]
     geopackage, archive, project, earth, tiles = files
     assert [path.suffix for path in files] == [".gpkg", ".zip", ".qgz", ".kmz", ".pmtiles"]
-    assert zipfile.ZipFile(project).namelist() == ["project.qgs", "result.gpkg"]
+    assert zipfile.ZipFile(project).namelist() == ["project.qgs", "result.gpkg", "road.tif"]
     assert len(pyogrio.list_layers(earth)) == len(pyogrio.list_layers(geopackage)) - 1  # its styles
     assert set(LAYERS) < {name for name, _ in pyogrio.list_layers(tiles)}
     found = {name: pyogrio.read_info(geopackage, layer=name)["features"] for name, _ in pyogrio.list_layers(geopackage)}

@@ -76,7 +76,7 @@ def test_what_has_no_georeference_is_exported_in_metres(finished: Finished, tmp_
     assert not {"osm_nodes", "matches", "osm_roads"} & layers.keys()
     assert pyogrio.read_info(tmp_path / "local.gpkg", layer="detections")["crs"] is None
     with zipfile.ZipFile(io.BytesIO(finished.get("/jobs/local/export.qgz").content)) as project:
-        assert project.namelist() == ["project.qgs", "result.gpkg"]
+        assert project.namelist() == ["project.qgs", "result.gpkg", "road.tif"]
     for suffix in ("fgb", "csv", "geojson", "parquet"):
         answer = finished.get(f"/jobs/local/export.{suffix}?layer=detections").raise_for_status()
         assert len(answer.content) > 500, suffix
@@ -131,7 +131,7 @@ def test_all_layers_for_google_earth_and_as_projects_of_qgis(finished: Finished,
     answer = finished.get("/jobs/default/export.qgz")
     assert answer.headers["content-disposition"] == 'attachment; filename="Stra_e_street.qgz"'
     with zipfile.ZipFile(io.BytesIO(answer.content)) as project:
-        assert project.namelist() == ["project.qgs", "result.gpkg"]
+        assert project.namelist() == ["project.qgs", "result.gpkg", "road.tif"]
     live = finished.get("/jobs/default/export.qgs")
     sources = [each.text for each in ET.fromstring(live.text).iter("datasource")]  # noqa: S314 - our own
     assert len(sources) == len(SCORED) + len(DERIVED)
