@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Mapping
 from difflib import get_close_matches
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
@@ -21,6 +21,15 @@ _MAX_VALUE_CHARS = 100  # of each value in a message
 
 class _Config(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+    of_older_versions: ClassVar[frozenset[str]] = frozenset()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _without_those_of_older_versions(cls, values: object) -> object:
+        """Open what an older version saved: settings that have gone since have no effect."""
+        if isinstance(values, dict) and not cls.of_older_versions.isdisjoint(values):
+            return {name: value for name, value in values.items() if name not in cls.of_older_versions}
+        return values
 
 
 class KeyframeConfig(_Config):
@@ -50,6 +59,8 @@ class KeyframeConfig(_Config):
 class BevConfig(_Config):
     """The binary image of the region of interest (paper, section III-B.3)."""
 
+    of_older_versions = frozenset({"pool_votes"})
+
     size_m: float = Field(120.0, ge=20, le=400, description="S: side of the region of interest.")
     resolution_m: float = Field(0.16, ge=0.05, le=2.0, description="r: side of a cell.")
     min_points: int = Field(
@@ -59,13 +70,11 @@ class BevConfig(_Config):
         True, description="Lower m where fewer keyframes than a full window lie in the region of interest."
     )
     vote: bool = Field(
-        False, description="Each point of sidewalk, parking or other ground in a cell cancels one of its road points."
-    )
-    pool_votes: bool = Field(
         False,
-        description="Where less than half of a full window's keyframes lie in the region of interest, the votes of the "
-        "eight cells around a road cell count too: a quarter each, and up to as much as its own where labels err from "
-        "point to point. Has no effect without vote.",
+        description="Each point of sidewalk, parking or other ground in a cell cancels one of its road points. Where "
+        "less than half of a full window's keyframes lie in the region of interest, the votes of the eight cells "
+        "around a road cell count too: a quarter each, and up to as much as its own where labels err from point to "
+        "point.",
     )
     max_range_m: float = Field(
         150.0, ge=10, le=1000, description="Points farther than this from the sensor are left out."
@@ -106,14 +115,10 @@ class OccupancyConfig(_Config):
 class CenterlineConfig(_Config):
     """The centerline, and what of it is not road (paper, section III-B.5)."""
 
+    of_older_versions = frozenset({"max_width_share"})
+
     spur_widths: float = Field(
         0.0, ge=0, le=10, description="Dead ends shorter than this many local road widths are removed; 0 keeps all."
-    )
-    max_width_share: float = Field(
-        0.5,
-        gt=0,
-        le=1,
-        description="Widest road whose width is measured, as a share of the side of the region of interest.",
     )
 
 
@@ -142,12 +147,11 @@ class HarrisCandidates(_Config):
 class CrossingCandidates(_Config):
     """Candidates where lines of the centerline meet; those joined within about a road width are one."""
 
+    of_older_versions = frozenset({"merge_min_m"})
+
     kind: Literal["crossing"] = "crossing"
     merge_widths: float = Field(
         1.0, ge=0, le=5, description="Junctions of the centerline joined within this many local road widths are one."
-    )
-    merge_min_m: float = Field(
-        4.0, ge=0, le=50, description="Junctions joined within this length are one, however narrow the road."
     )
     merge_max_m: float = Field(
         20.0, ge=0, le=100, description="Junctions joined by more than this length are two, however wide the road."
@@ -156,6 +160,19 @@ class CrossingCandidates(_Config):
 
 class BranchConfig(_Config):
     """Branches around a candidate, and the point where they meet (paper, section III-C)."""
+
+    of_older_versions = frozenset(
+        {
+            "end_at_rejected",
+            "follow_deg",
+            "fork_std_m",
+            "full_fit_m",
+            "min_fit_m",
+            "straight_m",
+            "trim_m",
+            "unseen_share",
+        }
+    )
 
     inner_radius_m: float = Field(
         10.0,
@@ -191,58 +208,39 @@ class BranchConfig(_Config):
         "candidate: what is short must be wide. In proportion less where fewer keyframes than a full window lie in the "
         "region of interest.",
     )
-    stop_m: float = Field(1.0, gt=0, le=50, description="A branch ends this far before another candidate.")
-    end_at_rejected: bool = Field(
-        True, description="A branch also ends before a candidate that has too few branches itself."
+    stop_m: float = Field(
+        1.0,
+        gt=0,
+        le=50,
+        description="A branch ends this far before another candidate; lines are not fitted to what lies so near to a "
+        "dead end or to the border of the image.",
     )
     line: Literal["start_and_mean", "least_squares"] = Field(
         "start_and_mean",
         description="The line of a branch: through its start and its mean (the paper), or fitted by least squares.",
     )
     fit_length_m: float = Field(
-        30.0, gt=0, le=200, description="Longest part of a branch that is used for the line fit."
+        30.0,
+        gt=0,
+        le=200,
+        description="Longest part of a branch that is used for the line fit; half as long a branch is surely a road.",
     )
     fit_least_m: float = Field(
-        8.0, gt=0, le=200, description="Shortest part of a branch at which the line fit stops where the branch bends."
-    )
-    straight_m: float = Field(
-        0.3,
+        8.0,
         gt=0,
-        le=10,
-        description="Root mean square distance between branch and line at which the branch counts as bent.",
-    )
-    min_fit_m: float = Field(
-        3.0, ge=0, le=200, description="Branches fitted over less than this have no line: it would point anywhere."
-    )
-    full_fit_m: float = Field(
-        15.0, gt=0, le=200, description="Length of the line fit beyond which a line gains no more weight."
-    )
-    trim_m: float = Field(
-        0.0,
-        ge=0,
-        le=20,
-        description="Centerline closer than this to a dead end or to the border of the image is not used for the fit.",
+        le=200,
+        description="Shortest part of a branch at which the line fit stops where the branch bends; longer parts give a "
+        "line no more weight.",
     )
     candidate_std_m: float | None = Field(
         None,
         gt=0,
         le=50,
-        description="Standard deviation of the candidate's own position, which then counts beside the lines. Without a "
-        "value only the lines count.",
+        description="Standard deviation of the candidate's own position, and of the place of a fork along its stem; "
+        "both count beside the lines. Without a value only the lines count.",
     )
-
-    unseen_share: float = Field(
-        0.0,
-        ge=0,
-        le=1,
-        description="Share of the half width of a branch that may be missing at an edge that was not seen; 0: none.",
-    )
-    follow_deg: float | None = Field(
-        None,
-        gt=0,
-        le=90,
-        description="The axis of a branch is followed inwards along the edge that lasts, until it has turned by this; "
-        "without a value it is not followed.",
+    straight_deg: float = Field(
+        25.0, gt=0, le=60, description="Two branches are one road if they differ in direction by at most this angle."
     )
     square_std_deg: float | None = Field(
         None,
@@ -250,12 +248,6 @@ class BranchConfig(_Config):
         le=45,
         description="Standard deviation from the right angle of streets that end at others: a branch that ends at a "
         "through road is turned towards it, by how badly its direction is known. Without a value none is turned.",
-    )
-    fork_std_m: float | None = Field(
-        None,
-        gt=0,
-        le=50,
-        description="How well the place of a fork is known along its stem. Without a value forks are not looked for.",
     )
 
     @model_validator(mode="after")
@@ -270,33 +262,21 @@ class BranchConfig(_Config):
 class CompoundConfig(_Config):
     """Intersections side by side in one blob of road (beyond the paper: its section V-D)."""
 
+    of_older_versions = frozenset({"straight_deg", "offset_m", "crossing_deg"})
+
     separation_m: float = Field(7.0, gt=0, le=50, description="Intersections closer together than this are one.")
-    straight_deg: float = Field(
-        25.0, gt=0, le=60, description="Two branches of a through road differ in direction by at most this angle."
-    )
-    offset_m: float = Field(
-        4.0, gt=0, le=20, description="Two branches of a through road pass each other at no more than this distance."
-    )
-    crossing_deg: float = Field(30.0, gt=0, le=90, description="Smallest angle at which roads cross.")
 
 
 class ScoreConfig(_Config):
     """How sure the detector is of an intersection, 0 to 1: its lines meet in a point, and each branch is a road."""
+
+    of_older_versions = frozenset({"rated_branch", "full_length_m", "agreement_share"})
 
     spread_m: float = Field(
         2.0,
         gt=0,
         le=50,
         description="Distance at which lines pass the point (root mean square) for an agreement of 1/e; 0 m gives 1.",
-    )
-    rated_branch: int = Field(
-        3, ge=1, le=8, description="Rank of the branch, from the longest, whose length is part of the score."
-    )
-    full_length_m: float = Field(
-        15.0, gt=0, le=200, description="Length of the rated branch from which it adds no more to the score."
-    )
-    agreement_share: float = Field(
-        0.5, ge=0, le=1, description="Share of the agreement in the score; the rated branch has the rest."
     )
 
 
@@ -493,7 +473,7 @@ PAPER = DetectorConfig(
 
 DEFAULT = DetectorConfig(
     preset="default",
-    bev=BevConfig(min_points=2, vote=True, pool_votes=True),
+    bev=BevConfig(min_points=2, vote=True),
     occupancy=OccupancyConfig(closing_m=4.0, opening_m=2.4, island_m2=80.0),
     centerline=CenterlineConfig(spur_widths=1.0),
     candidates=CrossingCandidates(merge_widths=1.6, merge_max_m=24.0),
@@ -503,23 +483,25 @@ DEFAULT = DetectorConfig(
         min_reach_m=14.0,
         min_surface_m2=24.0,
         stop_m=2.0,
-        end_at_rejected=False,
         line="least_squares",
         fit_least_m=12.0,
-        straight_m=0.2,
-        trim_m=2.0,
         margin_m=15.0,
         candidate_std_m=0.7,
-        unseen_share=0.6,
-        follow_deg=60.0,
         square_std_deg=7.0,
-        fork_std_m=0.8,
     ),
     compound=CompoundConfig(),
     calibration=CalibrationConfig(),
 )
 
 PRESETS: dict[str, DetectorConfig] = {"default": DEFAULT, "paper": PAPER}
+
+
+_GONE = {
+    f"{section}.{name}"
+    for section, of in DetectorConfig.model_fields.items()
+    for config in (of.annotation, *get_args(of.annotation))
+    for name in getattr(config, "of_older_versions", ())
+}
 
 
 def preset(name: str, *settings: str) -> DetectorConfig:
@@ -570,6 +552,8 @@ def with_settings(config: DetectorConfig, settings: Iterable[str]) -> DetectorCo
             raise ConfigError(f"--set {setting}: there is no section '{section}'{_nearest(f'{section}.{name}')}")
         if name == "kind" and target.get("kind") != value:
             target.clear()
+        if ".".join((*sections, name)) in _GONE:
+            raise ConfigError(f"--set {setting}: there is no such setting any more")
         target[name] = value
     return parse_config(values)
 
