@@ -394,6 +394,8 @@ def see_html(gis: Gis) -> None:
         answer = gis.get(f"/ogc{path}", f="html")
         assert answer.headers["content-type"].startswith("text/html")
         assert "<script" not in answer.text
+        assert '<link rel="icon" href="data:' in answer.text  # what is sandboxed may fetch nothing
+        assert f"/ogc{path}?f=json" in answer.text
         assert "default-src 'none'" in answer.headers["content-security-policy"]
     by_header = gis.client.get("/ogc", headers={"Accept": "text/html"})
     assert (by_header.headers["content-type"], by_header.headers["vary"]) == ("text/html; charset=utf-8", "Accept")
