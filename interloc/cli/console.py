@@ -67,10 +67,12 @@ class Bar:
             raise KeyboardInterrupt
         if self._quiet or not sys.stderr.isatty():
             return
-        if self._bar is None:
+        if self._bar is None or self._bar.n == 0 < done:  # what it took until the first tells nothing of the others
             from tqdm import tqdm
 
+            self.close()
             self._bar = tqdm(
+                initial=done,
                 total=total,
                 desc=self._label,
                 unit=self._unit,
@@ -96,6 +98,12 @@ def progress(label: str, unit: str, *, quiet: bool) -> Iterator[Bar]:
         yield bar
     finally:
         bar.close()
+
+
+def say_on_terminal(text: str) -> None:
+    """Print a line on stderr for somebody who waits; nothing where stderr is a file or another program."""
+    if sys.stderr.isatty():
+        click.echo(text, err=True)
 
 
 def say_facts(facts: Iterable[tuple[str, str]]) -> None:

@@ -79,6 +79,12 @@ class Command(click.Command):
         params = super().get_params(ctx)
         return [each for param in params for each in (param.made() if isinstance(param, _OfModel) else [param])]
 
+    def invoke(self, ctx: click.Context) -> Any:
+        """Say on a terminal what is being read: that, and the modules for it, may take some seconds."""
+        if ctx.params.get("drive") and not ctx.params.get("quiet"):
+            console.say_on_terminal(f"reading {ctx.params['drive']}")
+        return super().invoke(ctx)
+
 
 class _OfModel(click.Option):
     """Stands for the options of some fields of `DriveOptions`."""
