@@ -1,6 +1,7 @@
 """Disk space that is spoken for: kept for deleting, which the database has to record, or booked by bodies under way.
 
-Bodies are booked when they are announced, and their space is free again when they have come. Without that many could begin at once where there is room for one, each not knowing of the others.
+Bodies are booked when they are announced, and their space is free again when they have come. Without that many could
+begin at once where there is room for one, each not knowing of the others.
 """
 
 from __future__ import annotations
