@@ -176,6 +176,7 @@ NOT_POSSIBLE = _kind(
 )
 NOT_SCORED = _kind("not-scored", 404, "Not scored", "The job was submitted without a map, so it has no evaluation.")
 WEBHOOK_REFUSED = _kind("webhook-refused", 422, "Webhook refused", "The service does not call this address.")
+SOURCE_REFUSED = _kind("source-refused", 422, "Source refused", "The service does not read drives from this address.")
 NOT_USED = _kind("not-used", 422, "Not used", "A member of the request has no effect without another one.")
 OVERPASS_SWITCHED_OFF = _kind("overpass-switched-off", 422, "Overpass switched off", "The service does not fetch maps.")
 PART_OF_A_FILE = _kind("part-of-a-file", 400, "Part of a file", "Files are taken whole only.")
