@@ -18,7 +18,7 @@ from tests.stores import BUCKET, put, s3  # noqa: F401 - a fixture
 pytestmark = pytest.mark.usefixtures("s3")
 
 API = "/api/v1"
-SETTINGS = {"workers": 1, "sources": f"s3://{BUCKET}/open", "max_drive_files": 500}
+SETTINGS = {"workers": 1, "sources": f"s3://{BUCKET}/open", "max_drive_files": 500, "lease_s": 1}
 
 
 @pytest.fixture(scope="module")
