@@ -14,9 +14,9 @@ import { cqlOf, getCityFilter, isOfChange } from "./city_filter.js";
 import { kindName, PLACE_SIGNS, partsOf, placeSign, signOfChange } from "./city_places.js";
 import { branchesOf } from "./facts.js";
 import { coordinates, linksAt } from "./links.js";
-import { fillAndRim, OverviewScene, REACH_PX } from "./overview.js";
+import { OverviewScene, REACH_PX } from "./overview.js";
 import { View } from "./surface.js";
-import { colour, SIGNS, trace } from "./symbols.js";
+import { colour, paintSigns, SIGNS, trace } from "./symbols.js";
 
 /** @typedef {import("../data/city.js").City} City */
 /** @typedef {{sign: string, lng: number, lat: number, x: number, y: number, properties: any, finding: any, changes: any[]}} Spot */
@@ -158,35 +158,15 @@ export class CityScene extends OverviewScene {
   paint(context, view) {
     super.paint(context, view);
     const r = view.zoom > 15 ? 8 : view.zoom > 13 ? 5 : 3;
-    /** @param {string} name @param {Spot[]} spots @param {number} size */
-    const paintSigns = (name, spots, size) => {
-      const { shape, colour: inside, edge, filled, glyph, width } = SIGNS[name];
-      const seen = spots.map((each) => [view.x(each.x), view.y(each.y)]).filter(([x, y]) => view.shows(x, y));
-      if (!seen.length) return;
-      context.beginPath();
-      for (const [x, y] of seen) trace(context, shape, x, y, size);
-      fillAndRim(context, filled ? colour(inside) : "transparent", colour(edge ?? inside), width || 1);
-      if (!glyph || size < 8) return;
-      context.beginPath();
-      for (const [x, y] of seen) trace(context, glyph, x, y, size);
-      context.strokeStyle = colour("--surface");
-      context.lineWidth = size / 4;
-      context.stroke();
+    /** @param {string} name @param {number} size @param {(spot: Spot) => boolean} isOne */
+    const paintAll = (name, size, isOne) => {
+      const seen = this.spots.filter(isOne).map((each) => [view.x(each.x), view.y(each.y)]);
+      const spots = seen.filter(([x, y]) => view.shows(x, y));
+      paintSigns(context, SIGNS[name], spots, size);
     };
-    for (const name of Object.keys(PLACE_SIGNS)) {
-      paintSigns(
-        name,
-        this.spots.filter(({ sign }) => sign === name),
-        r,
-      );
-    }
-    for (const name of ["here", "elsewhere"]) {
-      paintSigns(
-        name,
-        this.spots.filter(({ changes }) => changes.some((each) => signOfChange(each) === name)),
-        r + 5,
-      );
-    }
+    for (const name of Object.keys(PLACE_SIGNS)) paintAll(name, r, ({ sign }) => sign === name);
+    for (const name of ["here", "elsewhere"])
+      paintAll(name, r + 5, ({ changes }) => changes.some((each) => signOfChange(each) === name));
     const { entry } = cities;
     if (!entry) return;
     const [x, y] = this.project([[entry.lon, entry.lat]]);

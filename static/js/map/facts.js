@@ -105,7 +105,7 @@ export function factsOf({ kind, item }, result) {
       ["Detections", String(p.observations)],
       ["Seen in scans", `${p.first_frame} to ${p.last_frame}`],
       ...branchesOf(p, local),
-      p.uid && ["Name of the place", p.uid],
+      p.uid && ["Identifier", p.uid],
     ],
     node: () => [
       ["OSM node", osmLink(p.osm_id, result)],

@@ -6,7 +6,7 @@ import { el, plural } from "../dom.js";
 import { Tooltip } from "../leaflet.js";
 import { setState } from "../state.js";
 import { View } from "./surface.js";
-import { colour, SIGNS, trace } from "./symbols.js";
+import { colour, paintSigns, SIGNS, trace } from "./symbols.js";
 
 /** @typedef {import("../data/overview.js").DriveOnMap} DriveOnMap */
 /**
@@ -80,16 +80,13 @@ export class OverviewScene {
     fillAndRim(context, colour("--accent"), colour("--surface"), 2);
     if (view.zoom >= SIGNS_FROM_ZOOM) {
       for (const name of ["unscored", "right", "wrong"]) {
-        const { shape, colour: inside, edge } = SIGNS[name];
-        context.beginPath();
-        for (const { points, drive } of seen) {
-          for (let i = 0; i < points.length; i += 2) {
-            const [x, y] = [view.x(points[i]), view.y(points[i + 1])];
-            if ((drive.outcomes[i / 2] ?? "unscored") === name && view.shows(x, y))
-              trace(context, shape, x, y, view.zoom > 15 ? 6 : 4);
-          }
-        }
-        fillAndRim(context, colour(inside), colour(edge ?? inside), 1);
+        const spots = seen.flatMap(({ points, drive }) =>
+          [...drive.intersections.keys()]
+            .filter((i) => (drive.outcomes[i] ?? "unscored") === name)
+            .map((i) => [view.x(points[2 * i]), view.y(points[2 * i + 1])])
+            .filter(([x, y]) => view.shows(x, y)),
+        );
+        paintSigns(context, SIGNS[name], spots, view.zoom > 15 ? 7.5 : 4.5);
       }
     }
     paintNames(context, view, seen);
@@ -254,7 +251,7 @@ function strokeAll(context, view, items, stroke, width) {
 }
 
 /** @param {CanvasRenderingContext2D} context @param {string} inside @param {string} rim @param {number} width */
-export function fillAndRim(context, inside, rim, width) {
+function fillAndRim(context, inside, rim, width) {
   context.fillStyle = inside;
   context.fill();
   context.strokeStyle = rim;

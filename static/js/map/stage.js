@@ -19,7 +19,7 @@ import { CITY_KEYS, CityScene } from "./city.js";
 import { PLACE_SIGNS, signOfChange } from "./city_places.js";
 import { ComparedLayer, followCompared, onCompared } from "./compared.js";
 import { addCoordinates } from "./coordinates.js";
-import { closeDetails, goTo, keepDetails, openDetails, openSelection, watchPointer } from "./details.js";
+import { closeDetails, goTo, hasDetails, keepDetails, openDetails, openSelection, watchPointer } from "./details.js";
 import { clearFilter, isFiltering, onFilterChange } from "./filter.js";
 import { KeyframeLayer } from "./keyframe.js";
 import { layersOn } from "./layers.js";
@@ -36,6 +36,13 @@ import { signIcon } from "./symbols.js";
 import { makeTiles, OSM_CREDIT, onTilesChange } from "./tiles.js";
 import { mountTimeline } from "./timeline.js";
 
+/** What the signs of the map mean, where there is no legend. */
+const KEYS = /** @type {Record<string, string>} */ ({
+  right: "right",
+  wrong: "wrong",
+  missed: "missed",
+  unscored: "not scored",
+});
 const LIVE_MS = 200; // between two pictures of a drive that is under way
 const LOCAL_CREDIT = "Metres of the drive’s own frame: it has no georeference";
 
@@ -333,7 +340,7 @@ export async function mountStage() {
     const row = shown.result.frame.rows.get(getState().frame);
     const keyframe = row === undefined ? null : shown.result.keyframes[row];
     parts.keyframe.show(shown.result, keyframe, layersOn(getState().layers).has("zone"));
-    if (keyframe && timeline.isFollowing()) keepInView([keyframe.lat, keyframe.lng]);
+    if (keyframe && timeline.isFollowing() && !hasDetails()) keepInView([keyframe.lat, keyframe.lng]);
   };
 
   subscribe(["job", "drive", "live", "map"], () => void showDrive());
@@ -399,7 +406,13 @@ export async function mountStage() {
     if (isKnown) return;
     if (!job && !drive && !live) void showDrive();
   });
-  onDemoChange(() => !getState().job && !getState().drive && !getState().live && void showDrive());
+  let demoNow = "";
+  onDemoChange(() => {
+    const now = `${demo.isRunning} ${demo.error}`;
+    if (now === demoNow) return; // but for its progress
+    demoNow = now;
+    if (!getState().job && !getState().drive && !getState().live) void showDrive();
+  });
   for (const { key, text, run } of [...QUEUE_KEYS, ...CITY_KEYS, ...MEASURE_KEYS]) addShortcut(key, text, run);
   await showDrive();
 }
@@ -602,11 +615,10 @@ function waiting(job) {
 
 /** What the signs mean. @param {import("../data/overview.js").DriveOnMap[]} drives */
 function overviewKey(drives) {
-  const names = { right: "right", wrong: "wrong", unscored: "not scored" };
   const there = new Set(
     drives.flatMap(({ intersections, outcomes }) => intersections.map((_, i) => outcomes[i] ?? "unscored")),
   );
-  return signRow(Object.entries(names).filter(([name]) => there.has(name)));
+  return signRow(Object.entries(KEYS).filter(([name]) => there.has(name)));
 }
 
 /** @param {[sign: string, text: string][]} keys */
@@ -645,7 +657,6 @@ function welcome(drive) {
   if (lists.drives.length) return el("p", {}, "None of the drives has a place on the map yet. Open one from the list.");
   const upload = el("button", { class: "primary", onClick: () => setState({ panel: "upload" }) }, icon("upload"));
   upload.append("Upload a drive");
-  const what = "Its intersections appear here, beside the roads of OpenStreetMap.";
   return el(
     "div",
     { class: "drop drop-stage" },
@@ -655,9 +666,22 @@ function welcome(drive) {
       {},
       takesDrops() ? "Drop the folder of a LiDAR drive here" : "Where are the road intersections of a drive?",
     ),
-    el("p", {}, what),
+    el(
+      "ol",
+      {},
+      el("li", {}, "The drive: its folder, or a bag. It is looked into before anything is sent."),
+      el("li", {}, "A map, if there is one: an OSM file of the area. Without it nothing is scored."),
+      el("li", {}, "The result, here on the map:"),
+    ),
+    el(
+      "p",
+      { class: "row" },
+      ["right", "wrong", "missed", "unscored"].map((name) =>
+        el("span", { class: "key-row" }, signIcon(name), KEYS[name]),
+      ),
+    ),
     el("div", { class: "row" }, upload, demoButton()),
-    demo.isRunning && el("p", { role: "status" }, demo.text),
+    demo.isRunning && el("p", { role: "status" }, "The demo is being prepared."),
     demo.error !== null && problemNote(demo.error),
   );
 }
