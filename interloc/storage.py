@@ -31,6 +31,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, TypeVar, cast
 
 from interloc.errors import ConfigError, DriveError, NetworkError, OutputError, install
+from interloc.files import atomic_write
 
 SCHEMES = ("s3", "gs", "az", "https")
 MAX_OBJECTS = 1_000_000
@@ -55,6 +56,36 @@ Returned = TypeVar("Returned")
 def is_url(text: str) -> bool:
     """Return whether a text is an address in object storage, or meant as one."""
     return re.match(r"[a-z0-9]+://", text) is not None
+
+
+def is_within(address: str, prefixes: Sequence[str]) -> bool:
+    """Return whether an address is one of some prefixes, or lies below one."""
+    return any(f"{address.rstrip('/')}/".startswith(f"{prefix.rstrip('/')}/") for prefix in prefixes)
+
+
+def check_address(address: str) -> tuple[str, str]:
+    """Return the bucket of an address, and the key, or prefix, in it without slashes at its ends.
+
+    Raises
+    ------
+    ConfigError
+        It is no such address.
+    """
+    match = _URL.fullmatch(address)
+    if match is None or match["scheme"] not in SCHEMES or not match["bucket"]:
+        raise ConfigError(
+            f"{address.partition('?')[0][:200]!r} is not an address in object storage. Expected "
+            "s3://bucket/prefix, gs://bucket/prefix, az://container/prefix or https://host/path."
+        )
+    if "@" in match["bucket"] or (match["scheme"] == "https" and "?" in address):
+        raise ConfigError(
+            f"{match['scheme']}://...: credentials and signatures do not belong into an address. They are read "
+            "from the environment: AWS_ACCESS_KEY_ID and so on, as obstore documents."
+        )
+    key = (match["key"] or "").strip("/")
+    if any(part in {"", ".", ".."} or not part.isprintable() for part in key.split("/")) and key:
+        raise ConfigError(f"{address!r} holds an empty part, . or .., or what cannot be printed.")
+    return f"{match['scheme']}://{match['bucket']}", key
 
 
 @dataclass(frozen=True)
@@ -105,20 +136,10 @@ class Bucket:
         ConfigError
             It is no such address, or obstore is not installed.
         """
-        match = _URL.fullmatch(address)
-        if match is None or match["scheme"] not in SCHEMES or not match["bucket"]:
-            raise ConfigError(
-                f"{address.partition('?')[0][:200]!r} is not an address in object storage. Expected "
-                "s3://bucket/prefix, gs://bucket/prefix, az://container/prefix or https://host/path."
-            )
-        if "@" in match["bucket"] or (match["scheme"] == "https" and "?" in address):
-            raise ConfigError(
-                f"{match['scheme']}://...: credentials and signatures do not belong into an address. They are read "
-                "from the environment: AWS_ACCESS_KEY_ID and so on, as obstore documents."
-            )
-        bucket = cls(f"{match['scheme']}://{match['bucket']}")
+        url, key = check_address(address)
+        bucket = cls(url)
         bucket.store  # noqa: B018 - whether it can be opened is asked now
-        return bucket, (match["key"] or "").strip("/")
+        return bucket, key
 
     @property
     def store(self) -> Any:  # noqa: ANN401 - of obstore, which is imported late
@@ -288,29 +309,33 @@ class LaidOut:
         self.objects = {path: StoredObject(**each) for path, each in noted["objects"].items()}
 
     @classmethod
+    def at(cls, root: Path) -> LaidOut | None:
+        """Return what was laid out in a folder before, if that came to its end."""
+        return _laid_out(str(root)) if (root / _LAID_OUT).is_file() else None
+
+    @classmethod
     def make(cls, root: Path, bucket: Bucket, objects: Mapping[str, StoredObject]) -> LaidOut:
-        """Lay out objects below a folder whose name `folder_name` made; one that is there already stays as it is.
+        """Lay out objects below a folder whose name `folder_name` made.
 
         Raises
         ------
         DriveError
             A name cannot be that of a file.
         """
-        if not (root / _LAID_OUT).is_file():
-            for path in objects:
-                _check_name(path, bucket)
-            root.mkdir(parents=True, exist_ok=True)
-            made: set[Path] = set()
-            for path, each in objects.items():
-                target = root / "files" / path
-                if target.parent not in made:
-                    target.parent.mkdir(parents=True, exist_ok=True)
-                    made.add(target.parent)
-                _make_empty(target, each)
-            noted = {"bucket": bucket.url, "objects": {path: asdict(each) for path, each in objects.items()}}
-            temporary = root / f"{_LAID_OUT}.partial"
-            temporary.write_text(json.dumps(noted))
-            temporary.replace(root / _LAID_OUT)
+        for path in objects:
+            _check_name(path, bucket)
+        shutil.rmtree(root / "files", ignore_errors=True)  # of an attempt that was killed
+        made: set[Path] = set()
+        for path, each in objects.items():
+            target = root / "files" / path
+            if target.parent not in made:
+                target.parent.mkdir(parents=True, exist_ok=True)
+                made.add(target.parent)
+            _make_empty(target, each)
+        root.mkdir(parents=True, exist_ok=True)
+        noted = {"bucket": bucket.url, "objects": {path: asdict(each) for path, each in objects.items()}}
+        with atomic_write(root / _LAID_OUT) as file:
+            file.write(json.dumps(noted).encode())
         return _laid_out(str(root))
 
     def _object(self, path: Path) -> StoredObject | None:

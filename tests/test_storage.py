@@ -12,7 +12,8 @@ import pytest
 
 from interloc import open_drive, storage
 from interloc.errors import DriveError
-from interloc.reduction.elsewhere import is_within, lay_out
+from interloc.reduction.elsewhere import lay_out
+from interloc.storage import is_within
 from tests.bags import write_bag
 from tests.small_drives import lidar_poses, write_kitti_raw
 

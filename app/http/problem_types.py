@@ -126,6 +126,7 @@ NOT_MULTIPART_FORM_DATA = _kind(
 NOT_POSSIBLE = _kind("not-possible", 500, "What was asked for cannot be done with this drive; `detail` says why.")
 NOT_SCORED = _kind("not-scored", 404, "The job was submitted without a map, so it has no evaluation.")
 WEBHOOK_REFUSED = _kind("webhook-refused", 422, "The service does not call this address.")
+SOURCE_REFUSED = _kind("source-refused", 422, "The service does not read drives from this address.")
 NOT_USED = _kind("not-used", 422, "A member of the request has no effect without another one.")
 OVERPASS_SWITCHED_OFF = _kind("overpass-switched-off", 422, "The service does not fetch maps.")
 PART_OF_A_FILE = _kind("part-of-a-file", 400, "Files are taken whole only.")

@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 
 from interloc import storage
 from interloc.errors import DriveError, InterLocError
 from interloc.reduction.listing import ListedDrive, find_drives, reason_for_none
-from interloc.storage import Bucket, LaidOut, StoredObject
+from interloc.storage import MAX_OBJECTS, Bucket, LaidOut, StoredObject
 
-_READ_BY_PARTS = (".bin", ".label", ".pcd", ".pcd.bin", ".ground", ".mcap")
+READ_BY_PARTS = (".bin", ".label", ".pcd", ".pcd.bin", ".ground", ".mcap")
 """Files that are fetched when they are read, or the ranges of them that are; all others are fetched at once."""
 
 _FOLDERS_BESIDE = ("calibration", "data_poses/{name}", "data_poses_oxts/{name}")
 
 
-def find_stored(address: str) -> tuple[Bucket, dict[str, StoredObject], list[ListedDrive]]:
+def find_stored(address: str, limit: int = MAX_OBJECTS) -> tuple[Bucket, dict[str, StoredObject], list[ListedDrive]]:
     """Find the drives below a prefix.
 
     Returns
@@ -34,14 +34,21 @@ def find_stored(address: str) -> tuple[Bucket, dict[str, StoredObject], list[Lis
         There is nothing below it, or what cannot be files.
     """
     bucket, key = Bucket.of(address)
-    listing = {each.key[len(key) + 1 if key else 0 :]: each for each in bucket.below(key)}
+    listing = {each.key[len(key) + 1 if key else 0 :]: each for each in bucket.below(key, limit)}
     if not listing:
         raise DriveError(f"{address} holds no objects. Expected the prefix of a drive. Usual cause: a mistyped name.")
     name = key.rpartition("/")[2] or bucket.url.rpartition("/")[2]
     return bucket, listing, find_drives({path: each.size for path, each in listing.items()}, name)
 
 
-def lay_out(address: str, folder: Path | None = None, *, within: Sequence[str] = ()) -> Path:
+def lay_out(
+    address: str,
+    folder: Path | None = None,
+    *,
+    within: Sequence[str] = (),
+    limit: int = MAX_OBJECTS,
+    check_sizes: Callable[[dict[str, int]], None] = lambda _: None,
+) -> Path:
     """Lay out a drive, or a single file, that lies in object storage; of its bytes what is small is fetched now.
 
     Parameters
@@ -52,6 +59,10 @@ def lay_out(address: str, folder: Path | None = None, *, within: Sequence[str] =
         Where to; a temporary folder of this process by default. What was laid out there before is taken up again.
     within
         Prefixes that nothing beside the drive may be taken from outside of; empty: anywhere.
+    limit
+        Objects below the prefix.
+    check_sizes
+        Refuses a drive by the sizes of its files, before anything is read.
 
     Returns
     -------
@@ -68,23 +79,24 @@ def lay_out(address: str, folder: Path | None = None, *, within: Sequence[str] =
         It cannot be read.
     """
     bucket, key = Bucket.of(address)
-    single = bucket.head(key) if key else None
-    if single is not None:
-        name = key.rpartition("/")[2]
-        objects, place = {name: single}, name
+    if folder is not None and (known := LaidOut.at(folder)) is not None:
+        laid = known
     else:
-        place, objects = _drive_at(bucket, key, address, within)
-    laid = LaidOut.make(folder or storage.temporary_folder(), bucket, objects)
-    path = laid.files / place
+        single = bucket.head(key) if key else None
+        name = key.rpartition("/")[2]
+        objects = _drive_at(bucket, key, address, within, limit) if single is None else {name: single}
+        check_sizes({path: each.size for path, each in objects.items()})
+        laid = LaidOut.make(folder or storage.temporary_folder(), bucket, objects)
+    path: Path = laid.files / next(iter(laid.objects)).partition("/")[0]
     if folder is None:
         storage.show_as(path, address.rstrip("/"))
-    storage.in_parallel(laid.fetch, [laid.files / name for name in objects if not name.endswith(_READ_BY_PARTS)])
+    storage.in_parallel(laid.fetch, [laid.files / name for name in laid.objects if not name.endswith(READ_BY_PARTS)])
     return path
 
 
-def _drive_at(bucket: Bucket, key: str, address: str, within: Sequence[str]) -> tuple[str, dict[str, StoredObject]]:
-    """Return the name of the drive at a prefix, and the objects that belong to it, by path in a folder above it."""
-    _, below, drives = find_stored(address)
+def _drive_at(bucket: Bucket, key: str, address: str, within: Sequence[str], limit: int) -> dict[str, StoredObject]:
+    """Return the objects that belong to the drive at a prefix, by path in a folder above it."""
+    _, below, drives = find_stored(address, limit)
     if len(drives) != 1:
         names = ", ".join(drive.root or drive.name for drive in drives[:5])
         raise DriveError(
@@ -101,14 +113,14 @@ def _drive_at(bucket: Bucket, key: str, address: str, within: Sequence[str]) -> 
         if each.root == root
     )
     name = root.rpartition("/")[2] or drive.name
-    return name, {f"{name}/{inside}": listing[path] for inside, path in drive.files.items()}
+    return {f"{name}/{inside}": listing[path] for inside, path in drive.files.items()}
 
 
 def _beside(bucket: Bucket, root: str, within: Sequence[str]) -> list[StoredObject]:
     """Return what the layouts keep beside a drive: calibration, and poses of a whole data set; what can be listed."""
     above, name = root.rpartition("/")[0], root.rpartition("/")[2]
     places = [place for place in dict.fromkeys((above, above.rpartition("/")[0])) if place != root]
-    places = [place for place in places if not within or is_within(f"{bucket.url}/{place}", within)]
+    places = [place for place in places if not within or storage.is_within(f"{bucket.url}/{place}", within)]
     folders = [f"{place}/{each}".strip("/") for place in places for each in _FOLDERS_BESIDE]
 
     def below(folder: str) -> list[StoredObject]:
@@ -124,8 +136,3 @@ def _beside(bucket: Bucket, root: str, within: Sequence[str]) -> list[StoredObje
 
     found = [*storage.in_parallel(below, folders), *storage.in_parallel(directly, places)]
     return [each for some in found for each in some]
-
-
-def is_within(address: str, prefixes: Sequence[str]) -> bool:
-    """Return whether an address is one of some prefixes, or lies below one."""
-    return any(f"{address.rstrip('/')}/".startswith(f"{prefix.rstrip('/')}/") for prefix in prefixes)
