@@ -3,6 +3,7 @@
  * @module drives/panel
  */
 import { getJson, sendJson } from "../api.js";
+import { mapsOfDrive } from "../city/dialogs.js";
 import { iconButton } from "../controls.js";
 import { demo, demoText, onDemoChange, tryDemo } from "../data/demo.js";
 import { lists, onListsChange, refreshLists, rememberDrive, titleOf } from "../data/lists.js";
@@ -167,6 +168,8 @@ function driveCard(drive, jobs) {
       {},
       text,
       drive.state === "ready" && iconButton("run", `Run ${drive.name}`, run, "Run it with other settings"),
+      drive.state === "ready" &&
+        iconButton("layers", `Maps of ${drive.name}`, () => mapsOfDrive(drive).catch(showError), "Put it into maps"),
       rename,
       iconButton("trash", `Delete ${drive.name}`, () => removeDrive(drive).catch(showError), "Delete the drive"),
     ),
