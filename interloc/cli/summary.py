@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 def run_facts(result: DriveResult, out: Path) -> list[tuple[str, str]]:
     """Return names and values for a person."""
     run = result.run
-    seconds = run["seconds"]
+    seconds, workers = run["seconds"], counted(run["workers"], "worker")
     return [
         (
             "drive",
@@ -25,7 +25,7 @@ def run_facts(result: DriveResult, out: Path) -> list[tuple[str, str]]:
         georeference_fact(run),
         (
             "time",
-            f"{seconds:.1f} s, {1e3 * seconds / run['keyframes']:.1f} ms per keyframe, {run['workers']} process(es)",
+            f"{seconds:.1f} s, {1e3 * seconds / run['keyframes']:.1f} ms per keyframe, {workers}",
         ),
         ("written to", str(out)),
     ]
@@ -73,7 +73,12 @@ def report_facts(report: dict[str, Any], out: Path) -> list[tuple[str, str]]:
         *([("map", report["map_line"])] if "map_line" in report else []),  # servers of older versions do not send it
         ("policy", f"{report['policy']}: {counted(report['nodes_in_zone'], 'OSM node')} in the relevant zone"),
         ("by detections", f"{report['nodes_found']} of {report['nodes_in_zone']} nodes have one within 5 m"),
-        ("center error", f"{metres(report['ace_m'])} mean (ACE), {metres(report['median_m'])} median"),
+        (
+            "center error",
+            f"{metres(report['ace_m'])} mean (ACE), {metres(report['median_m'])} median"
+            if report["ace_m"] is not None
+            else "none: no detection was matched",
+        ),
         ("at D = 5 m", f"precision {percent(report['precision']['5.0'])}, recall {percent(report['recall']['5.0'])}"),
         *([("wrong", f"{counted(wrong, 'detection')}: {kinds}")] if wrong else []),
         *(("warning", text) for text in report["warnings"]),

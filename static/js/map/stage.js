@@ -4,6 +4,7 @@
  */
 
 import { follow, getJson } from "../api.js";
+import { chosenCity, cities, loadMaps, onCityChange, versionOf, wantsCity, watchMaps } from "../data/city.js";
 import { demo, onDemoChange, tryDemo } from "../data/demo.js";
 import { FINAL, lists, onListsChange, rememberJob } from "../data/lists.js";
 import { loadOverview } from "../data/overview.js";
@@ -14,6 +15,8 @@ import { failureNote, problemNote } from "../messages.js";
 import { addShortcut } from "../shortcuts.js";
 import { getState, setState, subscribe } from "../state.js";
 import { recall } from "../storage.js";
+import { CITY_KEYS, CityScene } from "./city.js";
+import { PLACE_SIGNS, signOfChange } from "./city_places.js";
 import { ComparedLayer, followCompared, onCompared } from "./compared.js";
 import { addCoordinates } from "./coordinates.js";
 import { closeDetails, goTo, hasDetails, keepDetails, openDetails, openSelection, watchPointer } from "./details.js";
@@ -85,6 +88,8 @@ export async function mountStage() {
       return;
     }
     try {
+      if (wantsCity() && (await showCity(mine))) return;
+      if (mine !== token) return;
       if (live) {
         await showLive(live);
         return;
@@ -186,6 +191,69 @@ export async function mountStage() {
     parts.redraw();
   };
 
+  let isAsking = false; // for the maps of many drives
+  /** What of them was shown last. @type {string|null} */
+  let cityShown = null;
+  /** @param {number} mine @returns {Promise<boolean>} Whether there is a map of many drives to show. */
+  const showCity = async (mine) => {
+    hasOverview = isAsking = true;
+    await loadMaps().finally(() => (hasOverview = isAsking = false));
+    if (mine !== token) return true;
+    const city = chosenCity();
+    hasOverview = Boolean(city?.bbox);
+    cityShown = city && versionOf(city);
+    if (city?.bbox) {
+      const [west, south, east, north] = city.bbox;
+      if (scene instanceof CityScene && scene.city.id === city.id) {
+        scene.renew(city);
+        tellOfCity(scene);
+        return true;
+      }
+      clear();
+      fill(cover);
+      build(false);
+      const own = new CityScene(city, shown.map, () => scene === own && (tellOfCity(own), parts.redraw()));
+      scene = own;
+      tellOfCity(own);
+      updateLayers();
+      parts.setAttribution({ roads: [], nodes: city.osm ? [city] : [], local: false, isMadeUp: false });
+      fit(
+        [
+          [south, west],
+          [north, east],
+        ],
+        false,
+        false,
+        below(note),
+      ); // which has it ask for what lies there
+      own.goToEntry(false);
+      own.look();
+      return true;
+    }
+    if (getState().panel !== "map" || !lists.drives.length) return false;
+    clear();
+    fill(cover, el("p", {}, city ? emptyCity(city) : "There is no such map."));
+    return true;
+  };
+
+  /** @param {CityScene} city */
+  const tellOfCity = ({ city, spots, loaded, matched }) => {
+    const toQueue = () => setState({ panel: "map" });
+    const signs = new Set(spots.flatMap(({ sign, changes }) => [sign, ...changes.map(signOfChange)]));
+    fill(
+      note,
+      el("strong", {}, plural(city.intersections, "intersection")),
+      ` of ${plural(city.drives, "drive")}`,
+      city.is_waiting && " · more is being merged",
+      loaded < matched && ` · ${loaded.toLocaleString("en")} of ${matched.toLocaleString("en")} here: zoom in for more`,
+      city.findings && getState().panel !== "map"
+        ? [" · ", el("button", { class: "link", onClick: toQueue }, `${plural(city.findings, "finding")} to look at`)]
+        : null,
+      signRow(Object.entries(PLACE_SIGNS).filter(([name]) => signs.has(name))),
+      tileSwitch(),
+    );
+  };
+
   /** @param {number} mine @returns {Promise<boolean>} Whether there is a drive to show. */
   const showOverview = async (mine) => {
     hasOverview = true;
@@ -275,8 +343,26 @@ export async function mountStage() {
     if (keyframe && timeline.isFollowing() && !hasDetails()) keepInView([keyframe.lat, keyframe.lng]);
   };
 
-  subscribe(["job", "drive", "live"], () => void showDrive());
-  subscribe(["panel"], () => shown.preview && void showDrive());
+  subscribe(["job", "drive", "live", "map"], () => void showDrive());
+  subscribe(["panel"], ({ panel }, before) => {
+    const isMap = panel === "map";
+    if (shown.preview || isMap !== (before.panel === "map")) void showDrive();
+  });
+  subscribe(["places"], () => scene instanceof CityScene && scene.look());
+  subscribe(["finding"], () => scene instanceof CityScene && parts.redraw());
+  /** Id of the finding that was gone to. @type {string|null} */
+  let looked = null;
+  onCityChange(() => {
+    const city = chosenCity();
+    if (!wantsCity() || isAsking) return;
+    if ((city && versionOf(city)) !== cityShown) void showDrive();
+    if (!(scene instanceof CityScene)) return;
+    scene.judged();
+    parts.redraw();
+    if (cities.entry && cities.entry.id !== looked) scene.goToEntry();
+    looked = cities.entry?.id ?? null;
+  });
+  watchMaps();
   onPreview(() => {
     const { panel, job, drive } = getState();
     if (panel === "upload" || (!job && !drive && !getState().live)) void showDrive();
@@ -327,7 +413,7 @@ export async function mountStage() {
     demoNow = now;
     if (!getState().job && !getState().drive && !getState().live) void showDrive();
   });
-  for (const { key, text, run } of [...QUEUE_KEYS, ...MEASURE_KEYS]) addShortcut(key, text, run);
+  for (const { key, text, run } of [...QUEUE_KEYS, ...CITY_KEYS, ...MEASURE_KEYS]) addShortcut(key, text, run);
   await showDrive();
 }
 
@@ -532,15 +618,24 @@ function overviewKey(drives) {
   const there = new Set(
     drives.flatMap(({ intersections, outcomes }) => intersections.map((_, i) => outcomes[i] ?? "unscored")),
   );
-  const keys = Object.entries(KEYS).filter(([name]) => there.has(name));
-  return (
-    keys.length > 0 &&
-    el(
-      "span",
-      { class: "key-row" },
-      keys.map(([name, text]) => [signIcon(name), text]),
-    )
+  return signRow(Object.entries(KEYS).filter(([name]) => there.has(name)));
+}
+
+/** @param {[sign: string, text: string][]} keys */
+const signRow = (keys) =>
+  keys.length > 0 &&
+  el(
+    "span",
+    { class: "key-row" },
+    keys.map(([name, text]) => [signIcon(name), text]),
   );
+
+/** @param {import("../data/city.js").City} city @returns {string} Why there is nothing to see on it. */
+function emptyCity({ holds_all, is_waiting }) {
+  if (is_waiting) return "Its drives are being merged. The map appears here in a moment.";
+  return holds_all
+    ? "No drive is on this map yet. As soon as a drive with georeference has a result, its intersections appear here."
+    : "No drive is on this map yet. Put drives into it, by its button Drives…, and their intersections appear here.";
 }
 
 /** @returns {HTMLElement} */
@@ -558,6 +653,7 @@ function tileSwitch() {
 /** @param {string|null} drive */
 function welcome(drive) {
   if (drive) return el("p", {}, "This drive has no result yet. Run it from the list of drives.");
+  if (demo.isRunning) return el("p", { role: "status" }, "The demo is being prepared. It appears here.");
   if (!lists.isLoaded) return null;
   if (lists.drives.length) return el("p", {}, "None of the drives has a place on the map yet. Open one from the list.");
   const upload = el("button", { class: "primary", onClick: () => setState({ panel: "upload" }) }, icon("upload"));
@@ -585,13 +681,7 @@ function welcome(drive) {
         el("span", { class: "key-row" }, signIcon(name), KEYS[name]),
       ),
     ),
-    el("div", { class: "row" }, upload, demoButton()),
-    demo.isRunning && el("p", { role: "status" }, "The demo is being prepared."),
+    el("div", { class: "row" }, upload, el("button", { onClick: () => void tryDemo() }, "Try the demo")),
     demo.error !== null && problemNote(demo.error),
   );
-}
-
-/** @returns {HTMLElement} */
-function demoButton() {
-  return el("button", { disabled: demo.isRunning, onClick: () => void tryDemo() }, "Try the demo");
 }
