@@ -12,6 +12,9 @@ from fastapi.routing import APIRoute
 from app.http.problem_types import TYPES
 from app.http.problems import MEDIA_TYPE, ProblemDocument
 
+Responses = dict[int | str, dict[str, Any]]
+"""Answers of an endpoint by their status, as FastAPI takes them."""
+
 Endpoint = TypeVar("Endpoint", bound=Callable[..., Any])
 
 _TYPES_LISTED = "\n".join(f"- `{kind.type}`: {kind.meaning}" for kind in TYPES.values())
@@ -107,19 +110,23 @@ def headers_named(*names: str) -> dict[str, Any]:
     return {name: {"$ref": f"#/components/headers/{name}"} for name in names}
 
 
-TAGGED: dict[int | str, dict[str, Any]] = {
+def problems(meanings: dict[int, str]) -> Responses:
+    """Return the description of problems by their status and what they mean there."""
+    return {status: {"model": ProblemDocument, "description": meaning} for status, meaning in meanings.items()}
+
+
+TAGGED: Responses = {
     200: {"headers": headers_named("ETag")},
     304: {"description": "Nothing has changed (If-None-Match).", "headers": headers_named("ETag")},
 }
 """Answers of `app.http.delivery.answer_tagged`, for `responses` of an operation."""
 
-PAGED: dict[int | str, dict[str, Any]] = {**TAGGED, 200: {"headers": headers_named("ETag", "Link")}}
+PAGED: Responses = {**TAGGED, 200: {"headers": headers_named("ETag", "Link")}}
 """Answers of `app.http.paging.answer_page`, likewise."""
 
-CHANGED: dict[int | str, dict[str, Any]] = {
+CHANGED: Responses = {
     200: {"headers": headers_named("ETag")},
-    412: {"model": ProblemDocument, "description": "It is not the version that If-Match names."},
-    422: {"model": ProblemDocument, "description": "A member is refused."},
+    **problems({412: "It is not the version that If-Match names.", 422: "A member is refused."}),
 }
 """Answers of a change that asks `app.http.delivery.require_unchanged`, likewise."""
 

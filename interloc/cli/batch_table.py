@@ -11,6 +11,7 @@ from typing import Any
 
 from interloc.cli.units import Ended, Unit
 from interloc.files import atomic_write
+from interloc.storage import present
 
 TABLE, PAGE = "batch.csv", "batch.html"
 
@@ -65,7 +66,7 @@ def write_table(rows: Sequence[dict[str, Any]], out: Path) -> None:
 
 
 def _read(path: Path) -> dict[str, Any]:
-    found: dict[str, Any] = json.loads(path.read_bytes()) if path.is_file() else {}
+    found: dict[str, Any] = json.loads(present(path).read_bytes()) if path.is_file() else {}
     return found
 
 

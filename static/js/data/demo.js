@@ -8,12 +8,14 @@ import { refreshLists, rememberDrive, rememberJob } from "./lists.js";
 
 const POLL_MS = 1500;
 
-/** @type {{isRunning: boolean, error: unknown, text: string}} */
-export const demo = {
-  isRunning: false,
-  error: null,
-  text: "The server drives through a small made-up town. This takes about a minute the first time, longer on a busy machine.",
-};
+/** @type {{isRunning: boolean, error: unknown, drive: string|null, fraction: number|null}} `fraction`: how much is made. */
+export const demo = { isRunning: false, error: null, drive: null, fraction: null };
+
+/** @returns {string} */
+export function demoText() {
+  const part = demo.fraction === null ? "" : ` ${Math.floor(100 * demo.fraction)} % of it is done.`;
+  return `The server drives through a small made-up town: about a minute, longer on a busy machine.${part}`;
+}
 
 /** @type {Set<() => void>} */
 const listeners = new Set();
@@ -26,7 +28,7 @@ export function onDemoChange(call) {
 /** Make the demo drive on the server, run it, show the job. */
 export async function tryDemo() {
   if (demo.isRunning) return;
-  change({ isRunning: true, error: null });
+  change({ isRunning: true, error: null, drive: null, fraction: null });
   try {
     await run();
     change({ isRunning: false });
@@ -44,8 +46,11 @@ function change(news) {
 async function run() {
   let drive = await sendJson("POST", "demo");
   rememberDrive(drive);
+  change({ drive: drive.id });
   while (drive.state !== "ready") {
     await sleep(POLL_MS);
+    const { jobs } = await getJson(`jobs?kind=all&drive_id=${drive.id}`);
+    change({ fraction: jobs.at(-1)?.progress.fraction ?? null }); // the first makes it, the next checks it
     drive = await getJson(`drives/${drive.id}`);
   }
   await refreshLists();
