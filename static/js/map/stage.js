@@ -655,6 +655,7 @@ function tileSwitch() {
 /** @param {string|null} drive */
 function welcome(drive) {
   if (drive) return el("p", {}, "This drive has no result yet. Run it from the list of drives.");
+  if (demo.isRunning) return el("p", { role: "status" }, "The demo is being prepared. It appears here.");
   if (!lists.isLoaded) return null;
   if (lists.drives.length) return el("p", {}, "None of the drives has a place on the map yet. Open one from the list.");
   const upload = el("button", { class: "primary", onClick: () => setState({ panel: "upload" }) }, icon("upload"));
@@ -682,13 +683,7 @@ function welcome(drive) {
         el("span", { class: "key-row" }, signIcon(name), KEYS[name]),
       ),
     ),
-    el("div", { class: "row" }, upload, demoButton()),
-    demo.isRunning && el("p", { role: "status" }, "The demo is being prepared."),
+    el("div", { class: "row" }, upload, el("button", { onClick: () => void tryDemo() }, "Try the demo")),
     demo.error !== null && problemNote(demo.error),
   );
-}
-
-/** @returns {HTMLElement} */
-function demoButton() {
-  return el("button", { disabled: demo.isRunning, onClick: () => void tryDemo() }, "Try the demo");
 }
