@@ -27,6 +27,7 @@ _PLAN_M, _NEAREST_M = 0.5, 2.5
 _UPRIGHT_M = 0.4
 _UPRIGHT_RANGE_M, _EDGE_RANGE_M = 55.0, 26.0
 _KEY = 1 << 12
+_FINE_M, _FINE_SIZE, _FAR_M = 0.25, 480, 2.0
 
 
 def upright_plan(xyz: Float32Array | FloatArray) -> FloatArray:
@@ -69,10 +70,14 @@ class PlanMatch:
     shares : (K, S, S) float32
         Share of the cells of the source that lie on cells of the target, or half so beside them.
     turns_rad : (K,) float64
+    target, source : (M, 2), (N, 2) float64
+        Cells of the two, metres.
     """
 
     shares: Float32Array
     turns_rad: FloatArray
+    target: FloatArray
+    source: FloatArray
 
     @classmethod
     def of(cls, target: FloatArray, source: FloatArray) -> PlanMatch:
@@ -88,7 +93,7 @@ class PlanMatch:
             shares[number] = scipy.fft.irfft2(spectrum * np.conj(turned), s=(_SIZE, _SIZE)) / count
         shift = scipy.fft.fftfreq(_SIZE, 1 / _SIZE) * _CELL_M
         shares[:, np.hypot(shift[:, None], shift[None]) > MAX_SHIFT_M] = 0.0
-        return cls(shares, turns)
+        return cls(shares, turns, target, source)
 
     @cached_property
     def best(self) -> tuple[float, FloatArray]:
@@ -107,6 +112,21 @@ class PlanMatch:
         near = np.arange(-1, 2)
         rows, columns = (np.rint(motion[:2] / _CELL_M).astype(np.int64)[:, None] + near) % _SIZE
         return float(self.shares[max(0, number - 1) : number + 2][:, rows[:, None], columns].max())
+
+    @cached_property
+    def _distance_m(self) -> Float32Array:
+        """How far each place is from the nearest cell of the target, up to 2 m."""
+        free: UInt8Array = np.ones((_FINE_SIZE, _FINE_SIZE), dtype=np.uint8)
+        at = np.floor(self.target / _FINE_M).astype(np.int64) + _FINE_SIZE // 2
+        free[at[:, 0], at[:, 1]] = 0
+        distance: Float32Array = cv2.distanceTransform(free, cv2.DIST_L2, 5)
+        return np.minimum(_FINE_M * distance, np.float32(_FAR_M))
+
+    def off_m(self, motion: FloatArray) -> float:
+        """Return how far the cells of the source, moved so, are from those of the target: the mean, each up to 2 m."""
+        at = np.floor((rotate_2d(self.source, motion[2]) + motion[:2]) / _FINE_M).astype(np.int64) + _FINE_SIZE // 2
+        at = at[((at >= 0) & (at < _FINE_SIZE)).all(axis=1)]
+        return float(self._distance_m[at[:, 0], at[:, 1]].mean()) if len(at) else _FAR_M
 
 
 def _drawn(cells: FloatArray) -> Float32Array:

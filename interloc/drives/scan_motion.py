@@ -13,13 +13,16 @@ from interloc.drives.folder import FolderDrive
 from interloc.drives.plans import MAX_TURN_RAD, MIN_CELLS, PlanMatch, road_plan, upright_plan
 from interloc.drives.poses.motion import rows_apart
 from interloc.drives.scans.raw import RawScans
-from interloc.geometry import invert_transform, rotate_2d, yaw_of
+from interloc.geometry import invert_transform, rotate_2d, wrap_angle, yaw_of
 
 _APART_M = 7.0
 _MUCH_M = 50.0
 _PAIR_TURN_RAD = np.radians(50.0)
-_SPREAD, _TURNING = 4, 4
-_TURN_RAD = np.radians(12.0)
+_SPREAD, _TELLING = 4, 4
+_TURN_M = 10.0
+"""From so far away a turn is seen as a shift."""
+
+_TELLS_M = 0.3
 
 _MATCHED = {"upright": 0.45, "road": 0.5}
 """Share of a plan that must lie on the other: streets reach 0.5 to 0.9 up to 23 m apart."""
@@ -37,6 +40,10 @@ on real scans, by 0.86 or more where only the edges of a straight road are seen.
 _NO_MOTION_M, _NO_MOTION_RAD = 2.0, np.radians(6.0)
 _MAX_SHIFT = 30
 _PLACES_WRONG = 2
+_LATE = (0, 1, -1, 2, -2, 3, -3)
+_CLOSER, _PLACES_LATE = 1.25, 3
+"""So much closer must scans lie with the poses of others: with their own they lie up to 1.04 times as far off on drives
+that turn hardly at all, and 0.7 to 0.4 times where they turn."""
 
 
 @dataclass(frozen=True)
@@ -128,7 +135,16 @@ def check_scan_motion(drive: FolderDrive, usable: IntArray, pose_file: str, find
             pose_file, "the scans hold too little that stands upright or turns to tell whether they move as the poses."
         )
     near = [pair for pair in pairs if _is_near(_planar(poses, pair.i, pair.j))]
-    if fault := _unlike(near, poses) or _in_another_unit(pairs, near, poses):
+    fault, late = _unlike(near, poses) or _in_another_unit(pairs, near, poses), _scans_late(near, poses)
+    if late and (fault is None or fault[1] < _PLACES_WRONG):
+        step_m = float(np.median(np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)))
+        findings.warning(
+            pose_file,
+            f"the scans fit better where each gets the pose of {_later(late)}: what they show lies "
+            f"{abs(late) * step_m:.1f} m off along the road. Usual cause: poses that begin at another scan, "
+            "or scans whose times are those of their ends.",
+        )
+    elif fault is not None:
         pair, wrong, of, usual = fault
         x, y, turn = _planar(poses, pair.i, pair.j)
         seen_x, seen_y, seen_turn = pair.motion
@@ -147,6 +163,23 @@ def check_scan_motion(drive: FolderDrive, usable: IntArray, pose_file: str, find
                 f"{usual}.",
             )
         )
+
+
+def _scans_late(pairs: list[_Pair], poses: FloatArray) -> int:
+    """Return by how many scans, at most three, the poses are late: with those of later scans the scans lie closer.
+
+    That shows where the motion changes from scan to scan; nowhere else can it be told.
+    """
+    inner = [pair for pair in pairs if pair.i >= max(_LATE) and pair.j + max(_LATE) < len(poses)]
+    if len(inner) < _PLACES_LATE:
+        return 0
+    off_m = np.array(
+        [[pair.match.off_m(_planar(poses, pair.i + late, pair.j + late)) for late in _LATE] for pair in inner]
+    )
+    mean_m = off_m.mean(axis=0)
+    best = int(np.argmin(mean_m))
+    closer = int(np.count_nonzero(off_m[:, best] < off_m[:, 0]))
+    return _LATE[best] if closer >= _PLACES_LATE and _CLOSER * mean_m[best] < mean_m[0] else 0
 
 
 def _is_near(told: FloatArray) -> bool:
@@ -210,14 +243,24 @@ class _Matcher:
         """Choose rows to start from: spread over the drive, and where it turns most."""
         if len(self.usable) < 2:
             return []
-        position, yaw = self.poses[:, :3, 3], np.unwrap(yaw_of(self.poses[:, :3, :3]))
-        rows = np.array([row for row in rows_apart(position, _APART_M) if row < len(self.usable) - 1])
+        position, yaw = self.poses[:, :3, 3], yaw_of(self.poses[:, :3, :3])
+        driven = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(position, axis=0), axis=1))])
+        rows = np.array([row for row in rows_apart(position, _APART_M) if row < len(driven) - 1])
         if len(rows) < 3:
-            rows = np.arange(len(self.usable) - 1)
+            rows = np.arange(len(driven) - 1)
         spread = rows[np.linspace(0, len(rows) - 1, _SPREAD).round().astype(np.int64)]
-        turned = np.abs(np.diff(yaw[rows], append=yaw[-1]))
-        most = [int(row) for row in rows[np.argsort(-turned)[:_TURNING]] if turned[rows == row] > _TURN_RAD]
-        return sorted({*spread.tolist(), *most})
+        ahead = np.minimum(np.searchsorted(driven, driven + _APART_M), len(driven) - 1)
+        step = rotate_2d(position[ahead, :2] - position[:, :2], -yaw)
+        motion = np.column_stack([step, _TURN_M * np.unwrap(wrap_angle(yaw[ahead] - yaw))])
+        change = np.linalg.norm(np.diff(motion, axis=0), axis=1)
+        tells = np.minimum(change[1:], change[:-1])  # from the scan before and to the next; at a jump one is small
+        starts: list[int] = []
+        for row in (np.argsort(-tells) + 1).tolist():
+            if len(starts) == _TELLING or tells[row - 1] < _TELLS_M:
+                break
+            if all(abs(driven[row] - driven[other]) > 2 * _APART_M for other in starts):
+                starts.append(row)
+        return sorted({*spread.tolist(), *starts})
 
     def _pair(self, i: int) -> _Pair | None:
         """Lay a scan some metres on onto another, as far on as poses say; where that fails, as scans themselves do."""
@@ -276,6 +319,11 @@ def _explained(pairs: list[_Pair], motion: Callable[[int, int], FloatArray | Non
     return _Explanation(words, np.array([pair.fit(motion(pair.i, pair.j)) for pair in pairs]))
 
 
+def _later(scans: int) -> str:
+    count = f"{abs(scans)} scan{'' if abs(scans) == 1 else 's'}"
+    return f"{count} {'later' if scans > 0 else 'earlier'}"
+
+
 def _explanations(pairs: list[_Pair], poses: FloatArray) -> list[_Explanation]:
     """Try the usual mistakes."""
 
@@ -318,7 +366,7 @@ def _explanations(pairs: list[_Pair], poses: FloatArray) -> list[_Explanation]:
             _explained(
                 pairs,
                 shifted(scans),
-                f"They fit where each scan gets the pose of {abs(scans)} scans {'later' if scans > 0 else 'earlier'}. "
+                f"They fit where each scan gets the pose of {_later(scans)}. "
                 "Usual cause: scans and poses of two clocks, or that start at other frames",
             )
             for scans in sorted(range(-_MAX_SHIFT, _MAX_SHIFT + 1), key=abs)
