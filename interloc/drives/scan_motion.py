@@ -40,10 +40,10 @@ on real scans, by 0.86 or more where only the edges of a straight road are seen.
 _NO_MOTION_M, _NO_MOTION_RAD = 2.0, np.radians(6.0)
 _MAX_SHIFT = 30
 _PLACES_WRONG = 2
-_LATE = (0, 1, -1, 2, -2, 3, -3)
-_CLOSER, _PLACES_LATE = 1.25, 3
-"""So much closer must scans lie with the poses of others: with their own they lie up to 1.04 times as far off on drives
-that turn hardly at all, and 0.7 to 0.4 times where they turn."""
+_MAX_LATE, _LITTLE_M = 10, 3.0
+_CLOSER, _PLACES_CLOSER = 1.25, 3
+"""So much closer must scans lie with the motion of a mistake: with their own they lie up to 1.04 times as far off on
+drives that turn hardly at all, and 0.7 to 0.4 times where they turn."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ class _Pair:
     j: int
     match: PlanMatch
     allowed: float
-    strong: float = 0.0
+    strong: float
 
     @property
     def is_strong(self) -> bool:
@@ -126,24 +126,24 @@ def check_scan_motion(drive: FolderDrive, usable: IntArray, pose_file: str, find
     it does not at several places, usual mistakes are tried on the poses, and the one that explains all is named.
     """
     usable = np.asarray(usable, dtype=np.int64)
-    pairs: list[_Pair] = []
-    with findings.stage():
-        pairs = _Matcher(drive, usable).pairs()
     poses = drive.T_world_lidar[usable]
-    if not pairs and len(poses) and float(np.linalg.norm(np.ptp(poses[:, :3, 3], axis=0))) > _MUCH_M:
+    matcher, pairs = _Matcher(drive, usable), []
+    with findings.stage():
+        pairs = matcher.pairs()
+    near, laid = ([pair for pair in each if _is_near(_planar(poses, pair.i, pair.j))] for each in (pairs, matcher.laid))
+    fault, mistakes = _unlike(near, poses) or _in_another_unit(pairs, near, poses), _mistakes(laid, poses)
+    mistake = max(mistakes, key=lambda each: each.ratio, default=_Mistake(""))
+    tells = pairs or any(each.ratio * _CLOSER < 1.0 for each in mistakes)
+    if not tells and float(np.linalg.norm(np.ptp(poses[:, :3, 3], axis=0))) > _MUCH_M:
         findings.note(
             pose_file, "the scans hold too little that stands upright or turns to tell whether they move as the poses."
         )
-    near = [pair for pair in pairs if _is_near(_planar(poses, pair.i, pair.j))]
-    fault, late = _unlike(near, poses) or _in_another_unit(pairs, near, poses), _scans_late(near, poses)
-    if late and (fault is None or fault[1] < _PLACES_WRONG):
-        step_m = float(np.median(np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)))
-        findings.warning(
-            pose_file,
-            f"the scans fit better where each gets the pose of {_later(late)}: what they show lies "
-            f"{abs(late) * step_m:.1f} m off along the road. Usual cause: poses that begin at another scan, "
-            "or scans whose times are those of their ends.",
-        )
+    if mistake.is_clear and (fault is None or fault[1] < _PLACES_WRONG):
+        text = f"the scans do not move as the poses do ({mistake.closer} of {mistake.of} places). {mistake.words}."
+        if mistake.metres < _LITTLE_M:
+            findings.warning(pose_file, text)
+        else:
+            findings.error(DriveFileError(pose_file, text))
     elif fault is not None:
         pair, wrong, of, usual = fault
         x, y, turn = _planar(poses, pair.i, pair.j)
@@ -165,21 +165,57 @@ def check_scan_motion(drive: FolderDrive, usable: IntArray, pose_file: str, find
         )
 
 
-def _scans_late(pairs: list[_Pair], poses: FloatArray) -> int:
-    """Return by how many scans, at most three, the poses are late: with those of later scans the scans lie closer.
+@dataclass(frozen=True)
+class _Mistake:
+    """A mistake in poses, against the poses as they are.
 
-    That shows where the motion changes from scan to scan; nowhere else can it be told.
+    Attributes
+    ----------
+    words : str
+    ratio : float
+        How many times as far off the scans lie without it as with it.
+    closer, of : int
+        Places at which they lie closer with it, of how many.
+    metres : float
+        How far off the road comes to lie by it.
     """
-    inner = [pair for pair in pairs if pair.i >= max(_LATE) and pair.j + max(_LATE) < len(poses)]
-    if len(inner) < _PLACES_LATE:
-        return 0
-    off_m = np.array(
-        [[pair.match.off_m(_planar(poses, pair.i + late, pair.j + late)) for late in _LATE] for pair in inner]
-    )
-    mean_m = off_m.mean(axis=0)
-    best = int(np.argmin(mean_m))
-    closer = int(np.count_nonzero(off_m[:, best] < off_m[:, 0]))
-    return _LATE[best] if closer >= _PLACES_LATE and _CLOSER * mean_m[best] < mean_m[0] else 0
+
+    words: str
+    ratio: float = 1.0
+    closer: int = 0
+    of: int = 0
+    metres: float = float("inf")
+
+    @property
+    def is_clear(self) -> bool:
+        """Whether it is the better explanation."""
+        return self.ratio > _CLOSER and self.closer >= _PLACES_CLOSER
+
+
+def _mistakes(pairs: list[_Pair], poses: FloatArray) -> list[_Mistake]:
+    """Try mistakes that scans tell well: poses that are mirrored, or some scans late.
+
+    A few scans show where the motion changes from scan to scan; nowhere else can they be told.
+    """
+    told_m = np.array([pair.match.off_m(_planar(poses, pair.i, pair.j)) for pair in pairs])
+    step_m = float(np.median(np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1))) if len(poses) > 1 else 0.0
+    found = []
+    for words, motion, metres in [
+        (_MIRRORED, _mirrored(poses), float("inf")),
+        *(
+            (_late_words(late), _shifted(poses, late), abs(late) * step_m)
+            for late in range(-_MAX_LATE, _MAX_LATE + 1)
+            if late
+        ),
+    ]:
+        moved = [motion(pair.i, pair.j) for pair in pairs]
+        rows = [row for row, each in enumerate(moved) if each is not None]
+        off_m = np.array([pairs[row].match.off_m(each) for row, each in enumerate(moved) if each is not None])
+        if len(rows) >= _PLACES_CLOSER:
+            ratio = float(told_m[rows].mean() / max(off_m.mean(), 1e-3))
+            closer = int(np.count_nonzero(off_m < told_m[rows]))
+            found.append(_Mistake(words, ratio, closer, len(rows), metres))
+    return found
 
 
 def _is_near(told: FloatArray) -> bool:
@@ -227,6 +263,8 @@ class _Matcher:
         self.drive, self.usable = drive, usable
         self.poses = drive.T_world_lidar[usable]
         self.kind = "upright" if isinstance(drive.scans, RawScans) else "road"
+        self.laid: list[_Pair] = []
+        """All that were laid onto each other, also those whose motion that does not tell."""
         self._plans: dict[int, FloatArray] = {}
 
     def pairs(self) -> list[_Pair]:
@@ -236,6 +274,7 @@ class _Matcher:
         if not found and self.kind == "upright" and not self.drive.is_slow:
             self.kind = "road"
             self._plans.clear()
+            self.laid.clear()
             found = [pair for start in starts if (pair := self._pair(start)) is not None]
         return found
 
@@ -291,6 +330,7 @@ class _Matcher:
         if min(len(target), len(source)) < MIN_CELLS:
             return None
         pair = _Pair(i, j, PlanMatch.of(target, source), _CONTRADICTS[self.kind], _STRONG[self.kind])
+        self.laid.append(pair)
         share, motion = pair.match.best
         if share < _MATCHED[self.kind]:
             return None
@@ -315,13 +355,31 @@ def _planar(poses: FloatArray, i: int, j: int) -> FloatArray:
     return np.array([*relative[:2, 3], float(yaw_of(relative[:3, :3]))])
 
 
-def _explained(pairs: list[_Pair], motion: Callable[[int, int], FloatArray | None], words: str) -> _Explanation:
+def _explained(pairs: list[_Pair], motion: _Motion, words: str) -> _Explanation:
     return _Explanation(words, np.array([pair.fit(motion(pair.i, pair.j)) for pair in pairs]))
 
 
-def _later(scans: int) -> str:
+_Motion = Callable[[int, int], FloatArray | None]
+_MIRRORED = "They fit with left and right exchanged. Usual cause: poses in a frame with z down (NED, FRD)"
+
+
+def _late_words(scans: int) -> str:
     count = f"{abs(scans)} scan{'' if abs(scans) == 1 else 's'}"
-    return f"{count} {'later' if scans > 0 else 'earlier'}"
+    return (
+        f"They fit where each scan gets the pose of {count} {'later' if scans > 0 else 'earlier'}. Usual cause: "
+        "scans and poses of two clocks, or that start at other frames"
+    )
+
+
+def _mirrored(poses: FloatArray) -> _Motion:
+    return lambda i, j: _planar(poses, i, j) * (1.0, -1.0, -1.0)
+
+
+def _shifted(poses: FloatArray, scans: int) -> _Motion:
+    def motion(i: int, j: int) -> FloatArray | None:
+        return _planar(poses, i + scans, j + scans) if i + scans >= 0 and j + scans < len(poses) else None
+
+    return motion
 
 
 def _explanations(pairs: list[_Pair], poses: FloatArray) -> list[_Explanation]:
@@ -334,19 +392,9 @@ def _explanations(pairs: list[_Pair], poses: FloatArray) -> list[_Explanation]:
 
         return motion
 
-    def shifted(scans: int) -> Callable[[int, int], FloatArray | None]:
-        def motion(i: int, j: int) -> FloatArray | None:
-            return _planar(poses, i + scans, j + scans) if i + scans >= 0 and j + scans < len(poses) else None
-
-        return motion
-
     tried = [
         _scale_explanation(pairs, poses),
-        _explained(
-            pairs,
-            lambda i, j: _planar(poses, i, j) * (1.0, -1.0, -1.0),
-            "They fit with left and right exchanged. Usual cause: poses in a frame with z down (NED, FRD)",
-        ),
+        _explained(pairs, _mirrored(poses), _MIRRORED),
         _explained(
             pairs,
             lambda i, j: _planar(poses, j, i),
@@ -363,12 +411,7 @@ def _explanations(pairs: list[_Pair], poses: FloatArray) -> list[_Explanation]:
             if degrees
         ),
         *(
-            _explained(
-                pairs,
-                shifted(scans),
-                f"They fit where each scan gets the pose of {_later(scans)}. "
-                "Usual cause: scans and poses of two clocks, or that start at other frames",
-            )
+            _explained(pairs, _shifted(poses, scans), _late_words(scans))
             for scans in sorted(range(-_MAX_SHIFT, _MAX_SHIFT + 1), key=abs)
             if scans
         ),
