@@ -22,6 +22,7 @@ MIN_CELLS = 60
 """Of a plan that can be laid onto another."""
 
 _CELL_M, _SIZE = 1.0, 160
+_REACH = int(MAX_SHIFT_M / _CELL_M)
 _TURN_STEP_RAD = np.radians(3.0)
 _PLAN_M, _NEAREST_M = 0.5, 2.5
 _UPRIGHT_M = 0.4
@@ -68,7 +69,8 @@ class PlanMatch:
     Attributes
     ----------
     shares : (K, S, S) float32
-        Share of the cells of the source that lie on cells of the target, or half so beside them.
+        Share of the cells of the source that lie on cells of the target, or half so beside them; a metre per row and
+        column, the middle is no shift.
     turns_rad : (K,) float64
     target, source : (M, 2), (N, 2) float64
         Cells of the two, metres.
@@ -86,21 +88,21 @@ class PlanMatch:
         image = _drawn(target)
         beside = cv2.dilate(image, np.ones((3, 3), np.uint8))
         spectrum = scipy.fft.rfft2(np.maximum(image, 0.5 * beside))
-        shares = np.empty((len(turns), _SIZE, _SIZE), dtype=np.float32)
+        shifts = np.arange(-_REACH, _REACH + 1)
+        shares = np.empty((len(turns), len(shifts), len(shifts)), dtype=np.float32)
         for number, turn in enumerate(turns):
             turned = scipy.fft.rfft2(_drawn(rotate_2d(source, turn)))
             count = max(1.0, float(turned[0, 0].real))
-            shares[number] = scipy.fft.irfft2(spectrum * np.conj(turned), s=(_SIZE, _SIZE)) / count
-        shift = scipy.fft.fftfreq(_SIZE, 1 / _SIZE) * _CELL_M
-        shares[:, np.hypot(shift[:, None], shift[None]) > MAX_SHIFT_M] = 0.0
+            found = scipy.fft.irfft2(spectrum * np.conj(turned), s=(_SIZE, _SIZE))
+            shares[number] = found[np.ix_(shifts, shifts)] / count
+        shares[:, np.hypot(shifts[:, None], shifts[None]) > _REACH] = 0.0
         return cls(shares, turns, target, source)
 
     @cached_property
     def best(self) -> tuple[float, FloatArray]:
         """The largest share, and the motion of it: x, y in metres and turn in radians."""
         number, row, column = np.unravel_index(int(np.argmax(self.shares)), self.shares.shape)
-        shift = scipy.fft.fftfreq(_SIZE, 1 / _SIZE) * _CELL_M
-        motion = np.array([shift[row], shift[column], self.turns_rad[number]])
+        motion = np.array([(row - _REACH) * _CELL_M, (column - _REACH) * _CELL_M, self.turns_rad[number]])
         return float(self.shares[number, row, column]), motion
 
     def at(self, motion: FloatArray) -> float:
@@ -110,7 +112,8 @@ class PlanMatch:
             return float("nan")
         number = round((turn + MAX_TURN_RAD) / _TURN_STEP_RAD)
         near = np.arange(-1, 2)
-        rows, columns = (np.rint(motion[:2] / _CELL_M).astype(np.int64)[:, None] + near) % _SIZE
+        middle = np.rint(motion[:2] / _CELL_M).astype(np.int64) + _REACH
+        rows, columns = np.clip(middle[:, None] + near, 0, 2 * _REACH)
         return float(self.shares[max(0, number - 1) : number + 2][:, rows[:, None], columns].max())
 
     @cached_property
@@ -119,8 +122,9 @@ class PlanMatch:
         free: UInt8Array = np.ones((_FINE_SIZE, _FINE_SIZE), dtype=np.uint8)
         at = np.floor(self.target / _FINE_M).astype(np.int64) + _FINE_SIZE // 2
         free[at[:, 0], at[:, 1]] = 0
-        distance: Float32Array = cv2.distanceTransform(free, cv2.DIST_L2, 5)
-        return np.minimum(_FINE_M * distance, np.float32(_FAR_M))
+        distance_m: Float32Array = (_FINE_M * cv2.distanceTransform(free, cv2.DIST_L2, 5)).astype(np.float32)
+        distance_m[distance_m > _FAR_M] = _FAR_M
+        return distance_m
 
     def off_m(self, motion: FloatArray) -> float:
         """Return how far the cells of the source, moved so, are from those of the target: the mean, each up to 2 m."""

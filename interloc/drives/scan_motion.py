@@ -121,18 +121,21 @@ def check_scan_motion(drive: FolderDrive, usable: IntArray, pose_file: str, find
 
     Notes
     -----
-    Pairs some metres apart, spread over the drive and where it turns most, are laid onto each other by all turns and
+    Pairs some metres apart, spread over the drive and where its motion changes most, are laid onto each other by all turns and
     shifts at once (`interloc.drives.plans`). On real drives the motion of the poses fits as well as the best one. Where
     it does not at several places, usual mistakes are tried on the poses, and the one that explains all is named.
     """
     usable = np.asarray(usable, dtype=np.int64)
+    if len(usable) < 2:
+        return
     poses = drive.T_world_lidar[usable]
     matcher, pairs = _Matcher(drive, usable), []
     with findings.stage():
         pairs = matcher.pairs()
     near, laid = ([pair for pair in each if _is_near(_planar(poses, pair.i, pair.j))] for each in (pairs, matcher.laid))
-    fault, mistakes = _unlike(near, poses) or _in_another_unit(pairs, near, poses), _mistakes(laid, poses)
+    mistakes = _mistakes(laid, poses)
     mistake = max(mistakes, key=lambda each: each.ratio, default=_Mistake(""))
+    fault = _unlike(near, poses, mistake) or _in_another_unit(pairs, near, poses)
     tells = pairs or any(each.ratio * _CLOSER < 1.0 for each in mistakes)
     if not tells and float(np.linalg.norm(np.ptp(poses[:, :3, 3], axis=0))) > _MUCH_M:
         findings.note(
@@ -222,7 +225,7 @@ def _is_near(told: FloatArray) -> bool:
     return bool(np.hypot(told[0], told[1]) < _FAR_M and abs(told[2]) < _FAR_RAD)
 
 
-def _unlike(pairs: list[_Pair], poses: FloatArray) -> tuple[_Pair, int, int, str] | None:
+def _unlike(pairs: list[_Pair], poses: FloatArray, mistake: _Mistake) -> tuple[_Pair, int, int, str] | None:
     """Return the worst of some pairs, how many are like it, of how many, and the cause; None where poses are right.
 
     Matches that are weak count only beside strong ones, where one mistake explains them, or where there are three.
@@ -240,7 +243,7 @@ def _unlike(pairs: list[_Pair], poses: FloatArray) -> tuple[_Pair, int, int, str
         return None
     worst = pairs[min(strong or wrong.tolist(), key=lambda row: as_told.fits[row])]
     if len(wrong) >= _PLACES_WRONG:
-        usual = "Usual cause: poses of another sequence, or scans and poses of two clocks"
+        usual = mistake.words if mistake.is_clear else _ANOTHER
         return worst, len(wrong), len(pairs), usual
     usual = "Usual cause: an outage of GNSS or odometry, or scans missing there"
     return (worst, 1, len(pairs), usual) if len(pairs) > _PLACES_WRONG else None
@@ -279,9 +282,7 @@ class _Matcher:
         return found
 
     def _starts(self) -> list[int]:
-        """Choose rows to start from: spread over the drive, and where it turns most."""
-        if len(self.usable) < 2:
-            return []
+        """Choose rows to start from: spread over the drive, and where its motion changes most."""
         position, yaw = self.poses[:, :3, 3], yaw_of(self.poses[:, :3, :3])
         driven = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(position, axis=0), axis=1))])
         rows = np.array([row for row in rows_apart(position, _APART_M) if row < len(driven) - 1])
@@ -342,7 +343,7 @@ class _Matcher:
         if row not in self._plans:
             index = int(self.usable[row])
             if self.kind == "upright" and isinstance(self.drive.scans, RawScans):
-                points = self.drive.scans.sources[0].read(int(self.drive.frames[index]))
+                points = self.drive.scans.points_of(int(self.drive.frames[index]))
                 self._plans[row] = upright_plan(points.values[:, :3])
             else:
                 self._plans[row] = road_plan(self.drive.ground_points(index).road)
@@ -360,6 +361,7 @@ def _explained(pairs: list[_Pair], motion: _Motion, words: str) -> _Explanation:
 
 
 _Motion = Callable[[int, int], FloatArray | None]
+_ANOTHER = "Usual cause: poses of another sequence, or scans and poses of two clocks"
 _MIRRORED = "They fit with left and right exchanged. Usual cause: poses in a frame with z down (NED, FRD)"
 
 
