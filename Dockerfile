@@ -16,7 +16,7 @@ COPY interloc interloc
 COPY app app
 COPY --from=page /static static
 RUN python -m venv /opt/interloc \
- && /opt/interloc/bin/pip install --no-cache-dir -c constraints.txt ".[service,dask,label,ros,las,odometry,parquet]"
+ && /opt/interloc/bin/pip install --no-cache-dir -c constraints.txt ".[service,dask,label,ros,las,odometry,parquet,storage]"
 
 FROM python:3.11-slim
 LABEL org.opencontainers.image.title=InterLoc \

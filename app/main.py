@@ -18,9 +18,9 @@ from app.drives.reconcile import reconcile_all
 from app.drives.routes import archive, commit, drives, files, scans
 from app.http.limits import make_room_to_delete
 from app.http.middleware import add_middleware
-from app.http.openapi import DESCRIPTION, TAGS, Description, operation_id
+from app.http.openapi import DESCRIPTION, TAGS, Description, operation_id, problems
 from app.http.parameters import refuse_unknown_parameters
-from app.http.problems import ProblemDocument, add_handlers
+from app.http.problems import add_handlers
 from app.http.security import client_of
 from app.http.turns import Turns
 from app.jobs import routes as jobs
@@ -56,7 +56,7 @@ _THREADS = 64  # that answer requests: more than may wait for the database at th
 def _assemble() -> APIRouter:
     router = APIRouter(
         generate_unique_id_function=operation_id,
-        responses={422: {"model": ProblemDocument, "description": "The request is not valid; `problems` lists where."}},
+        responses=problems({422: "The request is not valid; `problems` lists where."}),
     )
     of_drives = (drives, overview, files, scans, archive, commit, demo, networks)
     of_jobs = (jobs, results, keyframes, road, exports, compare)

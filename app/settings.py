@@ -173,6 +173,13 @@ class Settings(BaseSettings):
         "`WEBHOOK_HOSTS`.",
     )
 
+    # What it reads elsewhere.
+    sources: str = Field(
+        "",
+        description="Prefixes in object storage that clients may have drives read from (`source`), separated by "
+        "commas, for example s3://bucket/drives; the service reads there by its own credentials. Empty: none.",
+    )
+
     # What is logged.
     log_format: Literal["json", "text"] = Field(
         "json", description="Format of the log: json (one object per line) or text."
@@ -249,6 +256,11 @@ class Settings(BaseSettings):
     def origins(self) -> tuple[str, ...]:
         """Origins whose pages may read the API."""
         return tuple(_listed(self.cors_origins))
+
+    @property
+    def source_prefixes(self) -> tuple[str, ...]:
+        """Prefixes that drives may be read from."""
+        return tuple(_listed(self.sources))
 
     @property
     def is_loopback(self) -> bool:

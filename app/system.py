@@ -11,8 +11,9 @@ from pydantic import BaseModel, Field
 from sqlalchemy.exc import SQLAlchemyError
 
 from app.context import Context, ContextDep, part_of_app
+from app.http.openapi import problems
 from app.http.problem_types import NOT_FOUND, TYPES
-from app.http.problems import Problem, ProblemDocument
+from app.http.problems import Problem
 from app.http.security import ClientDep
 from app.jobs.runner import Runner
 from app.metrics import CONTENT_TYPE
@@ -137,7 +138,7 @@ async def list_problem_types() -> ProblemTypeList:
 @router.get(
     "/problems/{name}",
     summary="Explain a kind of problem",
-    responses={404: {"model": ProblemDocument, "description": "There is no such kind."}},
+    responses=problems({404: "There is no such kind."}),
 )
 async def show_problem_type(
     name: Annotated[str, Path(description="Last part of a `type`.", examples=["drive-not-usable"], max_length=100)],
@@ -159,7 +160,7 @@ _PROBLEM_TYPES = {
     response_class=Response,
     responses={
         200: {"content": {"text/plain": {}}, "description": "Prometheus text format."},
-        401: {"model": ProblemDocument, "description": "The service needs an API token."},
+        **problems({401: "The service needs an API token."}),
     },
 )
 def show_metrics(context: ContextDep, _client: ClientDep) -> Response:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from typing import Any
 
 from fastapi import APIRouter, Response
 from fastapi.concurrency import run_in_threadpool
@@ -13,7 +12,7 @@ from app.demo.drive import begin_demo
 from app.drives.commit import begin_commit, committed
 from app.drives.models import CommitRequest, DriveModel
 from app.http.headers import WaitSeconds
-from app.http.problems import ProblemDocument
+from app.http.openapi import Responses, problems
 from app.http.security import ClientDep
 from app.jobs.failures import raise_failure
 from app.jobs.watcher import wait_for_job
@@ -21,9 +20,9 @@ from app.states import DriveState, JobState
 
 router = APIRouter(tags=["Drives"])
 
-_ANSWERS: dict[int | str, dict[str, Any]] = {
+_ANSWERS: Responses = {
     202: {"model": DriveModel, "description": "It is still being made or checked; ask for the drive again."},
-    507: {"model": ProblemDocument, "description": "The disk is full."},
+    **problems({507: "The disk is full."}),
 }
 
 

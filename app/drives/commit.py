@@ -64,7 +64,7 @@ def begin_commit(context: Context, drive_id: str, owner: str, request: CommitReq
             if (model := drive.options.get("model")) is not None:
                 models.find(context.settings.models, model)
         if request.keep_raw is not None:
-            drive.keep_raw = request.keep_raw
+            drive.keep_raw = request.keep_raw and drive.source is None
         limit = job_limit(context, owner)
         told = check_subscriber(context.settings, request.subscriber)
         job = queue_commit(
@@ -121,6 +121,7 @@ def queue_commit(
 ) -> Job:
     """Queue the check of a drive, in a transaction that has locked it."""
     work: dict[str, Any] = {"options": drive.options, "keep_raw": drive.keep_raw, "check_only": check_only}
+    work |= {} if drive.source is None else {"source": drive.source}
     work |= told or {}
     job, _ = submit(session, database, kind=JobKind.COMMIT, drive_id=drive.id, owner=owner, request=work, limit=limit)
     drive.state = DriveState.CHECKING

@@ -14,15 +14,9 @@ from sqlalchemy.orm import Session
 from app.context import Context
 from app.drives.commit import queue_commit
 from app.drives.records import drive_key, files_key, note_extent, reduced_key
-from app.drives.upload import (
-    Placement,
-    lock_counts,
-    refuse_similar_names,
-    refuse_unless_open,
-    register,
-    sizes_of,
-)
+from app.drives.upload import Placement, lock_counts, refuse_similar_names, refuse_unless_open, register, sizes_of
 from app.http.intake import Arrival
+from app.http.limits import check_quota
 from app.http.problems import Problem
 from app.states import DriveState, JobKind, JobState
 from app.store import sidecars
@@ -94,6 +88,12 @@ def _finish_commit(session: Session, context: Context, job: Job, drive: Drive, o
     drive.report = None if outcome.report is None else outcome.report.to_dict()
     if outcome.reduced_bytes is None:
         return
+    if drive.source is not None:  # what was sent was counted when it came
+        try:
+            check_quota(context, session, drive.owner, drive.owner, outcome.reduced_bytes)
+        except Problem as problem:
+            job.state, job.error, job.summary = JobState.FAILED, problem.document(), None
+            return
     built = context.storage.folder(f"jobs/{job.id}/result")
     target = context.storage.folder(reduced_key(drive.id))
     if (built / REDUCED).is_dir():  # otherwise it was moved by a transaction that failed and is repeated now

@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 from datetime import datetime
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Self
 
 from pydantic import Base64Encoder, BaseModel, ConfigDict, EncodedBytes, Field, field_validator, model_validator
 from pydantic_core import PydanticCustomError
@@ -86,6 +86,19 @@ class NewDrive(BaseModel):
         False, description="Keep the scans as uploaded, in addition to what the method needs of them."
     )
     options: DriveOptionsModel = Field(default_factory=DriveOptionsModel)
+    source: str | None = Field(
+        None,
+        max_length=MAX_PATH,
+        description="Address in object storage that the commit reads the files from, below one that the operator "
+        "allows; only a map is sent then.",
+        examples=["s3://bucket/drives/07"],
+    )
+
+    @model_validator(mode="after")
+    def _check_source(self) -> Self:
+        if self.source is not None and self.keep_raw:
+            raise ValueError("keep_raw is for files that are sent: those of a source stay where they are")
+        return self
 
 
 class DriveChanges(BaseModel):
@@ -144,6 +157,7 @@ class DriveModel(BaseModel):
     owner: str
     keep_raw: bool
     options: DriveOptionsModel
+    source: str | None = Field(None, description="Where in object storage its files are; null where they are sent.")
     files: int = Field(description="Number of uploaded files.")
     size_bytes: int = Field(description="Size of the files as uploaded.")
     stored_bytes: int = Field(description="Size of what is kept of them.")

@@ -27,6 +27,7 @@ from app.http.problem_types import (
     JOB_NOT_FOUND,
     MAP_IN_USE,
     RESULT_NOT_READY,
+    SOURCE_REFUSED,
 )
 from app.http.problems import Problem
 from app.jobs.chosen import chosen_results
@@ -41,9 +42,10 @@ from app.store.models import Drive, DriveFile, Job
 from app.store.storage import Storage
 from app.work.places import TRAJECTORY
 from interloc.drives.inspect import DriveReport
-from interloc.errors import InterLocError
+from interloc.errors import ConfigError, InterLocError
 from interloc.osm.container import MAP_ENDINGS, is_map
 from interloc.output.geojson import read_json
+from interloc.storage import check_address, is_within
 
 _LOOKS, _LOOK_S = 20, 0.05  # at a file whose row is about to be committed
 
@@ -75,9 +77,11 @@ def create_drive(context: Context, owner: str, new: NewDrive, key: str | None = 
     Raises
     ------
     Problem
-        422: the key was used for another request.
+        422: the key was used for another request, or the service does not read from this source.
     """
-    request = None if key is None else hashlib.sha256(new.model_dump_json().encode()).hexdigest()
+    _check_source(context.settings, new.source)
+    as_before = {"source"} if new.source is None else None  # keys of older versions stay valid
+    request = None if key is None else hashlib.sha256(new.model_dump_json(exclude=as_before).encode()).hexdigest()
     with context.database.writing() as session:
         if key is not None:
             context.database.lock_owner(session, owner)
@@ -95,6 +99,7 @@ def create_drive(context: Context, owner: str, new: NewDrive, key: str | None = 
             owner=owner,
             options=new.options.model_dump(mode="json"),
             keep_raw=new.keep_raw,
+            source=new.source,
             created_at=now,
             touched_at=now,
             idempotency_key=key,
@@ -105,6 +110,19 @@ def create_drive(context: Context, owner: str, new: NewDrive, key: str | None = 
         model = drive_model(drive, context.settings)
     sidecars.write_drive(context.storage, drive)
     return model, True
+
+
+def _check_source(settings: Settings, source: str | None) -> None:
+    if source is None:
+        return
+    if not settings.sources:
+        raise Problem(SOURCE_REFUSED, "source: this service reads from no object storage. Its operator sets SOURCES.")
+    try:
+        check_address(source)
+    except ConfigError as error:
+        raise Problem(SOURCE_REFUSED, f"source: {error}") from error
+    if not is_within(source, settings.source_prefixes):
+        raise Problem(SOURCE_REFUSED, f"source: {source} lies below none of the prefixes that the operator allows.")
 
 
 def find_drive(session: Session, drive_id: str) -> Drive:
@@ -355,6 +373,7 @@ def drive_model(drive: Drive, settings: Settings, *, report: bool = True, result
         owner=drive.owner,
         keep_raw=drive.keep_raw,
         options=DriveOptionsModel.model_validate(drive.options),
+        source=drive.source,
         files=drive.file_count,
         size_bytes=drive.size_bytes,
         stored_bytes=drive.stored_bytes,

@@ -9,22 +9,23 @@ from typing import Any, ClassVar, TypeVar
 from fastapi import APIRouter, FastAPI
 from fastapi.routing import APIRoute
 
-from app.http.problem_types import TYPES
 from app.http.problems import MEDIA_TYPE, ProblemDocument
+
+Responses = dict[int | str, dict[str, Any]]
+"""Answers of an endpoint by their status, as FastAPI takes them."""
 
 Endpoint = TypeVar("Endpoint", bound=Callable[..., Any])
 
-_TYPES_LISTED = "\n".join(f"- `{kind.type}`: {kind.meaning}" for kind in TYPES.values())
 
-DESCRIPTION = f"""
+DESCRIPTION = """
 A *drive* is uploaded file by file, checked and reduced by its *commit*; a *job* finds the intersections in it, and
 scores them against OpenStreetMap where a map is given; its *results* are GeoJSON, reports, pictures and exports.
 
 ```sh
-curl -X POST $API/drives -H 'Content-Type: application/json' -d '{{"name": "07"}}'        # -> id of the drive
+curl -X POST $API/drives -H 'Content-Type: application/json' -d '{"name": "07"}'        # -> id of the drive
 curl -T velodyne/000000.bin $API/drives/$DRIVE/files/velodyne/000000.bin                # ... and so on, in any order
 curl -X POST $API/drives/$DRIVE/commit                                                  # -> what is in it or is wrong
-curl -X POST $API/jobs -H 'Content-Type: application/json' -d '{{"drive_id": "'$DRIVE'"}}'  # -> id of the job
+curl -X POST $API/jobs -H 'Content-Type: application/json' -d '{"drive_id": "'$DRIVE'"}'  # -> id of the job
 curl -N $API/jobs/$JOB/events                                                           # its progress as it happens
 curl $API/jobs/$JOB/intersections                                                       # the map, as GeoJSON
 ```
@@ -38,9 +39,7 @@ clockwise from north. Every answer carries an `X-Request-ID`, by which its line 
 
 Every error is a problem document (RFC 9457) whose `detail` says what was found, what was expected and what to do. Its
 `type` tells programs what has happened. It is the same in every version and under every address of the service
-(`GET /problems` lists the same); `about:blank` stands where the HTTP status says all:
-
-{_TYPES_LISTED}
+(`GET /problems` lists them); `about:blank` stands where the HTTP status says all.
 """
 
 TAGS = [
@@ -107,19 +106,23 @@ def headers_named(*names: str) -> dict[str, Any]:
     return {name: {"$ref": f"#/components/headers/{name}"} for name in names}
 
 
-TAGGED: dict[int | str, dict[str, Any]] = {
+def problems(meanings: dict[int, str]) -> Responses:
+    """Return the description of problems by their status and what they mean there."""
+    return {status: {"model": ProblemDocument, "description": meaning} for status, meaning in meanings.items()}
+
+
+TAGGED: Responses = {
     200: {"headers": headers_named("ETag")},
     304: {"description": "Nothing has changed (If-None-Match).", "headers": headers_named("ETag")},
 }
 """Answers of `app.http.delivery.answer_tagged`, for `responses` of an operation."""
 
-PAGED: dict[int | str, dict[str, Any]] = {**TAGGED, 200: {"headers": headers_named("ETag", "Link")}}
+PAGED: Responses = {**TAGGED, 200: {"headers": headers_named("ETag", "Link")}}
 """Answers of `app.http.paging.answer_page`, likewise."""
 
-CHANGED: dict[int | str, dict[str, Any]] = {
+CHANGED: Responses = {
     200: {"headers": headers_named("ETag")},
-    412: {"model": ProblemDocument, "description": "It is not the version that If-Match names."},
-    422: {"model": ProblemDocument, "description": "A member is refused."},
+    **problems({412: "It is not the version that If-Match names.", 422: "A member is refused."}),
 }
 """Answers of a change that asks `app.http.delivery.require_unchanged`, likewise."""
 

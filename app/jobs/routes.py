@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import AsyncIterator
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from fastapi import APIRouter, Depends, Header, Path, Query, Request, Response
 from fastapi.concurrency import run_in_threadpool
@@ -15,7 +15,7 @@ from app.context import Context, ContextDep
 from app.http.delivery import answer_tagged, require_unchanged, tag_of
 from app.http.headers import IdempotencyKey, IfMatch, WaitIfAsked
 from app.http.limits import job_limit
-from app.http.openapi import CHANGED, PAGED, TAGGED, get_and_head, headers_named
+from app.http.openapi import CHANGED, PAGED, TAGGED, Responses, get_and_head, headers_named, problems
 from app.http.paging import After, answer_page, cursor_of, has_part, lies_in, made_between, newest_first, rows_after
 from app.http.parameters import BoxFilter, CreatedAfter, CreatedBefore, NamePart
 from app.http.patterns import ID
@@ -34,11 +34,7 @@ from interloc.config import PRESETS, DetectorConfig
 router = APIRouter(tags=["Jobs"])
 
 JobId = Annotated[str, Path(pattern=ID, description="Id of the job, from POST /api/v1/jobs.")]
-NOT_FOUND: dict[int | str, dict[str, Any]] = {404: {"model": ProblemDocument, "description": "There is no such job."}}
-
-
-def _problem(description: str) -> dict[str, Any]:
-    return {"model": ProblemDocument, "description": description}
+NOT_FOUND = problems({404: "There is no such job."})
 
 
 @router.post(
@@ -52,17 +48,20 @@ def _problem(description: str) -> dict[str, Any]:
             "headers": headers_named("Location", "Preference-Applied"),
         },
         202: {"headers": headers_named("Location", "Preference-Applied")},
-        404: _problem("There is no such drive."),
-        409: _problem("The drive is not committed."),
-        422: _problem(
-            "A setting is refused, the drive lacks the map, the labels or the georeference that the job needs, or the "
-            "key was used for another request."
-        ),
         429: {
-            **_problem("Too many jobs of this client wait or run."),
+            "model": ProblemDocument,
+            "description": "Too many jobs of this client wait or run.",
             "headers": headers_named("Retry-After"),
         },
-        507: _problem("The disk is full."),
+        **problems(
+            {
+                404: "There is no such drive.",
+                409: "The drive is not committed.",
+                422: "A setting is refused, the drive lacks the map, the labels or the georeference that the job "
+                "needs, or the key was used for another request.",
+                507: "The disk is full.",
+            }
+        ),
     },
 )
 async def create_job(
@@ -112,7 +111,7 @@ def _submit(context: Context, client: str, new: NewJob, key: str | None) -> tupl
     "/jobs",
     response_model=JobList,
     summary="List jobs",
-    responses={**PAGED, 422: _problem("A parameter is refused.")},
+    responses={**PAGED, **problems({422: "A parameter is refused."})},
 )
 def list_jobs(
     request: Request,
@@ -169,7 +168,7 @@ def show_job(request: Request, job: Annotated[JobModel, Depends(load_job)]) -> R
 
 
 _EXAMPLE = 'event: job\nid: 7\ndata: {"id": "9b1e44f00c7a2d53", "state": "running", "version": 7}\n\n'
-_EVENTS: dict[int | str, dict[str, Any]] = {
+_EVENTS: Responses = {
     200: {
         "description": "The stream of events.",
         "content": {"text/event-stream": {"schema": {}, "example": _EXAMPLE}},

@@ -6,7 +6,7 @@ import asyncio
 import logging
 from collections.abc import AsyncIterator
 from contextlib import suppress
-from typing import Annotated, Any
+from typing import Annotated
 
 from fastapi import APIRouter, Depends, Path, Request, WebSocket
 from fastapi.concurrency import run_in_threadpool
@@ -15,9 +15,10 @@ from pydantic import ValidationError
 from starlette.websockets import WebSocketDisconnect
 
 from app.context import Context, ContextDep, part_of_app
+from app.http.openapi import problems
 from app.http.patterns import ID
 from app.http.problem_types import TOKEN_MAY_ONLY_READ
-from app.http.problems import Problem, ProblemDocument, respond
+from app.http.problems import Problem, respond
 from app.http.security import ClientDep
 from app.jobs.submission import config_of
 from app.live.keeper import Keeper
@@ -38,9 +39,7 @@ _REFUSED, _GOING_AWAY = 1008, 1001
 
 LiveDep = Annotated[LiveSessions, part_of_app("live")]
 SessionId = Annotated[str, Path(pattern=ID, description="Id of the session.")]
-_ANSWERS: dict[int | str, dict[str, Any]] = {
-    404: {"model": ProblemDocument, "description": "There is no such session."}
-}
+_ANSWERS = problems({404: "There is no such session."})
 
 _log = logging.getLogger(__name__)
 

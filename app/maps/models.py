@@ -47,6 +47,7 @@ class MapModel(BaseModel):
     revision: int = Field(description="How many times it was brought up to date.")
     merged_at: datetime | None = Field(description="When that was; null: it is empty as yet.")
     is_waiting: bool = Field(description="Whether results wait to be merged, or to be compared with OpenStreetMap.")
+    is_at_work: bool = Field(description="Whether a worker merges or compares it now.")
     drives: int = Field(description="Drives on the map.")
     intersections: int
     seen_by_several: int = Field(description="Intersections that were seen in several passes.")

@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal, get_args
 from urllib.parse import urlencode
 
 from fastapi import APIRouter, Path, Query, Request, Response
+from sqlalchemy import select
 
 from app.context import Context, ContextDep
 from app.http.delivery import answer_tagged, deliver
@@ -164,6 +165,19 @@ def judge_finding(
     return _whole(context, map_id, finding)
 
 
+@router.delete("/queue/{finding}/verdict", status_code=204, summary="Take the last verdict back", responses=_NOT_FOUND)
+def take_verdict_back(map_id: MapId, finding: _FindingId, context: ContextDep, _client: ClientDep) -> None:
+    """Take back what was said last of a finding, as after a slip: the verdict before it counts again."""
+    with context.database.writing() as session:
+        find_map(session, map_id)
+        given = select(MapVerdict).where(MapVerdict.map_id == map_id, MapVerdict.finding == finding)
+        last = session.scalar(given.order_by(MapVerdict.at.desc(), MapVerdict.id.desc()).limit(1))
+        if last is None:
+            raise _no_finding(map_id, finding, "judged ")
+        session.delete(last)
+    context.maps_changed.set()
+
+
 @get_and_head(
     router,
     "/queue/{finding}/picture.png",
@@ -205,10 +219,9 @@ def _latest(context: Context, map_id: str) -> dict[str, Judgement]:
         return latest(judgements_of(session, map_id))
 
 
-def _no_finding(map_id: str, finding: str) -> Problem:
-    return Problem(
-        NO_SUCH_FINDING, f"The map {map_id} has no finding {finding!r}. GET /api/v1/maps/{map_id}/queue lists them."
-    )
+def _no_finding(map_id: str, finding: str, kind: str = "") -> Problem:
+    listed = f"GET /api/v1/maps/{map_id}/queue?state=all lists them."
+    return Problem(NO_SUCH_FINDING, f"The map {map_id} has no {kind}finding {finding!r}. {listed}")
 
 
 def _precision(judgements: Any) -> PrecisionModel:  # noqa: ANN401 - an iterable

@@ -154,6 +154,7 @@ def map_model(session: Session, storage: Storage, city: CityMap) -> MapModel:
         revision=city.revision,
         merged_at=None if city.merged_at is None else moment(city.merged_at),
         is_waiting=standing.is_stale or (standing.audit_key is not None and standing.audit_key != city.audited),
+        is_at_work=city.lease_owner is not None,
         drives=summary.get("drives", 0),
         intersections=summary.get("intersections", 0),
         seen_by_several=summary.get("seen_by_several", 0),

@@ -6,6 +6,7 @@ import json
 from collections.abc import Iterable
 from html import escape
 from typing import Any
+from urllib.parse import quote
 
 _PAGE = """<!doctype html>
 <html lang="en">
@@ -14,6 +15,7 @@ _PAGE = """<!doctype html>
 <meta name="viewport" content="width=device-width, initial-scale=1">
 <meta name="color-scheme" content="light dark">
 <title>{title}</title>
+<link rel="icon" href="data:image/svg+xml,{icon}">
 <style>
 body {{ font: 15px/1.5 system-ui, sans-serif; margin: 2rem auto; max-width: 75rem; padding: 0 1rem; }}
 table {{ border-collapse: collapse; display: block; overflow-x: auto; }}
@@ -30,6 +32,12 @@ th, td {{
 </body>
 </html>
 """
+
+_ICON = quote(
+    '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 32 32"><rect width="32" height="32" rx="7" fill="#0b6277"/>'
+    '<path d="M16 3v26M3 11l26 8" stroke="#fff" stroke-width="5"/></svg>'
+)
+"""Within the page: what is sandboxed may not fetch that of the service."""
 
 _NAMES = {
     "http://www.opengis.net/def/rel/ogc/1.0/schema": "schema",
@@ -56,8 +64,8 @@ def page_of(document: dict[str, Any], title: str) -> str:
     elif "properties" in document:
         content.append(_schema(document["properties"]))
     if "links" in document:
-        content += ["<h2>Links</h2>", _list(_described(each) for each in document["links"])]
-    return _PAGE.format(title=escape(document.get("title", title)), content="\n".join(content))
+        content += ["<h2>Links</h2>", _list(map(_described, _for_people(document["links"])))]
+    return _PAGE.format(title=escape(document.get("title", title)), icon=_ICON, content="\n".join(content))
 
 
 def _features(features: list[dict[str, Any]]) -> str:
@@ -94,9 +102,18 @@ def _own(collection: dict[str, Any]) -> str:
     return next(str(link["href"]) for link in collection["links"] if link["rel"] == "self")
 
 
+def _for_people(links: list[dict[str, str]]) -> Iterable[dict[str, str]]:
+    """Yield the links of a document that lead on as pages, and one to the document for programs."""
+    for link in links:
+        if link["rel"] == "self":
+            also = "&" if "?" in link["href"] else "?"
+            yield {**link, "href": f"{link['href']}{also}f=json", "title": "This document, for programs"}
+        elif link["rel"] != "alternate":
+            yield link
+
+
 def _described(link: dict[str, str]) -> str:
-    relation = _NAMES.get(link["rel"], link["rel"])
-    return f"{escape(relation)}: {_anchor(link['href'], link['title'])} ({escape(link['type'])})"
+    return f"{escape(_NAMES.get(link['rel'], link['rel']))}: {_anchor(link['href'], link['title'])}"
 
 
 def _anchor(address: str, text: str) -> str:

@@ -14,11 +14,11 @@ from pydantic import BaseModel
 
 from app.context import ContextDep
 from app.http.delivery import DOCUMENT_POLICY, answer_tagged, service_address
-from app.http.openapi import TAGGED, get_and_head
+from app.http.openapi import TAGGED, Responses, get_and_head, problems
 from app.http.parameters import OF_ITS_DATA, refuse_others
 from app.http.patterns import ID
 from app.http.problem_types import NO_SUCH_COLLECTION, NO_SUCH_FEATURE, NO_SUCH_MAP
-from app.http.problems import Problem, ProblemDocument
+from app.http.problems import Problem
 from app.http.turns import IN_TURN
 from app.ogc.collections import Collection
 from app.ogc.description import describe_interface
@@ -131,7 +131,7 @@ def _one_map(map_id: MapId, request: Request, context: ContextDep) -> _Served:
 _HTML = {"text/html": {"schema": {"type": "string"}}}
 
 
-def _answers(model: type[BaseModel], description: str) -> dict[int | str, dict[str, Any]]:
+def _answers(model: type[BaseModel], description: str) -> Responses:
     return {**TAGGED, 200: {"model": model, "description": description, "content": _HTML, **TAGGED[200]}}
 
 
@@ -229,7 +229,7 @@ _ADDRESSES: tuple[tuple[str, Callable[..., Response], type[BaseModel], str], ...
     (f"{_ONE}/items", _items, OgcFeatures, "Give the features of a layer"),
     (f"{_ONE}/items/{{feature_id}}", _feature, OgcFeature, "Give one feature"),
 )
-_MISSING = {404: {"model": ProblemDocument, "description": "No such collection or feature."}}
+_MISSING = problems({404: "No such collection or feature."})
 
 
 def _add(

@@ -187,7 +187,8 @@ def _typed_first(layer: Layer, features: list[dict[str, Any]]) -> list[int]:
 def _columns(
     layer: Layer, features: list[dict[str, Any]], places: list[int], run: dict[str, Any]
 ) -> tuple[dict[str, float], dict[str, bytes]]:
-    own = [each for each in layer.attributes if each.name not in ORIGIN]  # as they are now: see `RESULT`
+    shared = ORIGIN if issubclass(layer.properties, ResultProperties) else ()  # as they are now: see `RESULT`
+    own = [each for each in layer.attributes if each.name not in shared]
     rows = [{each.name: feature["properties"].get(each.name) for each in own} for feature in features]
     columns = {}
     for each in own:

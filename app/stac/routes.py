@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from fastapi import APIRouter, Request, Response
 from sqlalchemy import select
 
@@ -11,10 +9,10 @@ from app.context import ContextDep
 from app.drives.records import find_drive
 from app.drives.routes.drives import DriveId
 from app.http.delivery import answer_tagged, service_address
-from app.http.openapi import TAGGED, get_and_head, headers_named
+from app.http.openapi import TAGGED, get_and_head, headers_named, problems
 from app.http.paging import newest_first
 from app.http.problem_types import NO_RESULTS
-from app.http.problems import Problem, ProblemDocument
+from app.http.problems import Problem
 from app.jobs.chosen import chosen_results
 from app.results.folder import ResultsDep
 from app.stac import items as stac
@@ -23,10 +21,7 @@ from app.store.models import Drive, Job
 
 router = APIRouter(prefix="/stac", tags=["Exports"])
 
-_PROBLEMS: dict[int | str, dict[str, Any]] = {
-    404: {"model": ProblemDocument, "description": "There is no such drive, or it has no result."},
-    410: {"model": ProblemDocument, "description": "The result is no longer on disk."},
-}
+_PROBLEMS = problems({404: "There is no such drive, or it has no result.", 410: "The result is no longer on disk."})
 
 
 @get_and_head(

@@ -67,6 +67,8 @@ class Drive(Base):
     """What somebody wrote about it."""
     pinned_job: Mapped[str | None]
     """Id of the job that stands for it; None, or one that is gone: see `app.jobs.chosen`."""
+    source: Mapped[str | None] = mapped_column(Text)
+    """Address in object storage that its files are read from; None where they are sent."""
     west: Mapped[float | None]
     """Where it is once it is ready, degrees; None without georeference, and for drives of older versions at first."""
     south: Mapped[float | None]

@@ -39,6 +39,7 @@ class DriveSidecar(BaseModel):
     report: dict[str, Any] | None = None
     deleted_at: float | None = Field(None, gt=0, allow_inf_nan=False)
     pinned_job: str | None = Field(None, max_length=255)
+    source: str | None = None
 
 
 class JobSidecar(BaseModel):

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated
 
 from fastapi import APIRouter, Path, Query, Request, Response
 
 from app.context import ContextDep
 from app.drives.routes import drives
-from app.http.openapi import PAGED
+from app.http.openapi import PAGED, problems
 from app.http.paging import answer_page
-from app.http.problems import ProblemDocument
 from app.http.security import ClientDep
 from app.jobs import routes as jobs
 from app.jobs.models import JobModel
@@ -27,10 +26,7 @@ of_items = APIRouter()
 Kind = Annotated[TrashKind, Path(description="What it is.")]
 Id = Annotated[str, Path(max_length=64, description="Id of the drive or job.")]
 
-NOT_THERE: dict[int | str, dict[str, Any]] = {
-    404: {"model": ProblemDocument, "description": "It is not in the trash."},
-    409: {"model": ProblemDocument, "description": "The drive of the job is in the trash itself."},
-}
+NOT_THERE = problems({404: "It is not in the trash.", 409: "The drive of the job is in the trash itself."})
 
 
 @of_items.delete(
@@ -61,7 +57,7 @@ def delete_drive(
         200: {"description": "It has ended, by this request or earlier."},
         202: {"model": JobModel, "description": "It is being cancelled; it ends within seconds."},
         204: {"description": "The job and its results are in the trash."},
-        409: {"model": ProblemDocument, "description": "It has not ended, so it cannot be removed."},
+        **problems({409: "It has not ended, so it cannot be removed."}),
     },
 )
 def delete_job(

@@ -205,6 +205,7 @@ def _drive_of(sidecar: DriveSidecar | None, id_: str, *, keep_raw: bool) -> Driv
         note=sidecar.note,
         report=report,
         pinned_job=sidecar.pinned_job,
+        source=sidecar.source,
         created_at=sidecar.created_at,
     )
 

@@ -70,6 +70,8 @@ class CommitJob(JobRequest):
     options: UploadOptions = UploadOptions()
     keep_raw: bool = False
     check_only: bool = False
+    source: str | None = None
+    """Where in object storage the files are, where they are not among those of the drive."""
 
 
 class UnpackJob(JobRequest):

@@ -64,8 +64,9 @@ def command(
     Examples:
       interloc batch drives/* -o results --osm region.osm.pbf --map
       interloc batch drives.csv -o results --osm region.osm.pbf --dask tcp://cluster:8786
+      interloc batch s3://bucket/drives -o s3://bucket/results --osm s3://bucket/region.osm.pbf --dask tcp://cluster:8786
     """
-    from interloc.cli.batch_table import PAGE, row_of, write_table
+    from interloc.cli.batch_table import PAGE, TABLE, row_of, write_table
     from interloc.cli.units import Records, remove_records
 
     console.set_up_log(quiet=quiet)
@@ -83,6 +84,7 @@ def command(
     left_out = _merge(units, ended, out) if as_map else []
     rows = [row_of(unit, ended[unit.name], out) for unit in units]
     write_table(rows, out)
+    records.send(CITY, TABLE, PAGE)
     failed = [row for row in rows if row["error"] is not None]
     if as_json:
         console.say_json({"out": str(out), "drives": rows, "failed": len(failed), "not_on_map": left_out})
@@ -145,7 +147,7 @@ def _units(drives: Sequence[str], common: Mapping[str, Any]) -> list[Unit]:
     parameters = {str(param.name): param for param in params if isinstance(param, click.Option)}
     rows: list[dict[str, Any]] = []
     for drive in drives:
-        rows += _listed(Path(drive), parameters) if drive.lower().endswith(".csv") else [{"drive": _place(drive)}]
+        rows += _listed(Path(drive), parameters) if drive.lower().endswith(".csv") else _drives_at(drive)
     names = _names([row["drive"] for row in rows], [row.get("name") for row in rows])
     units = []
     for name, row in zip(names, rows, strict=True):
@@ -191,6 +193,18 @@ def _listed(path: Path, parameters: Mapping[str, click.Option]) -> list[dict[str
     return rows
 
 
+def _drives_at(given: str) -> list[dict[str, Any]]:
+    """Return the rows of a drive, or of all drives below a prefix in object storage."""
+    if "://" not in given:
+        return [{"drive": _place(given)}]
+    from interloc.reduction.elsewhere import find_stored
+
+    _, _, drives = find_stored(given)
+    return [{"drive": "/".join(filter(None, (given.rstrip("/"), drive.root)))} for drive in drives] or [
+        {"drive": given}  # whose reading says what is wrong with it
+    ]
+
+
 def _place(given: str, base: Path = Path()) -> str:
     """Return a path that means the same to workers in other folders."""
     return given if "://" in given else str((base / given).absolute())
@@ -205,7 +219,7 @@ def _written(param: click.Option, value: Any) -> Iterator[str]:
         for each in value if isinstance(value, tuple) else [value]:
             yield from (name, str(each))
     elif isinstance(value, Path) or (isinstance(value, str) and "/" in value and Path(value).exists()):
-        yield from (name, _place(str(value)))
+        yield from (name, _place(console.shown(str(value))))
     else:
         yield from (name, ",".join(map(str, value)) if isinstance(value, tuple) else str(value))
 
@@ -238,6 +252,7 @@ def _merge(units: Sequence[Unit], ended: Mapping[str, Ended], out: Path) -> list
     from interloc.city.folder import write_city
     from interloc.city.passes import Pass
     from interloc.output.read import read_results
+    from interloc.storage import present_below
 
     left_out: list[str] = []
     passes: dict[str, Pass] = {}
@@ -245,7 +260,7 @@ def _merge(units: Sequence[Unit], ended: Mapping[str, Ended], out: Path) -> list
         if ended[unit.name].error is not None:
             continue
         try:
-            one = Pass.of(read_results(out / unit.name))
+            one = Pass.of(read_results(present_below(out / unit.name)))
         except GeoreferenceError as error:
             left_out.append(f"{unit.name}: {error}")
             continue

@@ -27,8 +27,14 @@ def set_up_log(*, quiet: bool) -> None:
 
 class _Formatter(logging.Formatter):
     def format(self, record: logging.LogRecord) -> str:
-        text = super().format(record)
+        text = shown(super().format(record))
         return f"{record.levelname.lower()}: {text}" if record.levelno >= logging.WARNING else text
+
+
+def shown(text: str) -> str:
+    """Return a text that names what lies in object storage by its address, not by where it is laid out here."""
+    storage = sys.modules.get("interloc.storage")
+    return text if storage is None else str(storage.shown(text))
 
 
 def _ignore(_: object) -> None:
@@ -61,10 +67,12 @@ class Bar:
             raise KeyboardInterrupt
         if self._quiet or not sys.stderr.isatty():
             return
-        if self._bar is None:
+        if self._bar is None or self._bar.n == 0 < done:  # what it took until the first tells nothing of the others
             from tqdm import tqdm
 
+            self.close()
             self._bar = tqdm(
+                initial=done,
                 total=total,
                 desc=self._label,
                 unit=self._unit,
@@ -92,17 +100,23 @@ def progress(label: str, unit: str, *, quiet: bool) -> Iterator[Bar]:
         bar.close()
 
 
+def say_on_terminal(text: str) -> None:
+    """Print a line on stderr for somebody who waits; nothing where stderr is a file or another program."""
+    if sys.stderr.isatty():
+        click.echo(text, err=True)
+
+
 def say_facts(facts: Iterable[tuple[str, str]]) -> None:
     """Print names and values in two columns."""
     rows = list(facts)
     width = max((len(name) for name, _ in rows), default=0)
     for name, value in rows:
-        click.echo(f"{name:<{width}}  {value}")
+        click.echo(shown(f"{name:<{width}}  {value}"))
 
 
 def say_json(value: dict[str, Any]) -> None:
     """Print one JSON object."""
-    click.echo(json.dumps(value, indent=2, allow_nan=False))
+    click.echo(shown(json.dumps(value, indent=2, allow_nan=False)))
 
 
 def size(count: int) -> str:

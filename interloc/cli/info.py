@@ -37,7 +37,7 @@ def command(drive: Path, thorough: bool, as_json: bool, **drive_: Any) -> None:
         console.say_facts(_facts(report))
         for problem in report.problems:
             place = f"{problem.path}: " if problem.path else ""
-            click.echo(f"{_MARK[problem.severity]}: {place}{problem.message}")
+            click.echo(console.shown(f"{_MARK[problem.severity]}: {place}{problem.message}"))
         click.echo("This drive can be used." if report.ok else "This drive cannot be used as it is.")
     if not report.ok:
         raise click.exceptions.Exit(1)

@@ -11,7 +11,7 @@ from importlib import import_module
 
 import click
 
-from interloc.cli.console import Interruption
+from interloc.cli.console import Interruption, shown
 from interloc.errors import InterLocError, is_interruption
 from interloc.processes import GARBAGE_THRESHOLD
 
@@ -92,6 +92,7 @@ def run(arguments: list[str] | None = None) -> int:
     """Run the command line and return its exit code: 0, 1 (failed) or 2 (usage)."""
     try:
         code = cli.main(args=arguments, prog_name="interloc", standalone_mode=False)
+        _send_results(code)
     except click.UsageError as error:
         error.show()
         return 2
@@ -115,6 +116,12 @@ def run(arguments: list[str] | None = None) -> int:
     return code if isinstance(code, int) else 0  # click returns what `Exit` asked for
 
 
+def _send_results(code: object) -> None:
+    """Bring what a command that was successful has written for object storage there."""
+    if not code and (storage := sys.modules.get("interloc.storage")) is not None:
+        storage.send_results()
+
+
 def _fault(error: Exception) -> int:
     """Report an unexpected error, or raise it if INTERLOC_DEBUG is set."""
     if is_interruption(error):
@@ -129,5 +136,5 @@ def _fault(error: Exception) -> int:
 
 
 def _fail(message: str, exit_code: int) -> int:
-    click.echo(f"interloc: {message}", err=True)
+    click.echo(f"interloc: {shown(message)}", err=True)
     return exit_code

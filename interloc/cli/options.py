@@ -24,7 +24,23 @@ if TYPE_CHECKING:
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
-PATH = click.Path(path_type=Path)
+
+class _Place(click.Path):
+    """A path; or an address in object storage: then what lies there is laid out here, or -o sent there at the end."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        if not isinstance(value, str) or "://" not in value:
+            return super().convert(value, param, ctx)
+        from interloc import storage
+
+        if param is not None and param.name == "out" and isinstance(param, click.Option):
+            return storage.result_place(value)
+        from interloc.reduction.elsewhere import lay_out
+
+        return lay_out(value)
+
+
+PATH = _Place(path_type=Path)
 DRIVE = click.argument("drive", type=PATH)
 OUT = click.option("-o", "--out", required=True, type=PATH, help="Result folder to write.")
 QUIET = click.option("--quiet", is_flag=True, help="Print warnings and errors only.")
@@ -62,6 +78,12 @@ class Command(click.Command):
         """Return the parameters, each placeholder replaced by the options that it stands for."""
         params = super().get_params(ctx)
         return [each for param in params for each in (param.made() if isinstance(param, _OfModel) else [param])]
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Say on a terminal what is being read: that, and the modules for it, may take some seconds."""
+        if ctx.params.get("drive") and not ctx.params.get("quiet"):
+            console.say_on_terminal(f"reading {ctx.params['drive']}")
+        return super().invoke(ctx)
 
 
 class _OfModel(click.Option):

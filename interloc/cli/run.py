@@ -63,10 +63,11 @@ def command(
             result = scored = detect(source, config, workers=workers, progress=bar)
         if locate and graph is not None:
             result, scored = _place(result, source, graph, policy, tolerance_m, search, folder, quiet=quiet)
-        write_results(result, folder)
+        network = write_results(result, folder)
         if graph is None:
             graph = options.fetch_map(result, quiet=quiet)
-        evaluation = evaluate(scored, graph, policy=policy, tolerance_m=tolerance_m)
+        roads = network if scored is result else None
+        evaluation = evaluate(scored, graph, policy=policy, tolerance_m=tolerance_m, network=roads)
         write_report(evaluation, folder, result=result)
     report = report_record(evaluation)
     if as_json:

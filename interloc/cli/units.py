@@ -7,6 +7,7 @@ may die without the others, or those of a Dask cluster.
 
 from __future__ import annotations
 
+import hashlib
 import io
 import json
 import shutil
@@ -23,6 +24,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from interloc import storage
 from interloc.errors import ConfigError, InterLocError
 from interloc.files import atomic_write
 
@@ -61,7 +63,7 @@ class Unit:
     def identity(self) -> dict[str, Any]:
         """What must be the same for an earlier result to count: the command, and size and time of what it reads."""
         named = {self.drive, *self.arguments}
-        files = {name: _stamps(Path(name)) for name in sorted(named) if not name.startswith("-")}
+        files = {name: _stamps(name) for name in sorted(named) if not name.startswith("-")}
         return {"command": self.command, "arguments": list(self.arguments), "files": files}
 
 
@@ -113,9 +115,10 @@ def work(unit: Unit, out: str | None) -> Ended:
         except click.ClickException as failure:
             error = failure.format_message()
         except InterLocError as failure:
-            error = str(failure)
+            error = storage.shown(str(failure))
         except Exception as failure:  # noqa: BLE001 - the other drives go on, whatever it is
             error = f"a fault of InterLoc itself: {type(failure).__name__}: {failure}"
+    storage.clear()
     warnings = tuple(line.removeprefix("warning: ") for line in notes.getvalue().splitlines() if line)
     return Ended(time.monotonic() - began, error, warnings)
 
@@ -131,11 +134,19 @@ class Records:
                 f"{out} exists and is not the folder of a batch. It was not touched. Give a new or empty folder (-o)."
             )
         self._folder.mkdir(parents=True, exist_ok=True)
+        self._there = storage.take_result(out)
+
+    def send(self, *names: str) -> None:
+        """Bring files and folders of the batch to where it belongs, if that is object storage."""
+        for name in names if self._there is not None else ():
+            assert self._there is not None
+            if (place := self.out / name).exists():
+                storage.send(place, self._there[0], f"{self._there[1]}/{name}")
 
     def done(self, unit: Unit) -> Ended | None:
         """Return how a unit ended that need not be done again."""
         try:
-            record = json.loads((self._folder / f"{unit.name}.json").read_bytes())
+            record = json.loads(storage.present(self._folder / f"{unit.name}.json").read_bytes())
             is_there = (self.out / unit.name / "run.json").is_file() and record["unit"] == unit.identity
             ended = Ended(**{**record["ended"], "warnings": tuple(record["ended"]["warnings"])})
         except (OSError, ValueError, TypeError, KeyError):
@@ -149,6 +160,7 @@ class Records:
             ended = replace(ended, content=None)
         with atomic_write(self._folder / f"{unit.name}.json") as file:
             file.write(json.dumps({"unit": identity, "ended": asdict(ended)}, indent=1).encode())
+        self.send(unit.name, f"{RECORDS}/{unit.name}.json")
         return ended
 
 
@@ -214,12 +226,18 @@ def _outcome(future: Future[Ended]) -> Ended | None:
         return Ended(0.0, f"it was ended for its {error.limit}: {error}. Fewer --workers leave each of them more.")
 
 
-def _stamps(path: Path) -> list[list[Any]]:
-    """Return name, size and time of a file, or of what is directly in a folder."""
+def _stamps(name: str) -> list[list[Any]]:
+    """Return name, size and time of a file, or of what is directly in a folder; of all objects below a prefix."""
+    path = Path(name)
     try:
+        if storage.is_url(name):
+            bucket, key = storage.Bucket.of(name)
+            found = bucket.below(key) or [each for each in [bucket.head(key)] if each is not None]
+            told = "\n".join(f"{each.key} {each.size} {each.etag} {each.modified_s}" for each in found)
+            return [[len(found), hashlib.sha256(told.encode()).hexdigest()]]
         entries = sorted(path.iterdir()) if path.is_dir() else [path]
         return [[entry.name, entry.stat().st_size, entry.stat().st_mtime_ns] for entry in entries]
-    except OSError:
+    except (OSError, InterLocError):
         return []
 
 

@@ -18,14 +18,7 @@ from interloc.drives.georeference.geodetic import check_against_poses
 from interloc.drives.labels import SEMANTICKITTI, LabelJudgement
 from interloc.drives.layouts import SCAN_FOLDERS, not_a_drive, recognise_layout
 from interloc.drives.odometry import how_made, track_file
-from interloc.drives.options import (
-    LABEL_FILES,
-    ODOMETRY,
-    DriveArguments,
-    DriveOptions,
-    LabelFolder,
-    ReadingOptions,
-)
+from interloc.drives.options import LABEL_FILES, ODOMETRY, DriveArguments, DriveOptions, LabelFolder, ReadingOptions
 from interloc.drives.plausibility import RoadSeen, check_motion, check_points
 from interloc.drives.scan_motion import check_scan_motion
 from interloc.drives.scans.deskewed import deskewed, is_to_deskew

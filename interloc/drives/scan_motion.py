@@ -121,9 +121,10 @@ def check_scan_motion(drive: FolderDrive, usable: IntArray, pose_file: str, find
 
     Notes
     -----
-    Pairs some metres apart, spread over the drive and where its motion changes most, are laid onto each other by all turns and
-    shifts at once (`interloc.drives.plans`). On real drives the motion of the poses fits as well as the best one. Where
-    it does not at several places, usual mistakes are tried on the poses, and the one that explains all is named.
+    Pairs some metres apart, spread over the drive and where its motion changes most, are laid onto each other by all
+    turns and shifts at once (`interloc.drives.plans`). On real drives the motion of the poses fits as well as the best
+    one. Where it does not at several places, usual mistakes are tried on the poses, and the one that explains all is
+    named.
     """
     usable = np.asarray(usable, dtype=np.int64)
     if len(usable) < 2:

@@ -30,9 +30,10 @@ from interloc.labelling.doubts import doubts_in_words
 from interloc.osm.graph import RoadGraph
 from interloc.osm.intersections import IntersectionNodes, intersection_nodes
 from interloc.osm.policies import Policy
-from interloc.output.geojson import positions
+from interloc.output.geojson import as_printed
 from interloc.output.roads import roads
 from interloc.results import DetectionTable, DriveResult, IntersectionTable, KeyframeTable
+from interloc.roadmap.network import RoadNetwork
 from interloc.wording import metres
 
 logger = logging.getLogger(__name__)
@@ -67,7 +68,11 @@ class Evaluation:
     warnings : tuple of str
         Reasons to read the figures with care.
     result : DriveResult
-        The run that was scored.
+        The run that was scored, with the positions of its files.
+    given : DriveResult
+        The same as it was given.
+    network : RoadNetwork or None
+        Its roads, where they were made before.
     """
 
     roi_m: float
@@ -83,6 +88,8 @@ class Evaluation:
     track_to_road_m: float
     warnings: tuple[str, ...]
     result: DriveResult
+    given: DriveResult
+    network: RoadNetwork | None = None
 
     @property
     def drive(self) -> str:
@@ -201,7 +208,8 @@ class Evaluation:
     @cached_property
     def roads(self) -> RoadScores | None:
         """The map of the roads against the map; None where no road was seen."""
-        return score_roads(roads(self.result), self.graph, self.nodes.policy)
+        network = roads(self.given) if self.network is None else self.network
+        return score_roads(network, self.graph, self.nodes.policy)
 
     @cached_property
     def with_service(self) -> Evaluation | None:
@@ -216,6 +224,7 @@ class Evaluation:
             relevant_zone_m=self.relevant_zone_m,
             track_to_road_m=self.track_to_road_m,
             warnings=(),
+            given=self.given,
         )
 
     @cached_property
@@ -232,6 +241,7 @@ def evaluate(
     roi_m: float | None = None,
     relevant_zone_m: float | None = None,
     tolerance_m: float = 15.0,
+    network: RoadNetwork | None = None,
 ) -> Evaluation:
     """Score the detections and the fused intersections of a run against the nodes of a road map.
 
@@ -249,6 +259,8 @@ def evaluate(
         Side of the relevant zone, metres; default: S - 2 a_o of the run (40 in the paper).
     tolerance_m
         Radius of the merging under policy `consolidated`, metres.
+    network
+        The roads of the run, as `write_results` returns them; by default they are made when they are asked for.
 
     Raises
     ------
@@ -261,7 +273,7 @@ def evaluate(
     """
     expect(result, DriveResult)
     expect(graph, RoadGraph)
-    result = _as_printed(result)
+    given, result = result, as_printed(result)
     if result.keyframes.lonlat is None or result.detections.lonlat is None or result.intersections.lonlat is None:
         raise GeoreferenceError(
             f"{result.drive}: the run has no georeference, so its detections cannot be compared with OpenStreetMap. "
@@ -279,6 +291,8 @@ def evaluate(
         relevant_zone_m=relevant_zone_m,
         track_to_road_m=track_to_road_m,
         warnings=graph.warnings + warnings,
+        given=given,
+        network=network,
     )
 
 
@@ -291,6 +305,8 @@ def _score(
     relevant_zone_m: float,
     track_to_road_m: float,
     warnings: tuple[str, ...],
+    given: DriveResult,
+    network: RoadNetwork | None = None,
 ) -> Evaluation:
     assert result.detections.lonlat is not None
     assert result.intersections.lonlat is not None
@@ -332,19 +348,9 @@ def _score(
         track_to_road_m=track_to_road_m,
         warnings=warnings,
         result=result,
+        given=given,
+        network=network,
     )
-
-
-def _as_printed(result: DriveResult) -> DriveResult:
-    """Return a run with the positions of its files, so that a run and its result folder get the same report."""
-
-    def printed(table: Any) -> Any:  # noqa: ANN401 - one of three tables
-        if table.lonlat is None:
-            return table
-        return replace(table, lonlat=np.array(positions(table.lonlat, local=False)).reshape(-1, 2))
-
-    tables = ("keyframes", "detections", "intersections")
-    return replace(result, **{name: printed(getattr(result, name)) for name in tables})
 
 
 def _percent(value: float | None) -> str:

@@ -314,8 +314,9 @@ def map_line(level: Mapping[str, Any]) -> str:
     """
     right, scored = level["true"], level["intersections_in_zone"]
     nodes = level["nodes_in_zone"]
+    what = "intersection" if scored == 1 else "intersections"
     parts = [
-        f"{right} of {scored} {'intersection' if scored == 1 else 'intersections'} right within {level['gate_m']:g} m",
+        f"{right} of {scored} {what} right within {level['gate_m']:g} m" if scored else "no intersections",
         f"{nodes - level['missed']} of {nodes} {'node' if nodes == 1 else 'nodes'} found",
     ]
     if level["median_m"] is not None:

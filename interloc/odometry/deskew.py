@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from interloc.arrays import Float32Array, FloatArray
 
@@ -38,11 +37,15 @@ class Velocity:
     @classmethod
     def between(cls, T_before_after: FloatArray, passed: float) -> Velocity:
         """Return the velocity that leads to a pose within some time."""
+        from scipy.spatial.transform import Rotation  # noqa: PLC0415 - slow to import
+
         turned = Rotation.from_matrix(T_before_after[:3, :3]).as_rotvec()
         return cls(T_before_after[:3, 3] / passed, turned / passed)
 
     def after(self, passed: float) -> FloatArray:
         """Return the (4, 4) pose to which it leads within some time."""
+        from scipy.spatial.transform import Rotation  # noqa: PLC0415
+
         pose = np.eye(4)
         pose[:3, :3] = Rotation.from_rotvec(self.angular_radps * passed).as_matrix()
         pose[:3, 3] = self.linear_mps * passed

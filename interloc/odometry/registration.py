@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from interloc.arrays import Float32Array, FloatArray, IntArray
 from interloc.errors import DriveError, install
@@ -206,6 +205,8 @@ class LocalMap:
 
 
 def _registration(found: Any, count: int) -> Registration:  # noqa: ANN401 - small_gicp has no types
+    from scipy.spatial.transform import Rotation  # noqa: PLC0415 - slow to import
+
     pose = np.array(found.T_target_source)
     pose[:3, :3] = Rotation.from_matrix(pose[:3, :3]).as_matrix()  # its errors of rounding would add up
     inliers = max(1, found.num_inliers)

@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from itertools import chain, pairwise
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,7 @@ from interloc.arrays import FloatArray
 from interloc.errors import DamagedResultError
 from interloc.files import atomic_write, reason_of
 from interloc.output.credits import OWN_CREDIT, Credit
+from interloc.results import DriveResult
 
 DEGREE_DECIMALS = 7  # 1 cm, as OpenStreetMap has it
 METRE_DECIMALS = 4
@@ -51,6 +53,18 @@ def positions(xy: FloatArray, *, local: bool) -> list[list[float]]:
         lon[beyond] = np.round((lon[beyond] + 180.0) % 360.0 - 180.0, decimals)
     pairs: list[list[float]] = printed.tolist()
     return pairs
+
+
+def as_printed(result: DriveResult) -> DriveResult:
+    """Return a run with the positions of its files, so that a run and its result folder get the same report."""
+
+    def printed(table: Any) -> Any:  # noqa: ANN401 - one of three tables
+        if table.lonlat is None:
+            return table
+        return replace(table, lonlat=np.array(positions(table.lonlat, local=False)).reshape(-1, 2))
+
+    tables = ("keyframes", "detections", "intersections")
+    return replace(result, **{name: printed(getattr(result, name)) for name in tables})
 
 
 def write_collection(

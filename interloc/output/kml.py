@@ -24,7 +24,6 @@ _SHAPES: dict[Shape, str] = {  # that Google Earth has itself, white
     "square": "square",
     "diamond": "open-diamond",
     "triangle": "triangle",
-    "plus": "cross-hairs",
     "cross": "forbidden",
 }
 _ICON_PX = 64

@@ -28,7 +28,6 @@ _SHAPES = {  # shape -> that of QGIS, and its half size where ours is 1
     "square": ("square", 1.0),
     "diamond": ("diamond", 1.25),
     "triangle": ("triangle", 1.0),
-    "plus": ("cross_fill", 1.0),
     "cross": ("cross2", 0.8),
 }
 _KINDS = {"Point": "marker", "LineString": "line", "Polygon": "fill"}

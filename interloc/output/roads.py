@@ -8,7 +8,8 @@ import numpy as np
 
 from interloc.arrays import FloatArray
 from interloc.errors import expect
-from interloc.output.geojson import positions
+from interloc.mapping.mosaic import Mosaic
+from interloc.output.geojson import as_printed, positions
 from interloc.output.layers import LAYERS
 from interloc.output.road import mosaic_of
 from interloc.results import DriveResult
@@ -18,13 +19,16 @@ if TYPE_CHECKING:
     import shapely  # slow to import
 
 
-def roads(result: DriveResult) -> RoadNetwork:
+def roads(result: DriveResult, mosaic: Mosaic | None = None) -> RoadNetwork:
     """Make the map of the roads that a drive saw: centrelines, widths, junctions and surface.
 
     Parameters
     ----------
     result
-        Of `detect`, or read from a folder, whose `road.tif` is taken. Its intersections become the nodes.
+        Of `detect`, or read from a folder, whose `road.tif` is taken. Its intersections become the nodes, where its
+        files have them: a run and its result folder have the same roads.
+    mosaic
+        That of the run, where it was made before.
 
     Returns
     -------
@@ -39,7 +43,7 @@ def roads(result: DriveResult) -> RoadNetwork:
     from interloc.roadmap.extract import extract_roads  # noqa: PLC0415 - SciPy and Shapely are slow to import
 
     expect(result, DriveResult)
-    return extract_roads(result, mosaic_of(result))
+    return extract_roads(as_printed(result), mosaic_of(result) if mosaic is None else mosaic)
 
 
 def road_features(network: RoadNetwork) -> dict[str, list[dict[str, Any]]]:

@@ -18,7 +18,6 @@ _MARKS = {  # shape -> well-known name, its size where the half size of ours is 
     "square": ("square", 2.0, 0),
     "diamond": ("square", 1.77, 45),  # a square on its tip
     "triangle": ("triangle", 2.0, 0),
-    "plus": ("cross", 2.0, 0),
     "cross": ("x", 1.6, 0),
 }
 

@@ -11,14 +11,14 @@ from typing import Literal
 
 from interloc.output.layers import BUILDINGS, PLACES
 
-Shape = Literal["disc", "square", "diamond", "triangle", "plus", "cross"]
-Glyph = Literal["check", "bang", "gap"]
+Shape = Literal["disc", "square", "diamond", "triangle", "cross"]
+Glyph = Literal["check", "bang", "gap", "fork"]
 Path = tuple[tuple[float, float], ...]
 
 RIGHT, WRONG, PAPER = "#007a59", "#c24f00", "#ffffff"
 TRUE, FALSE = "#0072b2", "#d55e00"
 FOUND, MISSED, OUTSIDE = "#009e73", "#b3478c", "#8a9095"
-FUSED, FUSED_EDGE = "#f0e442", "#1d2327"
+FUSED = "#00568a"
 TRACK, ROAD, MINOR_ROAD, BUILDING, BUILDING_EDGE = "#2b3136", "#b9b5ac", "#dcd9d2", "#e3ddd3", "#cfcbc2"
 ROAD_LINE, SURFACE, SURFACE_EDGE = "#4b3a8f", "#c3c8cc", "#929ca4"
 INK, QUIET_INK = "#1d2327", "#656c71"
@@ -27,16 +27,11 @@ OUTLINES: dict[Shape | Glyph, tuple[Path, ...]] = {
     "cross": (((-0.8, -0.8), (0.8, 0.8)), ((-0.8, 0.8), (0.8, -0.8))),
     "square": (((-1, -1), (1, -1), (1, 1), (-1, 1)),),
     "diamond": (((0, -1.25), (1.25, 0), (0, 1.25), (-1.25, 0)),),
-    "plus": (
-        (
-            *((-0.36, -1), (0.36, -1), (0.36, -0.36), (1, -0.36), (1, 0.36), (0.36, 0.36)),
-            *((0.36, 1), (-0.36, 1), (-0.36, 0.36), (-1, 0.36), (-1, -0.36), (-0.36, -0.36)),
-        ),
-    ),
     "triangle": (((0, -1), (1.15, 1), (-1.15, 1)),),
     "check": (((-0.5, 0), (-0.15, 0.38), (0.5, -0.38)),),
     "bang": (((0, -0.4), (0, 0.32)), ((0, 0.68), (0, 0.7))),
     "gap": (((-0.5, 0), (0.5, 0)),),
+    "fork": (((0, 0.55), (0, 0), (-0.46, -0.4)), ((0, 0), (0.46, -0.4))),
 }
 """Shapes that are not round, at half size 1, y down; cross and glyphs are open lines."""
 
@@ -160,7 +155,7 @@ STYLES = {
         (
             Rule("right", "Right", Mark("disc", RIGHT, 7, width_px=1.6, edge=PAPER, glyph="check")),
             Rule("wrong", "Wrong", Mark("triangle", WRONG, 8, width_px=1.6, edge=PAPER, glyph="bang")),
-            Rule("unscored", "Not scored", Mark("plus", FUSED, 7, width_px=1.2, edge=FUSED_EDGE)),
+            Rule("unscored", "Not scored", Mark("disc", FUSED, 7, width_px=1.6, edge=PAPER, glyph="fork")),
         ),
         field="outcome",
         label=Label("id", 5_000),
@@ -187,7 +182,7 @@ STYLES = {
         field="is_driven",
         label=Label("width_m", 3_000, QUIET_INK, 7.0),
     ),
-    "junctions": _single("Junctions", Area(FUSED, 0.22, FUSED_EDGE, 0.5)),
+    "junctions": _single("Junctions", Area(FUSED, 0.22, FUSED, 0.5)),
     "road_surface": _single("Road surface", Area(SURFACE, 0.6, SURFACE_EDGE, 0.5)),
     "osm_nodes": Style(
         "OSM intersections",
@@ -217,8 +212,8 @@ STYLES = {
     ),
     BUILDINGS: _single("OSM buildings", Area(BUILDING, 0.7, BUILDING_EDGE, 0.5)),
     PLACES: _single("Places that fit", Line(TRACK, 1.4, 0.4), is_shown=False),
-    "branches": _single("Branches", Line(FUSED, 2.0, casing=FUSED_EDGE)),
-    "uncertainty": _single("Uncertainty, 95 %", Area(FUSED, 0.28, FUSED_EDGE)),
+    "branches": _single("Branches", Line(FUSED, 2.0, casing=PAPER)),
+    "uncertainty": _single("Uncertainty, 95 %", Area(FUSED, 0.22, FUSED)),
 }
 """Layer -> how it is drawn."""
 

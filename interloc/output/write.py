@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -30,14 +30,15 @@ from interloc.output.layout import (
 )
 from interloc.output.properties import origin_of
 from interloc.output.road import mosaic_of, write_road
-from interloc.output.roads import road_features
+from interloc.output.roads import road_features, roads
 from interloc.output.uids import place_uids
 from interloc.results import DriveResult, PositionParts, Verdicts
+from interloc.roadmap.network import RoadNetwork
 
 TRAJECTORY_STEP_M = 0.5
 
 
-def write_results(result: DriveResult, folder: str | os.PathLike[str]) -> None:
+def write_results(result: DriveResult, folder: str | os.PathLike[str]) -> RoadNetwork:
     """Write the files of a run into a folder.
 
     Parameters
@@ -48,6 +49,11 @@ def write_results(result: DriveResult, folder: str | os.PathLike[str]) -> None:
         Is created where it is missing. Files of an older run in it are replaced one by one, and those of its
         evaluation are removed: they are of another result. All else stays. Write into an
         `interloc.files.atomic_folder` for all or nothing.
+
+    Returns
+    -------
+    RoadNetwork
+        The map of the roads, which was made for its files.
 
     Raises
     ------
@@ -75,7 +81,14 @@ def write_results(result: DriveResult, folder: str | os.PathLike[str]) -> None:
     origin = origin_of(result.run, result.drive)
     for table, features_of in TABLE_FEATURES.items():
         write_collection(folder / names[table], features_of(result), local=local, origin=origin)
-    rasters = _write_roads(result, folder, names, origin)
+    mosaic = mosaic_of(result)
+    network = roads(result, mosaic)
+    for layer, features in road_features(network).items():
+        write_collection(folder / names[layer], features, local=local, origin=origin)
+    rasters = []
+    if mosaic.raster.tiles:
+        write_road(mosaic, folder / ROAD_FILE)
+        rasters = [ROAD_FILE]
     times = [each for each in result.keyframes.moments if each is not None]
     first, last = (times[0], times[-1]) if times else (None, None)
     files = [*names.values(), *rasters, RUN_FILE]
@@ -84,6 +97,7 @@ def write_results(result: DriveResult, folder: str | os.PathLike[str]) -> None:
     run = dict(zip(RUN_KEYS, own, strict=True)) | {k: v for k, v in facts.items() if k not in RUN_KEYS}
     with atomic_write(folder / RUN_FILE) as handle:
         handle.write(encode(run, indent=2).encode() + b"\n")
+    return network
 
 
 def _remove_evaluation(folder: Path, *, is_placed: bool) -> None:
@@ -95,21 +109,6 @@ def _remove_evaluation(folder: Path, *, is_placed: bool) -> None:
         (folder / name).unlink(missing_ok=True)
     if (folder / FIGURES).is_dir():
         shutil.rmtree(folder / FIGURES)
-
-
-def _write_roads(
-    result: DriveResult, folder: Path, names: Mapping[str, str], origin: Mapping[str, str | None]
-) -> list[str]:
-    """Write the map of the roads, and its raster where any road was seen; return the names of rasters."""
-    from interloc.roadmap.extract import extract_roads  # noqa: PLC0415 - SciPy and Shapely are slow to import
-
-    mosaic = mosaic_of(result)
-    for layer, features in road_features(extract_roads(result, mosaic)).items():
-        write_collection(folder / names[layer], features, local=not result.is_georeferenced, origin=origin)
-    if not mosaic.raster.tiles:
-        return []
-    write_road(mosaic, folder / ROAD_FILE)
-    return [ROAD_FILE]
 
 
 def _coordinates(world_xy: FloatArray, lonlat: FloatArray | None) -> list[list[float]]:

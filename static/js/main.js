@@ -9,6 +9,7 @@
  *   api  controls
  *   messages  data  shortcuts
  *   map  job
+ *   city
  *   bev  drives  exports  report  upload
  *   shell
  *   main
@@ -24,6 +25,7 @@ import { setState } from "./state.js";
 
 const PANELS = {
   drives: { title: "Drives", load: () => import("./drives/panel.js") },
+  map: { title: "Map", load: () => import("./city/panel.js") },
   upload: { title: "Upload", load: () => import("./upload/panel.js") },
   job: { title: "Job", load: () => import("./job/panel.js") },
   report: { title: "Report", load: () => import("./report/panel.js") },

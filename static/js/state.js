@@ -5,7 +5,7 @@
 
 /**
  * @typedef {object} State
- * @property {string} panel drives, upload, job, report, compare, export; an address that names none shows that of its job.
+ * @property {string} panel drives, map, upload, job, report, compare, export; an address that names none shows that of its job.
  * @property {string|null} drive Id of the drive that is shown.
  * @property {string|null} job Id of the job that is shown.
  * @property {number|null} frame Scan number of the keyframe that is shown.
@@ -18,6 +18,9 @@
  * @property {number|null} node OSM id of the node that is chosen; it belongs to the job too.
  * @property {string|null} live Id of the live session that is watched, in the place of a job.
  * @property {string|null} filter Which intersections of the job are looked at, see map/filter.js.
+ * @property {string|null} map Id of the map of many drives; null for that of the server.
+ * @property {string|null} finding Id of the finding of that map that is looked at.
+ * @property {string|null} places Which intersections of that map are shown, see map/city_filter.js.
  */
 
 /** @type {State} */
@@ -35,6 +38,9 @@ const initial = {
   node: null,
   filter: null,
   live: null,
+  map: null,
+  finding: null,
+  places: null,
 };
 
 /** @type {State} */
@@ -61,6 +67,7 @@ export function setState(patch) {
     ...(isOther && { intersection: null, node: null, filter: null, service: false }),
     ...(leaves && { compare: null }), // they are of one drive
     ...((patch.job || patch.drive) && { live: null }),
+    ...(patch.map !== undefined && patch.map !== before.map && { finding: null, places: null }),
     ...patch,
   };
   const changed = Object.keys(next).filter(
@@ -68,7 +75,7 @@ export function setState(patch) {
   );
   if (!changed.length) return;
   state = next;
-  writeHash(changed.some((key) => ["panel", "job", "drive", "live"].includes(key)));
+  writeHash(changed.some((key) => ["panel", "job", "drive", "live", "map"].includes(key)));
   for (const { keys, call } of [...listeners]) {
     if (!keys || keys.some((key) => changed.includes(key))) call(state, before);
   }
@@ -140,6 +147,9 @@ function parse(hash) {
     node: integer("node"),
     filter: fields.get("filter") || null,
     live: fields.get("live") || null,
+    map: fields.get("map") || null,
+    finding: fields.get("finding") || null,
+    places: fields.get("places") || null,
   };
 }
 

@@ -189,6 +189,7 @@ def test_progress_is_shown_on_a_terminal_only(
         f"sys.exit(first or run({[*detect, str(tmp_path / 'b'), '--quiet']}))"
     )
     shown, quiet = stderr_on_terminal([sys.executable, "-c", both], environment).split("DONE")
+    assert shown.startswith(f"reading {short_drive}")  # before the modules that take a second are imported
     assert "detect" in shown
     assert "keyframe" in shown
     assert not quiet.strip()

@@ -67,7 +67,7 @@ def test_shapes_and_other_colours_are_those_of_the_page() -> None:
         lines = [[float(each) for each in line.split()] for line in drawn[shape].split(",")]
         assert [[value for point in path for value in point] for path in paths] == lines, shape
     colours = page_colours()
-    for name in ("RIGHT", "WRONG", "FOUND", "MISSED", "OUTSIDE", "FUSED", "FUSED_EDGE", "TRACK", "BUILDING", "INK"):
+    for name in ("RIGHT", "WRONG", "FOUND", "MISSED", "OUTSIDE", "FUSED", "TRACK", "BUILDING", "INK"):
         assert getattr(styles, name) == colours[f"--{name.lower().replace('_', '-')}"]
     assert (colours["--tp"], colours["--fp"]) == (styles.TRUE, styles.FALSE)
 

@@ -81,7 +81,20 @@ def see_start(page: Any, done: Done) -> None:
     page.wait_for_selector("article.drive")
 
 
+def see_city(page: Any, done: Done) -> None:
+    page.evaluate("location.hash = 'panel=map'")
+    page.wait_for_selector("#panel-map .figure")
+    page.locator(".stage-note", has_text="intersections").wait_for()
+    page.locator("#panel-map summary").first.click()
+
+
+def see_city_dialog(page: Any, done: Done) -> None:
+    page.get_by_role("button", name="Drives…").click()
+    page.locator("dialog[open] li").first.wait_for()
+
+
 def see_upload(page: Any, done: Done) -> None:
+    page.keyboard.press("Escape")
     page.evaluate("location.hash = 'panel=upload'")
     page.wait_for_selector(".drop")
     page.locator("#panel-upload summary").first.click()
@@ -165,6 +178,8 @@ def see_unscored(page: Any, done: Done) -> None:
 
 WALK = [
     see_start,
+    see_city,
+    see_city_dialog,
     see_upload,
     see_form,
     see_drive,

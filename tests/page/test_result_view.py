@@ -287,24 +287,6 @@ def test_a_job_can_be_watched_from_its_start_to_the_map(browser: Browser, done: 
     assert "paper" in page.inner_text("#panel-job")
 
 
-def test_the_start_shows_all_drives_on_one_map(browser: Browser, done: Done) -> None:
-    page = browser.new_page()
-    page.goto(done.server.address)
-    note = page.locator(".stage-note")
-    note.get_by_text(re.compile("to choose from")).wait_for()
-    assert re.match(r"\d+ drives?\s", note.inner_text())
-    assert re.search(r"\d+ drives? without georeference in the list", note.inner_text())
-    box = page.locator("#map").bounding_box()
-    x, y = box["x"] + 56 + (box["width"] - 96) / 2, box["y"] + (box["height"] + note.bounding_box()["height"]) / 2
-    page.mouse.move(x, y, steps=3)
-    drives = done.server.client.get(f"{API}/drives").json()["drives"]  # of other tests too: all lie on the same street
-    page.locator(".tip", has_text=re.compile("|".join(re.escape(drive["name"]) for drive in drives))).wait_for()
-    page.mouse.click(x, y)
-    page.wait_for_url(re.compile("drive=.*job="))
-    page.locator(".legend:visible").wait_for()
-    assert not note.is_visible()
-
-
 def test_errors_are_told_in_the_words_of_the_server(browser: Browser, done: Done, watch: Watch) -> None:
     page = browser.new_page()
     watch.expect("404 .*jobs/0123456789abcdef")

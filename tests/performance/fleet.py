@@ -10,6 +10,8 @@ import json
 import os
 import random
 import socket
+import subprocess
+import sys
 import tempfile
 import threading
 import time
@@ -21,6 +23,7 @@ from pathlib import Path
 from typing import Any
 
 import httpx
+import psutil
 from sqlalchemy import select
 
 from app.context import Context
@@ -71,17 +74,72 @@ class Ledger:
             self.jobs.pop(job, None)
 
 
+class Cluster:
+    """A Dask scheduler and two workers with their nannies; what dies is started again, as a supervisor would."""
+
+    def __init__(self, folder: Path) -> None:
+        folder.mkdir(parents=True, exist_ok=True)
+        port = _free_port()
+        self.address = f"tcp://127.0.0.1:{port}"
+        scheduler = ["scheduler", "--host", "127.0.0.1", "--port", str(port), "--no-dashboard"]
+        worker = ["worker", self.address, "--nthreads", "1", "--no-dashboard", "--death-timeout", "10"]
+        self._commands = {"scheduler": scheduler, "worker1": worker, "worker2": worker}
+        self._folder = folder
+        self._processes = {name: self._start(name) for name in self._commands}
+        self._stopping = threading.Event()
+        self._thread = threading.Thread(target=self._supervise)
+        self._thread.start()
+
+    def scheduler(self) -> psutil.Process:
+        return psutil.Process(self._processes["scheduler"].pid)
+
+    def workers(self) -> list[psutil.Process]:
+        """Nannies and the workers below them."""
+        nannies = [process.pid for name, process in self._processes.items() if name != "scheduler"]
+        found = []
+        for pid in nannies:
+            with suppress(psutil.NoSuchProcess):
+                nanny = psutil.Process(pid)
+                found += [nanny, *nanny.children(recursive=True)]
+        return found
+
+    def close(self) -> None:
+        self._stopping.set()
+        self._thread.join()
+        for process in [*self.workers(), self.scheduler()]:
+            with suppress(psutil.NoSuchProcess):
+                process.kill()
+        for started in self._processes.values():
+            started.wait()
+
+    def _start(self, name: str) -> subprocess.Popen[bytes]:
+        with (self._folder / f"{name}.log").open("ab") as log:
+            command = [sys.executable, "-m", "dask", *self._commands[name]]
+            return subprocess.Popen(command, stdout=log, stderr=log, cwd=self._folder)
+
+    def _supervise(self) -> None:
+        while not self._stopping.wait(0.2):
+            for name, process in self._processes.items():
+                if process.poll() is not None:
+                    self._processes[name] = self._start(name)
+
+
 class Fleet:
     """Servers on one data folder, each on a port of its own that it keeps."""
 
-    def __init__(self, folder: Path, database_url: str | None, count: int = SERVERS) -> None:
+    def __init__(
+        self, folder: Path, database_url: str | None, count: int = SERVERS, cluster: Cluster | None = None
+    ) -> None:
         folder.mkdir(parents=True, exist_ok=True)
+        self.cluster = cluster
         self.data = folder / "data"
         self.database_url = database_url
         self._folder = folder
         self._options: dict[str, Any] = {"workers": 1, "lease_s": LEASE_S, "max_attempts": 20, "min_free_bytes": 0}
         if database_url is not None:
             self._options["database_url"] = database_url
+        if cluster is not None:
+            self._options["dask"] = cluster.address
         self._ports = [_free_port() for _ in range(count)]
         self.servers: list[ServerProcess] = []
         self.servers = [self._start(number) for number in range(count)]

@@ -1,13 +1,14 @@
 """What the service survives: `make torture`.
 
-Real servers on this machine, on SQLite and on PostgreSQL, and clients that upload drives (file by file, as archives, by
-`interloc push`), commit them, have them worked on, delete them, take them out of the trash, and make backups. Three
-scenarios, each with a table at its end:
+Real servers on this machine, on SQLite, on PostgreSQL, and on PostgreSQL with a Dask cluster, and clients that upload
+drives (file by file, as archives, by `interloc push`), commit them, have them worked on, delete them, take them out of
+the trash, and make backups. Three scenarios, each with a table at its end:
 
-- kills: `kill -9` of servers, workers, clients and backups, and of the database (SQLite: locked by somebody else;
-  PostgreSQL: connections cut, or one of its processes killed), at random moments. Every file and job that was
-  acknowledged is in a ledger. After each kill: how long until every job goes on; `interloc check` finds nothing,
-  nothing in the ledger is lost, no job is there twice, and results are, byte by byte, those of an undisturbed run.
+- kills: `kill -9` of servers, workers, clients and backups, of the scheduler of Dask, and of the database (SQLite:
+  locked by somebody else; PostgreSQL: connections cut, or one of its processes killed), at random moments. Every file
+  and job that was acknowledged is in a ledger. After each kill: how long until every job goes on; `interloc check`
+  finds nothing, nothing in the ledger is lost, no job is there twice, and results are, byte by byte, those of an
+  undisturbed run.
 - ways: the natural ways in which a database and a data folder part. Nothing may be deleted.
 - backups: made under load, each restored, on the other kind of database too, checked and compared with the ledger.
 
@@ -46,10 +47,11 @@ from tests import forks
 from tests.app.postgres import new_database
 from tests.app.processes import ServerProcess, files_below, kill_if_there, wait_until
 from tests.app.street import write_street
-from tests.performance.fleet import Backups, Client, Fleet, Ledger, clients, sha256, undisturbed
+from tests.performance.fleet import Backups, Client, Cluster, Fleet, Ledger, clients, sha256, undisturbed
 
 SCANS = 40
 PAUSE_S = 3.0  # between two kills, on average: long enough for work to get on, short enough to meet every moment of it
+KINDS = ("sqlite", "postgresql", "dask")  # of which the last has its rows in PostgreSQL
 MENDED_S = 30.0  # time for a server, or the next backup, to remove what one that was killed has left
 
 
@@ -94,14 +96,16 @@ class Killer:
             "client": self._kill_client,
             "backup": self._kill_backup,
             "database": self._kill_database,
+            "scheduler": self._kill_scheduler,
         }
+        self._weights = [4, 3, 2, 1, 2, 0 if fleet.cluster is None else 1]
         self.recovered_s: dict[str, list[float]] = defaultdict(list)
 
     def kill_one(self) -> str:
         """Kill something, and wait until all goes on; returns what it was."""
         while True:
             time.sleep(min(self._rng.expovariate(1 / PAUSE_S), 5 * PAUSE_S))
-            (target,) = self._rng.choices(list(self._targets), weights=[4, 3, 2, 1, 2])
+            (target,) = self._rng.choices(list(self._targets), weights=self._weights)
             held, began = self._leases(), time.monotonic()
             if self._targets[target]():
                 break
@@ -118,9 +122,16 @@ class Killer:
 
     def _kill_worker(self) -> bool:
         workers = [worker for server in self._fleet.servers for worker in server.workers()]
+        if self._fleet.cluster is not None:
+            workers = self._fleet.cluster.workers()
         if workers:
             kill_if_there(self._rng.choice(workers))
         return bool(workers)
+
+    def _kill_scheduler(self) -> bool:
+        assert self._fleet.cluster is not None
+        self._fleet.cluster.scheduler().kill()
+        return True
 
     def _kill_client(self) -> bool:
         pushes = [client.process for client in self._living if client.process and client.process.poll() is None]
@@ -183,12 +194,15 @@ Rows = Iterator[tuple[str, str]]
 
 def measure_kills(folder: Path, street: Path, reference: dict[str, str], options: argparse.Namespace) -> Rows:
     """Kill, and see what is left."""
-    for kind in ("sqlite", "postgresql"):
-        ledger, kills = Ledger(), options.kills // 2
-        end = time.monotonic() + 60 * options.minutes / 2
+    for kind in options.on:
+        ledger, kills = Ledger(), options.kills // len(options.on)
+        end = time.monotonic() + 60 * options.minutes / len(options.on)
         with ExitStack() as stack:
             url = None if kind == "sqlite" else stack.enter_context(new_database())
-            fleet = Fleet(folder / kind, url)
+            cluster = Cluster(folder / "cluster") if kind == "dask" else None
+            if cluster is not None:
+                stack.callback(cluster.close)
+            fleet = Fleet(folder / kind, url, cluster=cluster)
             stack.callback(fleet.close)
             backups = Backups(fleet, folder / kind / "backup", ledger)
             with clients(fleet, ledger, street, reference, f"{options.seed}-{kind}") as living:
@@ -337,7 +351,8 @@ SCENARIOS = {"ways": measure_ways, "backups": measure_backups, "kills": measure_
 def main(say: Callable[[str], object] = print) -> None:
     """Torture, and print a table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--kills", type=int, default=500, help="half of them on SQLite, half on PostgreSQL")
+    parser.add_argument("--kills", type=int, default=500, help="as many on each kind of service")
+    parser.add_argument("--on", nargs="+", choices=KINDS, default=list(KINDS), help="kinds of service")
     parser.add_argument("--backups", type=int, default=20)
     parser.add_argument("--minutes", type=float, default=180.0, help="after which no further kill begins")
     parser.add_argument("--seed", default=f"{random.SystemRandom().getrandbits(32):x}")

@@ -221,11 +221,11 @@ def test_a_name_that_is_file_and_folder_is_a_problem() -> None:
 
 @pytest.mark.parametrize(("form", "compression"), [
     ("bag", None), ("bag", (Writer1.CompressionFormat.LZ4,)),
-    ("mcap", None), ("mcap", (CompressionMode.STORAGE, CompressionFormat.ZSTD)),
+    ("mcap", None), ("mcap", (CompressionMode.STORAGE, CompressionFormat.ZSTD)), ("db3", None),
 ])  # fmt: skip
 def test_a_bag_is_looked_into_by_ranges_of_its_bytes(form: str, compression: Any, tmp_path: Path) -> None:
-    scans = [np.ones((40, 4), np.float32)] * 3
-    labels = [np.full(40, 40, np.uint32)] * 3
+    scans = [np.ones((4000, 4), np.float32)] * 3
+    labels = [np.full(4000, 40, np.uint32)] * 3
     full, bare = tmp_path / "full", tmp_path / "bare"
     for folder in (full, bare):
         folder.mkdir()
@@ -260,7 +260,12 @@ def test_a_bag_is_looked_into_by_ranges_of_its_bytes(form: str, compression: Any
 
 
 def test_a_damaged_bag_is_left_to_the_check(tmp_path: Path) -> None:
-    for content in (b"#ROSBAG V2.0\n" + bytes(9000), b"\x89MCAP0\r\n" + bytes(9000), bytes(9000)):
+    for content in (
+        b"#ROSBAG V2.0\n" + bytes(9000),
+        b"\x89MCAP0\r\n" + bytes(9000),
+        b"SQLite format 3\0" + bytes(9000),
+        bytes(9000),
+    ):
         found = look_into({"a.bag": len(content)}, {}, "a", ranges={"a.bag": {0: content}}).drive
         assert found is not None
         assert (found.wanted_ranges, found.carries_labels) == ({}, None)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from fastapi import APIRouter, Response
 from fastapi.concurrency import run_in_threadpool
 
@@ -15,8 +13,7 @@ from app.drives.records import find_trajectory
 from app.drives.routes.drives import NOT_FOUND, DriveId
 from app.http.delivery import WholeFile
 from app.http.headers import WaitSeconds
-from app.http.openapi import CHANGES_NOTHING
-from app.http.problems import ProblemDocument
+from app.http.openapi import CHANGES_NOTHING, problems
 from app.http.security import ClientDep
 from app.jobs.runner import RunnerDep
 from app.jobs.watcher import wait_for_job
@@ -24,9 +21,7 @@ from app.states import DriveState
 
 router = APIRouter(prefix="/drives/{drive_id}", tags=["Uploads"])
 
-_CONFLICT: dict[int | str, dict[str, Any]] = {
-    409: {"model": ProblemDocument, "description": "The drive is not in the state for this."}
-}
+_CONFLICT = problems({409: "The drive is not in the state for this."})
 
 
 @router.post("/plan", responses=NOT_FOUND, summary="Plan the upload of a reduced drive", openapi_extra=CHANGES_NOTHING)
@@ -46,11 +41,9 @@ async def plan_reduction(
         202: {"model": DriveModel, "description": "The check goes on; ask for the drive again."},
         **NOT_FOUND,
         **_CONFLICT,
-        422: {
-            "model": ProblemDocument,
-            "description": "The drive has errors: `problems` lists all, `report` has the details.",
-        },
-        507: {"model": ProblemDocument, "description": "The disk is full."},
+        **problems(
+            {422: "The drive has errors: `problems` lists all, `report` has the details.", 507: "The disk is full."}
+        ),
     },
     summary="Commit a drive",
 )
@@ -87,8 +80,7 @@ async def commit_drive(
         206: {"content": {"application/geo+json": {}}, "description": "The range that was asked for."},
         **NOT_FOUND,
         **_CONFLICT,
-        410: {"model": ProblemDocument, "description": "The trajectory is no longer on disk."},
-        416: {"model": ProblemDocument, "description": "There is no such range."},
+        **problems({410: "The trajectory is no longer on disk.", 416: "There is no such range."}),
     },
     summary="Show the trajectory of a drive",
 )

@@ -2,34 +2,36 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated
 
 from fastapi import APIRouter, Path, Query, Request, Response
+from fastapi.concurrency import run_in_threadpool
 from sqlalchemy.orm import Session
 
 from app.context import Context, ContextDep
 from app.drives import records
-from app.drives.look import look_at
 from app.drives.models import DriveChanges, DriveList, DriveModel, LabelsAnswer, LabelsRequest, LookRequest, NewDrive
 from app.drives.plan import judge_label_counts
+from app.drives.work.look import look
 from app.http.delivery import answer_tagged, require_unchanged, tag_of
 from app.http.headers import IdempotencyKey, IfMatch
-from app.http.openapi import CHANGED, CHANGES_NOTHING, PAGED, TAGGED, get_and_head, headers_named
+from app.http.openapi import CHANGED, CHANGES_NOTHING, PAGED, TAGGED, get_and_head, headers_named, problems
 from app.http.paging import After, answer_page, has_part, lies_in, made_between
 from app.http.parameters import BoxFilter, CreatedAfter, CreatedBefore, NamePart
 from app.http.patterns import ID
-from app.http.problems import ProblemDocument
 from app.http.security import ClientDep
 from app.jobs.runner import RunnerDep
 from app.states import DriveState
 from app.store import sidecars
 from app.store.models import Drive
+from app.work.documents import UploadOptions
+from app.work.task import WorkSettings
 from interloc.reduction.look import FolderLook
 
 router = APIRouter(prefix="/drives", tags=["Drives"])
 
 DriveId = Annotated[str, Path(description="Id of the drive, from POST /api/v1/drives.", pattern=ID)]
-NOT_FOUND: dict[int | str, dict[str, Any]] = {404: {"model": ProblemDocument, "description": "There is no such drive."}}
+NOT_FOUND = problems({404: "There is no such drive."})
 
 
 @router.post(
@@ -43,7 +45,7 @@ NOT_FOUND: dict[int | str, dict[str, Any]] = {404: {"model": ProblemDocument, "d
             "headers": headers_named("Location"),
         },
         201: {"headers": headers_named("Location")},
-        422: {"model": ProblemDocument, "description": "A member is refused, or the key was used for another request."},
+        **problems({422: "A member is refused, or the key was used for another request."}),
     },
 )
 def create_drive(
@@ -93,10 +95,7 @@ def judge_labels(request: LabelsRequest, _client: ClientDep) -> LabelsAnswer:
 @router.post(
     "/look",
     summary="Look into a folder before it is sent",
-    responses={
-        413: {"model": ProblemDocument, "description": "The listing is too large."},
-        422: {"model": ProblemDocument, "description": "A member is refused, or the work takes too long."},
-    },
+    responses=problems({413: "The listing is too large.", 422: "A member is refused, or the work takes too long."}),
 )
 async def look_into_folder(
     request: LookRequest, context: ContextDep, runner: RunnerDep, client: ClientDep
@@ -106,7 +105,19 @@ async def look_into_folder(
     Nothing is made or kept. The folder is judged by the names and sizes of its files and by the contents of the small
     ones; give those that `wanted` names, and ask again, to learn all.
     """
-    return await look_at(context, runner, request, client)
+    return await runner.run_in_worker(
+        look,
+        request.files,
+        request.contents,
+        request.name,
+        request.root,
+        UploadOptions.model_validate(dict(request.options)),
+        request.keyframes,
+        request.ranges,
+        WorkSettings.model_validate(context.settings),
+        await run_in_threadpool(context.storage.incoming),
+        client=client,
+    )
 
 
 @get_and_head(

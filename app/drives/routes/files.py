@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated
 
 from fastapi import APIRouter, Path, Query, Request, Response
 from fastapi.concurrency import run_in_threadpool
@@ -16,10 +16,9 @@ from app.http.delivery import WholeFile
 from app.http.headers import sha256_of
 from app.http.intake import PIECE_BYTES, Intake, receive
 from app.http.limits import Booking, check_free_space, declared_length
-from app.http.openapi import PAGED
+from app.http.openapi import PAGED, Responses, problems
 from app.http.paging import answer_page
 from app.http.patterns import TEXT
-from app.http.problems import ProblemDocument
 from app.http.security import ClientDep
 from app.paths import MAX_PATH, PATH_PATTERN, check_path, is_recording
 
@@ -34,22 +33,19 @@ FilePath = Annotated[
     ),
 ]
 
-NOT_FOUND: dict[int | str, dict[str, Any]] = {
-    404: {"model": ProblemDocument, "description": "There is no such drive or file."}
-}
-CLOSED: dict[int | str, dict[str, Any]] = {
-    409: {
-        "model": ProblemDocument,
-        "description": "The drive takes no such files in its state, or names are in conflict.",
-    }
-}
-UPLOAD: dict[int | str, dict[str, Any]] = {
-    400: {"model": ProblemDocument, "description": "The body ended too soon, or is only a part of a file."},
+NOT_FOUND = problems({404: "There is no such drive or file."})
+CLOSED = problems({409: "The drive takes no such files in its state, or names are in conflict."})
+UPLOAD: Responses = {
+    **problems({400: "The body ended too soon, or is only a part of a file."}),
     **NOT_FOUND,
     **CLOSED,
-    413: {"model": ProblemDocument, "description": "The file is too large, or the drive would become too large."},
-    415: {"model": ProblemDocument, "description": "The body is compressed, or of a kind that is not taken."},
-    507: {"model": ProblemDocument, "description": "The disk is full."},
+    **problems(
+        {
+            413: "The file is too large, or the drive would become too large.",
+            415: "The body is compressed, or of a kind that is not taken.",
+            507: "The disk is full.",
+        }
+    ),
 }
 
 
@@ -135,8 +131,7 @@ async def put_file(
         200: {"content": {"application/octet-stream": {}}, "description": "The bytes."},
         206: {"content": {"application/octet-stream": {}}, "description": "The range that was asked for."},
         **NOT_FOUND,
-        410: {"model": ProblemDocument, "description": "It was reduced to what the method needs."},
-        416: {"model": ProblemDocument, "description": "There is no such range."},
+        **problems({410: "It was reduced to what the method needs.", 416: "There is no such range."}),
     },
     summary="Download a file",
 )

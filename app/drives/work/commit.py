@@ -10,7 +10,7 @@ import json
 import os
 import shutil
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
@@ -19,10 +19,10 @@ from pathlib import Path
 import numpy as np
 
 from app.networks import work as models
-from app.paths import without_folder
+from app.paths import is_recording, without_folder
 from app.work.documents import CommitJob, CommitOutcome, UploadOptions
 from app.work.places import REDUCED, TRAJECTORY, link
-from app.work.task import Part, Plan, Report, Task
+from app.work.task import Part, Plan, Report, Task, WorkSettings
 from interloc.config import DEFAULT
 from interloc.drives.findings import DriveFileError, Finding, Findings, by_severity
 from interloc.drives.formats import find_format
@@ -31,12 +31,14 @@ from interloc.drives.open import DriveReading, open_drive, read_drive
 from interloc.drives.options import ODOMETRY, DriveArguments, DriveOptions, LabelFolder
 from interloc.drives.scans.reduced import read_ground
 from interloc.drives.scans.reduced_format import MANIFEST, ground_path, is_reduced, read_manifest
-from interloc.errors import InterLocError
+from interloc.errors import DriveError, InterLocError, OutputError
 from interloc.mapping.georeferencing import trajectory
 from interloc.osm.container import is_map
 from interloc.output.geojson import write_collection
 from interloc.output.write import trajectory_feature
+from interloc.reduction.elsewhere import READ_BY_PARTS, lay_out
 from interloc.reduction.reduce import Reduction, label_folders_in, prepare_reduction, reduction_of
+from interloc.storage import folder_name, forget
 
 PART_SCANS = 200
 PART_LABELLED_SCANS = 20
@@ -46,6 +48,7 @@ MAX_PROBLEMS = 500
 """Maximum number of problems in a report: some of 9,000 bad scans are enough."""
 
 _PROBLEMS = "problems.json"
+_MB = 1024**2
 _MAX_NAMES_SHOWN = 3
 
 
@@ -58,8 +61,8 @@ class CommitPlan(Plan):
 
 def prepare(task: Task[CommitJob]) -> CommitPlan:
     """Check the files as `interloc info` does; cut the scans into parts if they are valid."""
-    files = task.drive / "files"
-    files.mkdir(parents=True, exist_ok=True)
+    (task.drive / "files").mkdir(parents=True, exist_ok=True)
+    files = _files(task)
     report = check(task)
     if not report.ok or task.request.check_only:
         return CommitPlan([], 0, report)
@@ -86,7 +89,7 @@ def run(task: Task[CommitJob], part: Part, report: Report) -> None:
     folder = task.scratch / f"part-{part.number}-{task.attempt}"
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
-    do = _scan_check(task) if is_reduced(task.drive / "files") else _scan_reduction(task, folder)
+    do = _scan_check(task) if is_reduced(_files(task)) else _scan_reduction(task, folder)
     frames = _frames(task)[part.start : part.stop]
     problems: list[list[str]] = []
     began = time.monotonic()
@@ -98,6 +101,8 @@ def run(task: Task[CommitJob], part: Part, report: Report) -> None:
                 problems.append([error.path, error.message])
             else:
                 raise
+        if task.request.source is not None:
+            _make_room(task, frame)
         report(done)
     if (model := _model(task)) is not None and frames:
         models.note_time(task.cache, model, (time.monotonic() - began) / len(frames))
@@ -122,8 +127,8 @@ def finish(task: Task[CommitJob], plan: CommitPlan) -> CommitOutcome:
     shutil.rmtree(task.result, ignore_errors=True)
     reduced = task.result / REDUCED
     reduced.mkdir(parents=True)
-    if is_reduced(task.drive / "files"):
-        _take_over(task.drive / "files", reduced)
+    if is_reduced(_files(task)):
+        _take_over(_files(task), reduced)
     else:
         reduction = _reduction(task)
         for labels in reduction.scans:
@@ -146,9 +151,50 @@ def finish(task: Task[CommitJob], plan: CommitPlan) -> CommitOutcome:
     )
 
 
+def _files(task: Task[CommitJob]) -> Path:
+    """Return the folder of the files: as they were sent, or as they are laid out of object storage."""
+    source = task.request.source
+    return task.drive / "files" if source is None else _laid_out(source, task.scratch, task.settings)
+
+
+@lru_cache(maxsize=2)
+def _laid_out(source: str, scratch: Path, settings: WorkSettings) -> Path:
+    """Lay out a drive of object storage in the scratch folder, once for all attempts of the job."""
+
+    def check_sizes(sizes: Mapping[str, int]) -> None:
+        total = sum(sizes.values())
+        for name, size in sizes.items():
+            limit = settings.max_recording_bytes if is_recording(name) else settings.max_file_bytes
+            if size > limit:
+                raise DriveError(f"{source}: {name} is larger than {limit / _MB:,.0f} MB, the limit of a file.")
+        if total > settings.max_drive_bytes:
+            raise DriveError(f"{source} is larger than {settings.max_drive_bytes / _MB:,.0f} MB, the limit of a drive.")
+        at_once = sum(size for name, size in sizes.items() if not name.endswith(READ_BY_PARTS))
+        if shutil.disk_usage(scratch).free - at_once < settings.min_free_bytes:
+            raise OutputError("the disk of the service is full. Nothing was read.")
+
+    place = lay_out(
+        source,
+        scratch / folder_name("source"),
+        within=settings.source_prefixes,
+        limit=settings.max_drive_files,
+        check_sizes=check_sizes,
+    )
+    return place if place.is_dir() else place.parent
+
+
+def _make_room(task: Task[CommitJob], frame: int) -> None:
+    """Give up a scan that was fetched and is reduced; stop where the disk is too full for more."""
+    if not is_reduced(_files(task)):
+        for scans in _reduction(task).scans.values():
+            forget(scans.files(frame))
+    if shutil.disk_usage(task.scratch).free < task.settings.min_free_bytes:
+        raise OutputError("the disk of the service is full. What was reduced so far is kept until the job ends.")
+
+
 def check(task: Task[CommitJob]) -> DriveReport:
     """Check a drive by all of its label folders; return one report with the problems of all."""
-    root = task.drive / "files"
+    root = _files(task)
     readings, findings = _read_once(root, _options(task), task.job_id)
     report = report_of(root, _options(task), next(iter(readings.values())), findings)
     problems = report.problems
@@ -160,7 +206,7 @@ def check(task: Task[CommitJob]) -> DriveReport:
 
 def _unknown_files(task: Task[CommitJob], problems: list[Finding]) -> list[Finding]:
     """Return a note on files that are not kept because nothing reads them."""
-    root = task.drive / "files"
+    root = _files(task)
     if task.request.keep_raw or any(problem.severity == "error" for problem in problems):
         return []
     try:
@@ -177,7 +223,7 @@ def _unknown_files(task: Task[CommitJob], problems: list[Finding]) -> list[Findi
 
 
 def _known_files(task: Task[CommitJob]) -> set[str]:
-    root = task.drive / "files"
+    root = _files(task)
     if not is_reduced(root):
         return set(_reduction(task).plan.copies.sources)
     return {path.relative_to(root).as_posix() for path in _small_files(root)}
@@ -197,7 +243,7 @@ def _tidied(problems: list[Finding], root: Path, name: str) -> list[Finding]:
 
 def _with_errors(report: DriveReport, problems: list[Finding], task: Task[CommitJob]) -> DriveReport:
     every = list(dict.fromkeys([*problems, *report.problems]))
-    return report.model_copy(update={"problems": _tidied(every, task.drive / "files", task.drive_name)})
+    return report.model_copy(update={"problems": _tidied(every, _files(task), task.drive_name)})
 
 
 def _problems_of(error: InterLocError) -> list[Finding]:
@@ -220,19 +266,19 @@ def reading_options(options: UploadOptions, root: Path, name: str, model: Path |
 
 
 def _options(task: Task[CommitJob]) -> DriveOptions:
-    return reading_options(task.request.options, task.drive / "files", task.drive_name, _model(task))
+    return reading_options(task.request.options, _files(task), task.drive_name, _model(task))
 
 
 def _model(task: Task[CommitJob]) -> Path | None:
     name = task.request.options.model
-    if name is None or is_reduced(task.drive / "files"):
+    if name is None or is_reduced(_files(task)):
         return None
     return models.find(task.settings.models, name)
 
 
 def _frames(task: Task[CommitJob]) -> list[int]:
     """Return the numbers of the scans that are to be reduced, or are reduced already."""
-    root = task.drive / "files"
+    root = _files(task)
     if is_reduced(root):
         return [int(frame) for frame in read_manifest(root).kept_frames]
     return [int(frame) for frame in _reduction(task).plan.frames_to_send]
@@ -254,7 +300,7 @@ def _read_once(
 
 
 def _reduction(task: Task[CommitJob]) -> Reduction:
-    return _reduction_once(task.drive / "files", _options(task), task.job_id)
+    return _reduction_once(_files(task), _options(task), task.job_id)
 
 
 @lru_cache(maxsize=2)
@@ -276,7 +322,7 @@ def _scan_reduction(task: Task[CommitJob], folder: Path) -> Callable[[int], None
 
 
 def _scan_check(task: Task[CommitJob]) -> Callable[[int], None]:
-    root = task.drive / "files"
+    root = _files(task)
     manifest = read_manifest(root)
 
     def check_scan(frame: int) -> None:

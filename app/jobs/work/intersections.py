@@ -30,6 +30,7 @@ from interloc.output.layout import result_folder
 from interloc.output.write import write_results
 from interloc.pipeline import RangeResult, assemble, detect_range
 from interloc.results import DriveResult
+from interloc.roadmap.network import RoadNetwork
 
 _RANGE = 240
 """Keyframes per part with images of `_CELLS` cells per side: one or two seconds of work, 5 % of it for the halo."""
@@ -92,10 +93,10 @@ def finish(task: Task[IntersectionsJob], plan: Plan) -> IntersectionsOutcome:
     with result_folder(task.result) as folder:
         if graph is not None and task.request.georeference == "map":
             result, scored = _place(task, drive, result, graph, folder)
-        write_results(result, folder)
+        network = write_results(result, folder)
         if graph is not None:
             progress.report_stage("evaluating")
-            scores = _evaluate(task.request, result, scored, graph, folder)
+            scores = _evaluate(task.request, result, scored, graph, network, folder)
         progress.check()
     return IntersectionsOutcome(
         keyframes=len(result.keyframes),
@@ -226,12 +227,23 @@ def _place(
 
 
 def _evaluate(
-    request: IntersectionsJob, result: DriveResult, scored: DriveResult, graph: RoadGraph, folder: Path
+    request: IntersectionsJob,
+    result: DriveResult,
+    scored: DriveResult,
+    graph: RoadGraph,
+    network: RoadNetwork,
+    folder: Path,
 ) -> MapScores:
     from interloc.evaluation.evaluate import evaluate  # noqa: PLC0415 - slow to import, needed once per job
     from interloc.evaluation.report import report_record, write_report  # noqa: PLC0415
 
-    evaluation = evaluate(scored, graph, policy=request.policy, tolerance_m=request.tolerance_m)
+    evaluation = evaluate(
+        scored,
+        graph,
+        policy=request.policy,
+        tolerance_m=request.tolerance_m,
+        network=network if scored is result else None,
+    )
     write_report(evaluation, folder, result=result)
     report = report_record(evaluation)
     at_5 = {f"{name}_at_5": report[name]["5.0"] for name in ("precision", "recall", "f1")}

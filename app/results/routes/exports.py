@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Literal, NamedTuple
 from xml.sax.saxutils import escape
 
 from fastapi import APIRouter, Query, Request, Response
 from fastapi.concurrency import run_in_threadpool
 
 from app.http.delivery import MEDIA_TYPES, answer_tagged, deliver, service_address
-from app.http.openapi import get_and_head
+from app.http.openapi import get_and_head, problems
 from app.http.problem_types import FORMAT_NOT_INSTALLED
-from app.http.problems import Problem, ProblemDocument
+from app.http.problems import Problem
 from app.results.folder import Results, ResultsDep
 from app.results.on_demand import OnDemand, OnDemandDep
-from app.results.routes.results import PROBLEMS, JobId, answers
+from app.results.routes.results import WORKED_OUT, JobId, answers
 from app.results.work import LIVE, export_path
 from interloc.errors import install
 from interloc.output.geoparquet import has_parquet
@@ -51,15 +51,7 @@ _CONTENT = {
     ".geojson": {"type": "object"},
 }
 
-_PROBLEMS: dict[int | str, dict[str, Any]] = {
-    **PROBLEMS,
-    503: {"model": ProblemDocument, "description": "The worker processes died of this request."},
-    507: {"model": ProblemDocument, "description": "The disk of the service is full."},
-}
-
-_MAY_BE_MISSING: dict[int | str, dict[str, Any]] = {
-    501: {"model": ProblemDocument, "description": "The service lacks the package that writes this format."}
-}
+_MAY_BE_MISSING = problems({501: "The service lacks the package that writes this format."})
 
 
 class _Export(NamedTuple):
@@ -146,7 +138,7 @@ def _add_export(suffix: str) -> None:
         response_class=Response,
         responses={
             **answers(MEDIA_TYPES[suffix], content, "The file."),
-            **_PROBLEMS,
+            **WORKED_OUT,
             **(_MAY_BE_MISSING if suffix == ".parquet" else {}),
         },
     )({"one": export_layer, "all": export_all, "any": export_any}[FORMATS[suffix].layers])
@@ -162,7 +154,7 @@ for _suffix in _EXPORTS:
     summary="Download a project of QGIS that reads the layers from here",
     operation_id="export_qgs",
     response_class=Response,
-    responses={**answers(MEDIA_TYPES[".qgs"], {"type": "string"}, "The file."), **_PROBLEMS},
+    responses={**answers(MEDIA_TYPES[".qgs"], {"type": "string"}, "The file."), **WORKED_OUT},
 )
 async def export_live_project(job_id: JobId, request: Request, results: ResultsDep, on_demand: OnDemandDep) -> Response:
     """Give the project of `export.qgz` without the data: QGIS reads the layers from the service (OGC API - Features).

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from fastapi import APIRouter, Path, Query, Request, Response
 from fastapi.concurrency import run_in_threadpool
 from pydantic import BaseModel, ConfigDict, Field
 
 from app.http.delivery import deliver
-from app.http.openapi import get_and_head
-from app.http.problems import ProblemDocument
+from app.http.openapi import Responses, get_and_head, problems
 from app.results.folder import Results, ResultsDep
 from app.results.on_demand import OnDemand, OnDemandDep
 from app.results.routes.results import PROBLEMS, JobId, answers
@@ -75,10 +74,7 @@ class KeyframeView(BaseModel):
     detections: list[KeyframeDetection]
 
 
-_PROBLEMS: dict[int | str, dict[str, Any]] = {
-    **PROBLEMS,
-    503: {"model": ProblemDocument, "description": "Too many pictures are being drawn; try again in a moment."},
-}
+_PROBLEMS: Responses = {**PROBLEMS, **problems({503: "Too many pictures are being drawn; try again in a moment."})}
 
 
 async def _deliver(

@@ -13,10 +13,9 @@ from zipstream import ZIP_DEFLATED, ZIP_STORED, ZipStream
 
 from app.http.delivery import REVALIDATE, answer_tagged, deliver, media_type_of, not_modified
 from app.http.headers import prefers_html
-from app.http.openapi import get_and_head, headers_named
+from app.http.openapi import Responses, get_and_head, headers_named, problems
 from app.http.parameters import BoxFilter
 from app.http.patterns import ID
-from app.http.problems import ProblemDocument
 from app.http.turns import TurnsDep
 from app.jobs.runner import RunnerDep
 from app.results.folder import Result, ResultsDep
@@ -30,14 +29,22 @@ from interloc.output.qml import qml
 
 JobId = Annotated[str, Path(description="Id of a successful job of kind intersections.", pattern=ID)]
 
-PROBLEMS: dict[int | str, dict[str, Any]] = {
-    404: {"model": ProblemDocument, "description": "No such job; or its result has no such part, and why."},
-    409: {"model": ProblemDocument, "description": "The job is not successful (yet)."},
-    410: {"model": ProblemDocument, "description": "The result is no longer on disk."},
+PROBLEMS = problems(
+    {
+        404: "No such job; or its result has no such part, and why.",
+        409: "The job is not successful (yet).",
+        410: "The result is no longer on disk.",
+    }
+)
+WORKED_OUT: Responses = {
+    **PROBLEMS,
+    **problems({503: "The worker processes died of this request.", 507: "The disk of the service is full."}),
 }
+"""Problems where workers make what is asked for."""
+
 _PACKED = frozenset({".png", ".gz", ".zip"})  # they would not become smaller in an archive
 
-_CACHED: dict[int | str, dict[str, Any]] = {
+_CACHED: Responses = {
     206: {
         "description": "The range that was asked for.",
         "headers": headers_named("Content-Range", "ETag", "Last-Modified"),
@@ -46,13 +53,13 @@ _CACHED: dict[int | str, dict[str, Any]] = {
         "description": "The client has the current version (If-None-Match, If-Modified-Since).",
         "headers": headers_named("ETag"),
     },
-    416: {"model": ProblemDocument, "description": "There is no such range."},
+    **problems({416: "There is no such range."}),
 }
 
 _FILE_HEADERS = headers_named("ETag", "Last-Modified", "Content-Disposition", "Accept-Ranges")
 
 
-def answers(media_type: str, schema: dict[str, Any], description: str) -> dict[int | str, dict[str, Any]]:
+def answers(media_type: str, schema: dict[str, Any], description: str) -> Responses:
     """Describe the answers of an address that gives a file."""
     content = {media_type: {"schema": schema}}
     return {200: {"description": description, "content": content, "headers": _FILE_HEADERS}, **_CACHED, **PROBLEMS}

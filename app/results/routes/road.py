@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated
 
 from fastapi import APIRouter, Request, Response
 from fastapi.concurrency import run_in_threadpool
@@ -10,10 +10,9 @@ from pydantic import BaseModel, Field
 
 from app.http.delivery import MEDIA_TYPES, deliver
 from app.http.openapi import get_and_head
-from app.http.problems import ProblemDocument
 from app.results.folder import Results, ResultsDep
 from app.results.on_demand import OnDemand, OnDemandDep
-from app.results.routes.results import PROBLEMS, JobId, answers
+from app.results.routes.results import WORKED_OUT, JobId, answers
 from app.results.work import ROAD_PICTURE, VIEW
 from interloc.output.road import MAX_PICTURE_PX
 
@@ -41,13 +40,6 @@ class RoadView(BaseModel):
     crs: str | None = Field(description="Of the GeoTIFF; null in metres of W.", examples=["EPSG:32632"])
 
 
-_PROBLEMS: dict[int | str, dict[str, Any]] = {
-    **PROBLEMS,
-    503: {"model": ProblemDocument, "description": "The worker processes died of this request."},
-    507: {"model": ProblemDocument, "description": "The disk of the service is full."},
-}
-
-
 @get_and_head(
     router,
     "/jobs/{job_id}/road.tif",
@@ -73,7 +65,7 @@ def read_road_raster(job_id: JobId, request: Request, results: ResultsDep) -> Re
     summary="The road seen by LiDAR, as a picture for a map",
     operation_id="read_road_picture",
     response_class=Response,
-    responses={**answers("image/png", {"type": "string", "format": "binary"}, "The picture."), **_PROBLEMS},
+    responses={**answers("image/png", {"type": "string", "format": "binary"}, "The picture."), **WORKED_OUT},
 )
 async def read_road_picture(job_id: JobId, request: Request, results: ResultsDep, on_demand: OnDemandDep) -> Response:
     """Give a picture in Web Mercator, or in W without georeference; transparent where no road was seen.
@@ -89,7 +81,7 @@ async def read_road_picture(job_id: JobId, request: Request, results: ResultsDep
     summary="Where the picture of the road lies",
     operation_id="read_road_view",
     response_model=RoadView,
-    responses=_PROBLEMS,
+    responses=WORKED_OUT,
 )
 async def read_road_view(job_id: JobId, request: Request, results: ResultsDep, on_demand: OnDemandDep) -> Response:
     """Give the bounds of the picture, and the size of the cells."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import median_filter
+from numpy.lib.stride_tricks import sliding_window_view
 
 from interloc.arrays import FloatArray, IntArray
 
@@ -158,7 +158,8 @@ def jumps(positions: FloatArray, times_s: FloatArray) -> IntArray:
     if len(times_s) < 3:
         return np.empty(0, np.int64)
     steps, passed_s = np.linalg.norm(np.diff(positions, axis=0), axis=1), np.diff(times_s)
-    usual_mps = median_filter(steps / np.maximum(passed_s, 1e-3), size=_AROUND, mode="nearest")
+    speeds_mps = np.pad(steps / np.maximum(passed_s, 1e-3), _AROUND // 2, mode="edge")
+    usual_mps = np.median(sliding_window_view(speeds_mps, _AROUND), axis=1)
     allowed_m = usual_mps * passed_s + _JUMP_M + _ACCELERATION_MPS2 * passed_s**2
     found = np.flatnonzero((steps > allowed_m) & (passed_s < _LONGEST_S)).astype(np.int64)
     return found if len(found) <= max(2, _RARELY * len(steps)) else found[:0]

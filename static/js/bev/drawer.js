@@ -132,7 +132,13 @@ export function mountDrawer(drawer) {
     const detections = result.byFrame.get(frame ?? -1) ?? [];
     const count = `${row + 1} of ${result.keyframes.length}, ${plural(detections.length, "detection")}`;
     const area = `Pictures of ${formatMetres(result.roi_m, 0)} around the vehicle`;
-    fill(note, `${count}. ${area}, in the middle; x of the drive’s frame to the right.`);
+    fill(
+      note,
+      `${count}. ${area}, in the middle; ${result.local ? "x of the drive’s frame to the right" : "north up"}.`,
+    );
+    const turn = result.frame.worldAngle(result.keyframes[row]);
+    const size = 1 / (Math.abs(Math.cos(turn)) + Math.abs(Math.sin(turn))); // its corners stay within
+    document.documentElement.style.setProperty("--turned", `rotate(${-turn}rad) scale(${size})`);
     fill(seen, detectionTable(detections));
     for (const { image } of figures) image.classList.add("waiting");
     timer = setTimeout(() => void load(), PAUSE_MS);

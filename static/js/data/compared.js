@@ -5,7 +5,7 @@
 import { distanceM } from "./frame.js";
 
 /** @typedef {import("./results.js").Place} Place */
-/** @typedef {Place & {found: boolean[]}} Compared `found`: by which of the jobs, in their order. */
+/** @typedef {Place & {found: boolean[], outcomes: (string|null)[]}} Compared By which of the jobs it was found, in their order, and with which verdict. */
 
 const GATE_M = 10; // as of the score of the map: farther apart they are two
 
@@ -34,9 +34,12 @@ export function matchIntersections(sets, local) {
       if (matched.has(k) || all[i].found[job]) continue;
       matched.add(k);
       all[i].found[job] = true;
+      all[i].outcomes[job] = places[k].properties.outcome ?? null;
     }
     places.forEach((place, k) => {
-      if (!matched.has(k)) all.push({ ...place, found: sets.map((_, each) => each === job) });
+      if (matched.has(k)) return;
+      const found = sets.map((_, each) => each === job);
+      all.push({ ...place, found, outcomes: found.map((isIt) => (isIt && place.properties.outcome) || null) });
     });
   });
   return all;

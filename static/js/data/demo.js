@@ -8,12 +8,14 @@ import { refreshLists, rememberDrive, rememberJob } from "./lists.js";
 
 const POLL_MS = 1500;
 
-/** @type {{isRunning: boolean, error: unknown, text: string}} */
-export const demo = {
-  isRunning: false,
-  error: null,
-  text: "The server drives through a small made-up town. This takes about a minute the first time, longer on a busy machine.",
-};
+/** @type {{isRunning: boolean, error: unknown, drive: string|null, fraction: number|null}} `fraction`: how much is made. */
+export const demo = { isRunning: false, error: null, drive: null, fraction: null };
+
+/** @returns {string} */
+export function demoText() {
+  const part = demo.fraction === null ? "" : ` ${Math.floor(100 * demo.fraction)} % of it is done.`;
+  return `The server drives through a small made-up town: about a minute, longer on a busy machine.${part}`;
+}
 
 /** @type {Set<() => void>} */
 const listeners = new Set();
@@ -26,7 +28,7 @@ export function onDemoChange(call) {
 /** Make the demo drive on the server, run it, show the job. */
 export async function tryDemo() {
   if (demo.isRunning) return;
-  change({ isRunning: true, error: null });
+  change({ isRunning: true, error: null, drive: null, fraction: null });
   try {
     await run();
     change({ isRunning: false });
@@ -42,10 +44,13 @@ function change(news) {
 }
 
 async function run() {
-  let drive = await sendJson("POST", "demo");
+  let drive = await sendJson("POST", "demo", undefined, { headers: { Prefer: "respond-async" } });
   rememberDrive(drive);
+  change({ drive: drive.id });
   while (drive.state !== "ready") {
     await sleep(POLL_MS);
+    const { jobs } = await getJson(`jobs?kind=demo&drive=${drive.id}`);
+    change({ fraction: jobs[0]?.progress.fraction ?? null });
     drive = await getJson(`drives/${drive.id}`);
   }
   await refreshLists();

@@ -3,8 +3,9 @@
  * @module drives/panel
  */
 import { getJson, sendJson } from "../api.js";
+import { mapsOfDrive } from "../city/dialogs.js";
 import { iconButton } from "../controls.js";
-import { demo, onDemoChange, tryDemo } from "../data/demo.js";
+import { demo, demoText, onDemoChange, tryDemo } from "../data/demo.js";
 import { lists, onListsChange, refreshLists, rememberDrive, titleOf } from "../data/lists.js";
 import { el, fill, formatAgo, formatBytes, formatCount, formatMetres, icon, plural } from "../dom.js";
 import { isEditing, naming } from "../job/naming.js";
@@ -46,26 +47,16 @@ export function mount(container) {
   });
   const status = el("p", { class: "small", role: "status" });
   const find = el("div", { class: "stack-s", hidden: true }, search, status);
-  fill(
-    container,
-    el(
-      "div",
-      { class: "stack" },
-      el("div", { class: "row" }, upload, button),
-      trouble,
-      liveSection(),
-      find,
-      body,
-      trashSection(),
-    ),
-  );
+  const buttons = el("div", { class: "row" }, upload, button);
+  fill(container, el("div", { class: "stack" }, buttons, trouble, liveSection(), find, body, trashSection()));
 
   const showDemo = () => {
     button.disabled = demo.isRunning;
     if (demo.error !== null) fill(trouble, problemNote(demo.error));
-    else if (demo.isRunning)
-      fill(trouble, el("div", { class: "note" }, el("strong", {}, "Preparing the demo"), demo.text));
-    else fill(trouble);
+    else if (demo.isRunning) {
+      const bar = el("progress", { max: 1, value: demo.fraction, "aria-label": "Progress of the demo" });
+      fill(trouble, el("div", { class: "note stack-s" }, el("strong", {}, "Preparing the demo"), demoText(), bar));
+    } else fill(trouble);
   };
   onDemoChange(showDemo);
   showDemo();
@@ -80,6 +71,7 @@ export function mount(container) {
     /** @type {Map<string, any[]>} */
     const jobs = new Map(cards.map(({ id }) => [id, []]));
     for (const job of lists.jobs) jobs.get(job.drive_id)?.push(job);
+    buttons.hidden = !lists.drives.length; // the map has them then
     find.hidden = lists.drives.length <= FEW && !search.value;
     const all = `${lists.isCut ? "the newest " : ""}${plural(lists.drives.length, "drive")}`;
     fill(status, search.value.trim() || lists.isCut ? `${formatCount(found.length)} of ${all}` : "");
@@ -116,8 +108,8 @@ const labelOf = (button) => button?.getAttribute("aria-label") ?? button?.textCo
 
 function emptyNote() {
   const text =
-    "A drive is LiDAR scans with poses, and with a label for every point or a network that makes them: SemanticKITTI, " +
-    "KITTI raw, KITTI-360, PCD files, ROS bags, LAS. The demo shows what comes out.";
+    "A drive is the scans of a LiDAR along a road: SemanticKITTI, KITTI raw, KITTI-360, PCD files, a ROS bag or LAS. " +
+    "Poses, labels and GNSS in it are used; what is missing is made from the points. The demo shows what comes out.";
   return el("div", { class: "empty quiet" }, el("h3", {}, "No drive yet"), el("p", {}, text));
 }
 
@@ -137,9 +129,11 @@ function driveCard(drive, jobs) {
   const report = drive.report ?? reports.get(drive.id) ?? null;
   const facts = [];
   if (report?.scans) facts.push(plural(report.scans, "scan"));
-  else if (drive.files) facts.push(plural(drive.files, "file"));
+  else if (drive.files && drive.state !== "ready") facts.push(plural(drive.files, "file"));
   if (report?.length_m) facts.push(formatMetres(report.length_m, 0));
-  facts.push(formatBytes(drive.stored_bytes || drive.size_bytes), formatAgo(drive.created_at));
+  const bytes = drive.stored_bytes || drive.size_bytes;
+  if (bytes) facts.push(formatBytes(bytes));
+  facts.push(formatAgo(drive.created_at));
   if (drive.owner !== ANYONE) facts.push(`by ${drive.owner}`);
   const place = report?.georeference ? `Georeference: ${report.georeference}` : "No georeference: local metres only";
   const network = report?.label_folder?.startsWith("network ") ? report.label_folder : null;
@@ -174,6 +168,8 @@ function driveCard(drive, jobs) {
       {},
       text,
       drive.state === "ready" && iconButton("run", `Run ${drive.name}`, run, "Run it with other settings"),
+      drive.state === "ready" &&
+        iconButton("layers", `Maps of ${drive.name}`, () => mapsOfDrive(drive).catch(showError), "Put it into maps"),
       rename,
       iconButton("trash", `Delete ${drive.name}`, () => removeDrive(drive).catch(showError), "Delete the drive"),
     ),
@@ -202,7 +198,11 @@ function jobRow(job, isOneOf) {
     isDone && el("span", { class: "small both" }, outcomeOf(job)),
     isOneOf &&
       standing(job) &&
-      el("span", { class: "small both stands" }, STANDS[/** @type {"best"} */ (standing(job))]),
+      el(
+        "span",
+        { class: "small both stands", title: "By intersections right and nodes found together: F1" },
+        STANDS[/** @type {"best"} */ (standing(job))],
+      ),
   );
   return el("li", {}, button);
 }

@@ -93,6 +93,16 @@ function ring(className) {
 /** What is open now, and what a move of the map leads to: the newest counts. @type {Hit|null} */
 let chosen = null;
 
+/** @returns {boolean} Whether details are open: the map stays where they are read. */
+export const hasDetails = () => chosen !== null;
+
+/** @returns {number|null} The keyframe of what is chosen: that in the middle of those that saw an intersection. */
+export function chosenFrame() {
+  const { result } = shown;
+  const { kind, item } = chosen ?? {};
+  return result && kind === "intersection" ? frameOf(item.properties, result) : (item?.properties.frame ?? null);
+}
+
 /**
  * Show all that is known of a thing.
  * @param {Hit} hit
@@ -189,7 +199,7 @@ function contentOf(hit, result) {
 /** @param {Hit} hit @param {import("../data/results.js").Result} result */
 function actionsOf({ kind, item }, result) {
   const { properties: p } = item;
-  const frame = kind === "detection" ? p.frame : kind === "intersection" ? frameOf(p, result) : null;
+  const frame = chosenFrame();
   if (kind === "road") return [];
   const inReport = () => setState({ panel: "report" });
   return [

@@ -105,7 +105,7 @@ export function factsOf({ kind, item }, result) {
       ["Detections", String(p.observations)],
       ["Seen in scans", `${p.first_frame} to ${p.last_frame}`],
       ...branchesOf(p, local),
-      p.uid && ["Name of the place", p.uid],
+      p.uid && ["Identifier", p.uid],
     ],
     node: () => [
       ["OSM node", osmLink(p.osm_id, result)],
@@ -150,7 +150,7 @@ export function factsOf({ kind, item }, result) {
  * @param {boolean} local
  * @returns {Array<[string, any]|false>}
  */
-function branchesOf({ branch_count, branch_bearings_deg, branch_widths_m = [] }, local) {
+export function branchesOf({ branch_count, branch_bearings_deg, branch_widths_m = [] }, local) {
   const names = ["N", "NE", "E", "SE", "S", "SW", "W", "NW"];
   const branches = branch_bearings_deg
     .map((/** @type {number} */ bearing, /** @type {number} */ k) => ({ bearing, width: branch_widths_m[k] ?? null }))

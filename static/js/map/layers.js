@@ -66,9 +66,9 @@ export const LAYERS = [
   layer(
     "zone",
     "Keyframe",
-    "Seen area, zone",
+    "Seen area, zone in it",
     "line roi",
-    "Region of interest (S) and relevant zone of the chosen keyframe.",
+    "Dashed: what the chosen keyframe sees (S). Solid: the relevant zone, in which intersections count.",
   ),
 ];
 

@@ -114,7 +114,7 @@ export class LiveScene extends Scene {
     super.paint(context, view);
     context.beginPath();
     for (const { x, y } of this.candidates) trace(context, "ring", view.x(x), view.y(y), CANDIDATE_PX);
-    context.strokeStyle = colour("--fused-edge");
+    context.strokeStyle = colour("--fused");
     context.lineWidth = 2;
     context.setLineDash([3, 2]);
     context.stroke();

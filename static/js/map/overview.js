@@ -6,7 +6,7 @@ import { el, plural } from "../dom.js";
 import { Tooltip } from "../leaflet.js";
 import { setState } from "../state.js";
 import { View } from "./surface.js";
-import { colour, SIGNS, trace } from "./symbols.js";
+import { colour, paintSigns, SIGNS, trace } from "./symbols.js";
 
 /** @typedef {import("../data/overview.js").DriveOnMap} DriveOnMap */
 /**
@@ -20,7 +20,7 @@ import { colour, SIGNS, trace } from "./symbols.js";
  * @property {number} width Of the label, pixels; 0 until it is known.
  */
 
-const REACH_PX = 10;
+export const REACH_PX = 10;
 const SMALL_PX = 16; // a track that is smaller is a disc
 const SIGNS_FROM_ZOOM = 13;
 const NAME_PX = 16;
@@ -30,25 +30,8 @@ const STEP_PX = 2; // a thousand tracks in one town have more points than pixels
 export class OverviewScene {
   /** @param {DriveOnMap[]} drives @param {any} map */
   constructor(drives, map) {
-    /** @param {number[][]} places */
-    const flat = (places) => {
-      const path = new Float64Array(2 * places.length);
-      places.forEach(([lng, lat], i) => {
-        const { x, y } = map.options.crs.latLngToPoint({ lat, lng }, 0);
-        path[2 * i] = x;
-        path[2 * i + 1] = y;
-      });
-      return path;
-    };
-    /** @type {Item[]} */
-    this.items = drives.map((drive) => {
-      const path = flat(drive.track);
-      const half = 2 * Math.floor(path.length / 4);
-      const label = drive.name.length > 28 ? `${drive.name.slice(0, 27)}…` : drive.name;
-      const middle = /** @type {[number, number]} */ ([path[half], path[half + 1]]);
-      return { drive, path, points: flat(drive.intersections), middle, box: boxOf(path), label, width: 0 };
-    });
     this.map = map;
+    this.items = this.itemsOf(drives);
     /** @type {Item|null} Under the pointer. */
     this.under = null;
     /** What scenes of results have, too. */
@@ -57,6 +40,28 @@ export class OverviewScene {
     this.on = new Set();
     this.progress = 0;
     this.hasTiles = false;
+  }
+
+  /** @param {DriveOnMap[]} drives @returns {Item[]} */
+  itemsOf(drives) {
+    return drives.map((drive) => {
+      const path = this.project(drive.track);
+      const half = 2 * Math.floor(path.length / 4);
+      const label = drive.name.length > 28 ? `${drive.name.slice(0, 27)}…` : drive.name;
+      const middle = /** @type {[number, number]} */ ([path[half], path[half + 1]]);
+      return { drive, path, points: this.project(drive.intersections), middle, box: boxOf(path), label, width: 0 };
+    });
+  }
+
+  /** @param {number[][]} places Longitude, latitude. @returns {Float64Array} x, y, x, y, ... at zoom 0. */
+  project(places) {
+    const path = new Float64Array(2 * places.length);
+    places.forEach(([lng, lat], i) => {
+      const { x, y } = this.map.options.crs.latLngToPoint({ lat, lng }, 0);
+      path[2 * i] = x;
+      path[2 * i + 1] = y;
+    });
+    return path;
   }
 
   paintGround() {}
@@ -75,16 +80,13 @@ export class OverviewScene {
     fillAndRim(context, colour("--accent"), colour("--surface"), 2);
     if (view.zoom >= SIGNS_FROM_ZOOM) {
       for (const name of ["unscored", "right", "wrong"]) {
-        const { shape, colour: inside, edge } = SIGNS[name];
-        context.beginPath();
-        for (const { points, drive } of seen) {
-          for (let i = 0; i < points.length; i += 2) {
-            const [x, y] = [view.x(points[i]), view.y(points[i + 1])];
-            if ((drive.outcomes[i / 2] ?? "unscored") === name && view.shows(x, y))
-              trace(context, shape, x, y, view.zoom > 15 ? 6 : 4);
-          }
-        }
-        fillAndRim(context, colour(inside), colour(edge ?? inside), 1);
+        const spots = seen.flatMap(({ points, drive }) =>
+          [...drive.intersections.keys()]
+            .filter((i) => (drive.outcomes[i] ?? "unscored") === name)
+            .map((i) => [view.x(points[2 * i]), view.y(points[2 * i + 1])])
+            .filter(([x, y]) => view.shows(x, y)),
+        );
+        paintSigns(context, SIGNS[name], spots, view.zoom > 15 ? 7.5 : 4.5);
       }
     }
     paintNames(context, view, seen);
@@ -95,7 +97,22 @@ export class OverviewScene {
     return null;
   }
 
-  /** @param {any} event Of the pointer. @returns {Item|null} The nearest drive. */
+  /** Where the map was moved to may be more to show. */
+  look() {}
+
+  /** @param {any} item Found by `at`. @returns {HTMLElement} */
+  tipOf({ drive: { name, job, title, chosen, intersections, verdict } }) {
+    const text = job ? (verdict ?? plural(intersections.length, "intersection")) : "no result yet";
+    const which = job && ` ${title}${chosen === "pinned" ? ", pinned" : ""}`;
+    return el("div", {}, el("strong", {}, name), which, el("br"), text);
+  }
+
+  /** @param {any} item Found by `at`. */
+  open({ drive: { id, job } }) {
+    setState({ drive: id, job, frame: null, view: null, panel: job ? "job" : "drives" });
+  }
+
+  /** @param {any} event Of the pointer. @returns {any} The nearest drive. */
   at({ containerPoint: { x, y } }) {
     const { map } = this;
     const view = new View(map, map.getZoom(), map.getPixelBounds().min, map.getSize());
@@ -122,13 +139,19 @@ function paintNames(context, view, items) {
   /** @type {Map<number, [number, number, number][]>} Left, bottom, width; by rows of the map. */
   const taken = new Map();
   for (const item of items) {
-    const [x, y] = [view.x(item.middle[0]), view.y(item.middle[1]) - 9];
-    if (!view.shows(x, y)) continue;
+    const x = view.x(item.middle[0]);
+    const top = view.y(item.middle[1]) - 9;
+    if (!view.shows(x, top)) continue;
     item.width ||= context.measureText(item.label).width;
     const left = x - item.width / 2;
+    const isFree = (/** @type {number} */ y) => {
+      const row = Math.floor(y / NAME_PX);
+      const near = [row - 1, row, row + 1].flatMap((each) => taken.get(each) ?? []);
+      return !near.some(([l, b, w]) => left < l + w + 4 && l < left + item.width + 4 && Math.abs(y - b) < NAME_PX);
+    };
+    const y = [top, top - NAME_PX, top + 2 * NAME_PX].find(isFree); // drives through one street have one middle
+    if (y === undefined) continue;
     const row = Math.floor(y / NAME_PX);
-    const near = [row - 1, row, row + 1].flatMap((each) => taken.get(each) ?? []);
-    if (near.some(([l, b, w]) => left < l + w + 4 && l < left + item.width + 4 && Math.abs(y - b) < NAME_PX)) continue;
     taken.set(row, [...(taken.get(row) ?? []), [left, y, item.width]]);
     context.strokeText(item.label, x, y);
     context.fillText(item.label, x, y);
@@ -136,7 +159,7 @@ function paintNames(context, view, items) {
 }
 
 /**
- * Let the pointer choose among the drives.
+ * Let the pointer choose among what an overview shows.
  * @param {any} map
  * @param {() => any} scene What the map shows now.
  * @param {() => void} redraw
@@ -150,39 +173,26 @@ export function watchDrives(map, scene, redraw) {
   };
   /** @type {any} */
   let last = null;
-  /** @param {Item|null} item @param {any} [event] */
+  /** @param {any} item @param {any} [event] */
   const show = (item, event) => {
     const current = scene();
-    if (current instanceof OverviewScene) map.getContainer().classList.toggle("over", Boolean(item));
+    if (!(current instanceof OverviewScene)) return void tip.remove();
+    map.getContainer().classList.toggle("over", Boolean(item));
     if (item === last) return;
     last = item;
-    if (current instanceof OverviewScene) current.under = item;
+    current.under = item;
     redraw();
-    if (!item) return void tip.remove();
-    const { name, job, title, chosen, intersections, verdict } = item.drive;
-    const text = job ? (verdict ?? plural(intersections.length, "intersection")) : "no result yet";
-    tip
-      .setLatLng(event.latlng)
-      .setContent(
-        el(
-          "div",
-          {},
-          el("strong", {}, name),
-          job && ` ${title}${chosen === "pinned" ? ", pinned" : ""}`,
-          el("br"),
-          text,
-        ),
-      )
-      .addTo(map);
+    if (item) tip.setLatLng(event.latlng).setContent(current.tipOf(item)).addTo(map);
+    else tip.remove();
   };
   map.on("mousemove", (/** @type {any} */ event) => show(find(event), event));
   map.on("mouseout dragstart zoomstart", () => show(null));
+  map.on("moveend", () => scene() instanceof OverviewScene && scene().look());
   map.on("click", (/** @type {any} */ event) => {
     const item = find(event);
     if (!item) return;
     show(null);
-    const { id, job } = item.drive;
-    setState({ drive: id, job, frame: null, view: null, panel: job ? "job" : "drives" });
+    scene().open(item);
   });
 }
 

@@ -6,8 +6,8 @@ import { ellipseOf, SIGMAS_95 } from "./ellipse.js";
 import { widthText } from "./facts.js";
 import { passes } from "./filter.js";
 import { kindOfNode, verdictOf } from "./layers.js";
-import { paintStreetNames } from "./street_names.js";
-import { colour, SIGNS, trace } from "./symbols.js";
+import { paintStreetNames, takenBySign } from "./street_names.js";
+import { colour, paintSigns, SIGNS } from "./symbols.js";
 
 /**
  * @typedef {{kind: "intersection"|"node"|"detection"|"keyframe"|"road", item: any}} Hit
@@ -26,17 +26,11 @@ const CLASSES = /** @type {Record<string, [number, string]>} */ ({
 });
 const USUAL_CLASS = /** @type {[number, string]} */ ([6.5, "road"]);
 const RAY_M = 14;
-const VERDICT_PX = { unscored: 7.5, right: 8, wrong: 10 };
+const VERDICT_PX = { unscored: 8, right: 8, wrong: 10 };
 /** From so many pixels per metre on (zoom 18.5) a sign is a ring, in which the detections of a place are seen. */
 const RING_FROM = 3;
 const RING_PX = 13;
 const RINGED = new Set(["right", "wrong", "unscored"]);
-/** Colours of branches and ellipses: those of the sign of their intersection. */
-const OF_VERDICT = /** @type {Record<string, {colour: string, edge: string}>} */ ({
-  right: { colour: "--right", edge: "--right" },
-  wrong: { colour: "--wrong", edge: "--wrong" },
-  unscored: { colour: "--fused", edge: "--fused-edge" },
-});
 
 export class Scene {
   /**
@@ -113,13 +107,7 @@ export class Scene {
     const size = Math.min(1.35, Math.max(0.6, (view.zoom - (this.result.local ? -4 : 12)) / 6));
     context.lineCap = "round";
     context.lineJoin = "round";
-    if (this.on.has("roads") && !this.hasTiles) paintStreetNames(context, view, this.roads); // tiles have their own
-    if (this.on.has("measured"))
-      paintStreetNames(
-        context,
-        view,
-        this.measured.map((each) => ({ ...each, width: 0 })), // the text stands beside the line
-      );
+    this.#paintNames(context, view);
     if (this.on.has("places")) strokePaths(context, view, this.places, colour("--track"), 1.4, 0.4);
     if (this.on.has("track")) strokePaths(context, view, [this.track], colour("--track"), 1.6, 0.85);
     if (this.progress > 0)
@@ -151,6 +139,11 @@ export class Scene {
       this.#paintPoints(context, view, detections, "detection", 3 * size, 0.7, (each) => each.outcome === "none");
     if (evaluated && this.on.has("tp"))
       this.#paintPoints(context, view, detections, "tp", 3 * size, 0.7, (each) => each.outcome === "TP");
+    const paintFalse = () =>
+      evaluated &&
+      this.on.has("fp") &&
+      this.#paintPoints(context, view, detections, "fp", 3.2 * size, 1, (each) => each.outcome === "FP");
+    if (view.perMetre < RING_FROM) paintFalse();
     for (const kind of ["outside", "found", "missed"]) {
       if (this.on.has(kind))
         this.#paintPoints(
@@ -177,9 +170,21 @@ export class Scene {
           isOne,
         );
     }
-    if (evaluated && this.on.has("fp"))
-      // on top: what is wrong must not lie under the sign of what it is a part of
-      this.#paintPoints(context, view, detections, "fp", 3.2 * size, 1, (each) => each.outcome === "FP");
+    if (view.perMetre >= RING_FROM) paintFalse(); // within the ring of what they are a part of
+  }
+
+  /** Of streets, and the widths of measured roads: none on another, none below a sign. @param {CanvasRenderingContext2D} context @param {import("./surface.js").View} view */
+  #paintNames(context, view) {
+    const taken = [this.intersections, this.nodes].flatMap(({ xs, ys, items }) =>
+      items.flatMap((item, i) =>
+        this.on.has(items === this.nodes.items ? kindOfNode(item) : verdictOf(item))
+          ? [takenBySign(view.x(xs[i]), view.y(ys[i]))]
+          : [],
+      ),
+    );
+    if (this.on.has("roads") && !this.hasTiles) paintStreetNames(context, view, this.roads, taken); // tiles have their own
+    const widths = this.measured.map((each) => ({ ...each, width: 0 })); // the text stands beside the line
+    if (this.on.has("measured")) paintStreetNames(context, view, widths, taken);
   }
 
   /** @param {CanvasRenderingContext2D} context @param {import("./surface.js").View} view */
@@ -244,7 +249,6 @@ export class Scene {
     if (isRing) r = RING_PX;
     const taken = new Set(); // pixels: a sign over a sign of the same kind changes nothing
     const drawn = [];
-    context.beginPath();
     for (let i = 0; i < items.length; i += 1) {
       if (chosen && !chosen(items[i])) continue;
       const x = view.x(xs[i]);
@@ -253,32 +257,8 @@ export class Scene {
       if (!view.shows(x, y) || taken.has(pixel)) continue;
       taken.add(pixel);
       drawn.push([x, y]);
-      trace(context, sign.shape, x, y, r);
     }
-    if (!drawn.length) return;
-    context.globalAlpha = alpha;
-    if (sign.rim) {
-      context.strokeStyle = colour("--surface"); // a rim, so that the sign stands out from road and detections
-      context.lineWidth = sign.width + 2.5;
-      context.stroke();
-    }
-    if (sign.filled) {
-      context.fillStyle = colour(sign.colour);
-      context.fill();
-    }
-    if (sign.width) {
-      context.strokeStyle = colour(sign.edge ?? sign.colour);
-      context.lineWidth = sign.width;
-      context.stroke();
-    }
-    if (sign.glyph) {
-      context.beginPath();
-      for (const [x, y] of drawn) trace(context, sign.glyph, x, y, r);
-      context.strokeStyle = colour("--surface");
-      context.lineWidth = r / 4;
-      context.stroke();
-    }
-    context.globalAlpha = 1;
+    paintSigns(context, sign, drawn, r, alpha);
   }
 
   /** @param {CanvasRenderingContext2D} context @param {import("./surface.js").View} view */
@@ -296,12 +276,10 @@ export class Scene {
         context.moveTo(x + r * Math.cos(turn), y + r * Math.sin(turn));
         context.ellipse(x, y, r, SIGMAS_95 * minor * view.perMetre, turn, 0, 2 * Math.PI);
       });
-      const { colour: inside, edge } = OF_VERDICT[verdict];
-      context.fillStyle = colour(inside);
+      context.fillStyle = context.strokeStyle = colour(SIGNS[verdict].colour);
       context.globalAlpha = 0.22;
       context.fill();
       context.globalAlpha = 0.9;
-      context.strokeStyle = colour(edge);
       context.lineWidth = 0.8;
       context.stroke();
       context.globalAlpha = 1;
@@ -325,11 +303,10 @@ export class Scene {
           context.lineTo(x + reach * Math.sin(angle), y - reach * Math.cos(angle));
         }
       });
-      const { colour: inside, edge } = OF_VERDICT[verdict];
-      context.strokeStyle = colour(verdict === "unscored" ? edge : "--surface");
+      context.strokeStyle = colour("--surface");
       context.lineWidth = 4.5;
       context.stroke();
-      context.strokeStyle = colour(inside);
+      context.strokeStyle = colour(SIGNS[verdict].colour);
       context.lineWidth = 2;
       context.stroke();
     }

@@ -4,6 +4,7 @@
  */
 
 import { follow, getJson } from "../api.js";
+import { chosenCity, cities, loadMaps, onCityChange, versionOf, wantsCity, watchMaps } from "../data/city.js";
 import { demo, onDemoChange, tryDemo } from "../data/demo.js";
 import { FINAL, lists, onListsChange, rememberJob } from "../data/lists.js";
 import { loadOverview } from "../data/overview.js";
@@ -14,9 +15,11 @@ import { failureNote, problemNote } from "../messages.js";
 import { addShortcut } from "../shortcuts.js";
 import { getState, setState, subscribe } from "../state.js";
 import { recall } from "../storage.js";
+import { CITY_KEYS, CityScene } from "./city.js";
+import { PLACE_SIGNS, signOfChange } from "./city_places.js";
 import { ComparedLayer, followCompared, onCompared } from "./compared.js";
 import { addCoordinates } from "./coordinates.js";
-import { closeDetails, goTo, keepDetails, openDetails, openSelection, watchPointer } from "./details.js";
+import { closeDetails, goTo, hasDetails, keepDetails, openDetails, openSelection, watchPointer } from "./details.js";
 import { clearFilter, isFiltering, onFilterChange } from "./filter.js";
 import { KeyframeLayer } from "./keyframe.js";
 import { layersOn } from "./layers.js";
@@ -33,6 +36,13 @@ import { signIcon } from "./symbols.js";
 import { makeTiles, OSM_CREDIT, onTilesChange } from "./tiles.js";
 import { mountTimeline } from "./timeline.js";
 
+/** What the signs of the map mean, where there is no legend. */
+const KEYS = /** @type {Record<string, string>} */ ({
+  right: "right",
+  wrong: "wrong",
+  missed: "missed",
+  unscored: "not scored",
+});
 const LIVE_MS = 200; // between two pictures of a drive that is under way
 const LOCAL_CREDIT = "Metres of the drive’s own frame: it has no georeference";
 
@@ -78,6 +88,8 @@ export async function mountStage() {
       return;
     }
     try {
+      if (wantsCity() && (await showCity(mine))) return;
+      if (mine !== token) return;
       if (live) {
         await showLive(live);
         return;
@@ -179,6 +191,69 @@ export async function mountStage() {
     parts.redraw();
   };
 
+  let isAsking = false; // for the maps of many drives
+  /** What of them was shown last. @type {string|null} */
+  let cityShown = null;
+  /** @param {number} mine @returns {Promise<boolean>} Whether there is a map of many drives to show. */
+  const showCity = async (mine) => {
+    hasOverview = isAsking = true;
+    await loadMaps().finally(() => (hasOverview = isAsking = false));
+    if (mine !== token) return true;
+    const city = chosenCity();
+    hasOverview = Boolean(city?.bbox);
+    cityShown = city && versionOf(city);
+    if (city?.bbox) {
+      const [west, south, east, north] = city.bbox;
+      if (scene instanceof CityScene && scene.city.id === city.id) {
+        scene.renew(city);
+        tellOfCity(scene);
+        return true;
+      }
+      clear();
+      fill(cover);
+      build(false);
+      const own = new CityScene(city, shown.map, () => scene === own && (tellOfCity(own), parts.redraw()));
+      scene = own;
+      tellOfCity(own);
+      updateLayers();
+      parts.setAttribution({ roads: [], nodes: city.osm ? [city] : [], local: false, isMadeUp: false });
+      fit(
+        [
+          [south, west],
+          [north, east],
+        ],
+        false,
+        false,
+        below(note),
+      ); // which has it ask for what lies there
+      own.goToEntry(false);
+      own.look();
+      return true;
+    }
+    if (getState().panel !== "map" || !lists.drives.length) return false;
+    clear();
+    fill(cover, el("p", {}, city ? emptyCity(city) : "There is no such map."));
+    return true;
+  };
+
+  /** @param {CityScene} city */
+  const tellOfCity = ({ city, spots, loaded, matched }) => {
+    const toQueue = () => setState({ panel: "map" });
+    const signs = new Set(spots.flatMap(({ sign, changes }) => [sign, ...changes.map(signOfChange)]));
+    fill(
+      note,
+      el("strong", {}, plural(city.intersections, "intersection")),
+      ` of ${plural(city.drives, "drive")}`,
+      city.is_waiting && " · more is being merged",
+      loaded < matched && ` · ${loaded.toLocaleString("en")} of ${matched.toLocaleString("en")} here: zoom in for more`,
+      city.findings && getState().panel !== "map"
+        ? [" · ", el("button", { class: "link", onClick: toQueue }, `${plural(city.findings, "finding")} to look at`)]
+        : null,
+      signRow(Object.entries(PLACE_SIGNS).filter(([name]) => signs.has(name))),
+      tileSwitch(),
+    );
+  };
+
   /** @param {number} mine @returns {Promise<boolean>} Whether there is a drive to show. */
   const showOverview = async (mine) => {
     hasOverview = true;
@@ -265,11 +340,29 @@ export async function mountStage() {
     const row = shown.result.frame.rows.get(getState().frame);
     const keyframe = row === undefined ? null : shown.result.keyframes[row];
     parts.keyframe.show(shown.result, keyframe, layersOn(getState().layers).has("zone"));
-    if (keyframe && timeline.isFollowing()) keepInView([keyframe.lat, keyframe.lng]);
+    if (keyframe && timeline.isFollowing() && !hasDetails()) keepInView([keyframe.lat, keyframe.lng]);
   };
 
-  subscribe(["job", "drive", "live"], () => void showDrive());
-  subscribe(["panel"], () => shown.preview && void showDrive());
+  subscribe(["job", "drive", "live", "map"], () => void showDrive());
+  subscribe(["panel"], ({ panel }, before) => {
+    const isMap = panel === "map";
+    if (shown.preview || isMap !== (before.panel === "map")) void showDrive();
+  });
+  subscribe(["places"], () => scene instanceof CityScene && scene.look());
+  subscribe(["finding"], () => scene instanceof CityScene && parts.redraw());
+  /** Id of the finding that was gone to. @type {string|null} */
+  let looked = null;
+  onCityChange(() => {
+    const city = chosenCity();
+    if (!wantsCity() || isAsking) return;
+    if ((city && versionOf(city)) !== cityShown) void showDrive();
+    if (!(scene instanceof CityScene)) return;
+    scene.judged();
+    parts.redraw();
+    if (cities.entry && cities.entry.id !== looked) scene.goToEntry();
+    looked = cities.entry?.id ?? null;
+  });
+  watchMaps();
   onPreview(() => {
     const { panel, job, drive } = getState();
     if (panel === "upload" || (!job && !drive && !getState().live)) void showDrive();
@@ -313,8 +406,14 @@ export async function mountStage() {
     if (isKnown) return;
     if (!job && !drive && !live) void showDrive();
   });
-  onDemoChange(() => !getState().job && !getState().drive && !getState().live && void showDrive());
-  for (const { key, text, run } of [...QUEUE_KEYS, ...MEASURE_KEYS]) addShortcut(key, text, run);
+  let demoNow = "";
+  onDemoChange(() => {
+    const now = `${demo.isRunning} ${demo.error}`;
+    if (now === demoNow) return; // but for its progress
+    demoNow = now;
+    if (!getState().job && !getState().drive && !getState().live) void showDrive();
+  });
+  for (const { key, text, run } of [...QUEUE_KEYS, ...CITY_KEYS, ...MEASURE_KEYS]) addShortcut(key, text, run);
   await showDrive();
 }
 
@@ -516,19 +615,27 @@ function waiting(job) {
 
 /** What the signs mean. @param {import("../data/overview.js").DriveOnMap[]} drives */
 function overviewKey(drives) {
-  const names = { right: "right", wrong: "wrong", unscored: "not scored" };
   const there = new Set(
     drives.flatMap(({ intersections, outcomes }) => intersections.map((_, i) => outcomes[i] ?? "unscored")),
   );
-  const keys = Object.entries(names).filter(([name]) => there.has(name));
-  return (
-    keys.length > 0 &&
-    el(
-      "span",
-      { class: "key-row" },
-      keys.map(([name, text]) => [signIcon(name), text]),
-    )
+  return signRow(Object.entries(KEYS).filter(([name]) => there.has(name)));
+}
+
+/** @param {[sign: string, text: string][]} keys */
+const signRow = (keys) =>
+  keys.length > 0 &&
+  el(
+    "span",
+    { class: "key-row" },
+    keys.map(([name, text]) => [signIcon(name), text]),
   );
+
+/** @param {import("../data/city.js").City} city @returns {string} Why there is nothing to see on it. */
+function emptyCity({ holds_all, is_waiting }) {
+  if (is_waiting) return "Its drives are being merged. The map appears here in a moment.";
+  return holds_all
+    ? "No drive is on this map yet. As soon as a drive with georeference has a result, its intersections appear here."
+    : "No drive is on this map yet. Put drives into it, by its button Drives…, and their intersections appear here.";
 }
 
 /** @returns {HTMLElement} */
@@ -546,11 +653,11 @@ function tileSwitch() {
 /** @param {string|null} drive */
 function welcome(drive) {
   if (drive) return el("p", {}, "This drive has no result yet. Run it from the list of drives.");
+  if (demo.isRunning) return el("p", { role: "status" }, "The demo is being prepared. It appears here.");
   if (!lists.isLoaded) return null;
   if (lists.drives.length) return el("p", {}, "None of the drives has a place on the map yet. Open one from the list.");
   const upload = el("button", { class: "primary", onClick: () => setState({ panel: "upload" }) }, icon("upload"));
   upload.append("Upload a drive");
-  const what = "Its intersections appear here, beside the roads of OpenStreetMap.";
   return el(
     "div",
     { class: "drop drop-stage" },
@@ -560,14 +667,21 @@ function welcome(drive) {
       {},
       takesDrops() ? "Drop the folder of a LiDAR drive here" : "Where are the road intersections of a drive?",
     ),
-    el("p", {}, what),
-    el("div", { class: "row" }, upload, demoButton()),
-    demo.isRunning && el("p", { role: "status" }, demo.text),
+    el(
+      "ol",
+      {},
+      el("li", {}, "The drive: its folder, or a bag. It is looked into before anything is sent."),
+      el("li", {}, "A map, if there is one: an OSM file of the area. Without it nothing is scored."),
+      el("li", {}, "The result, here on the map:"),
+    ),
+    el(
+      "p",
+      { class: "row" },
+      ["right", "wrong", "missed", "unscored"].map((name) =>
+        el("span", { class: "key-row" }, signIcon(name), KEYS[name]),
+      ),
+    ),
+    el("div", { class: "row" }, upload, el("button", { onClick: () => void tryDemo() }, "Try the demo")),
     demo.error !== null && problemNote(demo.error),
   );
-}
-
-/** @returns {HTMLElement} */
-function demoButton() {
-  return el("button", { disabled: demo.isRunning, onClick: () => void tryDemo() }, "Try the demo");
 }

@@ -5,20 +5,30 @@
 import { colour } from "./symbols.js";
 
 /** @typedef {{x: number, y: number, angle: number}} Spot */
+/**
+ * @typedef {object} Taken A text or a sign on the map, pixels.
+ * @property {number} x Of its middle.
+ * @property {number} y
+ * @property {string|null} name
+ * @property {{x: number, y: number}[]} points Along it.
+ * @property {number} reach Of these from its middle.
+ */
 
 const MIN_PER_METRE = 0.9; // pixels: zoom 17 in the middle latitudes
-const FONT = "600 11.5px";
+const FONT = "600 12px";
 const MAX_ROAD_PX = 40; // as drawn
 const MARGIN_PX = 12;
 const APART_PX = 320; // labels of the same name
+const LINE_PX = 15; // nearer than this, texts and signs overlap
 const STRAIGHT = 0.985; // chord by arc: letters stand on one line
 
 /**
  * @param {CanvasRenderingContext2D} context
  * @param {import("./surface.js").View} view
  * @param {{path: Float64Array, name: string|null, width: number}[]} roads Paths projected at zoom 0; widths in metres.
+ * @param {Taken[]} taken What no name may lie on, as signs; these names are added to it.
  */
-export function paintStreetNames(context, view, roads) {
+export function paintStreetNames(context, view, roads, taken) {
   if (view.perMetre < MIN_PER_METRE) return;
   context.save();
   context.font = `${FONT} ${getComputedStyle(document.body).fontFamily}`;
@@ -27,29 +37,47 @@ export function paintStreetNames(context, view, roads) {
   context.lineWidth = 3;
   context.strokeStyle = colour("--ground");
   context.fillStyle = colour("--ink-2");
-  /** @type {(Spot & {name: string, width: number})[]} */
-  const taken = [];
   for (const { path, name, width: metres } of roads) {
     if (!name) continue;
     const beside = Math.min(metres * view.perMetre, MAX_ROAD_PX) / 2 + 8;
     const width = context.measureText(name).width;
     for (const spot of spots(path, view, width + MARGIN_PX)) {
-      if (!view.shows(spot.x, spot.y)) continue;
-      const isNear = (/** @type {typeof taken[0]} */ other) =>
-        Math.hypot(other.x - spot.x, other.y - spot.y) <
-        (other.name === name ? APART_PX : (other.width + width) / 2 + MARGIN_PX);
-      if (taken.some(isNear)) continue;
-      taken.push({ ...spot, name, width });
+      const text = besideOf(spot, beside, name, width);
+      if (!view.shows(text.x, text.y) || taken.some((other) => overlap(text, other))) continue;
+      taken.push(text);
       context.save();
-      context.translate(spot.x, spot.y);
+      context.translate(text.x, text.y);
       context.rotate(spot.angle);
-      context.strokeText(name, 0, -beside);
-      context.fillText(name, 0, -beside);
+      context.strokeText(name, 0, 0);
+      context.fillText(name, 0, 0);
       context.restore();
     }
   }
   context.restore();
 }
+
+/** @param {Spot} spot On the road. @param {number} beside Pixels. @param {string} name @param {number} width @returns {Taken} */
+function besideOf({ x, y, angle }, beside, name, width) {
+  const [cos, sin] = [Math.cos(angle), Math.sin(angle)];
+  const middle = { x: x + beside * sin, y: y - beside * cos };
+  const steps = Math.ceil(width / LINE_PX);
+  const points = Array.from({ length: steps + 1 }, (_, i) => {
+    const along = (i / steps - 0.5) * width;
+    return { x: middle.x + along * cos, y: middle.y + along * sin };
+  });
+  return { ...middle, name, points, reach: width / 2 };
+}
+
+/** @param {Taken} a @param {Taken} b @returns {boolean} Whether they lie on each other, or say the same side by side. */
+export function overlap(a, b) {
+  const away = Math.hypot(a.x - b.x, a.y - b.y);
+  if (a.name !== null && a.name === b.name && away < APART_PX) return true;
+  if (away > a.reach + b.reach + LINE_PX) return false;
+  return a.points.some((p) => b.points.some((q) => Math.hypot(p.x - q.x, p.y - q.y) < LINE_PX));
+}
+
+/** @param {number} x Pixels. @param {number} y @returns {Taken} What a sign takes. */
+export const takenBySign = (x, y) => ({ x, y, name: null, points: [{ x, y }], reach: 0 });
 
 /**
  * Where a text of some length fits along a line: the middles of straight stretches, one after the other.

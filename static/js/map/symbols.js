@@ -4,7 +4,7 @@
  */
 import { svg } from "../dom.js";
 
-/** @typedef {"disc"|"cross"|"ring"|"square"|"diamond"|"plus"|"dot"|"triangle"|"check"|"bang"|"gap"|"hexagon"} Shape */
+/** @typedef {"disc"|"cross"|"ring"|"square"|"diamond"|"dot"|"triangle"|"check"|"bang"|"gap"|"fork"|"hexagon"} Shape */
 
 /** @param {string} text "x y x y, x y x y" @returns {number[][][]} Lines of points. */
 const lines = (text) => text.split(",").map((line) => [...line.matchAll(/(\S+) (\S+)/g)].map(([, x, y]) => [+x, +y]));
@@ -15,13 +15,13 @@ const OUTLINES = /** @type {Partial<Record<Shape, number[][][]>>} */ ({
   square: lines("-1 -1 1 -1 1 1 -1 1"),
   diamond: lines("0 -1.25 1.25 0 0 1.25 -1.25 0"),
   hexagon: lines("0 -1.15 1 -.58 1 .58 0 1.15 -1 .58 -1 -.58"),
-  plus: lines("-.36 -1 .36 -1 .36 -.36 1 -.36 1 .36 .36 .36 .36 1 -.36 1 -.36 .36 -1 .36 -1 -.36 -.36 -.36"),
   triangle: lines("0 -1 1.15 1 -1.15 1"),
   check: lines("-.5 0 -.15 .38 .5 -.38"),
   bang: lines("0 -.4 0 .32, 0 .68 0 .7"),
   gap: lines("-.5 0 .5 0"),
+  fork: lines("0 .55 0 0 -.46 -.4, 0 0 .46 -.4"),
 });
-const OPEN = new Set(["cross", "check", "bang", "gap"]);
+const OPEN = new Set(["cross", "check", "bang", "gap", "fork"]);
 
 /**
  * Add a symbol to the path of a canvas context.
@@ -66,19 +66,53 @@ export const SIGNS = /** @type {Record<string, Sign>} */ ({
   outside: { colour: "--outside", shape: "square", filled: false, width: 1.2 },
   right: { colour: "--right", shape: "disc", filled: true, width: 1.6, edge: "--surface", glyph: "check" },
   wrong: { colour: "--wrong", shape: "triangle", filled: true, width: 1.6, edge: "--surface", glyph: "bang" },
-  unscored: { colour: "--fused", shape: "plus", filled: true, width: 1.2, edge: "--fused-edge" },
+  unscored: { colour: "--fused", shape: "disc", filled: true, width: 1.6, edge: "--surface", glyph: "fork" },
   shared: { colour: "--ink-2", shape: "ring", filled: false, width: 1.4 },
   here: { colour: "--tp", shape: "hexagon", filled: false, width: 1.8 },
   elsewhere: { colour: "--tp", shape: "square", filled: false, width: 1.8 },
   keyframe: { colour: "--track", shape: "dot", filled: true, width: 0 },
 });
 
-const RADII = /** @type {Partial<Record<Shape, number>>} */ ({ dot: 2.5, disc: 4, cross: 5, plus: 6, triangle: 6.5 });
+/**
+ * Paint signs of one kind.
+ * @param {CanvasRenderingContext2D} context
+ * @param {Sign} sign
+ * @param {number[][]} spots Pixels.
+ * @param {number} r Half their size.
+ * @param {number} [alpha]
+ */
+export function paintSigns(context, sign, spots, r, alpha = 1) {
+  if (!spots.length) return;
+  context.beginPath();
+  for (const [x, y] of spots) trace(context, sign.shape, x, y, r);
+  context.globalAlpha = alpha;
+  if (sign.rim) stroke(context, "--surface", sign.width + 2.5);
+  if (sign.filled) {
+    context.fillStyle = colour(sign.colour);
+    context.fill();
+  }
+  if (sign.width) stroke(context, sign.edge ?? sign.colour, sign.width);
+  if (sign.glyph) {
+    context.beginPath();
+    for (const [x, y] of spots) trace(context, sign.glyph, x, y, r);
+    stroke(context, "--surface", r / 4);
+  }
+  context.globalAlpha = 1;
+}
+
+/** @param {CanvasRenderingContext2D} context @param {string} variable @param {number} width */
+function stroke(context, variable, width) {
+  context.strokeStyle = colour(variable);
+  context.lineWidth = width;
+  context.stroke();
+}
+
+const RADII = /** @type {Partial<Record<Shape, number>>} */ ({ dot: 2.5, disc: 4, cross: 5, triangle: 6.5 });
 
 /** @param {string} name @returns {Element} The sign for legends and tables. */
 export function signIcon(name) {
   const { colour, shape, filled, width, edge, glyph } = SIGNS[name];
-  const r = glyph === "check" || glyph === "gap" ? (glyph === "gap" ? 6 : 7) : (RADII[shape] ?? 4.5);
+  const r = shape === "disc" && glyph ? 7 : glyph === "gap" ? 6 : (RADII[shape] ?? 4.5);
   const stroke = glyph ? "none" : edge ? `var(${edge})` : width ? `var(${colour})` : "none";
   const props = { fill: filled ? `var(${colour})` : "none", stroke, "stroke-width": width };
   const mark = { fill: "none", stroke: "var(--surface)", "stroke-width": 1.8, "stroke-linecap": "round" };

@@ -6,6 +6,7 @@ import { iconButton, select } from "../controls.js";
 import { el, fill, formatDuration, icon, plural } from "../dom.js";
 import { addShortcut } from "../shortcuts.js";
 import { getState, setState, subscribe } from "../state.js";
+import { chosenFrame } from "./details.js";
 import { firstDetection } from "./shown.js";
 import { colour } from "./symbols.js";
 
@@ -28,12 +29,20 @@ export function mountTimeline(strip) {
   const speed = select(Object.fromEntries(SPEEDS.map((each) => [each, `${each}/s`])), "10");
   speed.title = "Keyframes per second";
   speed.setAttribute("aria-label", "Speed");
-  const follow = iconButton("follow", "Keep the vehicle in view", () => setFollowing(!isFollowing()));
+  const follow = iconButton(
+    "follow",
+    "Keep the vehicle in view",
+    () => setFollowing(!isFollowing()),
+    "Keep the vehicle in view; waits while details are open",
+  );
   const isFollowing = () => follow.getAttribute("aria-pressed") === "true";
   const setFollowing = (/** @type {boolean} */ on) => follow.setAttribute("aria-pressed", String(on));
   setFollowing(true);
   const label = el("div", { class: "timeline-label" });
-  const lookInside = () => setState({ drawer: !getState().drawer, frame: getState().frame ?? firstDetection(result) });
+  const lookInside = () => {
+    const { drawer, frame } = getState();
+    setState({ drawer: !drawer, frame: (drawer ? null : chosenFrame()) ?? frame ?? firstDetection(result) });
+  };
   const large = el("button", { "aria-expanded": "false", onClick: lookInside }, icon("image"), "Look inside");
   fill(
     strip,

@@ -10,7 +10,6 @@ import { el, fill, formatMetres, formatPercent, plural } from "../dom.js";
 import { jobName } from "../job/words.js";
 import { comparedJobs, getCompared, onCompared } from "../map/compared.js";
 import { goTo } from "../map/details.js";
-import { verdictOf } from "../map/layers.js";
 import { onResult, shown } from "../map/shown.js";
 import { signIcon } from "../map/symbols.js";
 import { problemNote } from "../messages.js";
@@ -256,7 +255,7 @@ function placesOf(names, { items }) {
   const rows = differing.map((item) => [
     el("button", { class: "link", onClick: () => showPlace(item) }, nameOf(item)),
     ...item.found.map((isFound, i) =>
-      isFound ? outcome(i === item.found.indexOf(true) ? verdictOf(item) : "unscored", "found", names.length) : "–",
+      isFound ? outcome(item.outcomes[i] ?? "unscored", item.outcomes[i] ?? "found", names.length) : "–",
     ),
   ]);
   return [

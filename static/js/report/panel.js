@@ -136,10 +136,11 @@ function serviceNote(result) {
 function mapFigures(level) {
   const gate = `within ${level.gate_m ?? 10} m, one to one`;
   const found = level.nodes_in_zone - level.missed;
+  const scored = level.true + level.false;
   return el(
     "div",
     { class: "tiles-row large" },
-    figure(`${level.true} of ${level.true + level.false}`, "intersections right", gate),
+    scored ? figure(`${level.true} of ${scored}`, "intersections right", gate) : figure("none", "intersections found"),
     figure(`${found} of ${level.nodes_in_zone}`, "OSM nodes found", gate),
     figure(formatMetres(level.median_m), "median error", `at most ${formatMetres(level.max_m)}`),
   );

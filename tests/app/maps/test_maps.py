@@ -114,6 +114,8 @@ def test_a_map_and_its_findings_are_layers_of_a_gis(served: Served) -> None:
     assert served.get(f"{items}/{one['id']}")["properties"] == one["properties"]
     schema = served.get("/maps/default/ogc/collections/drives/schema")
     assert {"drive", "offset_east_m"} < schema["properties"].keys()
+    tracks = served.get("/maps/default/ogc/collections/drives/items")["features"]
+    assert [each["properties"]["drive"] for each in tracks] == ["Straße monday", "Straße tuesday"]
 
 
 def test_a_map_of_its_own_holds_what_was_put_into_it(served: Served) -> None:
@@ -160,8 +162,11 @@ def test_findings_are_looked_at_one_after_the_other(served: Served) -> None:
     kept = served.get(f"/maps/default/queue/{entry['id']}")
     assert [each["verdict"] for each in kept["history"]] == ["right", "wrong"]
     assert kept["properties"] is None
-    served.client.put(f"{address}/verdict", json={"verdict": "cannot_tell"}).raise_for_status()  # it was a mistake
+    assert served.client.delete(f"{address}/verdict").status_code == 204  # it was a mistake
     served.until("/maps/default", lambda city: city["findings"] == 1)
+    assert served.get(f"/maps/default/queue/{entry['id']}")["verdict"]["verdict"] == "right"
+    served.client.delete(f"{address}/verdict").raise_for_status()
+    assert served.client.delete(f"{address}/verdict").status_code == 404
 
 
 def test_what_is_lost_is_made_anew_with_the_same_names(street: Street, served: Served) -> None:

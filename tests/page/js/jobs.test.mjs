@@ -23,6 +23,9 @@ test("intersections of jobs are the same within ten metres, one to one and the n
   assert.deepEqual(all.map(kindOfCompared), ["here", "here", "elsewhere", "elsewhere"]);
   assert.equal(kindOfCompared({ ...all[0], found: [true, true] }), "shared");
   assert.deepEqual(matchIntersections([[], []], true), []);
+  const [own, other] = [places(0), places(3)];
+  other[0].properties = { outcome: "wrong" };
+  assert.deepEqual(matchIntersections([own, other], true)[0].outcomes, [null, "wrong"]);
 });
 
 test("a map that is sent does not take the place of one that the drive has", () => {

@@ -1,7 +1,7 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 
-import { spots } from "../../../static/js/map/street_names.js";
+import { overlap, spots, takenBySign } from "../../../static/js/map/street_names.js";
 
 const view = { x: (x) => x, y: (y) => y };
 const path = (...corners) => Float64Array.from(corners.flat());
@@ -27,4 +27,13 @@ test("no name goes around a corner", () => {
   const found = spots(path([0, 0], [150, 0], [150, 150]), view, 100);
   assert.ok(found.length >= 2);
   assert.ok(found.every(({ x, y }) => y === 0 || x === 150));
+});
+
+test("names lie neither on each other nor on signs, and none is written twice side by side", () => {
+  const text = (name, x, y) => ({ x, y, name, reach: 30, points: [-30, -15, 0, 15, 30].map((d) => ({ x: x + d, y })) });
+  assert.ok(overlap(text("A", 0, 0), text("B", 50, 5)));
+  assert.ok(!overlap(text("A", 0, 0), text("B", 0, 20)), "one below the other");
+  assert.ok(overlap(text("A", 0, 0), text("A", 200, 0)));
+  assert.ok(overlap(text("A", 0, 0), takenBySign(25, 8)));
+  assert.ok(!overlap(text("A", 0, 0), takenBySign(60, 0)));
 });

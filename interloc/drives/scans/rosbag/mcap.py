@@ -14,6 +14,7 @@ from typing import BinaryIO
 
 import numpy as np
 
+from interloc import storage
 from interloc.arrays import IntArray
 from interloc.drives.files import SourceFile
 from interloc.drives.scans.rosbag.chunks import (
@@ -23,14 +24,7 @@ from interloc.drives.scans.rosbag.chunks import (
     codec_number,
     largest_unpacked,
 )
-from interloc.drives.scans.rosbag.index import (
-    MAX_MESSAGES,
-    BagIndex,
-    Channel,
-    reading,
-    ros2_spelling,
-    streams_at,
-)
+from interloc.drives.scans.rosbag.index import MAX_MESSAGES, BagIndex, Channel, reading, ros2_spelling, streams_at
 from interloc.drives.scans.rosbag.wire import Encoding
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -116,7 +110,7 @@ def index_mcap(file: SourceFile) -> BagIndex:
     DriveError
         It is no MCAP file, or nothing could be read.
     """
-    with reading(file), file.path.open("rb") as raw:
+    with reading(file), storage.open_binary(file.path) as raw:
         magic = raw.read(len(MAGIC))
         if magic != MAGIC:
             raise file.fault(
@@ -165,6 +159,7 @@ def _by_summary(raw: BinaryIO, size: int) -> Contents | None:
             chunks.append((place, chunk_start + chunk_length, index_length))
     if not contents.channels or not chunks or not all(length for *_, length in chunks):
         return None
+    storage.want(raw, [(index_start, index_start + index_length) for _, index_start, index_length in chunks])
     for place, index_start, index_length in chunks:
         _read_message_index(raw, place, index_start, index_length, contents)
     return contents
@@ -300,7 +295,7 @@ def read_messages(path: Path, places: IntArray, limit: int = MAX_MESSAGE_BYTES) 
     ValueError, struct.error
         The file is damaged.
     """
-    for stream in streams_at(path, places):
+    for stream in streams_at(path, places, limit):
         kind, length = PREFIX.unpack(stream.exactly(PREFIX.size))
         if kind != MESSAGE or length < MESSAGE_HEAD.size:
             raise DamagedChunkError("its index leads to a place where no message is")

@@ -1,7 +1,7 @@
 """What a bag holds, told from some ranges of its bytes: its topics, and whether their points carry labels.
 
 For whoever has the bag elsewhere. What is read and was not given is asked for: the index at the end first, then the
-chunk in which the first scan lies. A bag of SQLite (.db3) cannot be read so.
+chunk in which the first scan lies; of a bag of SQLite (.db3) its first pages, then those with the first messages.
 """
 
 from __future__ import annotations
@@ -10,19 +10,23 @@ import io
 import struct
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from itertools import islice
 from typing import Literal
 
-from interloc.drives.scans.rosbag import mcap, ros1
+from interloc.drives.scans.rosbag import db3, mcap, ros1
 from interloc.drives.scans.rosbag.chunks import ZSTD_MAGIC, ChunkStream, DamagedChunkError, codec_number
 from interloc.drives.scans.rosbag.index import ros2_spelling
 from interloc.drives.scans.rosbag.messages import FIX, POSES, TRANSFORMS
 from interloc.drives.scans.rosbag.pointcloud2 import read_layout
+from interloc.drives.scans.rosbag.sqlite_pages import Pages
 from interloc.drives.scans.rosbag.topics import POINTS
 from interloc.drives.scans.rosbag.wire import Encoding, WireError
 
 _TAIL_BYTES = 1 << 20
 _MAX_READ_BYTES = 8 << 20
 _HEAD_BYTES = 4096
+_MAX_TOPICS = 1000
+_MAX_MESSAGES = 200  # of a bag of SQLite; the first scan is among them, or not looked for
 
 
 class MissingRangeError(Exception):
@@ -81,6 +85,11 @@ class BagPeek:
         types = {"points": POINTS, "poses": (*POSES, *TRANSFORMS), "fixes": (FIX,)}[kind]
         return sorted(name for name, type_ in self.topics.items() if type_ in types)
 
+    def look_at(self, head: bytes, type_: str, encoding: Encoding | None) -> None:
+        """Tell from the first bytes of a message of points whether they carry labels."""
+        if head and encoding is not None and not head.startswith(ZSTD_MAGIC):
+            self.has_labels = bool(self.has_labels) or read_layout(head, type_, encoding, complete=False).has_labels
+
 
 @dataclass(frozen=True)
 class _Scan:
@@ -109,14 +118,13 @@ def peek(pieces: Pieces) -> BagPeek | None:
         elif magic.startswith(ros1.MAGIC):
             found, scans = _peek_ros1(pieces, magic)
             messages = _messages_of_ros1
+        elif magic.startswith(db3.MAGIC):
+            return _peek_db3(pieces)
         else:
             return None
         for scan in scans:
             chunk = pieces.read(scan.start, scan.stop - scan.start)
-            head = next(messages(chunk, scan.channel), b"")
-            if head and scan.encoding is not None and not head.startswith(ZSTD_MAGIC):
-                layout = read_layout(head, scan.type, scan.encoding, complete=False)
-                found.has_labels = bool(found.has_labels) or layout.has_labels
+            found.look_at(next(messages(chunk, scan.channel), b""), scan.type, scan.encoding)
     except (ValueError, WireError, struct.error, LookupError, OverflowError):  # the check of the whole bag says why
         return None
     return found
@@ -201,6 +209,31 @@ def _messages_of_ros1(chunk: bytes, channel: int) -> Iterator[bytes]:
         if own["op"] == b"\x02" and struct.unpack("<I", own["conn"])[0] == channel:
             yield stream.exactly(min(_HEAD_BYTES, size))
         stream.skip_to(end)
+
+
+def _peek_db3(pieces: Pieces) -> BagPeek:
+    """Read the topics of a bag of SQLite, and the first message of those with points."""
+    database = Pages(pieces.read, pieces.size)
+    roots = {row[1]: int(str(row[3])) for row in database.rows(1) if row[0] == "table"}
+    found, topics = BagPeek(), {}
+    for number, name, type_, encoding, *_ in islice(database.rows(roots["topics"]), _MAX_TOPICS):
+        found.topics[str(name)] = ros2_spelling(str(type_))
+        topics[number] = found.topics[str(name)], encoding
+    waiting = {number for number, (type_, _) in topics.items() if type_ in POINTS}
+    try:
+        for _, number, _, head in islice(database.rows(roots["messages"]), _MAX_MESSAGES):
+            if number in waiting and isinstance(head, bytes):
+                waiting.remove(number)
+                type_, encoding = topics[number]
+                found.look_at(head, type_, "cdr" if encoding == "cdr" else None)
+            if not waiting:
+                break
+    except MissingRangeError:
+        if found.has_labels is None:
+            raise
+    if waiting and not found.has_labels:
+        found.has_labels = None  # what was not seen may carry them
+    return found
 
 
 def _records(data: bytes) -> Iterator[tuple[dict[str, bytes], bytes, int]]:

@@ -1,0 +1,406 @@
+/**
+ * A map of many drives: how far it is, which of it is shown, and the queue of what OpenStreetMap seems to have wrong.
+ * @module city/panel
+ */
+import { address, download, getToken, onTokenChange, request } from "../api.js";
+import { copyButton, factRows, field, figure, iconButton, resultSection as section, select } from "../controls.js";
+import {
+  chosenCity,
+  cities,
+  judge,
+  loadMaps,
+  loadQueue,
+  onCityChange,
+  stepFinding,
+  takeBack,
+  versionOf,
+} from "../data/city.js";
+import { announce, el, fill, formatAgo, formatMetres, icon, plural } from "../dom.js";
+import { VERDICTS } from "../map/city.js";
+import { getCityFilter, setCityFilter } from "../map/city_filter.js";
+import { kindName } from "../map/city_places.js";
+import { problemNote, showError } from "../messages.js";
+import { getState, setState, subscribe } from "../state.js";
+import { manageDrives, newMap, removeMap } from "./dialogs.js";
+import { precisionText, streetsOf } from "./words.js";
+
+/** @typedef {import("../data/city.js").City} City */
+/** @typedef {import("../data/city.js").Entry} Entry */
+
+const NAMES = /** @type {Record<string, string>} */ (Object.fromEntries(VERDICTS));
+const STATES = { open: "Not looked at", judged: "Looked at", all: "All" };
+const LINKS = /** @type {Record<string, string>} */ ({
+  osm: "OpenStreetMap",
+  id: "iD",
+  josm: "JOSM",
+  mapillary: "Mapillary",
+  panoramax: "Panoramax",
+});
+/** Files for those who mend maps. */
+const DELIVERIES = {
+  "maproulette.geojson": [
+    "MapRoulette",
+    "Tasks of a challenge, at most 1,000; the same finding is the same task again.",
+  ],
+  "osmose.xml": ["Osmose", "For send-update of Osmose."],
+  "findings.gpx": ["GPX", "Waypoints for iD, JOSM and devices."],
+  "findings.geojson": ["GeoJSON", "With all that is known of each."],
+};
+/** Files of the map itself. */
+const FILES = {
+  "city.geojson": ["Intersections", "One point per physical intersection."],
+  "drives.geojson": ["Tracks", "Of its drives, their offsets taken away."],
+  "changes.geojson": ["Changes", "What came or went between drives."],
+};
+
+/** @param {HTMLElement} container */
+export function mount(container) {
+  const head = el("div", { class: "stack-s" });
+  const queue = el("div", { class: "stack-s" });
+  const more = el("div");
+  fill(container, el("div", { class: "stack city" }, head, queue, more));
+  const card = entryCard();
+  /** What is shown: version of the map, filter. */
+  let shown = "";
+  let listed = "";
+  const update = () => {
+    const city = chosenCity();
+    if (!cities.maps || !city) {
+      fill(head, cities.maps ? problemNote({ title: "No such map", detail: "It may have been deleted." }) : "Loading…");
+      if (cities.maps) head.append(mapChoice(null));
+      fill(queue);
+      return fill(more);
+    }
+    const { kind, state } = getCityFilter();
+    const now = JSON.stringify([cities.maps, getState().places, Boolean(getToken())]);
+    if (now !== shown) {
+      fill(head, headOf(city), city.bbox && filterOf());
+      fill(more, city.bbox && filesOf(city));
+    }
+    shown = now;
+    const wanted = [versionOf(city), kind, state].join();
+    if (wanted !== listed && city.findings !== null) loadQueue(city, { kind, state }).catch(showError);
+    listed = wanted;
+    const hasQueue = cities.queue?.map === city.id;
+    queue.hidden = !hasQueue;
+    if (!hasQueue) return;
+    card.update();
+    fillQueue(queue, city, card.element);
+  };
+  onCityChange(() => getState().panel === "map" && update());
+  onTokenChange(update);
+  subscribe(["panel", "map", "places"], ({ panel }) => panel === "map" && update());
+  subscribe(["finding"], () => getState().panel === "map" && update());
+  update();
+  if (!cities.maps) loadMaps().catch((error) => fill(head, problemNote(error)));
+}
+
+/** @param {City} city @returns {[text: string, look: string]} */
+function stateOf({ is_at_work, is_waiting, problem, bbox }) {
+  if (is_at_work) return ["Merging", "busy"];
+  if (is_waiting) return ["Waiting", "busy"];
+  if (problem) return ["Not compared", "error"];
+  return bbox ? ["Up to date", "good"] : ["Empty", ""];
+}
+
+/** @param {City|null} city @returns {HTMLElement|null} Nothing where there is one map alone. */
+function mapChoice(city) {
+  const maps = cities.maps ?? [];
+  if (city && maps.length < 2) return el("h2", { class: "cut grow" }, city.name);
+  const choices = Object.fromEntries(maps.map(({ id, name }) => [id, name]));
+  const choose = (/** @type {string} */ id) => setState({ map: id === "default" ? null : id });
+  const box = select(city ? choices : { "": "Choose a map", ...choices }, city?.id ?? "", choose);
+  box.setAttribute("aria-label", "Map");
+  return el("div", { class: "grow" }, box);
+}
+
+/** @param {City} city */
+function headOf(city) {
+  const [text, look] = stateOf(city);
+  const source =
+    city.osm && `Compared with ${city.osm}: ${plural(city.junctions_passed ?? 0, "junction")} passed often enough.`;
+  return [
+    el("div", { class: "spread" }, mapChoice(city), el("span", { class: `badge ${look}`, role: "status" }, text)),
+    el(
+      "div",
+      { class: "tiles-row" },
+      figure(
+        city.intersections.toLocaleString("en"),
+        "intersections",
+        `${city.seen_by_several.toLocaleString("en")} seen again`,
+      ),
+      figure(city.drives.toLocaleString("en"), city.drives === 1 ? "drive" : "drives"),
+      figure(formatMetres(city.median_position_std_m), "uncertainty (1 σ)", "median"),
+    ),
+    city.problem && problemNote({ title: "Not compared with OpenStreetMap", detail: city.problem }),
+    source && el("p", { class: "small" }, source),
+    el(
+      "div",
+      { class: "row" },
+      el("button", { onClick: () => manageDrives(city).catch(showError) }, "Drives…"),
+      el("button", { onClick: () => newMap() }, "New map…"),
+      !city.holds_all && iconButton("trash", `Delete the map ${city.name}`, () => removeMap(city).catch(showError)),
+    ),
+  ];
+}
+
+/** What of the map is shown. */
+function filterOf() {
+  const { drives, confidence, change } = getCityFilter();
+  /** @param {string} label @param {number|null} value @param {Record<string, any>} props @param {(value: number|null) => void} call */
+  const number = (label, value, props, call) => {
+    const read = () => call(input.value === "" ? null : Number(input.value));
+    const input = el("input", { type: "number", value: value ?? "", placeholder: "any", ...props, onChange: read });
+    return field(label, input);
+  };
+  const changes = { "": "any", changed: "new or gone", new: "new", gone: "gone" };
+  const choose = (/** @type {string} */ value) => setCityFilter({ change: /** @type {any} */ (value) || null });
+  return el(
+    "details",
+    { class: "filter", open: drives !== null || confidence !== null || change !== null },
+    el("summary", {}, "Filter the map"),
+    el(
+      "div",
+      { class: "thirds" },
+      number("Drives, at least", drives, { min: 1, step: 1 }, (value) => setCityFilter({ drives: value })),
+      number(
+        "Confidence, %",
+        confidence === null ? null : Math.round(100 * confidence),
+        { min: 0, max: 100 },
+        (value) => setCityFilter({ confidence: value === null ? null : value / 100 }),
+      ),
+      field("Changes", select(changes, change ?? "", choose)),
+    ),
+  );
+}
+
+/** @param {HTMLElement} holder @param {City} city @param {HTMLElement} card */
+function fillQueue(holder, city, card) {
+  const queue = /** @type {NonNullable<typeof cities.queue>} */ (cities.queue);
+  const { kind, state } = getCityFilter();
+  const focused = holder.contains(document.activeElement) ? /** @type {HTMLElement} */ (document.activeElement) : null;
+  const key = focused?.dataset.key;
+  const kinds = Object.fromEntries(Object.keys(queue.by_kind).map((each) => [each, kindName(each)]));
+  const at = queue.entries.findIndex(({ id }) => id === getState().finding);
+  const judgedKinds = Object.entries(queue.by_kind).filter(([, each]) => each.right + each.wrong + each.cannot_tell);
+  const stateBox = select(STATES, state, (value) => setCityFilter({ state: /** @type {any} */ (value) }));
+  const kindBox = select({ "": "All kinds", ...kinds }, kind ?? "", (value) => setCityFilter({ kind: value || null }));
+  const go = (/** @type {1|-1} */ by) => () => void stepFinding(by).catch(showError);
+  const previous = iconButton("previous", "Previous finding", go(-1), "Previous finding (k)");
+  const next = iconButton("next", "Next finding", go(1), "Next finding (j)");
+  const boxes = Object.entries({ state: stateBox, kind: kindBox, previous, next });
+  for (const [name, box] of boxes) box.dataset.key = name;
+  stateBox.setAttribute("aria-label", "State of the findings");
+  kindBox.setAttribute("aria-label", "Kind of the findings");
+  const readMore = () => void loadQueue(city, { kind, state }, true).catch(showError);
+  fill(
+    holder,
+    el("h3", {}, "What OpenStreetMap seems to have wrong"),
+    el(
+      "p",
+      { class: "small", role: "status" },
+      `${plural(queue.open, "finding")} to look at, ${queue.judged} looked at. ${precisionText(queue.precision)}`,
+    ),
+    judgedKinds.length > 1 &&
+      el(
+        "ul",
+        { class: "reasons" },
+        judgedKinds.map(([name, each]) => el("li", {}, `${kindName(name)}: ${precisionText(each)}`)),
+      ),
+    el(
+      "div",
+      { class: "tools" },
+      stateBox,
+      kindBox,
+      previous,
+      el(
+        "span",
+        { class: "number quiet" },
+        `${at < 0 ? "–" : at + 1} / ${queue.entries.length}${queue.next ? "+" : ""}`,
+      ),
+      next,
+    ),
+    card,
+    queue.entries.length
+      ? el("div", { class: "drive" }, el("ul", { class: "jobs scroll" }, queue.entries.map(entryRow)))
+      : el("p", { class: "quiet" }, emptyText(city, state, kind)),
+    queue.next && el("button", { onClick: readMore }, "Show more"),
+  );
+  if (key) /** @type {HTMLElement|null} */ (holder.querySelector(`[data-key="${CSS.escape(key)}"]`))?.focus();
+  holder.querySelector('[aria-current="true"]')?.scrollIntoView({ block: "nearest" });
+}
+
+/** @param {City} city @param {string} state @param {string|null} kind */
+function emptyText({ is_waiting }, state, kind) {
+  if (kind) return "None of this kind.";
+  if (state === "judged") return "Nobody has looked at any yet.";
+  return is_waiting ? "The comparison goes on." : "Nothing is left to look at.";
+}
+
+/** @param {Entry} entry */
+function entryRow({ id, kind, properties, verdict }) {
+  const isShown = getState().finding === id;
+  const button = el(
+    "button",
+    { "aria-current": String(isShown), dataset: { key: id }, onClick: () => setState({ finding: id }) },
+    el("span", { class: "cut" }, streetsOf(properties?.osm_ways) || kindName(kind)),
+    verdict
+      ? el("span", { class: "badge" }, NAMES[verdict.verdict])
+      : el("span", { class: "small" }, plural(properties?.passes ?? 0, "pass", "passes")),
+    el("span", { class: "small both" }, properties?.text ?? `${kindName(kind)}: the last comparison has it no more.`),
+  );
+  return el("li", {}, button);
+}
+
+/** The finding that is looked at: what speaks for it, and what was said of it. */
+function entryCard() {
+  const element = el("article", { class: "box finding", "aria-label": "Finding", hidden: true });
+  let shown = "";
+  /** Address within the page of the picture, by its own. */
+  const pictures = /** @type {Map<string, Promise<string>>} */ (new Map());
+  const load = (/** @type {string} */ path) => {
+    if (!pictures.has(path))
+      pictures.set(
+        path,
+        request(path).then(async (answer) => URL.createObjectURL(await answer.blob())),
+      );
+    return /** @type {Promise<string>} */ (pictures.get(path));
+  };
+  const update = () => {
+    const { entry } = cities;
+    element.hidden = !entry;
+    const now = JSON.stringify([entry, cities.readsOnly]);
+    if (!entry || now === shown) return;
+    const focused = element.contains(document.activeElement)
+      ? /** @type {HTMLElement} */ (document.activeElement).dataset.key
+      : null;
+    shown = now;
+    const p = entry.properties;
+    const image =
+      entry.picture &&
+      el("img", {
+        alt: "The ground around it as the drives saw it: road grey, other ground green, tracks blue",
+        width: 320,
+        height: 320,
+      });
+    if (entry.picture)
+      load(entry.picture.replace("/api/v1/", "")).then(
+        (url) => (image.src = url),
+        () => image.remove(),
+      );
+    const streets = streetsOf(p?.osm_ways);
+    fill(
+      element,
+      el("h4", {}, kindName(entry.kind), streets && `: ${streets}`),
+      p && el("p", {}, p.text),
+      image,
+      el(
+        "div",
+        { class: "verdicts", role: "group", "aria-label": "What you see there" },
+        VERDICTS.map(([verdict, name, hint], i) =>
+          el(
+            "button",
+            {
+              title: hint,
+              disabled: cities.readsOnly,
+              dataset: { key: verdict },
+              "aria-pressed": String(entry.verdict?.verdict === verdict),
+              onClick: () => say(verdict),
+            },
+            el("kbd", {}, String(i + 1)),
+            name,
+          ),
+        ),
+      ),
+      cities.readsOnly && el("p", { class: "small" }, "Your token may only read: others say what they see."),
+      p &&
+        el(
+          "dl",
+          { class: "figures" },
+          factRows([
+            ["Passes", `${p.passes}: ${p.drive_names}`],
+            p.distance_m !== null && ["Distance", formatMetres(p.distance_m, 1)],
+            p.branch_bearings_deg?.length > 0 && [
+              "Branches",
+              p.branch_bearings_deg.map((/** @type {number} */ b) => `${Math.round(b)}°`).join(", "),
+            ],
+            p.osm_id !== null && ["OSM node", String(p.osm_id)],
+          ]),
+        ),
+      p?.osm_ways &&
+        el(
+          "details",
+          {},
+          el("summary", {}, "Ways around"),
+          el(
+            "ul",
+            { class: "reasons" },
+            p.osm_ways.split("; ").map((/** @type {string} */ way) => el("li", {}, way)),
+          ),
+        ),
+      el(
+        "p",
+        { class: "row links" },
+        Object.entries(entry.links).map(([name, href]) =>
+          el("a", { href, target: "_blank", rel: "noopener" }, LINKS[name] ?? name),
+        ),
+      ),
+      el("p", { class: "small" }, "Keys: j next, k previous, 1 to 4 say what you see, u takes it back."),
+      historyOf(entry),
+    );
+    if (focused) /** @type {HTMLElement|null} */ (element.querySelector(`[data-key="${focused}"]`))?.focus();
+  };
+  return { element, update };
+}
+
+/** @param {import("../data/city.js").Verdict} verdict */
+function say(verdict) {
+  judge(verdict).then(() => announce(`${NAMES[verdict]}.`), showError);
+}
+
+/** @param {Entry} entry */
+function historyOf({ verdict, history }) {
+  if (!verdict) return null;
+  const rows = history ?? [verdict];
+  const back = {
+    class: "link",
+    disabled: cities.readsOnly,
+    dataset: { key: "back" },
+    onClick: () => void takeBack().catch(showError),
+  };
+  return el(
+    "div",
+    { class: "spread" },
+    el(
+      "ul",
+      { class: "reasons" },
+      rows.map(({ verdict: said, by, at }) => el("li", {}, `${NAMES[said]}, by ${by}, ${formatAgo(at)}`)),
+    ),
+    el("button", back, "Take it back"),
+  );
+}
+
+/** @param {City} city */
+function filesOf(city) {
+  const slug = city.name.replace(/[^A-Za-z0-9._-]+/g, "_");
+  /** @param {string} folder @param {Record<string, string[]>} files */
+  const rows = (folder, files) =>
+    Object.entries(files).map(([name, [title, hint]]) => {
+      const get = () => void download(`maps/${city.id}/${folder}/${name}`, `${slug}-${name}`).catch(showError);
+      return el("button", { title: hint, onClick: get }, icon("download"), title);
+    });
+  const gis = address(`maps/${city.id}/ogc`);
+  return [
+    city.findings !== null &&
+      section("Findings, for those who mend the map", el("div", { class: "row" }, rows("deliveries", DELIVERIES))),
+    section(
+      "The map",
+      el(
+        "div",
+        { class: "row" },
+        rows("files", FILES),
+        copyButton("Address for QGIS", () => gis),
+      ),
+    ),
+  ];
+}

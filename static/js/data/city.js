@@ -1,0 +1,244 @@
+/**
+ * Maps of many drives, and the queue of what OpenStreetMap seems to have wrong by one of them: as last received.
+ * @module data/city
+ */
+import { ApiError, getJson, sendJson } from "../api.js";
+import { getState, setState, subscribe } from "../state.js";
+
+/**
+ * @typedef {{id: string, name: string, holds_all: boolean, revision: number, merged_at: string|null, is_waiting: boolean,
+ *   is_at_work: boolean, drives: number, intersections: number, seen_by_several: number, findings: number|null,
+ *   median_position_std_m: number|null, junctions_passed: number|null, osm: string|null, problem: string|null,
+ *   bbox: number[]|null}} City A map of many drives.
+ * @typedef {"right"|"wrong"|"cannot_tell"|"fixed"} Verdict
+ * @typedef {{finding: string, verdict: Verdict, by: string, at: string, note: string|null}} Judgement
+ * @typedef {{id: string, kind: string, lon: number, lat: number, properties: any, verdict: Judgement|null,
+ *   picture: string|null, links: Record<string, string>, history?: Judgement[]}} Entry A finding.
+ * @typedef {{right: number, wrong: number, cannot_tell: number, share: number|null, low: number|null,
+ *   high: number|null}} Precision
+ * @typedef {{drive_id: string, name: string|null, label: string|null, job_id: string|null, problem: string|null}} Member
+ */
+
+/** What is known of the maps. `queue`: of the one that is shown, as far as it was read. */
+export const cities = {
+  /** @type {City[]|null} null: nobody has asked yet. */
+  maps: null,
+  /** @type {{map: string, entries: Entry[], open: number, judged: number, precision: Precision,
+   *   by_kind: Record<string, Precision>, next: string|null}|null} */
+  queue: null,
+  /** @type {Entry|null} The finding that is looked at. */
+  entry: null,
+  /** What was said of findings, by their ids: of the last thousand, and of all that were judged here. @type {Map<string, Verdict>} */
+  verdicts: new Map(),
+  /** Whether the token may only read, as the server has said. */
+  readsOnly: false,
+};
+
+const SERVER_MAP = "default";
+const PAGE = 50;
+const LOOK_MS = 10000;
+const WAITING_MS = 1500; // between looks while drives are merged
+
+/** @type {Set<() => void>} */
+const listeners = new Set();
+/** Findings that were judged here, the last one last. @type {string[]} */
+const judgedHere = [];
+
+/** @param {() => void} call @returns {() => void} Stops it. */
+export function onCityChange(call) {
+  listeners.add(call);
+  return () => listeners.delete(call);
+}
+
+const notify = () => {
+  for (const call of [...listeners]) call();
+};
+
+/** @returns {City|null} The map that is shown, or would be. */
+export const chosenCity = () => cities.maps?.find(({ id }) => id === (getState().map ?? SERVER_MAP)) ?? null;
+
+/** @param {City} city @returns {string} Differs where something of it does. */
+export const versionOf = ({ id, revision, is_waiting, findings, bbox }) =>
+  [id, revision, is_waiting, findings, bbox].join();
+
+/** @returns {boolean} Whether a map of many drives is what the page shows, or would. */
+export function wantsCity() {
+  const { panel, job, drive, live } = getState();
+  return panel === "map" || (!job && !drive && !live);
+}
+
+/** Ask for the maps again. */
+export async function loadMaps() {
+  const { maps } = await getJson("maps");
+  const isFirst = cities.maps === null;
+  const isSame = JSON.stringify(maps) === JSON.stringify(cities.maps);
+  cities.maps = maps;
+  if (!isSame) notify();
+  if (isFirst) void loadEntry();
+}
+
+/** Keep the maps up to date while one is looked at. */
+export function watchMaps() {
+  const look = async () => {
+    try {
+      if (!document.hidden && cities.maps && wantsCity()) await loadMaps();
+    } catch (error) {
+      if (error instanceof ApiError && error.status === 401) return; // the person was asked for a token just now
+    }
+    setTimeout(look, chosenCity()?.is_waiting ? WAITING_MS : LOOK_MS);
+  };
+  setTimeout(look, WAITING_MS);
+}
+
+/**
+ * Features of a layer within a box.
+ * @param {string} map Id.
+ * @param {"city"|"drives"|"changes"|"findings"} layer
+ * @param {number[]} box West, south, east, north.
+ * @param {{filter?: string|null, limit: number, signal?: AbortSignal}} options
+ * @returns {Promise<{features: any[], matched: number}>}
+ */
+export async function featuresIn(map, layer, box, { filter, limit, signal }) {
+  const fields = { bbox: box.map((each) => each.toFixed(6)).join(), limit: String(limit), ...(filter && { filter }) };
+  const path = `maps/${map}/ogc/collections/${layer}/items?${new URLSearchParams(fields)}`;
+  const page = await getJson(path, { signal, headers: { Accept: "application/geo+json" } });
+  return { features: page.features, matched: page.numberMatched };
+}
+
+/** @param {string} map Id. @returns {Promise<Member[]>} All drives that belong to it. */
+export async function loadMembers(map) {
+  const all = [];
+  for (let after = ""; ; ) {
+    const page = await getJson(`maps/${map}/drives?limit=1000${after && `&after=${after}`}`);
+    all.push(...page.drives);
+    if (!page.next) return all;
+    after = page.next;
+  }
+}
+
+/** Read what was said of the findings of a map. @param {string} map Id. */
+export async function loadVerdicts(map) {
+  const { entries } = await getJson(`maps/${map}/queue?state=judged&limit=1000`);
+  cities.verdicts = new Map(entries.map((/** @type {Entry} */ { id, verdict }) => [id, verdict?.verdict]));
+}
+
+/**
+ * Read the queue of a map, from its begin or on from where it was read.
+ * @param {City} city
+ * @param {{state: string, kind: string|null}} filter
+ * @param {boolean} [isMore]
+ */
+export async function loadQueue({ id }, { state, kind }, isMore = false) {
+  const mine = ++queueAsked;
+  const before = isMore ? cities.queue : null;
+  const fields = { state, limit: String(PAGE), ...(kind && { kind }), ...(before?.next && { after: before.next }) };
+  const page = await getJson(`maps/${id}/queue?${new URLSearchParams(fields)}`);
+  if (mine !== queueAsked) return;
+  cities.queue = { ...page, map: id, entries: [...(before?.entries ?? []), ...page.entries] };
+  notify();
+}
+let queueAsked = 0;
+
+/** Read the finding that the address names. */
+async function loadEntry() {
+  const { finding } = getState();
+  const city = chosenCity();
+  if (!finding) cities.entry = null;
+  else if (city) {
+    cities.entry = cities.queue?.entries.find(({ id }) => id === finding) ?? null; // at once, as the list has it
+    notify();
+    const whole = await getJson(`maps/${city.id}/queue/${encodeURIComponent(finding)}`);
+    if (finding !== getState().finding) return;
+    cities.entry = whole;
+  }
+  notify();
+}
+
+/** @returns {string} Address of the finding that is looked at. */
+const entryPath = () => `maps/${chosenCity()?.id}/queue/${encodeURIComponent(getState().finding ?? "")}`;
+
+/**
+ * Go to the next or the previous finding of the list; behind the last that was read more are read.
+ * @param {1|-1} by
+ * @param {(entry: Entry) => boolean} [isWanted]
+ * @returns {Promise<boolean>} Whether there is one.
+ */
+export async function stepFinding(by, isWanted = () => true) {
+  const entries = cities.queue?.entries ?? [];
+  const at = entries.findIndex(({ id }) => id === getState().finding);
+  const from = at < 0 && by < 0 ? entries.length : at;
+  const some = by > 0 ? entries.slice(from + 1) : entries.slice(0, from).reverse();
+  const next = some.find(isWanted);
+  if (next) setState({ finding: next.id });
+  return next !== undefined;
+}
+
+/**
+ * Say what was seen at the finding that is looked at, and go to the next one that is open.
+ * @param {Verdict} verdict
+ */
+export async function judge(verdict) {
+  const { finding } = getState();
+  if (!finding) return;
+  const judged = await change(() => sendJson("PUT", `${entryPath()}/verdict`, { verdict }));
+  judgedHere.push(finding);
+  keepEntry(judged);
+  if (finding === getState().finding) await stepFinding(1, (each) => !each.verdict);
+  await countAgain();
+}
+
+/** Take the last verdict back: of the finding that is looked at, else of that which was judged last. */
+export async function takeBack() {
+  const finding = cities.entry?.verdict ? cities.entry.id : judgedHere.at(-1);
+  const city = chosenCity();
+  if (!finding || !city) return;
+  const path = `maps/${city.id}/queue/${encodeURIComponent(finding)}`;
+  await change(() => sendJson("DELETE", `${path}/verdict`));
+  const at = judgedHere.lastIndexOf(finding);
+  if (at >= 0) judgedHere.splice(at, 1);
+  const listed = cities.queue?.entries.find(({ id }) => id === finding) ?? cities.entry;
+  try {
+    keepEntry(await getJson(path));
+  } catch (error) {
+    if (!(error instanceof ApiError && error.status === 404) || !listed) throw error;
+    keepEntry({ ...listed, verdict: null, history: [] }); // it comes back with the next comparison
+  }
+  setState({ finding });
+  await countAgain();
+}
+
+/** @template T @param {() => Promise<T>} send @returns {Promise<T>} */
+async function change(send) {
+  try {
+    return await send();
+  } catch (error) {
+    if (error instanceof ApiError && error.status === 403) {
+      cities.readsOnly = true;
+      notify();
+    }
+    throw error;
+  }
+}
+
+/** @param {Entry} entry As just received. */
+function keepEntry(entry) {
+  if (entry.verdict) cities.verdicts.set(entry.id, entry.verdict.verdict);
+  else cities.verdicts.delete(entry.id);
+  if (cities.entry?.id === entry.id) cities.entry = entry;
+  if (cities.queue)
+    cities.queue.entries = cities.queue.entries.map((each) =>
+      each.id === entry.id ? { ...entry, properties: entry.properties ?? each.properties } : each,
+    );
+  notify();
+}
+
+/** Read the figures of the queue again: the list stays as it is until it is asked for anew. */
+async function countAgain() {
+  const { queue } = cities;
+  if (!queue) return;
+  const { open, judged, precision, by_kind } = await getJson(`maps/${queue.map}/queue?limit=1`);
+  Object.assign(queue, { open, judged, precision, by_kind });
+  notify();
+}
+
+subscribe(["finding", "map"], () => void loadEntry());

@@ -1,0 +1,317 @@
+/**
+ * A map of many drives: its intersections and what OpenStreetMap seems to have wrong, asked for by the box that is seen.
+ * @module map/city
+ */
+import { factRows } from "../controls.js";
+import { cities, featuresIn, judge, loadMembers, loadVerdicts, stepFinding, takeBack } from "../data/city.js";
+import { lists, titleOf } from "../data/lists.js";
+import { lineOf } from "../data/results.js";
+import { el, formatDate, formatMetres, formatPercent, plural } from "../dom.js";
+import { Popup } from "../leaflet.js";
+import { showError } from "../messages.js";
+import { getState, setState } from "../state.js";
+import { cqlOf, getCityFilter, isOfChange } from "./city_filter.js";
+import { kindName, PLACE_SIGNS, partsOf, placeSign, signOfChange } from "./city_places.js";
+import { branchesOf } from "./facts.js";
+import { coordinates, linksAt } from "./links.js";
+import { OverviewScene, REACH_PX } from "./overview.js";
+import { View } from "./surface.js";
+import { colour, paintSigns, SIGNS, trace } from "./symbols.js";
+
+/** @typedef {import("../data/city.js").City} City */
+/** @typedef {{sign: string, lng: number, lat: number, x: number, y: number, properties: any, finding: any, changes: any[]}} Spot */
+
+const MAX_PLACES = 1000; // at once; of more each part of the view shows some
+const PARTS = 4; // along each side
+const MAX_TRACKS = 100;
+const AROUND = 0.3; // of the view, so that a small move asks for nothing
+const CLOSE_ZOOM = 18;
+
+export class CityScene extends OverviewScene {
+  /** @param {City} city @param {any} map @param {() => void} onChange Called when there is something else to draw. */
+  constructor(city, map, onChange) {
+    super([], map);
+    this.city = city;
+    this.onChange = onChange;
+    /** @type {Spot[]} */
+    this.spots = [];
+    /** Intersections of the view that there are, and that are shown. */
+    this.matched = 0;
+    this.loaded = 0;
+    /** What was asked for. @type {{box: number[], filter: string|null, isWhole: boolean, zoom: number}|null} */
+    this.asked = null;
+    /** By their names on the map. @type {Promise<Map<string, import("../data/city.js").Member>>|null} */
+    this.members = null;
+    /** What was said of findings. @type {Promise<void>|null} */
+    this.verdicts = null;
+    /** @type {AbortController|null} */
+    this.asking = null;
+  }
+
+  /** The map has changed. @param {City} city */
+  renew(city) {
+    this.city = city;
+    this.asked = null;
+    this.members = this.verdicts = null;
+    this.look();
+  }
+
+  /** Ask for what lies in the view, where it is not there yet. */
+  look() {
+    const bounds = this.map.getBounds();
+    const zoom = this.map.getZoom();
+    const { places: filter } = getState();
+    const inside = boxOf(bounds);
+    const { asked } = this;
+    if (asked && asked.filter === filter && (asked.isWhole || zoom <= asked.zoom) && holds(asked.box, inside)) return;
+    this.asking?.abort();
+    this.asking = new AbortController();
+    const next = { box: boxOf(bounds.pad(AROUND)), filter, isWhole: false, zoom };
+    this.asked = next;
+    this.#load(next, this.asking.signal).catch((error) => {
+      if (this.asked === next) this.asked = null;
+      showError(error);
+    });
+  }
+
+  /** @param {NonNullable<CityScene["asked"]>} asked @param {AbortSignal} signal */
+  async #load(asked, signal) {
+    const { id, findings: count } = this.city;
+    const isCompared = count !== null;
+    const filter = getCityFilter();
+    const byKind = filter.kind && `kind = '${filter.kind}'`;
+    this.members ??= loadMembers(id).then((all) => new Map(all.map((each) => [each.label ?? "", each])));
+    this.verdicts ??= loadVerdicts(id);
+    const [places, tracks, changes, findings, members] = await Promise.all([
+      this.#places(asked.box, cqlOf(filter), signal),
+      featuresIn(id, "drives", asked.box, { limit: MAX_TRACKS, signal }),
+      featuresIn(id, "changes", asked.box, { limit: MAX_PLACES, signal }),
+      isCompared
+        ? featuresIn(id, "findings", asked.box, { limit: MAX_PLACES, filter: byKind, signal })
+        : { features: [] },
+      this.members,
+      this.verdicts,
+    ]);
+    if (signal.aborted) return;
+    asked.isWhole = places.features.length >= places.matched && tracks.features.length >= tracks.matched;
+    this.loaded = places.features.length;
+    this.matched = places.matched;
+    this.items = this.itemsOf(tracks.features.map((each) => driveOf(each, members)));
+    this.spots = this.#spots(places.features, changes.features, findings.features, isCompared);
+    this.onChange();
+  }
+
+  /** @param {number[]} box @param {string|null} filter @param {AbortSignal} signal */
+  async #places(box, filter, signal) {
+    const { id } = this.city;
+    const whole = await featuresIn(id, "city", box, { filter, limit: MAX_PLACES, signal });
+    if (whole.matched <= MAX_PLACES) return whole;
+    const limit = Math.ceil(MAX_PLACES / PARTS ** 2);
+    const some = await Promise.all(
+      partsOf(box, PARTS).map((each) => featuresIn(id, "city", each, { filter, limit, signal })),
+    );
+    const known = new Map(some.flatMap(({ features }) => features.map((each) => [each.id, each])));
+    return { features: [...known.values()], matched: whole.matched };
+  }
+
+  /** @param {any[]} places @param {any[]} changes @param {any[]} findings @param {boolean} isCompared @returns {Spot[]} */
+  #spots(places, changes, findings, isCompared) {
+    const filter = getCityFilter();
+    /** @param {any[]} features @returns {Map<string, any[]>} */
+    const byPlace = (features) => {
+      const all = new Map();
+      for (const each of features) all.set(each.properties.uid, [...(all.get(each.properties.uid) ?? []), each]);
+      return all;
+    };
+    const [found, changed] = [byPlace(findings), byPlace(changes)];
+    /** @param {any} feature @param {string} sign @param {any} [finding] @param {any[]} [own] @returns {Spot} */
+    const spot = ({ geometry, properties }, sign, finding = null, own = []) => {
+      const [lng, lat] = geometry.coordinates;
+      const [x, y] = this.project([[lng, lat]]);
+      return { sign, lng, lat, x, y, properties, finding, changes: own };
+    };
+    const known = new Set(places.map(({ properties }) => properties.uid));
+    const alone = findings.filter(({ properties }) => !known.has(properties.uid));
+    const all = [
+      ...places.map((each) => {
+        const { uid, passes } = each.properties;
+        const finding = found.get(uid)?.[0].properties ?? null;
+        return spot(each, placeSign(passes, finding && verdictOn(finding), isCompared), finding, changed.get(uid));
+      }),
+      ...alone.map((each) =>
+        spot(each, placeSign(0, verdictOn(each.properties), true), each.properties, changed.get(each.properties.uid)),
+      ),
+    ];
+    const shown = filter.change
+      ? all.filter(({ changes: own }) => own.some(({ properties }) => isOfChange(filter, properties)))
+      : all;
+    const signs = Object.keys(PLACE_SIGNS);
+    return shown.sort((a, b) => signs.indexOf(a.sign) - signs.indexOf(b.sign));
+  }
+
+  /** Somebody has said something of a finding. */
+  judged() {
+    for (const spot of this.spots) if (spot.finding) spot.sign = placeSign(0, verdictOn(spot.finding), true);
+  }
+
+  /** @param {CanvasRenderingContext2D} context @param {View} view */
+  paint(context, view) {
+    super.paint(context, view);
+    const r = view.zoom > 15 ? 8 : view.zoom > 13 ? 5 : 3;
+    /** @param {string} name @param {number} size @param {(spot: Spot) => boolean} isOne */
+    const paintAll = (name, size, isOne) => {
+      const seen = this.spots.filter(isOne).map((each) => [view.x(each.x), view.y(each.y)]);
+      const spots = seen.filter(([x, y]) => view.shows(x, y));
+      paintSigns(context, SIGNS[name], spots, size);
+    };
+    for (const name of Object.keys(PLACE_SIGNS)) paintAll(name, r, ({ sign }) => sign === name);
+    for (const name of ["here", "elsewhere"])
+      paintAll(name, r + 5, ({ changes }) => changes.some((each) => signOfChange(each) === name));
+    const { entry } = cities;
+    if (!entry) return;
+    const [x, y] = this.project([[entry.lon, entry.lat]]);
+    context.beginPath();
+    trace(context, "ring", view.x(x), view.y(y), r + 9);
+    context.strokeStyle = colour("--ink");
+    context.lineWidth = 3;
+    context.stroke();
+  }
+
+  /** @param {any} event Of the pointer. @returns {any} The nearest place, else the nearest drive. */
+  at(event) {
+    const { map } = this;
+    const view = new View(map, map.getZoom(), map.getPixelBounds().min, map.getSize());
+    const { x, y } = event.containerPoint;
+    let nearest = null;
+    let min = REACH_PX;
+    for (const spot of this.spots) {
+      const away = Math.hypot(view.x(spot.x) - x, view.y(spot.y) - y);
+      if (away <= min) [nearest, min] = [spot, away];
+    }
+    return nearest ?? super.at(event);
+  }
+
+  /** @param {any} item */
+  tipOf(item) {
+    if (!item.sign) return super.tipOf(item);
+    return el("div", {}, el("strong", {}, spotTitle(item)), el("br"), item.finding?.text ?? seenText(item.properties));
+  }
+
+  /** @param {any} item */
+  open(item) {
+    if (!item.sign) return super.open(item);
+    if (item.finding) return setState({ panel: "map", finding: item.finding.id });
+    const room = this.map.getSize().x - 80;
+    new Popup({ maxWidth: Math.min(320, room), minWidth: Math.min(290, room), autoPanPadding: [24, 24] })
+      .setLatLng([item.lat, item.lng])
+      .setContent(contentOf(item))
+      .openOn(this.map);
+  }
+
+  /** Go to the finding that is looked at. @param {boolean} [animate] */
+  goToEntry(animate = !matchMedia("(prefers-reduced-motion: reduce)").matches) {
+    const { entry } = cities;
+    if (!entry) return;
+    this.map.closePopup();
+    this.map.setView([entry.lat, entry.lon], Math.max(this.map.getZoom(), CLOSE_ZOOM), { animate });
+  }
+}
+
+/**
+ * @param {any} feature Of the layer `drives`.
+ * @param {Map<string, import("../data/city.js").Member>} members
+ * @returns {import("../data/overview.js").DriveOnMap}
+ */
+function driveOf({ id: label, geometry, properties: { intersections } }, members) {
+  const member = members.get(label);
+  const job = lists.jobs.find(({ id }) => id === member?.job_id);
+  const isPinned = lists.drives.find(({ id }) => id === member?.drive_id)?.pinned_job === member?.job_id;
+  return {
+    id: member?.drive_id ?? "",
+    name: member?.name ?? label,
+    job: member?.job_id ?? null,
+    title: job ? titleOf(job) : "",
+    chosen: isPinned ? "pinned" : "best",
+    track: lineOf(geometry),
+    verdict: plural(intersections, "intersection"),
+    intersections: [],
+    outcomes: [],
+  };
+}
+
+/** @param {any} finding Properties of the layer `findings`. @returns {{verdict: string|null}} */
+const verdictOn = ({ id }) => ({ verdict: cities.verdicts.get(id) ?? null });
+
+/** @param {Spot} spot */
+const spotTitle = ({ finding, properties }) => (finding ? kindName(finding.kind) : `Intersection ${properties.uid}`);
+
+/** @param {any} properties Of the layer `city`. */
+const seenText = ({ drives, drives_near, passes }) =>
+  `seen by ${drives} of ${plural(drives_near, "drive")} that came near, in ${plural(passes, "pass", "passes")}`;
+
+/** @param {Spot} spot */
+function contentOf({ lat, lng, properties: p, changes }) {
+  const links = linksAt(lat, lng).map(({ name, href, title }) =>
+    el("a", { href, title, target: "_blank", rel: "noopener" }, name),
+  );
+  const change = changes.map(({ properties: c }) => el("p", { class: "why" }, changeText(c)));
+  return el(
+    "div",
+    { class: "details" },
+    el("h3", {}, `Intersection ${p.uid}`),
+    change,
+    el(
+      "dl",
+      { class: "figures" },
+      factRows([
+        ["Drives", `${p.drives} of ${p.drives_near} that came near`],
+        ["Passes", String(p.passes)],
+        ["Confidence", formatPercent(p.confidence)],
+        ["Uncertainty (1 σ)", formatMetres(p.position_std_m)],
+        ["In its surroundings", formatMetres(p.relative_std_m)],
+        ...branchesOf(p, false),
+        p.first_time && ["Seen", [p.first_time, p.last_time].map((each) => formatDate(each)).join(" to ")],
+        ["By", p.drive_names],
+        ["Latitude, longitude", coordinates({ lat, lng }, false)],
+      ]),
+    ),
+    el("div", { class: "ways-out" }, el("p", {}, links)),
+  );
+}
+
+/** @param {any} change Properties of the layer `changes`. */
+const changeText = ({ kind, bearing_deg, seen_by, not_seen_by }) =>
+  `${kindName(kind)}${bearing_deg === null ? "" : ` at ${Math.round(bearing_deg)}°`}: seen by ${seen_by}, not by ${not_seen_by}.`;
+
+/** @param {any} bounds Of Leaflet. @returns {number[]} West, south, east, north, on the Earth. */
+function boxOf(bounds) {
+  const within = (/** @type {number} */ value, /** @type {number} */ max) => Math.max(-max, Math.min(max, value));
+  const [west, east] = [bounds.getWest(), bounds.getEast()].map((each) => within(each, 180));
+  return [west, within(bounds.getSouth(), 90), east, within(bounds.getNorth(), 90)];
+}
+
+/** @param {number[]} box @param {number[]} inside @returns {boolean} */
+const holds = (box, inside) => box[0] <= inside[0] && box[1] <= inside[1] && box[2] >= inside[2] && box[3] >= inside[3];
+
+/** @param {() => Promise<any>} call @returns {() => void} Done where the queue is on the page. */
+const inQueue = (call) => () => getState().panel === "map" && void call().catch(showError);
+
+/** What was seen, in the order of its keys. @type {[verdict: import("../data/city.js").Verdict, name: string, hint: string][]} */
+export const VERDICTS = [
+  ["right", "Right", "OpenStreetMap is wrong here"],
+  ["wrong", "Wrong", "OpenStreetMap is right: the place never comes back"],
+  ["cannot_tell", "Cannot tell", "Nobody can tell from what there is"],
+  ["fixed", "Fixed", "It was wrong, and has been mended"],
+];
+
+/** Keys of the queue, for the list of shortcuts. */
+export const CITY_KEYS = [
+  { key: "j", text: "Next finding of the map", run: inQueue(() => stepFinding(1)) },
+  { key: "k", text: "Previous finding of the map", run: inQueue(() => stepFinding(-1)) },
+  ...VERDICTS.map(([verdict, name], i) => ({
+    key: String(i + 1),
+    text: `Say of the finding: ${name.toLowerCase()}`,
+    run: inQueue(() => judge(verdict)),
+  })),
+  { key: "u", text: "Take the last verdict on a finding back", run: inQueue(takeBack) },
+];

@@ -1,0 +1,41 @@
+/**
+ * Places of a map of many drives: their signs, what they are called, where they are asked for.
+ * @module map/city_places
+ */
+
+/** Signs and what they say, in the order in which they are drawn: what is worth a look lies above. */
+export const PLACE_SIGNS = /** @type {Record<string, string>} */ ({
+  unscored: "seen once, or not compared",
+  right: "seen again, nothing against OpenStreetMap",
+  outside: "looked at by somebody",
+  wrong: "OpenStreetMap seems wrong",
+  here: "new",
+  elsewhere: "gone",
+});
+
+/**
+ * The sign of a place of a map of many drives.
+ * @param {number} passes That saw it.
+ * @param {{verdict: string|null}|null} finding About it.
+ * @param {boolean} isCompared Whether the map was compared with OpenStreetMap.
+ * @returns {string}
+ */
+export function placeSign(passes, finding, isCompared) {
+  if (finding) return finding.verdict ? "outside" : "wrong";
+  return isCompared && passes > 1 ? "right" : "unscored";
+}
+
+/** @param {number[]} box West, south, east, north. @param {number} count Along each side. @returns {number[][]} Its parts. */
+export function partsOf([west, south, east, north], count) {
+  const [dx, dy] = [(east - west) / count, (north - south) / count];
+  const each = [...Array(count).keys()];
+  return each.flatMap((i) =>
+    each.map((j) => [west + i * dx, south + j * dy, west + (i + 1) * dx, south + (j + 1) * dy]),
+  );
+}
+
+/** @param {string} kind "missing_junction" @returns {string} "Missing junction" */
+export const kindName = (kind) => `${kind[0].toUpperCase()}${kind.slice(1).replaceAll("_", " ")}`;
+
+/** @param {any} change Of the layer `changes`. @returns {string} */
+export const signOfChange = ({ properties }) => (properties.kind.startsWith("new_") ? "here" : "elsewhere");

@@ -1,0 +1,127 @@
+"""Drives and results in object storage, on a real S3 server of this machine."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from interloc import storage
+from tests.cli.test_batch import contents
+from tests.stores import BUCKET, keys_below, put, s3  # noqa: F401 - a fixture
+
+pytestmark = pytest.mark.usefixtures("s3")
+
+
+@pytest.fixture(autouse=True)
+def nothing_left() -> Iterator[None]:
+    """What a command has laid out goes with its process; here that is the test."""
+    yield
+    storage.clear()
+
+
+def fetched(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Count the bytes that are read."""
+    counts: list[int] = []
+    get = storage.Bucket.get
+
+    def counted(bucket: storage.Bucket, wanted: storage.StoredObject, start: int, stop: int) -> memoryview:
+        counts.append(stop - start)
+        return get(bucket, wanted, start, stop)
+
+    monkeypatch.setattr(storage.Bucket, "get", counted)
+    return counts
+
+
+def test_a_drive_in_a_bucket_is_as_the_drive_in_a_folder_and_only_keyframes_are_fetched(
+    drive: Path, finished: Path, tmp_path: Path, interloc: Callable, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    put(drive, "drives/crossing")
+    put(drive.parent / "map.osm", "drives/map.osm")
+    counts = fetched(monkeypatch)
+    told = interloc("info", f"s3://{BUCKET}/drives/crossing", "--json")
+    assert told.json["path"] == f"s3://{BUCKET}/drives/crossing"
+    counts.clear()
+    address, result = f"s3://{BUCKET}/drives/crossing", f"s3://{BUCKET}/results/crossing"
+    outcome = interloc("run", address, "-o", result, "--osm", f"s3://{BUCKET}/drives/map.osm")
+    assert f"{result}/report.html" in outcome.out
+    read = sum(counts)
+    storage.clear()
+    bucket, key = storage.Bucket.of(result)
+    for each in bucket.below(key):
+        target = tmp_path / "crossing" / each.key.removeprefix(f"{key}/")
+        target.parent.mkdir(parents=True, exist_ok=True)
+        target.write_bytes(bucket.get(each, 0, each.size))
+    assert contents(tmp_path / "crossing") == contents(finished)
+    run = json.loads((finished / "run.json").read_bytes())
+    sizes = [path.stat().st_size for path in sorted((drive / "velodyne").iterdir())]
+    needed = sum(sizes) * 1.25 * run["keyframes"] / run["scans"]
+    assert read < 1.2 * (needed + sum(path.stat().st_size for path in drive.rglob("*.*t*") if path.is_file()))
+
+
+def test_a_result_replaces_an_older_one_and_nothing_else(short_drive: Path, tmp_path: Path, interloc: Callable) -> None:
+    (tmp_path / "notes.txt").write_text("mine")
+    put(tmp_path / "notes.txt", "foreign/notes.txt")
+    refused = interloc("convert", short_drive, "-o", f"s3://{BUCKET}/foreign")
+    assert f"s3://{BUCKET}/foreign exists and is not an InterLoc result" in refused.complaint
+    assert keys_below("foreign") == ["notes.txt"]
+    place = f"s3://{BUCKET}/copies/short"
+    assert interloc("convert", short_drive, "-o", place).code == 0
+    put(tmp_path / "notes.txt", "copies/short/notes.txt")
+    for path in sorted((short_drive / "velodyne").iterdir())[-2:]:
+        path.unlink()
+    assert interloc("convert", short_drive, "-o", place, "--quiet").code == 0
+    keys = keys_below("copies/short")
+    assert sum(key.startswith("velodyne/") for key in keys) == len(list((short_drive / "velodyne").iterdir()))
+    assert "notes.txt" in keys
+    assert interloc("info", place).code == 0
+
+
+@pytest.mark.parametrize(
+    ("address", "said"),
+    [
+        ("s3://nobody/drive", r"there is no bucket s3://nobody \(404 NoSuchBucket\)"),
+        (f"s3://{BUCKET}/nothing", "holds no objects"),
+        ("s3://name:password@bucket/drive", "credentials and signatures do not belong"),
+        ("ftp://bucket/drive", "is not an address in object storage"),
+    ],
+)
+def test_what_cannot_be_read_is_said_in_one_line(address: str, said: str, interloc: Callable) -> None:
+    complaint = interloc("detect", address, "-o", "never").complaint
+    assert re.search(said, complaint)
+    assert "password" not in complaint
+
+
+def test_a_server_that_refuses_or_does_not_answer(interloc: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("AWS_ENDPOINT", "http://127.0.0.1:9")
+    monkeypatch.setattr(storage, "_TRIES", 0)
+    storage._open.cache_clear()
+    complaint = interloc("info", f"s3://{BUCKET}/drive").complaint
+    storage._open.cache_clear()
+    assert "the server does not answer as expected" in complaint
+    assert "a-secret" not in complaint
+
+
+def test_drives_of_a_prefix_are_a_batch_whose_results_are_as_by_themselves(
+    short_drive: Path, interloc: Callable, tmp_path: Path
+) -> None:
+    for name in ("one", "two"):
+        put(short_drive, f"many/{name}/short")
+    command = (f"s3://{BUCKET}/many", "-o", f"s3://{BUCKET}/batch", "--workers", "2")
+    outcome = interloc("batch", *command, "--json")
+    assert [row["drive"] for row in outcome.json["drives"]] == [
+        f"s3://{BUCKET}/many/{name}/short" for name in ("one", "two")
+    ]
+    storage.clear()
+    assert interloc("detect", short_drive, "-o", tmp_path / "alone").code == 0
+    names = {f"one-short/{path.name}" for path in (tmp_path / "alone").iterdir()}
+    assert names | {"batch.csv", "batch.html", ".batch/one-short.json"} <= set(keys_below("batch"))
+    bucket, key = storage.Bucket.of(f"s3://{BUCKET}/batch/one-short/detections.geojson")
+    found = bucket.head(key) or bucket.head(key.replace("geojson", "local.json"))
+    assert found is not None
+    assert bytes(bucket.get(found, 0, found.size)) == next((tmp_path / "alone").glob("detections.*")).read_bytes()
+    again = interloc("batch", *command)
+    assert "2 drives of 2 done already" in again.err

@@ -1,0 +1,133 @@
+"""The map of many drives on the page: the start, the queue by keys, maps of one's own."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import pytest
+
+from tests.app.processes import API, wait_until
+from tests.app.street import write_street
+from tests.page.browsers import SIZE, Watch, needs_page
+from tests.page.results import Done, address_of, run_street
+from tests.page.test_accessibility import WIDTHS, check, tab
+
+__all__ = ["tab"]
+
+pytestmark = needs_page
+
+AGAIN = "street again"
+
+
+@pytest.fixture(scope="module")
+def city(done: Done, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    """The map of the server: the street twice, compared with a map that has one of its crossings 10 m to the east."""
+    run_street(done.server, write_street(tmp_path_factory.mktemp("city") / AGAIN, 62))
+    osm = re.sub(r'(<node id="[789]" .*lon=)"([^"]*)"', _move, (done.short / "map.osm").read_text())
+    done.server.client.put(f"{API}/maps/default/osm/town.osm", content=osm).raise_for_status()
+
+    def look() -> dict[str, Any] | None:
+        found = done.server.client.get(f"{API}/maps/default").json()
+        return found if found["findings"] and found["drives"] > 1 and not found["is_waiting"] else None
+
+    found: dict[str, Any] = wait_until(look, "the map of the server")
+    return found
+
+
+def _move(node: re.Match[str]) -> str:
+    return f'{node[1]}"{float(node[2]) + 1.37e-4}"'
+
+
+def test_the_start_is_the_map_of_all_drives(page: Any, done: Done, city: dict[str, Any]) -> None:
+    page.goto(done.server.address)
+    note = page.locator(".stage-note")
+    note.get_by_text("OpenStreetMap seems wrong").wait_for()
+    assert re.match(rf"{city['intersections']} intersections\s+of {city['drives']} drives", note.inner_text())
+    box = page.locator("#map").bounding_box()
+    x, y = box["x"] + 56 + (box["width"] - 96) / 2, box["y"] + (box["height"] + note.bounding_box()["height"]) / 2
+    drives = done.server.client.get(f"{API}/drives").json()["drives"]
+    tip = page.locator(".tip", has_text=re.compile("|".join(re.escape(each["name"]) for each in drives)))
+    x += 40  # beside the sign of an intersection
+    for aside in range(-40, 40, 4):
+        page.mouse.move(x, y + aside)
+        if tip.count():
+            break
+    page.mouse.click(x, y + aside)
+    page.wait_for_url(re.compile("drive=.*job="))
+    page.locator(".legend:visible").wait_for()
+    assert not note.is_visible()
+    page.locator("#tab-map").click()
+    note.get_by_text("OpenStreetMap seems wrong").wait_for()
+    page.locator("#tab-job").click()
+    page.locator(".legend:visible").wait_for()
+
+
+def test_findings_are_judged_by_keys(tab: Any, done: Done, city: dict[str, Any], watch: Watch) -> None:
+    queue = f"{API}/maps/default/queue"
+    entries = done.server.client.get(queue).json()["entries"]
+    first = entries[0]
+    tab.emulate_media(reduced_motion="reduce")
+    tab.goto(f"{done.server.address}/#panel=map")
+    rows = tab.locator("#panel-map .jobs li")
+    rows.first.wait_for()
+    assert rows.count() == len(entries)
+    tab.keyboard.press("j")
+    card = tab.locator(".finding")
+    card.get_by_text(first["properties"]["text"]).wait_for()
+    card.locator("img[src^=blob]").wait_for()
+    for width in WIDTHS:
+        tab.set_viewport_size({"width": width, "height": 800})
+        check(tab, "finding")
+    tab.set_viewport_size(SIZE)
+    assert card.get_by_role("link", name="JOSM").get_attribute("href") == first["links"]["josm"]
+    assert f"finding={first['id']}" in address_of(tab)
+    tab.locator("#panel-map .filter summary").click()
+    drives = tab.get_by_label("Drives, at least")
+    drives.press("1")  # a field keeps its keys
+    drives.press("Tab")
+    tab.wait_for_url(re.compile("places=drives:1"))
+    tab.locator("#map").focus()
+    tab.keyboard.press("1")
+    tab.get_by_text("1 of 1 right: 100 % (95 %: 21 to 100 %)").wait_for()
+    said = done.server.client.get(f"{queue}/{first['id']}").json()["verdict"]
+    assert (said["verdict"], said["by"]) == ("right", "anonymous")
+    tab.keyboard.press("u")
+    tab.get_by_text("How many are right is not known yet").wait_for()
+    assert done.server.client.get(f"{queue}/{first['id']}").json()["verdict"] is None
+    assert f"finding={first['id']}" in address_of(tab)
+
+    watch.expect("403 .*verdict")
+    refused = {"title": "Token may only read", "detail": "The token of eve has the scope read."}
+    tab.route("**/verdict", lambda route: route.fulfill(status=403, json=refused))
+    card.get_by_role("button", name="Wrong").click()
+    tab.locator("#toasts", has_text=refused["detail"]).wait_for()
+    assert card.get_by_role("button", name="Wrong").is_disabled()
+    tab.reload()  # an address to pass on
+    card.get_by_text(first["properties"]["text"]).wait_for()
+
+
+def test_a_map_is_made_of_some_drives(page: Any, done: Done, city: dict[str, Any]) -> None:
+    page.goto(f"{done.server.address}/#panel=map")
+    page.get_by_role("button", name="New map…").click()
+    dialog = page.locator("dialog[open]")
+    dialog.get_by_label("Name").fill("One street")
+    dialog.get_by_label(AGAIN).first.check()
+    dialog.get_by_role("button", name="Make the map").click()
+    page.locator(".stage-note", has_text="of 1 drive").wait_for()
+    page.locator("#panel-map .badge", has_text="Up to date").wait_for()
+    page.get_by_role("button", name="Drives…").click()
+    dialog.get_by_text("on the map").wait_for()
+    dialog.get_by_role("button", name=f"Take {AGAIN} out of the map").click()
+    dialog.get_by_text("No drive belongs to it yet").wait_for()
+    dialog.get_by_role("button", name="Done").click()
+    page.locator(".cover", has_text="No drive is on this map yet").wait_for()
+    page.get_by_role("combobox", name="Map").select_option("default")
+    page.locator(".stage-note", has_text=f"of {city['drives']} drives").wait_for()
+    page.go_back()
+    page.get_by_role("button", name="Delete the map One street").click()
+    dialog.get_by_role("button", name="Delete the map").click()
+    page.locator(".stage-note", has_text=f"of {city['drives']} drives").wait_for()
+    page.locator("#tab-drives").click()
+    page.get_by_role("button", name=f"Maps of {AGAIN}").first.click()
+    assert dialog.get_by_label("All drives").is_checked()
