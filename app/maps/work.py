@@ -94,7 +94,7 @@ def merge(folder: Path, wanted: Mapping[str, Source], register: Register) -> Mer
     register
         As the database has it.
     """
-    from interloc.city.folder import city_features, city_record, locked, write_city  # noqa: PLC0415 - of workers only
+    from interloc.city.folder import city_record, locked, write_city  # noqa: PLC0415 - of workers only
     from interloc.city.passes import Pass  # noqa: PLC0415
     from interloc.output.read import read_results  # noqa: PLC0415
 
@@ -118,12 +118,12 @@ def merge(folder: Path, wanted: Mapping[str, Source], register: Register) -> Mer
                     city.replace(each)
                 except InterLocError as error:
                     problems[each.name] = str(error)
-        write_city(city, folder / CITY)
+        layers = write_city(city, folder / CITY)
         jobs = {name: source.job for name, source in wanted.items() if name in city.drives}
         with atomic_write(folder / CITY / JOBS_FILE) as file:
             file.write(json.dumps(jobs).encode())
         record = city_record(city) | {"drives": len(city.drives)}
-        return Merged(problems, _changes(city, register), record, list(chunks_of_layers(city_features(city))))
+        return Merged(problems, _changes(city, register), record, list(chunks_of_layers(layers)))
 
 
 def _opened(folder: Path, register: Register) -> tuple[CityMap, dict[str, str]]:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -97,12 +98,10 @@ class Sightings:
         offset: FloatArray = (1.0 - share) * knots[self.knot] + share * knots[self.knot + 1]
         return offset
 
-    def places(self, values: FloatArray) -> FloatArray:
-        """Return the weighted mean of (N, 2) values at each place, (P, 2)."""
-        count = int(self.place.max(initial=-1)) + 1
-        total = np.maximum(np.bincount(self.place, self.weight, count), 1e-12)
-        sums = [np.bincount(self.place, self.weight * values[:, i], count) / total for i in (0, 1)]
-        return np.stack(sums, axis=-1)
+    def positions(self, knots: FloatArray) -> FloatArray:
+        """Return where the places are, (P, 2): the weighted mean of what was seen, offsets taken away."""
+        values, total = self.xy - self.offsets(knots), np.bincount(self.place, self.weight)
+        return np.stack([np.bincount(self.place, self.weight * each) / total for each in values.T], axis=-1)
 
 
 def adjust(sightings: Sightings, prior: Prior, start: FloatArray, free: BoolArray) -> tuple[FloatArray, FloatArray]:
@@ -122,21 +121,23 @@ def adjust(sightings: Sightings, prior: Prior, start: FloatArray, free: BoolArra
     pull : (K, 2) float64
         How far each knot would move if it alone were free, metres.
     """
-    from scipy.sparse import csr_array  # noqa: PLC0415 - slow to import
+    from scipy.linalg import cho_solve_banded, cholesky_banded  # noqa: PLC0415 - slow to import
+    from scipy.sparse import csc_array, csr_array  # noqa: PLC0415
 
-    count, rows = len(start), np.arange(len(sightings.xy))
-    ends = np.concatenate([sightings.knot, sightings.knot + 1])
-    shares = np.concatenate([1.0 - sightings.share, sightings.share])
-    design = csr_array((shares, (np.tile(rows, 2), ends)), shape=(len(rows), count))
+    seen, count = len(sightings.xy), len(start)
+    two = np.stack([1.0 - sightings.share, sightings.share], axis=-1).reshape(-1)
+    ends = np.stack([sightings.knot, sightings.knot + 1], axis=-1).reshape(-1)
+    design = csr_array((two, ends, 2 * np.arange(seen + 1)), shape=(seen, count))
     places = int(sightings.place.max(initial=-1)) + 1
-    total = np.maximum(np.bincount(sightings.place, sightings.weight, places), 1e-12)
-    membership = csr_array((sightings.weight, (sightings.place, rows)), shape=(places, len(rows)))
-    back = csr_array(design.T)
+    total = np.bincount(sightings.place, sightings.weight, places)
+    membership: Any = csc_array((sightings.weight, sightings.place, np.arange(seen + 1)), shape=(places, seen))
+    back: Any = design.T
 
     def apart(values: FloatArray) -> FloatArray:
         """Take the mean of its place from each value, and weigh what is left."""
         mean = (membership @ values) / total[:, None]
-        return sightings.weight[:, None] * (values - mean[sightings.place])
+        left: FloatArray = sightings.weight[:, None] * (values - mean[sightings.place])
+        return left
 
     def system(knots: FloatArray) -> FloatArray:
         product: FloatArray = back @ apart(design @ knots) + prior.times(knots)
@@ -144,10 +145,19 @@ def adjust(sightings: Sightings, prior: Prior, start: FloatArray, free: BoolArra
 
     alone = sightings.weight * (1.0 - sightings.weight / total[sightings.place])
     scale = (back.multiply(back) @ alone + prior.diagonal)[:, None]
+    between = prior.beside + np.bincount(sightings.knot, alone * sightings.share * (1.0 - sightings.share), count)
+    free_pairs = np.append(free[:-1] & free[1:], False)
+    bands = cholesky_banded(np.stack([scale[:, 0], free_pairs * between]), lower=True)
     knots = start.copy()
     may_move = free[:, None]
+
+    def stepped(rest: FloatArray) -> FloatArray:
+        """Solve as if each drive were alone on the map, its places known."""
+        step: FloatArray = cho_solve_banded((bands, True), may_move * rest)
+        return step
+
     rest = back @ apart(sightings.xy) - system(knots)
-    step = may_move * rest / scale
+    step = stepped(rest)
     direction, size = step, np.sum(rest * step, axis=0)
     for _ in range(_MAX_ROUNDS):
         if np.abs(step).max(initial=0.0) < _CONVERGED_M:
@@ -156,7 +166,7 @@ def adjust(sightings: Sightings, prior: Prior, start: FloatArray, free: BoolArra
         length = size / np.maximum(np.sum(direction * turned, axis=0), 1e-300)
         knots += length * direction
         rest = rest - length * turned
-        step = may_move * rest / scale
+        step = stepped(rest)
         before, size = size, np.sum(rest * step, axis=0)
         direction = step + size / np.maximum(before, 1e-300) * direction
     return knots, rest / scale

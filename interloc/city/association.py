@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from interloc.arrays import FloatArray, IntArray
+from interloc.arrays import FloatArray, IntArray, distinct
 from interloc.city.settings import CityConfig
-from interloc.mapping.clustering import find_peaks, join_peaks
+from interloc.mapping.clustering import cells_of, find_peaks, join_peaks
 
 LINK_M = 8.0
 """Sightings farther apart than this, and not linked by others between them, have no say about each other."""
+
+CELL_M = 1.0
+"""Sightings in one cell of this side are linked as one, and not told apart where their density is looked at."""
 
 _SIMPLE_M = 3.0  # radius within which sightings are one place whatever their density
 
@@ -22,9 +25,12 @@ def linked(xy: FloatArray) -> IntArray:
 
     if not len(xy):
         return np.zeros(0, dtype=np.int64)
-    i, j = cKDTree(xy).query_pairs(LINK_M, output_type="ndarray").T
-    _, label = connected_components(coo_array((np.ones(len(i)), (i, j)), shape=(len(xy), len(xy))), directed=False)
-    return label.astype(np.int64)
+    cell = cells_of(xy, CELL_M)
+    corner = np.zeros((int(cell.max()) + 1, 2))
+    corner[cell] = np.floor(xy / CELL_M) * CELL_M
+    i, j = cKDTree(corner).query_pairs(LINK_M, output_type="ndarray").T
+    _, label = connected_components(coo_array((np.ones(len(i)), (i, j)), shape=(len(corner),) * 2), directed=False)
+    return label[cell].astype(np.int64)
 
 
 def group(xy: FloatArray, drive: IntArray, neighbourhood: IntArray, config: CityConfig) -> IntArray:
@@ -57,12 +63,13 @@ def group(xy: FloatArray, drive: IntArray, neighbourhood: IntArray, config: City
     middle = np.stack([np.bincount(neighbourhood, xy[:, i], count) / size for i in (0, 1)], axis=-1)
     reach = np.zeros(count)
     np.maximum.at(reach, neighbourhood, np.hypot(*(xy - middle[neighbourhood]).T))
-    seen_once = np.bincount(np.unique(np.stack([neighbourhood, drive]), axis=1)[0], minlength=count) == size
+    drives = int(drive.max()) + 1
+    seen_once = np.bincount(distinct(neighbourhood * drives + drive) // drives, minlength=count) == size
     simple = (seen_once & (reach <= _SIMPLE_M))[neighbourhood]
     place = neighbourhood.copy()
     rest = np.flatnonzero(~simple)
     ones = np.ones(len(rest))
-    peaks = find_peaks(xy[rest], ones, bandwidth_m=config.bandwidth_m)
+    peaks = find_peaks(xy[rest], ones, bandwidth_m=config.bandwidth_m, cell_m=CELL_M)
     joined = join_peaks(peaks, xy[rest], ones, drive[rest], radius_m=config.gate_m, together=config.together)
     place[rest] = count + joined
     return np.unique(place, return_inverse=True)[1].reshape(-1).astype(np.int64)

@@ -56,9 +56,12 @@ def changes_of(city: CityMap) -> list[Change]:
     One drive of the same place that contradicts makes it no change.
     """
     table, found = city.places, []
-    branches = _branches_of(city)
+    start = {name: float(drive.data.span_s[0]) for name, drive in city.drives.items()}
+    rank = {name: row for row, name in enumerate(sorted(start, key=lambda name: (start[name], name)))}
+    timed = {name for name in start if np.isfinite(start[name])}
+    branches = _branches_of(city) if len(timed) >= 2 * _MIN_DRIVES else {}
     for row in range(len(table)):
-        near = _in_time(city, table.near[row])
+        near = sorted(timed.intersection(table.near[row]), key=rank.__getitem__)
         if len(near) < 2 * _MIN_DRIVES:
             continue
         change = _switch(city, near, set(table.drives[row]))
@@ -76,12 +79,6 @@ def changes_of(city: CityMap) -> list[Change]:
                 kind = "new_branch" if came else "gone_branch"
                 found.append(Change(kind, table.uid[row], table.xy[row], bearing, saw, missed, between))
     return found
-
-
-def _in_time(city: CityMap, names: tuple[str, ...]) -> list[str]:
-    """Return the drives with times of the day in their order."""
-    start = {name: float(city.drives[name].data.span_s[0]) for name in names}
-    return sorted((name for name in names if np.isfinite(start[name])), key=lambda name: (start[name], name))
 
 
 def _switch(
@@ -103,7 +100,7 @@ def _branches_of(city: CityMap) -> dict[tuple[str, str], FloatArray]:
     for name, drive in city.drives.items():
         for place, bearings in zip(drive.place.tolist(), drive.data.bearings_deg, strict=True):
             key = name, city.uid_of[place]
-            found[key] = np.concatenate([found.get(key, np.zeros(0)), bearings])
+            found[key] = np.concatenate([found[key], bearings]) if key in found else bearings
     return found
 
 

@@ -9,20 +9,26 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Sequence
+from functools import cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from interloc.arrays import BoolArray, FloatArray, IntArray
+from interloc.arrays import BoolArray, FloatArray, IntArray, distinct
 from interloc.city.adjustment import Prior, adjust, knots_along
-from interloc.city.association import LINK_M, group, linked
+from interloc.city.association import CELL_M, LINK_M, group, linked
+from interloc.city.branches import Branches
 from interloc.city.drives import DriveOnMap, system_of
 from interloc.city.passes import Pass
-from interloc.city.places import Branches, PlaceTable, tabulate
+from interloc.city.places import PlaceTable, tabulate
 from interloc.city.settings import CityConfig
 from interloc.city.voting import offsets_of, vote
 from interloc.errors import ConfigError, GeoreferenceError
 from interloc.mapping.mosaic import utm_zone
 from interloc.results import DriveResult
+
+if TYPE_CHECKING:
+    from pyproj import Transformer
 
 ROUNDING_M = 0.5
 """Offsets by voting count as rounded to this, so that they mostly stay the same when a drive is added."""
@@ -116,10 +122,8 @@ class CityMap:
         return self._project(lonlat, inverse=False)
 
     def _project(self, places: FloatArray, *, inverse: bool) -> FloatArray:
-        from pyproj import Transformer  # noqa: PLC0415 - slow to import
-
         assert self.epsg is not None
-        transformer = Transformer.from_crs(4326, self.epsg, always_xy=True)
+        transformer = _transformer(self.epsg)
         direction = "INVERSE" if inverse else "FORWARD"
         return np.stack(transformer.transform(places[:, 0], places[:, 1], direction=direction), axis=-1)
 
@@ -144,7 +148,7 @@ class CityMap:
         for drive in new:
             self._vote(drive)
             self.drives[drive.data.name] = drive
-        self._group(np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *touched])))
+        self._group(distinct(np.concatenate([np.zeros(0, dtype=np.int64), *touched])))
         self._places = None
 
     def placed(self, data: Pass) -> DriveOnMap:
@@ -198,15 +202,15 @@ class CityMap:
         of = np.repeat(np.arange(len(drives)), [len(d.xy) for d in drives])
         place, hood = (np.concatenate([getattr(d, name) for d in drives]) for name in ("place", "neighbourhood"))
         rows = self._affected(xy, hood, is_moved, touched)
-        old = set(self.uid_of).difference(place.tolist()).union(place[rows].tolist())
+        old = set(distinct(place[rows]).tolist()) | (set(self.uid_of) - set(distinct(place).tolist()))
         new_hood = linked(xy[rows])
         place[rows] = self.next_number + group(xy[rows], of[rows], new_hood, self.config)
         hood[rows] = self.next_number + new_hood
         self.next_number += len(rows)
         for drive, start, end in _slices(drives):
             drive.place, drive.neighbourhood = place[start:end], hood[start:end]
-        changed = np.unique(place[rows])
-        self._adjust(drives, set(of[np.isin(place, changed)].tolist()) | set(of[is_moved].tolist()))
+        changed = distinct(place[rows])
+        self._adjust(drives, set(distinct(of[is_moved | np.isin(place, changed)]).tolist()))
         self._name(drives, old, changed)
 
     @staticmethod
@@ -217,22 +221,23 @@ class CityMap:
         moved, rest = np.flatnonzero(is_moved), np.flatnonzero(~is_moved)
         beside = np.zeros(0, dtype=np.int64)
         if len(moved) and len(rest):
-            low, high = xy[moved].min(axis=0) - LINK_M, xy[moved].max(axis=0) + LINK_M
+            reach = LINK_M + 2 * CELL_M
+            low, high = xy[moved].min(axis=0) - reach, xy[moved].max(axis=0) + reach
             rest = rest[((xy[rest] >= low) & (xy[rest] <= high)).all(axis=1)]
-            distance, _ = cKDTree(xy[moved]).query(xy[rest], distance_upper_bound=LINK_M)
+            distance, _ = cKDTree(xy[moved]).query(xy[rest], distance_upper_bound=reach)
             beside = rest[np.isfinite(distance)]
-        hoods = np.unique(np.concatenate([touched, hood[moved], hood[beside]]))
+        hoods = distinct(np.concatenate([touched, hood[moved], hood[beside]]))
         return np.flatnonzero(is_moved | np.isin(hood, hoods[hoods >= 0]))
 
     def _adjust(self, drives: Sequence[DriveOnMap], changed: set[int]) -> None:
         """Solve for the knots of drives with changed places, and of as many others as would move with them."""
-        places = [set(drive.place.tolist()) for drive in drives]
         free = changed
         while free:
-            seen = set().union(*(places[number] for number in free))
-            used = [number for number, own in enumerate(places) if number in free or not seen.isdisjoint(own)]
+            seen = distinct(np.concatenate([drives[number].place for number in free]))
+            used = [n for n, drive in enumerate(drives) if n in free or np.isin(drive.place, seen).any()]
             some = [drives[number] for number in used]
-            sightings, prior, start = system_of(some, self.config)
+            sightings, _ = system_of(some, self.config)
+            prior, start = Prior.joined([d.prior for d in some]), np.concatenate([d.knots for d in some])
             may_move = np.concatenate([np.full(len(drives[n].knots), n in free) for n in used])
             knots, pull = adjust(sightings, prior, start, may_move)
             first = 0
@@ -255,10 +260,9 @@ class CityMap:
             self.uid_of.pop(gone, None)
         if not len(changed):
             return
-        sightings, _, knots = system_of(drives, self.config)
-        number = np.concatenate([d.place for d in drives])
-        numbers = np.unique(number)
-        xy = sightings.places(sightings.xy - sightings.offsets(knots))[np.searchsorted(numbers, changed)]
+        sightings, numbers = system_of(drives, self.config)
+        rows = np.searchsorted(numbers, changed)
+        xy = sightings.positions(np.concatenate([d.knots for d in drives]))[rows]
         taken = set(self.uid_of.values())
         free = [uid for uid in self.register if uid not in taken]
         if free:
@@ -270,14 +274,13 @@ class CityMap:
                 if was not in used and now not in self.uid_of:
                     used.add(was)
                     self.uid_of[now] = free[was]
-        owner: dict[int, str] = {}
-        for drive in drives:
-            for each, own in zip(drive.place.tolist(), drive.data.number.tolist(), strict=True):
-                owner.setdefault(each, f"{drive.data.name}/{own}")
-        for each, position in zip(changed.tolist(), xy.tolist(), strict=True):
-            uid = self.uid_of.get(each) or self._new_uid(owner[each])
+        _, firsts = np.unique(sightings.place, return_index=True)
+        owner = np.repeat(np.arange(len(drives)), [len(d.xy) for d in drives])[firsts[rows]].tolist()
+        own = np.concatenate([d.data.number for d in drives])[firsts[rows]].tolist()
+        for row, (each, (x, y)) in enumerate(zip(changed.tolist(), xy.tolist(), strict=True)):
+            uid = self.uid_of.get(each) or self._new_uid(f"{drives[owner[row]].data.name}/{own[row]}")
             self.uid_of[each] = uid
-            self.register[uid] = position[0], position[1]
+            self.register[uid] = x, y
 
     def _new_uid(self, seed: str) -> str:
         """Return a name that no place has or had."""
@@ -287,6 +290,13 @@ class CityMap:
             if uid not in self.register:
                 return uid
             attempt += 1
+
+
+@cache
+def _transformer(epsg: int) -> Transformer:
+    from pyproj import Transformer  # noqa: PLC0415 - slow to import
+
+    return Transformer.from_crs(4326, epsg, always_xy=True)
 
 
 def merge(results: Iterable[DriveResult | Pass], config: CityConfig | None = None) -> CityMap:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,6 +13,9 @@ from interloc.arrays import FloatArray, IntArray
 from interloc.city.adjustment import Prior, Sightings
 from interloc.city.passes import Pass
 from interloc.city.settings import CityConfig
+
+if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
 
 
 @dataclass
@@ -48,6 +53,20 @@ class DriveOnMap:
         if not len(self.place):
             self.place, self.neighbourhood = (np.full(len(self.xy), -1, dtype=np.int64) for _ in range(2))
 
+    @cached_property
+    def track(self) -> cKDTree:
+        """The keyframes, to find the nearest one."""
+        from scipy.spatial import cKDTree  # noqa: PLC0415 - slow to import
+
+        return cKDTree(self.track_xy)
+
+    @cached_property
+    def branches(self) -> tuple[FloatArray, FloatArray, IntArray]:
+        """Bearings and widths of the branches of all sightings, one after the other, and how many each has."""
+        data = self.data
+        bearing, width = (np.concatenate([np.zeros(0), *each]) for each in (data.bearings_deg, data.widths_m))
+        return bearing, width, np.array([len(each) for each in data.bearings_deg], dtype=np.int64)
+
     def overlaps(self, other: DriveOnMap, margin_m: float) -> bool:
         """Tell whether the boxes around what two drives saw come within a margin of each other."""
         if not len(self.xy) or not len(other.xy):
@@ -56,14 +75,15 @@ class DriveOnMap:
         return bool((other.xy.max(axis=0) >= low).all() and (other.xy.min(axis=0) <= high).all())
 
 
-def system_of(drives: Sequence[DriveOnMap], config: CityConfig) -> tuple[Sightings, Prior, FloatArray]:
-    """Return the sightings of drives, with places numbered anew, and the prior and the values of their knots."""
+def system_of(drives: Sequence[DriveOnMap], config: CityConfig) -> tuple[Sightings, IntArray]:
+    """Return the sightings of drives, with places numbered anew, and the number that each place had before."""
     first = np.cumsum([0, *(len(d.knots) for d in drives)])
+    numbers, place = np.unique(np.concatenate([d.place for d in drives]), return_inverse=True)
     sightings = Sightings(
         xy=np.concatenate([d.xy for d in drives]),
         weight=np.concatenate([1.0 / (d.data.scatter_std_m**2 + config.noise_std_m**2) for d in drives]),
-        place=np.unique(np.concatenate([d.place for d in drives]), return_inverse=True)[1].reshape(-1),
+        place=place.reshape(-1),
         knot=np.concatenate([d.knot + start for d, start in zip(drives, first[:-1].tolist(), strict=True)]),
         share=np.concatenate([d.share for d in drives]),
     )
-    return sightings, Prior.joined([d.prior for d in drives]), np.concatenate([d.knots for d in drives])
+    return sightings, numbers

@@ -67,14 +67,17 @@ def is_city(folder: Path) -> bool:
     return (folder / CITY_FILE).is_file()
 
 
-def write_city(city: CityMap, folder: Path) -> None:
+def write_city(city: CityMap, folder: Path) -> dict[str, list[dict[str, Any]]]:
     """Write a map, whole or not at all; an older one in the folder is replaced, what else is in it stays.
+
+    Returns the features of its layers.
 
     Raises
     ------
     OutputError
         The folder is something else, or could not be written.
     """
+    layers = city_features(city)
     with atomic_folder(folder, marker=CITY_FILE, names=CITY_NAMES) as new:
         (new / PASSES).mkdir()
         for drive in city.drives.values():
@@ -87,10 +90,11 @@ def write_city(city: CityMap, folder: Path) -> None:
         np.savez_compressed(content, **_state(city))
         with atomic_write(new / STATE_FILE) as file:
             file.write(content.getvalue())
-        for name, features in city_features(city).items():
+        for name, features in layers.items():
             write_collection(new / f"{name}.geojson", features, local=False)
         with atomic_write(new / CITY_FILE) as file:
             file.write(encode(city_record(city), indent=2).encode() + b"\n")
+    return layers
 
 
 def read_city(folder: Path) -> CityMap:

@@ -165,10 +165,11 @@ class Pass:
         try:
             with np.load(path) as archive:
                 arrays: dict[str, Any] = dict(archive)
-            ends = np.cumsum(arrays.pop("branches"))[:-1]
-            ragged: dict[str, Any] = {name: tuple(np.split(arrays.pop(name), ends)) for name in _RAGGED}
-            if not len(arrays["lonlat"]):
-                ragged = dict.fromkeys(_RAGGED, ())
+            ends = np.cumsum(arrays.pop("branches")).tolist()
+            ragged: dict[str, Any] = {}
+            for name in _RAGGED:
+                flat = arrays.pop(name)
+                ragged[name] = tuple(flat[start:end] for start, end in zip([0, *ends[:-1]], ends, strict=False))
             road = _mosaic(arrays) if "road_epsg" in arrays else None
             texts: dict[str, Any] = {name: str(arrays.pop(name)) for name in _TEXTS}
             return cls(**texts, **arrays, **ragged, road=road)

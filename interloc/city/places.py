@@ -4,23 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TypeVar
 
 import numpy as np
 
-from interloc.arrays import BoolArray, FloatArray, IntArray
+from interloc.arrays import BoolArray, FloatArray, IntArray, distinct
+from interloc.city.branches import Branches, SeenBranches, fuse_branches
 from interloc.city.drives import DriveOnMap, system_of
 from interloc.city.settings import CityConfig
-from interloc.config import FusionConfig
-from interloc.mapping.estimation import fuse_bearings, fuse_widths, members_of
+
+Value = TypeVar("Value")
 
 SAME_PASS_S = 600.0
 """Sightings of a place within this time are one pass: a drive that was cut in pieces passes it once."""
-
-Branches = tuple[FloatArray, FloatArray, IntArray]
-"""Bearings, widths, and how many drives saw each branch of a place."""
-
-_BRANCH_DEG = 20.0  # a branch of a drive that lies within this of one of the place is that
 
 
 @dataclass(frozen=True)
@@ -125,10 +121,9 @@ def tabulate(
             [], empty, empty, np.zeros((0, 3)), np.zeros((0, 3)), integers, [], integers, [], none,
             none.astype(bool), [], [], [], empty,
         )  # fmt: skip
-    sightings, _, knots = system_of(drives, config)
-    numbers = np.unique(np.concatenate([d.place for d in drives]))
+    sightings, numbers = system_of(drives, config)
     place, count = sightings.place, len(numbers)
-    xy = sightings.places(sightings.xy - sightings.offsets(knots))
+    xy = sightings.positions(np.concatenate([d.knots for d in drives]))
 
     def joined(name: str) -> FloatArray:
         return np.concatenate([getattr(d.data, name) for d in drives])
@@ -140,21 +135,28 @@ def tabulate(
     )
     axes = np.array([1.0, 0.0, 1.0])
     own = 1.0 / np.bincount(place, 1.0 / (joined("fix_std_m") ** 2 + noise), count)
-    of = np.repeat(np.arange(len(drives)), [len(d.xy) for d in drives])
-    groups = [rows for _, rows in members_of(place, count)]
-    drives_of = [np.unique(of[rows]) for rows in groups]
-    near = _near(drives, xy, config.near_m)
-    near_of = [np.union1d(seen, passed) for seen, passed in zip(drives_of, near, strict=True)]
-    said, seen_s = joined("confidence"), joined("seen_s")
-    best = [np.bincount(of[rows], said[rows]) / np.maximum(np.bincount(of[rows]), 1) for rows in groups]
-    seen_count, near_count = (np.array([len(each) for each in lists]) for lists in (drives_of, near_of))
-    _work_out_branches(drives, dict(zip(numbers.tolist(), groups, strict=True)), of, config.min_share, branches_of)
-    bearings, widths, supports = map(list, zip(*(branches_of[number] for number in numbers.tolist()), strict=True))
+    drive = np.repeat(np.arange(len(drives)), [len(d.xy) for d in drives])
+    pair = place * len(drives) + drive  # of a place and a drive
+    saw, which, times = np.unique(pair, return_inverse=True, return_counts=True)
+    said = np.bincount(which.reshape(-1), joined("confidence")) / times
+    near = distinct(np.append(saw, _passed(drives, xy, place, config.near_m)))
+    seen_count, near_count = (np.bincount(each // len(drives), minlength=count) for each in (saw, near))
     shown = (seen_count >= config.min_share * near_count) & ((near_count < 4) | (seen_count >= 2))
+    seen_s = joined("seen_s")
+    first, last = np.full((2, count), np.inf)
+    np.fmin.at(first, place, seen_s[:, 0])
+    np.fmin.at(last, place, -seen_s[:, 1])
+    bounds = np.stack([first, -last], axis=-1)
+    _work_out_branches(drives, numbers, place, drive, config.min_share, branches_of)
+    bearings, widths, supports = map(list, zip(*(branches_of[number] for number in numbers.tolist()), strict=True))
     order = np.lexsort((xy[:, 1], xy[:, 0]))
 
-    def sort(values: list[Any]) -> list[Any]:
+    def sort(values: Sequence[Value]) -> list[Value]:
         return [values[row] for row in order.tolist()]
+
+    def named(pairs: IntArray, counts: IntArray) -> list[tuple[str, ...]]:
+        found, ends = [names[row] for row in (pairs % len(drives)).tolist()], np.cumsum(counts).tolist()
+        return sort([tuple(found[start:end]) for start, end in zip([0, *ends[:-1]], ends, strict=True)])
 
     return PlaceTable(
         uid=sort([uid_of[number] for number in numbers.tolist()]),
@@ -163,69 +165,72 @@ def tabulate(
         position_cov_m2=(shape + own[:, None] * axes)[order],
         relative_cov_m2=(shape + axes / total[:, None])[order],
         observations=np.bincount(place, joined("observations"), count).astype(np.int64)[order],
-        drives=sort([tuple(names[row] for row in rows) for rows in drives_of]),
-        passes=np.array([_passes(seen_s[rows], of[rows]) for rows in groups], dtype=np.int64)[order],
-        near=sort([tuple(names[row] for row in rows) for rows in near_of]),
-        confidence=(np.array([each.sum() for each in best]) / near_count)[order],
+        drives=named(saw, seen_count),
+        passes=_passes(seen_s, place, pair, len(drives))[order],
+        near=named(near, near_count),
+        confidence=(np.bincount(saw // len(drives), said, count) / near_count)[order],
         is_shown=shown[order],
         bearings_deg=sort(bearings),
         widths_m=sort(widths),
         branch_drives=sort(supports),
-        seen_s=np.array([[_earliest(seen_s[rows, 0]), -_earliest(-seen_s[rows, 1])] for rows in groups])[order],
+        seen_s=np.where(np.isfinite(bounds), bounds, np.nan)[order],
     )
 
 
-def _near(drives: Sequence[DriveOnMap], xy: FloatArray, near_m: float) -> list[IntArray]:
-    """Return which drives came so near to each place that they should have seen it."""
-    from scipy.spatial import cKDTree  # noqa: PLC0415 - slow to import
-
-    found: list[list[int]] = [[] for _ in xy]
-    tree = cKDTree(xy)
+def _passed(drives: Sequence[DriveOnMap], xy: FloatArray, place: IntArray, near_m: float) -> IntArray:
+    """Return the pairs of a place and a drive that came so near that it should have seen it, beside those that did."""
+    found = []
+    ends = np.cumsum([0, *(len(d.xy) for d in drives)]).tolist()
     for number, drive in enumerate(drives):
-        track = drive.track_xy - drive.knots.mean(axis=0)
-        for place in set().union(*tree.query_ball_point(track, near_m)):
-            found[place].append(number)
-    return [np.array(each, dtype=np.int64) for each in found]
+        there = xy + drive.knots.mean(axis=0)
+        low, high = drive.track_xy.min(axis=0) - near_m, drive.track_xy.max(axis=0) + near_m
+        may_be = ((there >= low) & (there <= high)).all(axis=1)
+        may_be[place[ends[number] : ends[number + 1]]] = False
+        rows = np.flatnonzero(may_be)
+        if len(rows):
+            distance, _ = drive.track.query(there[rows], distance_upper_bound=near_m)
+            found.append(rows[np.isfinite(distance)] * len(drives) + number)
+    return np.concatenate([np.zeros(0, dtype=np.int64), *found])
 
 
 def _work_out_branches(
     drives: Sequence[DriveOnMap],
-    rows_of: Mapping[int, IntArray],
-    of: IntArray,
-    support: float,
+    numbers: IntArray,
+    place: IntArray,
+    drive: IntArray,
+    min_share: float,
     branches_of: dict[int, Branches],
 ) -> None:
     """Add the branches of new places, and forget those of places that are gone."""
-    usual = FusionConfig()
-    bearings = [each for d in drives for each in d.data.bearings_deg]
-    widths = [each for d in drives for each in d.data.widths_m]
-    for number in branches_of.keys() - rows_of.keys():
+    there = set(numbers.tolist())
+    for number in branches_of.keys() - there:
         del branches_of[number]
-    for number in rows_of.keys() - branches_of.keys():
-        rows = rows_of[number]
-        own, weight = [bearings[row] for row in rows], np.ones(len(rows))
-        apart = usual.branch_separation_deg
-        angles = fuse_bearings(own, weight, spread_deg=usual.branch_spread_deg, separation_deg=apart, support=support)
-        wide = fuse_widths(angles, own, [widths[row] for row in rows], weight, within_deg=apart / 2)
-        saw = [
-            len({int(of[row]) for row, each in zip(rows, own, strict=True) if _within(each, angle)}) for angle in angles
-        ]
-        branches_of[number] = angles, wide, np.array(saw, dtype=np.int64)
+    is_new = np.isin(numbers, np.array(sorted(there - branches_of.keys()), dtype=np.int64), assume_unique=True)
+    if not is_new.any():
+        return
+    bearing, width, branches = (np.concatenate(each) for each in zip(*(d.branches for d in drives), strict=True))
+    rows = np.flatnonzero(is_new[place])
+    used = is_new[np.repeat(place, branches)]
+    seen = SeenBranches(
+        bearing_deg=bearing[used],
+        width_m=width[used],
+        sighting=np.repeat(np.arange(len(rows)), branches[rows]),
+        place=(np.cumsum(is_new) - 1)[place[rows]],
+        drive=drive[rows],
+    )
+    branches_of.update(zip(numbers[is_new].tolist(), fuse_branches(seen, min_share), strict=True))
 
 
-def _within(bearings_deg: FloatArray, angle_deg: float) -> bool:
-    return bool((np.abs((bearings_deg - angle_deg + 180.0) % 360.0 - 180.0) <= _BRANCH_DEG).any())
-
-
-def _passes(seen_s: FloatArray, drive: IntArray) -> int:
-    """Return how many passes sightings are of; each drive without times is one."""
+def _passes(seen_s: FloatArray, place: IntArray, pair: IntArray, drives: int) -> IntArray:
+    """Return how many passes the sightings of each place are of; each drive without times is one."""
+    count = int(place.max()) + 1
     timed = np.isfinite(seen_s).all(axis=1)
-    order = np.argsort(seen_s[timed, 0])
-    first, last = seen_s[timed][order].T
-    apart = first[1:] > np.maximum.accumulate(last)[:-1] + SAME_PASS_S if len(first) else np.zeros(0)
-    return int(np.sum(apart)) + bool(len(first)) + len(np.unique(drive[~timed]))
-
-
-def _earliest(values: FloatArray) -> float:
-    known = values[np.isfinite(values)]
-    return float(known.min()) if len(known) else np.nan
+    passes = np.bincount(distinct(pair[~timed]) // drives, minlength=count)
+    order = np.flatnonzero(timed)[np.lexsort((seen_s[timed, 0], place[timed]))]
+    if len(order):
+        first, last = seen_s[order].T - seen_s[order].min()
+        lap = (float(last.max()) + 2 * SAME_PASS_S) * place[order]  # places one behind the other in time
+        until = np.maximum.accumulate(last + lap)
+        begins = np.append(True, (first + lap)[1:] > until[:-1] + SAME_PASS_S)
+        passes += np.bincount(place[order][begins], minlength=count)
+    return passes.astype(np.int64)

@@ -17,7 +17,15 @@ _MAX_CENTRES = 4
 """Centres lie so far apart that at most four are within the merging radius of a detection."""
 
 
-def find_peaks(xy: FloatArray, weight: FloatArray, *, bandwidth_m: float) -> IntArray:
+def cells_of(xy: FloatArray, side_m: float) -> IntArray:
+    """Return which occupied cell of a grid each of (N, 2) points lies in, (N,) from 0, from west to east."""
+    index = np.floor(xy / side_m).astype(np.int64)
+    index -= index.min(axis=0)
+    _, cell = np.unique(index[:, 0] * (index[:, 1].max() + 1) + index[:, 1], return_inverse=True)
+    return cell.reshape(-1).astype(np.int64)
+
+
+def find_peaks(xy: FloatArray, weight: FloatArray, *, bandwidth_m: float, cell_m: float | None = None) -> IntArray:
     """Group points by the peak of their density that they climb to.
 
     Parameters
@@ -28,6 +36,8 @@ def find_peaks(xy: FloatArray, weight: FloatArray, *, bandwidth_m: float) -> Int
         Positive.
     bandwidth_m : float
         Standard deviation of the Gaussian kernel. Peaks come out further apart than 2.5 times that.
+    cell_m : float, optional
+        Side of the cells that points are put into; a quarter of the bandwidth.
 
     Returns
     -------
@@ -37,16 +47,13 @@ def find_peaks(xy: FloatArray, weight: FloatArray, *, bandwidth_m: float) -> Int
     Notes
     -----
     Quick shift (Vedaldi and Soatto, 2008): each point points to the nearest one of higher density. It runs on the
-    occupied cells of a grid of a quarter of the bandwidth, which bounds the number of neighbours however often a
-    place was seen.
+    occupied cells of a grid, which bounds the number of neighbours however often a place was seen.
     """
     from scipy.spatial import cKDTree  # noqa: PLC0415 - slow to import, and not needed to start the command line
 
     if not len(xy):
         return np.zeros(0, dtype=np.int64)
-    index = np.floor(xy / (bandwidth_m / _CELLS_PER_BANDWIDTH)).astype(np.int64)
-    _, cell = np.unique(index, axis=0, return_inverse=True)
-    cell = cell.reshape(-1)
+    cell = cells_of(xy, cell_m or bandwidth_m / _CELLS_PER_BANDWIDTH)
     mass = np.bincount(cell, weight)
     centre = np.stack([np.bincount(cell, weight * xy[:, axis]) / mass for axis in (0, 1)], axis=-1)
 
@@ -109,11 +116,12 @@ def join_peaks(
         return labels.copy()
     mass = np.bincount(labels, weight)
     mean = np.stack([np.bincount(labels, weight * xy[:, axis]) / mass for axis in (0, 1)], axis=-1)
+    pairs = cKDTree(mean).query_pairs(radius_m, output_type="ndarray")
     seen: list[set[int]] = [set() for _ in mass]
-    for label, k in zip(labels.tolist(), keyframe.tolist(), strict=True):
+    rows = np.isin(labels, pairs)
+    for label, k in zip(labels[rows].tolist(), keyframe[rows].tolist(), strict=True):
         seen[label].add(k)
 
-    pairs = cKDTree(mean).query_pairs(radius_m, output_type="ndarray")
     distance = np.hypot(*(mean[pairs[:, 0]] - mean[pairs[:, 1]]).T)
     group = list(range(len(mass)))
 

@@ -139,13 +139,19 @@ function paintNames(context, view, items) {
   /** @type {Map<number, [number, number, number][]>} Left, bottom, width; by rows of the map. */
   const taken = new Map();
   for (const item of items) {
-    const [x, y] = [view.x(item.middle[0]), view.y(item.middle[1]) - 9];
-    if (!view.shows(x, y)) continue;
+    const x = view.x(item.middle[0]);
+    const top = view.y(item.middle[1]) - 9;
+    if (!view.shows(x, top)) continue;
     item.width ||= context.measureText(item.label).width;
     const left = x - item.width / 2;
+    const isFree = (/** @type {number} */ y) => {
+      const row = Math.floor(y / NAME_PX);
+      const near = [row - 1, row, row + 1].flatMap((each) => taken.get(each) ?? []);
+      return !near.some(([l, b, w]) => left < l + w + 4 && l < left + item.width + 4 && Math.abs(y - b) < NAME_PX);
+    };
+    const y = [top, top - NAME_PX, top + 2 * NAME_PX].find(isFree); // drives through one street have one middle
+    if (y === undefined) continue;
     const row = Math.floor(y / NAME_PX);
-    const near = [row - 1, row, row + 1].flatMap((each) => taken.get(each) ?? []);
-    if (near.some(([l, b, w]) => left < l + w + 4 && l < left + item.width + 4 && Math.abs(y - b) < NAME_PX)) continue;
     taken.set(row, [...(taken.get(row) ?? []), [left, y, item.width]]);
     context.strokeText(item.label, x, y);
     context.fillText(item.label, x, y);
