@@ -129,7 +129,11 @@ function headOf(city) {
         "intersections",
         `${city.seen_by_several.toLocaleString("en")} seen again`,
       ),
-      figure(city.drives.toLocaleString("en"), city.drives === 1 ? "drive" : "drives"),
+      figure(
+        city.drives.toLocaleString("en"),
+        city.drives === 1 ? "drive" : "drives",
+        city.refused > 0 ? `${city.refused} refused` : undefined,
+      ),
       figure(formatMetres(city.median_position_std_m), "uncertainty", "1 σ, median"),
     ),
     city.problem && problemNote({ title: "Not compared with OpenStreetMap", detail: city.problem }),
