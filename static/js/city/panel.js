@@ -88,7 +88,10 @@ export function mount(container) {
     fillQueue(queue, city, card.element);
   };
   onCityChange(() => getState().panel === "map" && update());
-  onTokenChange(update);
+  onTokenChange(() => {
+    cities.readsOnly = false;
+    update();
+  });
   subscribe(["panel", "map", "places"], ({ panel }) => panel === "map" && update());
   subscribe(["finding"], () => getState().panel === "map" && update());
   update();
