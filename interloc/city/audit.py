@@ -37,6 +37,7 @@ _PARTNER_M = 25.0
 _APART_DEG = 50.0
 _TRACK_M = 15.0
 _ODD_M = 30.0
+_ALSO_ELSEWHERE_M = 60.0
 _BEGINS_M = 4.0  # a road that bends away from the straight line is still within this of it at its beginning
 
 
@@ -146,11 +147,13 @@ class _Auditor:
         ]
         wanted = set(self.config.kinds)
         findings = [finding for kinds, make in makers if kinds & wanted for finding in make()]
-        elsewhere = {finding.uid for finding in findings if finding.kind == "moved"}  # its branches lie elsewhere, too
+        # What leads to a junction that lies elsewhere lies elsewhere, too: nothing is missing there.
+        elsewhere = np.array([each.xy for each in findings if each.kind == "moved"]).reshape(-1, 2)
+        away = _nearest(np.array([each.xy for each in findings]).reshape(-1, 2), elsewhere)[0].tolist()
         findings = [
             each
-            for each in findings
-            if each.kind in wanted and not (each.kind == "missing_branch" and each.uid in elsewhere)
+            for each, metres in zip(findings, away, strict=True)
+            if each.kind in wanted and not (each.kind.startswith("missing") and metres < _ALSO_ELSEWHERE_M)
         ]
         passed = [
             node for node in self.osm.open_junctions.tolist() if len(self._came_by(node)) >= self.config.min_passes
@@ -247,7 +250,7 @@ class _Auditor:
                 self._hold_back("acute: the position slides along the bisector")
                 continue
             if any(osm.odd[way] for way in osm.ways_near(osm.xy[node], 3.0)):
-                self._hold_back("link, roundabout or one-way road")
+                self._hold_back("link, roundabout or two carriageways")
                 continue
             if not self._off_road(row, node, ease):
                 self._hold_back("node and its roads lie on what was seen as road")
