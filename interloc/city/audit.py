@@ -38,6 +38,7 @@ _APART_DEG = 50.0
 _TRACK_M = 15.0
 _ODD_M = 30.0
 _ALSO_ELSEWHERE_M = 60.0
+_GROUP_M = 25.0  # roads between nodes of one junction are no longer than this
 _BEGINS_M = 4.0  # a road that bends away from the straight line is still within this of it at its beginning
 
 
@@ -144,6 +145,7 @@ class _Auditor:
             ({"missing_junction", "missing_branch"}, self._missing),
             ({"moved"}, self._moved),
             ({"phantom"}, self._phantoms),
+            ({"one_junction"}, self._groups),
         ]
         wanted = set(self.config.kinds)
         findings = [finding for kinds, make in makers if kinds & wanted for finding in make()]
@@ -313,6 +315,31 @@ class _Auditor:
                 drives,
                 road_share=_round(unseen[0][0]),
                 other_share=_round(unseen[0][1]),
+            )
+
+    def _groups(self) -> Iterator[Finding]:
+        """Yield nodes that short roads join where passes saw one junction: carriageways, islands, a node too many."""
+        osm, table = self.osm, self.places
+        shown = np.flatnonzero(table.is_shown & (table.passes >= self.config.min_passes))
+        for nodes in osm.groups(_GROUP_M):
+            middle = osm.xy[nodes].mean(axis=0)
+            rows = shown[np.hypot(*(table.xy[shown] - middle).T) <= _PARTNER_M]
+            if len(rows) != 1 or self._excuse(middle) is not None:
+                continue
+            row, node = int(rows[0]), nodes[0]
+            apart = np.hypot(*(osm.xy[nodes] - table.xy[row]).T)
+            key = _key("one_junction", osm.graph.node_id[node])
+            if table.confidence[row] < self.config.min_confidence * self._ease(key) or apart.max() > _PARTNER_M:
+                continue
+            ids = [int(each) for each in osm.graph.node_id[nodes]]
+            yield self._finding(
+                "one_junction",
+                row,
+                node,
+                f"{table.passes[row]} passes of a LiDAR saw one junction where the map has {len(nodes)} nodes within "
+                f"{apart.max():.0f} m of it: {', '.join(f'node/{each}' for each in ids)}. Are they one?",
+                distance_m=_round(apart.max()),
+                nodes=ids,
             )
 
     # what they share --------------------------------------------------------------------------------------------------

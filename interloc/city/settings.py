@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-Kind = Literal["missing_junction", "missing_branch", "moved", "phantom"]
+Kind = Literal["missing_junction", "missing_branch", "moved", "phantom", "one_junction"]
 """Of a finding against OpenStreetMap."""
 
 
@@ -68,7 +68,8 @@ class AuditConfig(BaseModel):
     kinds: tuple[Kind, ...] = Field(
         ("missing_junction", "missing_branch", "moved"),
         description="Kinds of findings: a junction that the map lacks; a branch that a junction of the map lacks; a "
-        "junction that lies elsewhere; and, only where asked for, a node where passes saw no junction (phantom).",
+        "junction that lies elsewhere; and, only where asked for, a node where passes saw no junction (phantom), and "
+        "nodes close together where passes saw one junction (one_junction).",
     )
     min_passes: int = Field(2, ge=1, le=1000, description="Independent passes that must agree.")
     min_confidence: float = Field(0.8, ge=0, le=1, description="Confidence of a place.")

@@ -186,6 +186,14 @@ def test_a_node_where_other_ground_was_seen_is_a_phantom_where_asked_for(tmp_pat
     assert {kind for kind, _ in told(audit(merge(passes()), graph, ALL_KINDS))} <= {"phantom"}
 
 
+def test_nodes_close_together_are_one_junction_where_asked_for(city: CityMap, tmp_path: Path) -> None:
+    graph = osm(tmp_path, [*all_but(100.0), (97.0, 0.0), (104.0, 0.0)])
+    assert told(audit(city, graph)) == []
+    found = audit(city, graph, AuditConfig(kinds=("one_junction",)))
+    assert told(found) == [("one_junction", 100)]
+    assert len(found.findings[0].evidence["nodes"]) == 2
+
+
 def test_one_pass_is_not_enough_unless_asked_for(tmp_path: Path) -> None:
     graph = osm(tmp_path, all_but(100.0))
     assert told(audit(merge(passes(1)), graph)) == []
