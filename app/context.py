@@ -13,11 +13,10 @@ from fastapi import Depends, Request
 
 from app.metrics import Metrics
 from app.settings import SQLITE_FILE, Settings
-from app.store.bookings import Bookings
 from app.store.database import Database
 from app.store.installation import FILE as INSTALLATION
 from app.store.installation import bind, mark_folder, refuse_lost_database
-from app.store.reserve import Reserve
+from app.store.reserve import Bookings, Reserve
 from app.store.storage import Storage
 from app.store.tokens import TokenBook
 from interloc.errors import ConfigError, OutputError

@@ -14,14 +14,7 @@ from sqlalchemy.orm import Session
 from app.context import Context
 from app.drives.commit import queue_commit
 from app.drives.records import drive_key, files_key, note_extent, reduced_key
-from app.drives.upload import (
-    Placement,
-    lock_counts,
-    refuse_similar_names,
-    refuse_unless_open,
-    register,
-    sizes_of,
-)
+from app.drives.upload import Placement, lock_counts, refuse_similar_names, refuse_unless_open, register, sizes_of
 from app.http.intake import Arrival
 from app.http.limits import check_quota
 from app.http.problems import Problem

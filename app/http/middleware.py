@@ -119,7 +119,7 @@ class RequestLog:
                 seconds=None if is_stream else seconds,
                 received_bytes=received_bytes,
             )
-            level = logging.ERROR if status >= 500 and status != 503 else logging.INFO
+            level = logging.ERROR if status >= 500 and status not in {501, 503} else logging.INFO  # not faults
             if path in _QUIET and status < 500:
                 level = logging.DEBUG
             fields = {

@@ -9,7 +9,6 @@ from typing import Any, ClassVar, TypeVar
 from fastapi import APIRouter, FastAPI
 from fastapi.routing import APIRoute
 
-from app.http.problem_types import TYPES
 from app.http.problems import MEDIA_TYPE, ProblemDocument
 
 Responses = dict[int | str, dict[str, Any]]
@@ -17,17 +16,16 @@ Responses = dict[int | str, dict[str, Any]]
 
 Endpoint = TypeVar("Endpoint", bound=Callable[..., Any])
 
-_TYPES_LISTED = "\n".join(f"- `{kind.type}`: {kind.meaning}" for kind in TYPES.values())
 
-DESCRIPTION = f"""
+DESCRIPTION = """
 A *drive* is uploaded file by file, checked and reduced by its *commit*; a *job* finds the intersections in it, and
 scores them against OpenStreetMap where a map is given; its *results* are GeoJSON, reports, pictures and exports.
 
 ```sh
-curl -X POST $API/drives -H 'Content-Type: application/json' -d '{{"name": "07"}}'        # -> id of the drive
+curl -X POST $API/drives -H 'Content-Type: application/json' -d '{"name": "07"}'        # -> id of the drive
 curl -T velodyne/000000.bin $API/drives/$DRIVE/files/velodyne/000000.bin                # ... and so on, in any order
 curl -X POST $API/drives/$DRIVE/commit                                                  # -> what is in it or is wrong
-curl -X POST $API/jobs -H 'Content-Type: application/json' -d '{{"drive_id": "'$DRIVE'"}}'  # -> id of the job
+curl -X POST $API/jobs -H 'Content-Type: application/json' -d '{"drive_id": "'$DRIVE'"}'  # -> id of the job
 curl -N $API/jobs/$JOB/events                                                           # its progress as it happens
 curl $API/jobs/$JOB/intersections                                                       # the map, as GeoJSON
 ```
@@ -41,9 +39,7 @@ clockwise from north. Every answer carries an `X-Request-ID`, by which its line 
 
 Every error is a problem document (RFC 9457) whose `detail` says what was found, what was expected and what to do. Its
 `type` tells programs what has happened. It is the same in every version and under every address of the service
-(`GET /problems` lists the same); `about:blank` stands where the HTTP status says all:
-
-{_TYPES_LISTED}
+(`GET /problems` lists them); `about:blank` stands where the HTTP status says all.
 """
 
 TAGS = [

@@ -1,4 +1,8 @@
-"""Disk space that is kept for the moment when there is no other: deleting needs some, for the database to record it."""
+"""Disk space that is spoken for: kept for deleting, which the database has to record, or booked by bodies under way.
+
+Bodies are booked when they are announced, and their space is free again when they have come. Without that many could
+begin at once where there is room for one, each not knowing of the others.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +10,7 @@ import logging
 import os
 import secrets
 import shutil
+import threading
 from contextlib import suppress
 from pathlib import Path
 
@@ -82,3 +87,18 @@ def _allocate(path: Path, size: int) -> None:
                 file.write(os.urandom(min(_PIECE, size - start)))
         file.flush()
         os.fsync(file.fileno())
+
+
+class Bookings:
+    """The sum of what is announced and has not come yet.
+
+    Attributes
+    ----------
+    lock
+        Held while the free space is looked at and a booking is made: no two see the same space.
+    size_bytes : int
+    """
+
+    def __init__(self) -> None:
+        self.lock = threading.RLock()
+        self.size_bytes = 0

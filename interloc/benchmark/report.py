@@ -9,13 +9,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from interloc.benchmark.figures import (
-    curves_figure,
-    drive_boxes_figure,
-    map_figure,
-    noise_figure,
-    reliability_figure,
-)
+from interloc.benchmark.figures import curves_figure, drive_boxes_figure, map_figure, noise_figure, reliability_figure
 from interloc.benchmark.metrics import METRICS, Estimate, map_outcomes
 from interloc.benchmark.row import Row
 from interloc.benchmark.run import Benchmark

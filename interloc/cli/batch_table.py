@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from interloc.cli.summary import wrong_detections
 from interloc.cli.units import Ended, Unit
 from interloc.files import atomic_write
 from interloc.storage import present
@@ -44,7 +45,7 @@ def row_of(unit: Unit, ended: Ended, out: Path) -> dict[str, Any]:
         row["keyframes"] = run.get("keyframes")
         row["intersections"] = _count(out / unit.name)
         if report:
-            row |= {"verdict": report["map_line"], "ace_m": report["ace_m"], "reasons": _reasons(report)}
+            row |= {"verdict": report["map_line"], "ace_m": report["ace_m"], "reasons": wrong_detections(report)[1]}
             row |= {name: report[name]["5.0"] for name in ("precision", "recall")}
             warnings = list(dict.fromkeys([*report["warnings"], *warnings]))
     row["warnings"] = "; ".join(warnings)
@@ -73,12 +74,3 @@ def _read(path: Path) -> dict[str, Any]:
 def _count(folder: Path) -> int:
     files = [folder / f"intersections.{ending}" for ending in ("geojson", "local.json")]
     return len(_read(next((file for file in files if file.is_file()), files[0])).get("features", []))
-
-
-def _reasons(report: dict[str, Any]) -> str:
-    from interloc.evaluation.reasons import KINDS
-
-    meanings: dict[str, str] = dict(KINDS)  # type: ignore[arg-type]
-    counts = report.get("reasons", {}).get("detections", {})
-    listed = sorted(((kind, count) for kind, count in counts.items() if count), key=lambda row: -row[1])
-    return "; ".join(f"{count} x {meanings.get(kind, kind)}" for kind, count in listed)

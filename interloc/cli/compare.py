@@ -52,7 +52,7 @@ def command(results: tuple[Path, ...], out: Path | None, as_json: bool) -> None:
     for name, report in zip(names, reports, strict=True):
         click.echo(f"{name}: {report.get('map_line') or map_line(report['map_level'])}")
     click.echo()
-    _print_table(["", *names], [[row["name"], *map(_text, row["values"])] for row in comparison["figures"]])
+    _print_table(["", *names], [[row["title"], *map(_text, row["values"])] for row in comparison["figures"]])
     click.echo()
     if comparison["inputs"]:
         _print_table(["input", *names], [[row["name"], *map(_text, row["values"])] for row in comparison["inputs"]])

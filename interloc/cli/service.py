@@ -175,7 +175,7 @@ def list_(data_dir: Path | None) -> None:
     with _existing_database(data_dir) as database:
         tokens = list_tokens(database)
     for each in tokens:
-        used = "never used" if each.last_used_at is None else f"used {_shown(each.last_used_at)}"
+        used = "no use noted yet" if each.last_used_at is None else f"used {_shown(each.last_used_at)}"
         parts = [f"{each.scope:<5} since {_shown(each.created_at)} UTC", used]
         if each.expires_at is not None:
             is_past = each.expires_at <= time.time()

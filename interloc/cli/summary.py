@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 def run_facts(result: DriveResult, out: Path) -> list[tuple[str, str]]:
     """Return names and values for a person."""
     run = result.run
-    seconds = run["seconds"]
+    seconds, workers = run["seconds"], counted(run["workers"], "worker")
     return [
         (
             "drive",
@@ -25,7 +25,7 @@ def run_facts(result: DriveResult, out: Path) -> list[tuple[str, str]]:
         georeference_fact(run),
         (
             "time",
-            f"{seconds:.1f} s, {1e3 * seconds / run['keyframes']:.1f} ms per keyframe, {run['workers']} process(es)",
+            f"{seconds:.1f} s, {1e3 * seconds / run['keyframes']:.1f} ms per keyframe, {workers}",
         ),
         ("written to", str(out)),
     ]
@@ -56,28 +56,31 @@ def run_summary(result: DriveResult, out: Path) -> dict[str, Any]:
     }
 
 
-def _wrong(report: dict[str, Any]) -> list[tuple[str, str]]:
-    """Return what the wrong detections are, which the mean error and the precision come from."""
+def wrong_detections(report: dict[str, Any]) -> tuple[int, str]:
+    """Return how many detections are wrong, and of which kinds: what mean error and precision come from."""
     from interloc.evaluation.reasons import KINDS
 
     kinds = {kind: count for kind, count in report.get("reasons", {}).get("detections", {}).items() if count}
-    if not kinds:
-        return []
     meanings: dict[str, str] = dict(KINDS)  # type: ignore[arg-type]
     listed = sorted(kinds.items(), key=lambda row: -row[1])
-    reasons = "; ".join(f"{count} x {meanings.get(kind, kind)}" for kind, count in listed)
-    return [("wrong", f"{counted(sum(kinds.values()), 'detection')}: {reasons}")]
+    return sum(kinds.values()), "; ".join(f"{count} x {meanings.get(kind, kind)}" for kind, count in listed)
 
 
 def report_facts(report: dict[str, Any], out: Path) -> list[tuple[str, str]]:
     """Return the main figures of report.json for a person, the map first."""
+    wrong, kinds = wrong_detections(report)
     return [
         *([("map", report["map_line"])] if "map_line" in report else []),  # servers of older versions do not send it
         ("policy", f"{report['policy']}: {counted(report['nodes_in_zone'], 'OSM node')} in the relevant zone"),
         ("by detections", f"{report['nodes_found']} of {report['nodes_in_zone']} nodes have one within 5 m"),
-        ("center error", f"{metres(report['ace_m'])} mean (ACE), {metres(report['median_m'])} median"),
+        (
+            "center error",
+            f"{metres(report['ace_m'])} mean (ACE), {metres(report['median_m'])} median"
+            if report["ace_m"] is not None
+            else "none: no detection was matched",
+        ),
         ("at D = 5 m", f"precision {percent(report['precision']['5.0'])}, recall {percent(report['recall']['5.0'])}"),
-        *_wrong(report),
+        *([("wrong", f"{counted(wrong, 'detection')}: {kinds}")] if wrong else []),
         *(("warning", text) for text in report["warnings"]),
         ("report", str(out / "report.html")),
     ]

@@ -52,7 +52,10 @@ def compare_reports(
         "runs": list(names),
         "inputs": differing_inputs(runs),
         "settings": differing_settings(runs),
-        "figures": [{"name": name, "values": [figure(report) for report in reports]} for name, figure in _FIGURES],
+        "figures": [
+            {"name": name, "title": title, "values": [figure(report) for report in reports]}
+            for name, title, figure in _FIGURES
+        ],
         "nodes": [node for node in nodes if len(set(node["outcomes"])) > 1],
         "found_by_all": len(set.intersection(*found)),
         "missed_by_all": len(set.intersection(*missed)),
@@ -141,24 +144,28 @@ def _outcome(row: Mapping[str, Any] | None) -> str:
     return str(row.get("outcome") or ("found" if row["found"] else "missed"))  # versions before had none
 
 
-_FIGURES: tuple[tuple[str, Callable[[Mapping[str, Any]], Any]], ...] = (
-    ("map_right", lambda report: report["map_level"]["true"]),
-    ("map_wrong", lambda report: report["map_level"]["false"]),
-    ("map_nodes_found", lambda report: report["map_level"]["nodes_in_zone"] - report["map_level"]["missed"]),
-    ("map_median_m", lambda report: report["map_level"]["median_m"]),
-    ("map_precision", lambda report: report["map_level"]["precision"]),
-    ("map_recall", lambda report: report["map_level"]["recall"]),
-    ("map_mean_m", lambda report: report["map_level"]["mean_m"]),
-    ("keyframes", lambda report: report["keyframes"]),
-    ("detections", lambda report: report["detections"]),
-    ("ace_m", lambda report: report["ace_m"]),
-    ("median_m", lambda report: report["median_m"]),
-    ("p95_m", lambda report: report["p95_m"]),
-    ("precision_at_5", lambda report: report["precision"][_STANDARD]),
-    ("recall_at_5", lambda report: report["recall"][_STANDARD]),
-    ("f1_at_5", lambda report: report["f1"][_STANDARD]),
-    ("nodes_in_zone", lambda report: report["nodes_in_zone"]),
-    ("nodes_found", lambda report: report["nodes_found"]),
+_FIGURES: tuple[tuple[str, str, Callable[[Mapping[str, Any]], Any]], ...] = (
+    ("map_right", "intersections right", lambda report: report["map_level"]["true"]),
+    ("map_wrong", "intersections wrong", lambda report: report["map_level"]["false"]),
+    (
+        "map_nodes_found",
+        "OSM nodes found",
+        lambda report: report["map_level"]["nodes_in_zone"] - report["map_level"]["missed"],
+    ),
+    ("map_median_m", "median error of intersections [m]", lambda report: report["map_level"]["median_m"]),
+    ("map_precision", "precision of intersections", lambda report: report["map_level"]["precision"]),
+    ("map_recall", "recall of intersections", lambda report: report["map_level"]["recall"]),
+    ("map_mean_m", "mean error of intersections [m]", lambda report: report["map_level"]["mean_m"]),
+    ("keyframes", "keyframes", lambda report: report["keyframes"]),
+    ("detections", "detections", lambda report: report["detections"]),
+    ("ace_m", "mean error of detections (ACE) [m]", lambda report: report["ace_m"]),
+    ("median_m", "median error of detections [m]", lambda report: report["median_m"]),
+    ("p95_m", "95 % of detections within [m]", lambda report: report["p95_m"]),
+    ("precision_at_5", "precision, D = 5 m", lambda report: report["precision"][_STANDARD]),
+    ("recall_at_5", "recall, D = 5 m", lambda report: report["recall"][_STANDARD]),
+    ("f1_at_5", "F1, D = 5 m", lambda report: report["f1"][_STANDARD]),
+    ("nodes_in_zone", "OSM nodes in the zone", lambda report: report["nodes_in_zone"]),
+    ("nodes_found", "OSM nodes with a detection within 5 m", lambda report: report["nodes_found"]),
 )
 
 

@@ -6,6 +6,7 @@ table in which QGIS keeps styles.
 
 from __future__ import annotations
 
+import json
 import sqlite3
 from collections.abc import Sequence
 from pathlib import Path
@@ -83,7 +84,7 @@ def describe(database: Path, layers: Sequence[tuple[Layer, Credit]], run: str) -
     layers
         The layers in it, each with whose data it is.
     run
-        Text of `run.json`.
+        Text of `run.json`; kept on one line, since tools print it before the fields.
 
     Raises
     ------
@@ -115,7 +116,7 @@ def describe(database: Path, layers: Sequence[tuple[Layer, Credit]], run: str) -
                 "VALUES ('', '', ?, 'geom', 'InterLoc', ?, ?, 1, ?, '')",
                 [(layer.name, qml(layer), sld(layer), layer.title) for layer, _ in layers],
             )
-            _add_metadata(connection, None, _JSON_URI, "application/json", run)
+            _add_metadata(connection, None, _JSON_URI, "application/json", json.dumps(json.loads(run)))
             for layer, credit in layers:
                 _add_metadata(connection, layer.name, _QGIS_URI, "text/xml", metadata(layer, credit))
     finally:

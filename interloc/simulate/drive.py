@@ -20,14 +20,7 @@ from interloc.simulate.config import DEFAULT_OPTIONS, SimulationOptions
 from interloc.simulate.lidar import Lidar
 from interloc.simulate.osm_map import MapData
 from interloc.simulate.scene import Scene, build_scene
-from interloc.simulate.tracks import (
-    IMU_TO_VELO_TEXT,
-    LidarTrack,
-    camera_poses,
-    format_oxts,
-    lidar_poses,
-    parse_tr,
-)
+from interloc.simulate.tracks import IMU_TO_VELO_TEXT, LidarTrack, camera_poses, format_oxts, lidar_poses, parse_tr
 
 MARKER = "simulation.json"
 GROUND_LABELS = (40, 60, 48, 44, 49)

@@ -25,9 +25,9 @@ def test_figures_and_settings_side_by_side(outs: tuple[Path, Path], interloc: Ca
     assert told["runs"] == [str(out) for out in outs]
     assert {"name": "preset", "values": ["default", "paper"]} in told["settings"]
     text = interloc("compare", *outs).out
-    (line,) = [line.split() for line in text.splitlines() if line.startswith("nodes_found")]
-    (figure,) = [row["values"] for row in told["figures"] if row["name"] == "nodes_found"]
-    assert line[1:] == [str(value) for value in figure]
+    (line,) = [line.split() for line in text.splitlines() if line.startswith("OSM nodes found")]
+    (figure,) = [row["values"] for row in told["figures"] if row["name"] == "map_nodes_found"]
+    assert line[3:] == [str(value) for value in figure]
     assert told["found_by_all"] == 1
     assert "1 OSM node found by all, 0 OSM nodes missed by all" in text
 

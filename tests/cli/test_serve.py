@@ -208,8 +208,10 @@ def test_tokens_tell_what_they_allow(interloc: Interloc, tmp_path: Path) -> None
     few = ("--max-bytes", "1MB", "--max-jobs", "1")
     assert interloc("token", "add", "bob", "--expires", "2999-12-31T02:00+02:00", *few, *data).code == 0
     alice, bob = interloc("token", "list", *data).out.splitlines()
-    assert re.fullmatch(r"alice +read  since .* UTC, never used, expires 2\d{3}-\d\d-\d\d .*, 1\.5 GB, 5 jobs", alice)
-    assert re.fullmatch(r"bob +write since .* UTC, never used, expires 2999-12-31 00:00, 1 MB, 1 job", bob)
+    assert re.fullmatch(
+        r"alice +read  since .* UTC, no use noted yet, expires 2\d{3}-\d\d-\d\d .*, 1\.5 GB, 5 jobs", alice
+    )
+    assert re.fullmatch(r"bob +write since .* UTC, no use noted yet, expires 2999-12-31 00:00, 1 MB, 1 job", bob)
 
 
 @pytest.mark.parametrize(

@@ -6,14 +6,7 @@ import numpy as np
 
 from interloc.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from interloc.geometry import rotation_from_rpy
-from interloc.kernels.surface import (
-    FEATURES,
-    add_brightness,
-    add_features,
-    label_points,
-    scan_minima,
-    tilt_against,
-)
+from interloc.kernels.surface import FEATURES, add_brightness, add_features, label_points, scan_minima, tilt_against
 
 X0, Y0, CELL_M, TIMES = -6.0, -4.2, 0.2, 3
 ROWS, COLUMNS = 42, 60

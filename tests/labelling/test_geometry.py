@@ -9,13 +9,7 @@ import numpy as np
 import pytest
 
 from interloc.arrays import Float32Array, FloatArray
-from interloc.labelling.geometry import (
-    BESIDE,
-    OTHER_GROUND,
-    ROAD,
-    GeometryLabeller,
-    brightness_of_strip,
-)
+from interloc.labelling.geometry import BESIDE, OTHER_GROUND, ROAD, GeometryLabeller, brightness_of_strip
 from interloc.labelling.ground import RANGE_M
 from tests.kerbs import ROAD_M, SIDEWALK_M, Street
 

@@ -13,13 +13,7 @@ from interloc.geometry import yaw_of
 from interloc.simulate.config import TrackConfig
 from interloc.simulate.local_frame import LocalFrame
 from interloc.simulate.track_files import open_track, read_csv
-from interloc.simulate.tracks import (
-    format_oxts,
-    lidar_fixes,
-    oxts_rows,
-    track_from_line,
-    track_from_oxts,
-)
+from interloc.simulate.tracks import format_oxts, lidar_fixes, oxts_rows, track_from_line, track_from_oxts
 
 GPX = """<?xml version="1.0"?><gpx xmlns="http://www.topografix.com/GPX/1/1" version="1.1"><trk><trkseg>
 <trkpt lat="49.0" lon="8.4"><ele>110</ele><time>2024-01-01T00:00:00Z</time></trkpt>

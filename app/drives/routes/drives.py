@@ -5,13 +5,14 @@ from __future__ import annotations
 from typing import Annotated
 
 from fastapi import APIRouter, Path, Query, Request, Response
+from fastapi.concurrency import run_in_threadpool
 from sqlalchemy.orm import Session
 
 from app.context import Context, ContextDep
 from app.drives import records
-from app.drives.look import look_at
 from app.drives.models import DriveChanges, DriveList, DriveModel, LabelsAnswer, LabelsRequest, LookRequest, NewDrive
 from app.drives.plan import judge_label_counts
+from app.drives.work.look import look
 from app.http.delivery import answer_tagged, require_unchanged, tag_of
 from app.http.headers import IdempotencyKey, IfMatch
 from app.http.openapi import CHANGED, CHANGES_NOTHING, PAGED, TAGGED, get_and_head, headers_named, problems
@@ -23,6 +24,8 @@ from app.jobs.runner import RunnerDep
 from app.states import DriveState
 from app.store import sidecars
 from app.store.models import Drive
+from app.work.documents import UploadOptions
+from app.work.task import WorkSettings
 from interloc.reduction.look import FolderLook
 
 router = APIRouter(prefix="/drives", tags=["Drives"])
@@ -102,7 +105,19 @@ async def look_into_folder(
     Nothing is made or kept. The folder is judged by the names and sizes of its files and by the contents of the small
     ones; give those that `wanted` names, and ask again, to learn all.
     """
-    return await look_at(context, runner, request, client)
+    return await runner.run_in_worker(
+        look,
+        request.files,
+        request.contents,
+        request.name,
+        request.root,
+        UploadOptions.model_validate(dict(request.options)),
+        request.keyframes,
+        request.ranges,
+        WorkSettings.model_validate(context.settings),
+        await run_in_threadpool(context.storage.incoming),
+        client=client,
+    )
 
 
 @get_and_head(

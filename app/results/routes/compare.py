@@ -45,6 +45,7 @@ class Figure(BaseModel):
     """A figure of the reports."""
 
     name: str = Field(examples=["ace_m"])
+    title: str = Field(description="Its name in words.", examples=["mean error of detections (ACE) [m]"])
     values: list[float | None]
 
 

@@ -9,14 +9,7 @@ import numpy as np
 
 from interloc.arrays import FloatArray, IntArray
 from interloc.drive import Georeference
-from interloc.drives.files import (
-    GeoreferenceFile,
-    SourceFile,
-    list_numbered,
-    listed,
-    missing_numbers,
-    rows_by_frame,
-)
+from interloc.drives.files import GeoreferenceFile, SourceFile, list_numbered, listed, missing_numbers, rows_by_frame
 from interloc.drives.findings import GeoreferenceFileError
 from interloc.drives.georeference.geodetic import checked_fixes
 from interloc.geometry import invert_transform, lonlat_from_enu, rotation_from_rpy

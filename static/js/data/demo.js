@@ -44,13 +44,13 @@ function change(news) {
 }
 
 async function run() {
-  let drive = await sendJson("POST", "demo");
+  let drive = await sendJson("POST", "demo", undefined, { headers: { Prefer: "respond-async" } });
   rememberDrive(drive);
   change({ drive: drive.id });
   while (drive.state !== "ready") {
     await sleep(POLL_MS);
-    const { jobs } = await getJson(`jobs?kind=all&drive_id=${drive.id}`);
-    change({ fraction: jobs.at(-1)?.progress.fraction ?? null }); // the first makes it, the next checks it
+    const { jobs } = await getJson(`jobs?kind=demo&drive=${drive.id}`);
+    change({ fraction: jobs[0]?.progress.fraction ?? null });
     drive = await getJson(`drives/${drive.id}`);
   }
   await refreshLists();

@@ -131,7 +131,9 @@ function driveCard(drive, jobs) {
   if (report?.scans) facts.push(plural(report.scans, "scan"));
   else if (drive.files && drive.state !== "ready") facts.push(plural(drive.files, "file"));
   if (report?.length_m) facts.push(formatMetres(report.length_m, 0));
-  facts.push(formatBytes(drive.stored_bytes || drive.size_bytes), formatAgo(drive.created_at));
+  const bytes = drive.stored_bytes || drive.size_bytes;
+  if (bytes) facts.push(formatBytes(bytes));
+  facts.push(formatAgo(drive.created_at));
   if (drive.owner !== ANYONE) facts.push(`by ${drive.owner}`);
   const place = report?.georeference ? `Georeference: ${report.georeference}` : "No georeference: local metres only";
   const network = report?.label_folder?.startsWith("network ") ? report.label_folder : null;
@@ -196,7 +198,11 @@ function jobRow(job, isOneOf) {
     isDone && el("span", { class: "small both" }, outcomeOf(job)),
     isOneOf &&
       standing(job) &&
-      el("span", { class: "small both stands" }, STANDS[/** @type {"best"} */ (standing(job))]),
+      el(
+        "span",
+        { class: "small both stands", title: "By intersections right and nodes found together: F1" },
+        STANDS[/** @type {"best"} */ (standing(job))],
+      ),
   );
   return el("li", {}, button);
 }

@@ -3,6 +3,7 @@
  * @module job/words
  */
 import { getConfig } from "../api.js";
+import { demo } from "../data/demo.js";
 import { lists, titleOf } from "../data/lists.js";
 import { onUploadsChange, uploadOf, uploadText } from "../data/uploads.js";
 import { el, formatAgo, formatDuration, formatMetres, plural } from "../dom.js";
@@ -29,6 +30,8 @@ export function stateBadge(state) {
 
 /** @param {any} drive @returns {HTMLElement} Its state, or how far its upload is. */
 export function driveBadge({ id, state }) {
+  if (state === "uploading" && demo.isRunning && demo.drive === id)
+    return el("span", { class: "badge busy" }, "Being made");
   const upload = state === "uploading" ? uploadOf(id) : null;
   return upload ? el("span", { class: "badge busy", dataset: { upload: id } }, uploadText(upload)) : stateBadge(state);
 }

@@ -137,14 +137,12 @@ def test_answers_describe_their_headers(document: dict[str, Any]) -> None:
         assert document["components"]["schemas"][schema]["examples"], schema
 
 
-def test_every_kind_of_problem_is_listed(document: dict[str, Any], client: httpx.Client) -> None:
+def test_every_kind_of_problem_is_listed(client: httpx.Client) -> None:
     listed = client.get("/problems").json()["problems"]
     assert [each["title"] for each in listed] == [kind.title for kind in TYPES.values()]
     missing = client.get("/api/v1/drives/nowhere").json()
     assert missing["type"] == "/problems/drive-not-found"
     assert client.get(missing["type"]).json()["title"] == missing["title"]
-    for each in listed:
-        assert f"`{each['type']}`: {each['meaning']}" in document["info"]["description"]
     assert client.get("/problems/nonsense").json()["type"] == "/problems/not-found"
     assert client.get("/api/v1/nothing").json()["type"] == "about:blank"
 

@@ -1,4 +1,8 @@
-"""The API keeps to its own description, whatever is sent: no 5xx, no status, header or body that is not described."""
+"""The API keeps to its own description, whatever is sent: no 5xx, no status, header or body that is not described.
+
+What takes seconds is made when the tests run, by the one process that runs them: every process of the tests imports
+this.
+"""
 
 from __future__ import annotations
 
@@ -10,10 +14,7 @@ from typing import Any
 import httpx
 import pytest
 import requests
-import schemathesis
 from hypothesis import HealthCheck, settings
-from schemathesis import checks
-from schemathesis.generation.hypothesis.builder import HypothesisTestConfig, HypothesisTestMode, create_test
 
 from app.main import create_app
 from app.settings import Settings
@@ -21,28 +22,27 @@ from tests.app.conftest import API, running_server
 from tests.app.processes import NO_TLS
 from tests.app.street import write_street
 
-CHECKS: list[Any] = [
-    checks.not_a_server_error,
-    checks.status_code_conformance,
-    checks.content_type_conformance,
-    checks.response_schema_conformance,
-    checks.response_headers_conformance,
-]
-DESCRIPTION = deepcopy(create_app(Settings()).openapi())  # all applications of a process share it
-# To find strings that fit the pattern of a path takes ten seconds; most strings are good paths anyway.
-del DESCRIPTION["components"]["schemas"]["DriveOptionsModel"]["properties"]["oxts"]["pattern"]
-for operation in DESCRIPTION["paths"]["/api/v1/drives/{drive_id}/files/{path}"].values():
-    (path,) = [each["schema"] for each in operation["parameters"] if each["name"] == "path"]
-    del path["pattern"]
-SCHEMA = schemathesis.openapi.from_dict(DESCRIPTION).exclude(operation_id="make_demo_drive")
-OPERATIONS = [result.ok() for result in SCHEMA.get_all_operations()]
+SHARES = 12  # of the operations, each a test
 EFFORT = settings(max_examples=3, suppress_health_check=list(HealthCheck))
 
 
-@schemathesis.serializer("application/gzip", "application/x-tar", "application/zip", "application/zstd")
-def as_they_are(_: object, value: object) -> bytes:
-    """Send what was generated as the bytes of an archive."""
-    return value if isinstance(value, bytes) else str(value).encode()
+@pytest.fixture(scope="module")
+def schema() -> Any:
+    import schemathesis  # noqa: PLC0415
+
+    description = deepcopy(create_app(Settings()).openapi())  # all applications of a process share it
+    # To find strings that fit the pattern of a path takes ten seconds; most strings are good paths anyway.
+    del description["components"]["schemas"]["DriveOptionsModel"]["properties"]["oxts"]["pattern"]
+    for operation in description["paths"]["/api/v1/drives/{drive_id}/files/{path}"].values():
+        (path,) = [each["schema"] for each in operation["parameters"] if each["name"] == "path"]
+        del path["pattern"]
+
+    @schemathesis.serializer("application/gzip", "application/x-tar", "application/zip", "application/zstd")
+    def as_they_are(_: object, value: object) -> bytes:
+        """Send what was generated as the bytes of an archive."""
+        return value if isinstance(value, bytes) else str(value).encode()
+
+    return schemathesis.openapi.from_dict(description).exclude(operation_id="make_demo_drive")
 
 
 @dataclass(frozen=True)
@@ -77,15 +77,16 @@ def target(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Target]:
             yield Target(address, session, *drives, job)
 
 
-@pytest.mark.parametrize("operation", OPERATIONS, ids=lambda operation: operation.label)
-def test_an_operation_does_what_it_says(operation: Any, target: Target) -> None:
-    # As `SCHEMA.parametrize()` does, but when the test runs: the cases of all operations take long to make, and every
-    # process of the tests would make them all.
-    config = HypothesisTestConfig(SCHEMA.config, list(HypothesisTestMode), explicit_settings=EFFORT)
-    create_test(operation=operation, test_func=send, config=config)(target=target, sent=set())
+@pytest.mark.parametrize("share", range(SHARES))
+def test_operations_do_what_they_say(share: int, schema: Any, target: Target) -> None:
+    from schemathesis.generation.hypothesis.builder import HypothesisTestConfig, HypothesisTestMode, create_test  # noqa: PLC0415
+
+    config = HypothesisTestConfig(schema.config, list(HypothesisTestMode), explicit_settings=EFFORT)
+    for operation in [result.ok() for result in schema.get_all_operations()][share::SHARES]:
+        create_test(operation=operation, test_func=send, config=config)(target=target, sent=set())
 
 
-def send(case: schemathesis.Case, target: Target, sent: set[str]) -> None:
+def send(case: Any, target: Target, sent: set[str]) -> None:
     """Send a case as it is, and once more to what is there, but nothing that was `sent` before."""
     generated, known = case.path_parameters, case.path_parameters
     if generated and not (case.method == "DELETE" and case.path.endswith("_id}")):
@@ -112,6 +113,15 @@ def send(case: schemathesis.Case, target: Target, sent: set[str]) -> None:
         sent.add(whole)
 
 
-def call(case: schemathesis.Case, target: Target) -> None:
+def call(case: Any, target: Target) -> None:
     """Send a case and check the answer."""
-    case.call_and_validate(base_url=target.address, session=target.session, checks=CHECKS, timeout=60)
+    from schemathesis import checks  # noqa: PLC0415
+
+    every: list[Any] = [
+        checks.not_a_server_error,
+        checks.status_code_conformance,
+        checks.content_type_conformance,
+        checks.response_schema_conformance,
+        checks.response_headers_conformance,
+    ]
+    case.call_and_validate(base_url=target.address, session=target.session, checks=every, timeout=60)

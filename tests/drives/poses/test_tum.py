@@ -8,11 +8,7 @@ import pytest
 
 from interloc import open_drive
 from interloc.drives.files import SourceFile
-from interloc.drives.poses.timed import (
-    TimedPoses,
-    quaternions_from_rotations,
-    rotations_from_quaternions,
-)
+from interloc.drives.poses.timed import TimedPoses, quaternions_from_rotations, rotations_from_quaternions
 from interloc.drives.poses.tum import looks_like_tum, read_tum
 from interloc.errors import DriveError
 from interloc.geometry import rotation_from_rpy, yaw_of

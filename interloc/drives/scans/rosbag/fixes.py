@@ -9,13 +9,7 @@ import numpy as np
 from interloc.arrays import BoolArray, FloatArray, IntArray
 from interloc.drive import Georeference
 from interloc.drives.findings import DriveFileError, Findings
-from interloc.drives.georeference.fixes import (
-    MIN_EXTENT_M,
-    MIN_FIXES,
-    Fixes,
-    extent_m,
-    georeference_from_fixes,
-)
+from interloc.drives.georeference.fixes import MIN_EXTENT_M, MIN_FIXES, Fixes, extent_m, georeference_from_fixes
 from interloc.drives.georeference.geodetic import check_georeference, in_degrees
 from interloc.drives.georeference.shift import Shift, fit_shift, misfit_m
 from interloc.drives.scans.rosbag.bag import Bag, BagTopic

@@ -24,14 +24,7 @@ from interloc.drives.scans.rosbag.chunks import (
     codec_number,
     largest_unpacked,
 )
-from interloc.drives.scans.rosbag.index import (
-    MAX_MESSAGES,
-    BagIndex,
-    Channel,
-    reading,
-    ros2_spelling,
-    streams_at,
-)
+from interloc.drives.scans.rosbag.index import MAX_MESSAGES, BagIndex, Channel, reading, ros2_spelling, streams_at
 from interloc.drives.scans.rosbag.wire import Encoding
 
 MAGIC = b"\x89MCAP0\r\n"

@@ -12,13 +12,7 @@ import numpy as np
 from interloc.arrays import IntArray
 from interloc.drives.files import SourceFile
 from interloc.drives.scans.rosbag.chunks import MAX_MESSAGE_BYTES, ChunkStream, DamagedChunkError, codec_number
-from interloc.drives.scans.rosbag.index import (
-    MAX_MESSAGES,
-    BagIndex,
-    Channel,
-    reading,
-    streams_at,
-)
+from interloc.drives.scans.rosbag.index import MAX_MESSAGES, BagIndex, Channel, reading, streams_at
 
 MAGIC = b"#ROSBAG V2.0\n"
 
