@@ -78,13 +78,13 @@ def show_job(page: Any, studio: Studio) -> None:
 
 
 def show_report(page: Any, studio: Studio) -> None:
-    """Show the end of the report: a node on the map, both presets side by side."""
+    """Show a node on the map, and both presets side by side."""
     studio.show(page, "panel=report")
     page.locator(".osm-nodes tbody tr.can").first.click()
     page.locator(".leaflet-popup-content").wait_for()
-    page.locator("#panel-report .others input").first.check()
-    page.wait_for_selector("#panel-report td.better")
-    page.locator("#panel").evaluate("(panel) => panel.scrollTo(0, panel.scrollHeight)")
+    page.get_by_role("tab", name="Compare").click()
+    page.locator("#panel-compare .others input").first.check()
+    page.wait_for_selector("#panel-compare td.better")
 
 
 def show_keyframe(page: Any, studio: Studio) -> None:

@@ -7,13 +7,13 @@ import math
 import os
 import zlib
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 
@@ -42,17 +42,35 @@ MAX_NUMBER = 1e7
 _HEAD = 64
 _HEAD_BYTES = 65_536
 
+_KEPT_BYTES = 64 * 1024 * 1024  # some 25 scans of 120,000 points
+
 _kept: ContextVar[dict[Path, bytes] | None] = ContextVar("files of one line per frame that were read", default=None)
+_kept_scans: ContextVar[dict[Hashable, Any] | None] = ContextVar("scans that were read last", default=None)
+_Scan = TypeVar("_Scan")
 
 
 @contextmanager
 def each_read_once() -> Iterator[None]:
-    """Keep the files with one line per frame while a drive is opened: several steps look into the same ones."""
-    token = _kept.set({})
+    """Keep the files with one line per frame, and some scans, while a drive is opened: steps look into the same."""
+    token, scans_token = _kept.set({}), _kept_scans.set({})
     try:
         yield
     finally:
         _kept.reset(token)
+        _kept_scans.reset(scans_token)
+
+
+def scan_once(key: Hashable, read: Callable[[], _Scan], size_of: Callable[[_Scan], int]) -> _Scan:
+    """Read a scan, or return it where it is one of the last 64 MB that were read while a drive is opened."""
+    kept = _kept_scans.get()
+    if kept is None:
+        return read()
+    if key not in kept:
+        kept[key] = read()
+        while len(kept) > 1 and sum(map(size_of, kept.values())) > _KEPT_BYTES:
+            del kept[next(iter(kept))]
+    found: _Scan = kept[key]
+    return found
 
 
 @dataclass(frozen=True)

@@ -22,11 +22,13 @@ MIN_CELLS = 60
 """Of a plan that can be laid onto another."""
 
 _CELL_M, _SIZE = 1.0, 160
+_REACH = int(MAX_SHIFT_M / _CELL_M)
 _TURN_STEP_RAD = np.radians(3.0)
 _PLAN_M, _NEAREST_M = 0.5, 2.5
 _UPRIGHT_M = 0.4
 _UPRIGHT_RANGE_M, _EDGE_RANGE_M = 55.0, 26.0
 _KEY = 1 << 12
+_FINE_M, _FINE_SIZE, _FAR_M = 0.25, 480, 2.0
 
 
 def upright_plan(xyz: Float32Array | FloatArray) -> FloatArray:
@@ -67,12 +69,17 @@ class PlanMatch:
     Attributes
     ----------
     shares : (K, S, S) float32
-        Share of the cells of the source that lie on cells of the target, or half so beside them.
+        Share of the cells of the source that lie on cells of the target, or half so beside them; a metre per row and
+        column, the middle is no shift.
     turns_rad : (K,) float64
+    target, source : (M, 2), (N, 2) float64
+        Cells of the two, metres.
     """
 
     shares: Float32Array
     turns_rad: FloatArray
+    target: FloatArray
+    source: FloatArray
 
     @classmethod
     def of(cls, target: FloatArray, source: FloatArray) -> PlanMatch:
@@ -81,21 +88,21 @@ class PlanMatch:
         image = _drawn(target)
         beside = cv2.dilate(image, np.ones((3, 3), np.uint8))
         spectrum = scipy.fft.rfft2(np.maximum(image, 0.5 * beside))
-        shares = np.empty((len(turns), _SIZE, _SIZE), dtype=np.float32)
+        shifts = np.arange(-_REACH, _REACH + 1)
+        shares = np.empty((len(turns), len(shifts), len(shifts)), dtype=np.float32)
         for number, turn in enumerate(turns):
             turned = scipy.fft.rfft2(_drawn(rotate_2d(source, turn)))
             count = max(1.0, float(turned[0, 0].real))
-            shares[number] = scipy.fft.irfft2(spectrum * np.conj(turned), s=(_SIZE, _SIZE)) / count
-        shift = scipy.fft.fftfreq(_SIZE, 1 / _SIZE) * _CELL_M
-        shares[:, np.hypot(shift[:, None], shift[None]) > MAX_SHIFT_M] = 0.0
-        return cls(shares, turns)
+            found = scipy.fft.irfft2(spectrum * np.conj(turned), s=(_SIZE, _SIZE))
+            shares[number] = found[np.ix_(shifts, shifts)] / count
+        shares[:, np.hypot(shifts[:, None], shifts[None]) > _REACH] = 0.0
+        return cls(shares, turns, target, source)
 
     @cached_property
     def best(self) -> tuple[float, FloatArray]:
         """The largest share, and the motion of it: x, y in metres and turn in radians."""
         number, row, column = np.unravel_index(int(np.argmax(self.shares)), self.shares.shape)
-        shift = scipy.fft.fftfreq(_SIZE, 1 / _SIZE) * _CELL_M
-        motion = np.array([shift[row], shift[column], self.turns_rad[number]])
+        motion = np.array([(row - _REACH) * _CELL_M, (column - _REACH) * _CELL_M, self.turns_rad[number]])
         return float(self.shares[number, row, column]), motion
 
     def at(self, motion: FloatArray) -> float:
@@ -105,8 +112,25 @@ class PlanMatch:
             return float("nan")
         number = round((turn + MAX_TURN_RAD) / _TURN_STEP_RAD)
         near = np.arange(-1, 2)
-        rows, columns = (np.rint(motion[:2] / _CELL_M).astype(np.int64)[:, None] + near) % _SIZE
+        middle = np.rint(motion[:2] / _CELL_M).astype(np.int64) + _REACH
+        rows, columns = np.clip(middle[:, None] + near, 0, 2 * _REACH)
         return float(self.shares[max(0, number - 1) : number + 2][:, rows[:, None], columns].max())
+
+    @cached_property
+    def _distance_m(self) -> Float32Array:
+        """How far each place is from the nearest cell of the target, up to 2 m."""
+        free: UInt8Array = np.ones((_FINE_SIZE, _FINE_SIZE), dtype=np.uint8)
+        at = np.floor(self.target / _FINE_M).astype(np.int64) + _FINE_SIZE // 2
+        free[at[:, 0], at[:, 1]] = 0
+        distance_m: Float32Array = (_FINE_M * cv2.distanceTransform(free, cv2.DIST_L2, 5)).astype(np.float32)
+        distance_m[distance_m > _FAR_M] = _FAR_M
+        return distance_m
+
+    def off_m(self, motion: FloatArray) -> float:
+        """Return how far the cells of the source, moved so, are from those of the target: the mean, each up to 2 m."""
+        at = np.floor((rotate_2d(self.source, motion[2]) + motion[:2]) / _FINE_M).astype(np.int64) + _FINE_SIZE // 2
+        at = at[((at >= 0) & (at < _FINE_SIZE)).all(axis=1)]
+        return float(self._distance_m[at[:, 0], at[:, 1]].mean()) if len(at) else _FAR_M
 
 
 def _drawn(cells: FloatArray) -> Float32Array:

@@ -13,13 +13,16 @@ from interloc.drives.folder import FolderDrive
 from interloc.drives.plans import MAX_TURN_RAD, MIN_CELLS, PlanMatch, road_plan, upright_plan
 from interloc.drives.poses.motion import rows_apart
 from interloc.drives.scans.raw import RawScans
-from interloc.geometry import invert_transform, rotate_2d, yaw_of
+from interloc.geometry import invert_transform, rotate_2d, wrap_angle, yaw_of
 
 _APART_M = 7.0
 _MUCH_M = 50.0
 _PAIR_TURN_RAD = np.radians(50.0)
-_SPREAD, _TURNING = 4, 4
-_TURN_RAD = np.radians(12.0)
+_SPREAD, _TELLING = 4, 4
+_TURN_M = 10.0
+"""From so far away a turn is seen as a shift."""
+
+_TELLS_M = 0.3
 
 _MATCHED = {"upright": 0.45, "road": 0.5}
 """Share of a plan that must lie on the other: streets reach 0.5 to 0.9 up to 23 m apart."""
@@ -37,6 +40,10 @@ on real scans, by 0.86 or more where only the edges of a straight road are seen.
 _NO_MOTION_M, _NO_MOTION_RAD = 2.0, np.radians(6.0)
 _MAX_SHIFT = 30
 _PLACES_WRONG = 2
+_MAX_LATE, _LITTLE_M = 10, 3.0
+_CLOSER, _PLACES_CLOSER = 1.25, 3
+"""So much closer must scans lie with the motion of a mistake: with their own they lie up to 1.04 times as far off on
+drives that turn hardly at all, and 0.7 to 0.4 times where they turn."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +65,7 @@ class _Pair:
     j: int
     match: PlanMatch
     allowed: float
-    strong: float = 0.0
+    strong: float
 
     @property
     def is_strong(self) -> bool:
@@ -114,21 +121,34 @@ def check_scan_motion(drive: FolderDrive, usable: IntArray, pose_file: str, find
 
     Notes
     -----
-    Pairs some metres apart, spread over the drive and where it turns most, are laid onto each other by all turns and
-    shifts at once (`interloc.drives.plans`). On real drives the motion of the poses fits as well as the best one. Where
-    it does not at several places, usual mistakes are tried on the poses, and the one that explains all is named.
+    Pairs some metres apart, spread over the drive and where its motion changes most, are laid onto each other by all
+    turns and shifts at once (`interloc.drives.plans`). On real drives the motion of the poses fits as well as the best
+    one. Where it does not at several places, usual mistakes are tried on the poses, and the one that explains all is
+    named.
     """
     usable = np.asarray(usable, dtype=np.int64)
-    pairs: list[_Pair] = []
-    with findings.stage():
-        pairs = _Matcher(drive, usable).pairs()
+    if len(usable) < 2:
+        return
     poses = drive.T_world_lidar[usable]
-    if not pairs and len(poses) and float(np.linalg.norm(np.ptp(poses[:, :3, 3], axis=0))) > _MUCH_M:
+    matcher, pairs = _Matcher(drive, usable), []
+    with findings.stage():
+        pairs = matcher.pairs()
+    near, laid = ([pair for pair in each if _is_near(_planar(poses, pair.i, pair.j))] for each in (pairs, matcher.laid))
+    mistakes = _mistakes(laid, poses)
+    mistake = max(mistakes, key=lambda each: each.ratio, default=_Mistake(""))
+    fault = _unlike(near, poses, mistake) or _in_another_unit(pairs, near, poses)
+    tells = pairs or any(each.ratio * _CLOSER < 1.0 for each in mistakes)
+    if not tells and float(np.linalg.norm(np.ptp(poses[:, :3, 3], axis=0))) > _MUCH_M:
         findings.note(
             pose_file, "the scans hold too little that stands upright or turns to tell whether they move as the poses."
         )
-    near = [pair for pair in pairs if _is_near(_planar(poses, pair.i, pair.j))]
-    if fault := _unlike(near, poses) or _in_another_unit(pairs, near, poses):
+    if mistake.is_clear and (fault is None or fault[1] < _PLACES_WRONG):
+        text = f"the scans do not move as the poses do ({mistake.closer} of {mistake.of} places). {mistake.words}."
+        if mistake.metres < _LITTLE_M:
+            findings.warning(pose_file, text)
+        else:
+            findings.error(DriveFileError(pose_file, text))
+    elif fault is not None:
         pair, wrong, of, usual = fault
         x, y, turn = _planar(poses, pair.i, pair.j)
         seen_x, seen_y, seen_turn = pair.motion
@@ -149,11 +169,64 @@ def check_scan_motion(drive: FolderDrive, usable: IntArray, pose_file: str, find
         )
 
 
+@dataclass(frozen=True)
+class _Mistake:
+    """A mistake in poses, against the poses as they are.
+
+    Attributes
+    ----------
+    words : str
+    ratio : float
+        How many times as far off the scans lie without it as with it.
+    closer, of : int
+        Places at which they lie closer with it, of how many.
+    metres : float
+        How far off the road comes to lie by it.
+    """
+
+    words: str
+    ratio: float = 1.0
+    closer: int = 0
+    of: int = 0
+    metres: float = float("inf")
+
+    @property
+    def is_clear(self) -> bool:
+        """Whether it is the better explanation."""
+        return self.ratio > _CLOSER and self.closer >= _PLACES_CLOSER
+
+
+def _mistakes(pairs: list[_Pair], poses: FloatArray) -> list[_Mistake]:
+    """Try mistakes that scans tell well: poses that are mirrored, or some scans late.
+
+    A few scans show where the motion changes from scan to scan; nowhere else can they be told.
+    """
+    told_m = np.array([pair.match.off_m(_planar(poses, pair.i, pair.j)) for pair in pairs])
+    step_m = float(np.median(np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1))) if len(poses) > 1 else 0.0
+    found = []
+    for words, motion, metres in [
+        (_MIRRORED, _mirrored(poses), float("inf")),
+        *(
+            (_late_words(late), _shifted(poses, late), abs(late) * step_m)
+            for late in range(-_MAX_LATE, _MAX_LATE + 1)
+            if late
+        ),
+    ]:
+        moved = [motion(pair.i, pair.j) for pair in pairs]
+        rows = [row for row, each in enumerate(moved) if each is not None]
+        off_m = np.array([pairs[row].match.off_m(each) for row, each in enumerate(moved) if each is not None])
+        if len(rows) >= _PLACES_CLOSER:
+            ratio = float(told_m[rows].mean() / max(off_m.mean(), 1e-3))
+            closer = int(np.count_nonzero(off_m < told_m[rows]))
+            found.append(_Mistake(words, ratio, closer, len(rows), metres))
+    return found
+
+
 def _is_near(told: FloatArray) -> bool:
     return bool(np.hypot(told[0], told[1]) < _FAR_M and abs(told[2]) < _FAR_RAD)
 
 
-def _unlike(pairs: list[_Pair], poses: FloatArray) -> tuple[_Pair, int, int, str] | None:
+def _unlike(pairs: list[_Pair], poses: FloatArray, mistake: _Mistake) -> tuple[_Pair, int, int, str] | None:
     """Return the worst of some pairs, how many are like it, of how many, and the cause; None where poses are right.
 
     Matches that are weak count only beside strong ones, where one mistake explains them, or where there are three.
@@ -171,7 +244,7 @@ def _unlike(pairs: list[_Pair], poses: FloatArray) -> tuple[_Pair, int, int, str
         return None
     worst = pairs[min(strong or wrong.tolist(), key=lambda row: as_told.fits[row])]
     if len(wrong) >= _PLACES_WRONG:
-        usual = "Usual cause: poses of another sequence, or scans and poses of two clocks"
+        usual = mistake.words if mistake.is_clear else _ANOTHER
         return worst, len(wrong), len(pairs), usual
     usual = "Usual cause: an outage of GNSS or odometry, or scans missing there"
     return (worst, 1, len(pairs), usual) if len(pairs) > _PLACES_WRONG else None
@@ -194,6 +267,8 @@ class _Matcher:
         self.drive, self.usable = drive, usable
         self.poses = drive.T_world_lidar[usable]
         self.kind = "upright" if isinstance(drive.scans, RawScans) else "road"
+        self.laid: list[_Pair] = []
+        """All that were laid onto each other, also those whose motion that does not tell."""
         self._plans: dict[int, FloatArray] = {}
 
     def pairs(self) -> list[_Pair]:
@@ -203,21 +278,30 @@ class _Matcher:
         if not found and self.kind == "upright" and not self.drive.is_slow:
             self.kind = "road"
             self._plans.clear()
+            self.laid.clear()
             found = [pair for start in starts if (pair := self._pair(start)) is not None]
         return found
 
     def _starts(self) -> list[int]:
-        """Choose rows to start from: spread over the drive, and where it turns most."""
-        if len(self.usable) < 2:
-            return []
-        position, yaw = self.poses[:, :3, 3], np.unwrap(yaw_of(self.poses[:, :3, :3]))
-        rows = np.array([row for row in rows_apart(position, _APART_M) if row < len(self.usable) - 1])
+        """Choose rows to start from: spread over the drive, and where its motion changes most."""
+        position, yaw = self.poses[:, :3, 3], yaw_of(self.poses[:, :3, :3])
+        driven = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(position, axis=0), axis=1))])
+        rows = np.array([row for row in rows_apart(position, _APART_M) if row < len(driven) - 1])
         if len(rows) < 3:
-            rows = np.arange(len(self.usable) - 1)
+            rows = np.arange(len(driven) - 1)
         spread = rows[np.linspace(0, len(rows) - 1, _SPREAD).round().astype(np.int64)]
-        turned = np.abs(np.diff(yaw[rows], append=yaw[-1]))
-        most = [int(row) for row in rows[np.argsort(-turned)[:_TURNING]] if turned[rows == row] > _TURN_RAD]
-        return sorted({*spread.tolist(), *most})
+        ahead = np.minimum(np.searchsorted(driven, driven + _APART_M), len(driven) - 1)
+        step = rotate_2d(position[ahead, :2] - position[:, :2], -yaw)
+        motion = np.column_stack([step, _TURN_M * np.unwrap(wrap_angle(yaw[ahead] - yaw))])
+        change = np.linalg.norm(np.diff(motion, axis=0), axis=1)
+        tells = np.minimum(change[1:], change[:-1])  # from the scan before and to the next; at a jump one is small
+        starts: list[int] = []
+        for row in (np.argsort(-tells) + 1).tolist():
+            if len(starts) == _TELLING or tells[row - 1] < _TELLS_M:
+                break
+            if all(abs(driven[row] - driven[other]) > 2 * _APART_M for other in starts):
+                starts.append(row)
+        return sorted({*spread.tolist(), *starts})
 
     def _pair(self, i: int) -> _Pair | None:
         """Lay a scan some metres on onto another, as far on as poses say; where that fails, as scans themselves do."""
@@ -248,6 +332,7 @@ class _Matcher:
         if min(len(target), len(source)) < MIN_CELLS:
             return None
         pair = _Pair(i, j, PlanMatch.of(target, source), _CONTRADICTS[self.kind], _STRONG[self.kind])
+        self.laid.append(pair)
         share, motion = pair.match.best
         if share < _MATCHED[self.kind]:
             return None
@@ -259,7 +344,7 @@ class _Matcher:
         if row not in self._plans:
             index = int(self.usable[row])
             if self.kind == "upright" and isinstance(self.drive.scans, RawScans):
-                points = self.drive.scans.sources[0].read(int(self.drive.frames[index]))
+                points = self.drive.scans.points_of(int(self.drive.frames[index]))
                 self._plans[row] = upright_plan(points.values[:, :3])
             else:
                 self._plans[row] = road_plan(self.drive.ground_points(index).road)
@@ -272,8 +357,32 @@ def _planar(poses: FloatArray, i: int, j: int) -> FloatArray:
     return np.array([*relative[:2, 3], float(yaw_of(relative[:3, :3]))])
 
 
-def _explained(pairs: list[_Pair], motion: Callable[[int, int], FloatArray | None], words: str) -> _Explanation:
+def _explained(pairs: list[_Pair], motion: _Motion, words: str) -> _Explanation:
     return _Explanation(words, np.array([pair.fit(motion(pair.i, pair.j)) for pair in pairs]))
+
+
+_Motion = Callable[[int, int], FloatArray | None]
+_ANOTHER = "Usual cause: poses of another sequence, or scans and poses of two clocks"
+_MIRRORED = "They fit with left and right exchanged. Usual cause: poses in a frame with z down (NED, FRD)"
+
+
+def _late_words(scans: int) -> str:
+    count = f"{abs(scans)} scan{'' if abs(scans) == 1 else 's'}"
+    return (
+        f"They fit where each scan gets the pose of {count} {'later' if scans > 0 else 'earlier'}. Usual cause: "
+        "scans and poses of two clocks, or that start at other frames"
+    )
+
+
+def _mirrored(poses: FloatArray) -> _Motion:
+    return lambda i, j: _planar(poses, i, j) * (1.0, -1.0, -1.0)
+
+
+def _shifted(poses: FloatArray, scans: int) -> _Motion:
+    def motion(i: int, j: int) -> FloatArray | None:
+        return _planar(poses, i + scans, j + scans) if i + scans >= 0 and j + scans < len(poses) else None
+
+    return motion
 
 
 def _explanations(pairs: list[_Pair], poses: FloatArray) -> list[_Explanation]:
@@ -286,19 +395,9 @@ def _explanations(pairs: list[_Pair], poses: FloatArray) -> list[_Explanation]:
 
         return motion
 
-    def shifted(scans: int) -> Callable[[int, int], FloatArray | None]:
-        def motion(i: int, j: int) -> FloatArray | None:
-            return _planar(poses, i + scans, j + scans) if i + scans >= 0 and j + scans < len(poses) else None
-
-        return motion
-
     tried = [
         _scale_explanation(pairs, poses),
-        _explained(
-            pairs,
-            lambda i, j: _planar(poses, i, j) * (1.0, -1.0, -1.0),
-            "They fit with left and right exchanged. Usual cause: poses in a frame with z down (NED, FRD)",
-        ),
+        _explained(pairs, _mirrored(poses), _MIRRORED),
         _explained(
             pairs,
             lambda i, j: _planar(poses, j, i),
@@ -315,12 +414,7 @@ def _explanations(pairs: list[_Pair], poses: FloatArray) -> list[_Explanation]:
             if degrees
         ),
         *(
-            _explained(
-                pairs,
-                shifted(scans),
-                f"They fit where each scan gets the pose of {abs(scans)} scans {'later' if scans > 0 else 'earlier'}. "
-                "Usual cause: scans and poses of two clocks, or that start at other frames",
-            )
+            _explained(pairs, _shifted(poses, scans), _late_words(scans))
             for scans in sorted(range(-_MAX_SHIFT, _MAX_SHIFT + 1), key=abs)
             if scans
         ),

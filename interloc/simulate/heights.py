@@ -12,6 +12,8 @@ from interloc.kernels.raycast import height_at
 
 _CELL_M = 4.0
 _SMOOTH_M = 6.0  # width of the Gaussian that smooths the heights along a track
+_SLOPE_M, _AHEAD_M = 10.0, 40.0
+_PIECE_M, _OFF_PITCH = 5.0, 0.1
 
 
 @dataclass(frozen=True)
@@ -73,6 +75,60 @@ def fit_heights(xyz: FloatArray, *, margin_m: float) -> HeightField:
     filled = _push_pull(mean, (weight > 0).astype(np.float32))
     blurred = cv2.GaussianBlur(filled, (0, 0), _SMOOTH_M / _CELL_M, borderType=cv2.BORDER_REPLICATE)
     return HeightField((blurred + base).astype(np.float32), float(low[0]), float(low[1]), _CELL_M)
+
+
+def beyond_ends(xyz: FloatArray) -> FloatArray:
+    """Lead a track on for 40 m beyond both ends, as it rises there: else the ground ahead has heights of elsewhere.
+
+    Parameters
+    ----------
+    xyz : (N, 3) float64
+        Ground points under the vehicle in M.
+
+    Returns
+    -------
+    (M, 3) float64
+        Points before the first and after the last; none of a track that is hardly longer than a vehicle.
+    """
+    found = [np.empty((0, 3))]
+    for track in (xyz, xyz[::-1]):
+        away = np.linalg.norm(track - track[0], axis=1)
+        if (away > _SLOPE_M).any():
+            row = int(np.argmax(away > _SLOPE_M))
+            found.append(
+                track[0] + np.arange(_CELL_M, _AHEAD_M, _CELL_M)[:, None] * (track[0] - track[row]) / away[row]
+            )
+    return np.concatenate(found)
+
+
+def without_drift(xyz: FloatArray, pitch_rad: FloatArray) -> FloatArray:
+    """Take out of a track what it rises and the vehicle does not: satellite heights that settle fall by many metres.
+
+    Parameters
+    ----------
+    xyz : (N, 3) float64
+        Ground points under the vehicle in M.
+    pitch_rad : (N,) float64
+        Of the vehicle, upwards.
+
+    Returns
+    -------
+    (N, 3) float64
+        The same points, but that pieces of 5 m that rise by 10 % more, or less, than the vehicle is pitched rise as it
+        is pitched.
+    """
+    driven = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(xyz[:, :2], axis=0), axis=1))])
+    at = np.arange(0.0, driven[-1] + 2 * _PIECE_M, _PIECE_M)
+    heights = np.interp(at, driven, xyz[:, 2])
+    climbed = _PIECE_M * np.tan(np.interp(at[:-1], driven, pitch_rad))
+    more = np.diff(heights) - climbed
+    more[np.abs(more) < _OFF_PITCH * _PIECE_M] = 0.0
+    drift = np.append(np.cumsum(more[::-1])[::-1], 0.0)  # the heights of the end count
+    found = xyz.copy()
+    found[:, 2] += np.interp(driven, at, drift)
+    drifts = more[np.minimum(driven / _PIECE_M, len(more) - 1).astype(np.int64)] != 0.0
+    found[drifts, 2] = np.interp(driven[drifts], at, heights + drift)
+    return found
 
 
 def _push_pull(mean: Float32Array, weight: Float32Array) -> Float32Array:

@@ -14,7 +14,7 @@ from interloc.arrays import FloatArray, IntArray
 from interloc.errors import MapError
 from interloc.simulate.config import SceneConfig
 from interloc.simulate.ground import GroundRaster, plan_ground
-from interloc.simulate.heights import HeightField, fit_heights, flat_field
+from interloc.simulate.heights import HeightField, beyond_ends, fit_heights, flat_field, without_drift
 from interloc.simulate.obstacles import Obstacles, furnish
 from interloc.simulate.osm_map import MapData, StreetMap, street_map_of
 from interloc.simulate.profiles import CLEARANCE_M, Crossing, Profile, find_crossings, street_profiles, visible_lines
@@ -172,14 +172,15 @@ def _heights(
 ) -> list[HeightField]:
     if flat:
         return [flat_field() for _ in range(int(level.max()) + 1)]
-    under = poses[:, :3, 3] - sensor_height_m * poses[:, :3, 2]
+    under = without_drift(poses[:, :3, 3] - sensor_height_m * poses[:, :3, 2], np.arcsin(poses[:, 2, 0]))
+    ahead = beyond_ends(under)
     fields = []
     for k in range(int(level.max()) + 1):
         known = level == k
         if k:  # the other level counts where it is far from this one
             above = MultiPoint(under[known][:, :2]).buffer(LEVEL_REACH_M)
             known = known | ~shapely.contains_xy(above, under[:, 0], under[:, 1])
-        fields.append(fit_heights(under[known], margin_m=config.reach_m))
+        fields.append(fit_heights(np.concatenate([under[known], ahead]), margin_m=config.reach_m))
     return fields
 
 

@@ -54,8 +54,8 @@ def mirrored(poses: FloatArray) -> FloatArray:
     return flip @ poses @ flip
 
 
-def late(poses: FloatArray) -> FloatArray:
-    return np.concatenate([np.repeat(poses[:1], 5, axis=0), poses[:-5]])
+def late(scans: int) -> Callable[[FloatArray], FloatArray]:
+    return lambda poses: np.concatenate([np.repeat(poses[:1], scans, axis=0), poses[:-scans]])
 
 
 def turned(poses: FloatArray) -> FloatArray:
@@ -70,7 +70,8 @@ def turned(poses: FloatArray) -> FloatArray:
         (mirrored, "with left and right exchanged"),
         (scaled(0.3), "times the distances"),
         (scaled(3.28), "0.3"),
-        (late, "scans later"),
+        (late(5), "scans later"),
+        (late(1), "1 scan later"),
         (turned, "with the points turned by 90 degrees"),
         (lambda poses: poses[::-1], "the scans do not move as the poses do"),
     ],

@@ -11,7 +11,7 @@ import pytest
 from interloc.errors import MapError
 from interloc.kernels.raycast import surface_at
 from interloc.simulate.config import RoadsideConfig, SceneConfig, StreetConfig, TrackConfig
-from interloc.simulate.heights import fit_heights
+from interloc.simulate.heights import beyond_ends, fit_heights, without_drift
 from interloc.simulate.local_frame import LocalFrame
 from interloc.simulate.osm_map import read_map, road_width_m
 from interloc.simulate.scene import Scene, build_scene
@@ -127,6 +127,23 @@ def test_heights_follow_the_track_and_spread() -> None:
     assert field.at(100, 0) == pytest.approx(55.0, abs=0.1)
     assert field.at(100, 50) == pytest.approx(55.0, abs=1.0)
     assert 49.5 < field.at(-50, -50) < 52
+
+
+def test_the_ground_ahead_of_the_end_of_a_track_goes_on_as_it_rises() -> None:
+    x = np.linspace(0, 100, 101)
+    track = np.column_stack([x, 0 * x, 0.05 * x])
+    ahead = beyond_ends(track)
+    assert ahead[:, 2] == pytest.approx(0.05 * ahead[:, 0])
+    assert (ahead[:, 0].min(), ahead[:, 0].max()) == pytest.approx((-36.0, 136.0), abs=0.1)
+    assert len(beyond_ends(track[:5])) == 0
+
+
+def test_heights_that_settle_are_no_hill() -> None:
+    x = np.linspace(0, 100, 201)
+    true = np.column_stack([x, 0 * x, 0.05 * x])
+    drifted = true - np.where(x < 30, 30 - x, 0)[:, None] * [0.0, 0.0, 0.5]
+    assert without_drift(drifted, np.full(201, 0.05)) == pytest.approx(true, abs=0.05)
+    assert without_drift(true, np.full(201, 0.02)) == pytest.approx(true, abs=1e-12)
 
 
 def test_a_map_of_another_place_is_refused(frame: LocalFrame, write_map: WriteMap) -> None:

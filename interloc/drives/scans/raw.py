@@ -22,6 +22,7 @@ from interloc.drives.files import (
     listed,
     missing_numbers,
     others_like_it,
+    scan_once,
 )
 from interloc.drives.findings import DriveFileError, Findings
 from interloc.drives.labels import SEMANTICKITTI, LabelJudgement, LabelScheme, judge_labels
@@ -183,7 +184,7 @@ class RawScans:
                 if isinstance(labels, LabelFiles):  # needs no points
                     ids = read_labels(labels.label_files.file(frame))
                 else:
-                    ids = labels.of(frame, source.read(frame), source.name(frame))
+                    ids = labels.of(frame, self.points_of(frame), source.name(frame))
                 counts.update(count_ids(ids))
         chosen = options.label_scheme
         judgement = judge_labels(
@@ -205,7 +206,7 @@ class RawScans:
         assert judgement.scheme is not None
         for index in sample:
             with suppress(DriveError):  # which is said where the scan is read
-                points = source.read(frame := int(self.frames[index]))
+                points = self.points_of(frame := int(self.frames[index]))
                 below += ids_below(points.values, labels.of(frame, points, source.name(frame)))
         check_below(labels.name, below, judgement.scheme, set(judgement.counts), findings)
 
@@ -279,6 +280,11 @@ class RawScans:
         points, labels = self.sources
         return (*points.files(frame), *labels.files(frame))
 
+    def points_of(self, frame: int) -> ScanPoints:
+        """Read all points of a scan, once while the drive is opened."""
+        source = self.sources[0]
+        return scan_once((id(source), frame), lambda: source.read(frame), lambda points: points.nbytes)
+
     def read(self, frame: int) -> GroundPoints:
         """Read the ground points of a scan.
 
@@ -288,7 +294,7 @@ class RawScans:
             A file is missing or cut short, labels and points differ in number, or a point that is kept is not finite.
         """
         source, labels = self.sources
-        points, name = source.read(frame), source.name(frame)
+        points, name = self.points_of(frame), source.name(frame)
         ids = labels.of(frame, points, name)
         xyz, road_count, bad_point = select_points(points.values, ids, self._groups)
         if bad_point >= 0:

@@ -42,6 +42,11 @@ class ScanPoints:
     labels: UInt32Array | None = None
     times_s: Float32Array | None = None
 
+    @property
+    def nbytes(self) -> int:
+        """What it takes of memory."""
+        return sum(each.nbytes for each in (self.values, self.labels, self.times_s) if each is not None)
+
 
 class PointSource(Protocol):
     """Where the points of the scans are read from.
