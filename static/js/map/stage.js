@@ -217,6 +217,7 @@ export async function mountStage() {
           [
             [south, west],
             [north, east],
+            ...own.items.flatMap(({ drive }) => drive.track.map(([lng, lat]) => [lat, lng])),
           ],
           false,
           false,
