@@ -130,7 +130,7 @@ def test_results_there_are_read_scored_and_exported_and_drives_pushed_on_from_th
     put(finished, "scored/crossing")
     put(short_drive, "short")
     place = f"s3://{BUCKET}/scored/crossing"
-    assert interloc("evaluate", place, "--osm", osm, "--policy", "service").code == 0
+    assert interloc("evaluate", place, "--osm", osm, "--policy", "all").code == 0
     assert interloc("export", place, "-o", f"s3://{BUCKET}/exports/found.gpkg").code == 0
     assert interloc("merge", finished, "-o", f"s3://{BUCKET}/city").code == 0
     assert {"found.gpkg"} == set(keys_below("exports"))
@@ -138,5 +138,5 @@ def test_results_there_are_read_scored_and_exported_and_drives_pushed_on_from_th
     storage.clear()
     compared = interloc("compare", place, finished)
     assert f"only {place}: 0" in compared.out
-    assert json.loads(content_of("scored/crossing/report.json"))["policy"] == "service"
+    assert json.loads(content_of("scored/crossing/report.json"))["policy"] == "all"
     assert "-o" in interloc("label", f"s3://{BUCKET}/short", "--by", "geometry").err
