@@ -37,7 +37,10 @@ SCHEMES = ("s3", "gs", "az", "https")
 MAX_OBJECTS = 1_000_000
 """Of a drive, or of a prefix that drives are looked for in."""
 
-_MARK = ".in-storage"
+FOLDER = ".in-storage"
+"""Name of every folder in which objects are laid out; hidden, so that nobody can upload one to a service."""
+
+_INSIDE = f"{os.sep}{FOLDER}{os.sep}"
 _LAID_OUT = "objects.json"
 _MADE_LAST = ("poses.txt", "reduced.json", "run.json")
 """Files by which drives and results are known."""
@@ -154,11 +157,9 @@ class Bucket:
         NetworkError, DriveError
             They cannot be listed, are too many, or one has a name that no file can have.
         """
-        import obstore  # noqa: PLC0415 - an extra
-
         found: list[StoredObject] = []
         with self._asking(f"{self.url}/{prefix}", "listed"):
-            for chunk in obstore.list(self.store, prefix or None, chunk_size=1000):
+            for chunk in self.store.list(prefix or None, chunk_size=1000):
                 found += map(StoredObject.of, chunk)
                 if len(found) > limit:
                     raise DriveError(
@@ -168,18 +169,14 @@ class Bucket:
 
     def directly_below(self, prefix: str) -> list[StoredObject]:
         """Return the objects directly below a prefix, without those of its folders."""
-        import obstore  # noqa: PLC0415 - an extra
-
         with self._asking(f"{self.url}/{prefix}", "listed"):
-            return list(map(StoredObject.of, obstore.list_with_delimiter(self.store, prefix or None)["objects"]))
+            return list(map(StoredObject.of, self.store.list_with_delimiter(prefix or None)["objects"]))
 
     def head(self, key: str) -> StoredObject | None:
         """Return an object by its key; None where there is none."""
-        import obstore  # noqa: PLC0415 - an extra
-
         with self._asking(f"{self.url}/{key}", "read"):
             try:
-                return StoredObject.of(obstore.head(self.store, key))
+                return StoredObject.of(self.store.head(key))
             except FileNotFoundError:
                 return None
 
@@ -191,13 +188,11 @@ class Bucket:
         NetworkError, DriveError
             It cannot be read, or is another one than was listed.
         """
-        import obstore  # noqa: PLC0415 - an extra
-
         address = f"{self.url}/{wanted.key}"
         if stop <= start:
             return memoryview(b"")
         with self._asking(address, "read"):
-            found = obstore.get(self.store, wanted.key, options={"range": (start, stop)})
+            found = self.store.get(wanted.key, options={"range": (start, stop)})
             now = StoredObject.of(found.meta)
             if now.size != wanted.size or (wanted.etag and now.etag and now.etag != wanted.etag):
                 raise DriveError(
@@ -211,18 +206,14 @@ class Bucket:
 
     def put(self, key: str, content: Path | bytes) -> None:
         """Write an object; a large file in several parts."""
-        import obstore  # noqa: PLC0415 - an extra
-
         with self._asking(f"{self.url}/{key}", "written"):
-            obstore.put(self.store, key, content)
+            self.store.put(key, content)
 
     def delete(self, keys: Sequence[str]) -> None:
         """Delete objects."""
-        import obstore  # noqa: PLC0415 - an extra
-
         if keys:
             with self._asking(f"{self.url}/{keys[0]}", "deleted"):
-                obstore.delete(self.store, list(keys))
+                self.store.delete(list(keys))
 
     @contextmanager
     def _asking(self, address: str, done: str) -> Iterator[None]:
@@ -315,7 +306,7 @@ class LaidOut:
 
     @classmethod
     def make(cls, root: Path, bucket: Bucket, objects: Mapping[str, StoredObject]) -> LaidOut:
-        """Lay out objects below a folder whose name `folder_name` made.
+        """Lay out objects in a folder of the name `FOLDER`.
 
         Raises
         ------
@@ -328,10 +319,13 @@ class LaidOut:
         made: set[Path] = set()
         for path, each in objects.items():
             target = root / "files" / path
-            if target.parent not in made:
-                target.parent.mkdir(parents=True, exist_ok=True)
-                made.add(target.parent)
-            _make_empty(target, each)
+            try:
+                if target.parent not in made:
+                    target.parent.mkdir(parents=True, exist_ok=True)
+                    made.add(target.parent)
+                _make_empty(target, each)
+            except (FileExistsError, NotADirectoryError):
+                raise DriveError(f"{bucket.url} holds {path!r} as an object and as the prefix of others.") from None
         root.mkdir(parents=True, exist_ok=True)
         noted = {"bucket": bucket.url, "objects": {path: asdict(each) for path, each in objects.items()}}
         with atomic_write(root / _LAID_OUT) as file:
@@ -465,24 +459,19 @@ def in_parallel(work: Callable[[Argument], Returned], arguments: Sequence[Argume
         pool.shutdown(cancel_futures=True)
 
 
-def folder_name(label: str) -> str:
-    """Return a name for a folder in which objects are laid out."""
-    return f"{label}{_MARK}"
-
-
 @lru_cache(maxsize=16)
 def _laid_out(root: str) -> LaidOut:
     return LaidOut(Path(root))
 
 
 def _of(path: Path) -> LaidOut | None:
-    head, mark, rest = os.fspath(path).partition(f"{_MARK}{os.sep}")
-    return _laid_out(head + _MARK) if mark and rest.startswith("files") else None
+    head, inside, rest = os.fspath(path).partition(_INSIDE)
+    return _laid_out(f"{head}{os.sep}{FOLDER}") if inside and rest.startswith(f"files{os.sep}") else None
 
 
 def is_elsewhere(path: Path) -> bool:
     """Return whether a path leads to what is laid out of object storage."""
-    return f"{_MARK}{os.sep}" in os.fspath(path)
+    return _INSIDE in os.fspath(path)
 
 
 def present(path: Path) -> Path:
@@ -553,9 +542,9 @@ _results: dict[Path, tuple[Bucket, str]] = {}
 
 def temporary_folder() -> Path:
     """Return a new folder in which objects can be laid out; it goes when the process ends, or by `clear`."""
-    folder = Path(tempfile.mkdtemp(prefix="interloc-", suffix=_MARK))
+    folder = Path(tempfile.mkdtemp(prefix="interloc-"))
     atexit.register(_remove, folder, os.getpid())
-    return folder
+    return folder / FOLDER
 
 
 def _remove(folder: Path, owner: int) -> None:
@@ -633,8 +622,7 @@ def send(place: Path, bucket: Bucket, key: str) -> None:
 def clear() -> None:
     """Remove all that a command has laid out, in a process that goes on."""
     for path in [*_shown]:
-        head, mark, _ = path.partition(f"{_MARK}{os.sep}")
-        shutil.rmtree(head + mark.rstrip(os.sep), ignore_errors=True)
+        shutil.rmtree(path.partition(_INSIDE)[0], ignore_errors=True)
     _shown.clear()
     _results.clear()
     _laid_out.cache_clear()

@@ -26,6 +26,14 @@ def keys_below(prefix: str) -> list[str]:
     return [each.key.removeprefix(f"{key}/") for each in bucket.below(key)]
 
 
+def content_of(path: str) -> bytes:
+    """Return the bytes of an object of the bucket."""
+    bucket, key = storage.Bucket.of(f"s3://{BUCKET}/{path}")
+    found = bucket.head(key)
+    assert found is not None
+    return bytes(bucket.get(found, 0, found.size))
+
+
 @pytest.fixture(scope="module")
 def s3() -> Iterator[str]:
     """Return the address of an S3 server with an empty bucket, which the environment names too."""
@@ -38,7 +46,9 @@ def s3() -> Iterator[str]:
     logging.getLogger("werkzeug").setLevel(logging.ERROR)
     host, port = server.get_host_and_port()
     address = f"http://{host}:{port}"
-    s3_backends["123456789012"]["aws"].create_bucket(BUCKET, "us-east-1")
+    backend = s3_backends["123456789012"]["aws"]
+    backend.reset()  # what an earlier module has left
+    backend.create_bucket(BUCKET, "us-east-1")
     with pytest.MonkeyPatch.context() as patch:
         for name, value in {**KEYS, "AWS_ENDPOINT": address, "AWS_ALLOW_HTTP": "true"}.items():
             patch.setenv(name, value)

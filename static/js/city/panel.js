@@ -88,7 +88,10 @@ export function mount(container) {
     fillQueue(queue, city, card.element);
   };
   onCityChange(() => getState().panel === "map" && update());
-  onTokenChange(update);
+  onTokenChange(() => {
+    cities.readsOnly = false;
+    update();
+  });
   subscribe(["panel", "map", "places"], ({ panel }) => panel === "map" && update());
   subscribe(["finding"], () => getState().panel === "map" && update());
   update();
@@ -129,7 +132,11 @@ function headOf(city) {
         "intersections",
         `${city.seen_by_several.toLocaleString("en")} seen again`,
       ),
-      figure(city.drives.toLocaleString("en"), city.drives === 1 ? "drive" : "drives"),
+      figure(
+        city.drives.toLocaleString("en"),
+        city.drives === 1 ? "drive" : "drives",
+        city.refused > 0 ? `${city.refused} refused` : undefined,
+      ),
       figure(formatMetres(city.median_position_std_m), "uncertainty", "1 σ, median"),
     ),
     city.problem && problemNote({ title: "Not compared with OpenStreetMap", detail: city.problem }),
