@@ -175,19 +175,18 @@ def test_body_that_is_no_object_is_refused() -> None:
 
 
 def test_configuration_from_before_a_section_opens_with_its_defaults() -> None:
-    values = DEFAULT.model_dump(mode="json", exclude={"score": True, "fusion": True, "branches": {"straight_deg"}})
+    values = DEFAULT.model_dump(mode="json", exclude={"score": True, "fusion": True, "branches": {"full_fit_m"}})
     assert parse_config(values) == DEFAULT
 
 
 def test_configuration_with_settings_that_have_gone_opens_without_them() -> None:
     values = DEFAULT.model_dump(mode="json")
-    values["branches"] |= {"fork_std_m": 0.8, "follow_deg": None}
+    values["branches"]["end_at_rejected"] = False
     values["candidates"]["merge_min_m"] = 4.0
-    values["compound"]["straight_deg"] = 25.0
     values["score"]["rated_branch"] = 3
     assert parse_config(values, strict=True) == DEFAULT
-    with pytest.raises(ConfigError, match=r"--set branches.fork_std_m=1: there is no such setting any more"):
-        with_settings(DEFAULT, ["branches.fork_std_m=1"])
+    with pytest.raises(ConfigError, match=r"--set score.rated_branch=2: there is no such setting any more"):
+        with_settings(DEFAULT, ["score.rated_branch=2"])
 
 
 def test_empty_body_is_the_plain_configuration() -> None:

@@ -10,6 +10,7 @@ from interloc.arrays import BoolArray, FloatArray, Int32Array, StructuredArray
 from interloc.config import BranchConfig
 from interloc.detection.candidates import Candidates
 from interloc.detection.centerline import Centerline, Pieces
+from interloc.detection.image import BinaryImage
 from interloc.detection.lines import least_squares, through_start_and_mean
 from interloc.kernels.skeleton import trace_branches
 
@@ -97,18 +98,27 @@ class Segmentation:
 
 
 def segment_all(
-    candidates: Candidates, centerline: Centerline, config: BranchConfig, share: float = 1.0
+    candidates: Candidates,
+    centerline: Centerline,
+    config: BranchConfig,
+    share: float = 1.0,
+    against: BinaryImage | None = None,
 ) -> Segmentation:
     """Segment the branches of all candidates and keep the intersections among them (paper, section III-C)."""
     count = len(candidates.positions)
-    found = [segment_branches(candidates, i, centerline, config, share) for i in range(count)]
+    found = [segment_branches(candidates, i, centerline, config, share, against) for i in range(count)]
     inside = candidates.inside(centerline.image.height, config.margin_m / centerline.resolution_m)
     kept = [i for i in inside.tolist() if found[i][0].count >= config.min_branches]
     return Segmentation([branches for branches, _ in found], [pieces for _, pieces in found], kept)
 
 
 def segment_branches(
-    candidates: Candidates, index: int, centerline: Centerline, config: BranchConfig, share: float = 1.0
+    candidates: Candidates,
+    index: int,
+    centerline: Centerline,
+    config: BranchConfig,
+    share: float = 1.0,
+    against: BinaryImage | None = None,
 ) -> tuple[Branches, Pieces]:
     """Follow the centerline from the inner circle outwards and lay a line through each branch.
 
@@ -123,6 +133,8 @@ def segment_branches(
         Radii and the kind of line.
     share
         Keyframes that saw this road, as a share of a full window: fewer of them show less surface.
+    against
+        Set where other ground was seen; None where that is not known.
 
     Notes
     -----
@@ -150,7 +162,7 @@ def segment_branches(
     if config.line == "start_and_mean":
         lines = through_start_and_mean(pieces)
     else:
-        lines = least_squares(pieces, centerline, position, width, inner, config)
+        lines = least_squares(pieces, centerline, position, width, inner, config, against)
     branches = Branches(
         index=index,
         candidate=position,

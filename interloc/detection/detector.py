@@ -116,14 +116,13 @@ class Window:
         lap("centerline")
         candidates = find_candidates(centerline, config.candidates)  # III-B.6
         lap("candidates")
-        segmentation = segment_all(candidates, centerline, config.branches, bev.share)  # III-C.1
+        segmentation = segment_all(candidates, centerline, config.branches, bev.share, bev.against)  # III-C.1
         branches = [segmentation.branches[i] for i in segmentation.kept]
         if config.compound is not None:
-            angle_deg = config.branches.straight_deg
-            branches = [part for b in branches for part in split_compound(b, config.compound, angle_deg)]
+            branches = [part for b in branches for part in split_compound(b, config.compound)]
         road = occupancy if config.branches.line == "least_squares" else None
-        std_m = config.branches.candidate_std_m
-        junctions = [refine(b, 0.0 if std_m is None else std_m**-2, road) for b in branches]  # III-C.2
+        prior, fork = (_weight(std_m) for std_m in (config.branches.candidate_std_m, config.branches.fork_std_m))
+        junctions = [refine(b, prior, road, fork) for b in branches]  # III-C.2
         lap("refinement")
         return Steps(bev.roi, bev.min_points, bev.image, occupancy, centerline, candidates, segmentation, junctions)
 
@@ -246,8 +245,12 @@ def locate(steps: Steps, keyframe: Keyframe, config: DetectorConfig) -> Keyframe
     return KeyframeDetections(keyframe, lidar_xy, world_xy, angles, score, widths)
 
 
+def _weight(std_m: float | None) -> float:
+    return 0.0 if std_m is None else std_m**-2
+
+
 def _score(junction: Junction, config: DetectorConfig) -> float:
-    """Rate a junction 0..1: its lines meet in a point, and the third branch is long enough to be a road."""
+    """Rate a junction 0..1: its lines meet in a point, and its third branch is long enough to be a road."""
     resolution_m, needed = junction.branches.resolution_m, config.branches.min_branches
     agreement = math.exp(-((junction.residual * resolution_m / config.score.spread_m) ** 2))
     lengths = np.sort(junction.branches.lengths)

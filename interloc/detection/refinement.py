@@ -11,15 +11,16 @@ from interloc.arrays import FloatArray, Record, StructuredArray, UInt64Array
 from interloc.detection.branches import Branches
 from interloc.detection.forks import find_fork
 from interloc.detection.image import BinaryImage
-from interloc.detection.lines import ALIKE_RAD
+from interloc.detection.lines import SIDE_BY_SIDE_COS
 from interloc.kernels import compiled
 
 # Lines are near-parallel, and their meeting point means nothing, when the smaller eigenvalue of the normal matrix is
 # less than this share of their number: a fan of lines within about 10 degrees.
-PARALLEL = math.sin(ALIKE_RAD) ** 2 / 2
+PARALLEL = math.sin(math.radians(10.0)) ** 2 / 2
 
 ACUTE_SIN = 0.1  # of half an angle between roads: below 12 degrees the candidate is known no worse
-ROUNDS = 3  # the weights of the lines are those at the point of the round before
+ROUNDS = 4  # the weights of the lines are those at the point of the round before
+TOLERANCE = 1.6  # radii of the inner circle that a line may pass the point at before it counts a quarter
 MAX_SHIFTS = 2.5  # radii of the inner circle by which a point may be moved along the road
 
 
@@ -42,7 +43,9 @@ class Junction:
     branches: Branches
 
 
-def refine(branches: Branches, prior_weight: float = 0.0, occupancy: BinaryImage | None = None) -> Junction:
+def refine(
+    branches: Branches, prior_weight: float = 0.0, occupancy: BinaryImage | None = None, fork_weight: float = 0.0
+) -> Junction:
     """Move the candidate to the point of least squared distances to the lines of its branches, within the inner disc.
 
     Near-parallel lines do not fix a point: the candidate stays where it is and its residual is infinite. With the road
@@ -53,16 +56,20 @@ def refine(branches: Branches, prior_weight: float = 0.0, occupancy: BinaryImage
     branches
     prior_weight : float
         Weight of the candidate itself beside the lines; 0 as in the paper. With the road it is less along the line that
-        halves an acute angle, a fork has it too, along its stem, and there is none where the blob holds several
-        intersections: centerlines branch anywhere in it.
+        halves an acute angle, and none where the blob holds several intersections: centerlines branch anywhere in it.
+        Only with it the place of a fork counts, along its stem.
     occupancy
         The road. With it each line counts by what is known of it at the point, not at the candidate, and the point may
         leave the inner disc.
+    fork_weight : float
+        Weight of the place of a fork along its stem, with the road; 0: forks are not looked for.
 
     Notes
     -----
     Paper, eq. 10. With unit normals n, points a and weights w (1 in the paper) of the lines, the minimum solves
-    (sum w n n^T) p = sum w n n^T a.
+    (sum w n n^T) p = sum w n n^T a. With the road it is found by iteratively reweighted least squares (Geman and
+    McClure, "Statistical methods for tomographic image reconstruction", 1987): a line that passes far off, because its
+    road bends before it comes to the intersection, counts little.
     """
     row, col, residual = _meet(
         branches.lines,
@@ -70,51 +77,53 @@ def refine(branches: Branches, prior_weight: float = 0.0, occupancy: BinaryImage
         branches.inner,
         0.0 if branches.is_part else prior_weight,
         None if occupancy is None else occupancy.words,
+        fork_weight,
     )
     return Junction(branches.candidate + np.array([row, col]), residual, branches)
 
 
 @compiled
 def _meet(
-    lines: StructuredArray, candidate: FloatArray, inner: float, prior_weight: float, words: UInt64Array | None
+    lines: StructuredArray,
+    candidate: FloatArray,
+    inner: float,
+    prior_weight: float,
+    words: UInt64Array | None,
+    fork_weight: float,
 ) -> tuple[float, float, float]:
     """Return by how many rows and columns the candidate moves, and the residual."""
     stem, row, col = -1, 0.0, 0.0
-    limit, rounds, prior = inner, 1, (prior_weight, 0.0, prior_weight, 0.0, 0.0)
-    if words is not None:
-        limit, rounds, prior = MAX_SHIFTS * inner, ROUNDS, _prior(lines, prior_weight)
-        if prior_weight > 0.0:
-            stem, row, col = find_fork(lines, candidate, inner, words)
+    if words is not None and fork_weight > 0.0:
+        stem, row, col = find_fork(lines, candidate, inner, words)
     if not _fix_a_point(lines):
-        row, col = _within(row, col, limit)
+        row, col = _within(row, col, MAX_SHIFTS * inner)
         return row, col, np.inf
-    if stem >= 0:
-        prior = _with_fork(prior, lines[stem].direction, row, col, prior_weight)
     weights = lines["weight"].copy()
-    for number in range(rounds):
-        if number > 0:
-            for i in range(lines.size):
-                if lines[i].length > 0.0:
-                    weights[i] = _weight_at(lines[i], candidate, row, col)
+    if words is None:
+        prior = prior_weight, 0.0, prior_weight, 0.0, 0.0
         row, col = _solve(lines, weights, candidate, prior)
-        row, col = _within(row, col, limit)
+        row, col = _within(row, col, inner)
+    else:
+        prior = _prior(lines, prior_weight)
+        if stem >= 0 and prior_weight > 0.0:
+            prior = _with_fork(prior, lines[stem].direction, row, col, fork_weight)
+        row, col = 0.0, 0.0
+        for _ in range(ROUNDS):
+            for i in range(lines.size):
+                line = lines[i]
+                if line.length > 0.0:
+                    off = _distance(line, candidate, row, col) / (TOLERANCE * inner)
+                    here = _along(line, candidate, 0.0, 0.0) / line.length
+                    there = _along(line, candidate, row, col) / line.length
+                    # A line is known best in the middle of what it was fitted to (the variance of a prediction).
+                    at_point = line.weight * (1.0 + 12.0 * here * here) / (1.0 + 12.0 * there * there)
+                    weights[i] = at_point / (1.0 + off * off) ** 2
+            row, col = _solve(lines, weights, candidate, prior)
+            row, col = _within(row, col, MAX_SHIFTS * inner)
     total = 0.0
     for i in range(lines.size):
         total += weights[i] * _distance(lines[i], candidate, row, col) ** 2
     return row, col, math.sqrt(total / weights.sum())
-
-
-@compiled
-def _weight_at(line: Record, candidate: FloatArray, row: float, col: float) -> float:
-    """Return the weight of a line at a place so many rows and columns from the candidate.
-
-    A line is known best in the middle of what it was fitted to (the variance of a prediction).
-    """
-    d_row, d_col = line.direction
-    here = ((candidate[0] - line.point[0]) * d_row + (candidate[1] - line.point[1]) * d_col) / line.length
-    there = here + (row * d_row + col * d_col) / line.length
-    weight: float = line.weight * (1.0 + 12.0 * here * here) / (1.0 + 12.0 * there * there)
-    return weight
 
 
 @compiled
@@ -138,6 +147,14 @@ def _distance(line: Record, candidate: FloatArray, row: float, col: float) -> fl
     d_row, d_col = line.direction
     distance: float = (candidate[0] - line.point[0] + row) * d_col - (candidate[1] - line.point[1] + col) * d_row
     return distance
+
+
+@compiled
+def _along(line: Record, candidate: FloatArray, row: float, col: float) -> float:
+    """Return how far along a line, from its point, such a place lies."""
+    d_row, d_col = line.direction
+    along: float = (candidate[0] - line.point[0] + row) * d_row + (candidate[1] - line.point[1] + col) * d_col
+    return along
 
 
 @compiled
@@ -183,7 +200,7 @@ def _prior(lines: StructuredArray, weight: float) -> tuple[float, float, float, 
             if lines[i].length > 0.0 and lines[j].length > 0.0:
                 (d_row, d_col), (o_row, o_col) = lines[i].direction, lines[j].direction
                 alike = d_row * o_row + d_col * o_col
-                if cosine < alike < math.cos(ALIKE_RAD):
+                if cosine < alike < SIDE_BY_SIDE_COS:
                     cosine = alike
                     row, col = d_row + o_row, d_col + o_col
     half = 0.5 * math.acos(min(cosine, 1.0))

@@ -153,7 +153,7 @@ def test_line_through_the_circle_that_misses_the_middle_is_two_branches() -> Non
 
 
 def test_branch_too_short_to_tell_its_direction_counts_but_has_no_weight() -> None:
-    config = BranchConfig(line="least_squares", stop_m=2)
+    config = BranchConfig(line="least_squares", trim_m=2)
     found = branches_at_the_middle(arms(0, 120, 240), config, (150.0, 162.0))
     assert found.count == 3
     assert found.lengths.min() == 1
@@ -163,7 +163,7 @@ def test_branch_too_short_to_tell_its_direction_counts_but_has_no_weight() -> No
 
 
 def test_branch_without_a_line_leads_from_the_candidate_through_its_mean() -> None:
-    config = BranchConfig(line="least_squares", stop_m=2)
+    config = BranchConfig(line="least_squares", trim_m=2)
     line, place = arms(0, 120, 240), candidates(MIDDLE, (150.0, 162.0))
     found, pieces = segment_branches(place, 0, line, config)
     assert np.count_nonzero(found.has_line) == 2

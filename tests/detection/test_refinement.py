@@ -13,8 +13,8 @@ from scipy.optimize import least_squares, minimize
 
 from interloc.arrays import FloatArray
 from interloc.detection.branches import Branches
-from interloc.detection.lines import ALIKE_RAD, LINE
-from interloc.detection.refinement import MAX_SHIFTS, ROUNDS, refine
+from interloc.detection.lines import LINE
+from interloc.detection.refinement import MAX_SHIFTS, ROUNDS, SIDE_BY_SIDE_COS, TOLERANCE, refine
 from tests.images import binary_image
 
 
@@ -189,14 +189,14 @@ def test_point_with_the_candidate_is_that_of_a_general_solver(seed: int, weight:
 
 
 def plain_reweighted(given_branches: Branches, prior_weight: float) -> FloatArray:
-    """Return the point after some rounds of reweighted least squares, on road that ends nowhere."""
+    """Return the point after four rounds of reweighted least squares, on road that ends nowhere."""
     candidate, inner = given_branches.candidate, given_branches.inner
     points, directions, spans, heavy = (
         given_branches.lines[name] for name in ("point", "direction", "length", "weight")
     )
     normals = np.column_stack([directions[:, 1], -directions[:, 0]])
     offsets = np.sum(normals * (points - candidate), axis=1)
-    pairs = [(u @ v, u + v) for u, v in combinations(directions, 2) if u @ v < math.cos(ALIKE_RAD)]
+    pairs = [(u @ v, u + v) for u, v in combinations(directions, 2) if u @ v < SIDE_BY_SIDE_COS]
     cosine, middle = max(pairs, key=lambda pair: pair[0])
     farther = max(1.0, math.sin(math.pi / 4) / math.sin(0.5 * math.acos(cosine)))
     along = np.outer(middle, middle) / (middle @ middle)
@@ -207,7 +207,8 @@ def plain_reweighted(given_branches: Branches, prior_weight: float) -> FloatArra
 
     shift = np.zeros(2)
     for _ in range(ROUNDS):
-        weights = heavy * variance(candidate) / variance(candidate + shift)
+        off = (normals @ shift - offsets) / (TOLERANCE * inner)
+        weights = heavy * variance(candidate) / variance(candidate + shift) / (1.0 + off**2) ** 2
         normal_matrix = (normals.T * weights) @ normals + prior
         shift = np.linalg.solve(normal_matrix, normals.T @ (weights * offsets))
         shift *= min(1.0, MAX_SHIFTS * inner / math.hypot(*shift))
