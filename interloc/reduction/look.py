@@ -314,7 +314,7 @@ class _Look:
         found.has_poses = recording.has_poses and options.poses != ODOMETRY
         if found.has_poses:
             pose_file = "oxts" if parts.poses is None else parts.file(parts.poses).name
-            self._show(trajectory_of(recording, options, self.findings), keyframes, pose_file)
+            self._show(trajectory_of(recording, options, self.findings), keyframes, pose_file, recording.frames)
         else:
             self.findings.warning("poses", NO_POSES)
 
@@ -462,7 +462,13 @@ class _Look:
             if self._found.track is None:
                 self._show(reduced_trajectory(manifest, self.place, options, self.findings), keyframes)
 
-    def _show(self, trajectory: Trajectory, keyframes: KeyframeConfig, pose_file: str = "poses") -> None:
+    def _show(
+        self,
+        trajectory: Trajectory,
+        keyframes: KeyframeConfig,
+        pose_file: str = "poses",
+        frames: IntArray | None = None,
+    ) -> None:
         """Tell where the drive went, and how poses and georeference fit together."""
         found, poses, fixes = self._found, trajectory.poses, trajectory.georeference
         found.georeference = fixes.source if fixes else None
@@ -471,7 +477,8 @@ class _Look:
             return
         found.pose_frame = poses.frame
         found.keyframes = len(select_keyframes(poses.T_world_lidar, keyframes))
-        check_motion(poses.T_world_lidar, pose_file, self.findings)
+        numbers = np.arange(len(poses.T_world_lidar)) if frames is None else frames
+        check_motion(poses.T_world_lidar, numbers, trajectory.times_s, pose_file, self.findings)
         places, fitted, fit_m = poses.T_world_lidar[:, :2, 3], None, None
         if fixes is not None:
             places = np.stack([fixes.lon_deg, fixes.lat_deg], axis=1)
