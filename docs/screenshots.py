@@ -10,6 +10,7 @@ import argparse
 import io
 import shlex
 import tempfile
+import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterator
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -18,7 +19,7 @@ from typing import Any
 from PIL import Image
 
 from interloc.cli.main import run
-from tests.app.processes import API, ServerProcess, ended, started, submit
+from tests.app.processes import API, ServerProcess, ended, started, submit, upload, wait_until
 from tests.page.browsers import PATIENCE_MS, chromium
 
 FIGURES = Path(__file__).parent / "figures"
@@ -52,6 +53,20 @@ class Studio:
         self.frames = len(keyframes)
         self.frame = max((each["properties"] for each in keyframes), key=lambda each: each["detections"])["frame"]
         self.now = datetime.fromisoformat(done[-1]["finished_at"]) + timedelta(seconds=9)
+        self.merge(server)
+
+    def merge(self, server: ServerProcess) -> None:
+        """Drive through the town a second time, and compare the map of both drives with one that lacks some streets."""
+        again = self.folder.with_name("second pass")
+        assert run([*DEMO, "--seed", "1", "-o", str(again), "--quiet"]) == 0
+        ended(server.client, submit(server.client, upload(server.client, again)))
+        root = ET.parse(again / "map.osm").getroot()  # noqa: S314 - written by the simulator just now
+        streets = [way for way in root.iter("way") if way.find("tag[@k='highway']") is not None]
+        for way in streets[3::6]:
+            root.remove(way)
+        city = f"{API}/maps/default"
+        server.client.put(f"{city}/osm/town.osm", content=ET.tostring(root)).raise_for_status()
+        wait_until(lambda: server.client.get(city).json()["findings"], "what the map lacks")
 
     def steps(self) -> bytes:
         """Return the picture of all steps of the method at one scan."""
@@ -78,13 +93,13 @@ def show_job(page: Any, studio: Studio) -> None:
 
 
 def show_report(page: Any, studio: Studio) -> None:
-    """Show the end of the report: a node on the map, both presets side by side."""
+    """Show a node on the map, and both presets side by side."""
     studio.show(page, "panel=report")
     page.locator(".osm-nodes tbody tr.can").first.click()
     page.locator(".leaflet-popup-content").wait_for()
-    page.locator("#panel-report .others input").first.check()
-    page.wait_for_selector("#panel-report td.better")
-    page.locator("#panel").evaluate("(panel) => panel.scrollTo(0, panel.scrollHeight)")
+    page.get_by_role("tab", name="Compare").click()
+    page.locator("#panel-compare .others input").first.check()
+    page.wait_for_selector("#panel-compare td.better")
 
 
 def show_keyframe(page: Any, studio: Studio) -> None:
@@ -100,11 +115,21 @@ def show_upload(page: Any, studio: Studio) -> None:
     page.wait_for_selector(".upload-form >> text=The map covers")
 
 
+def show_city(page: Any, studio: Studio) -> None:
+    """Show the map of all drives, and a finding of its queue."""
+    page.goto(f"{studio.address}/#panel=map")
+    page.locator("#panel-map .jobs li").first.wait_for()
+    page.keyboard.press("j")
+    page.wait_for_selector(".finding img[src^=blob]")
+    page.get_by_role("button", name="Zoom out").click(click_count=3)
+
+
 VIEWS: dict[str, Callable[[Any, Studio], None]] = {
     "page_map": show_map,
     "page_report": show_report,
     "page_keyframe": show_keyframe,
     "page_upload": show_upload,
+    "page_city": show_city,
 }
 
 

@@ -154,11 +154,9 @@ class Bucket:
         NetworkError, DriveError
             They cannot be listed, are too many, or one has a name that no file can have.
         """
-        import obstore  # noqa: PLC0415 - an extra
-
         found: list[StoredObject] = []
         with self._asking(f"{self.url}/{prefix}", "listed"):
-            for chunk in obstore.list(self.store, prefix or None, chunk_size=1000):
+            for chunk in self.store.list(prefix or None, chunk_size=1000):
                 found += map(StoredObject.of, chunk)
                 if len(found) > limit:
                     raise DriveError(
@@ -168,18 +166,14 @@ class Bucket:
 
     def directly_below(self, prefix: str) -> list[StoredObject]:
         """Return the objects directly below a prefix, without those of its folders."""
-        import obstore  # noqa: PLC0415 - an extra
-
         with self._asking(f"{self.url}/{prefix}", "listed"):
-            return list(map(StoredObject.of, obstore.list_with_delimiter(self.store, prefix or None)["objects"]))
+            return list(map(StoredObject.of, self.store.list_with_delimiter(prefix or None)["objects"]))
 
     def head(self, key: str) -> StoredObject | None:
         """Return an object by its key; None where there is none."""
-        import obstore  # noqa: PLC0415 - an extra
-
         with self._asking(f"{self.url}/{key}", "read"):
             try:
-                return StoredObject.of(obstore.head(self.store, key))
+                return StoredObject.of(self.store.head(key))
             except FileNotFoundError:
                 return None
 
@@ -191,13 +185,11 @@ class Bucket:
         NetworkError, DriveError
             It cannot be read, or is another one than was listed.
         """
-        import obstore  # noqa: PLC0415 - an extra
-
         address = f"{self.url}/{wanted.key}"
         if stop <= start:
             return memoryview(b"")
         with self._asking(address, "read"):
-            found = obstore.get(self.store, wanted.key, options={"range": (start, stop)})
+            found = self.store.get(wanted.key, options={"range": (start, stop)})
             now = StoredObject.of(found.meta)
             if now.size != wanted.size or (wanted.etag and now.etag and now.etag != wanted.etag):
                 raise DriveError(
@@ -211,18 +203,14 @@ class Bucket:
 
     def put(self, key: str, content: Path | bytes) -> None:
         """Write an object; a large file in several parts."""
-        import obstore  # noqa: PLC0415 - an extra
-
         with self._asking(f"{self.url}/{key}", "written"):
-            obstore.put(self.store, key, content)
+            self.store.put(key, content)
 
     def delete(self, keys: Sequence[str]) -> None:
         """Delete objects."""
-        import obstore  # noqa: PLC0415 - an extra
-
         if keys:
             with self._asking(f"{self.url}/{keys[0]}", "deleted"):
-                obstore.delete(self.store, list(keys))
+                self.store.delete(list(keys))
 
     @contextmanager
     def _asking(self, address: str, done: str) -> Iterator[None]:
@@ -328,10 +316,13 @@ class LaidOut:
         made: set[Path] = set()
         for path, each in objects.items():
             target = root / "files" / path
-            if target.parent not in made:
-                target.parent.mkdir(parents=True, exist_ok=True)
-                made.add(target.parent)
-            _make_empty(target, each)
+            try:
+                if target.parent not in made:
+                    target.parent.mkdir(parents=True, exist_ok=True)
+                    made.add(target.parent)
+                _make_empty(target, each)
+            except (FileExistsError, NotADirectoryError):
+                raise DriveError(f"{bucket.url} holds {path!r} as an object and as the prefix of others.") from None
         root.mkdir(parents=True, exist_ok=True)
         noted = {"bucket": bucket.url, "objects": {path: asdict(each) for path, each in objects.items()}}
         with atomic_write(root / _LAID_OUT) as file:
@@ -588,7 +579,7 @@ def result_place(address: str) -> Path:
     there = {f"{name}/{each.key[len(key) + 1 :]}": each for each in bucket.below(key)}
     LaidOut.make(folder, bucket, there if single is None else {name: single})
     place = folder / "files" / name
-    place.parent.mkdir(exist_ok=True)
+    place.parent.mkdir(exist_ok=True)  # where nothing is there yet
     _results[place] = bucket, key
     show_as(place, address.rstrip("/"))
     return place

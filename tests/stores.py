@@ -26,6 +26,14 @@ def keys_below(prefix: str) -> list[str]:
     return [each.key.removeprefix(f"{key}/") for each in bucket.below(key)]
 
 
+def content_of(path: str) -> bytes:
+    """Return the bytes of an object of the bucket."""
+    bucket, key = storage.Bucket.of(f"s3://{BUCKET}/{path}")
+    found = bucket.head(key)
+    assert found is not None
+    return bytes(bucket.get(found, 0, found.size))
+
+
 @pytest.fixture(scope="module")
 def s3() -> Iterator[str]:
     """Return the address of an S3 server with an empty bucket, which the environment names too."""

@@ -12,7 +12,7 @@ from pydantic_core import PydanticCustomError
 
 from app.http.patterns import ID, NETWORK
 from app.http.problems import FileProblem
-from app.http.strict import Flag, Name, Note, Whole, strictly
+from app.http.strict import Body, Flag, Name, Note, Whole, strictly
 from app.jobs.webhooks import Subscriber
 from app.paths import MAX_PATH, PATH_PATTERN, BadNameError, check_path
 from app.states import DriveState
@@ -76,10 +76,10 @@ class DriveOptionsModel(UploadOptions):
         return poses if poses is None or poses.startswith("/") else _checked_path(poses)
 
 
-class NewDrive(BaseModel):
+class NewDrive(Body):
     """A drive to be uploaded."""
 
-    model_config = ConfigDict(extra="forbid", json_schema_extra={"examples": [{"name": "2011_09_30_drive_0027"}]})
+    model_config = ConfigDict(json_schema_extra={"examples": [{"name": "2011_09_30_drive_0027"}]})
 
     name: Name = Field(description="Name shown in lists and results.")
     keep_raw: Flag = Field(
@@ -101,12 +101,10 @@ class NewDrive(BaseModel):
         return self
 
 
-class DriveChanges(BaseModel):
+class DriveChanges(Body):
     """What is to change of a drive; what is left out stays as it is."""
 
-    model_config = ConfigDict(
-        extra="forbid", json_schema_extra={"examples": [{"name": "town, second run", "note": "Wet road."}]}
-    )
+    model_config = ConfigDict(json_schema_extra={"examples": [{"name": "town, second run", "note": "Wet road."}]})
 
     name: Name = Field(default_factory=str, description="Name shown in lists.")
     note: Note | None = Field(None, description="Some lines about it; null for none.")
@@ -207,10 +205,8 @@ class FileList(BaseModel):
     next: str | None = Field(None, description="Value of `after` for the next page; null on the last page.")
 
 
-class CommitRequest(BaseModel):
+class CommitRequest(Body):
     """How to read the drive; fields that are left out keep their values."""
-
-    model_config = ConfigDict(extra="forbid")
 
     options: DriveOptionsModel | None = None
     keep_raw: Flag | None = None
@@ -220,20 +216,17 @@ class CommitRequest(BaseModel):
     )
 
 
-class ScanRange(BaseModel):
+class ScanRange(Body):
     """Scan numbers from the first to the last, without gaps."""
-
-    model_config = ConfigDict(extra="forbid")
 
     first: Whole = Field(ge=0, le=10**15)
     last: Whole = Field(ge=0, le=10**15)
 
 
-class PlanRequest(BaseModel):
+class PlanRequest(Body):
     """The scans that a client has, before it sends them."""
 
     model_config = ConfigDict(
-        extra="forbid",
         json_schema_extra={"examples": [{"scans": {"first": 0, "last": 1100}, "label_folders": ["labels"]}]},
     )
 
@@ -285,10 +278,8 @@ class JudgedLabels(BaseModel):
     problems: list[FileProblem] = Field(description="Errors, warnings and notes about these labels.")
 
 
-class LabelsRequest(BaseModel):
+class LabelsRequest(Body):
     """Label ids of a drive that need not be on the service yet."""
-
-    model_config = ConfigDict(extra="forbid")
 
     label_counts: dict[LabelFolder, LabelCounts] = Field(
         description="For each label folder, how many points of some scans carry each label id.",
@@ -316,11 +307,10 @@ class _StrictBase64(Base64Encoder):
             raise PydanticCustomError("base64", "expected Base64: {reason}", {"reason": str(error)}) from error
 
 
-class LookRequest(BaseModel):
+class LookRequest(Body):
     """A folder of a client: all of its files by name and size, and the contents of the small ones."""
 
     model_config = ConfigDict(
-        extra="forbid",
         json_schema_extra={
             "examples": [
                 {

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from datetime import datetime
-from typing import Annotated, Any, Protocol
+from typing import Annotated, Any, Literal, Protocol
 from urllib.parse import quote, urlencode
 
 from fastapi import Query, Request, Response
@@ -25,6 +25,9 @@ After = Annotated[
     Query(max_length=100, description="`next` of the previous page.", json_schema_extra={"pattern": _CURSOR}),
 ]
 """Where a page begins."""
+
+Moment = Literal["created_at", "deleted_at"]
+"""Columns that lists are ordered by."""
 
 
 class Page(Protocol):
@@ -50,17 +53,17 @@ def next_link(request: Request, cursor: str | None) -> dict[str, str]:
     return {"link": f'<{path}?{urlencode([*same, ("after", cursor)])}>; rel="next"'}
 
 
-def cursor_of(row: Drive | Job) -> str:
-    """Return the cursor of a page that ends with this row."""
-    return f"{row.created_at!r}_{row.id}"
+def newest_first(table: type[Drive | Job], by: Moment = "created_at") -> tuple[Any, Any]:
+    """Return what rows are ordered by: those that were made, or deleted, last come first."""
+    return getattr(table, by).desc(), table.id.desc()
 
 
-def deletion_cursor_of(row: Drive | Job) -> str:
-    """Return the cursor of a page of deleted rows that ends with this one."""
-    return f"{row.deleted_at!r}_{row.id}"
+def cursor_of(row: Drive | Job, by: Moment = "created_at") -> str:
+    """Return the cursor of a page that ends with this row, in the order of `newest_first`."""
+    return f"{getattr(row, by)!r}_{row.id}"
 
 
-def rows_after(table: type[Drive | Job], cursor: str) -> ColumnElement[bool]:
+def rows_after(table: type[Drive | Job], cursor: str, by: Moment = "created_at") -> ColumnElement[bool]:
     """Return the condition that a row comes after a cursor, in the order of `newest_first`.
 
     Raises
@@ -68,18 +71,14 @@ def rows_after(table: type[Drive | Job], cursor: str) -> ColumnElement[bool]:
     Problem
         422: it is not a cursor.
     """
-    return _after(table.created_at, table.id, cursor)
-
-
-def deleted_after(table: type[Drive | Job], cursor: str) -> ColumnElement[bool]:
-    """Return the condition that a row comes after a cursor, in the order of `last_deleted_first`.
-
-    Raises
-    ------
-    Problem
-        422: it is not a cursor.
-    """
-    return _after(table.deleted_at, table.id, cursor)
+    match = re.fullmatch(_CURSOR, cursor)
+    if match is None:
+        raise Problem(
+            REQUEST_NOT_VALID,
+            f"after={cursor[:80]!r} is not the `next` of a list. Leave it out to begin with the first page.",
+        )
+    time, last_time, last_id = getattr(table, by), float(match[1]), match[2]
+    return or_(time < last_time, and_(time == last_time, table.id < last_id))
 
 
 def made_between(
@@ -104,24 +103,3 @@ def lies_in(box: Box) -> ColumnElement[bool]:
     return and_(
         Drive.south <= box.north, Drive.north >= box.south, join(Drive.east >= box.west, Drive.west <= box.east)
     )
-
-
-def newest_first(table: type[Drive | Job]) -> tuple[Any, Any]:
-    """Return what rows are ordered by."""
-    return table.created_at.desc(), table.id.desc()
-
-
-def last_deleted_first(table: type[Drive | Job]) -> tuple[Any, Any]:
-    """Return what deleted rows are ordered by."""
-    return table.deleted_at.desc(), table.id.desc()
-
-
-def _after(time: Any, id_: Any, cursor: str) -> ColumnElement[bool]:  # noqa: ANN401 - columns
-    match = re.fullmatch(_CURSOR, cursor)
-    if match is None:
-        raise Problem(
-            REQUEST_NOT_VALID,
-            f"after={cursor[:80]!r} is not the `next` of a list. Leave it out to begin with the first page.",
-        )
-    last_time, last_id = float(match[1]), match[2]
-    return or_(time < last_time, and_(time == last_time, id_ < last_id))

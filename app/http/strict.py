@@ -4,9 +4,15 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, Strict, StringConstraints
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Strict, StringConstraints
 
 from app.http.patterns import NAME, NOTE
+
+
+class Body(BaseModel):
+    """What a client sends: a member that it does not have is refused."""
+
+    model_config = ConfigDict(extra="forbid")
 
 
 def _refuse_text(value: object) -> object:

@@ -263,22 +263,19 @@ class Attempt:
         write_features = self._features() if isinstance(outcome, Outcome) else None
         for wait_s in (0.5, 1, 2, 4, 8, 0):
             try:
-                state = None if self._stop == "lost" else self._finish(outcome, write_features)
+                job = None if self._stop == "lost" else self._finish(outcome, write_features)
                 break
             except SQLAlchemyError as error:
                 _log.warning("job %s: its end could not be written: %s", job_id, error)
                 if not wait_s:
                     return "left to its lease"  # whoever takes it over finds all parts done
                 time.sleep(wait_s)
-        if state is None:
+        if job is None:
             return self._leave()
-        tidy(storage, job_id, keep_result=state == JobState.SUCCESSFUL)
-        if state == JobState.SUCCESSFUL and not self._kind.changes_drive:
-            for _ in range(2):  # a connection that was cut is made anew; after that the clean-up writes what is missing
-                with suppress(SQLAlchemyError):
-                    self._write_sidecar()
-                    break
-        return state
+        tidy(storage, job_id, keep_result=job.state == JobState.SUCCESSFUL)
+        if job.state == JobState.SUCCESSFUL and not self._kind.changes_drive:
+            sidecars.write_job(storage, job)  # of a server that is killed before this, the clean-up writes it
+        return job.state
 
     def _features(self) -> WriteFeatures | None:
         """Return what writes the features of the result into the index; without it the clean-up tries again."""
@@ -290,8 +287,8 @@ class Attempt:
             _log.exception("job %s: its features could not be indexed", self.claim.job.id)
             return None
 
-    def _finish(self, outcome: Outcome | Problem, write_features: WriteFeatures | None) -> JobState | None:
-        """Write the end of the job, with all that it means; returns its state, None where the lease is lost."""
+    def _finish(self, outcome: Outcome | Problem, write_features: WriteFeatures | None) -> Job | None:
+        """Write the end of the job, with all that it means; returns its row, None where the lease is lost."""
         job_id = self.claim.job.id
         with self._context.database.writing(patient=True) as session:
             if isinstance(outcome, Outcome) and self._queue.is_cancelled(session, self.claim):
@@ -304,21 +301,14 @@ class Attempt:
                 error = outcome.document() | {"instance": f"/api/v1/jobs/{job_id}"}
             if not self._queue.finish(session, self.claim, state, error=error, summary=summary):
                 return None
+            job = session.get_one(Job, job_id, populate_existing=True)
             if state == JobState.SUCCESSFUL:
                 place_result(self._context.storage, self._task)
                 if write_features is not None:
                     write_features(session, self.claim.job)
             if self._kind.changes_drive:
-                job = session.get(Job, job_id)
-                assert job is not None
                 self._finish_drive(session, self._context, job, outcome)
-        return state
-
-    def _write_sidecar(self) -> None:
-        with self._context.database.reading() as session:
-            job = session.get(Job, self.claim.job.id)
-        if job is not None:
-            sidecars.write_job(self._context.storage, job)
+        return job
 
     def _leave(self) -> str:
         """Leave a job that another server has taken over, or that was deleted with its drive."""

@@ -9,7 +9,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 from app.http.patterns import ID, TEXT
 from app.http.problems import ProblemDocument
-from app.http.strict import Name, Note, Number, Yes
+from app.http.strict import Body, Name, Note, Number, Yes
 from app.jobs.webhooks import DeliveryModel, Subscriber
 from app.paths import MAX_PATH
 from app.states import JobKind, JobState
@@ -20,17 +20,15 @@ from interloc.osm.policies import POLICY_HELP, TOLERANCE_HELP, Policy
 MAX_COMPARED_JOBS = 8
 
 
-class OsmFile(BaseModel):
+class OsmFile(Body):
     """A map among the files of the drive."""
 
-    model_config = ConfigDict(extra="forbid")
     file: str = Field(max_length=MAX_PATH, pattern=TEXT, examples=["map.osm.gz"])
 
 
-class OsmOverpass(BaseModel):
+class OsmOverpass(Body):
     """The current map from a public Overpass server."""
 
-    model_config = ConfigDict(extra="forbid")
     overpass: Yes
 
 
@@ -43,20 +41,18 @@ def _refuse_no_object(osm: object) -> object:
     )
 
 
-class Near(BaseModel):
+class Near(Body):
     """Roughly where a drive was."""
 
-    model_config = ConfigDict(extra="forbid")
     lat_deg: Number = Field(ge=-89, le=89)
     lon_deg: Number = Field(ge=-180, le=180)
     radius_km: Number = Field(3.0, ge=0.1, le=20, description="How far around it to search.")
 
 
-class NewJob(BaseModel):
+class NewJob(Body):
     """Find the intersections of a drive, and score them where a map is given."""
 
     model_config = ConfigDict(
-        extra="forbid",
         json_schema_extra={
             "examples": [{"drive_id": "5f0c2b7d9a41e386", "preset": "default", "osm": {"file": "map.osm.gz"}}]
         },
@@ -91,12 +87,10 @@ class NewJob(BaseModel):
     )
 
 
-class JobChanges(BaseModel):
+class JobChanges(Body):
     """What is to change of a job; what is left out stays as it is."""
 
-    model_config = ConfigDict(
-        extra="forbid", json_schema_extra={"examples": [{"name": "coarse cells", "note": "For the table."}]}
-    )
+    model_config = ConfigDict(json_schema_extra={"examples": [{"name": "coarse cells", "note": "For the table."}]})
 
     name: Name | None = Field(None, description="Name shown in lists; null for one by what was asked for.")
     note: Note | None = Field(None, description="Some lines about it; null for none.")

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
+from pydantic import BaseModel, Field, TypeAdapter
 
 from app.http.patterns import ID
+from app.http.strict import Body
 
 
-class Begin(BaseModel):
+class Begin(Body):
     """Begins a session."""
-
-    model_config = ConfigDict(extra="forbid")
 
     type: Literal["begin"]
     name: str = Field(min_length=1, max_length=200, description="Name of the drive.")
@@ -26,20 +25,16 @@ class Begin(BaseModel):
     keep: bool = Field(False, description="Make a drive of the keyframes; at the end it is checked, and a job runs.")
 
 
-class Continue(BaseModel):
+class Continue(Body):
     """Goes on with a session after a broken connection."""
-
-    model_config = ConfigDict(extra="forbid")
 
     type: Literal["continue"]
     session: str = Field(pattern=ID)
     answered: int = Field(-1, ge=-1, description="Last scan whose answer arrived: those after it come again.")
 
 
-class End(BaseModel):
+class End(Body):
     """Ends the session: the last keyframes are answered, then the map."""
-
-    model_config = ConfigDict(extra="forbid")
 
     type: Literal["end"]
 

@@ -49,6 +49,7 @@ class MapModel(BaseModel):
     is_waiting: bool = Field(description="Whether results wait to be merged, or to be compared with OpenStreetMap.")
     is_at_work: bool = Field(description="Whether a worker merges or compares it now.")
     drives: int = Field(description="Drives on the map.")
+    refused: int = Field(description="Drives that could not be merged; its list of drives says why.")
     intersections: int
     seen_by_several: int = Field(description="Intersections that were seen in several passes.")
     median_position_std_m: float | None

@@ -156,6 +156,7 @@ def map_model(session: Session, storage: Storage, city: CityMap) -> MapModel:
         is_waiting=standing.is_stale or (standing.audit_key is not None and standing.audit_key != city.audited),
         is_at_work=city.lease_owner is not None,
         drives=summary.get("drives", 0),
+        refused=sum(row.problem is not None for row in standing.rows.values()),
         intersections=summary.get("intersections", 0),
         seen_by_several=summary.get("seen_by_several", 0),
         median_position_std_m=summary.get("median_position_std_m"),

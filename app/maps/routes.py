@@ -191,10 +191,13 @@ async def put_osm(
             intake.discard()
 
 
-_File = Literal["city.geojson", "drives.geojson", "changes.geojson", "city.json", "findings.geojson", "audit.json"]
+_File = Literal[
+    "city.geojson", "drives.geojson", "roads.geojson", "changes.geojson", "city.json", "findings.geojson", "audit.json"
+]
 _FILES: dict[_File, str] = {
     "city.geojson": "Its intersections, one point each.",
     "drives.geojson": "The tracks of its drives.",
+    "roads.geojson": "The roads between them, where the results of its drives hold theirs.",
     "changes.geojson": "What came or went between drives.",
     "city.json": "Settings, figures, and the offset of each drive.",
     "findings.geojson": "What OpenStreetMap has wrong.",

@@ -17,7 +17,7 @@ from sqlalchemy.orm import Session, defer
 
 from app.context import Context
 from app.drives.records import drive_key, lock_drive
-from app.http.paging import deleted_after, deletion_cursor_of, last_deleted_first
+from app.http.paging import cursor_of, newest_first, rows_after
 from app.http.problem_types import DRIVE_IN_THE_TRASH, JOB_NOT_ENDED, NOT_IN_THE_TRASH
 from app.http.problems import Problem
 from app.jobs.queue import cancel, no_drive
@@ -143,19 +143,20 @@ def list_trash(context: Context, after: str | None, limit: int) -> TrashList:
     drives = select(Drive).options(defer(Drive.report)).where(Drive.deleted_at.is_not(None))
     jobs = _JOBS_IN_TRASH
     if after is not None:
-        drives, jobs = drives.where(deleted_after(Drive, after)), jobs.where(deleted_after(Job, after))
+        drives = drives.where(rows_after(Drive, after, "deleted_at"))
+        jobs = jobs.where(rows_after(Job, after, "deleted_at"))
     with context.database.reading() as session:
         found: list[tuple[Drive | Job, str]] = [
             (drive, drive.name)
-            for drive in session.scalars(drives.order_by(*last_deleted_first(Drive)).limit(limit + 1))
+            for drive in session.scalars(drives.order_by(*newest_first(Drive, "deleted_at")).limit(limit + 1))
         ]
-        rows = session.execute(jobs.order_by(*last_deleted_first(Job)).limit(limit + 1))
+        rows = session.execute(jobs.order_by(*newest_first(Job, "deleted_at")).limit(limit + 1))
         found += [(job, name) for job, name in rows]
     found.sort(key=lambda pair: (pair[0].deleted_at or 0.0, pair[0].id), reverse=True)
     page = found[:limit]
     return TrashList(
         items=[_item(context, row, name) for row, name in page],
-        next=deletion_cursor_of(page[-1][0]) if len(found) > limit else None,
+        next=cursor_of(page[-1][0], "deleted_at") if len(found) > limit else None,
     )
 
 

@@ -58,7 +58,7 @@ from interloc.pipeline import versions
 DATABASE = "backup.sqlite3"
 RECORD = "backup.json"
 
-_LOCK = "lock"
+LOCK = "lock"
 _PAUSES_S = (0.2, 0.5, 1, 2, 4, 8)
 
 Returned = TypeVar("Returned")
@@ -319,7 +319,7 @@ def _check_place(context: Context, out: Path) -> None:
         raise ConfigError(f"{out} is a file; a backup needs a folder. Give the name of a new or an empty one.")
     record = BackupRecord.read(out)
     if record is None:
-        refuse_unless_empty(out, f"and no {RECORD}, so it is not a backup", but=_LOCK)
+        refuse_unless_empty(out, f"and no {RECORD}, so it is not a backup", but=LOCK)
     elif record.installation != installation_of(context):
         raise ConfigError(
             f"{out} is the backup of another service (installation {record.installation}, this one is "
@@ -341,7 +341,7 @@ def refuse_unless_empty(folder: Path, remark: str, *, but: str = "lost+found") -
 @contextmanager
 def _alone(out: Path) -> Iterator[None]:
     """Keep others from making the same backup."""
-    lock = FileLock(out / _LOCK, timeout=0)
+    lock = FileLock(out / LOCK, timeout=0)
     try:
         with suppress(NotImplementedError):  # a file system without locks
             lock.acquire()

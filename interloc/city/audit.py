@@ -37,6 +37,8 @@ _PARTNER_M = 25.0
 _APART_DEG = 50.0
 _TRACK_M = 15.0
 _ODD_M = 30.0
+_ALSO_ELSEWHERE_M = 60.0
+_GROUP_M = 25.0  # roads between nodes of one junction are no longer than this
 _BEGINS_M = 4.0  # a road that bends away from the straight line is still within this of it at its beginning
 
 
@@ -143,14 +145,17 @@ class _Auditor:
             ({"missing_junction", "missing_branch"}, self._missing),
             ({"moved"}, self._moved),
             ({"phantom"}, self._phantoms),
+            ({"one_junction"}, self._groups),
         ]
         wanted = set(self.config.kinds)
         findings = [finding for kinds, make in makers if kinds & wanted for finding in make()]
-        elsewhere = {finding.uid for finding in findings if finding.kind == "moved"}  # its branches lie elsewhere, too
+        # What leads to a junction that lies elsewhere lies elsewhere, too: nothing is missing there.
+        elsewhere = np.array([each.xy for each in findings if each.kind == "moved"]).reshape(-1, 2)
+        away = _nearest(np.array([each.xy for each in findings]).reshape(-1, 2), elsewhere)[0].tolist()
         findings = [
             each
-            for each in findings
-            if each.kind in wanted and not (each.kind == "missing_branch" and each.uid in elsewhere)
+            for each, metres in zip(findings, away, strict=True)
+            if each.kind in wanted and not (each.kind.startswith("missing") and metres < _ALSO_ELSEWHERE_M)
         ]
         passed = [
             node for node in self.osm.open_junctions.tolist() if len(self._came_by(node)) >= self.config.min_passes
@@ -247,7 +252,7 @@ class _Auditor:
                 self._hold_back("acute: the position slides along the bisector")
                 continue
             if any(osm.odd[way] for way in osm.ways_near(osm.xy[node], 3.0)):
-                self._hold_back("link, roundabout or one-way road")
+                self._hold_back("link, roundabout or two carriageways")
                 continue
             if not self._off_road(row, node, ease):
                 self._hold_back("node and its roads lie on what was seen as road")
@@ -310,6 +315,31 @@ class _Auditor:
                 drives,
                 road_share=_round(unseen[0][0]),
                 other_share=_round(unseen[0][1]),
+            )
+
+    def _groups(self) -> Iterator[Finding]:
+        """Yield nodes that short roads join where passes saw one junction: carriageways, islands, a node too many."""
+        osm, table = self.osm, self.places
+        shown = np.flatnonzero(table.is_shown & (table.passes >= self.config.min_passes))
+        for nodes in osm.groups(_GROUP_M):
+            middle = osm.xy[nodes].mean(axis=0)
+            rows = shown[np.hypot(*(table.xy[shown] - middle).T) <= _PARTNER_M]
+            if len(rows) != 1 or self._excuse(middle) is not None:
+                continue
+            row, node = int(rows[0]), nodes[0]
+            apart = np.hypot(*(osm.xy[nodes] - table.xy[row]).T)
+            key = _key("one_junction", osm.graph.node_id[node])
+            if table.confidence[row] < self.config.min_confidence * self._ease(key) or apart.max() > _PARTNER_M:
+                continue
+            ids = [int(each) for each in osm.graph.node_id[nodes]]
+            yield self._finding(
+                "one_junction",
+                row,
+                node,
+                f"{table.passes[row]} passes of a LiDAR saw one junction where the map has {len(nodes)} nodes within "
+                f"{apart.max():.0f} m of it: {', '.join(f'node/{each}' for each in ids)}. Are they one?",
+                distance_m=_round(apart.max()),
+                nodes=ids,
             )
 
     # what they share --------------------------------------------------------------------------------------------------

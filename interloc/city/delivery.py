@@ -38,8 +38,9 @@ _CLASSES: dict[Kind, tuple[int, str]] = {
     "missing_branch": (2, "Branch of a road junction seen by LiDAR, not on the map"),
     "moved": (3, "Road junction lies elsewhere by LiDAR"),
     "phantom": (4, "Road junction on the map, not seen by LiDAR"),
+    "one_junction": (5, "Several nodes that are one road junction by LiDAR"),
 }
-_ITEM = {"missing_junction": "8490", "missing_branch": "8490", "moved": "8491", "phantom": "7490"}
+_ITEMS: dict[Kind, str] = {"phantom": "7490", "moved": "8491", "one_junction": "8491"}
 
 
 def known_findings(folder: Path) -> frozenset[str]:
@@ -156,7 +157,7 @@ def osmose(features: Sequence[dict[str, Any]], made_at: datetime) -> str:
     root = ET.Element("analysers", timestamp=moment)
     analyser = ET.SubElement(root, "analyser", timestamp=moment)
     for kind, (number, title) in _CLASSES.items():
-        facts = {"id": str(number), "item": _ITEM[kind], "level": "3", "tag": "merge,highway"}
+        facts = {"id": str(number), "item": _ITEMS.get(kind, "8490"), "level": "3", "tag": "merge,highway"}
         described = ET.SubElement(analyser, "class", facts)
         ET.SubElement(described, "classtext", lang="en", title=title)
     for feature in features:

@@ -6,6 +6,7 @@ file                   content
 ``city.json``          what the map is: format version, settings, drives with their offsets, figures
 ``city.geojson``       its intersections; properties: `interloc.output.properties.CityProperties`
 ``drives.geojson``     the tracks of its drives
+``roads.geojson``      the roads between them, where the results of drives hold theirs
 ``changes.geojson``    intersections and branches that came or went between drives
 ``passes/KEY.npz``     what it keeps of each drive, so that drives can be added and removed later
 ``state.npz``          votes, offsets, assignments and the register of names: all that would have to be worked out anew
@@ -28,6 +29,7 @@ from interloc.city.change import changes_of
 from interloc.city.citymap import CityMap
 from interloc.city.drives import DriveOnMap
 from interloc.city.passes import Pass
+from interloc.city.roads import fuse_roads
 from interloc.city.settings import CityConfig
 from interloc.errors import DamagedResultError, OutputError
 from interloc.files import atomic_folder, atomic_write
@@ -38,7 +40,9 @@ from interloc.results import moment
 
 CITY_FILE, STATE_FILE, PASSES = "city.json", "state.npz", "passes"
 FORMAT, FORMAT_VERSION = "interloc-city", 1
-CITY_NAMES = frozenset([CITY_FILE, STATE_FILE, PASSES, *(f"{name}.geojson" for name in ("city", "drives", "changes"))])
+CITY_NAMES = frozenset(
+    [CITY_FILE, STATE_FILE, PASSES, *(f"{name}.geojson" for name in ("city", "drives", "roads", "changes"))]
+)
 
 _TRACK_STEP_M = 5.0
 
@@ -191,7 +195,28 @@ def city_features(city: CityMap) -> dict[str, list[dict[str, Any]]]:
         first_time=[moment(float(drive.data.span_s[0])) for drive in drives],
         last_time=[moment(float(drive.data.span_s[1])) for drive in drives],
     )
-    return {"city": intersections, "drives": lines, "changes": _change_features(city)}
+    return {
+        "city": intersections,
+        "drives": lines,
+        "roads": _road_features(city),
+        "changes": _change_features(city),
+    }
+
+
+def _road_features(city: CityMap) -> list[dict[str, Any]]:
+    roads = fuse_roads(city)
+    return CITY_LAYERS["roads"].features(
+        [positions(city.lonlat(road.xy), local=False) for road in roads],
+        id=list(range(1, len(roads) + 1)),
+        start_uid=[road.start for road in roads],
+        end_uid=[road.end for road in roads],
+        length_m=[road.length_m for road in roads],
+        width_m=[road.width_m for road in roads],
+        width_std_m=[road.width_std_m for road in roads],
+        is_driven=[road.is_driven for road in roads],
+        drives=[len(road.drives) for road in roads],
+        drive_names=[", ".join(road.drives) for road in roads],
+    )
 
 
 def _change_features(city: CityMap) -> list[dict[str, Any]]:

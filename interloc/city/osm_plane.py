@@ -15,6 +15,9 @@ from interloc.osm.intersections import MIN_DEGREE, road_ways
 
 _ALIKE_M = 10.0  # place and node that are each other's nearest within this say how the two maps lie
 _ENOUGH = 8
+_BESIDE_M = (3.0, 25.0)  # two carriageways lie so far apart
+_PIECE_M = 10.0
+_OPPOSITE = -0.9  # cosine of the angle between their directions
 _NOT_OPEN = ("private", "no", "customers", "delivery", "permit")
 _MINOR = ("driveway", "parking_aisle", "drive-through", "emergency_access")
 
@@ -77,9 +80,35 @@ class OsmPlane:
 
     @cached_property
     def odd(self) -> BoolArray:
-        """(W,) links, roundabouts and one-way roads: there one junction is several nodes."""
-        is_link = np.char.endswith(self.highway, "_link")
-        return is_link | self.tagged("junction") | self.tagged("oneway", "yes", "-1")
+        """(W,) links, roundabouts and roads with two carriageways: there one junction is several nodes."""
+        twins: BoolArray = np.zeros(len(self.graph.ways), dtype=np.bool_)
+        twins[self.graph.edge_way[self.carriageways]] = True
+        return np.char.endswith(self.highway, "_link") | self.tagged("junction") | twins
+
+    @cached_property
+    def carriageways(self) -> BoolArray:
+        """(E,) pieces of one-way roads beside which another one leads the other way, 3 to 25 m apart."""
+        from scipy.spatial import cKDTree  # noqa: PLC0415 - slow to import
+
+        edges, sign = self.graph.edges, np.where(self.tagged("oneway", "-1"), -1.0, 1.0)[self.graph.edge_way]
+        one_way = (self.tagged("oneway", "yes", "-1") & self.open_roads & ~self.tagged("junction"))[self.graph.edge_way]
+        rows = np.flatnonzero(one_way)
+        start, end = self.xy[edges[rows, 0]], self.xy[edges[rows, 1]]
+        length = np.hypot(*(end - start).T)
+        ahead = sign[rows, None] * (end - start) / np.maximum(length, 1e-9)[:, None]
+        pieces = np.maximum(1, np.ceil(length / _PIECE_M).astype(np.int64))
+        of = np.repeat(np.arange(len(rows)), pieces)
+        share = (np.arange(len(of)) - np.repeat(np.cumsum(pieces) - pieces, pieces) + 0.5) / pieces[of]
+        at = start[of] + share[:, None] * (end - start)[of]
+        found: BoolArray = np.zeros(len(edges), dtype=np.bool_)
+        pairs = cKDTree(at).query_pairs(_BESIDE_M[1], output_type="ndarray") if len(at) else np.zeros((0, 2), np.int64)
+        a, b = of[pairs].T
+        apart = at[pairs[:, 1]] - at[pairs[:, 0]]
+        across = np.abs(apart[:, 0] * ahead[a, 1] - apart[:, 1] * ahead[a, 0])
+        along = np.abs(np.sum(apart * ahead[a], axis=1))
+        beside = (np.sum(ahead[a] * ahead[b], axis=1) < _OPPOSITE) & (across > _BESIDE_M[0]) & (along < _PIECE_M)
+        found[rows[np.append(a[beside], b[beside])]] = True
+        return found
 
     @cached_property
     def on_levels(self) -> BoolArray:
@@ -131,20 +160,38 @@ class OsmPlane:
             found.setdefault(b, []).append(a)
         return found
 
-    def road_from(self, node: int, neighbour: int, length_m: float, step_m: float = 1.0) -> FloatArray:
-        """Return positions every metre along an open road that leaves a node, (n, 2), as far as the next junction."""
-        line = [self.xy[node], self.xy[neighbour]]
-        before, here = node, neighbour
-        while np.sum(np.hypot(*np.diff(line, axis=0).T)) < length_m:
-            onward = [each for each in self._open_neighbours[here] if each != before]
+    def _along(self, node: int, neighbour: int, length_m: float) -> tuple[list[int], FloatArray]:
+        """Follow an open road from a node to the next junction, or so far; return its nodes and the way to each."""
+        nodes, metres = [node, neighbour], [0.0, float(np.hypot(*(self.xy[node] - self.xy[neighbour])))]
+        while metres[-1] < length_m:
+            onward = [each for each in self._open_neighbours[nodes[-1]] if each != nodes[-2]]
             if len(onward) != 1:
                 break
-            before, here = here, onward[0]
-            line.append(self.xy[here])
-        travelled = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
+            metres.append(metres[-1] + float(np.hypot(*(self.xy[nodes[-1]] - self.xy[onward[0]]))))
+            nodes.append(onward[0])
+        return nodes, np.array(metres)
+
+    def road_from(self, node: int, neighbour: int, length_m: float, step_m: float = 1.0) -> FloatArray:
+        """Return positions every metre along an open road that leaves a node, (n, 2), as far as the next junction."""
+        nodes, travelled = self._along(node, neighbour, length_m)
         at = np.arange(0.0, min(length_m, travelled[-1]), step_m)
-        return np.stack([np.interp(at, travelled, np.array(line)[:, axis]) for axis in (0, 1)], axis=-1)
+        return np.stack([np.interp(at, travelled, self.xy[nodes, axis]) for axis in (0, 1)], axis=-1)
 
     def roads_from(self, node: int, length_m: float) -> list[FloatArray]:
         """Return `road_from` of all open roads that leave a node."""
         return [self.road_from(node, each, length_m) for each in self._open_neighbours.get(node, [])]
+
+    def groups(self, reach_m: float) -> list[list[int]]:
+        """Return the rows of open junctions that roads no longer than this join, two or more each."""
+        from scipy.sparse import coo_array  # noqa: PLC0415 - slow to import
+        from scipy.sparse.csgraph import connected_components  # noqa: PLC0415
+
+        roads = [self._along(node, each, reach_m) for node in self.open_junctions.tolist()
+                 for each in self._open_neighbours[node]]  # fmt: skip
+        ends = np.array([(nodes[0], nodes[-1]) for nodes, metres in roads if metres[-1] <= reach_m]).reshape(-1, 2)
+        ends = np.searchsorted(self.open_junctions, ends[np.isin(ends[:, 1], self.open_junctions)])
+        count = len(self.open_junctions)
+        links = coo_array((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(count, count))
+        _, group = connected_components(links, directed=False)
+        found = [self.open_junctions[group == each].tolist() for each in np.flatnonzero(np.bincount(group) > 1)]
+        return sorted(found)

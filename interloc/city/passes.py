@@ -5,17 +5,18 @@ from __future__ import annotations
 import hashlib
 import io
 import zipfile
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from interloc.arrays import FloatArray, IntArray
+from interloc.arrays import BoolArray, FloatArray, IntArray
 from interloc.errors import DamagedResultError, GeoreferenceError
 from interloc.files import atomic_write
 from interloc.geometry import enu_from_lonlat
 from interloc.mapping.mosaic import TILE, Mosaic, Raster
+from interloc.output.geojson import read_json
 from interloc.output.road import mosaic_of
 from interloc.results import EPOCH_S, DriveResult
 
@@ -57,6 +58,10 @@ class Pass:
         First and last time of the drive, as `seen_s`.
     road : Mosaic or None
         The road that it saw, and other ground.
+    roads_lonlat : tuple of E (n, 2) float64
+        Centrelines of its roads, where its result has them.
+    road_width_m, road_driven : (E,) float64, bool
+        Their widths, NaN where not known; whether it went along them.
     """
 
     name: str
@@ -76,6 +81,9 @@ class Pass:
     track_along_m: FloatArray
     span_s: FloatArray
     road: Mosaic | None = None
+    roads_lonlat: tuple[FloatArray, ...] = ()
+    road_width_m: FloatArray = field(default_factory=lambda: np.zeros(0))
+    road_driven: BoolArray = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
 
     def __len__(self) -> int:
         return len(self.lonlat)
@@ -133,7 +141,7 @@ class Pass:
         digest = hashlib.sha256()
         for name in ("lonlat", "confidence", "track_lonlat"):
             digest.update(np.round(arrays[name], 7).tobytes())
-        return cls(name=result.drive, key=digest.hexdigest()[:16], road=mosaic_of(result), **arrays)
+        return cls(name=result.drive, key=digest.hexdigest()[:16], road=mosaic_of(result), **arrays, **_roads(result))
 
     def write(self, path: Path) -> None:
         """Write it as an archive of arrays."""
@@ -145,6 +153,9 @@ class Pass:
                 keys = list(tiles)
                 arrays[f"{name}_keys"] = np.array(keys, dtype=np.int64).reshape(-1, 2)
                 arrays[f"{name}_tiles"] = np.array([tiles[key] for key in keys], np.uint8).reshape(-1, TILE, TILE)
+        lines = arrays.pop("roads_lonlat")
+        arrays["road_points"] = np.concatenate([np.zeros((0, 2)), *lines])
+        arrays["road_sizes"] = np.array([len(line) for line in lines], dtype=np.int64)
         arrays["branches"] = np.array([len(each) for each in self.bearings_deg], dtype=np.int64)
         for name in _RAGGED:
             arrays[name] = np.concatenate([np.zeros(0), *arrays[name]])
@@ -165,16 +176,34 @@ class Pass:
         try:
             with np.load(path) as archive:
                 arrays: dict[str, Any] = dict(archive)
-            ends = np.cumsum(arrays.pop("branches")).tolist()
-            ragged: dict[str, Any] = {}
-            for name in _RAGGED:
-                flat = arrays.pop(name)
-                ragged[name] = tuple(flat[start:end] for start, end in zip([0, *ends[:-1]], ends, strict=False))
+            sizes = arrays.pop("branches")
+            ragged: dict[str, Any] = {name: _cut(arrays.pop(name), sizes) for name in _RAGGED}
+            if "road_sizes" in arrays:
+                ragged["roads_lonlat"] = _cut(arrays.pop("road_points"), arrays.pop("road_sizes"))
             road = _mosaic(arrays) if "road_epsg" in arrays else None
             texts: dict[str, Any] = {name: str(arrays.pop(name)) for name in _TEXTS}
             return cls(**texts, **arrays, **ragged, road=road)
         except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
             raise DamagedResultError(f"{path} is missing or damaged ({error}). Merge the drives again.") from error
+
+
+def _cut(flat: FloatArray, sizes: IntArray) -> tuple[FloatArray, ...]:
+    ends = np.cumsum(sizes).tolist()
+    return tuple(flat[end - size : end] for size, end in zip(sizes.tolist(), ends, strict=True))
+
+
+def _roads(result: DriveResult) -> dict[str, Any]:
+    """Return the roads of a result folder that has them; those of older versions, and results in memory, do not."""
+    path = None if result.road_file is None else result.road_file.with_name("roads.geojson")
+    if path is None or not path.is_file():
+        return {}
+    found = [each for each in read_json(path)["features"] if len(each["geometry"]["coordinates"]) > 1]
+    facts = [each["properties"] for each in found]
+    return {
+        "roads_lonlat": tuple(np.array(each["geometry"]["coordinates"], dtype=np.float64) for each in found),
+        "road_width_m": np.array([each["width_m"] for each in facts], dtype=np.float64),
+        "road_driven": np.array([each["is_driven"] for each in facts], dtype=np.bool_),
+    }
 
 
 def _mosaic(arrays: dict[str, Any]) -> Mosaic:

@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-Kind = Literal["missing_junction", "missing_branch", "moved", "phantom"]
+Kind = Literal["missing_junction", "missing_branch", "moved", "phantom", "one_junction"]
 """Of a finding against OpenStreetMap."""
 
 
@@ -68,7 +68,8 @@ class AuditConfig(BaseModel):
     kinds: tuple[Kind, ...] = Field(
         ("missing_junction", "missing_branch", "moved"),
         description="Kinds of findings: a junction that the map lacks; a branch that a junction of the map lacks; a "
-        "junction that lies elsewhere; and, only where asked for, a node where passes saw no junction (phantom).",
+        "junction that lies elsewhere; and, only where asked for, a node where passes saw no junction (phantom), and "
+        "nodes close together where passes saw one junction (one_junction).",
     )
     min_passes: int = Field(2, ge=1, le=1000, description="Independent passes that must agree.")
     min_confidence: float = Field(0.8, ge=0, le=1, description="Confidence of a place.")
@@ -85,7 +86,7 @@ class AuditConfig(BaseModel):
     max_width_m: float = Field(
         9.0, gt=0, le=100, description="Branches that are wider, or of no known width, are squares and car parks."
     )
-    min_road: float = Field(0.8, ge=0, le=1, description="Share of a branch, 8 to 22 m out, that was seen as road.")
+    min_road: float = Field(0.65, ge=0, le=1, description="Share of a branch, 8 to 22 m out, that was seen as road.")
     moved_m: float = Field(6.0, gt=0, le=100, description="Distance from which on a junction lies elsewhere.")
     moved_sigma: float = Field(
         3.5, gt=0, le=100, description="The same in standard deviations of the position of the place."

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     "--kind",
     "kinds",
     multiple=True,
-    type=click.Choice(["missing_junction", "missing_branch", "moved", "phantom"]),
-    show_default="all but phantom",
+    type=click.Choice(["missing_junction", "missing_branch", "moved", "phantom", "one_junction"]),
+    show_default="all but phantom and one_junction",
     help="Kind of findings; as often as needed.",
 )
 @click.option(

@@ -18,29 +18,52 @@ _SHOWN = 5
 
 
 @click.command(short_help="Back up the web service while it runs.")
-@click.argument("out", type=options.PATH)
+@click.argument("out", type=click.Path(path_type=Path))
 @DATA_DIR
+@click.option("--keep-daily", type=click.IntRange(0), help="Make a generation, and keep one of each of N days.")
+@click.option("--keep-weekly", type=click.IntRange(0), help="The same of N weeks.")
+@click.option("--keep-monthly", type=click.IntRange(0), help="The same of N months.")
 @options.QUIET
 @options.JSON
-def backup(out: Path, data_dir: Path | None, quiet: bool, as_json: bool) -> None:
+def backup(
+    out: Path,
+    data_dir: Path | None,
+    keep_daily: int | None,
+    keep_weekly: int | None,
+    keep_monthly: int | None,
+    quiet: bool,
+    as_json: bool,
+) -> None:
     """Back up drives, jobs, results and tokens of the web service to the folder OUT, while its servers run.
 
     Every drive is in it as it was at one moment. OUT is a new folder, or the backup of before: then only what has
     changed is brought. A backup that was stopped goes on where it stopped. What is deleted in the service is gone from
     OUT with the next backup.
 
+    With any --keep option OUT is a folder of generations, one backup for each call, which share what did not change;
+    the newest of each of the last days, weeks and months that have one stays, the others are removed.
+
     \b
-    Example:
+    Examples:
       interloc backup /mnt/backup/interloc --data-dir /srv/interloc
+      interloc backup /mnt/backups --keep-daily 7 --keep-weekly 4 --keep-monthly 12
     """
+    if ":/" in str(out):
+        raise click.UsageError(f"{out}: a backup is written to a folder; bring that to object storage by a tool of it.")
     settings = read_settings({"data_dir": data_dir})
     from app.context import Context
     from app.upkeep.backup import back_up
+    from app.upkeep.generations import Retention, back_up_generation
 
+    keep, dropped = (keep_daily, keep_weekly, keep_monthly), list[str]()
     context = Context.open_existing(settings)
     try:
         with _resumable(), console.progress("backup", "B", quiet=quiet) as bar:
-            report = back_up(context, out, bar)
+            if any(count is not None for count in keep):
+                retention = Retention(*(count or 0 for count in keep))
+                out, report, dropped = back_up_generation(context, out, retention, bar)
+            else:
+                report = back_up(context, out, bar)
     finally:
         context.close()
     record = report.record
@@ -51,6 +74,7 @@ def backup(out: Path, data_dir: Path | None, quiet: bool, as_json: bool) -> None
             "removed_files": report.removed_files,
             "longest_lock_s": round(report.longest_lock_s, 3),
             "faults": report.faults,
+            "removed_generations": dropped,
         }
         console.say_json({"out": str(out), **record.model_dump(mode="json"), **counts})
     elif not quiet:
@@ -64,9 +88,10 @@ def backup(out: Path, data_dir: Path | None, quiet: bool, as_json: bool) -> None
             ("size", f"{record.files:,} files, {console.size(record.size_bytes)}"),
             ("brought", brought if report.brought_files else "nothing: all was there"),
             ("removed", removed),
+            *[("removed", f"the generation {name}") for name in dropped],
             ("time", f"{seconds:.1f} s; no drive was locked for longer than {report.longest_lock_s:.2f} s"),
         ]
-        console.say_facts(row for row in rows if row[0] != "removed" or report.removed_files)
+        console.say_facts(row for row in rows if row != ("removed", removed) or report.removed_files)
     if report.faults:
         raise InterLocError(
             f"all that there is was backed up, but the data folder itself is not whole: {_shown(report.faults)}. "
@@ -77,10 +102,13 @@ def backup(out: Path, data_dir: Path | None, quiet: bool, as_json: bool) -> None
 @click.command(short_help="Restore a backup of the web service.")
 @click.argument("backup", type=options.PATH)
 @DATA_DIR
+@click.option("--generation", help="Which of several generations, or how its name begins.  [default: the newest]")
 @click.option("--incomplete", is_flag=True, help="Restore what there is of a backup that is not whole.")
 @options.QUIET
 @options.JSON
-def restore(backup: Path, data_dir: Path | None, incomplete: bool, quiet: bool, as_json: bool) -> None:
+def restore(
+    backup: Path, data_dir: Path | None, generation: str | None, incomplete: bool, quiet: bool, as_json: bool
+) -> None:
     """Restore BACKUP into an empty data folder and an empty database: SQLite, or PostgreSQL by INTERLOC_DATABASE_URL.
 
     The database need not be of the kind that the backup was made of: this is also the way from one to the other. A
@@ -91,8 +119,10 @@ def restore(backup: Path, data_dir: Path | None, incomplete: bool, quiet: bool, 
       interloc restore /mnt/backup/interloc --data-dir /srv/interloc
     """
     settings = read_settings({"data_dir": data_dir})
+    from app.upkeep.generations import find_generation
     from app.upkeep.restore import restore as restore_backup
 
+    backup = find_generation(backup, generation)
     with _resumable(), console.progress("restore", "B", quiet=quiet) as bar:
         report = restore_backup(settings, backup, incomplete=incomplete, advance=bar)
     made_at = report.record.begun_at

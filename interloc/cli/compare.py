@@ -16,7 +16,7 @@ from interloc.wording import counted
 @click.option(
     "-o",
     "--out",
-    type=click.Path(path_type=Path, dir_okay=False),
+    type=options.Place(path_type=Path, dir_okay=False),
     help="Also write a page (.html), or a picture of precision, recall and F1 of all runs over D (.svg, .png).",
 )
 @options.JSON
@@ -35,7 +35,7 @@ def command(results: tuple[Path, ...], out: Path | None, as_json: bool) -> None:
     from interloc.output.geojson import read_json
     from interloc.output.read import read_run
 
-    names = [str(result) for result in results]
+    names = [console.shown(str(result)) for result in results]
     runs = [read_run(result) for result in results]
     for result in results:
         if not (result / "report.json").is_file():

@@ -78,9 +78,12 @@ def label(
     """
     from interloc.drives.options import DriveOptions, LabelFolder
     from interloc.reduction.convert import label_drive
+    from interloc.storage import is_elsewhere
 
     if (model is None) != (by == "geometry"):
         raise click.UsageError("Give the folder of a network (--model), or --by geometry; one of the two.")
+    if out is None and is_elsewhere(drive):
+        raise click.UsageError("Give the folder that predictions/ is made in (-o): the drive is in object storage.")
     labels: LabelFolder = "geometry" if by == "geometry" else "labels"
     console.set_up_log(quiet=quiet)
     began = time.perf_counter()

@@ -15,7 +15,7 @@ from interloc.cli import console, options
     "-o",
     "--out",
     required=True,
-    type=click.Path(path_type=Path, dir_okay=False),
+    type=options.Place(path_type=Path, dir_okay=False),
     help="File to write; its name ends in .gpkg, .qgz, .kmz, .fgb, .kml, .csv, .geojson, .parquet, .pmtiles or .gpx, "
     "in .tif for the layer road, or for the roads in .nav2.geojson (Nav2), .osm (Lanelet2) or .xodr (OpenDRIVE), "
     "or in .mcap (Foxglove, Lichtblick).",

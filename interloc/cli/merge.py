@@ -38,6 +38,7 @@ def command(
     from interloc.city.passes import Pass
     from interloc.errors import ConfigError
     from interloc.output.read import read_results
+    from interloc.storage import present_below
 
     if not results and not remove:
         raise click.UsageError("give one or more result folders, or --remove")
@@ -47,7 +48,7 @@ def command(
         name, _, folder = given.rpartition("=") if not Path(given).is_dir() else ("", "", given)
         data = Pass.of(read_results(folder))
         passes.append(changed(data, name=name) if name else data)
-    with locked(out):
+    with locked(present_below(out)):
         city = read_city(out) if is_city(out) else CityMap()
         city.remove(*remove)
         known = {drive.data.key: name for name, drive in city.drives.items()}

@@ -25,22 +25,24 @@ if TYPE_CHECKING:
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
-class _Place(click.Path):
+class Place(click.Path):
     """A path; or an address in object storage: then what lies there is laid out here, or -o sent there at the end."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the path, or that of where an address is laid out."""
         if not isinstance(value, str) or "://" not in value:
             return super().convert(value, param, ctx)
         from interloc import storage
 
-        if param is not None and param.name == "out" and isinstance(param, click.Option):
-            return storage.result_place(value)
+        if param is not None and param.name == "out":
+            place = storage.result_place(value)
+            return storage.present_below(place) if isinstance(param, click.Argument) else place
         from interloc.reduction.elsewhere import lay_out
 
         return lay_out(value)
 
 
-PATH = _Place(path_type=Path)
+PATH = Place(path_type=Path)
 DRIVE = click.argument("drive", type=PATH)
 OUT = click.option("-o", "--out", required=True, type=PATH, help="Result folder to write.")
 QUIET = click.option("--quiet", is_flag=True, help="Print warnings and errors only.")

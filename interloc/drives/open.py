@@ -10,14 +10,13 @@ from pathlib import Path
 from typing import Unpack, cast
 
 from interloc.drives.checks import NEAR_M, check_flat_road, check_turns, sample_indices
-from interloc.drives.files import SourceFile, each_read_once
+from interloc.drives.files import each_read_once
 from interloc.drives.findings import Findings
 from interloc.drives.folder import FolderDrive, Scans
 from interloc.drives.formats import FORMATS, ScanFormat, find_format, installed_formats
 from interloc.drives.georeference.geodetic import check_against_poses
 from interloc.drives.labels import SEMANTICKITTI, LabelJudgement
 from interloc.drives.layouts import SCAN_FOLDERS, not_a_drive, recognise_layout
-from interloc.drives.odometry import how_made, track_file
 from interloc.drives.options import LABEL_FILES, ODOMETRY, DriveArguments, DriveOptions, LabelFolder, ReadingOptions
 from interloc.drives.plausibility import RoadSeen, check_motion, check_points
 from interloc.drives.scan_motion import check_scan_motion
@@ -173,7 +172,7 @@ def _open(
 ) -> tuple[Recording | ReducedManifest | None, Callable[[], Trajectory]]:
     """Open the scans of a drive, and return with them what reads, once, where they were taken."""
     opened: Recording | ReducedManifest | None = None
-    track: SourceFile | None = None
+    computed: str | None = None  # how, where the poses are not given
 
     @cache
     def trajectory() -> Trajectory:
@@ -183,8 +182,8 @@ def _open(
         if options.poses == ODOMETRY:
             return Trajectory(georeference_reason="the poses could not be computed")
         found = trajectory_of(opened, options, findings)
-        if track is not None and found.poses is not None:
-            return replace(found, poses=replace(found.poses, reason=how_made(track)))
+        if computed is not None and found.poses is not None:
+            return replace(found, poses=replace(found.poses, reason=computed))
         return found
 
     with findings.stage():
@@ -196,7 +195,10 @@ def _open(
                 options = options.model_copy(update={"poses": ODOMETRY})
                 opened = open_recording(root, options, findings)
             if options.poses == ODOMETRY:
+                from interloc.drives.odometry import how_made, track_file  # noqa: PLC0415 - slow to import
+
                 track = track_file(opened, options, findings, progress)
+                computed = how_made(track)
                 options = options.model_copy(update={"poses": str(track.path), "pose_frame": "lidar"})
                 opened = open_recording(root, options, findings)
             if is_to_deskew(opened, options, findings):

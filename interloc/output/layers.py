@@ -28,6 +28,7 @@ from interloc.output.properties import (
     ChangeProperties,
     CityDriveProperties,
     CityProperties,
+    CityRoadProperties,
     DetectionProperties,
     FindingProperties,
     IntersectionProperties,
@@ -307,6 +308,7 @@ CITY_LAYERS = {
             is_osm=True,
             key="id",
         ),
+        Layer("roads", "Roads of many drives", "LineString", CityRoadProperties, "Road {id}", key="id"),
         Layer("drives", "Tracks of many drives", "LineString", CityDriveProperties, "{drive}", key="drive"),
     )
 }

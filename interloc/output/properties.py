@@ -564,6 +564,29 @@ class CityDriveProperties(Properties):
     last_time: Time = Field(title="End", description="Time of its last keyframe, in the same form.")
 
 
+class CityRoadProperties(Properties):
+    """A road that leaves an intersection of many drives, as all drives that saw it say."""
+
+    id: int = Field(title="Road", description="Number of the road, from 1, in this state of the map.")
+    start_uid: str = Field(title="From", description="Name of the intersection in `city` where it begins.")
+    end_uid: str | None = Field(
+        title="To", description="That where it ends; null where no drive saw it as far as one of the map."
+    )
+    length_m: RoadLength = Field(title="Length", description="Length of the line, metres.")
+    width_m: RoadWidth = Field(
+        title="Width",
+        description="Width from edge to edge, metres: mean over the drives that went along it, or over all where none "
+        "did; null where none knows it.",
+    )
+    width_std_m: RoadWidth = Field(
+        title="Spread of the width",
+        description="Standard deviation between those drives, metres; null for fewer than two.",
+    )
+    is_driven: bool = Field(title="Driven", description="Whether any drive went along it.")
+    drives: int = Field(title="Drives", description="Number of drives that saw it.")
+    drive_names: str = Field(title="Names of drives", description="The drives that saw it, separated by commas.")
+
+
 class ChangeProperties(Properties):
     """An intersection, or a branch of one, that drives of one time saw and those of another did not."""
 
@@ -593,10 +616,11 @@ class FindingProperties(Properties):
     id: str = Field(
         title="Finding", description="Name of the finding, of its kind and place or node; the same in later audits."
     )
-    kind: Literal["missing_junction", "missing_branch", "moved", "phantom"] = Field(
+    kind: Literal["missing_junction", "missing_branch", "moved", "phantom", "one_junction"] = Field(
         title="Kind",
         description="missing_junction: a junction that the map lacks. missing_branch: one that a junction lacks on the "
-        "map. moved: a junction that lies elsewhere. phantom: a node where passes saw no junction.",
+        "map. moved: a junction that lies elsewhere. phantom: a node where passes saw no junction. "
+        "one_junction: nodes close together where passes saw one junction.",
     )
     text: str = Field(title="Question", description="What was found, for a person who looks at it.")
     uid: str | None = Field(title="Name of the place", description="The place in `city`; null for a phantom.")

@@ -81,7 +81,7 @@ def convert_drive(
         `out` is something else, or could not be written; nothing is left behind.
     """
     chosen = options or DriveOptions()
-    label_folder, reading, scans = _read(Path(root), chosen, needs_labels=False)
+    label_folder, reading, scans = read_unreduced(Path(root), chosen, needs_labels=False)
     source, frames, labels = scans.recording.points, scans.frames, scans.labels
     assert source is not None
     assert frames is not None
@@ -163,7 +163,7 @@ def label_drive(
         raise ConfigError(
             f"{target} is there already, and was not touched. Give another folder (-o), or remove it first."
         )
-    _, reading, scans = _read(root, options)
+    _, reading, scans = read_unreduced(root, options)
     (source, labels), frames = scans.sources, scans.frames
     assert frames is not None
 
@@ -176,8 +176,8 @@ def label_drive(
     return target, reading
 
 
-def _read(
-    root: Path, options: DriveOptions, *, needs_labels: bool = True
+def read_unreduced(
+    root: Path, options: DriveOptions, *, needs_labels: bool = True, progress: Progress | None = None
 ) -> tuple[LabelFolder, DriveReading, RawScans]:
     """Read a drive that is not a reduced one, and by which labels; the first fault is raised."""
     findings = Findings(stop_at_first=True)
@@ -186,7 +186,7 @@ def _read(
             raise DriveFileError(
                 str(root), "is a reduced drive, which holds no scans. Expected the drive that it was made from."
             )
-    ((folder, reading),) = read_drive(root, options, findings, needs_labels=needs_labels).items()
+    ((folder, reading),) = read_drive(root, options, findings, needs_labels=needs_labels, progress=progress).items()
     assert isinstance(reading.scans, RawScans)
     return folder, reading, reading.scans
 

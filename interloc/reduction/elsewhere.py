@@ -15,6 +15,7 @@ from interloc.storage import MAX_OBJECTS, Bucket, LaidOut, StoredObject
 READ_BY_PARTS = (".bin", ".label", ".pcd", ".pcd.bin", ".ground", ".mcap")
 """Files that are fetched when they are read, or the ranges of them that are; all others are fetched at once."""
 
+_RESULTS = ("run.json", "city.json")
 _FOLDERS_BESIDE = ("calibration", "data_poses/{name}", "data_poses_oxts/{name}")
 
 
@@ -49,7 +50,7 @@ def lay_out(
     limit: int = MAX_OBJECTS,
     check_sizes: Callable[[dict[str, int]], None] = lambda _: None,
 ) -> Path:
-    """Lay out a drive, or a single file, that lies in object storage; of its bytes what is small is fetched now.
+    """Lay out a drive, a result, or a single file of object storage; of its bytes what is small is fetched now.
 
     Parameters
     ----------
@@ -97,6 +98,9 @@ def lay_out(
 def _drive_at(bucket: Bucket, key: str, address: str, within: Sequence[str], limit: int) -> dict[str, StoredObject]:
     """Return the objects that belong to the drive at a prefix, by path in a folder above it."""
     _, below, drives = find_stored(address, limit)
+    if not drives and any(marker in below for marker in _RESULTS):
+        name = key.rpartition("/")[2] or "result"
+        return {f"{name}/{path}": each for path, each in below.items()}
     if len(drives) != 1:
         names = ", ".join(drive.root or drive.name for drive in drives[:5])
         raise DriveError(

@@ -9,13 +9,11 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from interloc.drives.findings import DriveFileError, Findings
-from interloc.drives.open import read_drive
 from interloc.drives.options import ODOMETRY, DriveOptions
-from interloc.drives.scans.reduced_format import is_reduced
 from interloc.errors import ConfigError
 from interloc.files import atomic_write
 from interloc.processes import Progress
+from interloc.reduction.convert import read_unreduced
 from interloc.reduction.small_files import is_contiguous
 
 _TUM_ENDING = ".tum"
@@ -82,15 +80,8 @@ def write_poses(
             f"{target} is there already, and was not touched. Give another file (-o), or remove it first."
         )
     chosen = (options or DriveOptions()).model_copy(update={"poses": ODOMETRY})
-    findings = Findings(stop_at_first=True)
-    with findings.stage():
-        if is_reduced(root):
-            raise DriveFileError(
-                str(root), "is a reduced drive, which holds no scans. Expected the drive that it was made from."
-            )
-    (reading,) = read_drive(root, chosen, findings, needs_labels=False, progress=progress).values()
-    scans, trajectory = reading.scans, reading.trajectory
-    assert scans is not None
+    _, reading, scans = read_unreduced(root, chosen, needs_labels=False, progress=progress)
+    trajectory = reading.trajectory
     assert scans.frames is not None
     assert trajectory.poses is not None
     poses, times_s = trajectory.poses.T_world_lidar, trajectory.times_s

@@ -137,6 +137,19 @@ def test_what_the_map_lacks_and_has_elsewhere_is_found(city: CityMap, tmp_path: 
     assert moved.osm_node is not None
 
 
+def test_a_junction_of_a_one_way_street_lies_elsewhere_but_not_one_of_two_carriageways(
+    city: CityMap, tmp_path: Path
+) -> None:
+    sides, one_way = [*all_but(300.0), (308.0, -9.0)], '<tag k="oneway" v="yes"/>'
+    assert told(audit(city, osm(tmp_path, sides, tags=one_way))) == [("moved", 300)]
+    places = lonlat_from_enu(*ORIGIN, np.array([[700.0, -20.0], [-400.0, -20.0]])).tolist()
+    nodes = "".join(
+        f'<node id="{900 + i}" version="1" lat="{y:.8f}" lon="{x:.8f}"/>' for i, (x, y) in enumerate(places)
+    )
+    back = f'<way id="2000" version="1"><nd ref="900"/><nd ref="901"/><tag k="highway" v="residential"/>{one_way}</way>'
+    assert told(audit(city, osm(tmp_path, sides, extra=nodes + back, tags=one_way))) == []
+
+
 def test_a_branch_that_a_junction_lacks_is_found(tmp_path: Path) -> None:
     crossing = [
         replace(
@@ -171,6 +184,14 @@ def test_a_node_where_other_ground_was_seen_is_a_phantom_where_asked_for(tmp_pat
     assert told(audit(merge(passes()), graph)) == []
     assert told(audit(merge(far), graph, ALL_KINDS)) == []  # not told from what was not seen
     assert {kind for kind, _ in told(audit(merge(passes()), graph, ALL_KINDS))} <= {"phantom"}
+
+
+def test_nodes_close_together_are_one_junction_where_asked_for(city: CityMap, tmp_path: Path) -> None:
+    graph = osm(tmp_path, [*all_but(100.0), (97.0, 0.0), (104.0, 0.0)])
+    assert told(audit(city, graph)) == []
+    found = audit(city, graph, AuditConfig(kinds=("one_junction",)))
+    assert told(found) == [("one_junction", 100)]
+    assert len(found.findings[0].evidence["nodes"]) == 2
 
 
 def test_one_pass_is_not_enough_unless_asked_for(tmp_path: Path) -> None:

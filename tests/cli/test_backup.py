@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from app.drives.records import create_drive
 from app.drives.upload import keep
 from app.http.intake import Arrival
 from app.settings import Settings
+from app.upkeep.generations import Retention
 
 Interloc = Callable[..., Any]
 
@@ -47,6 +49,37 @@ def test_from_a_backup_to_a_service(interloc: Interloc, data: Path, tmp_path: Pa
     assert file.read_bytes() == b"1 0 0 0"
     again = interloc("restore", out, "--data-dir", tmp_path / "again", "--json").json
     assert (again["drives"], again["findings"]) == (1, [])
+
+
+def test_generations_share_files_and_each_can_be_restored(interloc: Interloc, data: Path, tmp_path: Path) -> None:
+    out, keep = tmp_path / "backups", ("--keep-daily", "2", "--keep-monthly", "2")
+    days = ["2026-01-31", "2026-02-27", "2026-02-28"]
+    for day in days:
+        made = Path(interloc("backup", out, "--data-dir", data, *keep, "--json").json["out"])
+        made.rename(out / f"{day}T030000Z")
+        (out / ".cloning").mkdir(exist_ok=True)  # of one that was killed
+    context = Context.open_existing(Settings(data_dir=data))
+    create_drive(context, "somebody", NewDrive(name="later"))
+    context.close()
+    last = interloc("backup", out, "--data-dir", data, *keep, "--json").json
+    assert (last["drives"], last["removed_generations"]) == (2, ["2026-02-27T030000Z"])
+    older, newer = (next(folder.glob("drives/*/files/poses.txt")) for folder in sorted(out.glob("2*")))
+    assert older.samefile(newer)
+    restored = interloc("restore", out, "--generation", days[-1], "--data-dir", tmp_path / "restored", "--json")
+    assert restored.json["drives"] == 1
+    assert interloc("restore", out, "--data-dir", tmp_path / "newest", "--json").json["drives"] == 2
+    assert "It has: 2026-02-28" in interloc("restore", out, "--generation", "2025", "--data-dir", data).complaint
+    single = next(out.glob("2026-02-28*"))
+    assert "Generations need a folder of their own" in interloc("backup", single, "--data-dir", data, *keep).complaint
+    assert "a folder" in interloc("backup", "s3://bucket/backup", "--data-dir", data).err
+
+
+def test_the_newest_of_each_period_stays() -> None:
+    times = [datetime(2026, 1, 1, 3, tzinfo=UTC) + timedelta(hours=12 * n) for n in range(100)]
+    kept = sorted(Retention(daily=2, weekly=2, monthly=3).kept(times))
+    assert [f"{time:%m-%d %H}" for time in kept] == ["01-31 15", "02-15 15", "02-18 15", "02-19 15"]
+    assert Retention().kept(times) == {times[-1]}
+    assert Retention(daily=1).kept([]) == set()
 
 
 def test_a_service_that_is_not_whole_is_told(interloc: Interloc, data: Path, tmp_path: Path) -> None:

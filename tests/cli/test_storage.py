@@ -11,7 +11,7 @@ import pytest
 
 from interloc import storage
 from tests.cli.test_batch import contents
-from tests.stores import BUCKET, keys_below, put, s3  # noqa: F401 - a fixture
+from tests.stores import BUCKET, content_of, keys_below, put, s3  # noqa: F401 - a fixture
 
 pytestmark = pytest.mark.usefixtures("s3")
 
@@ -50,11 +50,10 @@ def test_a_drive_in_a_bucket_is_as_the_drive_in_a_folder_and_only_keyframes_are_
     assert f"{result}/report.html" in outcome.out
     read = sum(counts)
     storage.clear()
-    bucket, key = storage.Bucket.of(result)
-    for each in bucket.below(key):
-        target = tmp_path / "crossing" / each.key.removeprefix(f"{key}/")
+    for name in keys_below("results/crossing"):
+        target = tmp_path / "crossing" / name
         target.parent.mkdir(parents=True, exist_ok=True)
-        target.write_bytes(bucket.get(each, 0, each.size))
+        target.write_bytes(content_of(f"results/crossing/{name}"))
     assert contents(tmp_path / "crossing") == contents(finished)
     run = json.loads((finished / "run.json").read_bytes())
     sizes = [path.stat().st_size for path in sorted((drive / "velodyne").iterdir())]
@@ -119,9 +118,25 @@ def test_drives_of_a_prefix_are_a_batch_whose_results_are_as_by_themselves(
     assert interloc("detect", short_drive, "-o", tmp_path / "alone").code == 0
     names = {f"one-short/{path.name}" for path in (tmp_path / "alone").iterdir()}
     assert names | {"batch.csv", "batch.html", ".batch/one-short.json"} <= set(keys_below("batch"))
-    bucket, key = storage.Bucket.of(f"s3://{BUCKET}/batch/one-short/detections.geojson")
-    found = bucket.head(key) or bucket.head(key.replace("geojson", "local.json"))
-    assert found is not None
-    assert bytes(bucket.get(found, 0, found.size)) == next((tmp_path / "alone").glob("detections.*")).read_bytes()
+    for path in (tmp_path / "alone").glob("*.geojson"):
+        assert content_of(f"batch/one-short/{path.name}") == path.read_bytes()
     again = interloc("batch", *command)
     assert "2 drives of 2 done already" in again.err
+
+
+def test_results_there_are_read_scored_and_exported_and_drives_pushed_on_from_there(
+    finished: Path, osm: Path, interloc: Callable, short_drive: Path
+) -> None:
+    put(finished, "scored/crossing")
+    put(short_drive, "short")
+    place = f"s3://{BUCKET}/scored/crossing"
+    assert interloc("evaluate", place, "--osm", osm, "--policy", "all").code == 0
+    assert interloc("export", place, "-o", f"s3://{BUCKET}/exports/found.gpkg").code == 0
+    assert interloc("merge", finished, "-o", f"s3://{BUCKET}/city").code == 0
+    assert {"found.gpkg"} == set(keys_below("exports"))
+    assert "city.json" in keys_below("city")
+    storage.clear()
+    compared = interloc("compare", place, finished)
+    assert f"only {place}: 0" in compared.out
+    assert json.loads(content_of("scored/crossing/report.json"))["policy"] == "all"
+    assert "-o" in interloc("label", f"s3://{BUCKET}/short", "--by", "geometry").err

@@ -124,6 +124,28 @@ def test_seen_area_and_picture_lie_where_the_server_says(page: Any, done: Done) 
     metre = 256 * 2**18 / (2 * math.pi * 6378137 * math.cos(math.radians(lat)))
     assert sides == pytest.approx([DetectorConfig().bev.size_m * metre] * 2, rel=0.01)
     page.wait_for_selector("#drawer figure img:not(.waiting) >> nth=5")
+    turn = page.evaluate("document.documentElement.style.getPropertyValue('--turned')")
+    (x, y), (to_x, to_y) = corners[:2]  # pictures lie as the map does
+    assert float(re.findall(r"rotate\((\S+)rad", turn)[0]) == pytest.approx(math.atan2(to_y - y, to_x - x), abs=0.01)
+
+
+def test_details_stay_while_the_drive_plays_and_lead_to_their_keyframe(page: Any, done: Done) -> None:
+    place = done.features("intersections")[0]["properties"]
+    show(page, done, f"intersection={place['id']}")
+    popup = page.locator(".leaflet-popup-content")
+    popup.wait_for()
+    page.get_by_role("button", name="Look inside").click()
+    title = page.locator("#drawer h2")
+    title.wait_for()
+    assert place["first_frame"] <= int(title.inner_text().split()[-1]) <= place["last_frame"]
+    page.get_by_role("button", name="Look inside").click()
+    page.locator("#drawer").wait_for(state="hidden")
+    before = popup.bounding_box()
+    page.get_by_label("Speed").select_option("60")
+    page.get_by_role("button", name="Play").click()
+    page.get_by_role("button", name="Pause").wait_for()
+    page.get_by_role("button", name="Play").wait_for()  # it has come to the end
+    assert popup.bounding_box() == before
 
 
 def test_the_report_tells_the_figures_and_leads_to_the_map(page: Any, done: Done) -> None:

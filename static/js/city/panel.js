@@ -57,7 +57,7 @@ const FILES = {
 export function mount(container) {
   const head = el("div", { class: "stack-s" });
   const queue = el("div", { class: "stack-s" });
-  const more = el("div");
+  const more = el("div", { class: "stack" });
   fill(container, el("div", { class: "stack city" }, head, queue, more));
   const card = entryCard();
   /** What is shown: version of the map, filter. */
@@ -88,7 +88,10 @@ export function mount(container) {
     fillQueue(queue, city, card.element);
   };
   onCityChange(() => getState().panel === "map" && update());
-  onTokenChange(update);
+  onTokenChange(() => {
+    cities.readsOnly = false;
+    update();
+  });
   subscribe(["panel", "map", "places"], ({ panel }) => panel === "map" && update());
   subscribe(["finding"], () => getState().panel === "map" && update());
   update();
@@ -129,8 +132,12 @@ function headOf(city) {
         "intersections",
         `${city.seen_by_several.toLocaleString("en")} seen again`,
       ),
-      figure(city.drives.toLocaleString("en"), city.drives === 1 ? "drive" : "drives"),
-      figure(formatMetres(city.median_position_std_m), "uncertainty (1 σ)", "median"),
+      figure(
+        city.drives.toLocaleString("en"),
+        city.drives === 1 ? "drive" : "drives",
+        city.refused > 0 ? `${city.refused} refused` : undefined,
+      ),
+      figure(formatMetres(city.median_position_std_m), "uncertainty", "1 σ, median"),
     ),
     city.problem && problemNote({ title: "Not compared with OpenStreetMap", detail: city.problem }),
     source && el("p", { class: "small" }, source),
@@ -162,17 +169,17 @@ function filterOf() {
     el(
       "div",
       { class: "thirds" },
-      number("Drives, at least", drives, { min: 1, step: 1 }, (value) => setCityFilter({ drives: value })),
-      number(
-        "Confidence, %",
-        confidence === null ? null : Math.round(100 * confidence),
-        { min: 0, max: 100 },
-        (value) => setCityFilter({ confidence: value === null ? null : value / 100 }),
+      number("Drives ≥", drives, { min: 1, step: 1 }, (value) => setCityFilter({ drives: value })),
+      number("Conf. ≥ %", confidence === null ? null : Math.round(100 * confidence), { min: 0, max: 100 }, (value) =>
+        setCityFilter({ confidence: value === null ? null : value / 100 }),
       ),
       field("Changes", select(changes, change ?? "", choose)),
     ),
   );
 }
+
+/** The finding that was scrolled to. @type {string|null} */
+let gone = null;
 
 /** @param {HTMLElement} holder @param {City} city @param {HTMLElement} card */
 function fillQueue(holder, city, card) {
@@ -227,7 +234,11 @@ function fillQueue(holder, city, card) {
     queue.next && el("button", { onClick: readMore }, "Show more"),
   );
   if (key) /** @type {HTMLElement|null} */ (holder.querySelector(`[data-key="${CSS.escape(key)}"]`))?.focus();
-  holder.querySelector('[aria-current="true"]')?.scrollIntoView({ block: "nearest" });
+  if (getState().finding === gone) return;
+  gone = getState().finding;
+  const row = /** @type {HTMLElement|null} */ (holder.querySelector('[aria-current="true"]'));
+  if (row?.offsetParent) row.offsetParent.scrollTop = row.offsetTop; // the list alone
+  holder.querySelector(".tools")?.scrollIntoView({ block: "start" }); // the finding stands below it
 }
 
 /** @param {City} city @param {string} state @param {string|null} kind */
@@ -294,25 +305,6 @@ function entryCard() {
       el("h4", {}, kindName(entry.kind), streets && `: ${streets}`),
       p && el("p", {}, p.text),
       image,
-      el(
-        "div",
-        { class: "verdicts", role: "group", "aria-label": "What you see there" },
-        VERDICTS.map(([verdict, name, hint], i) =>
-          el(
-            "button",
-            {
-              title: hint,
-              disabled: cities.readsOnly,
-              dataset: { key: verdict },
-              "aria-pressed": String(entry.verdict?.verdict === verdict),
-              onClick: () => say(verdict),
-            },
-            el("kbd", {}, String(i + 1)),
-            name,
-          ),
-        ),
-      ),
-      cities.readsOnly && el("p", { class: "small" }, "Your token may only read: others say what they see."),
       p &&
         el(
           "dl",
@@ -347,6 +339,25 @@ function entryCard() {
       ),
       el("p", { class: "small" }, "Keys: j next, k previous, 1 to 4 say what you see, u takes it back."),
       historyOf(entry),
+      el(
+        "div",
+        { class: "verdicts", role: "group", "aria-label": "What you see there" },
+        VERDICTS.map(([verdict, name, hint], i) =>
+          el(
+            "button",
+            {
+              title: hint,
+              disabled: cities.readsOnly,
+              dataset: { key: verdict },
+              "aria-pressed": String(entry.verdict?.verdict === verdict),
+              onClick: () => say(verdict),
+            },
+            el("kbd", {}, String(i + 1)),
+            name,
+          ),
+        ),
+      ),
+      cities.readsOnly && el("p", { class: "small" }, "Your token may only read: others say what they see."),
     );
     if (focused) /** @type {HTMLElement|null} */ (element.querySelector(`[data-key="${focused}"]`))?.focus();
   };

@@ -7,7 +7,7 @@ import { getState, setState, subscribe } from "../state.js";
 
 /**
  * @typedef {{id: string, name: string, holds_all: boolean, revision: number, merged_at: string|null, is_waiting: boolean,
- *   is_at_work: boolean, drives: number, intersections: number, seen_by_several: number, findings: number|null,
+ *   is_at_work: boolean, drives: number, refused: number, intersections: number, seen_by_several: number, findings: number|null,
  *   median_position_std_m: number|null, junctions_passed: number|null, osm: string|null, problem: string|null,
  *   bbox: number[]|null}} City A map of many drives.
  * @typedef {"right"|"wrong"|"cannot_tell"|"fixed"} Verdict
@@ -77,17 +77,24 @@ export async function loadMaps() {
   if (isFirst) void loadEntry();
 }
 
-/** Keep the maps up to date while one is looked at. */
+/** Keep the maps up to date while one is looked at: often while its drives are merged. */
 export function watchMaps() {
+  let timer = 0;
+  const plan = () => {
+    clearTimeout(timer);
+    timer = window.setTimeout(look, chosenCity()?.is_waiting ? WAITING_MS : LOOK_MS);
+  };
   const look = async () => {
     try {
       if (!document.hidden && cities.maps && wantsCity()) await loadMaps();
     } catch (error) {
       if (error instanceof ApiError && error.status === 401) return; // the person was asked for a token just now
     }
-    setTimeout(look, chosenCity()?.is_waiting ? WAITING_MS : LOOK_MS);
+    plan();
   };
-  setTimeout(look, WAITING_MS);
+  onCityChange(plan);
+  subscribe(["map"], plan);
+  plan();
 }
 
 /**

@@ -6,7 +6,7 @@ import { factRows } from "../controls.js";
 import { cities, featuresIn, judge, loadMembers, loadVerdicts, stepFinding, takeBack } from "../data/city.js";
 import { lists, titleOf } from "../data/lists.js";
 import { lineOf } from "../data/results.js";
-import { el, formatDate, formatMetres, formatPercent, plural } from "../dom.js";
+import { el, formatCount, formatDate, formatMetres, formatPercent, plural } from "../dom.js";
 import { Popup } from "../leaflet.js";
 import { showError } from "../messages.js";
 import { getState, setState } from "../state.js";
@@ -22,22 +22,26 @@ import { colour, paintSigns, SIGNS, trace } from "./symbols.js";
 /** @typedef {{sign: string, lng: number, lat: number, x: number, y: number, properties: any, finding: any, changes: any[]}} Spot */
 
 const MAX_PLACES = 1000; // at once; of more each part of the view shows some
-const PARTS = 4; // along each side
+const PARTS = 3; // along each side
 const MAX_TRACKS = 100;
-const AROUND = 0.3; // of the view, so that a small move asks for nothing
+const AROUND = 0.2; // of the view, so that a small move asks for nothing
 const CLOSE_ZOOM = 18;
 
 export class CityScene extends OverviewScene {
-  /** @param {City} city @param {any} map @param {() => void} onChange Called when there is something else to draw. */
+  /**
+   * @param {City} city
+   * @param {any} map
+   * @param {(isFirst: boolean) => void} onChange Called when there is something else to draw.
+   */
   constructor(city, map, onChange) {
     super([], map);
     this.city = city;
     this.onChange = onChange;
+    this.isNew = true;
     /** @type {Spot[]} */
     this.spots = [];
-    /** Intersections of the view that there are, and that are shown. */
-    this.matched = 0;
-    this.loaded = 0;
+    /** What of the view is not shown, in words. */
+    this.cut = "";
     /** What was asked for. @type {{box: number[], filter: string|null, isWhole: boolean, zoom: number}|null} */
     this.asked = null;
     /** By their names on the map. @type {Promise<Map<string, import("../data/city.js").Member>>|null} */
@@ -94,21 +98,25 @@ export class CityScene extends OverviewScene {
     ]);
     if (signal.aborted) return;
     asked.isWhole = places.features.length >= places.matched && tracks.features.length >= tracks.matched;
-    this.loaded = places.features.length;
-    this.matched = places.matched;
+    this.cut = [cutText("intersections", places), cutText("tracks", tracks)].filter(Boolean).join(", ");
     this.items = this.itemsOf(tracks.features.map((each) => driveOf(each, members)));
     this.spots = this.#spots(places.features, changes.features, findings.features, isCompared);
-    this.onChange();
+    this.onChange(this.isNew);
+    this.isNew = false;
   }
 
   /** @param {number[]} box @param {string|null} filter @param {AbortSignal} signal */
   async #places(box, filter, signal) {
-    const { id } = this.city;
-    const whole = await featuresIn(id, "city", box, { filter, limit: MAX_PLACES, signal });
-    if (whole.matched <= MAX_PLACES) return whole;
+    const { id, intersections, bbox } = this.city;
+    const isLarge = intersections > MAX_PLACES; // then they are counted first
+    const whole = await featuresIn(id, "city", box, { filter, limit: isLarge ? 1 : MAX_PLACES, signal });
+    if (whole.matched <= whole.features.length) return whole;
+    if (whole.matched <= MAX_PLACES) return featuresIn(id, "city", box, { filter, limit: MAX_PLACES, signal });
     const limit = Math.ceil(MAX_PLACES / PARTS ** 2);
     const some = await Promise.all(
-      partsOf(box, PARTS).map((each) => featuresIn(id, "city", each, { filter, limit, signal })),
+      partsOf(bbox ? overlap(box, bbox) : box, PARTS).map((each) =>
+        featuresIn(id, "city", each, { filter, limit, signal }),
+      ),
     );
     const known = new Map(some.flatMap(({ features }) => features.map((each) => [each.id, each])));
     return { features: [...known.values()], matched: whole.matched };
@@ -131,8 +139,11 @@ export class CityScene extends OverviewScene {
       return { sign, lng, lat, x, y, properties, finding, changes: own };
     };
     const known = new Set(places.map(({ properties }) => properties.uid));
-    const alone = findings.filter(({ properties }) => !known.has(properties.uid));
+    const isAlone = (/** @type {any} */ { properties }) => !known.has(properties.uid);
+    const alone = findings.filter(isAlone);
+    const gone = cqlOf(filter) ? [] : changes.filter((each) => isAlone(each) && !found.has(each.properties.uid));
     const all = [
+      ...gone.map((each) => spot(each, signOfChange(each), null, [each])),
       ...places.map((each) => {
         const { uid, passes } = each.properties;
         const finding = found.get(uid)?.[0].properties ?? null;
@@ -166,7 +177,11 @@ export class CityScene extends OverviewScene {
     };
     for (const name of Object.keys(PLACE_SIGNS)) paintAll(name, r, ({ sign }) => sign === name);
     for (const name of ["here", "elsewhere"])
-      paintAll(name, r + 5, ({ changes }) => changes.some((each) => signOfChange(each) === name));
+      paintAll(
+        name,
+        1.6 * r,
+        ({ sign, changes }) => sign !== name && changes.some((each) => signOfChange(each) === name),
+      );
     const { entry } = cities;
     if (!entry) return;
     const [x, y] = this.project([[entry.lon, entry.lat]]);
@@ -194,7 +209,13 @@ export class CityScene extends OverviewScene {
   /** @param {any} item */
   tipOf(item) {
     if (!item.sign) return super.tipOf(item);
-    return el("div", {}, el("strong", {}, spotTitle(item)), el("br"), item.finding?.text ?? seenText(item.properties));
+    return el(
+      "div",
+      {},
+      el("strong", {}, spotTitle(item)),
+      el("br"),
+      item.finding?.text ?? (item.properties.passes ? seenText(item.properties) : changeText(item.properties)),
+    );
   }
 
   /** @param {any} item */
@@ -239,6 +260,10 @@ function driveOf({ id: label, geometry, properties: { intersections } }, members
   };
 }
 
+/** @param {string} name @param {{features: any[], matched: number}} found @returns {string} Empty where all are there. */
+const cutText = (name, { features, matched }) =>
+  features.length < matched ? `${formatCount(features.length)} of ${formatCount(matched)} ${name}` : "";
+
 /** @param {any} finding Properties of the layer `findings`. @returns {{verdict: string|null}} */
 const verdictOn = ({ id }) => ({ verdict: cities.verdicts.get(id) ?? null });
 
@@ -263,21 +288,23 @@ function contentOf({ lat, lng, properties: p, changes }) {
     el(
       "dl",
       { class: "figures" },
-      factRows([
-        ["Drives", `${p.drives} of ${p.drives_near} that came near`],
-        ["Passes", String(p.passes)],
-        ["Confidence", formatPercent(p.confidence)],
-        ["Uncertainty (1 σ)", formatMetres(p.position_std_m)],
-        ["In its surroundings", formatMetres(p.relative_std_m)],
-        ...branchesOf(p, false),
-        p.first_time && ["Seen", [p.first_time, p.last_time].map((each) => formatDate(each)).join(" to ")],
-        ["By", p.drive_names],
-        ["Latitude, longitude", coordinates({ lat, lng }, false)],
-      ]),
+      factRows([...(p.passes ? seenFacts(p) : []), ["Latitude, longitude", coordinates({ lat, lng }, false)]]),
     ),
     el("div", { class: "ways-out" }, el("p", {}, links)),
   );
 }
+
+/** @param {any} p Properties of the layer `city`. @returns {([string, any]|null)[]} */
+const seenFacts = (p) => [
+  ["Drives", `${p.drives} of ${p.drives_near} that came near`],
+  ["Passes", String(p.passes)],
+  ["Confidence", formatPercent(p.confidence)],
+  ["Uncertainty (1 σ)", formatMetres(p.position_std_m)],
+  ["In its surroundings", formatMetres(p.relative_std_m)],
+  ...branchesOf(p, false).map((each) => each || null),
+  p.first_time && ["Seen", [p.first_time, p.last_time].map((each) => formatDate(each)).join(" to ")],
+  ["By", p.drive_names],
+];
 
 /** @param {any} change Properties of the layer `changes`. */
 const changeText = ({ kind, bearing_deg, seen_by, not_seen_by }) =>
@@ -289,6 +316,9 @@ function boxOf(bounds) {
   const [west, east] = [bounds.getWest(), bounds.getEast()].map((each) => within(each, 180));
   return [west, within(bounds.getSouth(), 90), east, within(bounds.getNorth(), 90)];
 }
+
+/** @param {number[]} a @param {number[]} b @returns {number[]} What lies in both. */
+const overlap = (a, b) => a.map((each, i) => (i < 2 ? Math.max(each, b[i]) : Math.min(each, b[i])));
 
 /** @param {number[]} box @param {number[]} inside @returns {boolean} */
 const holds = (box, inside) => box[0] <= inside[0] && box[1] <= inside[1] && box[2] >= inside[2] && box[3] >= inside[3];

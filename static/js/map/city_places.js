@@ -3,15 +3,18 @@
  * @module map/city_places
  */
 
-/** Signs and what they say, in the order in which they are drawn: what is worth a look lies above. */
-export const PLACE_SIGNS = /** @type {Record<string, string>} */ ({
-  unscored: "seen once, or not compared",
-  right: "seen again, nothing against OpenStreetMap",
-  outside: "looked at by somebody",
-  wrong: "OpenStreetMap seems wrong",
-  here: "new",
-  elsewhere: "gone",
-});
+/**
+ * Signs, their names and what they say, in the order in which they are drawn: what is worth a look lies above.
+ * @type {Record<string, [name: string, hint: string]>}
+ */
+export const PLACE_SIGNS = {
+  unscored: ["seen once", "Seen in one pass, or not compared with OpenStreetMap"],
+  right: ["no finding", "Seen in several passes, and nothing was found against OpenStreetMap"],
+  outside: ["looked at", "Somebody has said what is there"],
+  wrong: ["finding", "OpenStreetMap seems to be wrong here"],
+  here: ["new", "Seen by later drives alone, or one of its branches was"],
+  elsewhere: ["gone", "Not seen any more by later drives, or one of its branches was not"],
+};
 
 /**
  * The sign of a place of a map of many drives.

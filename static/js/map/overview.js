@@ -32,6 +32,10 @@ export class OverviewScene {
   constructor(drives, map) {
     this.map = map;
     this.items = this.itemsOf(drives);
+    /** Its signs: x and y at zoom 0. @type {any[]} */
+    this.spots = this.items.flatMap(({ points }) =>
+      Array.from({ length: points.length / 2 }, (_, i) => ({ x: points[2 * i], y: points[2 * i + 1] })),
+    );
     /** @type {Item|null} Under the pointer. */
     this.under = null;
     /** What scenes of results have, too. */
@@ -89,7 +93,7 @@ export class OverviewScene {
         paintSigns(context, SIGNS[name], spots, view.zoom > 15 ? 7.5 : 4.5);
       }
     }
-    paintNames(context, view, seen);
+    paintNames(context, view, seen, this.spots);
   }
 
   /** Nothing with details: see `at`. @returns {null} */
@@ -128,8 +132,8 @@ export class OverviewScene {
   }
 }
 
-/** As many names as have room. @param {CanvasRenderingContext2D} context @param {View} view @param {Item[]} items */
-function paintNames(context, view, items) {
+/** As many names as have room beside signs. @param {CanvasRenderingContext2D} context @param {View} view @param {Item[]} items @param {{x: number, y: number}[]} signs At zoom 0. */
+function paintNames(context, view, items, signs) {
   context.font = `600 12px ${getComputedStyle(document.body).fontFamily}`;
   context.textAlign = "center";
   context.textBaseline = "bottom";
@@ -138,6 +142,11 @@ function paintNames(context, view, items) {
   context.fillStyle = colour("--ink");
   /** @type {Map<number, [number, number, number][]>} Left, bottom, width; by rows of the map. */
   const taken = new Map();
+  for (const { x, y } of signs) {
+    const bottom = view.y(y) + NAME_PX / 2;
+    const row = Math.floor(bottom / NAME_PX);
+    taken.set(row, [...(taken.get(row) ?? []), [view.x(x) - NAME_PX / 2, bottom, NAME_PX]]);
+  }
   for (const item of items) {
     const x = view.x(item.middle[0]);
     const top = view.y(item.middle[1]) - 9;

@@ -212,20 +212,28 @@ export async function mountStage() {
       clear();
       fill(cover);
       build(false);
-      const own = new CityScene(city, shown.map, () => scene === own && (tellOfCity(own), parts.redraw()));
+      const fitIt = () =>
+        fit(
+          [
+            [south, west],
+            [north, east],
+            ...own.items.flatMap(({ drive }) => drive.track.map(([lng, lat]) => [lat, lng])),
+          ],
+          false,
+          false,
+          below(note),
+        );
+      const own = new CityScene(city, shown.map, (isFirst) => {
+        if (scene !== own) return;
+        tellOfCity(own);
+        if (isFirst && !cities.entry) fitIt(); // the note has its size now
+        parts.redraw();
+      });
       scene = own;
       tellOfCity(own);
       updateLayers();
       parts.setAttribution({ roads: [], nodes: city.osm ? [city] : [], local: false, isMadeUp: false });
-      fit(
-        [
-          [south, west],
-          [north, east],
-        ],
-        false,
-        false,
-        below(note),
-      ); // which has it ask for what lies there
+      fitIt();
       own.goToEntry(false);
       own.look();
       return true;
@@ -237,7 +245,7 @@ export async function mountStage() {
   };
 
   /** @param {CityScene} city */
-  const tellOfCity = ({ city, spots, loaded, matched }) => {
+  const tellOfCity = ({ city, spots, cut }) => {
     const toQueue = () => setState({ panel: "map" });
     const signs = new Set(spots.flatMap(({ sign, changes }) => [sign, ...changes.map(signOfChange)]));
     fill(
@@ -245,11 +253,13 @@ export async function mountStage() {
       el("strong", {}, plural(city.intersections, "intersection")),
       ` of ${plural(city.drives, "drive")}`,
       city.is_waiting && " · more is being merged",
-      loaded < matched && ` · ${loaded.toLocaleString("en")} of ${matched.toLocaleString("en")} here: zoom in for more`,
+      cut && ` · ${cut} here: zoom in for more`,
       city.findings && getState().panel !== "map"
-        ? [" · ", el("button", { class: "link", onClick: toQueue }, `${plural(city.findings, "finding")} to look at`)]
+        ? [" · ", el("button", { class: "link", onClick: toQueue }, plural(city.findings, "finding"))]
         : null,
-      signRow(Object.entries(PLACE_SIGNS).filter(([name]) => signs.has(name))),
+      Object.entries(PLACE_SIGNS)
+        .filter(([name]) => signs.has(name))
+        .map(([name, [text, hint]]) => el("span", { class: "key-row", title: hint }, signIcon(name), text)),
       tileSwitch(),
     );
   };
@@ -618,17 +628,10 @@ function overviewKey(drives) {
   const there = new Set(
     drives.flatMap(({ intersections, outcomes }) => intersections.map((_, i) => outcomes[i] ?? "unscored")),
   );
-  return signRow(Object.entries(KEYS).filter(([name]) => there.has(name)));
+  return Object.entries(KEYS)
+    .filter(([name]) => there.has(name))
+    .map(([name, text]) => el("span", { class: "key-row" }, signIcon(name), text));
 }
-
-/** @param {[sign: string, text: string][]} keys */
-const signRow = (keys) =>
-  keys.length > 0 &&
-  el(
-    "span",
-    { class: "key-row" },
-    keys.map(([name, text]) => [signIcon(name), text]),
-  );
 
 /** @param {import("../data/city.js").City} city @returns {string} Why there is nothing to see on it. */
 function emptyCity({ holds_all, is_waiting }) {

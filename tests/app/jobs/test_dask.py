@@ -33,12 +33,13 @@ def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     scheduler = ["scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", str(contact)]
     two = ["--nworkers", "2", "--nthreads", "1"]
     workers = ["worker", "--scheduler-file", str(contact), *two, "--no-dashboard"]
+    environment = {**os.environ, "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "0"}  # else four workers die of it
     with ExitStack() as stack:
 
         def start(arguments: list[str]) -> None:
             log = stack.enter_context((folder / f"{arguments[0]}.log").open("ab"))
             process = subprocess.Popen(
-                [sys.executable, "-m", "dask", *arguments], stdout=log, stderr=log, cwd=folder, env=os.environ
+                [sys.executable, "-m", "dask", *arguments], stdout=log, stderr=log, cwd=folder, env=environment
             )
             stack.callback(process.wait)
             stack.callback(process.terminate)

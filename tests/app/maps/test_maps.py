@@ -104,7 +104,7 @@ def test_all_drives_become_the_map_of_the_server(served: Served) -> None:
 def test_a_map_and_its_findings_are_layers_of_a_gis(served: Served) -> None:
     served.until("/maps/default", ready)
     listed = served.get("/maps/default/ogc/collections")["collections"]
-    assert sorted(each["id"] for each in listed) == ["changes", "city", "drives", "findings"]
+    assert sorted(each["id"] for each in listed) == ["changes", "city", "drives", "findings", "roads"]
     items = "/maps/default/ogc/collections/city/items"
     page = served.get(items, params={"limit": 2, "filter": "passes >= 2", "bbox": "8.39,48.9,8.41,49.1"})
     assert (page["numberMatched"], page["numberReturned"]) == (3, 2)
