@@ -78,6 +78,13 @@ scene_options = options.together(
         help="Ground that is worn in patches, lasers of unequal brightness, lowered kerbs and flush sidewalks.",
     ),
     click.option("--service-roads", is_flag=True, help="Label service roads as road, not as other ground."),
+    click.option(
+        "--private-drives",
+        type=click.FloatRange(0, 100),
+        default=0.0,
+        metavar="PER_KM",
+        help="Drives labelled road that the map does not have, along each kilometre of street.",
+    ),
     click.option("--max-scans", type=click.IntRange(min=1), help="Number of scans after which the drive ends."),
     click.option(
         "--sensor",
@@ -260,6 +267,7 @@ def _options(
     turn_s: float,
     worn: bool,
     service_roads: bool,
+    private_drives: float,
     quiet: bool,  # noqa: ARG001 - one of `scene_options`
 ) -> SimulationOptions:
     """Return the values of `scene_options` as the simulator takes them."""
@@ -277,7 +285,9 @@ def _options(
     empty: dict[str, Any] = (
         {"roadside": RoadsideConfig(parked_car_density=0.0, hedge_share=0.0, buildings="none")} if bare else {}
     )
-    streets: dict[str, Any] = {"service_roads": "road"} if service_roads else {}
+    streets: dict[str, Any] = {"private_drives_per_km": private_drives}
+    if service_roads:
+        streets["service_roads"] = "road"
     if worn:
         changed["gain"] = 0.1
         empty |= {"wear": 0.2}

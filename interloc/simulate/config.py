@@ -99,6 +99,13 @@ class StreetConfig(_Config):
         description="Label of service roads other than drives and lanes of car parks. The ground truth policy "
         "`drive` leaves them out; labelled as road, each of their junctions counts as a false positive.",
     )
+    private_drives_per_km: float = Field(
+        0.0,
+        ge=0,
+        le=100,
+        description="Number of drives of 3 to 6 m by 15 to 45 m along each kilometre of street: labelled road, "
+        "but not on the map; at the same places for every seed.",
+    )
     lane_markings: bool = Field(True, description="Draw dashed centre lines on the larger streets.")
 
 

@@ -23,6 +23,7 @@ from interloc.simulate.surfaces import Surface
 
 ARM_M = 32.0
 JUNCTION_REACH_M = 24.0
+_PRIVATE_FROM_END_M = 20.0
 TURNING_CIRCLE_M = 7.0
 MEDIAN_KERB_M = 1.0
 _SUBPIXEL_BITS = 4
@@ -90,6 +91,7 @@ def plan_ground(
         for part in line_parts(line):
             _add_sides(part, profile, walks, medians, bays)
             _add_flush(part, profile, config, flush, medians, bays)
+            _add_private(part, profile, config, roads)
             if config.lane_markings and profile.kind.marked:
                 _add_dashes(part, profile, marks)
     for fillet, profile_walk in _fillets(street_map, profiles, lines, config):
@@ -185,6 +187,21 @@ def _add_sides(line: LineString, profile: Profile, walks: Layer, medians: Layer,
             bays.add(_side(middle, profile.half_m + profile.bay_left_m))
         if profile.bay_right_m:
             bays.add(_side(middle, -profile.half_m - profile.bay_right_m))
+
+
+def _add_private(line: LineString, profile: Profile, config: StreetConfig, roads: Layer) -> None:
+    """Draw drives that the map does not have, well away from the ends of a street."""
+    draw = np.random.default_rng([profile.street.way_id & 0x7FFFFFFF, round(line.length), 3])
+    usable = line.length - 2 * _PRIVATE_FROM_END_M
+    for along in draw.uniform(
+        0.0, max(usable, 0.0), draw.poisson(max(usable, 0.0) * config.private_drives_per_km / 1000)
+    ):
+        at = _PRIVATE_FROM_END_M + along
+        foot, ahead = (np.array(line.interpolate(metres).coords[0]) for metres in (at, at + 1.0))
+        across = np.array([ahead[1] - foot[1], foot[0] - ahead[0]]) * draw.choice([-1.0, 1.0])
+        length, width = draw.uniform(15.0, 45.0), draw.uniform(3.0, 6.0)
+        end = foot + (profile.half_m + length) * across / np.hypot(*across)
+        roads.add(LineString([foot, end]).buffer(width / 2, cap_style="flat"))
 
 
 def _add_flush(

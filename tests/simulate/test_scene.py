@@ -58,6 +58,21 @@ def test_sidewalks_as_high_as_the_road(straight_track: LidarTrack, frame: LocalF
     assert set(pieces) == {Surface.FLUSH_SIDEWALK, Surface.SIDEWALK}
 
 
+def test_drives_that_the_map_does_not_have_are_road(
+    straight_track: LidarTrack, frame: LocalFrame, write_map: WriteMap
+) -> None:
+    path = write_map(([(-150.0, 0.0), (150.0, 0.0)], {"highway": "residential"}))
+
+    def beside(seed: int, **streets: float) -> list[Surface]:
+        config = BARE.model_copy(update={"streets": StreetConfig(**streets)})
+        scene = build_scene(straight_track, read_map(path), config=config, seed=seed)
+        return [surface(scene, frame, x, y) for x in np.arange(-50.0, 50.0, 2.0) for y in (-12.0, 12.0)]
+
+    assert Surface.ROAD not in beside(0)
+    assert Surface.ROAD in beside(0, private_drives_per_km=40.0)
+    assert beside(0, private_drives_per_km=40.0) == beside(1, private_drives_per_km=40.0)
+
+
 def test_kerbs_are_round_at_a_junction(straight_track: LidarTrack, frame: LocalFrame, write_map: WriteMap) -> None:
     path = write_map(
         ([(-150.0, 0.0), (0.0, 0.0), (150.0, 0.0)], {"highway": "residential", "sidewalk": "no"}),
