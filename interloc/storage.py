@@ -37,7 +37,10 @@ SCHEMES = ("s3", "gs", "az", "https")
 MAX_OBJECTS = 1_000_000
 """Of a drive, or of a prefix that drives are looked for in."""
 
-_MARK = ".in-storage"
+FOLDER = ".in-storage"
+"""Name of every folder in which objects are laid out; hidden, so that nobody can upload one to a service."""
+
+_INSIDE = f"{os.sep}{FOLDER}{os.sep}"
 _LAID_OUT = "objects.json"
 _MADE_LAST = ("poses.txt", "reduced.json", "run.json")
 """Files by which drives and results are known."""
@@ -303,7 +306,7 @@ class LaidOut:
 
     @classmethod
     def make(cls, root: Path, bucket: Bucket, objects: Mapping[str, StoredObject]) -> LaidOut:
-        """Lay out objects below a folder whose name `folder_name` made.
+        """Lay out objects in a folder of the name `FOLDER`.
 
         Raises
         ------
@@ -456,24 +459,19 @@ def in_parallel(work: Callable[[Argument], Returned], arguments: Sequence[Argume
         pool.shutdown(cancel_futures=True)
 
 
-def folder_name(label: str) -> str:
-    """Return a name for a folder in which objects are laid out."""
-    return f"{label}{_MARK}"
-
-
 @lru_cache(maxsize=16)
 def _laid_out(root: str) -> LaidOut:
     return LaidOut(Path(root))
 
 
 def _of(path: Path) -> LaidOut | None:
-    head, mark, rest = os.fspath(path).partition(f"{_MARK}{os.sep}")
-    return _laid_out(head + _MARK) if mark and rest.startswith("files") else None
+    head, inside, rest = os.fspath(path).partition(_INSIDE)
+    return _laid_out(f"{head}{os.sep}{FOLDER}") if inside and rest.startswith(f"files{os.sep}") else None
 
 
 def is_elsewhere(path: Path) -> bool:
     """Return whether a path leads to what is laid out of object storage."""
-    return f"{_MARK}{os.sep}" in os.fspath(path)
+    return _INSIDE in os.fspath(path)
 
 
 def present(path: Path) -> Path:
@@ -544,9 +542,9 @@ _results: dict[Path, tuple[Bucket, str]] = {}
 
 def temporary_folder() -> Path:
     """Return a new folder in which objects can be laid out; it goes when the process ends, or by `clear`."""
-    folder = Path(tempfile.mkdtemp(prefix="interloc-", suffix=_MARK))
+    folder = Path(tempfile.mkdtemp(prefix="interloc-"))
     atexit.register(_remove, folder, os.getpid())
-    return folder
+    return folder / FOLDER
 
 
 def _remove(folder: Path, owner: int) -> None:
@@ -579,7 +577,7 @@ def result_place(address: str) -> Path:
     there = {f"{name}/{each.key[len(key) + 1 :]}": each for each in bucket.below(key)}
     LaidOut.make(folder, bucket, there if single is None else {name: single})
     place = folder / "files" / name
-    place.parent.mkdir(exist_ok=True)  # where nothing is there yet
+    place.parent.mkdir(exist_ok=True)
     _results[place] = bucket, key
     show_as(place, address.rstrip("/"))
     return place
@@ -624,8 +622,7 @@ def send(place: Path, bucket: Bucket, key: str) -> None:
 def clear() -> None:
     """Remove all that a command has laid out, in a process that goes on."""
     for path in [*_shown]:
-        head, mark, _ = path.partition(f"{_MARK}{os.sep}")
-        shutil.rmtree(head + mark.rstrip(os.sep), ignore_errors=True)
+        shutil.rmtree(path.partition(_INSIDE)[0], ignore_errors=True)
     _shown.clear()
     _results.clear()
     _laid_out.cache_clear()

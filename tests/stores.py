@@ -46,7 +46,9 @@ def s3() -> Iterator[str]:
     logging.getLogger("werkzeug").setLevel(logging.ERROR)
     host, port = server.get_host_and_port()
     address = f"http://{host}:{port}"
-    s3_backends["123456789012"]["aws"].create_bucket(BUCKET, "us-east-1")
+    backend = s3_backends["123456789012"]["aws"]
+    backend.reset()  # what an earlier module has left
+    backend.create_bucket(BUCKET, "us-east-1")
     with pytest.MonkeyPatch.context() as patch:
         for name, value in {**KEYS, "AWS_ENDPOINT": address, "AWS_ALLOW_HTTP": "true"}.items():
             patch.setenv(name, value)

@@ -91,7 +91,7 @@ def test_an_object_that_changes_is_not_read(store: Any) -> None:
 def test_hostile_names_are_refused(name: str, tmp_path: Path) -> None:
     wanted = storage.StoredObject(f"d/{name}", 1, None, 0.0)
     with pytest.raises(DriveError, match="cannot be a file"):
-        storage.LaidOut.make(tmp_path / "x.in-storage", storage.Bucket("s3://b"), {f"d/{name}/f": wanted})
+        storage.LaidOut.make(tmp_path / storage.FOLDER, storage.Bucket("s3://b"), {f"d/{name}/f": wanted})
     assert not list(tmp_path.iterdir())
 
 

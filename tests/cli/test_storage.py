@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable, Iterator
+from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
+from threading import Thread
 
 import pytest
 
@@ -94,14 +96,34 @@ def test_what_cannot_be_read_is_said_in_one_line(address: str, said: str, interl
     assert "password" not in complaint
 
 
+class Refusal(BaseHTTPRequestHandler):
+    """Answers as S3 does to whoever has no permission."""
+
+    def do_GET(self) -> None:
+        body = b"<Error><Code>AccessDenied</Code><Message>Access Denied</Message></Error>"
+        self.send_response(403)
+        self.send_header("Content-Length", str(len(body)))
+        self.end_headers()
+        self.wfile.write(body if self.command == "GET" else b"")
+
+    do_HEAD = do_GET
+
+    def log_message(self, *_: object) -> None:
+        """Say nothing."""
+
+
 def test_a_server_that_refuses_or_does_not_answer(interloc: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("AWS_ENDPOINT", "http://127.0.0.1:9")
     monkeypatch.setattr(storage, "_TRIES", 0)
+    with HTTPServer(("127.0.0.1", 0), Refusal) as server:
+        Thread(target=server.serve_forever, daemon=True).start()
+        for port, said in ((server.server_port, r"no permission \(403"), (9, "does not answer as expected")):
+            monkeypatch.setenv("AWS_ENDPOINT", f"http://127.0.0.1:{port}")
+            storage._open.cache_clear()
+            complaint = interloc("info", f"s3://{BUCKET}/drive").complaint
+            assert re.search(said, complaint)
+            assert "a-secret" not in complaint
+        server.shutdown()
     storage._open.cache_clear()
-    complaint = interloc("info", f"s3://{BUCKET}/drive").complaint
-    storage._open.cache_clear()
-    assert "the server does not answer as expected" in complaint
-    assert "a-secret" not in complaint
 
 
 def test_drives_of_a_prefix_are_a_batch_whose_results_are_as_by_themselves(

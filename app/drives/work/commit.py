@@ -38,7 +38,7 @@ from interloc.output.geojson import write_collection
 from interloc.output.write import trajectory_feature
 from interloc.reduction.elsewhere import READ_BY_PARTS, lay_out
 from interloc.reduction.reduce import Reduction, label_folders_in, prepare_reduction, reduction_of
-from interloc.storage import folder_name, forget
+from interloc.storage import FOLDER, forget
 
 PART_SCANS = 200
 PART_LABELLED_SCANS = 20
@@ -175,7 +175,7 @@ def _laid_out(source: str, scratch: Path, settings: WorkSettings) -> Path:
 
     place = lay_out(
         source,
-        scratch / folder_name("source"),
+        scratch / FOLDER,
         within=settings.source_prefixes,
         limit=settings.max_drive_files,
         check_sizes=check_sizes,

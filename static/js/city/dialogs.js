@@ -127,7 +127,7 @@ export async function manageDrives(city) {
       el(
         "div",
         { class: "tall-body stack-s" },
-        el("h2", { id: "city-title" }, `Drives of ${city.name}`),
+        el("h2", { id: "city-title" }, `Drives of the map ${city.name}`),
         el(
           "p",
           { class: "small" },

@@ -175,13 +175,15 @@ export class Scene {
 
   /** Of streets, and the widths of measured roads: none on another, none below a sign. @param {CanvasRenderingContext2D} context @param {import("./surface.js").View} view */
   #paintNames(context, view) {
-    const taken = [this.intersections, this.nodes].flatMap(({ xs, ys, items }) =>
-      items.flatMap((item, i) =>
-        this.on.has(items === this.nodes.items ? kindOfNode(item) : verdictOf(item))
-          ? [takenBySign(view.x(xs[i]), view.y(ys[i]))]
-          : [],
-      ),
-    );
+    /** @type {import("./street_names.js").Taken[]} */
+    const taken = [];
+    for (const { xs, ys, items } of [this.intersections, this.nodes]) {
+      items.forEach((item, i) => {
+        const [x, y] = [view.x(xs[i]), view.y(ys[i])];
+        const isOn = this.on.has(items === this.nodes.items ? kindOfNode(item) : verdictOf(item));
+        if (isOn && view.shows(x, y)) taken.push(takenBySign(x, y));
+      });
+    }
     if (this.on.has("roads") && !this.hasTiles) paintStreetNames(context, view, this.roads, taken); // tiles have their own
     const widths = this.measured.map((each) => ({ ...each, width: 0 })); // the text stands beside the line
     if (this.on.has("measured")) paintStreetNames(context, view, widths, taken);

@@ -10,8 +10,9 @@ import { colour } from "./symbols.js";
  * @property {number} x Of its middle.
  * @property {number} y
  * @property {string|null} name
- * @property {{x: number, y: number}[]} points Along it.
- * @property {number} reach Of these from its middle.
+ * @property {number} cos Of its direction.
+ * @property {number} sin
+ * @property {number} reach From its middle to its ends.
  */
 
 const MIN_PER_METRE = 0.9; // pixels: zoom 17 in the middle latitudes
@@ -42,8 +43,9 @@ export function paintStreetNames(context, view, roads, taken) {
     const beside = Math.min(metres * view.perMetre, MAX_ROAD_PX) / 2 + 8;
     const width = context.measureText(name).width;
     for (const spot of spots(path, view, width + MARGIN_PX)) {
+      if (!view.shows(spot.x, spot.y)) continue;
       const text = besideOf(spot, beside, name, width);
-      if (!view.shows(text.x, text.y) || taken.some((other) => overlap(text, other))) continue;
+      if (taken.some((other) => overlap(text, other))) continue;
       taken.push(text);
       context.save();
       context.translate(text.x, text.y);
@@ -59,25 +61,29 @@ export function paintStreetNames(context, view, roads, taken) {
 /** @param {Spot} spot On the road. @param {number} beside Pixels. @param {string} name @param {number} width @returns {Taken} */
 function besideOf({ x, y, angle }, beside, name, width) {
   const [cos, sin] = [Math.cos(angle), Math.sin(angle)];
-  const middle = { x: x + beside * sin, y: y - beside * cos };
-  const steps = Math.ceil(width / LINE_PX);
-  const points = Array.from({ length: steps + 1 }, (_, i) => {
-    const along = (i / steps - 0.5) * width;
-    return { x: middle.x + along * cos, y: middle.y + along * sin };
-  });
-  return { ...middle, name, points, reach: width / 2 };
+  return { x: x + beside * sin, y: y - beside * cos, name, cos, sin, reach: width / 2 };
 }
 
 /** @param {Taken} a @param {Taken} b @returns {boolean} Whether they lie on each other, or say the same side by side. */
 export function overlap(a, b) {
-  const away = Math.hypot(a.x - b.x, a.y - b.y);
-  if (a.name !== null && a.name === b.name && away < APART_PX) return true;
-  if (away > a.reach + b.reach + LINE_PX) return false;
-  return a.points.some((p) => b.points.some((q) => Math.hypot(p.x - q.x, p.y - q.y) < LINE_PX));
+  const [dx, dy] = [b.x - a.x, b.y - a.y];
+  const away = dx * dx + dy * dy;
+  if (a.name !== null && a.name === b.name && away < APART_PX ** 2) return true;
+  if (away > (a.reach + b.reach + LINE_PX) ** 2) return false;
+  for (let i = -a.reach; i <= a.reach; i += stepOf(a)) {
+    for (let k = -b.reach; k <= b.reach; k += stepOf(b)) {
+      const [x, y] = [dx + k * b.cos - i * a.cos, dy + k * b.sin - i * a.sin];
+      if (x * x + y * y < LINE_PX ** 2) return true;
+    }
+  }
+  return false;
 }
 
+/** @param {Taken} taken @returns {number} Pixels between points along it, the last at its end. */
+const stepOf = ({ reach }) => (2 * reach) / Math.ceil((2 * reach) / LINE_PX) - 1e-9 || 1;
+
 /** @param {number} x Pixels. @param {number} y @returns {Taken} What a sign takes. */
-export const takenBySign = (x, y) => ({ x, y, name: null, points: [{ x, y }], reach: 0 });
+export const takenBySign = (x, y) => ({ x, y, name: null, cos: 1, sin: 0, reach: 0 });
 
 /**
  * Where a text of some length fits along a line: the middles of straight stretches, one after the other.
