@@ -189,5 +189,6 @@ class DaskExecutor:
         return error
 
     def stop(self) -> None:  # noqa: D102 - see WorkExecutor
-        self._executor.shutdown(wait=False)
+        with suppress(Exception):  # what cancels its work fails where the scheduler has gone
+            self._executor.shutdown(wait=False)
         self._client.close(timeout=5)

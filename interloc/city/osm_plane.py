@@ -153,18 +153,19 @@ class OsmPlane:
         return list(dict.fromkeys(self.graph.edge_way[near[order[metres[order] <= reach_m]]].tolist()))
 
     @cached_property
-    def _open_neighbours(self) -> dict[int, list[int]]:
+    def neighbours(self) -> dict[int, list[int]]:
+        """Rows of the nodes that are next along an open road, of each node of one."""
         found: dict[int, list[int]] = {}
         for a, b in distinct_edges(self.graph.edges_of(self.open_roads)).tolist():
             found.setdefault(a, []).append(b)
             found.setdefault(b, []).append(a)
         return found
 
-    def _along(self, node: int, neighbour: int, length_m: float) -> tuple[list[int], FloatArray]:
+    def along(self, node: int, neighbour: int, length_m: float) -> tuple[list[int], FloatArray]:
         """Follow an open road from a node to the next junction, or so far; return its nodes and the way to each."""
         nodes, metres = [node, neighbour], [0.0, float(np.hypot(*(self.xy[node] - self.xy[neighbour])))]
         while metres[-1] < length_m:
-            onward = [each for each in self._open_neighbours[nodes[-1]] if each != nodes[-2]]
+            onward = [each for each in self.neighbours[nodes[-1]] if each != nodes[-2]]
             if len(onward) != 1:
                 break
             metres.append(metres[-1] + float(np.hypot(*(self.xy[nodes[-1]] - self.xy[onward[0]]))))
@@ -173,21 +174,21 @@ class OsmPlane:
 
     def road_from(self, node: int, neighbour: int, length_m: float, step_m: float = 1.0) -> FloatArray:
         """Return positions every metre along an open road that leaves a node, (n, 2), as far as the next junction."""
-        nodes, travelled = self._along(node, neighbour, length_m)
+        nodes, travelled = self.along(node, neighbour, length_m)
         at = np.arange(0.0, min(length_m, travelled[-1]), step_m)
         return np.stack([np.interp(at, travelled, self.xy[nodes, axis]) for axis in (0, 1)], axis=-1)
 
     def roads_from(self, node: int, length_m: float) -> list[FloatArray]:
         """Return `road_from` of all open roads that leave a node."""
-        return [self.road_from(node, each, length_m) for each in self._open_neighbours.get(node, [])]
+        return [self.road_from(node, each, length_m) for each in self.neighbours.get(node, [])]
 
     def groups(self, reach_m: float) -> list[list[int]]:
         """Return the rows of open junctions that roads no longer than this join, two or more each."""
         from scipy.sparse import coo_array  # noqa: PLC0415 - slow to import
         from scipy.sparse.csgraph import connected_components  # noqa: PLC0415
 
-        roads = [self._along(node, each, reach_m) for node in self.open_junctions.tolist()
-                 for each in self._open_neighbours[node]]  # fmt: skip
+        roads = [self.along(node, each, reach_m) for node in self.open_junctions.tolist()
+                 for each in self.neighbours[node]]  # fmt: skip
         ends = np.array([(nodes[0], nodes[-1]) for nodes, metres in roads if metres[-1] <= reach_m]).reshape(-1, 2)
         ends = np.searchsorted(self.open_junctions, ends[np.isin(ends[:, 1], self.open_junctions)])
         count = len(self.open_junctions)

@@ -116,6 +116,10 @@ def _do(
                 units, records, executor, shares_folder=dask is None, progress=lambda count: bar(done + count, total)
             )
     except BaseException as error:
+        if type(error).__name__ == "ClosedClientError":  # of distributed, which is an extra
+            raise InterLocError(
+                f"the Dask scheduler {dask} has gone. The drives that are done are kept: the same command does the rest"
+            ) from error
         if not is_interruption(error):
             raise
         raise InterLocError("interrupted; the drives that are done are kept: the same command does the rest") from error

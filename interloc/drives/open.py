@@ -289,7 +289,7 @@ def _checked(reading: DriveReading, findings: Findings) -> DriveReading:
                 seen.append(RoadSeen.of(index, road, NEAR_M))
     errors = findings.errors
     check_points(drive.T_world_lidar, seen, scans.parts.file(scans.parts.scans).name, findings)
-    check_motion(drive.T_world_lidar, pose_file, findings)
+    check_motion(drive.T_world_lidar, drive.frames, drive.times_s, pose_file, findings)
     reading = replace(reading, flatness_m=check_flat_road(drive, scans.usable, pose_file, findings))
     if findings.errors == errors:  # else what follows is the same fault in other words
         check_scan_motion(drive, scans.usable, pose_file, findings)

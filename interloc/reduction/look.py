@@ -30,6 +30,7 @@ from interloc.drives.georeference.geodetic import check_against_poses
 from interloc.drives.layouts import PCD_ENDINGS, POSE_FILES, DriveParts, find_layout
 from interloc.drives.open import NO_POSES, SAMPLED_SCANS
 from interloc.drives.options import LABEL_FILES, ODOMETRY, DriveOptions, LabelFolder, LayoutName
+from interloc.drives.plausibility import check_motion
 from interloc.drives.scans.bin_files import BinScans, open_bin_files
 from interloc.drives.scans.las.tracks import find_tracks
 from interloc.drives.scans.pcd import LABEL_FIELDS, PcdScans, number_scans, open_pcd_files, read_pcd_header
@@ -312,7 +313,8 @@ class _Look:
             return
         found.has_poses = recording.has_poses and options.poses != ODOMETRY
         if found.has_poses:
-            self._show(trajectory_of(recording, options, self.findings), keyframes)
+            pose_file = "oxts" if parts.poses is None else parts.file(parts.poses).name
+            self._show(trajectory_of(recording, options, self.findings), keyframes, pose_file, recording.frames)
         else:
             self.findings.warning("poses", NO_POSES)
 
@@ -460,7 +462,13 @@ class _Look:
             if self._found.track is None:
                 self._show(reduced_trajectory(manifest, self.place, options, self.findings), keyframes)
 
-    def _show(self, trajectory: Trajectory, keyframes: KeyframeConfig) -> None:
+    def _show(
+        self,
+        trajectory: Trajectory,
+        keyframes: KeyframeConfig,
+        pose_file: str = "poses",
+        frames: IntArray | None = None,
+    ) -> None:
         """Tell where the drive went, and how poses and georeference fit together."""
         found, poses, fixes = self._found, trajectory.poses, trajectory.georeference
         found.georeference = fixes.source if fixes else None
@@ -469,6 +477,8 @@ class _Look:
             return
         found.pose_frame = poses.frame
         found.keyframes = len(select_keyframes(poses.T_world_lidar, keyframes))
+        numbers = np.arange(len(poses.T_world_lidar)) if frames is None else frames
+        check_motion(poses.T_world_lidar, numbers, trajectory.times_s, pose_file, self.findings)
         places, fitted, fit_m = poses.T_world_lidar[:, :2, 3], None, None
         if fixes is not None:
             places = np.stack([fixes.lon_deg, fixes.lat_deg], axis=1)

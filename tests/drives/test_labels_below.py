@@ -63,6 +63,7 @@ def test_little_road_is_a_warning(street: Path) -> None:
     ("dtype", "words"),
     [
         (np.int64, "8 bytes (int64) per point"),
+        (np.float64, "np.fromfile(FILE, np.float64).astype(np.uint32).tofile(FILE)"),
         (np.uint8, "1 byte (uint8) per point"),
         (np.uint16, "2 bytes (uint16) per point"),
         (np.float32, "holds floating-point numbers (40"),

@@ -65,6 +65,16 @@ def test_poses_in_another_unit(street: Path, scale: float) -> None:
     assert "Expected positions in metres" in errors(street)
 
 
+def test_poses_that_jump(street: Path) -> None:
+    after = streets.poses().copy()
+    after[60:, 0, 3] += 15.0
+    write_poses(street, after)
+    (jump,) = (
+        p.message for p in inspect_drive(street).problems if p.severity == "warning" and "cut the drive" in p.message
+    )
+    assert "by 15 m after scan 59 (91 m on)" in jump
+
+
 @pytest.mark.parametrize("yaw", [0.0, 1.0])
 def test_an_orientation_that_stays_the_same(street: Path, yaw: float) -> None:
     constant = streets.poses().copy()

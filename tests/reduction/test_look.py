@@ -19,6 +19,7 @@ from interloc.drives.options import DriveOptions
 from interloc.reduction.look import DriveLook, look_into
 from interloc.reduction.plan import plan_reduction
 from interloc.reduction.reduce import reduce_drive
+from tests import streets
 from tests.bags import write_bag
 from tests.las_files import write_scan_files
 from tests.pcd_files import write_pcd
@@ -94,6 +95,15 @@ def test_what_is_missing_or_does_not_fit_is_listed_by_name(tmp_path: Path) -> No
     assert missing.startswith("labels/000002.label is missing: 1 of 12 scans have no labels (2).")
     assert wrong.startswith(f"labels/000001.label 2 labels for {size // 16:,} points in velodyne/000001.bin.")
     assert look.track is None
+
+
+def test_poses_that_no_vehicle_has_are_told(tmp_path: Path) -> None:
+    """Only what the poses tell by themselves: the scans are elsewhere."""
+    far = streets.poses().copy()
+    far[:, :3, 3] *= 1000.0
+    root = streets.write_street(tmp_path / "street", written=far)
+    (found,) = errors(look_at(root))
+    assert found.startswith("poses.txt from scan to scan it moves by")
 
 
 def test_calibration_is_missed_where_the_poses_are_those_of_a_camera(tmp_path: Path) -> None:

@@ -75,7 +75,7 @@ def fit_shift(times: FloatArray, positions: FloatArray, fix_times: FloatArray, e
         return None
     unit = duration * _USUAL_SPEED_MPS / length  # what lasts as long as a second does at the usual speed
 
-    def cost(late: float) -> tuple[float, int]:
+    def cost(late: float) -> tuple[float, float]:
         return _mean_square(times, positions, fix_times - late, enu, windows)
 
     reach = min(_MAX_SHIFT_S * unit, 0.4 * duration)
@@ -83,9 +83,9 @@ def fit_shift(times: FloatArray, positions: FloatArray, fix_times: FloatArray, e
     squares = np.array([cost(late)[0] for late in coarse])
     around = coarse[int(np.argmin(squares))]
     fine = around + np.arange(-_COARSE, _COARSE + 1e-9, _FINE) * unit
-    fine_squares = np.array([cost(late)[0] for late in fine])
-    best, late = float(fine_squares.min()), float(fine[int(np.argmin(fine_squares))])
-    unshifted, count = cost(0.0)
+    late = float(min(fine, key=lambda each: cost(each)[0]))
+    best, count = cost(late)
+    unshifted = cost(0.0)[0]
     metres = abs(late) / unit * _USUAL_SPEED_MPS
     gain = unshifted - best
     if not np.isfinite(unshifted) or metres < _MIN_SHIFT_M or gain < _GAIN_M**2 or best > _BETTER * unshifted:
@@ -115,17 +115,26 @@ def _windows(enu: FloatArray) -> list[IntArray]:
 
 def _mean_square(
     times: FloatArray, positions: FloatArray, fix_times: FloatArray, enu: FloatArray, windows: list[IntArray]
-) -> tuple[float, int]:
-    """Return the mean square of what is left when poses are laid on fixes, window by window, and how much is free."""
+) -> tuple[float, float]:
+    """Return the mean square of what is left when poses are laid on fixes, window by window, and how much is free.
+
+    What the errors of neighbouring fixes share counts once: those of a phone stay alike over 50 m and more.
+    """
     inside = (fix_times >= times[0]) & (fix_times <= times[-1])
     ours = np.interp(fix_times, times, positions[:, 0]) + 1j * np.interp(fix_times, times, positions[:, 1])
     theirs = enu[:, 0] + 1j * enu[:, 1]
-    squares, free = 0.0, 0
+    squares, shared, free = 0.0, 0.0, 0
     for window in windows:
         rows = window[inside[window]]
         if len(rows) < max(_MIN_IN_WINDOW - 1, 0.7 * len(window)):
             continue
         a, b = ours[rows] - ours[rows].mean(), theirs[rows] - theirs[rows].mean()
-        squares += float((np.abs(a) ** 2).sum() + (np.abs(b) ** 2).sum() - 2 * np.abs(np.vdot(a, b)))
+        turn = np.vdot(a, b)
+        off = b - a * turn / max(abs(turn), 1e-9)
+        squares += float((np.abs(off) ** 2).sum())
+        shared += float(np.vdot(off[:-1], off[1:]).real)
         free += 2 * len(rows) - 3
-    return (squares / free, free) if free else (float("inf"), 0)
+    if not free:
+        return float("inf"), 0.0
+    alike = min(max(shared / max(squares, 1e-9), 0.0), 0.99)
+    return squares / free, free * (1.0 - alike) / (1.0 + alike)

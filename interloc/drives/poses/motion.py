@@ -163,3 +163,13 @@ def jumps(positions: FloatArray, times_s: FloatArray) -> IntArray:
     allowed_m = usual_mps * passed_s + _JUMP_M + _ACCELERATION_MPS2 * passed_s**2
     found = np.flatnonzero((steps > allowed_m) & (passed_s < _LONGEST_S)).astype(np.int64)
     return found if len(found) <= max(2, _RARELY * len(steps)) else found[:0]
+
+
+def named_jumps(after: IntArray, positions: FloatArray, frames: IntArray) -> str:
+    """Return in words by how much poses jump, after which scans, and where; `after` is the answer of `jumps`."""
+    driven_m = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(positions, axis=0), axis=1))])
+    places = [
+        f"by {driven_m[row + 1] - driven_m[row]:.0f} m after scan {frames[row]} ({driven_m[row]:.0f} m on)"
+        for row in after[:3].tolist()
+    ]
+    return ", ".join([*places, "..."] if len(after) > len(places) else places)

@@ -320,7 +320,11 @@ def trajectory_of(recording: Recording, options: DriveOptions, findings: Finding
 _FLOAT_1 = 0x3F800000
 """The bits of 1.0: as uint32, every larger float32 is larger, and only the 16,256th instance of an id is."""
 
-_OTHER_LABELS = {8.0: "8 bytes (int64)", 2.0: "2 bytes (uint16)", 1.0: "1 byte (uint8)"}
+_OTHER_LABELS = {8.0: ("8 bytes", "int64"), 2.0: ("2 bytes", "uint16"), 1.0: ("1 byte", "uint8")}
+_CONVERT = (
+    "Usual cause: an array that was written in the type in which a tool holds it; convert every file first, such as "
+    "np.fromfile(FILE, np.{type}).astype(np.uint32).tofile(FILE)."
+)
 
 
 def read_labels(file: SourceFile) -> UInt32Array:
@@ -337,8 +341,8 @@ def read_labels(file: SourceFile) -> UInt32Array:
         raise file.unreadable(error) from error
     if np.min(labels, initial=_FLOAT_1, where=labels > 0) >= _FLOAT_1 and labels.any():
         raise file.fault(
-            f"holds floating-point numbers ({labels[labels > 0].view('<f4')[0]:g}, ...). Expected uint32 ids. Usual "
-            "cause: an array that was written in the type in which a tool holds it; convert it to uint32 first."
+            f"holds floating-point numbers ({labels[labels > 0].view('<f4')[0]:g}, ...). Expected uint32 ids. "
+            + _CONVERT.format(type="float32")
         )
     return labels
 
@@ -425,10 +429,12 @@ def _check_label_files(
         if recording.point_counts is not None and (
             other := _OTHER_LABELS.get(int(labels.sizes[at_label[row]]) / int(recording.point_counts[at_scan[row]]))
         ):
+            size, kind = other
+            if kind == "int64" and np.fromfile(labels.path(number), "<f8").max() >= 1.0:  # that of int64 is next to 0
+                kind = "float64"
             message = (
-                f"{other} per point of {points.name(number)}. Expected one uint32 (4 bytes) per point, the id in its "
-                "lower half. Usual cause: an array that was written in the type in which a tool holds it; convert it "
-                "to uint32 first."
+                f"{size} ({kind}) per point of {points.name(number)}. Expected one uint32 (4 bytes) per point, the id "
+                f"in its lower half. {_CONVERT.format(type=kind)}"
             )
         elif left or recording.point_counts is None:
             message = (

@@ -9,6 +9,15 @@ from pathlib import Path
 import httpx
 import pytest
 
+from app.context import Context
+from app.drives.commit import begin_commit
+from app.drives.finish import finish_drive
+from app.drives.models import CommitRequest, NewDrive
+from app.drives.records import create_drive
+from app.settings import Settings
+from app.states import JobState
+from app.store.tokens import add_token
+from app.work.documents import CommitOutcome
 from interloc import storage
 from interloc.reduction.reduce import reduce_drive
 from tests.app.processes import ServerProcess, started, wait_until
@@ -88,3 +97,19 @@ def test_what_a_bucket_holds_is_not_trusted(server: ServerProcess, street: Path,
         assert said in answer.json()["detail"]
         assert "in-storage" not in answer.text
         assert "a-secret" not in answer.text
+
+
+def test_what_was_reduced_counts_for_the_quota_of_the_owner(tmp_path: Path) -> None:
+    context = Context.open(Settings(data_dir=tmp_path, min_free_bytes=0, sources="s3://open"))
+    add_token(context.database, "small", max_bytes=1000)
+    drive = create_drive(context, "small", NewDrive(name="07", source="s3://open/07"))[0]
+    job = begin_commit(context, drive.id, "small", CommitRequest())
+    assert job is not None
+    with context.database.writing() as session:
+        session.add(job)
+        job.state = JobState.SUCCESSFUL
+        finish_drive(session, context, job, CommitOutcome(ok=True, reduced_bytes=1001))
+        assert job.state == JobState.FAILED
+        assert (job.error or {})["type"] == "/problems/quota-used-up"
+    assert not (tmp_path / "drives" / drive.id / "reduced").exists()
+    context.close()

@@ -13,7 +13,7 @@ from interloc.drives.findings import DriveFileError, Findings
 from interloc.drives.georeference.read import read_georeference
 from interloc.drives.layouts import DriveParts
 from interloc.drives.options import ODOMETRY, DriveOptions
-from interloc.drives.poses.motion import body_motion, jumps
+from interloc.drives.poses.motion import body_motion, jumps, named_jumps
 from interloc.drives.poses.timed import TimedPoses
 from interloc.drives.scans.rosbag.bag import Bag, BagTopic
 from interloc.drives.scans.rosbag.fixes import BagFixes
@@ -122,15 +122,10 @@ def _cut_at_jumps(found: BagMotion, topic: BagTopic, bag: Bag, findings: Finding
     ends = np.concatenate([[0], after + 1, [len(position)]])
     longest = int(np.argmax(np.diff(ends)))
     piece = slice(int(ends[longest]), int(ends[longest + 1]))
-    driven_m = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(position, axis=0), axis=1))])
-    places = ", ".join(
-        f"by {driven_m[row + 1] - driven_m[row]:.0f} m after scan {found.frames[row]} ({driven_m[row]:.0f} m on)"
-        for row in after[:3].tolist()
-    )
     findings.warning(
         bag.name,
-        f"the poses of {topic.name} jump: {places}{', ...' if len(after) > 3 else ''}. The drive is cut there, and its "
-        f"longest piece is used: scans {found.frames[piece][0]} to {found.frames[piece][-1]}, "
+        f"the poses of {topic.name} jump: {named_jumps(after, position, found.frames)}. The drive is cut there, and "
+        f"its longest piece is used: scans {found.frames[piece][0]} to {found.frames[piece][-1]}, "
         f"{piece.stop - piece.start:,} of {len(position):,}. Usual cause: an odometry that was reset or lost track.",
     )
     times_s = found.times_s[piece]
