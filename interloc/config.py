@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Mapping
 from difflib import get_close_matches
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
@@ -21,6 +21,15 @@ _MAX_VALUE_CHARS = 100  # of each value in a message
 
 class _Config(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+    of_older_versions: ClassVar[frozenset[str]] = frozenset()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _without_those_of_older_versions(cls, values: object) -> object:
+        """Open what an older version saved: settings that have gone since have no effect."""
+        if isinstance(values, dict) and not cls.of_older_versions.isdisjoint(values):
+            return {name: value for name, value in values.items() if name not in cls.of_older_versions}
+        return values
 
 
 class KeyframeConfig(_Config):
@@ -50,6 +59,8 @@ class KeyframeConfig(_Config):
 class BevConfig(_Config):
     """The binary image of the region of interest (paper, section III-B.3)."""
 
+    of_older_versions = frozenset({"pool_votes"})
+
     size_m: float = Field(120.0, ge=20, le=400, description="S: side of the region of interest.")
     resolution_m: float = Field(0.16, ge=0.05, le=2.0, description="r: side of a cell.")
     min_points: int = Field(
@@ -59,13 +70,11 @@ class BevConfig(_Config):
         True, description="Lower m where fewer keyframes than a full window lie in the region of interest."
     )
     vote: bool = Field(
-        False, description="Each point of sidewalk, parking or other ground in a cell cancels one of its road points."
-    )
-    pool_votes: bool = Field(
         False,
-        description="Where less than half of a full window's keyframes lie in the region of interest, the votes of the "
-        "eight cells around a road cell count too: a quarter each, and up to as much as its own where labels err from "
-        "point to point. Has no effect without vote.",
+        description="Each point of sidewalk, parking or other ground in a cell cancels one of its road points. Where "
+        "less than half of a full window's keyframes lie in the region of interest, the votes of the eight cells "
+        "around a road cell count too: a quarter each, and up to as much as its own where labels err from point to "
+        "point.",
     )
     max_range_m: float = Field(
         150.0, ge=10, le=1000, description="Points farther than this from the sensor are left out."
@@ -106,14 +115,10 @@ class OccupancyConfig(_Config):
 class CenterlineConfig(_Config):
     """The centerline, and what of it is not road (paper, section III-B.5)."""
 
+    of_older_versions = frozenset({"max_width_share"})
+
     spur_widths: float = Field(
         0.0, ge=0, le=10, description="Dead ends shorter than this many local road widths are removed; 0 keeps all."
-    )
-    max_width_share: float = Field(
-        0.5,
-        gt=0,
-        le=1,
-        description="Widest road whose width is measured, as a share of the side of the region of interest.",
     )
 
 
@@ -142,12 +147,11 @@ class HarrisCandidates(_Config):
 class CrossingCandidates(_Config):
     """Candidates where lines of the centerline meet; those joined within about a road width are one."""
 
+    of_older_versions = frozenset({"merge_min_m"})
+
     kind: Literal["crossing"] = "crossing"
     merge_widths: float = Field(
         1.0, ge=0, le=5, description="Junctions of the centerline joined within this many local road widths are one."
-    )
-    merge_min_m: float = Field(
-        4.0, ge=0, le=50, description="Junctions joined within this length are one, however narrow the road."
     )
     merge_max_m: float = Field(
         20.0, ge=0, le=100, description="Junctions joined by more than this length are two, however wide the road."
@@ -156,6 +160,8 @@ class CrossingCandidates(_Config):
 
 class BranchConfig(_Config):
     """Branches around a candidate, and the point where they meet (paper, section III-C)."""
+
+    of_older_versions = frozenset({"end_at_rejected"})
 
     inner_radius_m: float = Field(
         10.0,
@@ -192,15 +198,15 @@ class BranchConfig(_Config):
         "region of interest.",
     )
     stop_m: float = Field(1.0, gt=0, le=50, description="A branch ends this far before another candidate.")
-    end_at_rejected: bool = Field(
-        True, description="A branch also ends before a candidate that has too few branches itself."
-    )
     line: Literal["start_and_mean", "least_squares"] = Field(
         "start_and_mean",
         description="The line of a branch: through its start and its mean (the paper), or fitted by least squares.",
     )
     fit_length_m: float = Field(
-        30.0, gt=0, le=200, description="Longest part of a branch that is used for the line fit."
+        30.0,
+        gt=0,
+        le=200,
+        description="Longest part of a branch that is used for the line fit; half as long a branch is surely a road.",
     )
     fit_least_m: float = Field(
         8.0, gt=0, le=200, description="Shortest part of a branch at which the line fit stops where the branch bends."
@@ -283,20 +289,13 @@ class CompoundConfig(_Config):
 class ScoreConfig(_Config):
     """How sure the detector is of an intersection, 0 to 1: its lines meet in a point, and each branch is a road."""
 
+    of_older_versions = frozenset({"agreement_share", "full_length_m", "rated_branch"})
+
     spread_m: float = Field(
         2.0,
         gt=0,
         le=50,
         description="Distance at which lines pass the point (root mean square) for an agreement of 1/e; 0 m gives 1.",
-    )
-    rated_branch: int = Field(
-        3, ge=1, le=8, description="Rank of the branch, from the longest, whose length is part of the score."
-    )
-    full_length_m: float = Field(
-        15.0, gt=0, le=200, description="Length of the rated branch from which it adds no more to the score."
-    )
-    agreement_share: float = Field(
-        0.5, ge=0, le=1, description="Share of the agreement in the score; the rated branch has the rest."
     )
 
 
@@ -493,7 +492,7 @@ PAPER = DetectorConfig(
 
 DEFAULT = DetectorConfig(
     preset="default",
-    bev=BevConfig(min_points=2, vote=True, pool_votes=True),
+    bev=BevConfig(min_points=2, vote=True),
     occupancy=OccupancyConfig(closing_m=4.0, opening_m=2.4, island_m2=80.0),
     centerline=CenterlineConfig(spur_widths=1.0),
     candidates=CrossingCandidates(merge_widths=1.6, merge_max_m=24.0),
@@ -503,7 +502,6 @@ DEFAULT = DetectorConfig(
         min_reach_m=14.0,
         min_surface_m2=24.0,
         stop_m=2.0,
-        end_at_rejected=False,
         line="least_squares",
         fit_least_m=12.0,
         straight_m=0.2,
@@ -520,6 +518,14 @@ DEFAULT = DetectorConfig(
 )
 
 PRESETS: dict[str, DetectorConfig] = {"default": DEFAULT, "paper": PAPER}
+
+
+_GONE = {
+    f"{section}.{name}"
+    for section, of in DetectorConfig.model_fields.items()
+    for config in (of.annotation, *get_args(of.annotation))
+    for name in getattr(config, "of_older_versions", ())
+}
 
 
 def preset(name: str, *settings: str) -> DetectorConfig:
@@ -570,6 +576,8 @@ def with_settings(config: DetectorConfig, settings: Iterable[str]) -> DetectorCo
             raise ConfigError(f"--set {setting}: there is no section '{section}'{_nearest(f'{section}.{name}')}")
         if name == "kind" and target.get("kind") != value:
             target.clear()
+        if ".".join((*sections, name)) in _GONE:
+            raise ConfigError(f"--set {setting}: there is no such setting any more")
         target[name] = value
     return parse_config(values)
 

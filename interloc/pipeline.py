@@ -92,7 +92,7 @@ def detect_range(
     road: list[RoadPatch] = []
     for row, window in enumerate(islice(windows, start - first, stop - first), start):
         steps = window.steps()
-        found.append(locate(steps, window.keyframe, config.score))
+        found.append(locate(steps, window.keyframe, config))
         if row in kept:
             road.append(road_patch(row, steps.occupancy, steps.roi, window.bev.against))
             detector.stopwatch.lap("road")

@@ -219,9 +219,8 @@ def locate(junctions: list[Junction], keyframe: Keyframe, roi: Roi, config: Dete
     scores = []
     for junction in junctions:
         agreement = math.exp(-((junction.residual * roi.resolution_m / config.score.spread_m) ** 2))
-        third_m = np.sort(junction.lengths)[-config.score.rated_branch] * roi.resolution_m
-        share = config.score.agreement_share
-        scores.append(share * agreement + (1 - share) * min(1.0, third_m / config.score.full_length_m))
+        third_m = np.sort(junction.lengths)[-config.branches.min_branches] * roi.resolution_m
+        scores.append(0.5 * agreement + 0.5 * min(1.0, third_m / (0.5 * config.branches.fit_length_m)))
     angles = [np.arctan2(-junction.directions[:, 0], junction.directions[:, 1]) for junction in junctions]
     return KeyframeDetections(
         keyframe,

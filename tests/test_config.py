@@ -179,6 +179,16 @@ def test_configuration_from_before_a_section_opens_with_its_defaults() -> None:
     assert parse_config(values) == DEFAULT
 
 
+def test_configuration_with_settings_that_have_gone_opens_without_them() -> None:
+    values = DEFAULT.model_dump(mode="json")
+    values["branches"]["end_at_rejected"] = False
+    values["candidates"]["merge_min_m"] = 4.0
+    values["score"]["rated_branch"] = 3
+    assert parse_config(values, strict=True) == DEFAULT
+    with pytest.raises(ConfigError, match=r"--set score.rated_branch=2: there is no such setting any more"):
+        with_settings(DEFAULT, ["score.rated_branch=2"])
+
+
 def test_empty_body_is_the_plain_configuration() -> None:
     assert parse_config({}) == DetectorConfig()
 

@@ -36,7 +36,7 @@ class DriveSet:
     sequences, seeds
         Of the twins of KITTI.
     recorded : tuple of str
-        Folders of recorded drives; their last two characters name the map.
+        Folders of recorded drives; their last two characters name the map, if none (`map.osm`) lies in them.
     """
 
     sequences: tuple[str, ...]
@@ -57,16 +57,18 @@ class DriveSet:
         for name in self.recorded if recorded is not None else ():
             assert recorded is not None
             if (path := recorded / name).is_dir():
-                (case,) = folder_cases([path], [kitti / "osm" / f"{name[-2:]}.osm.gz"])
+                own = path / "map.osm"
+                (case,) = folder_cases([path], [own if own.is_file() else kitti / "osm" / f"{name[-2:]}.osm.gz"])
                 found.append(FolderCase(name, case.path, case.osm, case.options))
         return found
 
 
 SETS = {
-    "choosing": DriveSet(("00", "05", "06", "09"), (0, 1, 2), ("real_00", "real_05", "real_06", "drawn_00")),
+    "choosing": DriveSet(("00", "05", "06", "09"), (0, 1, 2), ("real_00", "real_05", "real_06", "drawn_00", "town")),
     "reporting": DriveSet(("02", "07", "08", "10"), (3, 4, 5), ("real_02", "real_07", "drawn_02", "kitti360_00")),
 }
-"""Real ground of a sequence is `real_NN`, a drive over a map drawn by people `drawn_NN`."""
+"""Real ground of a sequence is `real_NN`, a drive over a map drawn by people `drawn_NN`, the made-up town
+`town` (`interloc simulate town`)."""
 
 
 def taken_out(preset: str, config: DetectorConfig, names: Sequence[str] = ()) -> list[NamedConfig]:

@@ -176,7 +176,7 @@ class RoadAccumulator:
         share = self._share(keyframe)
         m = self._config.min_points
         min_points = max(1, round(m * share)) if self._config.adaptive else m
-        weight = self._neighbour_weight(share, table, roi) if self._config.vote and self._config.pool_votes else 0.0
+        weight = self._neighbour_weight(share, table, roi) if self._config.vote else 0.0
         against = BinaryImage.empty(roi.size, roi.size, roi.resolution_m) if self._config.vote else None
         grid.threshold_window(
             self._grid.pool,

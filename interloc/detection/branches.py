@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from interloc.arrays import BoolArray, FloatArray, Int32Array, IntArray, StructuredArray
+from interloc.arrays import BoolArray, FloatArray, Int32Array, StructuredArray
 from interloc.config import BranchConfig
 from interloc.detection.candidates import Candidates
 from interloc.detection.centerline import Centerline, Pieces
@@ -104,31 +104,17 @@ def segment_all(
     share: float = 1.0,
     against: BinaryImage | None = None,
 ) -> Segmentation:
-    """Segment the branches of all candidates and keep the intersections among them (paper, section III-C).
-
-    Branches end at all candidates, as in the paper, or only at those that have enough branches themselves.
-    """
-    every = blockers = np.arange(len(candidates.positions))
-    given = centerline, config, share, against
-    found = [segment_branches(candidates, i, every, *given) for i in every.tolist()]
-    if not config.end_at_rejected:
-        blockers = _with_enough_branches(found, every, config)
-        if len(blockers) < len(every):
-            for i in blockers.tolist():
-                found[i] = segment_branches(candidates, i, blockers, *given)
-    inside = set(candidates.inside(centerline.image.height, config.margin_m / centerline.resolution_m).tolist())
-    kept = [i for i in _with_enough_branches(found, blockers, config).tolist() if i in inside]
+    """Segment the branches of all candidates and keep the intersections among them (paper, section III-C)."""
+    count = len(candidates.positions)
+    found = [segment_branches(candidates, i, centerline, config, share, against) for i in range(count)]
+    inside = candidates.inside(centerline.image.height, config.margin_m / centerline.resolution_m)
+    kept = [i for i in inside.tolist() if found[i][0].count >= config.min_branches]
     return Segmentation([branches for branches, _ in found], [pieces for _, pieces in found], kept)
-
-
-def _with_enough_branches(found: list[tuple[Branches, Pieces]], candidates: IntArray, config: BranchConfig) -> IntArray:
-    return np.array([i for i in candidates.tolist() if found[i][0].count >= config.min_branches], np.int64)
 
 
 def segment_branches(
     candidates: Candidates,
     index: int,
-    blockers: IntArray,
     centerline: Centerline,
     config: BranchConfig,
     share: float = 1.0,
@@ -139,11 +125,9 @@ def segment_branches(
     Parameters
     ----------
     candidates
-        All of the image.
+        All of the image; a branch ends before another one.
     index
         The one looked at.
-    blockers : (E,) int64
-        The ones before which a branch ends.
     centerline
     config
         Radii and the kind of line.
@@ -158,13 +142,13 @@ def segment_branches(
     """
     position, width = candidates.positions[index], float(candidates.widths[index])
     resolution_m = centerline.resolution_m
-    inner = inner_radius(candidates, index, blockers, resolution_m, config)
+    inner = inner_radius(candidates, index, resolution_m, config)
     traced, is_main, table = trace_branches(
         centerline.rows,
         centerline.cols,
         centerline.neighbours,
         position,
-        candidates.positions[blockers[blockers != index]],
+        np.delete(candidates.positions, index, axis=0),
         inner,
         config.outer_radius_m / resolution_m,
         config.stop_m / resolution_m,
@@ -202,9 +186,7 @@ def _have_surface(centerline: Centerline, traced: Int32Array, pieces: Structured
     return enough
 
 
-def inner_radius(
-    candidates: Candidates, index: int, blockers: IntArray, resolution_m: float, config: BranchConfig
-) -> float:
+def inner_radius(candidates: Candidates, index: int, resolution_m: float, config: BranchConfig) -> float:
     """Return the radius in pixels within which the centerline is bent by the junction itself."""
     radius = config.inner_radius_m / resolution_m
     if config.inner_widths is None:
@@ -213,9 +195,6 @@ def inner_radius(
     core = candidates.core(index) - candidates.positions[index]
     if len(core):  # a junction of the centerline left outside would make one branch of two
         bent = max(bent, float(np.hypot(core[:, 0], core[:, 1]).max()) + CORE_PX)
-    radius = min(radius, bent)
-    others = blockers[blockers != index]
-    if len(others):
-        gaps = candidates.positions[others] - candidates.positions[index]
-        radius = min(radius, NEIGHBOUR_SHARE * float(np.hypot(gaps[:, 0], gaps[:, 1]).min()))
-    return radius
+    others = np.delete(candidates.positions, index, axis=0) - candidates.positions[index]
+    nearest = float(np.hypot(others[:, 0], others[:, 1]).min(initial=np.inf))
+    return min(radius, bent, NEIGHBOUR_SHARE * nearest)

@@ -110,8 +110,7 @@ def merge_until_stable(positions: FloatArray, radius: float) -> tuple[FloatArray
 def _crossings(centerline: Centerline, config: CrossingCandidates) -> Candidates:
     junctions = np.flatnonzero(centerline.degrees >= 3).astype(np.int32)
     widths = centerline.widths(junctions)
-    shortest, longest = config.merge_min_m / centerline.resolution_m, config.merge_max_m / centerline.resolution_m
-    reach = np.clip(widths * config.merge_widths, shortest, longest)
+    reach = np.minimum(widths * config.merge_widths, config.merge_max_m / centerline.resolution_m)
     # Two junctions are one where their halves of the line between them meet.
     near = skeleton.grow_from(centerline.rows, centerline.cols, centerline.neighbours, junctions, reach / 2)
     labels, count = skeleton.label_pieces(centerline.neighbours, near, junctions)

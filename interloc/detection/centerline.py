@@ -43,8 +43,6 @@ class Centerline:
         The pixels that each one is joined to, as positions in ``rows``; -1 for none.
     occupancy
         The road that it is the axis of; gives the local width.
-    max_width : int
-        Pixels; a wider road counts as this wide.
     spurs : (S, 2) int32
         Row and column of the pixels of dead ends that were removed.
     """
@@ -54,15 +52,19 @@ class Centerline:
     cols: Int32Array
     neighbours: Int32Array
     occupancy: BinaryImage
-    max_width: int
     spurs: Int32Array = field(default_factory=lambda: np.empty((0, 2), np.int32))
 
     @classmethod
-    def of(cls, image: BinaryImage, occupancy: BinaryImage, max_width: int | None = None) -> Centerline:
-        """Build the graph of a thinned image; roads are measured up to half the image's side by default."""
+    def of(cls, image: BinaryImage, occupancy: BinaryImage) -> Centerline:
+        """Build the graph of a thinned image."""
         rows, cols = image.pixels()
         neighbours = skeleton.neighbours_of(image.words, rows, cols)
-        return cls(image, rows, cols, neighbours, occupancy, image.height // 2 if max_width is None else max_width)
+        return cls(image, rows, cols, neighbours, occupancy)
+
+    @property
+    def max_half_width(self) -> int:
+        """Pixels; half of the widest road that is measured, a quarter of the image's side."""
+        return self.image.height // 4
 
     @property
     def resolution_m(self) -> float:
@@ -92,7 +94,7 @@ class Centerline:
             self.rows[pixels],
             self.cols[pixels],
             self.occupancy.height,
-            self.max_width // 2,
+            self.max_half_width,
         )
 
 
@@ -147,7 +149,7 @@ def extract_centerline(occupancy: BinaryImage, config: CenterlineConfig) -> Cent
     occupancy
         Set where the ground is road.
     config
-        Longest dead end to drop, and widest road to measure.
+        Longest dead end to drop.
 
     Notes
     -----
@@ -155,7 +157,7 @@ def extract_centerline(occupancy: BinaryImage, config: CenterlineConfig) -> Cent
     """
     image = replace(occupancy, words=occupancy.words.copy())
     thin(image.words)
-    centerline = Centerline.of(image, occupancy, int(config.max_width_share * occupancy.height))
+    centerline = Centerline.of(image, occupancy)
     if config.spur_widths > 0:
         centerline = _without_spurs(centerline, config.spur_widths)
     return centerline
@@ -169,11 +171,11 @@ def _without_spurs(centerline: Centerline, widths: float) -> Centerline:
         centerline.occupancy.words,
         centerline.image.height,
         widths,
-        centerline.max_width // 2,
+        centerline.max_half_width,
         BORDER_PX,
     )
     if keep.all():
         return centerline
     spurs = np.column_stack([centerline.rows[~keep], centerline.cols[~keep]])
     skeleton.clear_pixels(centerline.image.words, centerline.rows[~keep], centerline.cols[~keep])
-    return replace(Centerline.of(centerline.image, centerline.occupancy, centerline.max_width), spurs=spurs)
+    return replace(Centerline.of(centerline.image, centerline.occupancy), spurs=spurs)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from interloc.arrays import FloatArray
-from interloc.config import DEFAULT, DetectorConfig, ScoreConfig
+from interloc.config import DEFAULT, DetectorConfig
 from interloc.detection.accumulation import BevImage, RoadAccumulator
 from interloc.detection.branches import Segmentation, segment_all
 from interloc.detection.candidates import Candidates, find_candidates
@@ -128,7 +128,7 @@ class Window:
 
     def detect(self) -> KeyframeDetections:
         """Return the detections of the keyframe."""
-        return locate(self.steps(), self.keyframe, self.config.score)
+        return locate(self.steps(), self.keyframe, self.config)
 
 
 class Detector:
@@ -231,7 +231,7 @@ class Detector:
         return Window(completed, bev, self.config, self.stopwatch)
 
 
-def locate(steps: Steps, keyframe: Keyframe, config: ScoreConfig) -> KeyframeDetections:
+def locate(steps: Steps, keyframe: Keyframe, config: DetectorConfig) -> KeyframeDetections:
     """Turn junctions of the image into positions in W and in L (paper, eq. 11)."""
     junctions, roi = steps.junctions, steps.roi
     positions = np.array([j.position for j in junctions], np.float64).reshape(-1, 2)
@@ -249,11 +249,11 @@ def _weight(std_m: float | None) -> float:
     return 0.0 if std_m is None else std_m**-2
 
 
-def _score(junction: Junction, config: ScoreConfig) -> float:
+def _score(junction: Junction, config: DetectorConfig) -> float:
     """Rate a junction 0..1: its lines meet in a point, and its third branch is long enough to be a road."""
-    resolution_m = junction.branches.resolution_m
-    agreement = math.exp(-((junction.residual * resolution_m / config.spread_m) ** 2))
-    lengths, rank = np.sort(junction.branches.lengths), config.rated_branch
-    rated = lengths[-rank] if len(lengths) >= rank else 0.0
-    is_road = min(1.0, rated * resolution_m / config.full_length_m)
-    return float(config.agreement_share * agreement + (1.0 - config.agreement_share) * is_road)
+    resolution_m, needed = junction.branches.resolution_m, config.branches.min_branches
+    agreement = math.exp(-((junction.residual * resolution_m / config.score.spread_m) ** 2))
+    lengths = np.sort(junction.branches.lengths)
+    length = lengths[-needed] if len(lengths) >= needed else 0.0
+    is_road = min(1.0, length * resolution_m / (0.5 * config.branches.fit_length_m))
+    return float(0.5 * agreement + 0.5 * is_road)

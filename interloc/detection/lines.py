@@ -143,7 +143,7 @@ def least_squares(
         2.0 if config.follow_deg is None else math.cos(math.radians(config.follow_deg)),
         0.0 if config.square_std_deg is None else math.radians(config.square_std_deg),
     )
-    fit = np.array((*candidate, width, inner, *lengths, centerline.max_width // 2, ring, slack, *rules), FIT)
+    fit = np.array((*candidate, width, inner, *lengths, centerline.max_half_width, ring, slack, *rules), FIT)
     lines = fit_lines(
         fit[()],
         centerline.pixels,

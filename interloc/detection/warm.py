@@ -38,7 +38,7 @@ def warm_up(config: DetectorConfig) -> None:
     scans = [Scan(number, _pose(number), road, None, road[:10]) for number in range(4)]
     for number, window in enumerate(detector.completed(scans)):
         steps = window.steps()
-        locate(steps, window.keyframe, few.score)
+        locate(steps, window.keyframe, few)
         road_patch(number, steps.occupancy, steps.roi)
 
 

@@ -227,7 +227,7 @@ def gather(drive: Drive, frame: int, config: DetectorConfig) -> ExplainedKeyfram
         window=[_window_scan(other, first + i - number, config) for i, other in enumerate(scans)],
         steps=steps,
         candidates=explain_candidates(steps, keyframe.T_world_lidar[:2, 3], config.branches),
-        detections=locate(steps, keyframe, config.score),
+        detections=locate(steps, keyframe, config),
     )
 
 

@@ -121,7 +121,7 @@ class LiveSession:
 
     def _answer(self, window: Window, frame: int, is_keyframe: bool) -> Answer:
         steps, fix = window.steps(), self._fixes.popleft()
-        found = locate(steps, window.keyframe, self.config.score)
+        found = locate(steps, window.keyframe, self.config)
         georeference = None if fix is None else georeference_of([fix])
         keyframes, detections = build_tables([found], np.zeros(1, np.int64), georeference)
         events = self.map.add(found, fix)

@@ -234,7 +234,7 @@ def test_nothing_is_known_of_other_ground_where_nobody_votes() -> None:
 def test_lone_votes_do_not_count_where_keyframes_are_sparse_and_labels_err(
     step_m: float, beside: int, kept: int
 ) -> None:
-    bev = BevConfig(size_m=40, resolution_m=0.5, min_points=1, vote=True, pool_votes=True)
+    bev = BevConfig(size_m=40, resolution_m=0.5, min_points=1, vote=True)
     accumulator = RoadAccumulator(KeyframeConfig(window=4), bev)
     lone = np.array([[9.25, 0.25 + 0.5 * k, -1.7] for k in range(12)], np.float32)
     road = np.vstack([lone, lone, np.float32([[12.25, 0.25, -1.7]])])

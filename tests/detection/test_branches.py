@@ -38,8 +38,7 @@ def candidates(*positions: tuple[float, float], width: float = 20.0) -> Candidat
 
 def branches_at_the_middle(line: Centerline, config: BranchConfig, *others: tuple[float, float]) -> Branches:
     """Follow the branches of a candidate in the middle; they end before the others."""
-    every = np.arange(1 + len(others))
-    return segment_branches(candidates(MIDDLE, *others), 0, every, line, config)[0]
+    return segment_branches(candidates(MIDDLE, *others), 0, line, config)[0]
 
 
 def angles_deg(branches: Branches) -> list[float]:
@@ -52,8 +51,7 @@ def angles_deg(branches: Branches) -> list[float]:
 
 def radius_m(config: BranchConfig, *others: tuple[float, float], width: float) -> float:
     """Return the inner circle of a candidate in the middle, with pixels of half a metre."""
-    every = np.arange(1 + len(others))
-    return inner_radius(candidates(MIDDLE, *others, width=width), 0, every, 0.5, config) * 0.5
+    return inner_radius(candidates(MIDDLE, *others, width=width), 0, 0.5, config) * 0.5
 
 
 def test_fixed_inner_circle_does_not_look_at_the_road() -> None:
@@ -70,11 +68,6 @@ def test_inner_circle_follows_the_width_of_the_road() -> None:
 def test_inner_circle_leaves_room_before_the_next_candidate() -> None:
     config = BranchConfig(inner_radius_m=15, inner_widths=1.0)
     assert radius_m(config, (150, 160), (190, 150), width=20) == pytest.approx(3)
-
-
-def test_candidate_that_ends_no_branch_takes_no_room() -> None:
-    config = BranchConfig(inner_radius_m=15, inner_widths=1.0)
-    assert inner_radius(candidates(MIDDLE, (150, 155)), 0, np.array([0]), 1.0, config) == 15
 
 
 # --- which pieces are branches ---------------------------------------------------------------------------------------
@@ -112,7 +105,7 @@ def test_short_arm_must_be_wide_unless_few_scans_saw_it() -> None:
     config = BranchConfig(min_surface_m2=40)
     assert branches_at_the_middle(narrow, config).count == 2
     assert branches_at_the_middle(wide, config).count == 3
-    few, _ = segment_branches(candidates(MIDDLE), 0, np.array([0]), narrow, config, 0.25)
+    few, _ = segment_branches(candidates(MIDDLE), 0, narrow, config, 0.25)
     assert few.count == 3
     assert branches_at_the_middle(narrow, config, (170.0, 150.0)).count == 3  # it leads to another
 
@@ -123,24 +116,15 @@ def test_arm_that_ends_at_another_candidate_is_a_branch_however_short() -> None:
     assert found.lengths.min() <= 2
 
 
-def test_branch_runs_on_past_a_candidate_that_ends_none() -> None:
-    two = candidates(MIDDLE, (150.0, 163.0))
-    found, _ = segment_branches(two, 0, np.array([0]), arms(0, 120, 240), PAPER)
-    assert found.lengths.min() >= 20
-
-
-@pytest.mark.parametrize("end_at_rejected", [True, False])
-def test_candidate_that_is_no_intersection_ends_branches_if_asked_to(end_at_rejected: bool) -> None:
-    both = candidates(MIDDLE, (150.0, 175.0))
-    config = BranchConfig(end_at_rejected=end_at_rejected)
-    found = segment_all(both, arms(0, 120, 240), config)
+def test_candidate_that_is_no_intersection_ends_branches_too() -> None:
+    found = segment_all(candidates(MIDDLE, (150.0, 175.0)), arms(0, 120, 240), BranchConfig())
     assert found.kept == [0]
-    assert (found.branches[0].lengths.min() > 20) == (not end_at_rejected)
+    assert found.branches[0].lengths.min() <= 20
 
 
 def test_every_candidate_keeps_the_pieces_that_it_was_judged_by() -> None:
     line = arms(0, 120, 240)
-    found = segment_all(candidates(MIDDLE, (150.0, 163.0)), line, BranchConfig(end_at_rejected=False))
+    found = segment_all(candidates(MIDDLE, (150.0, 163.0)), line, BranchConfig())
     for branches, pieces in zip(found.branches, found.pieces, strict=True):
         taken = [piece for piece in pieces if piece.is_branch]
         assert [len(piece.pixels) for piece in taken] == branches.lengths.tolist()
@@ -178,12 +162,11 @@ def test_branch_too_short_to_tell_its_direction_counts_but_has_no_weight() -> No
     np.testing.assert_allclose(np.hypot(*found.lines["direction"].T), 1)
 
 
-@pytest.mark.parametrize("min_fit_m", [0.0, 3.0, 200.0])
-def test_branch_without_a_line_leads_from_the_candidate_through_its_mean(min_fit_m: float) -> None:
-    config = BranchConfig(line="least_squares", trim_m=2, min_fit_m=min_fit_m)
+def test_branch_without_a_line_leads_from_the_candidate_through_its_mean() -> None:
+    config = BranchConfig(line="least_squares", trim_m=2)
     line, place = arms(0, 120, 240), candidates(MIDDLE, (150.0, 162.0))
-    found, pieces = segment_branches(place, 0, np.arange(2), line, config)
-    assert np.count_nonzero(found.has_line) == (0 if min_fit_m == 200 else 2)
+    found, pieces = segment_branches(place, 0, line, config)
+    assert np.count_nonzero(found.has_line) == 2
     for struck, piece in zip(
         found.lines[~found.has_line], pieces.table[pieces.is_branch][~found.has_line], strict=True
     ):

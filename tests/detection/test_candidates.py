@@ -113,7 +113,7 @@ def test_harris_corners_nearer_than_the_merging_distance_are_one() -> None:
 
 
 def crossings(lines: UInt8Array, width: int = 21, **settings: float) -> tuple[FloatArray, FloatArray]:
-    values = {"merge_widths": 1.0, "merge_min_m": 4.0, "merge_max_m": 100.0} | settings
+    values = {"merge_widths": 1.0, "merge_max_m": 100.0} | settings
     found = find_candidates(centerline(lines, width), CrossingCandidates(**values))
     return found.positions, found.widths
 
@@ -140,11 +140,6 @@ def test_junctions_joined_within_a_road_width_are_one() -> None:
     assert one.tolist() == [[150, 115]]
 
 
-@pytest.mark.parametrize(("settings", "count"), [({"merge_min_m": 29}, 2), ({"merge_min_m": 31}, 1)])
-def test_junctions_within_the_least_length_are_one_however_narrow(settings: dict[str, float], count: int) -> None:
-    assert len(crossings(STAGGERED, 5, **settings)[0]) == count
-
-
 @pytest.mark.parametrize(("settings", "count"), [({"merge_max_m": 28}, 2), ({"merge_max_m": 50}, 1)])
 def test_junctions_beyond_the_most_length_are_apart_however_wide(settings: dict[str, float], count: int) -> None:
     assert len(crossings(STAGGERED, 41, **settings)[0]) == count
@@ -161,7 +156,7 @@ def test_width_of_a_candidate_is_the_widest_of_its_junctions() -> None:
     road = line.occupancy.to_array()
     road[151:, 131:] = 0  # one side of the second junction is narrow
     narrowed = Centerline.of(line.image, binary_image(road))
-    config = CrossingCandidates(merge_widths=1, merge_min_m=40, merge_max_m=100)
+    config = CrossingCandidates(merge_widths=2, merge_max_m=100)
     (width,) = find_candidates(narrowed, config).widths
     junctions = np.flatnonzero(narrowed.degrees >= 3).astype(np.int32)
     widths = narrowed.widths(junctions)

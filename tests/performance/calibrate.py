@@ -2,7 +2,8 @@
 
 From the project's folder, with PYTHONPATH=. there. Prints the settings `calibration.*` of the preset, and how true they
 are on drives that they were not fitted to. What is true is the map: a node of policy `drive` assigned to an
-intersection, one to one, within 10 m. For twins (`interloc benchmark twins --keep`) it is so by construction.
+intersection, one to one, within 10 m. What the nodes of a map are off themselves is a term of its own, one number per
+drive. For twins (`interloc benchmark twins --keep`) the nodes are true by construction.
 
 Drives go together by their maps (00.osm.gz): those of one sequence share their junctions, so a sequence is either
 fitted to or held out, in all its seeds. Simulated and recorded drives have the same weight in all. Three fits are made:
@@ -54,6 +55,7 @@ Case = FolderCase | TwinCase
 FITTED = ("line_std_m", "unclear_line_std_m", "coarse_line_std_m", "shape_limit_m")
 WEIGHTS = ("log_odds", "log_odds_seen", "log_odds_per_doubling")
 START = PRESETS["default"].calibration or CalibrationConfig()
+MIN_PLACES = 5  # fewer say nothing of their map
 _LOG_SPREAD = 1.0
 """Of the prior of each standard deviation, about its start: weak, for sets that say nothing of one of them."""
 _WEIGHTS, _WEIGHT_SPREADS = np.array([0.0, 6.0, 0.0]), np.array([10.0, 1.0, 10.0])
@@ -75,6 +77,8 @@ class Places:
         East and north of the intersection to its node, NaN for none.
     counts, kept : (N,) bool
         In the relevant zone of a keyframe; part of the map.
+    map_std_m : float
+        What the nodes of the map are off, along each axis.
     """
 
     sequence: str
@@ -85,6 +89,7 @@ class Places:
     error: FloatArray
     counts: FloatArray
     kept: FloatArray
+    map_std_m: float = 0.0
 
     @property
     def right(self) -> FloatArray:
@@ -92,9 +97,20 @@ class Places:
         return np.isfinite(self.error[:, 0])
 
     def covariances(self, calibration: CalibrationConfig) -> FloatArray:
-        """Return the (N, 2, 2) covariances."""
+        """Return the (N, 2, 2) covariances of the errors, those of the map among them."""
         covariance = position_covariance(self.sightings, self.bearings_deg, calibration)
-        return covariance + fix_variance(self.sightings, calibration)[:, None, None] * np.eye(2)
+        variance = fix_variance(self.sightings, calibration) + self.map_std_m**2
+        return covariance + variance[:, None, None] * np.eye(2)
+
+    def misfit(self, calibration: CalibrationConfig) -> float:
+        """Return minus the log likelihood of the errors, but for a constant."""
+        determinants = np.linalg.det(self.covariances(calibration)[self.right])
+        return 0.5 * float(np.sum(np.log(determinants)) + np.sum(self.squared(calibration)))
+
+    def with_map_std(self) -> Places:
+        """Tell the error of the map from that of the intersections, by largest likelihood with the present settings."""
+        trials = [replace(self, map_std_m=float(std_m)) for std_m in np.arange(0.0, 10.0, 0.1)]
+        return min(trials, key=lambda trial: trial.misfit(START)) if self.right.sum() >= MIN_PLACES else self
 
     def squared(self, calibration: CalibrationConfig) -> FloatArray:
         """Return the normalised squared errors of the right ones."""
@@ -152,9 +168,8 @@ def places_of(result: DriveResult, case: Case, kind: str, config: DetectorConfig
         error[rows] = enu_from_lonlat(lonlat[:, 1], lonlat[:, 0], nodes[node[rows]])
     sightings, seen = evidence(result.keyframes, detections, table, config.fusion)
     kept = (table.confidence >= config.fusion.min_confidence) & (table.observations >= config.fusion.min_observations)
-    return Places(
-        case.osm.name[:2], kind, sightings, seen, table.bearings_deg, error, evaluation.map_level.counts, kept
-    )
+    counts = evaluation.map_level.counts
+    return Places(case.osm.name[:2], kind, sightings, seen, table.bearings_deg, error, counts, kept).with_map_std()
 
 
 def weights_of(drives: list[Places]) -> FloatArray:
@@ -178,8 +193,7 @@ def fit(drives: list[Places]) -> CalibrationConfig:
         calibration = with_stds(logs)
         total = float(np.sum((logs - start) ** 2)) / 2 / _LOG_SPREAD**2
         for drive, w in zip(drives, weight, strict=True):
-            covariance = drive.covariances(calibration)[drive.right]
-            total += 0.5 * w * float(np.sum(np.log(np.linalg.det(covariance))) + np.sum(drive.squared(calibration)))
+            total += w * drive.misfit(calibration)
         return total
 
     weight = weights_of(drives)
