@@ -276,14 +276,22 @@ class BranchConfig(_Config):
 class CompoundConfig(_Config):
     """Intersections side by side in one blob of road (beyond the paper: its section V-D)."""
 
-    separation_m: float = Field(7.0, gt=0, le=50, description="Intersections closer together than this are one.")
+    of_older_versions = frozenset({"crossing_deg", "offset_m"})
+
+    separation_m: float = Field(
+        7.0,
+        gt=0,
+        le=50,
+        description="Intersections closer together than this are one; branches of a through road pass each other by at "
+        "most half of it.",
+    )
     straight_deg: float = Field(
-        25.0, gt=0, le=60, description="Two branches of a through road differ in direction by at most this angle."
+        25.0,
+        gt=0,
+        le=60,
+        description="Two branches of a through road differ in direction by at most this angle; roads cross at a larger "
+        "one.",
     )
-    offset_m: float = Field(
-        4.0, gt=0, le=20, description="Two branches of a through road pass each other at no more than this distance."
-    )
-    crossing_deg: float = Field(30.0, gt=0, le=90, description="Smallest angle at which roads cross.")
 
 
 class ScoreConfig(_Config):

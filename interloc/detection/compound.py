@@ -92,7 +92,7 @@ def _split_end(branches: Branches, halves: list[_Axis], stems: list[_Axis], conf
     reach = branches.inner + config.separation_m / branches.resolution_m
     crossed: list[tuple[_Axis, list[FloatArray]]] = []
     for stem in stems:
-        met = [half.meets(stem, math.radians(config.crossing_deg)) for half in halves]
+        met = [half.meets(stem, math.radians(config.straight_deg)) for half in halves]
         places = [place for place in met if place is not None and math.dist(place, branches.candidate) < reach]
         if len(places) == len(halves):
             crossed.append((stem, places))
@@ -135,7 +135,7 @@ def _connected(part: Branches, places: list[FloatArray]) -> Branches:
 def _axes(branches: Branches, config: CompoundConfig) -> tuple[list[_Axis], list[_Axis]]:
     """Pair the branches that continue each other; return axes, with what runs beside them, and all other branches."""
     tolerance_rad = math.radians(config.straight_deg)
-    offset_limit = config.offset_m / branches.resolution_m
+    offset_limit = 0.5 * config.separation_m / branches.resolution_m
     points, directions, weights = (branches.lines[name] for name in ("point", "direction", "weight"))
     usable = np.flatnonzero(branches.has_line).tolist()
     costs = []
@@ -174,7 +174,7 @@ def _is_beside(branches: Branches, one: _Axis, axis: _Axis, config: CompoundConf
     along = abs(float(one.direction @ axis.direction))
     gap = _nearest(branches, one.branches[0]) - axis.point
     off = abs(float(axis.direction[0] * gap[1] - axis.direction[1] * gap[0])) * branches.resolution_m
-    return along > math.cos(math.radians(config.crossing_deg)) and off > config.separation_m
+    return along > math.cos(math.radians(config.straight_deg)) and off > config.separation_m
 
 
 def _offset(branches: Branches, i: int, j: int) -> float:
@@ -197,7 +197,7 @@ def _crossings(
     branches: Branches, axes: list[_Axis], stems: list[_Axis], config: CompoundConfig
 ) -> list[tuple[FloatArray, set[int]]]:
     """Return where roads meet in the blob, each with the branches that meet there."""
-    least = math.radians(config.crossing_deg)
+    least = math.radians(config.straight_deg)
     found: list[tuple[FloatArray, set[int]]] = []
     for i, axis in enumerate(axes):
         for other in axes[i + 1 :]:

@@ -76,7 +76,7 @@ def test_staggered_side_roads_are_two_intersections_on_the_through_road() -> Non
 
 @pytest.mark.parametrize(("half_m", "count"), [(3.0, 1), (4.0, 2)])
 def test_intersections_nearer_than_the_separation_are_one(half_m: float, count: int) -> None:
-    config = CompoundConfig(separation_m=7, offset_m=1)
+    config = CompoundConfig(separation_m=7)
     core = [(0.0, -half_m), (0.0, half_m)]
     assert len(split_compound(blob(EAST, WEST, north(-half_m), south(half_m), core=core), config)) == count
 
@@ -160,7 +160,7 @@ def test_carriageways_nearer_than_the_separation_are_one_road_that_ends() -> Non
 def test_carriageways_that_lead_on_as_one_road_do_not_end() -> None:
     leads_on: Branch = ((20.0, 12.0), 270)
     parting = blob(EAST, north(-6), north(6), leads_on, core=[])
-    assert split_compound(parting, CompoundConfig(offset_m=1)) == [parting]
+    assert split_compound(parting, CONFIG) == [parting]
 
 
 def test_branches_of_which_none_continue_each_other_stay_one() -> None:
