@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import CancelledError, Executor, Future
@@ -14,6 +15,7 @@ from interloc.errors import ConfigError, install
 from interloc.processes import cores
 
 _ASK_AGAIN_S = 5.0
+_PATIENCE_S = 10.0  # with a scheduler that does not answer
 
 Given = TypeVarTuple("Given")
 Result = TypeVar("Result")
@@ -108,24 +110,31 @@ class DaskExecutor:
     """
 
     def __init__(self, address: str, count_loss: Callable[[], None]) -> None:
+        self._address = address
+        self._count_loss = count_loss
+        self._known_slots = (0.0, 0)
+        self._asking = threading.Lock()
+        self._client: Any  # of distributed, which has no types
+        self._executor: Executor
         try:
-            from distributed import Client  # noqa: PLC0415 - an extra
+            self._connect()
         except ImportError as error:
             raise ConfigError(
                 f"a Dask scheduler is named ({address}), but Dask is not installed. Install it: {install('dask')}"
             ) from error
-        try:
-            connect: Any = Client  # it has no types
-            self._client = connect(address, timeout=10, name="interloc", set_as_default=False)
         except (OSError, ValueError, TimeoutError) as error:
             raise ConfigError(
                 f"no Dask scheduler answers at {address} ({error or type(error).__name__}). "
                 "Start one (`dask scheduler`), and workers (`dask worker ADDRESS`) that see the same files."
             ) from error
+
+    def _connect(self) -> None:
+        from distributed import Client  # noqa: PLC0415 - an extra
+
+        connect: Any = Client
+        self._client = connect(self._address, timeout=_PATIENCE_S, name="interloc", set_as_default=False)
         # Not pure: a repeated call must be executed again, because its outcome is a file, not its value.
-        self._executor: Executor = self._client.get_executor(pure=False)
-        self._count_loss = count_loss
-        self._known_slots = (0.0, 0)
+        self._executor = self._client.get_executor(pure=False)
 
     @property
     def slots(self) -> int:  # noqa: D102 - see WorkExecutor
@@ -133,12 +142,20 @@ class DaskExecutor:
 
     @property
     def alive(self) -> int:
-        """Number of threads of all workers, asked for every few seconds."""
+        """Number of threads of all workers, asked for every few seconds; 0 while the scheduler is away."""
         until, slots = self._known_slots
-        if time.monotonic() >= until:
-            with suppress(OSError, TimeoutError):  # the scheduler is away; the client keeps trying
+        if time.monotonic() >= until and self._asking.acquire(blocking=False):
+            try:
+                if (
+                    self._client.status == "closed"
+                ):  # it gives a scheduler up that was away for longer than its patience
+                    self._connect()
                 slots = sum(self._client.nthreads().values())
-            self._known_slots = time.monotonic() + _ASK_AGAIN_S, slots
+            except (OSError, ValueError, TimeoutError):
+                slots = 0
+            finally:
+                self._known_slots = time.monotonic() + _ASK_AGAIN_S, slots
+                self._asking.release()
         return slots
 
     def submit(  # noqa: D102 - see WorkExecutor
