@@ -23,6 +23,7 @@ _SHOWN = 5
 @click.option("--keep-daily", type=click.IntRange(0), help="Make a generation, and keep one of each of N days.")
 @click.option("--keep-weekly", type=click.IntRange(0), help="The same of N weeks.")
 @click.option("--keep-monthly", type=click.IntRange(0), help="The same of N months.")
+@click.option("--to", metavar="ADDRESS", help="Then bring OUT to object storage: s3://bucket/prefix; only what is new.")
 @options.QUIET
 @options.JSON
 def backup(
@@ -31,6 +32,7 @@ def backup(
     keep_daily: int | None,
     keep_weekly: int | None,
     keep_monthly: int | None,
+    to: str | None,
     quiet: bool,
     as_json: bool,
 ) -> None:
@@ -46,16 +48,16 @@ def backup(
     \b
     Examples:
       interloc backup /mnt/backup/interloc --data-dir /srv/interloc
-      interloc backup /mnt/backups --keep-daily 7 --keep-weekly 4 --keep-monthly 12
+      interloc backup /mnt/backups --keep-daily 7 --keep-weekly 4 --keep-monthly 12 --to s3://bucket/backups
     """
     if ":/" in str(out):
-        raise click.UsageError(f"{out}: a backup is written to a folder; bring that to object storage by a tool of it.")
+        raise click.UsageError(f"{out}: a backup is written to a folder, and brought to object storage by --to.")
     settings = read_settings({"data_dir": data_dir})
     from app.context import Context
     from app.upkeep.backup import back_up
     from app.upkeep.generations import Retention, back_up_generation
 
-    keep, dropped = (keep_daily, keep_weekly, keep_monthly), list[str]()
+    everything, keep, dropped = out, (keep_daily, keep_weekly, keep_monthly), list[str]()
     context = Context.open_existing(settings)
     try:
         with _resumable(), console.progress("backup", "B", quiet=quiet) as bar:
@@ -66,15 +68,22 @@ def backup(
                 report = back_up(context, out, bar)
     finally:
         context.close()
-    record = report.record
+    record, copied = report.record, None
+    if to is not None:
+        from app.upkeep.elsewhere import bring
+
+        with _resumable():
+            copied = bring(everything, to)
     if as_json:
-        counts = {
+        counts: dict[str, Any] = {
             "brought_files": report.brought_files,
             "brought_bytes": report.brought_bytes,
             "removed_files": report.removed_files,
             "longest_lock_s": round(report.longest_lock_s, 3),
             "faults": report.faults,
             "removed_generations": dropped,
+            "copied_files": None if copied is None else copied[0],
+            "copied_bytes": None if copied is None else copied[1],
         }
         console.say_json({"out": str(out), **record.model_dump(mode="json"), **counts})
     elif not quiet:
@@ -89,6 +98,7 @@ def backup(
             ("brought", brought if report.brought_files else "nothing: all was there"),
             ("removed", removed),
             *[("removed", f"the generation {name}") for name in dropped],
+            *([] if copied is None else [("copied", f"{copied[0]:,} files, {console.size(copied[1])}, to {to}")]),
             ("time", f"{seconds:.1f} s; no drive was locked for longer than {report.longest_lock_s:.2f} s"),
         ]
         console.say_facts(row for row in rows if row != ("removed", removed) or report.removed_files)
@@ -100,19 +110,21 @@ def backup(
 
 
 @click.command(short_help="Restore a backup of the web service.")
-@click.argument("backup", type=options.PATH)
+@click.argument("backup")
 @DATA_DIR
 @click.option("--generation", help="Which of several generations, or how its name begins.  [default: the newest]")
 @click.option("--incomplete", is_flag=True, help="Restore what there is of a backup that is not whole.")
 @options.QUIET
 @options.JSON
 def restore(
-    backup: Path, data_dir: Path | None, generation: str | None, incomplete: bool, quiet: bool, as_json: bool
+    backup: str, data_dir: Path | None, generation: str | None, incomplete: bool, quiet: bool, as_json: bool
 ) -> None:
     """Restore BACKUP into an empty data folder and an empty database: SQLite, or PostgreSQL by INTERLOC_DATABASE_URL.
 
-    The database need not be of the kind that the backup was made of: this is also the way from one to the other. A
-    restoration that was stopped goes on where it stopped; until it has ended, no server starts on the data folder.
+    BACKUP is a folder, or s3://bucket/prefix that `interloc backup --to` has written: then it is fetched first, into
+    TMPDIR. The database need not be of the kind that the backup was made of: this is also the way from one to the
+    other. A restoration that was stopped goes on where it stopped; until it has ended, no server starts on the data
+    folder.
 
     \b
     Example:
@@ -122,13 +134,18 @@ def restore(
     from app.upkeep.generations import find_generation
     from app.upkeep.restore import restore as restore_backup
 
-    backup = find_generation(backup, generation)
     with _resumable(), console.progress("restore", "B", quiet=quiet) as bar:
-        report = restore_backup(settings, backup, incomplete=incomplete, advance=bar)
+        if "://" in backup:
+            from app.upkeep.elsewhere import fetch
+
+            folder = fetch(backup, generation)
+        else:
+            folder = find_generation(Path(backup), generation)
+        report = restore_backup(settings, folder, incomplete=incomplete, advance=bar)
     made_at = report.record.begun_at
     if as_json:
         facts: dict[str, Any] = {
-            "backup": str(backup),
+            "backup": str(folder),
             "made_at": made_at.isoformat(),
             "data_dir": str(settings.data_dir),
             "drives": report.drives,
