@@ -350,14 +350,18 @@ def test_ctrl_c_waits_for_the_exchange(tmp_path: Path, monkeypatch: pytest.Monke
     out = tmp_path / "out"
     make_mine(out)
     swap = exchange._swap
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored where the tests run in the background
 
     def interrupted(new: Path, target: Path) -> Path:
         signal.raise_signal(signal.SIGINT)
         return swap(new, target)
 
     monkeypatch.setattr(exchange, "_swap", interrupted)
-    with pytest.raises(KeyboardInterrupt):
-        replace_result(out, b"new")
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            replace_result(out, b"new")
+    finally:
+        signal.signal(signal.SIGINT, before)
     assert mine_of(out) == MINE
     assert (out / "run.json").read_bytes() == b"new"
     assert [entry.name for entry in tmp_path.iterdir()] == ["out"]
