@@ -187,8 +187,8 @@ class OsmPlane:
         from scipy.sparse import coo_array  # noqa: PLC0415 - slow to import
         from scipy.sparse.csgraph import connected_components  # noqa: PLC0415
 
-        roads = [self.along(node, each, reach_m) for node in self.open_junctions.tolist()
-                 for each in self.neighbours[node]]  # fmt: skip
+        leaving = [(node, each) for node in self.open_junctions.tolist() for each in self.neighbours[node]]
+        roads = [self.along(node, each, reach_m) for node, each in leaving]
         ends = np.array([(nodes[0], nodes[-1]) for nodes, metres in roads if metres[-1] <= reach_m]).reshape(-1, 2)
         ends = np.searchsorted(self.open_junctions, ends[np.isin(ends[:, 1], self.open_junctions)])
         count = len(self.open_junctions)

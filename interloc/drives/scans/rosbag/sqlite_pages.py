@@ -14,6 +14,7 @@ _TREE, _LEAF = 5, 13  # kinds of pages of tables
 _AT_ONCE = 1 << 18  # bytes: pages that follow each other are read together
 _VALUE_BYTES = 4096
 _MAX_DEPTH = 20
+_MAX_PAGES = 10_000  # of trees that are walked: pages that name each other would not end
 
 Value = int | float | str | bytes | None
 
@@ -35,7 +36,7 @@ class Pages:
     """
 
     def __init__(self, read: Callable[[int, int], bytes], size: int) -> None:
-        self._read, self._size = read, size
+        self._read, self._size, self._walked = read, size, 0
         head = self._bytes(0, _HEADER_BYTES)
         (page,) = struct.unpack_from(">H", head, 16)
         self._page = 65_536 if page == 1 else page
@@ -48,7 +49,8 @@ class Pages:
         page = self._bytes((root - 1) * self._page, self._page)
         at = _HEADER_BYTES if root == 1 else 0
         kind, count = page[at], struct.unpack_from(">H", page, at + 3)[0]
-        if kind not in {_TREE, _LEAF} or depth > _MAX_DEPTH:
+        self._walked += 1
+        if kind not in {_TREE, _LEAF} or depth > _MAX_DEPTH or self._walked > _MAX_PAGES:
             raise ValueError("no page of a table")
         cells = struct.unpack_from(f">{count}H", page, at + (12 if kind == _TREE else 8))
         if kind == _LEAF:
