@@ -73,7 +73,8 @@ export class CityScene extends OverviewScene {
     const next = { box: boxOf(bounds.pad(AROUND)), filter, isWhole: false, zoom };
     this.asked = next;
     this.#load(next, this.asking.signal).catch((error) => {
-      if (this.asked === next) this.asked = null;
+      if (next !== this.asked) return; // another view is asked for by now
+      this.asked = this.members = this.verdicts = null; // all of it is asked for again
       showError(error);
     });
   }
