@@ -99,7 +99,9 @@ Verdict = Literal["right", "wrong", "unscored"]
 class Strict(BaseModel):
     """A part of a file as it was written, and nothing else."""
 
-    model_config = ConfigDict(strict=True, frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(
+        strict=True, frozen=True, allow_inf_nan=False, defer_build=True  # a command uses few of them
+    )
 
 
 class Properties(Strict):
