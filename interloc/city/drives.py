@@ -61,6 +61,13 @@ class DriveOnMap:
         return cKDTree(self.track_xy)
 
     @cached_property
+    def track_each_m(self) -> FloatArray:
+        """Positions each metre along the keyframes, (n, 2)."""
+        travelled = np.append(0.0, np.cumsum(np.hypot(*np.diff(self.track_xy, axis=0).T)))
+        at = np.arange(0.0, travelled[-1] + 0.5)
+        return np.stack([np.interp(at, travelled, axis) for axis in self.track_xy.T], axis=-1)
+
+    @cached_property
     def branches(self) -> tuple[FloatArray, FloatArray, IntArray]:
         """Bearings and widths of the branches of all sightings, one after the other, and how many each has."""
         data = self.data

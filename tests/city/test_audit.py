@@ -200,6 +200,51 @@ def test_one_pass_is_not_enough_unless_asked_for(tmp_path: Path) -> None:
     assert told(audit(merge(passes(1)), graph, AuditConfig(min_passes=1))) == [("missing_junction", 100)]
 
 
+def test_passes_need_not_agree_on_a_junction_where_all_saw_its_road(tmp_path: Path) -> None:
+    one, other = passes()[0], passes(2, [x for x in SIDES_M if x != 100.0])[1]
+    graph = osm(tmp_path, all_but(100.0))
+    (finding,) = audit(merge([one, other]), graph).findings
+    assert (finding.kind, finding.passes, finding.drives) == ("missing_junction", 2, ("d0", "d1"))
+    assert other.road is not None
+    blind = replace(other, road=replace(other.road, raster=Raster(0.5)))
+    assert audit(merge([one, blind]), graph).findings == []  # came by, and saw no road
+
+
+def test_pieces_of_one_drive_are_one_pass(tmp_path: Path) -> None:
+    graph = osm(tmp_path, all_but(100.0))
+    for pause_s, found in ((60.0, []), (3600.0, [("missing_junction", 100)])):
+        spans = np.array([[0.0, 900.0], [900.0 + pause_s, 1800.0 + pause_s]]) + 1.8e9
+        pieces = [replace(each, span_s=span) for each, span in zip(passes(), spans, strict=True)]
+        assert told(audit(merge(pieces), graph)) == found
+
+
+def test_a_road_is_missing_also_where_no_detection_has_a_branch(tmp_path: Path) -> None:
+    along = [replace(each, bearings_deg=(np.array([90.0, 270.0]),) * len(each)) for each in passes()]
+    along = [replace(each, widths_m=(np.full(2, 6.0),) * len(each)) for each in along]
+    (finding,) = audit(merge(along), osm(tmp_path, all_but(100.0))).findings
+    assert finding.evidence["branch_bearings_deg"] == pytest.approx([0.0], abs=10.0)
+    assert finding.evidence["branch_widths_m"] == pytest.approx([6.0], abs=0.8)
+
+
+def test_a_junction_beside_which_passes_drove_straight_on_lies_elsewhere(tmp_path: Path) -> None:
+    unseen = merge(passes(2, [x for x in SIDES_M if x != 300.0]))
+    (finding,) = audit(unseen, osm(tmp_path, [*all_but(300.0), (300.0, -12.0)])).findings
+    assert (finding.kind, finding.uid, finding.passes) == ("moved", None, 2)
+    assert finding.evidence["distance_m"] == pytest.approx(12.0, abs=0.5)
+    assert audit(unseen, osm(tmp_path, [*all_but(300.0), (300.0, -4.0)])).findings == []
+
+
+def test_a_corner_that_passes_cut_is_no_junction_elsewhere(tmp_path: Path) -> None:
+    """They turn from the west to the north 8 m before the node of the map."""
+    corner = np.array(
+        [[x, 0.0] for x in np.arange(-400.0, -8.0, 2.0)] + [[-4.0, 4.0]] + [[0.0, y] for y in range(8, 60)]
+    )
+    found = [replace(each, track_lonlat=lonlat_from_enu(*ORIGIN, corner)) for each in passes(2, [-300.0, -200.0])]
+    along = np.append(0.0, np.cumsum(np.hypot(*np.diff(corner, axis=0).T)))
+    turning = [replace(each, track_along_m=along, along_m=np.array([100.0, 200.0])) for each in found]
+    assert told(audit(merge(turning), osm(tmp_path, [(x, 0.0) for x in (-300.0, -200.0, 4.0)]))) == []
+
+
 @pytest.mark.parametrize(
     ("tags", "reason"),
     [
