@@ -299,18 +299,26 @@ def osmose_ids(path: Path, source: int = 1) -> list[str]:
     return ids
 
 
-def test_the_same_findings_are_known_again_also_after_more_drives(tmp_path: Path) -> None:
+def test_the_same_findings_are_known_again_whatever_happens_to_the_drives(tmp_path: Path) -> None:
     graph = osm(tmp_path, [*all_but(100.0, 300.0), (308.0, -9.0)])
     drives = passes(5)
     city, out = merge(drives[:2]), tmp_path / "audit"
+    again = replace(drives[1], key="worked on again", lonlat=drives[1].lonlat + 1e-6)
     identities = []
-    for extra in (drives[2:3], [], drives[3:]):
+    for change in (
+        lambda: city.add(drives[2]),
+        lambda: None,
+        lambda: city.add(*drives[3:]),
+        lambda: city.replace(again),
+        lambda: city.remove("d0", "d2"),
+        lambda: None,
+    ):
         found = audit(city, graph, known=known_findings(out))
         write_audit(found, city, out, AuditConfig(), made_at=NOON, source=graph.source)
         assert known_findings(out) == {each.id for each in found.findings}
         identities.append((sorted(task_names(out / MAPROULETTE_FILE)), sorted(osmose_ids(out / OSMOSE_FILE))))
-        city.add(*extra)
-    assert identities[0] == identities[1] == identities[2]
+        change()
+    assert all(each == identities[0] for each in identities)
     assert [len(set(each)) for each in identities[0]] == [2, 2]
     assert [point.name for point in gpxpy.parse((out / GPX_FILE).read_text()).waypoints] == identities[0][0]
 
@@ -332,8 +340,12 @@ def test_what_was_marked_wrong_does_not_come_back_whatever_its_kind(city: CityMa
         (tmp_path / name).mkdir()
     lacks = osm(tmp_path / "lacks", all_but(300.0))
     assert [each.kind for each in audit(city, lacks).findings] == ["missing_junction"]
-    for now in (graph, lacks):
-        found = audit(city, now, wrong=[wrong])
+    fewer, again = merge(passes(3)), replace(passes()[1], key="worked on again")
+    fewer.remove("d0")
+    fewer.replace(again)
+    unseen = merge(passes(2, [x for x in SIDES_M if x != 300.0]))
+    for of, now in ((city, graph), (city, lacks), (fewer, graph), (fewer, lacks), (unseen, graph)):
+        found = audit(of, now, wrong=[wrong])
         assert (found.findings, found.held_back["marked wrong"]) == ([], 1)
     assert len(audit(city, osm(tmp_path / "elsewhere", all_but(200.0)), wrong=[wrong]).findings) == 1
     png = (tmp_path / "audit" / "pictures" / f"{wrong.finding}.png").read_bytes()
