@@ -48,20 +48,13 @@ class Stamp(NamedTuple):
 
 @dataclass(frozen=True)
 class Difference:
-    """A file of a drive whose row says something else.
-
-    Attributes
-    ----------
-    path : str
-    listed : Stamp or None
-        What its row says; None without a row.
-    found : Stamp or None
-        What the disk says; None without a file.
-    """
+    """A file of a drive whose row says something else."""
 
     path: str
     listed: Stamp | None
+    """What its row says; None without a row."""
     found: Stamp | None
+    """What the disk says; None without a file."""
 
 
 @dataclass(frozen=True)

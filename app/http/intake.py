@@ -28,23 +28,15 @@ Kept = TypeVar("Kept")
 
 @dataclass(frozen=True)
 class Arrival:
-    """A file that has been received completely, but is not in its place yet.
-
-    Attributes
-    ----------
-    path : str
-        Its name in the drive.
-    temporary : Path
-        Where it lies.
-    size_bytes : int
-    sha256 : str
-        Hexadecimal.
-    """
+    """A file that has been received completely, but is not in its place yet."""
 
     path: str
+    """Its name in the drive."""
     temporary: Path
+    """Where it lies."""
     size_bytes: int
     sha256: str
+    """Hexadecimal."""
 
 
 class Intake:

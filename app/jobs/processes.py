@@ -69,27 +69,18 @@ class WorkerLimitError(Exception):
 
 @dataclass(eq=False)
 class Work:
-    """A piece of work.
-
-    Attributes
-    ----------
-    call
-        Function, arguments.
-    client : str
-        For whom it is done.
-    seconds : float
-        How long it may take.
-    urgent : bool
-        Somebody waits for it.
-    is_given_up : bool
-        Nobody wants it any more.
-    """
+    """A piece of work."""
 
     call: tuple[Callable[..., Any], tuple[Any, ...]]
+    """Function, arguments."""
     client: str = ""
+    """For whom it is done."""
     seconds: float = float("inf")
+    """How long it may take."""
     urgent: bool = False
+    """Somebody waits for it."""
     is_given_up: bool = False
+    """Nobody wants it any more."""
     future: Future[Any] = field(default_factory=Future)
 
 

@@ -40,21 +40,14 @@ _ANY_ACTIVE = select(Job.id).where(Job.state.in_(ACTIVE)).limit(1)
 
 @dataclass(frozen=True)
 class Claim:
-    """A job that a server has taken.
-
-    Attributes
-    ----------
-    job : Job
-        As it was when it was claimed.
-    drive_name, drive_state : str
-    lease : str
-        The name under which the server holds it.
-    """
+    """A job that a server has taken."""
 
     job: Job
+    """As it was when it was claimed."""
     drive_name: str
     drive_state: str
     lease: str
+    """The name under which the server holds it."""
 
 
 class LeaseClock:

@@ -39,24 +39,16 @@ class Key(NamedTuple):
 
 @dataclass
 class Candidates:
-    """All features of some chunks, one after the other; a place is the number of a feature among them.
-
-    Attributes
-    ----------
-    session : Session
-    chunks : sequence of rows
-        ``id`` (in whose order they are), ``count``, and what is the same for all features of the chunk: ``drive``,
-        ``job``, ``preset``, ``labels``.
-    is_point : bool
-        Whether features are points.
-    of_results : bool
-        Whether the latter are properties of the features.
-    """
+    """All features of some chunks, one after the other; a place is the number of a feature among them."""
 
     session: Session
     chunks: Sequence[Any]
+    """``id`` (in whose order they are), ``count``, and what is the same for all features of the chunk: ``drive``,
+    ``job``, ``preset``, ``labels``."""
     is_point: bool
+    """Whether features are points."""
     of_results: bool = True
+    """Whether the latter are properties of the features."""
     _known: dict[str, Any] = field(default_factory=dict)
 
     @cached_property

@@ -85,24 +85,16 @@ class BadFilterError(Exception):
 
 @dataclass(frozen=True)
 class Filter:
-    """A filter that was checked.
-
-    Attributes
-    ----------
-    tree
-        Of CQL2 JSON.
-    kinds : dict
-        Property -> int, float, bool, text or time.
-    area : tuple of float or None
-        West, south, east, north of a box outside of which nothing matches.
-    equal : dict
-        Texts that properties must have.
-    """
+    """A filter that was checked."""
 
     tree: Any
+    """Of CQL2 JSON."""
     kinds: Mapping[str, str]
+    """Property -> int, float, bool, text or time."""
     area: tuple[float, float, float, float] | None = None
+    """West, south, east, north of a box outside of which nothing matches."""
     equal: dict[str, str] = field(default_factory=dict)
+    """Texts that properties must have."""
 
 
 def read_filter(

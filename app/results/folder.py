@@ -36,28 +36,20 @@ _STATES = {
 
 @dataclass(frozen=True)
 class Result:
-    """The result of a successful job.
-
-    Attributes
-    ----------
-    address : str
-        Of the job, below the root of the service.
-    drive : Path
-        Folder of its drive.
-    cache : Path
-        Folder for what is derived from the result; it goes with the job.
-    request : dict
-        What the job was asked for, completed.
-    """
+    """The result of a successful job."""
 
     job_id: str
     drive_id: str
     drive_name: str
     address: str
+    """Of the job, below the root of the service."""
     folder: Path
     drive: Path
+    """Folder of its drive."""
     cache: Path
+    """Folder for what is derived from the result; it goes with the job."""
     request: dict[str, Any]
+    """What the job was asked for, completed."""
 
     @property
     def is_georeferenced(self) -> bool:

@@ -117,26 +117,17 @@ def revoke_token(database: Database, name: str) -> None:
 
 @dataclass(frozen=True)
 class Holder:
-    """Who sends a request, and what is allowed to it.
-
-    Attributes
-    ----------
-    name : str
-        Name of the token.
-    scope : Scope
-    max_bytes, max_jobs : int or None
-        See `Token`.
-    expires_at : float or None
-    has_expired : bool
-        When the table was last read.
-    """
+    """Who sends a request, and what is allowed to it."""
 
     name: str
+    """Name of the token."""
     scope: Scope = Scope.WRITE
     max_bytes: int | None = None
     max_jobs: int | None = None
+    """See `Token`."""
     expires_at: float | None = None
     has_expired: bool = False
+    """When the table was last read."""
 
 
 class TokenBook:

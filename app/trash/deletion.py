@@ -42,20 +42,13 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Purged:
-    """A drive or a job that was deleted for good.
-
-    Attributes
-    ----------
-    kind : str
-        "drives" or "jobs".
-    id : str
-    size_bytes : int
-        Bytes that this set free.
-    """
+    """A drive or a job that was deleted for good."""
 
     kind: TrashKind
+    """"drives" or "jobs"."""
     id: str
     size_bytes: int
+    """Bytes that this set free."""
 
 
 def delete_drive(

@@ -42,21 +42,14 @@ _UNKNOWN_OWNER = "unknown"
 
 @dataclass(frozen=True)
 class Adoption:
-    """What became of a folder that no row knew.
-
-    Attributes
-    ----------
-    place : str
-        Where it lay, as a path in the data folder.
-    is_adopted : bool
-        False if it was left where it is.
-    text : str
-        What it is now, or why it was left.
-    """
+    """What became of a folder that no row knew."""
 
     place: str
+    """Where it lay, as a path in the data folder."""
     is_adopted: bool
+    """False if it was left where it is."""
     text: str
+    """What it is now, or why it was left."""
 
 
 class _LeftError(Exception):

@@ -51,24 +51,16 @@ _KINDS = {
 
 @dataclass(frozen=True)
 class Discrepancy:
-    """Something that is not as it should be.
-
-    Attributes
-    ----------
-    kind : str
-        A word for programs, for example "file-missing".
-    place : str
-        Where it is, as a path in the data folder.
-    message : str
-        What was found, what was expected, what to do.
-    repair : str or None
-        What was done about it.
-    """
+    """Something that is not as it should be."""
 
     kind: str
+    """A word for programs, for example "file-missing"."""
     place: str
+    """Where it is, as a path in the data folder."""
     message: str
+    """What was found, what was expected, what to do."""
     repair: str | None = None
+    """What was done about it."""
 
 
 def check(
