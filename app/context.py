@@ -85,7 +85,6 @@ def open_database(settings: Settings, *, bound: bool = True) -> Database:
 
     Parameters
     ----------
-    settings
     bound
         False opens them even if they do not belong together, to bind them.
 

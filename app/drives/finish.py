@@ -37,7 +37,6 @@ def finish_drive(session: Session, context: Context, job: Job, outcome: Outcome 
     ----------
     session
         The transaction in which the job ends.
-    context
     job
         Its end is written already; it becomes a failure if its files cannot be placed in the drive.
     outcome

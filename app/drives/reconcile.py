@@ -72,8 +72,6 @@ def reconcile(
 
     Parameters
     ----------
-    context
-    drive_id
     maps_only
         Look at the maps on the disk only: all that can have changed in a drive that is ready.
     may_unlist

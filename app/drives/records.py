@@ -126,13 +126,7 @@ def _check_source(settings: Settings, source: str | None) -> None:
 
 
 def find_drive(session: Session, drive_id: str) -> Drive:
-    """Return a drive.
-
-    Raises
-    ------
-    Problem
-        404.
-    """
+    """Return a drive; a 404 where there is none."""
     drive = session.get(Drive, drive_id)
     if drive is None or drive.deleted_at is not None:
         raise no_drive(drive_id)
@@ -140,13 +134,7 @@ def find_drive(session: Session, drive_id: str) -> Drive:
 
 
 def lock_drive(session: Session, drive_id: str) -> Drive:
-    """Return a drive and lock it until the transaction ends.
-
-    Raises
-    ------
-    Problem
-        404.
-    """
+    """Return a drive (404 where there is none) and lock it until the transaction ends."""
     drive = session.get(Drive, drive_id, with_for_update=True, populate_existing=True)
     if drive is None or drive.deleted_at is not None:
         raise no_drive(drive_id)

@@ -44,7 +44,6 @@ class Intake:
 
     Parameters
     ----------
-    context
     path
         Name of the file in the drive.
     limit
@@ -61,13 +60,7 @@ class Intake:
         self._file: FileIO | None = None
 
     def write(self, data: bytes | memoryview) -> None:
-        """Take the next bytes.
-
-        Raises
-        ------
-        Problem
-            413: more than the limit.
-        """
+        """Take the next bytes; a 413 where they are more than the limit."""
         self.size_bytes += len(data)
         if self.size_bytes > self._limit:
             raise too_large(self.path, self._limit)
@@ -124,7 +117,6 @@ async def receive(request: Request, take: Callable[[bytes], None], finish: Calla
 
     Parameters
     ----------
-    request
     take
         Called with each piece, in a thread.
     finish

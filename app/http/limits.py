@@ -64,25 +64,14 @@ def too_large(what: str, limit: int) -> Problem:
 
 
 def check_free_space(context: Context, needed: int) -> None:
-    """Refuse what would leave too little space on the disk.
-
-    Raises
-    ------
-    Problem
-        507.
-    """
+    """Refuse (507) what would leave too little space on the disk."""
     free = context.storage.free_bytes() - context.bookings.size_bytes
     if free - needed < context.settings.min_free_bytes:
         raise disk_full(headers=CLOSE)
 
 
 class Booking:
-    """Disk space for one body, within the block: what it announces is kept from all others until it has come.
-
-    Parameters
-    ----------
-    context
-    """
+    """Disk space for one body, within the block: what it announces is kept from all others until it has come."""
 
     def __init__(self, context: Context) -> None:
         self._context = context
@@ -136,7 +125,6 @@ def check_drive(context: Context, files: int, size: int) -> None:
 
     Parameters
     ----------
-    context
     files, size
         What the drive would have.
 
@@ -162,7 +150,6 @@ def check_quota(context: Context, session: Session, owner: str, sender: str, mor
 
     Parameters
     ----------
-    context
     session
         The transaction that stores it: those of one client come here one after the other.
     owner

@@ -54,8 +54,6 @@ class Attempt:
 
     Parameters
     ----------
-    context, queue, executor
-    claim
     finish_drive
         Called at the end of a job that changes its drive.
     index_result

@@ -78,7 +78,6 @@ def open_executor(settings: Settings, count_loss: Callable[[], None]) -> WorkExe
 
     Parameters
     ----------
-    settings
     count_loss
         Called when a worker process died.
 

@@ -118,7 +118,6 @@ class JobQueue:
 
     Parameters
     ----------
-    database
     lease_s
         Time after which a job is taken over whose server has not renewed its lease.
     """
@@ -278,7 +277,6 @@ def submit(
     ----------
     session
         Of `Database.writing`.
-    database
     kind, drive_id, owner, request
         See `Job`.
     key

@@ -39,7 +39,6 @@ class Runner:
 
     Parameters
     ----------
-    context
     finish_drive
         Writes what the end of a job means for its drive (`app.drives.finish`).
     index_result

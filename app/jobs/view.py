@@ -28,13 +28,7 @@ _NO_WORKER = "It waits for a worker: none can be started at present. The service
 
 
 def find_job(session: Session, job_id: str) -> tuple[Job, str]:
-    """Return a job and the name of its drive.
-
-    Raises
-    ------
-    Problem
-        404 there is no such job.
-    """
+    """Return a job (404 where there is none) and the name of its drive."""
     found = session.execute(
         select(Job, Drive.name).join(Drive, Drive.id == Job.drive_id).where(Job.id == job_id, is_alive())
     ).one_or_none()

@@ -75,11 +75,8 @@ def note(session: Session, job: Job, state: JobState, now: float, **facts: Any) 
 
     Parameters
     ----------
-    session
-    job
     state
         That it enters.
-    now
     **facts
         Outcome of the job: `summary`, `error`.
     """

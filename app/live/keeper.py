@@ -42,13 +42,7 @@ class Keeper:
         self._scans: list[LiveScan] = []  # without their points
 
     def keep(self, scan: LiveScan) -> None:
-        """Write the points of a keyframe.
-
-        Raises
-        ------
-        Problem
-            413: the drive would become too large. 507: the disk is full.
-        """
+        """Write the points of a keyframe; a 413 where the drive, a 507 where the disk would be too full."""
         ground, number = scan.ground, len(self._scans)
         points = np.pad(ground.xyz, ((0, 0), (0, 1)))
         labels = np.where(ground.is_road, _ROAD, _OTHER).astype("<u4")

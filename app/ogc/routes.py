@@ -70,13 +70,7 @@ class _Served:
             return extents(session, self.source)
 
     def collection(self, name: str) -> Collection:
-        """Return a collection.
-
-        Raises
-        ------
-        Problem
-            404.
-        """
+        """Return a collection; a 404 where there is none."""
         found = self.source.collections.get(name)
         if found is None or (not self.source.is_of_all and name not in self.extents()):
             known = ", ".join(self.extents())

@@ -50,10 +50,8 @@ def add_token(
 
     Parameters
     ----------
-    database
     name
         Of the client.
-    scope
     expires_at
         Seconds since 1970; None: never.
     max_bytes, max_jobs

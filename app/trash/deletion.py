@@ -63,8 +63,6 @@ def delete_drive(
 
     Parameters
     ----------
-    context
-    drive_id
     client
         Who deletes it; None for an upload that expired.
     at_once

@@ -65,7 +65,6 @@ def adopt(context: Context, *, dry_run: bool = False, progress: Advance = no_pro
         Opened with ``bound=False``.
     dry_run
         Only tell what would be done.
-    progress
 
     Raises
     ------

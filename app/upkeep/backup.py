@@ -131,7 +131,6 @@ def back_up(context: Context, out: Path, advance: Advance = no_progress) -> Back
         Of the service; its servers may run.
     out
         A new or an empty folder, or a backup of the same service.
-    advance
 
     Raises
     ------

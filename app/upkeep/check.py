@@ -76,7 +76,6 @@ def check(
         Also do what is safe: no byte of a drive or of a result is removed.
     quick
         Compare sizes and times only, without reading the files.
-    progress
     """
     with context.database.reading() as session:
         drives = session.execute(select(Drive.id, Drive.name).order_by(Drive.created_at)).all()

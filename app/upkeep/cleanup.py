@@ -46,7 +46,6 @@ def sweep(context: Context, *, by_age: bool = True) -> Counter[Removal]:
 
     Parameters
     ----------
-    context
     by_age
         Also what is old: not where the clock may be wrong.
 
@@ -104,7 +103,6 @@ def set_unknown_aside(context: Context, *, only: str | None = None) -> list[tupl
 
     Parameters
     ----------
-    context
     only
         Key of one folder; by default all that are older than any upload that goes on.
 

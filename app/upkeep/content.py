@@ -80,8 +80,6 @@ def read_content(session: Session, drive_id: str, *, lock: bool = False) -> Driv
 
     Parameters
     ----------
-    session
-    drive_id
     lock
         Lock the drive until the transaction ends: no file of it takes or loses its name meanwhile.
     """
@@ -184,8 +182,6 @@ def find_files(storage: Storage, content: DriveContent, held: Held | None = None
 
     Parameters
     ----------
-    storage
-    content
     held
         What is not to be looked at again where its rows are the same.
 

@@ -73,7 +73,6 @@ def restore(
         Folder of the backup; it stays as it is.
     incomplete
         Restore what there is of a backup that was not made to its end, or of which something is missing.
-    advance
 
     Raises
     ------

@@ -84,7 +84,6 @@ def members(path: Path, count: Callable[[int], None], max_files: int) -> Iterato
 
     Parameters
     ----------
-    path
     count
         Called with the bytes that come out of its decompressor beside the contents of members: what is skipped counts.
     max_files
