@@ -166,13 +166,7 @@ def _results(session: Session, drives: Sequence[Drive]) -> dict[str, str]:
 
 
 def pin_job(session: Session, drive: Drive, job_id: str | None) -> None:
-    """Let a job stand for its drive; None: the best one does.
-
-    Raises
-    ------
-    Problem
-        404: the drive has no such job. 409: it has no result.
-    """
+    """Let a job (404, or 409 without a result) stand for its drive; None: the best one does."""
     job = None if job_id is None else session.get(Job, job_id)
     if job_id is not None:
         if job is None or job.drive_id != drive.id or job.deleted_at is not None:

@@ -71,18 +71,7 @@ class Intake:
             view = view[file.write(view) :]
 
     def finish(self, sha256: str | None = None) -> Arrival:
-        """Bring the file to disk.
-
-        Parameters
-        ----------
-        sha256
-            What the client says it must be.
-
-        Raises
-        ------
-        Problem
-            422: the digest is another.
-        """
+        """Bring the file to disk; a 422 where it has not the SHA-256 that the client announced."""
         digest = self._hash.hexdigest()
         if sha256 not in {None, digest}:
             raise Problem(

@@ -121,18 +121,7 @@ async def make_room_to_delete(request: Request) -> None:
 
 
 def check_drive(context: Context, files: int, size: int) -> None:
-    """Refuse what makes a drive too large.
-
-    Parameters
-    ----------
-    files, size
-        What the drive would have.
-
-    Raises
-    ------
-    Problem
-        413.
-    """
+    """Refuse (413) what makes a drive too large, by the files and bytes that it would have."""
     settings = context.settings
     if size > settings.max_drive_bytes:
         raise too_large("All files of a drive together", settings.max_drive_bytes)
@@ -146,7 +135,7 @@ def check_drive(context: Context, files: int, size: int) -> None:
 
 
 def check_quota(context: Context, session: Session, owner: str, sender: str, more: int) -> None:
-    """Refuse what the owner of a drive, or who sends it, may not store any more by its token.
+    """Refuse (413) what the owner of a drive, or who sends it, may not store any more by its token.
 
     Parameters
     ----------
@@ -158,11 +147,6 @@ def check_quota(context: Context, session: Session, owner: str, sender: str, mor
         The client for which the bytes count.
     more
         Bytes that come in addition.
-
-    Raises
-    ------
-    Problem
-        413.
     """
     for client in sorted({owner, sender}):
         allowed = context.tokens.named(client).max_bytes

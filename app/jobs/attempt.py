@@ -50,15 +50,7 @@ class _StoppedError(Exception):
 
 
 class Attempt:
-    """A job under a lease of this server.
-
-    Parameters
-    ----------
-    finish_drive
-        Called at the end of a job that changes its drive.
-    index_result
-        Called at the end of a job that has a result.
-    """
+    """A job under a lease of this server."""
 
     def __init__(
         self,

@@ -90,11 +90,6 @@ class HandOut:
     `slots` pieces of work are done at a time. One more is begun if it is urgent, and one more, whatever it is, for a
     client that has nothing at work: whoever holds all the others keeps only himself waiting. Urgent work comes first;
     then the client with the fewest pieces at work; then the order of submission. The caller holds a lock.
-
-    Parameters
-    ----------
-    slots
-        How many pieces are done at a time, without the extra ones.
     """
 
     def __init__(self, slots: int) -> None:

@@ -57,13 +57,6 @@ class LeaseClock:
     hours. Servers that live renew their leases several times within the length of one, so after a jump that length is
     waited for: then every lease of a living server is a good one again, and one that lies farther ahead than any
     server writes it is of a dead one.
-
-    Parameters
-    ----------
-    lease_s
-        Length of a lease.
-    monotonic
-        A clock that never jumps.
     """
 
     def __init__(self, lease_s: float, monotonic: Callable[[], float] = time.monotonic) -> None:

@@ -105,13 +105,7 @@ def _progress(job: Job, now: float) -> Progress:
 
 
 class _Links:
-    """Addresses of jobs and of the parts of their results.
-
-    Parameters
-    ----------
-    root_path
-        Path under which the service is shown.
-    """
+    """Addresses of jobs and of the parts of their results, below the path under which the service is shown."""
 
     def __init__(self, root_path: str) -> None:
         self._jobs = f"{root_path}/api/v1/jobs"

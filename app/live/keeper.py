@@ -26,11 +26,6 @@ class Keeper:
     """Writes the keyframes of a session into a drive of SemanticKITTI's layout, numbered anew from 0.
 
     It is used by the thread of the session; the drive takes files until `finish`.
-
-    Raises
-    ------
-    Problem
-        507: the disk is full.
     """
 
     def __init__(self, context: Context, owner: str, name: str, config: DetectorConfig) -> None:

@@ -154,6 +154,8 @@ class Candidates:
         """Return a column of these chunks, by default of all, by their ids and in their order."""
         if ids is None:
             ids = [each.id for each in self.chunks]
+        if not ids:
+            return {}
         # Written into the query: databases take only some thousand parameters.
         among = FeatureColumn.chunk_id.in_(bindparam("ids", ids, expanding=True, literal_execute=True))
         query = select(FeatureColumn.chunk_id, FeatureColumn.content).where(FeatureColumn.name == name, among)

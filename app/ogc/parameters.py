@@ -74,20 +74,7 @@ class Asked:
         return None if self.after is None else _page_after(self.after)[1]
 
     def query(self, collection: Collection, values: Mapping[str, str]) -> index.Query:
-        """Return what is asked for.
-
-        Parameters
-        ----------
-        collection
-            Whose features.
-        values
-            Queryables with the values that they must have.
-
-        Raises
-        ------
-        Problem
-            400: a value is wrong.
-        """
+        """Return what is asked for of a collection, with values that queryables must have; a 400 where one is wrong."""
         for name, crs in (("bbox-crs", self.bbox_crs), ("filter-crs", self.filter_crs)):
             if crs not in {None, CRS84, _CRS84H}:
                 raise _wrong(name, str(crs), CRS84)

@@ -96,12 +96,7 @@ def is_on_earth(folder: Path) -> bool:
 
 
 def chunks_of(folder: Path) -> Iterator[Chunk]:
-    """Yield the features of a result in chunks, layer by layer; nothing without longitude and latitude.
-
-    Parameters
-    ----------
-    folder
-        A result folder.
+    """Yield the features of a result folder in chunks, layer by layer; nothing without longitude and latitude.
 
     Raises
     ------

@@ -68,12 +68,7 @@ class Incoming:
 
 
 def remove_dead(root: Path) -> list[tuple[str, int]]:
-    """Remove what dead processes were receiving.
-
-    Parameters
-    ----------
-    root
-        The folder that holds the folders of all processes.
+    """Remove what dead processes were receiving, from the folder that holds the folders of all of them.
 
     Returns
     -------

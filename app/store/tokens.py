@@ -50,8 +50,6 @@ def add_token(
 
     Parameters
     ----------
-    name
-        Of the client.
     expires_at
         Seconds since 1970; None: never.
     max_bytes, max_jobs

@@ -37,13 +37,7 @@ class _Content(TypedDict, total=False):
 
 
 class ProgressFiles:
-    """The files of one attempt at a job.
-
-    Parameters
-    ----------
-    scratch, attempt
-        As of a `Task`.
-    """
+    """The files of one attempt at a job, below its scratch folder."""
 
     def __init__(self, scratch: Path, attempt: str) -> None:
         self._folder = scratch / f"attempt-{attempt}"

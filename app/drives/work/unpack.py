@@ -195,12 +195,7 @@ def _is_litter(name: str) -> bool:
 
 
 def drive_paths(names: Collection[str]) -> dict[str, str]:
-    """Find the drive among the files of an archive.
-
-    Parameters
-    ----------
-    names
-        Paths in the archive.
+    """Find the drive among the files of an archive, by their paths.
 
     Returns
     -------
