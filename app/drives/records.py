@@ -66,13 +66,7 @@ def reduced_key(drive_id: str) -> str:
 
 
 def create_drive(context: Context, owner: str, new: NewDrive, key: str | None = None) -> tuple[DriveModel, bool]:
-    """Make a drive without files, or return the one that an earlier request with the same key has made.
-
-    Returns
-    -------
-    DriveModel
-    bool
-        Whether it is new.
+    """Make a drive without files, or find the one that this key has made before; return it, and whether it is new.
 
     Raises
     ------

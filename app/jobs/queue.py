@@ -264,24 +264,16 @@ def submit(
     key: str | None = None,
     limit: int | None = None,
 ) -> tuple[Job, bool]:
-    """Put a job into the queue, in a transaction of the caller.
+    """Put a job into the queue, in a transaction of the caller; return it, and whether it is new.
 
     Parameters
     ----------
-    session
-        Of `Database.writing`.
     kind, drive_id, owner, request
         See `Job`.
     key
         Idempotency key: the same key returns the same job, unless that lies in the trash.
     limit
         Maximum number of jobs of this owner and kind that may wait or run.
-
-    Returns
-    -------
-    Job
-    bool
-        Whether the job is new.
 
     Raises
     ------

@@ -46,7 +46,7 @@ def add_token(
     max_bytes: int | None = None,
     max_jobs: int | None = None,
 ) -> str:
-    """Make a token for a client.
+    """Make a token for a client, and return it: it cannot be shown again.
 
     Parameters
     ----------
@@ -54,11 +54,6 @@ def add_token(
         Seconds since 1970; None: never.
     max_bytes, max_jobs
         See `Token`; None: no other limits than those of the service.
-
-    Returns
-    -------
-    str
-        The token; it cannot be shown again.
 
     Raises
     ------

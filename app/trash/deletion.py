@@ -59,7 +59,7 @@ def delete_drive(
     at_once: bool = False,
     only_if: Callable[[Session, Drive], bool] | None = None,
 ) -> bool:
-    """Move a drive to the trash, with its jobs and their results; those that wait or run are cancelled.
+    """Move a drive to the trash with its jobs, cancelling those that wait or run; return whether it was moved.
 
     Parameters
     ----------
@@ -69,11 +69,6 @@ def delete_drive(
         Purge it, instead of keeping it for a while.
     only_if
         Condition, evaluated in the transaction that deletes the drive.
-
-    Returns
-    -------
-    bool
-        Whether the drive was deleted.
 
     Raises
     ------

@@ -42,17 +42,12 @@ _log = logging.getLogger(__name__)
 
 
 def sweep(context: Context, *, by_age: bool = True) -> Counter[Removal]:
-    """Do all of it; several servers may do so at the same time.
+    """Do all of it, as several servers may at the same time; return how much was removed or set aside, by reason.
 
     Parameters
     ----------
     by_age
         Also what is old: not where the clock may be wrong.
-
-    Returns
-    -------
-    Counter
-        Number of what was removed or set aside, by reason.
     """
     swept: Counter[Removal] = Counter()
     if not _is_bound(context):
@@ -99,17 +94,12 @@ def _tell_of_unknown(context: Context) -> None:
 
 
 def set_unknown_aside(context: Context, *, only: str | None = None) -> list[tuple[str, str]]:
-    """Move folders of drives and jobs that have no row to ``lost+found/``.
+    """Move folders of drives and jobs that have no row to ``lost+found/``; return their keys before and after.
 
     Parameters
     ----------
     only
         Key of one folder; by default all that are older than any upload that goes on.
-
-    Returns
-    -------
-    list of (str, str)
-        Their keys before and after.
     """
     moved = []
     for key in unknown_folders(context):
