@@ -63,7 +63,7 @@ def finish_drive(session: Session, context: Context, job: Job, outcome: Outcome 
 
     def write_sidecar(_session: Session) -> None:
         with suppress(OSError):  # the clean-up writes what is missing
-            sidecars.write_drive(context.storage, drive)
+            sidecars.write(context.storage, drive)
 
     def tidy() -> None:
         try:

@@ -102,7 +102,7 @@ def create_drive(context: Context, owner: str, new: NewDrive, key: str | None = 
         session.add(drive)
         session.flush()
         model = drive_model(drive, context.settings)
-    sidecars.write_drive(context.storage, drive)
+    sidecars.write(context.storage, drive)
     return model, True
 
 
@@ -187,7 +187,8 @@ def list_files(context: Context, drive_id: str, after: str | None, limit: int) -
         find_drive(session, drive_id)
         files = session.scalars(query.limit(limit + 1)).all()
     page = files[:limit]
-    return FileList(files=[file_model(file) for file in page], next=page[-1].path if len(files) > limit else None)
+    shown = [UploadedFile(path=file.path, size_bytes=file.size_bytes, sha256=file.sha256) for file in page]
+    return FileList(files=shown, next=page[-1].path if len(files) > limit else None)
 
 
 def open_file(context: Context, drive_id: str, path: str) -> tuple[BinaryIO, str]:
@@ -373,8 +374,3 @@ def whole_drive_model(session: Session, context: Context, drive: Drive) -> Drive
         )
     )
     return model.model_copy(update={"maps": sorted(paths), "label_folders": label_folders(context.storage, drive.id)})
-
-
-def file_model(file: DriveFile) -> UploadedFile:
-    """Return a file as clients see it."""
-    return UploadedFile(path=file.path, size_bytes=file.size_bytes, sha256=file.sha256)

@@ -264,7 +264,7 @@ class Attempt:
             return self._leave()
         tidy(storage, job_id, keep_result=job.state == JobState.SUCCESSFUL)
         if job.state == JobState.SUCCESSFUL and not self._kind.changes_drive:
-            sidecars.write_job(storage, job)  # of a server that is killed before this, the clean-up writes it
+            sidecars.write(storage, job)  # of a server that is killed before this, the clean-up writes it
         return job.state
 
     def _features(self) -> WriteFeatures | None:

@@ -51,7 +51,7 @@ def job_models(session: Session, context: Context, rows: Iterable[tuple[Job, str
     """Return jobs as clients see them, given with the names of their drives."""
     rows = list(rows)
     now = context.database.clock(session)
-    waiting = [job for job, _ in rows if _waits_for_its_turn(job)]
+    waiting = [job for job, _ in rows if job.state == JobState.ACCEPTED and job.message is None]
     if context.lacks_workers.is_set():
         told = dict.fromkeys((job.id for job in waiting), _NO_WORKER)
     else:
@@ -60,10 +60,6 @@ def job_models(session: Session, context: Context, rows: Iterable[tuple[Job, str
     deliveries = deliveries_of(session, [job for job, _ in rows])
     models = [_job_model(job, name, links, now, job.message or told.get(job.id)) for job, name in rows]
     return [model.model_copy(update={"deliveries": deliveries.get(model.id, [])}) for model in models]
-
-
-def _waits_for_its_turn(job: Job) -> bool:
-    return job.state == JobState.ACCEPTED and job.message is None
 
 
 def _job_model(job: Job, drive_name: str, links: _Links, now: float, message: str | None) -> JobModel:

@@ -97,7 +97,7 @@ def delete_drive(
 def _note(context: Context, drive: Drive) -> None:
     """Write beside the files of a drive whether it is deleted; one without files has no folder for that."""
     if context.storage.folder(drive_key(drive.id)).is_dir():
-        sidecars.write_drive(context.storage, drive)
+        sidecars.write(context.storage, drive)
 
 
 def delete_job(context: Context, job_id: str, client: str) -> None:

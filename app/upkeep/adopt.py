@@ -156,7 +156,7 @@ def _adopt_drive(context: Context, place: str, id_: str, *, dry_run: bool) -> tu
             drive = session.get_one(Drive, id_)
             if is_deleted:
                 drive.deleted_at = context.database.clock(session)  # its time in the trash begins anew
-        sidecars.write_drive(context.storage, drive)
+        sidecars.write(context.storage, drive)
     state = "ready" if is_ready else "open for files: commit it"
     state = "in the trash" if is_deleted else state
     return drive, f"drive {drive.name!r} of {drive.owner}, {state}"
@@ -221,7 +221,7 @@ def _adopt_job(context: Context, place: str, id_: str, adopted: dict[str, str], 
             if "name" not in sidecar.model_fields_set:  # of an older version
                 job.name = sidecar.request.get("name")
             session.add(job)
-        sidecars.write_job(context.storage, job)
+        sidecars.write(context.storage, job)
     return f"job of drive {name!r}, of {sidecar.owner}, with its result"
 
 

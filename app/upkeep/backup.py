@@ -338,18 +338,17 @@ def _alone(out: Path) -> Iterator[None]:
 
 def _patiently(work: Callable[[], Returned]) -> Returned:
     """Do work with the database of the service; again where it was busy or restarted."""
-    for pause_s in _PAUSES_S:
+    for pause_s in (*_PAUSES_S, None):
         try:
             return work()
-        except (OperationalError, WaitedTooLong):
+        except (OperationalError, WaitedTooLong) as error:
+            if pause_s is None:
+                raise InterLocError(
+                    f"the database of the service does not answer: {reason_of(error)}. Make the backup again when it "
+                    "does; what was brought so far is kept."
+                ) from error
             time.sleep(pause_s)
-    try:
-        return work()
-    except (OperationalError, WaitedTooLong) as error:
-        raise InterLocError(
-            f"the database of the service does not answer: {reason_of(error)}. Make the backup again when it does; "
-            "what was brought so far is kept."
-        ) from error
+    raise AssertionError
 
 
 def installation_of(context: Context) -> str:

@@ -223,21 +223,17 @@ def _note_extents(context: Context) -> None:
 
 def _write_sidecars(context: Context) -> None:
     """Write the rows beside the files where that is missing: of older versions, and of servers that were killed."""
+    is_result = (Job.kind == JobKind.INTERSECTIONS, Job.state == JobState.SUCCESSFUL)
     with context.database.reading() as session:
-        drives = session.scalars(select(Drive.id)).all()
-        jobs = session.scalars(
-            select(Job.id).where(Job.kind == JobKind.INTERSECTIONS, Job.state == JobState.SUCCESSFUL)
-        ).all()
-        for drive_id in drives:
-            folder = context.storage.folder(drive_key(drive_id))
-            is_missing = folder.is_dir() and not (folder / sidecars.DRIVE_FILE).exists()
-            if is_missing and (drive := session.get(Drive, drive_id)) is not None:
-                sidecars.write_drive(context.storage, drive)
-        for job_id in jobs:
-            folder = context.storage.folder(f"jobs/{job_id}")
-            is_missing = folder.is_dir() and not (folder / sidecars.JOB_FILE).exists()
-            if is_missing and (job := session.get(Job, job_id)) is not None:
-                sidecars.write_job(context.storage, job)
+        for table, kind, name, conditions in (
+            (Drive, "drives", sidecars.DRIVE_FILE, ()),
+            (Job, "jobs", sidecars.JOB_FILE, is_result),
+        ):
+            for id_ in session.scalars(select(table.id).where(*conditions)).all():
+                folder = context.storage.folder(f"{kind}/{id_}")
+                is_missing = folder.is_dir() and not (folder / name).exists()
+                if is_missing and (row := session.get(table, id_)) is not None:
+                    sidecars.write(context.storage, row)
 
 
 class Sweeper:

@@ -115,10 +115,10 @@ def write_content(session: Session, content: DriveContent) -> None:
 def write_missing_sidecars(storage: Storage, content: DriveContent) -> None:
     """Write beside the files what the rows say, where that is not there."""
     if not (storage.folder(drive_key(content.id)) / sidecars.DRIVE_FILE).is_file():
-        sidecars.write_drive(storage, Drive(**content.drive))
+        sidecars.write(storage, Drive(**content.drive))
     for job in content.jobs:
         if _has_result(job) and not (storage.folder(f"jobs/{job['id']}") / sidecars.JOB_FILE).is_file():
-            sidecars.write_job(storage, Job(**job))
+            sidecars.write(storage, Job(**job))
 
 
 def delete_content(session: Session, drive_id: str) -> None:
