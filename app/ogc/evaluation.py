@@ -362,6 +362,7 @@ def geometry_of(literal: dict[str, Any]) -> Any:  # noqa: ANN401 - a geometry of
     """Return a geometry that a filter holds; a 400 where it is not one of longitudes and latitudes."""
     import shapely  # noqa: PLC0415 - an eighth of a second of start-up time
 
+    geometry: Any
     try:
         if "bbox" in literal:
             west, south, east, north = box_of(literal)

@@ -21,8 +21,7 @@ from app.http.parameters import Box
 from app.jobs.chosen import chosen_results
 from app.ogc.candidates import Candidates, Key
 from app.ogc.collections import OF_ALL, OF_JOB, OF_MAP, Collection
-from app.ogc.evaluation import matching
-from app.ogc.filters import Filter
+from app.ogc.evaluation import Filter, matching
 from app.ogc.work import IDS, TIMES
 from app.store.models import Drive, FeatureChunk, Job
 
