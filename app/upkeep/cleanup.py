@@ -223,17 +223,19 @@ def _note_extents(context: Context) -> None:
 
 def _write_sidecars(context: Context) -> None:
     """Write the rows beside the files where that is missing: of older versions, and of servers that were killed."""
+
+    def lacks(key: str, name: str) -> bool:
+        folder = context.storage.folder(key)
+        return folder.is_dir() and not (folder / name).exists()
+
     is_result = (Job.kind == JobKind.INTERSECTIONS, Job.state == JobState.SUCCESSFUL)
     with context.database.reading() as session:
-        for table, kind, name, conditions in (
-            (Drive, "drives", sidecars.DRIVE_FILE, ()),
-            (Job, "jobs", sidecars.JOB_FILE, is_result),
-        ):
-            for id_ in session.scalars(select(table.id).where(*conditions)).all():
-                folder = context.storage.folder(f"{kind}/{id_}")
-                is_missing = folder.is_dir() and not (folder / name).exists()
-                if is_missing and (row := session.get(table, id_)) is not None:
-                    sidecars.write(context.storage, row)
+        for id_ in session.scalars(select(Drive.id)).all():
+            if lacks(drive_key(id_), sidecars.DRIVE_FILE) and (drive := session.get(Drive, id_)) is not None:
+                sidecars.write(context.storage, drive)
+        for id_ in session.scalars(select(Job.id).where(*is_result)).all():
+            if lacks(f"jobs/{id_}", sidecars.JOB_FILE) and (job := session.get(Job, id_)) is not None:
+                sidecars.write(context.storage, job)
 
 
 class Sweeper:
