@@ -185,7 +185,7 @@ def _items(
     found = served.collection(collection_id)
     refuse_others(request, found.queryables)
     values = {name: value for name, value in request.query_params.items() if name in found.queryables}
-    query = asked.query(found, values)
+    query = asked.of(found, values)
     with served.database.reading() as session:
         source = replace(served.source, until=asked.until).pinned(session)
         page = find_page(session, source, found, query)

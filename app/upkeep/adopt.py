@@ -188,18 +188,8 @@ def _drive_of(sidecar: DriveSidecar | None, id_: str, *, keep_raw: bool) -> Driv
         report = None if sidecar.report is None else DriveReport.model_validate(sidecar.report).to_dict()
     except ValidationError:
         report = None
-    return Drive(
-        id=id_,
-        name=name,
-        owner=sidecar.owner,
-        options=options,
-        keep_raw=sidecar.keep_raw,
-        note=sidecar.note,
-        report=report,
-        pinned_job=sidecar.pinned_job,
-        source=sidecar.source,
-        created_at=sidecar.created_at,
-    )
+    as_it_says = sidecar.model_dump(include={"owner", "keep_raw", "note", "pinned_job", "source", "created_at"})
+    return Drive(id=id_, name=name, options=options, report=report, **as_it_says)
 
 
 def _adopt_job(context: Context, place: str, id_: str, adopted: dict[str, str], *, dry_run: bool) -> str:
