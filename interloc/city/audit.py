@@ -455,17 +455,16 @@ class _Auditor:
     @cached_property
     def looked_at(self) -> IntArray:
         """Places that enough passes came by, whether all of them saw it or not."""
-        return np.array(
-            [r for r in np.flatnonzero(self.places.is_shown).tolist() if self._enough(self.places.near[r])],
-            dtype=np.int64,
-        )
+        table = self.places
+        rows = [row for row in np.flatnonzero(table.is_shown).tolist() if self._enough(table.near[row])]
+        return np.array(rows, dtype=np.int64)
 
     @cached_property
     def certainty(self) -> FloatArray:
         """(P,) confidence of the places by the drives that saw them."""
-        table = self.places
-        shares = [len(near) / len(saw) for near, saw in zip(table.near, table.drives, strict=True)]
-        return table.confidence * np.array(shares)
+        pairs = zip(self.places.near, self.places.drives, strict=True)
+        found: FloatArray = self.places.confidence * np.array([len(near) / len(saw) for near, saw in pairs])
+        return found
 
     @property
     def _near_nodes(self) -> dict[int, tuple[str, ...]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -64,10 +65,10 @@ class FusedBranches:
     nearest: IntArray
     apart_deg: FloatArray
 
-    def lists(self, *values: FloatArray) -> list[list[FloatArray]]:
+    def lists(self, *values: Any) -> list[list[Any]]:  # noqa: ANN401 - arrays
         """Return bearings, widths, and other (P, B) values, each as (B,) of every intersection without the NaN."""
         count = np.isfinite(self.bearing_deg).sum(axis=1).tolist()
-        columns = (self.bearing_deg, self.width_m, *values)
+        columns: tuple[Any, ...] = (self.bearing_deg, self.width_m, *values)
         return [[row[:n] for row, n in zip(each, count, strict=True)] for each in columns]
 
 
@@ -100,8 +101,8 @@ def fuse_branches(seen: SeenBranches, *, spread_deg: float, separation_deg: floa
     pair = distinct(key * len(seen.place) + seen.sighting[close])
     own, who = np.divmod(pair, max(len(seen.place), 1))
     share = np.bincount(own, seen.weight[who], count * most).reshape(count, most) / total[:, None]
-    mass = np.bincount(key, weight[close], count * most)
-    mean = np.bincount(key, weight[close] * turn, count * most) / np.where(mass > 0.0, mass, 1.0)
+    of_each = np.bincount(key, weight[close], count * most)
+    mean = np.bincount(key, weight[close] * turn, count * most) / np.where(of_each > 0.0, of_each, 1.0)
     fused = wrap_bearing(peaks + mean.reshape(count, most))
     best = np.lexsort((fused, np.where(np.isfinite(peaks), -share, np.inf)))  # places are rows: each is sorted alone
     rank = np.argsort(best, axis=1)
@@ -129,7 +130,7 @@ def _peaks(
     degree = np.arange(360)
     around = np.minimum(degree, 360 - degree)
     cells = place * 360 + np.round(bearing_deg).astype(np.int64) % 360
-    density = np.bincount(cells, weight, count * 360).reshape(count, 360)
+    density: FloatArray = np.bincount(cells, weight, count * 360).astype(np.float64).reshape(count, 360)
     kernel = np.exp(-0.5 * (around / spread_deg) ** 2)
     density = np.fft.irfft(np.fft.rfft(density) * np.fft.rfft(kernel), 360)
     is_top = density >= np.maximum(np.roll(density, 1, axis=1), np.roll(density, -1, axis=1))

@@ -28,7 +28,7 @@ def fused(
 
 def bearings_of(*sightings: list[float]) -> list[float]:
     (found,), _ = fused([np.array(each) for each in sightings]).lists()
-    return np.round(found, 1).tolist()
+    return [round(each, 1) for each in found.tolist()]
 
 
 def test_branches_that_most_have_seen() -> None:
