@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from interloc.arrays import BoolArray, FloatArray, IntArray
+from interloc.arrays import FloatArray, IntArray
 from interloc.city.citymap import CityMap
 from interloc.city.osm_plane import OsmPlane
 from interloc.city.places import SAME_PASS_S, PlaceTable
@@ -30,9 +30,6 @@ WRONG_M = 15.0
 
 _RAY_AT_M = np.array([12.0, 18.0, 24.0])
 _RAY_SEEN_M = np.arange(8.0, 22.1, 1.0)
-_RAYS_DEG = np.arange(0.0, 360.0, 5.0)
-_OTHER_RAY_DEG = 30.0  # a direction without a branch is this far from all that have one
-_ACROSS_M = np.arange(-12.0, 12.1, 0.5)
 _ROAD_START_M = slice(4, 16)  # nearer to a node is the road that it lies on
 _PHANTOM_M = 45.0
 _BESIDE_M = 8.0  # as far from a node its own junction hides what a side road is
@@ -188,72 +185,51 @@ class _Auditor:
                 continue
             # A junction that lies a little elsewhere has its branches elsewhere, too: it lacks none of them.
             origins = [table.xy[row], *([osm.xy[osm.junctions[node[row]]]] if kind == "missing_branch" else [])]
-            lacks = self._lacking(row, origins, ease)
-            if not lacks:
+            saw = {i: self._lacks(row, i, origins, ease) for i in range(len(table.bearings_deg[row]))}
+            branches = [i for i, drives in saw.items() if self._enough(drives)]
+            if not branches:
                 continue
             reason = self._excuse(table.xy[row])
             if reason is not None:
                 self._hold_back(reason)
                 continue
-            bearings, widths, drives = zip(*lacks, strict=True)
+            drives = saw[branches[0]]
+            bearings = [float(table.bearings_deg[row][i]) for i in branches]
+            widths = [float(table.widths_m[row][i]) for i in branches]
             what = "a junction here" if kind == "missing_junction" else "another branch of this junction"
             yield self._finding(
                 kind,
                 row,
                 None,
-                f"{self._passes(drives[0])} passes of a LiDAR saw {what} that the map does not have: road towards "
+                f"{self._passes(drives)} passes of a LiDAR saw {what} that the map does not have: road towards "
                 f"{', '.join(f'{each:.0f} degrees' for each in bearings)}, "
                 f"{', '.join(f'{each:.1f} m' for each in widths)} wide. Is it a road?",
-                drives[0],
+                drives,
                 branch_bearings_deg=[round(each, 1) for each in bearings],
                 branch_widths_m=[round(each, 1) for each in widths],
                 distance_m=_round(nearest[row]),
             )
 
-    def _lacking(
-        self, row: int, origins: Sequence[FloatArray], ease: float
-    ) -> list[tuple[float, float, tuple[str, ...]]]:
-        """Return bearing, width and drives of the roads at a place that OpenStreetMap does not have, of any origin.
+    def _lacks(self, row: int, branch: int, origins: Sequence[FloatArray], ease: float) -> tuple[str, ...]:
+        """Return the drives that saw a branch of a place as road, if OpenStreetMap does not have it, of any origin.
 
-        Detections need not agree on a road: it is one that enough passes saw as such, whichever of them found a
-        branch there, or none did.
+        They need not agree that it is a branch: one of them has found it, all that came near can tell road there.
         """
-        table, config, found = self.places, self.config, list[tuple[float, float, tuple[str, ...]]]()
-        known = table.bearings_deg[row]
-        others = _RAYS_DEG[(_turn(_RAYS_DEG[:, None], known) > _OTHER_RAY_DEG).all(axis=1)]
-        bearings, widths = np.append(known, others), np.append(table.widths_m[row], np.full(len(others), np.nan))
-        ahead = np.stack([np.sin(np.radians(bearings)), np.cos(np.radians(bearings))], axis=-1)[:, None]
+        table, config = self.places, self.config
+        if not config.min_width_m <= table.widths_m[row][branch] <= config.max_width_m:  # not known: neither
+            return ()
+        angle = np.radians(table.bearings_deg[row][branch])
+        ahead = np.array([np.sin(angle), np.cos(angle)])
         for origin in origins:
-            points = origin + _RAY_AT_M[:, None] * ahead
-            away = self.osm.distance(points.reshape(-1, 2)).reshape(points.shape[:2])
-            lacks = (away[:, 0] > _BEGINS_M * ease) & (np.median(away, axis=1) > config.ray_m * ease)
-            bearings, widths, ahead = bearings[lacks], widths[lacks], ahead[lacks]
-        rays, names = table.xy[row] + _RAY_SEEN_M[:, None] * ahead, table.near[row]
-        shares = np.array([self._road(name, rays).mean(axis=1) for name in names])
-        for i in np.lexsort((-np.sort(shares, axis=0)[-config.min_passes], np.isin(bearings, others))).tolist():
-            drives = tuple(
-                name for name, share in zip(names, shares[:, i], strict=True) if share >= config.min_road * ease
-            )
-            if not self._enough(drives) or any(_turn(bearings[i], each) <= _OTHER_RAY_DEG for each, *_ in found):
-                continue
-            width = widths[i]
-            if not config.min_width_m <= width <= config.max_width_m:
-                width = np.median([self._width(name, rays[i], ahead[i]) for name in drives])
-            if config.min_width_m <= width <= config.max_width_m:
-                found.append((float(bearings[i]), float(width), drives))
-        return found
+            away = self.osm.distance(origin + _RAY_AT_M[:, None] * ahead)
+            if away[0] <= _BEGINS_M * ease or np.median(away) <= config.ray_m * ease:
+                return ()
+        ray = table.xy[row] + _RAY_SEEN_M[:, None] * ahead
+        return tuple(name for name in table.near[row] if self._road(name, ray) >= config.min_road * ease)
 
-    def _road(self, name: str, xy: FloatArray) -> BoolArray:
-        """Return what of (..., 2) positions a drive saw as road."""
-        return ground_at(self.city, name, xy.reshape(-1, 2)).road.reshape(xy.shape[:-1])
-
-    def _width(self, name: str, ray: FloatArray, ahead: FloatArray) -> float:
-        """Return how wide a drive saw the road along the farther part of a ray."""
-        across = _ACROSS_M[:, None] * ahead[:, ::-1] * [1.0, -1.0]
-        road = np.pad(self._road(name, ray[4:, None] + across), ((0, 0), (1, 1)))
-        middle = road.shape[1] // 2
-        sides = np.argmin(road[:, middle:], axis=1) + np.argmin(road[:, middle::-1], axis=1)
-        return float(np.median(np.where(road[:, middle], sides - 1, 0)) * (_ACROSS_M[1] - _ACROSS_M[0]))
+    def _road(self, name: str, xy: FloatArray) -> float:
+        """Return the share of (N, 2) positions that a drive saw as road."""
+        return float(ground_at(self.city, name, xy).road.mean())
 
     def _moved(self) -> Iterator[Finding]:
         """Yield junctions that lie elsewhere: place and node are each other's only partner."""
@@ -324,7 +300,7 @@ class _Auditor:
         spots = [self.osm.xy[[node]], *(road[_ROAD_START_M] for road in self.osm.roads_from(node, _PAST_M))]
         spots = [spot for spot in spots if len(spot)]
         names = self.places.near[row]
-        return tuple(name for name in names if min(self._road(name, spot).mean() for spot in spots) < 0.5 / ease)
+        return tuple(name for name in names if min(self._road(name, spot) for spot in spots) < 0.5 / ease)
 
     def _beside(self) -> Iterator[Finding]:
         """Yield junctions beside the road: passes drove straight on, from one road of the node to another."""
@@ -545,10 +521,6 @@ def _key(kind: Kind, about: object) -> str:
 
 def _tags(ways: Any, way: int) -> list[tuple[str, str]]:  # noqa: ANN401
     return list(ways.tags[way].items()) if ways.tags else []
-
-
-def _turn(a: Any, b: Any) -> Any:  # noqa: ANN401 - numbers, or arrays of them
-    return np.abs((a - b + 180.0) % 360.0 - 180.0)
 
 
 def _nearest(xy: FloatArray, others: FloatArray) -> tuple[FloatArray, IntArray]:

@@ -218,14 +218,6 @@ def test_pieces_of_one_drive_are_one_pass(tmp_path: Path) -> None:
         assert told(audit(merge(pieces), graph)) == found
 
 
-def test_a_road_is_missing_also_where_no_detection_has_a_branch(tmp_path: Path) -> None:
-    along = [replace(each, bearings_deg=(np.array([90.0, 270.0]),) * len(each)) for each in passes()]
-    along = [replace(each, widths_m=(np.full(2, 6.0),) * len(each)) for each in along]
-    (finding,) = audit(merge(along), osm(tmp_path, all_but(100.0))).findings
-    assert finding.evidence["branch_bearings_deg"] == pytest.approx([0.0], abs=10.0)
-    assert finding.evidence["branch_widths_m"] == pytest.approx([6.0], abs=0.8)
-
-
 def test_a_junction_beside_which_passes_drove_straight_on_lies_elsewhere(tmp_path: Path) -> None:
     unseen = merge(passes(2, [x for x in SIDES_M if x != 300.0]))
     (finding,) = audit(unseen, osm(tmp_path, [*all_but(300.0), (300.0, -12.0)])).findings
