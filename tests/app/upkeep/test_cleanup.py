@@ -25,18 +25,14 @@ from app.trash.deletion import list_trash, restore
 from app.upkeep.cleanup import Sweeper, sweep
 from app.work.documents import CommitOutcome
 from interloc.drives.inspect import DriveReport
-from tests.app.postgres import postgres_url  # noqa: F401 - a fixture
 
 HOUR_S = 3600.0
 
 
-@pytest.fixture(params=["sqlite", "postgres"])
-def context(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Context]:
+@pytest.fixture
+def context(url: str, tmp_path: Path) -> Iterator[Context]:
     """A service that is not running, whose uploads expire after 2 hours."""
-    address = None if request.param == "sqlite" else request.getfixturevalue("postgres_url")
-    opened = Context.open(
-        Settings(data_dir=tmp_path / "data", database_url=address, min_free_bytes=0, upload_expires_h=2)
-    )
+    opened = Context.open(Settings(data_dir=tmp_path / "data", database_url=url, min_free_bytes=0, upload_expires_h=2))
     yield opened
     opened.close()
 
