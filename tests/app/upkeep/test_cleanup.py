@@ -52,6 +52,12 @@ def make_drive(context: Context, *, age_h: float = 0, state: str = "uploading", 
     return drive.id
 
 
+def unpack(context: Context, drive: str, archive: str) -> None:
+    with context.database.writing() as session:
+        request = {"archive": archive}
+        submit(session, context.database, kind="unpack", drive_id=drive, owner="somebody", request=request)
+
+
 def make_old(path: Path, *, folder: bool = False) -> Path:
     """Make a file or a folder that was last changed before all of this."""
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -89,15 +95,7 @@ def test_uploads_that_were_left_alone_expire(context: Context) -> None:
 def test_drives_in_use_do_not_expire(context: Context) -> None:
     ready, checking = make_drive(context, age_h=99, state="ready"), make_drive(context, age_h=99, state="checking")
     unpacking = make_drive(context, age_h=99)
-    with context.database.writing() as session:
-        submit(
-            session,
-            context.database,
-            kind="unpack",
-            drive_id=unpacking,
-            owner="somebody",
-            request={"archive": "archives/1"},
-        )
+    unpack(context, unpacking, "archives/1")
     with_result = make_drive(context, age_h=99)
     with context.database.writing() as session:
         common = {"drive_id": with_result, "owner": "somebody", "request": {}, "kind": "intersections"}
@@ -139,15 +137,7 @@ def test_folders_that_no_row_knows_are_set_aside(context: Context, caplog: pytes
 
 def test_archives_that_nobody_unpacks_go(context: Context) -> None:
     drive = make_drive(context)
-    with context.database.writing() as session:
-        submit(
-            session,
-            context.database,
-            kind="unpack",
-            drive_id=drive,
-            owner="somebody",
-            request={"archive": "archives/waits"},
-        )
+    unpack(context, drive, "archives/waits")
     archives = context.storage.folder(f"drives/{drive}/archives")
     make_old(archives / "waits")
     make_old(archives / "forgotten")
