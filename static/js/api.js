@@ -2,7 +2,6 @@
  * The service as the page uses it: requests with the token, errors in the server's words, events, downloads.
  *
  * Paths are relative to `/api/v1/` ("drives", `jobs/${id}/report`). Works in workers too, except for the dialog for a token.
- * @module api
  */
 import { keep, recall } from "./storage.js";
 

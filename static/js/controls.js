@@ -1,7 +1,4 @@
-/**
- * What panels are made of: fields, choices, buttons, tables, dialogs.
- * @module controls
- */
+/** What panels are made of: fields, choices, buttons, tables, dialogs. */
 import { el, fill, icon } from "./dom.js";
 
 let count = 0;
@@ -13,7 +10,7 @@ let count = 0;
  * @returns {HTMLElement}
  */
 export function field(title, control, hint) {
-  return el("label", { class: "field" }, el("span", {}, title), control, hint && el("small", {}, hint));
+  return el("label.field", el("span", title), control, hint && el("small", hint));
 }
 
 /**
@@ -44,9 +41,9 @@ export function radios(legend, choices, value, onChange) {
   const rows = choices.map((choice) => {
     const checked = choice.value === value;
     const input = el("input", { type: "radio", name, value: choice.value, checked, onChange: update });
-    const more = choice.more && el("div", { class: "more" }, choice.more);
-    const text = el("span", {}, choice.title, choice.hint && el("small", {}, choice.hint));
-    return { choice, input, more, element: el("div", {}, el("label", { class: "check" }, input, text), more) };
+    const more = choice.more && el("div.more", choice.more);
+    const text = el("span", choice.title, choice.hint && el("small", choice.hint));
+    return { choice, input, more, element: el("div", el("label.check", input, text), more) };
   });
   const chosen = () => rows.find(({ input }) => input.checked)?.choice.value ?? "";
   function show() {
@@ -57,10 +54,10 @@ export function radios(legend, choices, value, onChange) {
     onChange?.(chosen());
   }
   show();
-  const title = el("legend", { class: "field-name" }, legend);
+  const title = el("legend.field-name", legend);
   const elements = rows.map((row) => row.element);
   return {
-    element: el("fieldset", { class: "radios" }, title, elements),
+    element: el("fieldset.radios", title, elements),
     value: chosen,
     choose: (wanted) => {
       for (const { choice, input } of rows) input.checked = choice.value === wanted;
@@ -84,7 +81,7 @@ export function filePicker(content, onPick, { accept, multiple, folder, name, cl
     input.value = ""; // the same file may be picked again
   });
   const button = el("button", { type: "button", class: kind, onClick: () => input.click() }, content);
-  return el("span", {}, button, input);
+  return el("span", button, input);
 }
 
 /**
@@ -109,7 +106,7 @@ export function copyButton(name, text) {
     try {
       await navigator.clipboard.writeText(text());
     } catch {
-      const area = el("textarea", { value: text(), class: "unseen" }); // plain http has no clipboard of its own
+      const area = el("textarea.unseen", { value: text() }); // plain http has no clipboard of its own
       document.body.append(area);
       area.select();
       document.execCommand("copy");
@@ -123,12 +120,12 @@ export function copyButton(name, text) {
 
 /** @param {string} title @param {...any} children */
 export function section(title, ...children) {
-  return el("section", { class: "stack-s" }, el("h3", {}, title), children);
+  return el("section.stack-s", el("h3", title), children);
 }
 
 /** A part of a result, with room above it. @param {string} title @param {...any} children */
 export function resultSection(title, ...children) {
-  return el("section", { class: "section" }, el("h3", {}, title), children);
+  return el("section.section", el("h3", title), children);
 }
 
 /**
@@ -137,12 +134,12 @@ export function resultSection(title, ...children) {
  * @returns {HTMLElement[][]}
  */
 export function factRows(facts) {
-  return facts.flatMap((fact) => (fact ? [[el("dt", {}, fact[0]), el("dd", {}, fact[1])]] : []));
+  return facts.flatMap((fact) => (fact ? [[el("dt", fact[0]), el("dd", fact[1])]] : []));
 }
 
 /** A figure in large. @param {string} value @param {string} name @param {string} [more] */
 export function figure(value, name, more) {
-  return el("div", { class: "figure" }, el("b", {}, value), el("span", {}, name), more && el("em", {}, more));
+  return el("div.figure", el("b", value), el("span", name), more && el("em", more));
 }
 
 /**
@@ -155,11 +152,10 @@ export function table(heads, rows) {
   const body = rows.map((cells) =>
     el(
       "tr",
-      {},
-      cells.map((cell) => (cell instanceof HTMLTableCellElement ? cell : el("td", {}, cell))),
+      cells.map((cell) => (cell instanceof HTMLTableCellElement ? cell : el("td", cell))),
     ),
   );
-  return el("table", {}, el("thead", {}, el("tr", {}, head)), el("tbody", {}, body));
+  return el("table", el("thead", el("tr", head)), el("tbody", body));
 }
 
 /**
@@ -186,8 +182,8 @@ const SEVERITIES = /** @type {Record<string, string>} */ ({ error: "Error", warn
 export function problemList(problems) {
   if (!problems.length) return null;
   const items = problems.map(({ severity, path, message }) => {
-    const kind = el("span", { class: "severity" }, SEVERITIES[severity] ?? severity);
-    return el("li", { class: `is-${severity}` }, kind, el("span", {}, el("code", {}, path), " ", message));
+    const kind = el("span.severity", SEVERITIES[severity] ?? severity);
+    return el("li", { class: `is-${severity}` }, kind, el("span", el("code", path), " ", message));
   });
-  return el("ul", { class: "problems" }, items);
+  return el("ul.problems", items);
 }

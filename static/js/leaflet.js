@@ -1,7 +1,4 @@
-/**
- * Leaflet, as installed by npm: the one place that knows where it lies. It has no types of its own.
- * @module leaflet
- */
+/** Leaflet, as installed by npm: the one place that knows where it lies. It has no types of its own. */
 // @ts-expect-error
 import * as Leaflet from "../node_modules/leaflet/dist/leaflet-src.esm.js";
 

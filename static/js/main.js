@@ -13,7 +13,6 @@
  *   bev  drives  exports  report  upload
  *   shell
  *   main
- * @module main
  */
 import { loadConfig, onTokenNeeded } from "./api.js";
 import { mountDrawer } from "./bev/drawer.js";

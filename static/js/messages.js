@@ -1,7 +1,4 @@
-/**
- * Errors, news and questions: as boxes in a panel, floating where no panel asked, or as dialogs.
- * @module messages
- */
+/** Errors, news and questions: as boxes in a panel, floating where no panel asked, or as dialogs. */
 import { ApiError } from "./api.js";
 import { field, iconButton, openDialog } from "./controls.js";
 import { el } from "./dom.js";
@@ -16,7 +13,7 @@ export function problemNote(error) {
   const problem = /** @type {any} */ (error);
   const title = problem.title ?? "Something went wrong";
   const detail = problem.detail ?? problem.message ?? String(error);
-  return el("div", { class: "note error" }, el("strong", {}, title), detail, fileProblems(problem.problems ?? []));
+  return el("div.note.error", el("strong", title), detail, fileProblems(problem.problems ?? []));
 }
 
 /** @param {any} job A job that failed. @returns {HTMLElement} Why. */
@@ -27,9 +24,9 @@ export function failureNote({ error }) {
 /** @param {import("./api.js").FileProblem[]} problems */
 function fileProblems(problems) {
   if (!problems.length) return null;
-  const shown = problems.slice(0, MAX_SHOWN).map((each) => el("li", {}, el("code", {}, each.path), " ", each.message));
-  if (problems.length > shown.length) shown.push(el("li", {}, `and ${problems.length - shown.length} more`));
-  return el("ul", {}, shown);
+  const shown = problems.slice(0, MAX_SHOWN).map((each) => el("li", el("code", each.path), " ", each.message));
+  if (problems.length > shown.length) shown.push(el("li", `and ${problems.length - shown.length} more`));
+  return el("ul", shown);
 }
 
 /**
@@ -44,7 +41,7 @@ export function showError(error) {
 
 /** @param {string} text */
 export function showMessage(text) {
-  toast(el("div", { class: "note" }, text), 4000);
+  toast(el("div.note", text), 4000);
 }
 
 /** @param {HTMLElement} note @param {number} ms */
@@ -53,7 +50,7 @@ function toast(note, ms) {
   if (!region) return;
   if ([...region.children].some((other) => other.firstChild?.textContent === note.textContent)) return;
   const close = iconButton("close", "Close", () => box.remove(), "");
-  const box = el("div", { class: "toast" }, note, close);
+  const box = el("div.toast", note, close);
   region.append(box);
   setTimeout(() => box.remove(), ms);
 }
@@ -68,9 +65,9 @@ function toast(note, ms) {
 export function confirmAction(title, text, yes) {
   return new Promise((resolve) => {
     const keep = el("button", { value: "no" }, "Keep");
-    const act = el("button", { class: "danger", value: "yes" }, yes);
-    const actions = el("div", { class: "actions" }, keep, act);
-    const form = el("form", { method: "dialog" }, el("h2", {}, title), el("p", { class: "quiet" }, text), actions);
+    const act = el("button.danger", { value: "yes" }, yes);
+    const actions = el("div.actions", keep, act);
+    const form = el("form", { method: "dialog" }, el("h2", title), el("p.quiet", text), actions);
     openDialog({}, [form], (answer) => resolve(answer === "yes"));
   });
 }
@@ -86,14 +83,12 @@ export function askForToken(wrong) {
     const refused = "The server refused this token. Was it copied completely, and is it still valid?";
     const hint = "The operator creates one with “interloc token add NAME”. It is kept until this tab is closed.";
     const later = el("button", { type: "button", onClick: () => dialog.close("") }, "Not now");
-    const form = el(
-      "form",
-      { method: "dialog", class: "stack" },
-      el("h2", {}, "This server requires a token"),
-      wrong && el("p", { class: "note error" }, refused),
+    const form = el("form.stack", { method: "dialog" }, [
+      el("h2", "This server requires a token"),
+      wrong && el("p.note.error", refused),
       field("API token", input, hint),
-      el("div", { class: "actions" }, later, el("button", { class: "primary", value: "use" }, "Use token")),
-    );
+      el("div.actions", later, el("button.primary", { value: "use" }, "Use token")),
+    ]);
     const dialog = openDialog({}, [form], (answer) => resolve(answer === "use" ? input.value.trim() : null));
     input.focus();
   });

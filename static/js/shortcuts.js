@@ -1,7 +1,4 @@
-/**
- * Keys that work wherever the focus is, and the dialog that lists them.
- * @module shortcuts
- */
+/** Keys that work wherever the focus is, and the dialog that lists them. */
 import { iconButton, openDialog } from "./controls.js";
 import { el, isTyping } from "./dom.js";
 
@@ -41,21 +38,18 @@ function press(event) {
 /** Show all shortcuts. */
 export function listShortcuts() {
   const rows = [...shortcuts.values()].map(({ label, text }) => [label, text]);
-  const head = el(
-    "div",
-    { class: "spread" },
+  const head = el("div.spread", [
     el("h2", { id: "shortcuts-title" }, "Keyboard shortcuts"),
     iconButton("close", "Close", () => dialog.close()),
-  );
+  ]);
   const list = [...rows, ...OF_CONTROLS].map(([keys, text]) => [
     el(
       "dt",
-      {},
-      keys.split(" ").map((each) => el("kbd", {}, each)),
+      keys.split(" ").map((each) => el("kbd", each)),
     ),
-    el("dd", {}, text),
+    el("dd", text),
   ]);
-  const body = el("div", { class: "stack-s" }, head, el("dl", { class: "shortcuts" }, list));
+  const body = el("div.stack-s", head, el("dl.shortcuts", list));
   const dialog = openDialog({ "aria-labelledby": "shortcuts-title" }, [body]);
 }
 

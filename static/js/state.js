@@ -1,7 +1,4 @@
-/**
- * What the page shows: one small store. The part of it that makes a permalink lives in the address behind "#".
- * @module state
- */
+/** What the page shows: one small store. The part of it that makes a permalink lives in the address behind "#". */
 
 /**
  * @typedef {object} State

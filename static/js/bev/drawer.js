@@ -2,7 +2,6 @@
  * The drawer: what the method saw and did at the chosen keyframe, step by step, and the same pictures on the map.
  *
  * The server draws the pictures; the last ones are kept.
- * @module bev/drawer
  */
 import { getJson, request } from "../api.js";
 import { iconButton, openDialog, table } from "../controls.js";
@@ -41,11 +40,11 @@ export function mountDrawer(drawer) {
   /** @type {ReturnType<typeof setTimeout>|undefined} */
   let timer;
 
-  const title = el("h2", {});
-  const note = el("p", { class: "small" });
-  const trouble = el("div", {});
-  const seen = el("div", {});
-  const rejected = el("div", {});
+  const title = el("h2");
+  const note = el("p.small");
+  const trouble = el("div");
+  const seen = el("div");
+  const rejected = el("div");
   const step = (/** @type {number} */ by) => {
     const row = shown.result?.frame.rows.get(getState().frame);
     const next = row === undefined ? null : shown.result?.keyframes[row + by];
@@ -56,17 +55,17 @@ export function mountDrawer(drawer) {
     shown.map?.invalidateSize();
   };
   const figures = STEPS.map(({ layer, name, hint }, number) => {
-    const image = el("img", { alt: "", class: "waiting" });
+    const image = el("img.waiting", { alt: "" });
     const onChange = () => toggle(layer, box.checked);
     const box = el("input", { type: "checkbox", checked: onMap.has(layer), onChange });
     const label = { title: `${hint} Click to enlarge.`, "aria-label": `Enlarge ${name}` };
     const enlarge = () => showLarge(name, hint, image.src);
     const isAll = layer === "all";
-    const caption = el("span", {}, el("b", {}, isAll ? "" : `${number + 1} `), name);
+    const caption = el("span", el("b", isAll ? "" : `${number + 1} `), name);
     const choice = !isAll && el("label", { title: "Show it on the map" }, box, "on map");
-    const nothing = el("span", { class: "nothing", hidden: true }, "none");
-    const button = el("button", { class: "picture", ...label, onClick: enlarge }, image, nothing);
-    return { layer, image, button, nothing, figure: el("figure", {}, button, el("figcaption", {}, caption, choice)) };
+    const nothing = el("span.nothing", { hidden: true }, "none");
+    const button = el("button.picture", { ...label, onClick: enlarge }, image, nothing);
+    return { layer, image, button, nothing, figure: el("figure", button, el("figcaption", caption, choice)) };
   });
   const fade = el("input", { type: "range", min: 0.1, max: 1, step: 0.05, value: opacity });
   fade.setAttribute("aria-label", "Opacity on the map");
@@ -78,29 +77,25 @@ export function mountDrawer(drawer) {
   addShortcut("Escape", "Close the keyframe", close, "Esc");
   const wider = iconButton("wide", "Wider", widen);
   wider.classList.add("widen");
-  const buttons = el(
-    "div",
-    { class: "row tight" },
+  const buttons = el("div.row.tight", [
     iconButton("previous", "Previous keyframe", () => step(-1), "Previous keyframe (,)"),
     iconButton("next", "Next keyframe", () => step(1), "Next keyframe (.)"),
     wider,
     iconButton("close", "Close", () => close(), "Close (Esc)"),
-  );
-  const pictureGrid = el("div", { class: "pictures" });
+  ]);
+  const pictureGrid = el("div.pictures");
   pictureGrid.append(...figures.map((each) => each.figure));
   fill(
     drawer,
-    el(
-      "div",
-      { class: "drawer-body stack" },
-      el("div", { class: "spread" }, title, buttons),
+    el("div.drawer-body.stack", [
+      el("div.spread", title, buttons),
       note,
       trouble,
       pictureGrid,
-      el("label", { class: "row" }, el("span", { class: "small" }, "Opacity on the map"), fade),
+      el("label.row", el("span.small", "Opacity on the map"), fade),
       seen,
       rejected,
-    ),
+    ]),
   );
 
   const clearOverlays = () => {
@@ -212,22 +207,17 @@ async function loadPicture(path, signal) {
 
 /** @param {string} name @param {string} hint @param {string} src */
 function showLarge(name, hint, src) {
-  const title = el("h2", {}, `${name}, scan ${getState().frame}`);
-  const head = el(
-    "div",
-    { class: "spread" },
-    title,
-    iconButton("close", "Close", () => dialog.close()),
-  );
+  const title = el("h2", `${name}, scan ${getState().frame}`);
+  const head = el("div.spread", [title, iconButton("close", "Close", () => dialog.close())]);
   const picture = el("img", { src, alt: name });
-  const body = el("div", { class: "stack-s" }, head, picture, el("p", { class: "small" }, hint));
+  const body = el("div.stack-s", head, picture, el("p.small", hint));
   const onClick = (/** @type {Event} */ event) => event.target === dialog && dialog.close();
   const dialog = openDialog({ class: "large-picture", "aria-label": name, onClick }, [body]);
 }
 
 /** @param {import("../data/results.js").Detection[]} detections */
 function detectionTable(detections) {
-  if (!detections.length) return el("p", { class: "quiet" }, "Nothing was detected here.");
+  if (!detections.length) return el("p.quiet", "Nothing was detected here.");
   const outcomes = { TP: " true", FP: " false", none: "" };
   const rows = detections.map(({ properties: p, outcome, error_m }, i) => [
     [signIcon(outcome === "FP" ? "fp" : "tp"), ` ${i + 1}${outcomes[outcome]}`],
@@ -247,6 +237,6 @@ function detectionTable(detections) {
 function rejectedCandidates(candidates) {
   const rejected = candidates.filter((each) => !each.kept);
   if (!rejected.length) return null;
-  const items = rejected.map((each) => el("li", {}, el("b", {}, each.number), ` ${each.why_not ?? "rejected"}`));
-  return el("div", {}, el("h3", {}, "Candidates that were rejected"), el("ul", { class: "reasons" }, items));
+  const items = rejected.map((each) => el("li", el("b", each.number), ` ${each.why_not ?? "rejected"}`));
+  return el("div", el("h3", "Candidates that were rejected"), el("ul.reasons", items));
 }

@@ -1,7 +1,4 @@
-/**
- * Findings and their verdicts in words.
- * @module city/words
- */
+/** Findings and their verdicts in words. */
 
 /** @param {import("../data/city.js").Precision} precision @returns {string} */
 export function precisionText({ right, wrong, share, low, high }) {

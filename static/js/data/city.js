@@ -1,7 +1,4 @@
-/**
- * Maps of many drives, and the queue of what OpenStreetMap seems to have wrong by one of them: as last received.
- * @module data/city
- */
+/** Maps of many drives, and the queue of what OpenStreetMap seems to have wrong by one of them: as last received. */
 import { ApiError, getJson, sendJson } from "../api.js";
 import { getState, setState, subscribe } from "../state.js";
 

@@ -1,7 +1,4 @@
-/**
- * The intersections of several jobs of one drive, put together where they are the same.
- * @module data/compared
- */
+/** The intersections of several jobs of one drive, put together where they are the same. */
 import { distanceM } from "./frame.js";
 
 /** @typedef {import("./results.js").Place} Place */

@@ -1,7 +1,4 @@
-/**
- * The demo: a drive through a made-up town, made by the server, and its job.
- * @module data/demo
- */
+/** The demo: a drive through a made-up town, made by the server, and its job. */
 import { getJson, sendJson, sleep } from "../api.js";
 import { setState } from "../state.js";
 import { refreshLists, rememberDrive, rememberJob } from "./lists.js";

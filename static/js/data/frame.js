@@ -1,7 +1,4 @@
-/**
- * From metres to the map: offsets around a keyframe on the ellipsoid, or plain metres without georeference.
- * @module data/frame
- */
+/** From metres to the map: offsets around a keyframe on the ellipsoid, or plain metres without georeference. */
 
 const A = 6378137;
 const E2 = 0.00669437999014;

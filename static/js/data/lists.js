@@ -1,7 +1,4 @@
-/**
- * The drives, jobs and trash of the server, as last received: shared by header and panels.
- * @module data/lists
- */
+/** The drives, jobs and trash of the server, as last received: shared by header and panels. */
 import { ApiError, getJson } from "../api.js";
 
 /**

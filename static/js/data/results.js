@@ -1,7 +1,4 @@
-/**
- * The result of a job: its layers and report, loaded together.
- * @module data/results
- */
+/** The result of a job: its layers and report, loaded together. */
 import { ApiError, getJson } from "../api.js";
 import { Frame } from "./frame.js";
 

@@ -3,7 +3,6 @@
  *
  * Tabs talk through a BroadcastChannel, which plain http has too; locks (Web Locks) it has not. A tab that is asked
  * answers at once, even in the background, where timers hardly run.
- * @module data/uploads
  */
 import { formatPercent } from "../dom.js";
 import { refreshLists } from "./lists.js";

@@ -1,7 +1,4 @@
-/**
- * Run a drive that is there already: afresh, or once more as an earlier job, with what is to be different.
- * @module job/run_dialog
- */
+/** Run a drive that is there already: afresh, or once more as an earlier job, with what is to be different. */
 import { encodePath, getJson, putFile, sendJson } from "../api.js";
 import { field, openDialog } from "../controls.js";
 import { rememberJob, titleOf } from "../data/lists.js";
@@ -29,32 +26,22 @@ export async function openRunDialog(id, { job, withMap = false } = {}) {
   const name = el("input", { type: "text", maxLength: 200, placeholder: "made from what is chosen below" });
   const why = el("small", { role: "status" });
   const trouble = el("div", { role: "status" });
-  const run = el("button", { class: "primary", value: "run" }, "Run");
+  const run = el("button.primary", { value: "run" }, "Run");
   const stop = new AbortController();
   const dialog = openDialog(
     { class: "tall" },
     [
-      el(
-        "form",
-        { method: "dialog", onSubmit: (/** @type {Event} */ e) => (e.preventDefault(), void submit()) },
-        el(
-          "div",
-          { class: "stack tall-body" },
-          el("h2", {}, job ? `Run ${drive.name} again` : `Run ${drive.name}`),
-          job && el("p", { class: "small" }, `All is chosen as it was for the job “${titleOf(job)}”.`),
+      el("form", { method: "dialog", onSubmit: (/** @type {Event} */ e) => (e.preventDefault(), void submit()) }, [
+        el("div.stack.tall-body", [
+          el("h2", job ? `Run ${drive.name} again` : `Run ${drive.name}`),
+          job && el("p.small", `All is chosen as it was for the job “${titleOf(job)}”.`),
           field("Name of the job", name),
           form.mapElement,
           form.element,
-        ),
+        ]),
         trouble,
-        el(
-          "div",
-          { class: "actions" },
-          why,
-          el("button", { type: "button", onClick: () => dialog.close() }, "Cancel"),
-          run,
-        ),
-      ),
+        el("div.actions", why, el("button", { type: "button", onClick: () => dialog.close() }, "Cancel"), run),
+      ]),
     ],
     () => stop.abort(),
   );
@@ -72,7 +59,7 @@ export async function openRunDialog(id, { job, withMap = false } = {}) {
     if (sent?.file !== file) {
       const path = freeName(file.name, maps);
       const onProgress = (/** @type {number} */ bytes) =>
-        fill(trouble, el("p", { class: "small" }, `Sending the map: ${Math.floor((100 * bytes) / file.size)} %`));
+        fill(trouble, el("p.small", `Sending the map: ${Math.floor((100 * bytes) / file.size)} %`));
       await putFile(`drives/${drive.id}/files/${encodePath(path)}`, file, { onProgress, signal: stop.signal });
       sent = { file, path };
     }

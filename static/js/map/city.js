@@ -1,6 +1,5 @@
 /**
  * A map of many drives: its intersections and what OpenStreetMap seems to have wrong, asked for by the box that is seen.
- * @module map/city
  */
 import { factRows } from "../controls.js";
 import { cities, featuresIn, judge, loadMembers, loadVerdicts, stepFinding, takeBack } from "../data/city.js";
@@ -210,13 +209,11 @@ export class CityScene extends OverviewScene {
   /** @param {any} item */
   tipOf(item) {
     if (!item.sign) return super.tipOf(item);
-    return el(
-      "div",
-      {},
-      el("strong", {}, spotTitle(item)),
+    return el("div", [
+      el("strong", spotTitle(item)),
       el("br"),
       item.finding?.text ?? (item.properties.passes ? seenText(item.properties) : changeText(item.properties)),
-    );
+    ]);
   }
 
   /** @param {any} item */
@@ -280,19 +277,16 @@ function contentOf({ lat, lng, properties: p, changes }) {
   const links = linksAt(lat, lng).map(({ name, href, title }) =>
     el("a", { href, title, target: "_blank", rel: "noopener" }, name),
   );
-  const change = changes.map(({ properties: c }) => el("p", { class: "why" }, changeText(c)));
-  return el(
-    "div",
-    { class: "details" },
-    el("h3", {}, `Intersection ${p.uid}`),
+  const change = changes.map(({ properties: c }) => el("p.why", changeText(c)));
+  return el("div.details", [
+    el("h3", `Intersection ${p.uid}`),
     change,
     el(
-      "dl",
-      { class: "figures" },
+      "dl.figures",
       factRows([...(p.passes ? seenFacts(p) : []), ["Latitude, longitude", coordinates({ lat, lng }, false)]]),
     ),
-    el("div", { class: "ways-out" }, el("p", {}, links)),
-  );
+    el("div.ways-out", el("p", links)),
+  ]);
 }
 
 /** @param {any} p Properties of the layer `city`. @returns {([string, any]|null)[]} */

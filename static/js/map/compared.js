@@ -1,7 +1,4 @@
-/**
- * What other jobs of the drive found, beside the result that is shown: put together, and marked on the map.
- * @module map/compared
- */
+/** What other jobs of the drive found, beside the result that is shown: put together, and marked on the map. */
 import { getJson } from "../api.js";
 import { kindOfCompared, matchIntersections } from "../data/compared.js";
 import { lists, titleOf } from "../data/lists.js";
@@ -96,5 +93,5 @@ function describe({ found }) {
     const job = lists.jobs.find((each) => each.id === id);
     return job ? titleOf(job) : id;
   });
-  return el("div", {}, el("strong", {}, "Not found by this job"), el("br"), `Found by ${names.join("; ")}`);
+  return el("div", el("strong", "Not found by this job"), el("br"), `Found by ${names.join("; ")}`);
 }

@@ -1,15 +1,11 @@
-/**
- * Where the pointer is: latitude and longitude, or metres of W.
- * @module map/coordinates
- */
+/** Where the pointer is: latitude and longitude, or metres of W. */
 import { el } from "../dom.js";
 import { Control } from "../leaflet.js";
 import { coordinates } from "./links.js";
 
 /** @param {any} map @param {boolean} local */
 export function addCoordinates(map, local) {
-  const box = el("output", {
-    class: "coordinates",
+  const box = el("output.coordinates", {
     hidden: true,
     title: local ? "x, y in W, metres" : "Latitude, longitude",
   });

@@ -1,7 +1,4 @@
-/**
- * Tips under the pointer, and the details of what is chosen: by a click, from a list, by a link.
- * @module map/details
- */
+/** Tips under the pointer, and the details of what is chosen: by a click, from a list, by a link. */
 
 /** @typedef {import("./scene.js").Hit} Hit */
 
@@ -48,7 +45,7 @@ export function watchPointer(map, scene, isBusy) {
     const at = [hit.item.lat, hit.item.lng];
     mark.setLatLng(at).addTo(map);
     const lines = [hit.item.properties.names, summaryOf(hit)].filter(Boolean).map((line) => [el("br"), line]);
-    const content = el("div", {}, el("strong", {}, titleOf(hit)), lines);
+    const content = el("div", el("strong", titleOf(hit)), lines);
     tip.setLatLng(at).setContent(content).addTo(map);
   };
   map.on("mousemove", (/** @type {any} */ event) =>
@@ -184,16 +181,14 @@ export function closeDetails() {
 function contentOf(hit, result) {
   const sign = signOf(hit);
   const why = whyOf(hit, result);
-  return el(
-    "div",
-    { class: "details" },
-    el("h3", {}, sign && signIcon(sign), titleOf(hit)),
-    hit.item.properties.names && el("p", { class: "streets" }, hit.item.properties.names),
-    why && el("p", { class: "why" }, why),
-    el("dl", { class: "figures" }, factRows(factsOf(hit, result))),
-    el("div", { class: "row" }, actionsOf(hit, result)),
+  return el("div.details", [
+    el("h3", sign && signIcon(sign), titleOf(hit)),
+    hit.item.properties.names && el("p.streets", hit.item.properties.names),
+    why && el("p.why", why),
+    el("dl.figures", factRows(factsOf(hit, result))),
+    el("div.row", actionsOf(hit, result)),
     waysOut(hit, result),
-  );
+  ]);
 }
 
 /** @param {Hit} hit @param {import("../data/results.js").Result} result */
@@ -239,13 +234,13 @@ function frameOf({ id, first_frame, last_frame }, result) {
 function waysOut(hit, result) {
   const { item, kind } = hit;
   const copy = copyButton("Copy coordinates", () => coordinates(item, result.local));
-  if (result.local || result.isMadeUp) return el("div", { class: "ways-out" }, copy);
+  if (result.local || result.isMadeUp) return el("div.ways-out", copy);
   const id = kind === "detection" ? null : (item.properties.osm_id ?? null);
   const links = linksAt(item.lat, item.lng, isOsmNode(id, result) ? id : null).map(({ name, href, title }) =>
     el("a", { href, title, target: "_blank", rel: "noopener", onClick: name === "JOSM" && tellOfJosm }, name),
   );
   const note = kind !== "road" && copyButton("Copy OSM note", () => noteText(hit, result.report?.osm.date));
-  return el("div", { class: "ways-out" }, el("p", {}, links), copy, note);
+  return el("div.ways-out", el("p", links), copy, note);
 }
 
 function tellOfJosm() {

@@ -1,7 +1,4 @@
-/**
- * What is known of a thing on the map, in words: its verdict first.
- * @module map/facts
- */
+/** What is known of a thing on the map, in words: its verdict first. */
 import { medianError } from "../data/results.js";
 import { el, formatDuration, formatMetres, formatPercent, plural } from "../dom.js";
 import { ellipseOf, SIGMAS_95 } from "./ellipse.js";
@@ -65,7 +62,7 @@ export function whyOf({ kind, item }, result) {
   }
   const { error_m, osm_id } = kind === "detection" ? item : p;
   const isRight = kind === "detection" ? item.outcome === "TP" : verdictOf(item) === "right";
-  if (isRight) return el("span", {}, `${formatMetres(error_m)} from OSM node `, osmLink(osm_id, result), ".");
+  if (isRight) return el("span", `${formatMetres(error_m)} from OSM node `, osmLink(osm_id, result), ".");
   if (p.reason) return sentence(p.reason);
   if (item.outcome !== "FP") return null;
   return error_m === null ? "No OSM intersection in its region of interest." : null;

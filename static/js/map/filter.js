@@ -1,7 +1,4 @@
-/**
- * Which intersections are looked at: by verdict, by figures, by words. List, map and address follow it alike.
- * @module map/filter
- */
+/** Which intersections are looked at: by verdict, by figures, by words. List, map and address follow it alike. */
 import { getState, setState, subscribe } from "../state.js";
 import { verdictOf } from "./layers.js";
 

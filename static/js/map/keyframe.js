@@ -1,7 +1,4 @@
-/**
- * The chosen keyframe on the map: the vehicle, what it could see, what it detected, and pictures of it.
- * @module map/keyframe
- */
+/** The chosen keyframe on the map: the vehicle, what it could see, what it detected, and pictures of it. */
 
 import { svg } from "../dom.js";
 import { CircleMarker, DivIcon, DomUtil, Layer, LayerGroup, Marker, Polygon, Polyline, SVG, Util } from "../leaflet.js";
@@ -44,8 +41,8 @@ export class KeyframeLayer {
       this.vehicle.addLayer(new CircleMarker(at, { ...base, radius: 9, className: `seen ${outcome}` }));
     }
     const arrow = svg(
-      "svg",
-      { viewBox: "-14 -14 28 28", width: 28, height: 28, class: "vehicle" },
+      "svg.vehicle",
+      { viewBox: "-14 -14 28 28", width: 28, height: 28 },
       svg("path", { d: "M0-11 8 9 0 5-8 9Z", transform: `rotate(${frame.heading(keyframe)})` }),
     );
     const sign = new DivIcon({ html: arrow, className: "vehicle-icon", iconSize: [28, 28] });

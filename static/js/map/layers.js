@@ -1,7 +1,4 @@
-/**
- * The layers of a result: what they are called, what they hold, which are on.
- * @module map/layers
- */
+/** The layers of a result: what they are called, what they hold, which are on. */
 import { kindOfCompared } from "../data/compared.js";
 
 /** @typedef {import("../data/results.js").Result} Result */

@@ -1,7 +1,4 @@
-/**
- * The box at the right of the map: layers to switch, with their signs and counts.
- * @module map/legend
- */
+/** The box at the right of the map: layers to switch, with their signs and counts. */
 
 import { el, fill, formatCount, icon } from "../dom.js";
 import { Control, DomEvent } from "../leaflet.js";
@@ -21,7 +18,7 @@ const WIDE_PX = 640; // on a narrower map the legend is folded: it would hide th
  * @returns {{show: (result: import("../data/results.js").Result|null) => void}}
  */
 export function addLegend(map) {
-  const box = el("section", { class: "legend", hidden: true, "aria-label": "Layers of the map" });
+  const box = el("section.legend", { hidden: true, "aria-label": "Layers of the map" });
   const control = new Control({ position: "topright" });
   control.onAdd = () => {
     DomEvent.disableClickPropagation(box);
@@ -43,13 +40,11 @@ export function addLegend(map) {
     const remember = (/** @type {any} */ event) =>
       keep(OPEN_KEY, event.currentTarget.parentElement.open ? "no" : "yes");
     const fieldset = (/** @type {string} */ group) =>
-      el(
-        "fieldset",
-        {},
+      el("fieldset", [
         el("legend", { class: HEADED.has(group) ? "legend-group" : "unseen" }, group),
         rows.filter(({ layer }) => layer.group === group).map(({ layer, count }) => row(layer, count, on)),
         group === "Base" && on.has("tiles") && tileBox(),
-      );
+      ]);
     const open = isWide() && recall(OPEN_KEY) !== "no";
     const summary = el("summary", { onClick: remember }, icon("layers"), "Layers");
     fill(box, el("details", { open }, summary, groups.map(fieldset)));
@@ -75,14 +70,12 @@ export function addLegend(map) {
 function row({ id, title, look, hint }, count, on) {
   const onChange = () => switchLayer(id, box.checked);
   const box = el("input", { type: "checkbox", id: `layer-${id}`, checked: on.has(id), onChange });
-  return el(
-    "label",
-    { title: hint, htmlFor: box.id },
+  return el("label", { title: hint, htmlFor: box.id }, [
     box,
     look.startsWith("line ") ? el("span", { class: `sign ${look}`, "aria-hidden": "true" }) : signIcon(look),
-    el("span", { class: "grow" }, title),
-    count !== null && el("span", { class: "number quiet" }, formatCount(count)),
-  );
+    el("span.grow", title),
+    count !== null && el("span.number.quiet", formatCount(count)),
+  ]);
 }
 
 /** @param {string} id @param {boolean} isOn */

@@ -1,7 +1,4 @@
-/**
- * Ways out to where a map is edited and looked at. The page only links: nothing is loaded from there.
- * @module map/links
- */
+/** Ways out to where a map is edited and looked at. The page only links: nothing is loaded from there. */
 import { formatDate, formatMetres, plural } from "../dom.js";
 import { verdictOf } from "./layers.js";
 

@@ -1,7 +1,4 @@
-/**
- * A drive that is under way: what its session has said so far, and how it is drawn.
- * @module map/live
- */
+/** A drive that is under way: what its session has said so far, and how it is drawn. */
 import { trackAlone } from "../data/results.js";
 import { plural } from "../dom.js";
 import { fillRings, Scene } from "./scene.js";

@@ -1,7 +1,4 @@
-/**
- * The measure: a click sets a point, the sum of the distances is at the last one, Escape ends.
- * @module map/measure
- */
+/** The measure: a click sets a point, the sum of the distances is at the last one, Escape ends. */
 import { distanceM } from "../data/frame.js";
 import { announce, el, formatMetres, icon, isTyping } from "../dom.js";
 import { CircleMarker, Control, DomEvent, LayerGroup, Polyline, Tooltip } from "../leaflet.js";
@@ -24,7 +21,7 @@ export function addMeasure(map, local) {
     { href: "#", role: "button", title, "aria-label": label, "aria-pressed": "false", onClick },
     icon("ruler"),
   );
-  const bar = el("div", { class: "leaflet-bar leaflet-control" }, button);
+  const bar = el("div.leaflet-bar.leaflet-control", button);
   const control = new Control({ position: "topleft" });
   control.onAdd = () => {
     DomEvent.disableClickPropagation(bar);
@@ -55,7 +52,7 @@ export function addMeasure(map, local) {
     sum.remove();
     if (!points.length) return;
     const metres = line.slice(1).reduce((total, point, i) => total + distanceM(line[i], point, local), 0);
-    sum.setLatLng(line[line.length - 1]).setContent(el("strong", {}, formatMetres(metres, metres < 100 ? 2 : 1)));
+    sum.setLatLng(line[line.length - 1]).setContent(el("strong", formatMetres(metres, metres < 100 ? 2 : 1)));
     drawing.addLayer(sum);
   };
   /** @param {any} event */

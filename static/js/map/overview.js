@@ -1,7 +1,4 @@
-/**
- * All drives on the map, where none is chosen: a click opens one.
- * @module map/overview
- */
+/** All drives on the map, where none is chosen: a click opens one. */
 import { el, plural } from "../dom.js";
 import { Tooltip } from "../leaflet.js";
 import { setState } from "../state.js";
@@ -108,7 +105,7 @@ export class OverviewScene {
   tipOf({ drive: { name, job, title, chosen, intersections, verdict } }) {
     const text = job ? (verdict ?? plural(intersections.length, "intersection")) : "no result yet";
     const which = job && ` ${title}${chosen === "pinned" ? ", pinned" : ""}`;
-    return el("div", {}, el("strong", {}, name), which, el("br"), text);
+    return el("div", el("strong", name), which, el("br"), text);
   }
 
   /** @param {any} item Found by `at`. */

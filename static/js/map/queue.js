@@ -1,7 +1,4 @@
-/**
- * The intersections one after the other, as the list has them: filtered and sorted, by keys or buttons.
- * @module map/queue
- */
+/** The intersections one after the other, as the list has them: filtered and sorted, by keys or buttons. */
 import { announce } from "../dom.js";
 import { getState, subscribe } from "../state.js";
 import { goTo, isNamed } from "./details.js";

@@ -1,7 +1,4 @@
-/**
- * A result on the surface: positions projected once, painted layer by layer, found again under the pointer.
- * @module map/scene
- */
+/** A result on the surface: positions projected once, painted layer by layer, found again under the pointer. */
 import { ellipseOf, SIGMAS_95 } from "./ellipse.js";
 import { widthText } from "./facts.js";
 import { passes } from "./filter.js";

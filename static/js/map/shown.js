@@ -1,7 +1,4 @@
-/**
- * What is on the map: a small store between the map and all that follows it.
- * @module map/shown
- */
+/** What is on the map: a small store between the map and all that follows it. */
 
 /** @typedef {import("../data/results.js").Result} Result */
 /**

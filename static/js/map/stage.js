@@ -1,7 +1,4 @@
-/**
- * The map: shows the result of the job at hand, or the trajectory of its drive while it runs.
- * @module map/stage
- */
+/** The map: shows the result of the job at hand, or the trajectory of its drive while it runs. */
 
 import { follow, getJson } from "../api.js";
 import { chosenCity, cities, loadMaps, onCityChange, versionOf, wantsCity, watchMaps } from "../data/city.js";
@@ -58,8 +55,8 @@ let isPlaced = false;
 /** Put map, legend and timeline on the page. */
 export async function mountStage() {
   const holder = /** @type {HTMLElement} */ (document.getElementById("map"));
-  const cover = el("div", { class: "cover" });
-  const note = el("div", { class: "stage-note" });
+  const cover = el("div.cover");
+  const note = el("div.stage-note");
   holder.before(cover, note);
   const timeline = mountTimeline(/** @type {HTMLElement} */ (document.getElementById("strip")));
   /** @type {any} */
@@ -111,12 +108,12 @@ export async function mountStage() {
       if (job.state !== "successful") {
         clear();
         const why = job.state === "failed" && failureNote(job);
-        fill(cover, el("div", { class: "stack-s" }, el("p", {}, waiting(job)), why));
+        fill(cover, el("div.stack-s", el("p", waiting(job)), why));
         if (awaited) await showTrajectory(job, mine);
         return;
       }
       if (shown.result?.job.id === id) return;
-      fill(cover, el("p", {}, "Loading the result…"));
+      fill(cover, el("p", "Loading the result…"));
       const next = await loadResult(job);
       if (mine === token) show(next);
     } catch (error) {
@@ -131,7 +128,7 @@ export async function mountStage() {
   /** @param {string} id */
   const showLive = async (id) => {
     clear();
-    fill(cover, el("p", {}, "Waiting for the vehicle…"));
+    fill(cover, el("p", "Waiting for the vehicle…"));
     const drive = new LiveDrive();
     watching = new AbortController();
     const { signal } = watching;
@@ -141,7 +138,7 @@ export async function mountStage() {
       if (signal.aborted || !drive.vehicle) return;
       const isNew = !(scene instanceof LiveScene);
       fill(cover);
-      fill(note, el("strong", {}, drive.session.name), ` ${drive.words}`);
+      fill(note, el("strong", drive.session.name), ` ${drive.words}`);
       build(!drive.session.georeferenced);
       scene = new LiveScene(drive, shown.map);
       const { lat, lng } = drive.vehicle;
@@ -179,7 +176,7 @@ export async function mountStage() {
     if (isNew) clear();
     previewed = result.local ? null : result;
     fill(cover);
-    fill(note, el("strong", {}, title), ` ${text}`);
+    fill(note, el("strong", title), ` ${text}`);
     build(result.local);
     if (!(scene instanceof Scene) || scene.result !== result) scene = new Scene(result, shown.map);
     scene.find = () => null; // its places have no details yet
@@ -240,7 +237,7 @@ export async function mountStage() {
     }
     if (getState().panel !== "map" || !lists.drives.length) return false;
     clear();
-    fill(cover, el("p", {}, city ? emptyCity(city) : "There is no such map."));
+    fill(cover, el("p", city ? emptyCity(city) : "There is no such map."));
     return true;
   };
 
@@ -250,16 +247,16 @@ export async function mountStage() {
     const signs = new Set(spots.flatMap(({ sign, changes }) => [sign, ...changes.map(signOfChange)]));
     fill(
       note,
-      el("strong", {}, plural(city.intersections, "intersection")),
+      el("strong", plural(city.intersections, "intersection")),
       ` of ${plural(city.drives, "drive")}`,
       city.is_waiting && " · more is being merged",
       cut && ` · ${cut} here: zoom in for more`,
       city.findings && getState().panel !== "map"
-        ? [" · ", el("button", { class: "link", onClick: toQueue }, plural(city.findings, "finding"))]
+        ? [" · ", el("button.link", { onClick: toQueue }, plural(city.findings, "finding"))]
         : null,
       Object.entries(PLACE_SIGNS)
         .filter(([name]) => signs.has(name))
-        .map(([name, [text, hint]]) => el("span", { class: "key-row", title: hint }, signIcon(name), text)),
+        .map(([name, [text, hint]]) => el("span.key-row", { title: hint }, signIcon(name), text)),
       tileSwitch(),
     );
   };
@@ -278,7 +275,7 @@ export async function mountStage() {
     const cut = isCut && " · the newest of all";
     fill(
       note,
-      el("strong", {}, plural(drives.length, "drive")),
+      el("strong", plural(drives.length, "drive")),
       " to choose from",
       more,
       cut,
@@ -522,8 +519,8 @@ function makeMap(holder, local, current) {
 function addFilterNote(made) {
   const count = el("span");
   // The button stays when the words change: Leaflet takes a click on what is gone by then for one on the map.
-  const all = el("button", { class: "link", onClick: clearFilter }, "Show all");
-  const box = el("div", { class: "filter-note", role: "status", hidden: true }, count, all);
+  const all = el("button.link", { onClick: clearFilter }, "Show all");
+  const box = el("div.filter-note", { role: "status", hidden: true }, count, all);
   const note = new Control({ position: "topleft" });
   note.onAdd = () => {
     DomEvent.disableClickPropagation(box);
@@ -542,7 +539,7 @@ function addFit(made) {
   const label = "Show the whole drive";
   const onClick = (/** @type {Event} */ e) => (e.preventDefault(), fitDrive(true));
   const button = el("a", { href: "#", role: "button", title: label, "aria-label": label, onClick }, icon("fit"));
-  const bar = el("div", { class: "leaflet-bar leaflet-control" }, button);
+  const bar = el("div.leaflet-bar.leaflet-control", button);
   const fit = control.zoom({ position: "topleft" });
   fit.onAdd = () => bar;
   fit.onRemove = () => {};
@@ -630,7 +627,7 @@ function overviewKey(drives) {
   );
   return Object.entries(KEYS)
     .filter(([name]) => there.has(name))
-    .map(([name, text]) => el("span", { class: "key-row" }, signIcon(name), text));
+    .map(([name, text]) => el("span.key-row", signIcon(name), text));
 }
 
 /** @param {import("../data/city.js").City} city @returns {string} Why there is nothing to see on it. */
@@ -650,41 +647,30 @@ function tileSwitch() {
     else on.add("tiles");
     setState({ layers: [...on] });
   };
-  return el("label", { class: "check" }, el("input", { type: "checkbox", checked, onChange: change }), "Map tiles");
+  return el("label.check", el("input", { type: "checkbox", checked, onChange: change }), "Map tiles");
 }
 
 /** @param {string|null} drive */
 function welcome(drive) {
-  if (drive) return el("p", {}, "This drive has no result yet. Run it from the list of drives.");
+  if (drive) return el("p", "This drive has no result yet. Run it from the list of drives.");
   if (demo.isRunning) return el("p", { role: "status" }, "The demo is being prepared. It appears here.");
   if (!lists.isLoaded) return null;
-  if (lists.drives.length) return el("p", {}, "None of the drives has a place on the map yet. Open one from the list.");
-  const upload = el("button", { class: "primary", onClick: () => setState({ panel: "upload" }) }, icon("upload"));
+  if (lists.drives.length) return el("p", "None of the drives has a place on the map yet. Open one from the list.");
+  const upload = el("button.primary", { onClick: () => setState({ panel: "upload" }) }, icon("upload"));
   upload.append("Upload a drive");
-  return el(
-    "div",
-    { class: "drop drop-stage" },
+  return el("div.drop.drop-stage", [
     icon("upload"),
+    el("h2", takesDrops() ? "Drop the folder of a LiDAR drive here" : "Where are the road intersections of a drive?"),
+    el("ol", [
+      el("li", "The drive: its folder, or a bag. It is looked into before anything is sent."),
+      el("li", "A map, if there is one: an OSM file of the area. Without it nothing is scored."),
+      el("li", "The result, here on the map:"),
+    ]),
     el(
-      "h2",
-      {},
-      takesDrops() ? "Drop the folder of a LiDAR drive here" : "Where are the road intersections of a drive?",
+      "p.row",
+      ["right", "wrong", "missed", "unscored"].map((name) => el("span.key-row", signIcon(name), KEYS[name])),
     ),
-    el(
-      "ol",
-      {},
-      el("li", {}, "The drive: its folder, or a bag. It is looked into before anything is sent."),
-      el("li", {}, "A map, if there is one: an OSM file of the area. Without it nothing is scored."),
-      el("li", {}, "The result, here on the map:"),
-    ),
-    el(
-      "p",
-      { class: "row" },
-      ["right", "wrong", "missed", "unscored"].map((name) =>
-        el("span", { class: "key-row" }, signIcon(name), KEYS[name]),
-      ),
-    ),
-    el("div", { class: "row" }, upload, el("button", { onClick: () => void tryDemo() }, "Try the demo")),
+    el("div.row", upload, el("button", { onClick: () => void tryDemo() }, "Try the demo")),
     demo.error !== null && problemNote(demo.error),
-  );
+  ]);
 }

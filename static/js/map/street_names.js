@@ -1,7 +1,4 @@
-/**
- * Names of streets, written along them, beside the track, where the map is large enough.
- * @module map/street_names
- */
+/** Names of streets, written along them, beside the track, where the map is large enough. */
 import { colour } from "./symbols.js";
 
 /** @typedef {{x: number, y: number, angle: number}} Spot */

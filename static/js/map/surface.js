@@ -2,7 +2,6 @@
  * One canvas under the map on which everything of a result is drawn at once: ten thousand symbols cost a few
  * milliseconds per frame at rest and nothing while the map is dragged, since the canvas is larger than what is seen.
  * Leaflet's own canvas keeps an object per symbol: ten thousand take ten times as long to make, and twice as long to zoom.
- * @module map/surface
  */
 import { Browser, DomUtil, Renderer } from "../leaflet.js";
 

@@ -1,7 +1,4 @@
-/**
- * The signs of the map: each outcome has a colour and a shape, the same on the map, in the legend and in charts.
- * @module map/symbols
- */
+/** The signs of the map: each outcome has a colour and a shape, the same on the map, in the legend and in charts. */
 import { svg } from "../dom.js";
 
 /** @typedef {"disc"|"cross"|"ring"|"square"|"diamond"|"dot"|"triangle"|"check"|"bang"|"gap"|"fork"|"hexagon"} Shape */
@@ -116,12 +113,10 @@ export function signIcon(name) {
   const stroke = glyph ? "none" : edge ? `var(${edge})` : width ? `var(${colour})` : "none";
   const props = { fill: filled ? `var(${colour})` : "none", stroke, "stroke-width": width };
   const mark = { fill: "none", stroke: "var(--surface)", "stroke-width": 1.8, "stroke-linecap": "round" };
-  return svg(
-    "svg",
-    { class: "sign", viewBox: "0 0 16 16", "aria-hidden": "true" },
+  return svg("svg.sign", { viewBox: "0 0 16 16", "aria-hidden": "true" }, [
     OUTLINES[shape] ? svg("path", { d: outlineOf(shape, r), ...props }) : svg("circle", { cx: 8, cy: 8, r, ...props }),
     glyph && svg("path", { d: outlineOf(glyph, r), ...mark }),
-  );
+  ]);
 }
 
 /** @param {Shape} shape @param {number} r @returns {string} */

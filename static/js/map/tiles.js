@@ -1,7 +1,4 @@
-/**
- * Map tiles: only when switched on, since another server learns which place is looked at.
- * @module map/tiles
- */
+/** Map tiles: only when switched on, since another server learns which place is looked at. */
 
 import { getConfig } from "../api.js";
 import { el } from "../dom.js";
@@ -33,7 +30,7 @@ export function makeTiles() {
   const layer = new TileLayer(url, {
     maxNativeZoom: 19,
     maxZoom: 24,
-    attribution: credit.startsWith(OSM) ? OSM_CREDIT : el("span", {}, credit).outerHTML, // alike, it is shown once
+    attribution: credit.startsWith(OSM) ? OSM_CREDIT : el("span", credit).outerHTML, // alike, it is shown once
     referrerPolicy: "strict-origin-when-cross-origin",
     className: "tiles",
   });
@@ -65,5 +62,5 @@ export function tileBox() {
     keep(URL_KEY, url && url !== getConfig().tile_url ? url : null);
     for (const call of listeners) call();
   };
-  return el("form", { class: "tile-box", onSubmit }, input, el("button", {}, "Use"));
+  return el("form.tile-box", { onSubmit }, input, el("button", "Use"));
 }

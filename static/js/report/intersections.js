@@ -1,7 +1,4 @@
-/**
- * The list of the intersections that were found: filtered, sorted, gone through one by one.
- * @module report/intersections
- */
+/** The list of the intersections that were found: filtered, sorted, gone through one by one. */
 import { iconButton } from "../controls.js";
 import { el, fill, plural } from "../dom.js";
 import { goTo, isNamed, ofService, serviceSwitch } from "../map/details.js";
@@ -26,12 +23,7 @@ const COLUMNS = [
     value: (each) => VERDICT_ORDER[verdictOf(each)],
     text: (each) => {
       const verdict = verdictOf(each);
-      return el(
-        "span",
-        { title: VERDICTS[verdict] },
-        signIcon(verdict),
-        el("span", { class: "unseen" }, VERDICTS[verdict]),
-      );
+      return el("span", { title: VERDICTS[verdict] }, signIcon(verdict), el("span.unseen", VERDICTS[verdict]));
     },
   },
   {
@@ -77,7 +69,7 @@ const RANGES = [
 
 /** @param {import("../data/results.js").Result} result */
 export function intersectionList(result) {
-  if (!result.intersections.length) return el("p", { class: "quiet" }, "No intersection was found on this drive.");
+  if (!result.intersections.length) return el("p.quiet", "No intersection was found on this drive.");
   const isScored = result.report !== null;
   const table = sortedTable(
     COLUMNS.filter(({ name }) => (IF_SCORED[name] ?? isScored) === isScored),
@@ -89,8 +81,8 @@ export function intersectionList(result) {
     },
   );
   setOrder(null);
-  const count = el("span", { class: "number quiet" });
-  const status = el("p", { class: "small", role: "status" });
+  const count = el("span.number.quiet");
+  const status = el("p.small", { role: "status" });
   const search = el("input", {
     type: "search",
     placeholder: "Street, id, place or reason",
@@ -101,7 +93,7 @@ export function intersectionList(result) {
     onKeydown: (/** @type {KeyboardEvent} */ event) => event.key === "Enter" && step(1),
   });
   const more = filterFields(result);
-  const empty = el("p", { class: "small", hidden: true }, "No intersection passes the filter. ", showAll());
+  const empty = el("p.small", { hidden: true }, "No intersection passes the filter. ", showAll());
 
   const mark = () => {
     const name = getState().intersection;
@@ -130,25 +122,21 @@ export function intersectionList(result) {
     return table.element.isConnected;
   };
   requestAnimationFrame(mark);
-  return el(
-    "div",
-    { class: "stack-s intersections" },
-    el(
-      "div",
-      { class: "tools" },
+  return el("div.stack-s.intersections", [
+    el("div.tools", [
       search,
       iconButton("previous", "Previous intersection", () => step(-1), "Previous intersection of the list (p)"),
       count,
       iconButton("next", "Next intersection", () => step(1), "Next intersection of the list (n)"),
-    ),
+    ]),
     more,
     status,
     empty,
     table.element,
-  );
+  ]);
 }
 
-const showAll = () => el("button", { type: "button", class: "link", onClick: clearFilter }, "Show all");
+const showAll = () => el("button.link", { type: "button", onClick: clearFilter }, "Show all");
 
 /** @param {import("../data/results.js").Result} result */
 function filterFields(result) {
@@ -159,7 +147,7 @@ function filterFields(result) {
   const boxes = verdicts.map(({ name, many }) => {
     const checked = !filter.verdicts || filter.verdicts.includes(name);
     const input = el("input", { type: "checkbox", value: name, checked, onChange: () => choose() });
-    return { input, element: el("label", { class: "check" }, input, signIcon(name), `${VERDICTS[name]} (${many})`) };
+    return { input, element: el("label.check", input, signIcon(name), `${VERDICTS[name]} (${many})`) };
   });
   const choose = () => {
     const on = boxes.filter(({ input }) => input.checked).map(({ input }) => input.value);
@@ -172,27 +160,16 @@ function filterFields(result) {
     for (const { input } of boxes) input.checked = !on || on.includes(input.value);
     for (const each of ranges) each.update();
   });
-  const element = el(
-    "details",
-    { class: "filter", open: filter.verdicts !== null || Object.keys(filter.ranges).length > 0 },
-    el("summary", {}, "Filter"),
-    el(
-      "div",
-      { class: "stack-s" },
-      boxes.length > 1 &&
-        el(
-          "fieldset",
-          { class: "row" },
-          el("legend", { class: "unseen" }, "Outcome"),
-          boxes.map((each) => each.element),
-        ),
+  const element = el("details.filter", { open: filter.verdicts !== null || Object.keys(filter.ranges).length > 0 }, [
+    el("summary", "Filter"),
+    el("div.stack-s", [
+      boxes.length > 1 && el("fieldset.row", [el("legend.unseen", "Outcome"), boxes.map((each) => each.element)]),
       el(
-        "div",
-        { class: "ranges" },
+        "div.ranges",
         ranges.map((each) => each.elements),
       ),
-    ),
-  );
+    ]),
+  ]);
   return element;
 }
 
@@ -227,7 +204,7 @@ function rangeFields({ figure, name, scale, step: by }, places) {
   };
   update();
   return {
-    elements: [el("span", {}, name), inputs[0], el("span", { "aria-hidden": "true" }, "to"), inputs[1]],
+    elements: [el("span", name), inputs[0], el("span", { "aria-hidden": "true" }, "to"), inputs[1]],
     update,
   };
 }

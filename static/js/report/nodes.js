@@ -1,7 +1,4 @@
-/**
- * The table of all OSM intersections that the drive could or did find.
- * @module report/nodes
- */
+/** The table of all OSM intersections that the drive could or did find. */
 import { medianError } from "../data/results.js";
 import { el } from "../dom.js";
 import { goTo } from "../map/details.js";
@@ -22,7 +19,7 @@ const COLUMNS = [
     value: (node) => ORDER[/** @type {"found"} */ (node.kind)],
     text: ({ kind }) => {
       const name = NAMES[/** @type {"found"} */ (kind)];
-      return el("span", { title: name }, signIcon(kind), el("span", { class: "unseen" }, name));
+      return el("span", { title: name }, signIcon(kind), el("span.unseen", name));
     },
   },
   {
@@ -54,8 +51,7 @@ export function nodeTable(result) {
   const places = new Map(result.nodes.map((node) => [node.properties.osm_id, node]));
   const table = sortedTable(COLUMNS, {
     keyOf: ({ osm_id }) => String(osm_id),
-    below: (node) =>
-      belowRow({ ...node, names: `${node.names ?? "Node"} ` }, el("span", { class: "number" }, ` ${node.osm_id}`)),
+    below: (node) => belowRow({ ...node, names: `${node.names ?? "Node"} ` }, el("span.number", ` ${node.osm_id}`)),
     onChoose: ({ osm_id }) => {
       const item = places.get(osm_id);
       if (item) goTo({ kind: "node", item });
@@ -71,5 +67,5 @@ export function nodeTable(result) {
   const mark = () => table.mark(getState().node === null ? null : String(getState().node));
   const stop = subscribe(["node", "panel"], () => (table.element.isConnected ? requestAnimationFrame(mark) : stop()));
   requestAnimationFrame(mark);
-  return el("div", { class: "osm-nodes" }, table.element);
+  return el("div.osm-nodes", table.element);
 }

@@ -1,7 +1,4 @@
-/**
- * A table whose rows lead to the map: sorted by any column, one stop of the Tab key, arrow keys from row to row.
- * @module report/sorted_table
- */
+/** A table whose rows lead to the map: sorted by any column, one stop of the Tab key, arrow keys from row to row. */
 import { el, fill } from "../dom.js";
 
 /**
@@ -97,21 +94,16 @@ export function sortedTable(columns, { keyOf, onChoose, onSort, below }) {
   };
 
   return {
-    element: el(
-      "div",
-      { class: "sorted" },
-      el("div", { class: "scroll" }, el("table", {}, el("thead", {}, el("tr", {}, heads)), body)),
-      el(
-        "details",
-        { class: "small" },
-        el("summary", {}, "What the columns mean"),
+    element: el("div.sorted", [
+      el("div.scroll", el("table", el("thead", el("tr", heads)), body)),
+      el("details.small", [
+        el("summary", "What the columns mean"),
         el(
-          "dl",
-          { class: "meanings" },
-          columns.map(({ name, meaning }) => [el("dt", {}, name), el("dd", {}, meaning)]),
+          "dl.meanings",
+          columns.map(({ name, meaning }) => [el("dt", name), el("dd", meaning)]),
         ),
-      ),
-    ),
+      ]),
+    ]),
     show(next) {
       rows = [...next];
       update();
@@ -142,6 +134,6 @@ export function compare(a, b, down) {
  * @param {...any} more
  */
 export function belowRow({ names, reason }, ...more) {
-  const parts = [names && el("b", {}, names), reason && `${names ? " " : ""}${reason}`, ...more].filter(Boolean);
+  const parts = [names && el("b", names), reason && `${names ? " " : ""}${reason}`, ...more].filter(Boolean);
   return parts.length ? parts : null;
 }
