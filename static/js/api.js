@@ -3,6 +3,7 @@
  *
  * Paths are relative to `/api/v1/` ("drives", `jobs/${id}/report`). Works in workers too, except for the dialog for a token.
  */
+import { news } from "./news.js";
 import { keep, recall } from "./storage.js";
 
 /**
@@ -47,18 +48,13 @@ export function getToken() {
   return recall(TOKEN_KEY, "sessionStorage");
 }
 
-/** @type {Set<() => void>} */
-const tokenListeners = new Set();
+const tokens = news();
+export const onTokenChange = tokens.hear;
 
 /** @param {string|null} token Kept until the tab is closed; null forgets it. */
 export function setToken(token) {
   keep(TOKEN_KEY, token, "sessionStorage");
-  for (const call of tokenListeners) call();
-}
-
-/** @param {() => void} call Called whenever the token changes. */
-export function onTokenChange(call) {
-  tokenListeners.add(call);
+  tokens.tell();
 }
 
 /** @type {((wrong: boolean) => Promise<string|null>)|null} */

@@ -5,7 +5,8 @@
  * `subscribe` (state.js) and leaves for another panel by `setState({panel: "job", job: id})`.
  *
  * Layers, the lowest first; a module imports from its own folder and from lines above its own, no others:
- *   dom  leaflet  state  storage
+ *   dom  leaflet  news  storage
+ *   state
  *   api  controls
  *   messages  data  shortcuts
  *   map  job

@@ -1,5 +1,6 @@
 /** The demo: a drive through a made-up town, made by the server, and its job. */
 import { getJson, sendJson, sleep } from "../api.js";
+import { news } from "../news.js";
 import { setState } from "../state.js";
 import { refreshLists, rememberDrive, rememberJob } from "./lists.js";
 
@@ -14,13 +15,8 @@ export function demoText() {
   return `The server drives through a small made-up town: about a minute, longer on a busy machine.${part}`;
 }
 
-/** @type {Set<() => void>} */
-const listeners = new Set();
-
-/** @param {() => void} call */
-export function onDemoChange(call) {
-  listeners.add(call);
-}
+const changes = news();
+export const onDemoChange = changes.hear;
 
 /** Make the demo drive on the server, run it, show the job. */
 export async function tryDemo() {
@@ -37,7 +33,7 @@ export async function tryDemo() {
 /** @param {Partial<typeof demo>} news */
 function change(news) {
   Object.assign(demo, news);
-  for (const call of listeners) call();
+  changes.tell();
 }
 
 async function run() {

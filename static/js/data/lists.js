@@ -1,5 +1,6 @@
 /** The drives, jobs and trash of the server, as last received: shared by header and panels. */
 import { ApiError, getJson } from "../api.js";
+import { news } from "../news.js";
 
 /**
  * @type {{drives: any[], jobs: any[], trash: any[], isLoaded: boolean, isWhole: boolean, isCut: boolean}} The newest
@@ -25,13 +26,8 @@ const LOOK_MS = 10000; // between looks for what others did; three short exchang
 const WHOLE_LOOKS = 6; // every so many looks at everything: what was done to old rows
 const MAX_TRIES = 3;
 
-/** @type {Set<() => void>} */
-const listeners = new Set();
-
-/** @param {() => void} call */
-export function onListsChange(call) {
-  listeners.add(call);
-}
+const changes = news();
+export const onListsChange = changes.hear;
 
 /** Number of the last request for the lists, and of that whose answer is shown. */
 let asked = 0;
@@ -162,7 +158,7 @@ function drivesWithMaps() {
 
 function notify() {
   withMaps = null;
-  for (const call of listeners) call();
+  changes.tell();
 }
 
 /** @typedef {{path: string, member: string, rows: any[], next: string|null}} Rows */

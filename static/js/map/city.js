@@ -6,18 +6,18 @@ import { cities, featuresIn, judge, loadMembers, loadVerdicts, stepFinding, take
 import { lists, titleOf } from "../data/lists.js";
 import { lineOf } from "../data/results.js";
 import { el, formatCount, formatDate, formatMetres, formatPercent, plural } from "../dom.js";
-import { Popup } from "../leaflet.js";
 import { showError } from "../messages.js";
 import { getState, setState } from "../state.js";
 import { cqlOf, getCityFilter, isOfChange } from "./city_filter.js";
 import { kindName, PLACE_SIGNS, partsOf, placeSign, signOfChange } from "./city_places.js";
+import { popupOf } from "./details.js";
 import { branchesOf } from "./facts.js";
 import { coordinates, linksAt } from "./links.js";
 import { OverviewScene, REACH_PX } from "./overview.js";
-import { View } from "./surface.js";
 import { colour, paintSigns, SIGNS, trace } from "./symbols.js";
 
 /** @typedef {import("../data/city.js").City} City */
+/** @typedef {import("./surface.js").View} View */
 /** @typedef {{sign: string, lng: number, lat: number, x: number, y: number, properties: any, finding: any, changes: any[]}} Spot */
 
 const MAX_PLACES = 1000; // at once; of more each part of the view shows some
@@ -192,23 +192,20 @@ export class CityScene extends OverviewScene {
     context.stroke();
   }
 
-  /** @param {any} event Of the pointer. @returns {any} The nearest place, else the nearest drive. */
-  at(event) {
-    const { map } = this;
-    const view = new View(map, map.getZoom(), map.getPixelBounds().min, map.getSize());
-    const { x, y } = event.containerPoint;
+  /** @param {View} view @param {number} x Pixels. @param {number} y @returns {any} The nearest place, else the nearest drive. */
+  at(view, x, y) {
     let nearest = null;
     let min = REACH_PX;
     for (const spot of this.spots) {
       const away = Math.hypot(view.x(spot.x) - x, view.y(spot.y) - y);
       if (away <= min) [nearest, min] = [spot, away];
     }
-    return nearest ?? super.at(event);
+    return nearest ? { kind: "place", item: nearest } : super.at(view, x, y);
   }
 
-  /** @param {any} item */
-  tipOf(item) {
-    if (!item.sign) return super.tipOf(item);
+  /** @param {any} hit */
+  tipOf({ kind, item }) {
+    if (kind === "drive") return super.tipOf({ item });
     return el("div", [
       el("strong", spotTitle(item)),
       el("br"),
@@ -216,15 +213,11 @@ export class CityScene extends OverviewScene {
     ]);
   }
 
-  /** @param {any} item */
-  open(item) {
-    if (!item.sign) return super.open(item);
+  /** @param {any} hit */
+  open({ kind, item }) {
+    if (kind === "drive") return super.open({ item });
     if (item.finding) return setState({ panel: "map", finding: item.finding.id });
-    const room = this.map.getSize().x - 80;
-    new Popup({ maxWidth: Math.min(320, room), minWidth: Math.min(290, room), autoPanPadding: [24, 24] })
-      .setLatLng([item.lat, item.lng])
-      .setContent(contentOf(item))
-      .openOn(this.map);
+    popupOf(this.map, item, contentOf(item)).openOn(this.map);
   }
 
   /** Go to the finding that is looked at. @param {boolean} [animate] */

@@ -6,6 +6,7 @@ import { place } from "../data/results.js";
 import { el } from "../dom.js";
 import { DivIcon, LayerGroup, Marker } from "../leaflet.js";
 import { showError } from "../messages.js";
+import { news } from "../news.js";
 import { getState, subscribe } from "../state.js";
 import { onResult, shown } from "./shown.js";
 import { signIcon } from "./symbols.js";
@@ -14,12 +15,12 @@ import { signIcon } from "./symbols.js";
 
 /** @type {Comparison|null} */
 let compared = null;
-/** @type {Set<(compared: Comparison|null) => void>} */
-const listeners = new Set();
+/** @type {ReturnType<typeof news<[Comparison|null]>>} */
+const changes = news();
 
 /** @param {(compared: Comparison|null) => void} call Called now and whenever other jobs are compared. */
 export function onCompared(call) {
-  listeners.add(call);
+  changes.hear(call);
   call(compared);
 }
 
@@ -59,7 +60,7 @@ export function followCompared() {
 function set(next) {
   compared = next;
   if (shown.result) shown.result.compared = next?.items ?? [];
-  for (const call of listeners) call(next);
+  changes.tell(next);
 }
 
 /** The marks on a map. */

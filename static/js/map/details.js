@@ -4,61 +4,19 @@
 
 import { copyButton, factRows } from "../controls.js";
 import { el } from "../dom.js";
-import { CircleMarker, Popup, Tooltip } from "../leaflet.js";
+import { Popup } from "../leaflet.js";
 import { showMessage } from "../messages.js";
 import { getState, setState } from "../state.js";
 import { factsOf, isOsmNode, signOf, summaryOf, titleOf, whyOf } from "./facts.js";
 import { coordinates, linksAt, noteText } from "./links.js";
+import { ring } from "./pointer.js";
 import { shown } from "./shown.js";
-import { View } from "./surface.js";
 import { signIcon } from "./symbols.js";
 
-/**
- * Watch the pointer over the scene of a map.
- * @param {any} map
- * @param {() => import("./scene.js").Scene|null} scene
- * @param {() => boolean} isBusy Whether clicks mean something else now.
- */
-export function watchPointer(map, scene, isBusy) {
-  const mark = ring("mark");
-  const tip = new Tooltip({ direction: "top", offset: [0, -10], opacity: 1, className: "tip", interactive: false });
-
-  /** @param {any} event @returns {Hit|null} */
-  const find = (event) => {
-    const current = scene();
-    if (!current || isBusy()) return null;
-    const view = new View(map, map.getZoom(), map.getPixelBounds().min, map.getSize());
-    return current.find(view, event.containerPoint.x, event.containerPoint.y);
-  };
-  /** @type {any} */
-  let under = null;
-  /** @param {Hit|null} hit */
-  const show = (hit) => {
-    if (hit?.item === under) return;
-    under = hit?.item ?? null;
-    map.getContainer().classList.toggle("over", Boolean(hit));
-    if (!hit) {
-      mark.remove();
-      tip.remove();
-      return;
-    }
-    const at = [hit.item.lat, hit.item.lng];
-    mark.setLatLng(at).addTo(map);
-    const lines = [hit.item.properties.names, summaryOf(hit)].filter(Boolean).map((line) => [el("br"), line]);
-    const content = el("div", el("strong", titleOf(hit)), lines);
-    tip.setLatLng(at).setContent(content).addTo(map);
-  };
-  map.on("mousemove", (/** @type {any} */ event) =>
-    show(map.dragging.moving() || overControl(event) ? null : find(event)),
-  );
-  map.on("mouseout dragstart zoomstart", () => show(null));
-  map.on("click", (/** @type {any} */ event) => {
-    const hit = find(event);
-    if (!hit) return;
-    show(null);
-    if (hit.kind === "keyframe") setState({ frame: hit.item.properties.frame });
-    else openDetails(hit);
-  });
+/** @param {Hit} hit @returns {HTMLElement} What it is, in a few words. */
+export function tipOf(hit) {
+  const lines = [hit.item.properties.names, summaryOf(hit)].filter(Boolean).map((line) => [el("br"), line]);
+  return el("div", el("strong", titleOf(hit)), lines);
 }
 
 /** What is chosen stays in the picture when the map gets another size, as beside a drawer. @param {any} map */
@@ -75,16 +33,6 @@ export function keepDetails(map) {
       animate: false,
     });
   });
-}
-
-/** @param {any} event */
-function overControl(event) {
-  return event.originalEvent.target.closest?.(".leaflet-control, .leaflet-popup");
-}
-
-/** @param {string} className */
-function ring(className) {
-  return new CircleMarker([0, 0], { radius: 11, className, fill: false, interactive: false, pane: "marks" });
 }
 
 /** What is open now, and what a move of the map leads to: the newest counts. @type {Hit|null} */
@@ -110,20 +58,22 @@ export function openDetails(hit) {
   const { item, kind } = hit;
   chosen = hit;
   const around = ring("chosen").setLatLng([item.lat, item.lng]).addTo(map);
-  const room = map.getSize().x - 80; // beside its margins and those of the map
-  const popup = new Popup({
-    maxWidth: Math.min(320, room),
-    minWidth: Math.min(290, room),
-    autoPanPadding: [24, 24],
-  });
+  const popup = popupOf(map, item, contentOf(hit, result));
   popup.on("remove", () => {
     around.remove();
     if (chosen !== hit) return; // another one takes its place
     chosen = null;
     setState({ intersection: null, node: null });
   });
-  popup.setLatLng([item.lat, item.lng]).setContent(contentOf(hit, result)).openOn(map);
+  popup.openOn(map);
   setState({ ...selectionOf(hit), ...(kind === "detection" && { frame: item.properties.frame }) });
+}
+
+/** @param {any} map @param {{lat: number, lng: number}} place @param {HTMLElement} content @returns {any} A box, to be opened. */
+export function popupOf(map, { lat, lng }, content) {
+  const room = map.getSize().x - 80; // beside its margins and those of the map
+  const options = { maxWidth: Math.min(320, room), minWidth: Math.min(290, room), autoPanPadding: [24, 24] };
+  return new Popup(options).setLatLng([lat, lng]).setContent(content);
 }
 
 /**

@@ -1,8 +1,11 @@
 /** A result on the surface: positions projected once, painted layer by layer, found again under the pointer. */
+import { setState } from "../state.js";
+import { openDetails, tipOf } from "./details.js";
 import { ellipseOf, SIGMAS_95 } from "./ellipse.js";
 import { widthText } from "./facts.js";
 import { passes } from "./filter.js";
 import { kindOfNode, verdictOf } from "./layers.js";
+import { fillRings, nearestOn, project, strokePaths } from "./paths.js";
 import { paintStreetNames, takenBySign } from "./street_names.js";
 import { colour, paintSigns, SIGNS } from "./symbols.js";
 
@@ -35,22 +38,13 @@ export class Scene {
    * @param {any} map
    */
   constructor(result, map) {
-    /** @param {number} lng @param {number} lat */
-    const project = (lng, lat) => map.options.crs.latLngToPoint({ lat, lng }, 0);
     /** @param {number} x At zoom 0. @param {number} y @returns {{lat: number, lng: number}} */
     this.unproject = (x, y) => map.options.crs.pointToLatLng({ x, y }, 0);
+    const flat = (/** @type {number[][]} */ line) => project(map, line);
     /** @param {any[]} items @returns {Points} */
     const points = (items) => {
-      const xs = new Float64Array(items.length);
-      const ys = new Float64Array(items.length);
-      items.forEach((item, i) => ({ x: xs[i], y: ys[i] } = project(item.lng, item.lat)));
-      return { xs, ys, items };
-    };
-    /** @param {number[][]} line */
-    const flat = (line) => {
-      const path = new Float64Array(2 * line.length);
-      line.forEach(([lng, lat], i) => ({ x: path[2 * i], y: path[2 * i + 1] } = project(lng, lat)));
-      return path;
+      const path = flat(items.map(({ lng, lat }) => [lng, lat]));
+      return { xs: path.filter((_, i) => i % 2 === 0), ys: path.filter((_, i) => i % 2), items };
     };
     this.result = result;
     this.keyframes = points(result.keyframes);
@@ -318,7 +312,7 @@ export class Scene {
    * @param {number} y
    * @returns {Hit|null}
    */
-  find(view, x, y) {
+  at(view, x, y) {
     /** @type {Array<[Hit["kind"], Points, number, (item: any) => boolean]>} */
     const stack = [
       ["intersection", this.intersections, 9, (item) => this.on.has(verdictOf(item)) && passes(item)],
@@ -338,6 +332,25 @@ export class Scene {
     return this.on.has("measured") ? this.#findRoad(view, x, y) : null;
   }
 
+  /** @param {Hit} hit */
+  tipOf(hit) {
+    return tipOf(hit);
+  }
+
+  /** @param {Hit} hit */
+  open(hit) {
+    if (hit.kind === "keyframe") setState({ frame: hit.item.properties.frame });
+    else openDetails(hit);
+  }
+
+  /** All of it is there. */
+  look() {}
+
+  /** What lies under the pointer looks as it did. */
+  lift() {
+    return false;
+  }
+
   /** @param {import("./surface.js").View} view @param {number} x @param {number} y @returns {Hit|null} The measured road there. */
   #findRoad(view, x, y) {
     for (const { path, width, properties } of this.measured) {
@@ -349,22 +362,6 @@ export class Scene {
   }
 }
 
-/** @param {Float64Array} path @param {import("./surface.js").View} view @param {number} x @param {number} y @returns {{away: number, at: [number, number]}} Pixels, and the nearest place at zoom 0. */
-function nearestOn(path, view, x, y) {
-  let away = Infinity;
-  let at = /** @type {[number, number]} */ ([path[0], path[1]]);
-  for (let i = 2; i < path.length; i += 2) {
-    const [ax, ay] = [view.x(path[i - 2]), view.y(path[i - 1])];
-    const [dx, dy] = [view.x(path[i]) - ax, view.y(path[i + 1]) - ay];
-    const t = Math.max(0, Math.min(1, ((x - ax) * dx + (y - ay) * dy) / (dx * dx + dy * dy || 1)));
-    const d = Math.hypot(ax + t * dx - x, ay + t * dy - y);
-    if (d >= away) continue;
-    away = d;
-    at = [path[i - 2] + t * (path[i] - path[i - 2]), path[i - 1] + t * (path[i + 1] - path[i - 1])];
-  }
-  return { away, at };
-}
-
 /** @param {Points} points @param {import("./surface.js").View} view @param {number} x @param {number} y @param {number} reach @param {(item: any) => boolean} chosen */
 function nearest({ xs, ys, items }, view, x, y, reach, chosen) {
   let row = -1;
@@ -374,46 +371,6 @@ function nearest({ xs, ys, items }, view, x, y, reach, chosen) {
     if (d < min && chosen(items[i])) [row, min] = [i, d];
   }
   return row;
-}
-
-/** @param {CanvasRenderingContext2D} context @param {import("./surface.js").View} view @param {Float64Array[]} rings @param {string} fill @param {number} [edge] Width of a line around them. */
-export function fillRings(context, view, rings, fill, edge = 0) {
-  context.beginPath();
-  for (const ring of rings) {
-    for (let i = 0; i < ring.length; i += 2) context[i ? "lineTo" : "moveTo"](view.x(ring[i]), view.y(ring[i + 1]));
-    context.closePath();
-  }
-  context.fillStyle = fill;
-  context.fill();
-  if (!edge) return;
-  context.strokeStyle = fill;
-  context.lineWidth = edge;
-  context.stroke();
-}
-
-/**
- * @param {CanvasRenderingContext2D} context
- * @param {import("./surface.js").View} view
- * @param {Float64Array[]} paths
- * @param {string} stroke
- * @param {number} width
- * @param {number} [alpha]
- */
-function strokePaths(context, view, paths, stroke, width, alpha = 1) {
-  context.beginPath();
-  for (const path of paths) {
-    for (let i = 0; i < path.length; i += 2) {
-      const x = view.x(path[i]);
-      const y = view.y(path[i + 1]);
-      if (i) context.lineTo(x, y);
-      else context.moveTo(x, y);
-    }
-  }
-  context.globalAlpha = alpha;
-  context.strokeStyle = stroke;
-  context.lineWidth = width;
-  context.stroke();
-  context.globalAlpha = 1;
 }
 
 /** @param {Float64Array} line Of two points. @param {import("./surface.js").View} view @param {Set<string>} taken @returns {boolean} Whether it is seen, and differs from the lines before by a pixel. */

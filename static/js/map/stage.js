@@ -16,14 +16,15 @@ import { CITY_KEYS, CityScene } from "./city.js";
 import { PLACE_SIGNS, signOfChange } from "./city_places.js";
 import { ComparedLayer, followCompared, onCompared } from "./compared.js";
 import { addCoordinates } from "./coordinates.js";
-import { closeDetails, goTo, hasDetails, keepDetails, openDetails, openSelection, watchPointer } from "./details.js";
+import { closeDetails, goTo, hasDetails, keepDetails, openDetails, openSelection } from "./details.js";
 import { clearFilter, isFiltering, onFilterChange } from "./filter.js";
 import { KeyframeLayer } from "./keyframe.js";
 import { layersOn } from "./layers.js";
 import { addLegend } from "./legend.js";
 import { LiveDrive, LiveScene } from "./live.js";
 import { addMeasure, MEASURE_KEYS } from "./measure.js";
-import { OverviewScene, watchDrives } from "./overview.js";
+import { OverviewScene } from "./overview.js";
+import { watchPointer } from "./pointer.js";
 import { QUEUE_KEYS, queue } from "./queue.js";
 import { roadSurface } from "./road_surface.js";
 import { Scene } from "./scene.js";
@@ -179,7 +180,7 @@ export async function mountStage() {
     fill(note, el("strong", title), ` ${text}`);
     build(result.local);
     if (!(scene instanceof Scene) || scene.result !== result) scene = new Scene(result, shown.map);
-    scene.find = () => null; // its places have no details yet
+    scene.at = () => null; // its places have no details yet
     scene.on = new Set(["roads", "places", "track", "keyframes"]);
     scene.progress = progress;
     parts.setAttribution(result);
@@ -464,9 +465,8 @@ function makeMap(holder, local, current) {
   const legend = addLegend(made);
   addCoordinates(made, local);
   const filterNote = addFilterNote(made);
-  watchPointer(made, current, measure.isOn);
+  watchPointer(made, current, measure.isOn, () => surface.redraw());
   keepDetails(made);
-  watchDrives(made, current, () => surface.redraw());
   /** @type {any} */
   let tiles = null;
   /** @param {boolean} isOn Whether tiles have come, so that streets need no names of their own. */

@@ -4,22 +4,19 @@ import { getConfig } from "../api.js";
 import { el } from "../dom.js";
 import { TileLayer } from "../leaflet.js";
 import { showError } from "../messages.js";
+import { news } from "../news.js";
 import { keep, recall } from "../storage.js";
 
 const URL_KEY = "interloc.tiles";
 const OSM = "© OpenStreetMap contributors";
 export const OSM_CREDIT = `${OSM}, ODbL`;
-/** @type {Set<() => void>} */
-const listeners = new Set();
+const changes = news();
+/** Called when another address is to be used. */
+export const onTilesChange = changes.hear;
 
 /** @returns {string} */
 function tileUrl() {
   return recall(URL_KEY) || getConfig().tile_url || "";
-}
-
-/** @param {() => void} call Called when another address is to be used. */
-export function onTilesChange(call) {
-  listeners.add(call);
 }
 
 /** @returns {any} A layer of the tiles; null where there is no address. */
@@ -60,7 +57,7 @@ export function tileBox() {
     event.preventDefault();
     const url = input.value.trim();
     keep(URL_KEY, url && url !== getConfig().tile_url ? url : null);
-    for (const call of listeners) call();
+    changes.tell();
   };
   return el("form.tile-box", { onSubmit }, input, el("button", "Use"));
 }
