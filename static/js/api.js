@@ -359,30 +359,10 @@ function save(url, name) {
  */
 
 /** @type {PageConfig} */
-let config = {
-  version: "",
-  tile_url: null,
-  tile_attribution: "",
-  overpass: false,
-  needs_token: false,
-  limits: {},
-  policies: [],
-  layers: [],
-  exports: [],
-  label_schemes: [],
-  file_kinds: { maps: [], archives: [], recordings: [], scans: [] },
-  raw_first_frames: {},
-  raw_sequences: {},
-  simulator: "",
-  drivable: [],
-  search_radius_km: { default: 1, minimum: 0, maximum: 1 },
-  max_compared_jobs: 2,
-};
+let config;
 
-/** @returns {PageConfig} As loaded at the start. */
-export function getConfig() {
-  return config;
-}
+/** As loaded at the start. */
+export const getConfig = () => config;
 
 /** @returns {Promise<void>} */
 export async function loadConfig() {

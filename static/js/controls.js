@@ -1,4 +1,4 @@
-/** What panels are made of: fields, choices, buttons, tables, dialogs. */
+/** What panels are made of: fields, choices, buttons, tables. */
 import { el, fill, icon } from "./dom.js";
 
 let count = 0;
@@ -156,24 +156,6 @@ export function table(heads, rows) {
     ),
   );
   return el("table", el("thead", el("tr", head)), el("tbody", body));
-}
-
-/**
- * Open a dialog, to be removed when it is closed.
- * @param {Record<string, any>} props
- * @param {any[]} children
- * @param {(answer: string) => void} [onClose] Gets the value of the button that closed it.
- * @returns {HTMLDialogElement}
- */
-export function openDialog(props, children, onClose) {
-  const dialog = el("dialog", props, children);
-  dialog.addEventListener("close", () => {
-    dialog.remove();
-    onClose?.(dialog.returnValue);
-  });
-  document.body.append(dialog);
-  dialog.showModal();
-  return dialog;
 }
 
 const SEVERITIES = /** @type {Record<string, string>} */ ({ error: "Error", warning: "Warning", note: "Note" });

@@ -8,7 +8,8 @@
  *   dom  leaflet  news  storage
  *   state
  *   api  controls
- *   messages  data  shortcuts
+ *   messages  data
+ *   shortcuts
  *   map  job
  *   city
  *   bev  drives  exports  report  upload

@@ -1,7 +1,7 @@
 /** Errors, news and questions: as boxes in a panel, floating where no panel asked, or as dialogs. */
 import { ApiError } from "./api.js";
-import { field, iconButton, openDialog } from "./controls.js";
-import { el } from "./dom.js";
+import { field, iconButton } from "./controls.js";
+import { el, fill } from "./dom.js";
 
 const MAX_SHOWN = 20;
 
@@ -56,6 +56,59 @@ function toast(note, ms) {
 }
 
 /**
+ * Do something that may fail, and say in its place what went wrong.
+ * @param {Element} trouble
+ * @param {() => Promise<any>} work
+ * @returns {Promise<boolean>} Whether it was done.
+ */
+export async function attempt(trouble, work) {
+  try {
+    fill(trouble);
+    await work();
+    return true;
+  } catch (error) {
+    fill(trouble, problemNote(error));
+    return false;
+  }
+}
+
+let dialogs = 0;
+
+/**
+ * Open a dialog, to be removed when it is closed. Without buttons below it has one beside its title that closes it.
+ *
+ * @param {string} title
+ * @param {any} content
+ * @param {object} [options]
+ * @param {any[]} [options.actions] Buttons: one that submits closes the dialog, with its value.
+ * @param {HTMLElement} [options.trouble] Stands above the buttons.
+ * @param {() => void} [options.onSubmit] In the place of closing it.
+ * @param {(answer: string) => void} [options.onClose] Gets the value of the button that closed it.
+ * @param {string} [options.kind] Class.
+ * @returns {HTMLDialogElement}
+ */
+export function openDialog(title, content, { actions, trouble, onSubmit, onClose, kind } = {}) {
+  dialogs += 1;
+  const heading = el("h2", { id: `dialog-${dialogs}` }, title);
+  const close = iconButton("close", "Close", () => dialog.close());
+  const submit = onSubmit && ((/** @type {Event} */ event) => (event.preventDefault(), onSubmit()));
+  const form = el("form", { method: "dialog", onSubmit: submit }, [
+    el("div.stack.dialog-body", actions ? heading : el("div.spread", heading, close), content),
+    trouble,
+    actions && el("div.actions", actions),
+  ]);
+  const leave = (/** @type {Event} */ { target }) => !actions && target === dialog && dialog.close(); // what is around it
+  const dialog = el("dialog", { class: kind, "aria-labelledby": heading.id, onClick: leave }, form);
+  dialog.addEventListener("close", () => {
+    dialog.remove();
+    onClose?.(dialog.returnValue);
+  });
+  document.body.append(dialog);
+  dialog.showModal();
+  return dialog;
+}
+
+/**
  * Ask yes or no.
  * @param {string} title
  * @param {string} text
@@ -64,11 +117,8 @@ function toast(note, ms) {
  */
 export function confirmAction(title, text, yes) {
   return new Promise((resolve) => {
-    const keep = el("button", { value: "no" }, "Keep");
-    const act = el("button.danger", { value: "yes" }, yes);
-    const actions = el("div.actions", keep, act);
-    const form = el("form", { method: "dialog" }, el("h2", title), el("p.quiet", text), actions);
-    openDialog({}, [form], (answer) => resolve(answer === "yes"));
+    const actions = [el("button", { value: "no" }, "Keep"), el("button.danger", { value: "yes" }, yes)];
+    openDialog(title, el("p.quiet", text), { actions, onClose: (answer) => resolve(answer === "yes") });
   });
 }
 
@@ -83,13 +133,11 @@ export function askForToken(wrong) {
     const refused = "The server refused this token. Was it copied completely, and is it still valid?";
     const hint = "The operator creates one with “interloc token add NAME”. It is kept until this tab is closed.";
     const later = el("button", { type: "button", onClick: () => dialog.close("") }, "Not now");
-    const form = el("form.stack", { method: "dialog" }, [
-      el("h2", "This server requires a token"),
-      wrong && el("p.note.error", refused),
-      field("API token", input, hint),
-      el("div.actions", later, el("button.primary", { value: "use" }, "Use token")),
-    ]);
-    const dialog = openDialog({}, [form], (answer) => resolve(answer === "use" ? input.value.trim() : null));
+    const content = [wrong && el("p.note.error", refused), field("API token", input, hint)];
+    const dialog = openDialog("This server requires a token", content, {
+      actions: [later, el("button.primary", { value: "use" }, "Use token")],
+      onClose: (answer) => resolve(answer === "use" ? input.value.trim() : null),
+    });
     input.focus();
   });
 }

@@ -1,6 +1,6 @@
 /** Keys that work wherever the focus is, and the dialog that lists them. */
-import { iconButton, openDialog } from "./controls.js";
 import { el, isTyping } from "./dom.js";
+import { openDialog } from "./messages.js";
 
 /** @typedef {{key: string, label: string, text: string, call: () => void}} Shortcut */
 
@@ -38,10 +38,6 @@ function press(event) {
 /** Show all shortcuts. */
 export function listShortcuts() {
   const rows = [...shortcuts.values()].map(({ label, text }) => [label, text]);
-  const head = el("div.spread", [
-    el("h2", { id: "shortcuts-title" }, "Keyboard shortcuts"),
-    iconButton("close", "Close", () => dialog.close()),
-  ]);
   const list = [...rows, ...OF_CONTROLS].map(([keys, text]) => [
     el(
       "dt",
@@ -49,8 +45,7 @@ export function listShortcuts() {
     ),
     el("dd", text),
   ]);
-  const body = el("div.stack-s", head, el("dl.shortcuts", list));
-  const dialog = openDialog({ "aria-labelledby": "shortcuts-title" }, [body]);
+  openDialog("Keyboard shortcuts", el("dl.shortcuts", list));
 }
 
 /** Listen to the keys of the page. */

@@ -4,12 +4,12 @@
  * The server draws the pictures; the last ones are kept.
  */
 import { getJson, request } from "../api.js";
-import { iconButton, openDialog, table } from "../controls.js";
+import { iconButton, table } from "../controls.js";
 import { el, fill, formatMetres, plural } from "../dom.js";
 import { TurnedImage } from "../map/keyframe.js";
 import { firstDetection, onResult, shown } from "../map/shown.js";
 import { signIcon } from "../map/symbols.js";
-import { problemNote } from "../messages.js";
+import { openDialog, problemNote } from "../messages.js";
 import { addShortcut } from "../shortcuts.js";
 import { getState, setState, subscribe } from "../state.js";
 
@@ -207,12 +207,8 @@ async function loadPicture(path, signal) {
 
 /** @param {string} name @param {string} hint @param {string} src */
 function showLarge(name, hint, src) {
-  const title = el("h2", `${name}, scan ${getState().frame}`);
-  const head = el("div.spread", [title, iconButton("close", "Close", () => dialog.close())]);
-  const picture = el("img", { src, alt: name });
-  const body = el("div.stack-s", head, picture, el("p.small", hint));
-  const onClick = (/** @type {Event} */ event) => event.target === dialog && dialog.close();
-  const dialog = openDialog({ class: "large-picture", "aria-label": name, onClick }, [body]);
+  const content = [el("img", { src, alt: name }), el("p.small", hint)];
+  openDialog(`${name}, scan ${getState().frame}`, content, { kind: "large-picture" });
 }
 
 /** @param {import("../data/results.js").Detection[]} detections */

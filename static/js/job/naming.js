@@ -2,7 +2,7 @@
 import { sendJson } from "../api.js";
 import { field, iconButton } from "../controls.js";
 import { el, fill } from "../dom.js";
-import { problemNote } from "../messages.js";
+import { attempt } from "../messages.js";
 
 /**
  * @param {object} thing
@@ -37,16 +37,13 @@ export function naming({ path, item, heading, title, mayBeUnnamed, onChange }) {
       show();
       button.focus();
     };
-    const save = async () => {
-      try {
+    const save = () =>
+      attempt(trouble, async () => {
         const changes = { name: name.value.trim() || null, note: note.value.trim() || null };
         const changed = await sendJson("PATCH", path, changes);
         close();
         onChange(changed);
-      } catch (error) {
-        fill(trouble, problemNote(error));
-      }
-    };
+      });
     const onKeydown = (/** @type {KeyboardEvent} */ event) => {
       if (event.key !== "Escape") return;
       event.stopPropagation();

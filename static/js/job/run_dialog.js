@@ -1,9 +1,9 @@
 /** Run a drive that is there already: afresh, or once more as an earlier job, with what is to be different. */
 import { encodePath, getJson, putFile, sendJson } from "../api.js";
-import { field, openDialog } from "../controls.js";
+import { field } from "../controls.js";
 import { rememberJob, titleOf } from "../data/lists.js";
 import { el, fill } from "../dom.js";
-import { problemNote } from "../messages.js";
+import { attempt, openDialog } from "../messages.js";
 import { jobForm, nest } from "./job_form.js";
 import { openJob } from "./words.js";
 
@@ -28,23 +28,19 @@ export async function openRunDialog(id, { job, withMap = false } = {}) {
   const trouble = el("div", { role: "status" });
   const run = el("button.primary", { value: "run" }, "Run");
   const stop = new AbortController();
-  const dialog = openDialog(
-    { class: "tall" },
-    [
-      el("form", { method: "dialog", onSubmit: (/** @type {Event} */ e) => (e.preventDefault(), void submit()) }, [
-        el("div.stack.tall-body", [
-          el("h2", job ? `Run ${drive.name} again` : `Run ${drive.name}`),
-          job && el("p.small", `All is chosen as it was for the job “${titleOf(job)}”.`),
-          field("Name of the job", name),
-          form.mapElement,
-          form.element,
-        ]),
-        trouble,
-        el("div.actions", why, el("button", { type: "button", onClick: () => dialog.close() }, "Cancel"), run),
-      ]),
-    ],
-    () => stop.abort(),
-  );
+  const content = [
+    job && el("p.small", `All is chosen as it was for the job “${titleOf(job)}”.`),
+    field("Name of the job", name),
+    form.mapElement,
+    form.element,
+  ];
+  const dialog = openDialog(job ? `Run ${drive.name} again` : `Run ${drive.name}`, content, {
+    actions: [why, el("button", { type: "button", onClick: () => dialog.close() }, "Cancel"), run],
+    trouble,
+    kind: "wide",
+    onSubmit: () => void submit(),
+    onClose: () => stop.abort(),
+  });
 
   function refresh() {
     const complaint = form.complaint() ?? form.mapComplaint();
@@ -68,8 +64,7 @@ export async function openRunDialog(id, { job, withMap = false } = {}) {
 
   const submit = async () => {
     run.disabled = true;
-    fill(trouble);
-    try {
+    const isDone = await attempt(trouble, async () => {
       const { job: chosen, map } = form.read();
       const { key, ...settings } = chosen;
       const osm = map ? await send(map) : settings.osm;
@@ -78,11 +73,8 @@ export async function openRunDialog(id, { job, withMap = false } = {}) {
       rememberJob(made);
       dialog.close();
       openJob(made);
-    } catch (error) {
-      if (stop.signal.aborted) return;
-      fill(trouble, problemNote(error));
-      run.disabled = false;
-    }
+    });
+    run.disabled = isDone;
   };
   refresh();
 }

@@ -2,14 +2,12 @@
 import { medianError } from "../data/results.js";
 import { el, formatDuration, formatMetres, formatPercent, plural } from "../dom.js";
 import { ellipseOf, SIGMAS_95 } from "./ellipse.js";
-import { kindOfNode, verdictOf } from "./layers.js";
+import { kindOfNode, NODE_OUTCOMES, verdictOf } from "./layers.js";
 import { coordinates } from "./links.js";
 
 /** @typedef {import("./scene.js").Hit} Hit */
 /** @typedef {import("../data/results.js").Result} Result */
 
-const VERDICTS = { right: ": right", wrong: ": wrong", unscored: "" };
-const NODES = { found: "found", missed: "missed", outside: "out of reach" };
 const DETECTIONS = /** @type {Record<string, string>} */ ({
   none: "Detection",
   TP: "True detection",
@@ -26,8 +24,11 @@ export function signOf({ kind, item }) {
 
 /** @param {Hit} hit @returns {string} */
 export function titleOf({ kind, item }) {
-  if (kind === "intersection") return `Intersection ${item.properties.id}${VERDICTS[verdictOf(item)]}`;
-  if (kind === "node") return `OSM intersection: ${NODES[kindOfNode(item)]}`;
+  if (kind === "intersection") {
+    const verdict = verdictOf(item);
+    return `Intersection ${item.properties.id}${verdict === "unscored" ? "" : `: ${verdict}`}`;
+  }
+  if (kind === "node") return `OSM intersection: ${NODE_OUTCOMES[kindOfNode(item)]}`;
   if (kind === "road") return `Road ${item.properties.id}, measured`;
   return kind === "detection" ? DETECTIONS[item.outcome] : `Keyframe at scan ${item.properties.frame}`;
 }

@@ -1,6 +1,6 @@
 /** Which intersections are looked at: by verdict, by figures, by words. List, map and address follow it alike. */
 import { getState, setState, subscribe } from "../state.js";
-import { verdictOf } from "./layers.js";
+import { VERDICTS, verdictOf } from "./layers.js";
 
 /** @typedef {import("../data/results.js").Place} Place */
 /** @typedef {"confidence"|"observations"|"position_std_m"} Figure */
@@ -14,7 +14,6 @@ import { verdictOf } from "./layers.js";
 /** @type {Filter} */
 const NONE = { verdicts: null, words: "", ranges: {} };
 
-const VERDICTS = ["right", "wrong", "unscored"];
 /** Names of the figures in the address. */
 const FIGURES = /** @type {Record<string, Figure>} */ ({
   confidence: "confidence",
@@ -71,7 +70,7 @@ export function parseFilter(text) {
     const [name, value = ""] = part.split(":");
     const bounds = /^(\d+(?:\.\d+)?)?\.\.(\d+(?:\.\d+)?)?$/.exec(value);
     if (name === "outcome") {
-      const known = VERDICTS.filter((each) => value.split(",").includes(each));
+      const known = Object.keys(VERDICTS).filter((each) => value.split(",").includes(each));
       filter.verdicts = known.length || value === "none" ? known : null;
     } else if (bounds && Object.hasOwn(FIGURES, name)) {
       const [least, most] = bounds.slice(1).map((bound) => (bound === undefined ? null : Number(bound)));

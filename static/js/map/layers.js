@@ -69,6 +69,10 @@ export const LAYERS = [
   ),
 ];
 
+/** What an intersection, and what a node of the map, can be: what is worth a look comes first. */
+export const VERDICTS = { wrong: "wrong", unscored: "not scored", right: "right" };
+export const NODE_OUTCOMES = { missed: "missed", found: "found", outside: "out of reach" };
+
 /** Titles where nothing is scored: then these are all. */
 const UNSCORED = /** @type {Record<string, string>} */ ({ unscored: "Intersections", detections: "Detections" });
 

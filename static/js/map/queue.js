@@ -4,17 +4,16 @@ import { getState, subscribe } from "../state.js";
 import { goTo, isNamed } from "./details.js";
 import { titleOf } from "./facts.js";
 import { passes } from "./filter.js";
-import { verdictOf } from "./layers.js";
+import { VERDICTS, verdictOf } from "./layers.js";
 import { shown } from "./shown.js";
 
 /** @typedef {import("../data/results.js").Place} Place */
 /** @typedef {(a: Place, b: Place) => number} Order */
 
-/** What is worth a look comes first. */
-export const VERDICT_ORDER = { wrong: 0, unscored: 1, right: 2 };
+const ORDER = Object.keys(VERDICTS);
 
 /** @type {Order} */
-const byVerdict = (a, b) => VERDICT_ORDER[verdictOf(a)] - VERDICT_ORDER[verdictOf(b)];
+const byVerdict = (a, b) => ORDER.indexOf(verdictOf(a)) - ORDER.indexOf(verdictOf(b));
 
 let order = byVerdict;
 /** The one that was looked at last: its details may be closed by now. @type {Place|null} */

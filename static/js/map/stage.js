@@ -19,7 +19,7 @@ import { addCoordinates } from "./coordinates.js";
 import { closeDetails, goTo, hasDetails, keepDetails, openDetails, openSelection } from "./details.js";
 import { clearFilter, isFiltering, onFilterChange } from "./filter.js";
 import { KeyframeLayer } from "./keyframe.js";
-import { layersOn } from "./layers.js";
+import { layersOn, NODE_OUTCOMES, VERDICTS } from "./layers.js";
 import { addLegend } from "./legend.js";
 import { LiveDrive, LiveScene } from "./live.js";
 import { addMeasure, MEASURE_KEYS } from "./measure.js";
@@ -35,12 +35,7 @@ import { makeTiles, OSM_CREDIT, onTilesChange } from "./tiles.js";
 import { mountTimeline } from "./timeline.js";
 
 /** What the signs of the map mean, where there is no legend. */
-const KEYS = /** @type {Record<string, string>} */ ({
-  right: "right",
-  wrong: "wrong",
-  missed: "missed",
-  unscored: "not scored",
-});
+const KEYS = { ...VERDICTS, missed: NODE_OUTCOMES.missed };
 const LIVE_MS = 200; // between two pictures of a drive that is under way
 const LOCAL_CREDIT = "Metres of the drive’s own frame: it has no georeference";
 
@@ -668,7 +663,9 @@ function welcome(drive) {
     ]),
     el(
       "p.row",
-      ["right", "wrong", "missed", "unscored"].map((name) => el("span.key-row", signIcon(name), KEYS[name])),
+      /** @type {const} */ (["right", "wrong", "missed", "unscored"]).map((name) =>
+        el("span.key-row", signIcon(name), KEYS[name]),
+      ),
     ),
     el("div.row", upload, el("button", { onClick: () => void tryDemo() }, "Try the demo")),
     demo.error !== null && problemNote(demo.error),

@@ -7,6 +7,7 @@ import { el, fill, formatMetres, formatPercent, plural } from "../dom.js";
 import { jobName } from "../job/words.js";
 import { comparedJobs, getCompared, onCompared } from "../map/compared.js";
 import { goTo } from "../map/details.js";
+import { NODE_OUTCOMES } from "../map/layers.js";
 import { onResult, shown } from "../map/shown.js";
 import { signIcon } from "../map/symbols.js";
 import { problemNote } from "../messages.js";
@@ -190,7 +191,9 @@ function differences(names, jobs, { settings, nodes, warnings, found_by_all, mis
   const summary = `${plural(ofPresets.length, "setting differs", "settings differ")} by the presets`;
   const moved = nodes.map((/** @type {any} */ node) => [
     el("button.link", { onClick: () => showNode(node) }, node.osm_id),
-    ...node.outcomes.map((/** @type {string} */ name) => outcome(name, OUTCOMES[name] ?? name, names.length)),
+    ...node.outcomes.map((/** @type {string} */ name) =>
+      outcome(name, /** @type {any} */ (NODE_OUTCOMES)[name], names.length),
+    ),
   ]);
   const each = names.length === 2 ? "both" : "all";
   return [
@@ -222,8 +225,6 @@ function choicesThatDiffer(jobs) {
 
 /** @param {any} value */
 const textOf = (value) => (value === null ? "–" : String(value));
-
-const OUTCOMES = /** @type {Record<string, string>} */ ({ outside: "out of reach" });
 
 /** @param {string} sign @param {string} text Only read aloud where there are many columns. @param {number} count */
 function outcome(sign, text, count) {

@@ -3,29 +3,22 @@ import { iconButton } from "../controls.js";
 import { el, fill, plural } from "../dom.js";
 import { goTo, isNamed, ofService, serviceSwitch } from "../map/details.js";
 import { clearFilter, getFilter, isFiltering, onFilterChange, setFilter } from "../map/filter.js";
-import { verdictOf } from "../map/layers.js";
-import { queue, setOrder, step, VERDICT_ORDER } from "../map/queue.js";
+import { VERDICTS, verdictOf } from "../map/layers.js";
+import { queue, setOrder, step } from "../map/queue.js";
 import { signIcon } from "../map/symbols.js";
 import { getState, subscribe } from "../state.js";
-import { belowRow, sortedTable } from "./sorted_table.js";
+import { belowRow, outcomeColumn, sortedTable } from "./sorted_table.js";
 
 /** @typedef {import("../data/results.js").Place} Place */
 /** @typedef {import("../map/filter.js").Figure} Figure */
 
-const VERDICTS = { right: "right", wrong: "wrong", unscored: "not scored" };
-
 /** @type {import("./sorted_table.js").Column[]} */
 const COLUMNS = [
-  {
-    name: "Outcome",
-    class: "sign-cell",
-    meaning: "Right: an OSM intersection of its own lies within 10 m. Wrong: none does. Not scored: no map tells.",
-    value: (each) => VERDICT_ORDER[verdictOf(each)],
-    text: (each) => {
-      const verdict = verdictOf(each);
-      return el("span", { title: VERDICTS[verdict] }, signIcon(verdict), el("span.unseen", VERDICTS[verdict]));
-    },
-  },
+  outcomeColumn(
+    "Right: an OSM intersection of its own lies within 10 m. Wrong: none does. Not scored: no map tells.",
+    VERDICTS,
+    verdictOf,
+  ),
   {
     name: "Id",
     meaning: "Number of the intersection, in the order of first sight.",
@@ -35,14 +28,14 @@ const COLUMNS = [
     name: "Error",
     meaning: "Distance to its OSM intersection, metres; the uncertainty is in the details.",
     value: ({ properties: p }) => p.error_m,
-    text: ({ properties: p }) => p.error_m?.toFixed(2),
+    digits: 2,
     down: true,
   },
   {
     name: "±",
     meaning: "Uncertainty of the position, metres (1 σ along each axis).",
     value: ({ properties: p }) => p.position_std_m,
-    text: ({ properties: p }) => p.position_std_m?.toFixed(2),
+    digits: 2,
     down: true,
   },
   {

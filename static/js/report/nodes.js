@@ -2,31 +2,22 @@
 import { medianError } from "../data/results.js";
 import { el } from "../dom.js";
 import { goTo } from "../map/details.js";
-import { kindOfNode } from "../map/layers.js";
-import { signIcon } from "../map/symbols.js";
+import { kindOfNode, NODE_OUTCOMES } from "../map/layers.js";
 import { getState, subscribe } from "../state.js";
-import { belowRow, sortedTable } from "./sorted_table.js";
-
-const ORDER = { missed: 0, found: 1, outside: 2 };
-const NAMES = { missed: "missed", found: "found", outside: "out of reach" };
+import { belowRow, outcomeColumn, sortedTable } from "./sorted_table.js";
 
 /** @type {import("./sorted_table.js").Column[]} */
 const COLUMNS = [
-  {
-    name: "Outcome",
-    class: "sign-cell",
-    meaning: "Found: an intersection of the map is assigned to it, one to one, within 10 m.",
-    value: (node) => ORDER[/** @type {"found"} */ (node.kind)],
-    text: ({ kind }) => {
-      const name = NAMES[/** @type {"found"} */ (kind)];
-      return el("span", { title: name }, signIcon(kind), el("span.unseen", name));
-    },
-  },
+  outcomeColumn(
+    "Found: an intersection of the map is assigned to it, one to one, within 10 m.",
+    NODE_OUTCOMES,
+    ({ kind }) => kind,
+  ),
   {
     name: "Error",
     meaning: "Distance of the intersection of the map that is assigned to it, metres.",
     value: (node) => node.map_error_m,
-    text: (node) => node.map_error_m?.toFixed(2),
+    digits: 2,
     down: true,
   },
   { name: "Seen", meaning: "Detections that were matched to it.", value: (node) => node.detections, down: true },
@@ -34,7 +25,7 @@ const COLUMNS = [
     name: "Median",
     meaning: "Median error of its true detections, metres; of all, where none is true.",
     value: (node) => node.median_m,
-    text: (node) => node.median_m?.toFixed(2),
+    digits: 2,
     down: true,
   },
   {
