@@ -1,6 +1,6 @@
 /** Where the pointer is: latitude and longitude, or metres of W. */
 import { el } from "../dom.js";
-import { Control } from "../leaflet.js";
+import { addCorner } from "./corners.js";
 import { coordinates } from "./links.js";
 
 /** @param {any} map @param {boolean} local */
@@ -9,9 +9,7 @@ export function addCoordinates(map, local) {
     hidden: true,
     title: local ? "x, y in W, metres" : "Latitude, longitude",
   });
-  const control = new Control({ position: "bottomleft" });
-  control.onAdd = () => box;
-  control.addTo(map);
+  addCorner(map, "bottomleft", box);
   map.on("mousemove", (/** @type {any} */ { latlng }) => {
     box.hidden = false;
     box.textContent = local ? `x, y  ${coordinates(latlng, true)} m` : coordinates(latlng, false);

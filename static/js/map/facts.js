@@ -2,7 +2,7 @@
 import { medianError } from "../data/results.js";
 import { el, formatDuration, formatMetres, formatPercent, plural } from "../dom.js";
 import { ellipseOf, SIGMAS_95 } from "./ellipse.js";
-import { kindOfNode, NODE_OUTCOMES, verdictOf } from "./layers.js";
+import { kindOfNode, layerOfDetection, NODE_OUTCOMES, verdictOf } from "./layers.js";
 import { coordinates } from "./links.js";
 
 /** @typedef {import("./scene.js").Hit} Hit */
@@ -19,7 +19,7 @@ export function signOf({ kind, item }) {
   if (kind === "intersection") return verdictOf(item);
   if (kind === "node") return kindOfNode(item);
   if (kind === "road") return null;
-  return kind === "detection" ? { TP: "tp", FP: "fp", none: "detection" }[/** @type {"TP"} */ (item.outcome)] : null;
+  return kind === "detection" ? layerOfDetection(item) : null;
 }
 
 /** @param {Hit} hit @returns {string} */

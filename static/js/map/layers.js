@@ -26,7 +26,7 @@ export const LAYERS = [
   ),
   layer("track", "Drive", "Trajectory", "line track", "Where the vehicle drove."),
   layer("places", "Drive", "Next best places", "line place", "Where else the roads of the map fit the drive, worse."),
-  layer("keyframes", "Drive", "Keyframes", "keyframe", "Places at which the method looked for intersections."),
+  layer("keyframes", "Drive", "Keyframes", "keyframes", "Places at which the method looked for intersections."),
   layer("right", "Intersections", "Right", "right", "An OSM intersection of its own lies within 10 m."),
   layer("wrong", "Intersections", "Wrong", "wrong", "No OSM intersection of its own lies within 10 m."),
   layer("unscored", "Intersections", "Not scored", "unscored", "Found, but not compared with OpenStreetMap."),
@@ -41,7 +41,7 @@ export const LAYERS = [
   layer("found", "OSM intersections", "Found", "found", "An intersection of the map is assigned to it, within 10 m."),
   layer("missed", "OSM intersections", "Missed", "missed", "Passed, and no intersection of the map is assigned to it."),
   layer("outside", "OSM intersections", "Out of reach", "outside", "In no relevant zone; they do not count."),
-  layer("detections", "Detections", "Not scored", "detection", "Detections not compared with OpenStreetMap."),
+  layer("detections", "Detections", "Not scored", "detections", "Detections not compared with OpenStreetMap."),
   layer("tp", "Detections", "True", "tp", "An OSM intersection lies within D (TP)."),
   layer("fp", "Detections", "False", "fp", "No OSM intersection within D (FP)."),
   layer(
@@ -81,36 +81,36 @@ const ALIASES = /** @type {Record<string, string[]>} */ ({ intersections: ["righ
 
 const OFF_BY_DEFAULT = new Set(["tiles", "measured", "keyframes", "outside"]);
 
-/** How many things a layer holds; null: no number is shown; 0 hides the layer. */
-const COUNTS = /** @type {Record<string, (result: Result) => number|null>} */ ({
+/** @typedef {(result: Result) => number|null} Count */
+
+/**
+ * Counts of kinds of things, by the ids of their layers.
+ * @param {string[]} kinds
+ * @param {(result: Result) => any[]} itemsOf
+ * @param {(item: any) => string} kindOf
+ * @returns {Record<string, Count>}
+ */
+const countsOf = (kinds, itemsOf, kindOf) =>
+  Object.fromEntries(
+    kinds.map((kind) => [kind, (result) => itemsOf(result).filter((each) => kindOf(each) === kind).length]),
+  );
+
+/** How many things a layer holds; null: no number is shown; 0 hides the layer. @type {Record<string, Count>} */
+const COUNTS = {
   tiles: (r) => (r.local ? 0 : null),
   surface: (r) => (r.surface ? null : 0),
   roads: (r) => r.roads.length,
   measured: (r) => r.measured.length,
   places: (r) => r.places.length,
   keyframes: (r) => r.keyframes.length,
-  right: (r) => countVerdicts(r, "right"),
-  wrong: (r) => countVerdicts(r, "wrong"),
-  unscored: (r) => countVerdicts(r, "unscored"),
   uncertainty: (r) => (r.intersections.length ? null : 0),
   branches: (r) => (r.intersections.length ? null : 0),
-  detections: (r) => countDetections(r, "none"),
-  tp: (r) => countDetections(r, "TP"),
-  fp: (r) => countDetections(r, "FP"),
   errors: (r) => (r.matches.length ? null : 0),
-  shared: (r) => r.compared.filter((each) => kindOfCompared(each) === "shared").length,
-  here: (r) => r.compared.filter((each) => kindOfCompared(each) === "here").length,
-  elsewhere: (r) => r.compared.filter((each) => kindOfCompared(each) === "elsewhere").length,
-  found: (r) => r.nodes.filter((each) => kindOfNode(each) === "found").length,
-  missed: (r) => r.nodes.filter((each) => kindOfNode(each) === "missed").length,
-  outside: (r) => r.nodes.filter((each) => kindOfNode(each) === "outside").length,
-});
-
-/** @param {Result} result @param {string} outcome */
-const countDetections = (result, outcome) => result.detections.filter((each) => each.outcome === outcome).length;
-
-/** @param {Result} result @param {string} verdict */
-const countVerdicts = (result, verdict) => result.intersections.filter((each) => verdictOf(each) === verdict).length;
+  ...countsOf(Object.keys(VERDICTS), (r) => r.intersections, verdictOf),
+  ...countsOf(Object.keys(NODE_OUTCOMES), (r) => r.nodes, kindOfNode),
+  ...countsOf(["detections", "tp", "fp"], (r) => r.detections, layerOfDetection),
+  ...countsOf(["shared", "here", "elsewhere"], (r) => r.compared, kindOfCompared),
+};
 
 /** @param {Result} result @returns {{layer: typeof LAYERS[0], count: number|null}[]} Layers that hold something. */
 export function layersOf(result) {
@@ -134,7 +134,14 @@ export function kindOfNode({ properties }) {
 }
 
 /** @param {{properties: any}} intersection @returns {"right"|"wrong"|"unscored"} */
-export const verdictOf = ({ properties }) => properties.outcome ?? "unscored";
+export function verdictOf({ properties }) {
+  return properties.outcome ?? "unscored";
+}
+
+/** @param {{outcome: "TP"|"FP"|"none"}} detection @returns {"tp"|"fp"|"detections"} */
+export function layerOfDetection({ outcome }) {
+  return outcome === "none" ? "detections" : /** @type {"tp"|"fp"} */ (outcome.toLowerCase());
+}
 
 /** @param {string[]|null} chosen @returns {Set<string>} Ids of the layers that are on. */
 export function layersOn(chosen) {

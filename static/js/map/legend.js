@@ -1,9 +1,9 @@
 /** The box at the right of the map: layers to switch, with their signs and counts. */
 
 import { el, fill, formatCount, icon } from "../dom.js";
-import { Control, DomEvent } from "../leaflet.js";
 import { getState, setState, subscribe } from "../state.js";
 import { keep, recall } from "../storage.js";
+import { addCorner } from "./corners.js";
 import { LAYERS, layersOf, layersOn } from "./layers.js";
 import { signIcon } from "./symbols.js";
 import { tileBox } from "./tiles.js";
@@ -19,13 +19,7 @@ const WIDE_PX = 640; // on a narrower map the legend is folded: it would hide th
  */
 export function addLegend(map) {
   const box = el("section.legend", { hidden: true, "aria-label": "Layers of the map" });
-  const control = new Control({ position: "topright" });
-  control.onAdd = () => {
-    DomEvent.disableClickPropagation(box);
-    DomEvent.disableScrollPropagation(box);
-    return box;
-  };
-  control.addTo(map);
+  addCorner(map, "topright", box);
 
   /** @type {import("../data/results.js").Result|null} */
   let result = null;

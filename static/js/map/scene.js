@@ -4,7 +4,7 @@ import { openDetails, tipOf } from "./details.js";
 import { ellipseOf, SIGMAS_95 } from "./ellipse.js";
 import { widthText } from "./facts.js";
 import { passes } from "./filter.js";
-import { kindOfNode, verdictOf } from "./layers.js";
+import { kindOfNode, layerOfDetection, verdictOf } from "./layers.js";
 import { fillRings, nearestOn, project, strokePaths } from "./paths.js";
 import { paintStreetNames, takenBySign } from "./street_names.js";
 import { colour, paintSigns, SIGNS } from "./symbols.js";
@@ -54,7 +54,7 @@ export class Scene {
     this.track = flat(result.trajectory);
     this.places = result.places.map(flat);
     this.buildings = result.buildings.map(flat);
-    this.errors = result.matches.map(({ line, outcome }) => ({ path: flat(line), outcome }));
+    this.errors = result.matches.map(({ line, outcome }) => ({ path: flat(line), layer: outcome.toLowerCase() }));
     this.roads = result.roads.map(({ line, properties }) => ({
       path: flat(line),
       ...classOf(properties),
@@ -101,67 +101,36 @@ export class Scene {
     this.#paintNames(context, view);
     if (this.on.has("places")) strokePaths(context, view, this.places, colour("--track"), 1.4, 0.4);
     if (this.on.has("track")) strokePaths(context, view, [this.track], colour("--track"), 1.6, 0.85);
-    if (this.progress > 0)
-      strokePaths(
-        context,
-        view,
-        [this.track.slice(0, 2 * Math.ceil((this.progress * this.track.length) / 2))],
-        colour("--accent"),
-        5,
-      );
-    if (this.on.has("keyframes")) this.#paintPoints(context, view, this.keyframes, "keyframe", 2 * size, 0.8);
+    const done = this.track.slice(0, 2 * Math.ceil((this.progress * this.track.length) / 2));
+    if (this.progress > 0) strokePaths(context, view, [done], colour("--accent"), 5);
+    this.#paintPoints(context, view, this.keyframes, "keyframes", 2 * size, 0.8);
     if (this.on.has("errors")) {
-      for (const [outcome, layer] of [
-        ["TP", "tp"],
-        ["FP", "fp"],
-      ]) {
+      for (const layer of ["tp", "fp"]) {
         if (!this.on.has(layer)) continue;
         const taken = new Set();
-        const paths = this.errors
-          .filter((each) => each.outcome === outcome && isFresh(each.path, view, taken))
-          .map((each) => each.path);
-        strokePaths(context, view, paths, colour(SIGNS[layer].colour), 1, outcome === "TP" ? 0.55 : 0.35);
+        const own = this.errors.filter((each) => each.layer === layer && isFresh(each.path, view, taken));
+        const paths = own.map(({ path }) => path);
+        strokePaths(context, view, paths, colour(SIGNS[layer].colour), 1, layer === "tp" ? 0.55 : 0.35);
       }
     }
     if (this.on.has("uncertainty")) this.#paintUncertainty(context, view);
-    const detections = this.detections;
-    const evaluated = this.result.report !== null;
-    if (this.on.has("detections"))
-      this.#paintPoints(context, view, detections, "detection", 3 * size, 0.7, (each) => each.outcome === "none");
-    if (evaluated && this.on.has("tp"))
-      this.#paintPoints(context, view, detections, "tp", 3 * size, 0.7, (each) => each.outcome === "TP");
-    const paintFalse = () =>
-      evaluated &&
-      this.on.has("fp") &&
-      this.#paintPoints(context, view, detections, "fp", 3.2 * size, 1, (each) => each.outcome === "FP");
-    if (view.perMetre < RING_FROM) paintFalse();
+    /** @param {"detections"|"tp"|"fp"} layer @param {number} r @param {number} alpha */
+    const paintDetections = (layer, r, alpha) =>
+      this.#paintPoints(context, view, this.detections, layer, r, alpha, (each) => layerOfDetection(each) === layer);
+    paintDetections("detections", 3 * size, 0.7);
+    paintDetections("tp", 3 * size, 0.7);
+    if (view.perMetre < RING_FROM) paintDetections("fp", 3.2 * size, 1);
     for (const kind of ["outside", "found", "missed"]) {
-      if (this.on.has(kind))
-        this.#paintPoints(
-          context,
-          view,
-          this.nodes,
-          kind,
-          (kind === "missed" ? 8 : 4.5) * size,
-          1,
-          (each) => kindOfNode(each) === kind,
-        );
+      const r = (kind === "missed" ? 8 : 4.5) * size;
+      this.#paintPoints(context, view, this.nodes, kind, r, 1, (each) => kindOfNode(each) === kind);
     }
     if (this.on.has("branches")) this.#paintBranches(context, view);
     for (const verdict of /** @type {const} */ (["unscored", "right", "wrong"])) {
+      const r = VERDICT_PX[verdict] * Math.max(0.85, size);
       const isOne = (/** @type {any} */ each) => verdictOf(each) === verdict && passes(each);
-      if (this.on.has(verdict))
-        this.#paintPoints(
-          context,
-          view,
-          this.intersections,
-          verdict,
-          VERDICT_PX[verdict] * Math.max(0.85, size),
-          1,
-          isOne,
-        );
+      this.#paintPoints(context, view, this.intersections, verdict, r, 1, isOne);
     }
-    if (view.perMetre >= RING_FROM) paintFalse(); // within the ring of what they are a part of
+    if (view.perMetre >= RING_FROM) paintDetections("fp", 3.2 * size, 1); // within the ring of what they are a part of
   }
 
   /** Of streets, and the widths of measured roads: none on another, none below a sign. @param {CanvasRenderingContext2D} context @param {import("./surface.js").View} view */
@@ -229,12 +198,13 @@ export class Scene {
    * @param {CanvasRenderingContext2D} context
    * @param {import("./surface.js").View} view
    * @param {Points} points
-   * @param {string} name Of the sign.
+   * @param {string} name Of the layer and its sign.
    * @param {number} r
    * @param {number} alpha
    * @param {(item: any) => boolean} [chosen]
    */
   #paintPoints(context, view, { xs, ys, items }, name, r, alpha, chosen) {
+    if (!this.on.has(name)) return;
     const isRing = RINGED.has(name) && view.perMetre >= RING_FROM;
     const sign = isRing
       ? { ...SIGNS[name], filled: false, width: 3, edge: undefined, glyph: undefined, rim: true }
@@ -317,12 +287,7 @@ export class Scene {
     const stack = [
       ["intersection", this.intersections, 9, (item) => this.on.has(verdictOf(item)) && passes(item)],
       ["node", this.nodes, 10, (item) => this.on.has(kindOfNode(item))],
-      [
-        "detection",
-        this.detections,
-        7,
-        ({ outcome }) => this.on.has(outcome === "none" ? "detections" : outcome.toLowerCase()),
-      ],
+      ["detection", this.detections, 7, (item) => this.on.has(layerOfDetection(item))],
       ["keyframe", this.keyframes, 7, () => this.on.has("track") || this.on.has("keyframes")],
     ];
     for (const [kind, points, reach, chosen] of stack) {

@@ -7,7 +7,7 @@ import { FINAL, lists, onListsChange, rememberJob } from "../data/lists.js";
 import { loadOverview } from "../data/overview.js";
 import { loadResult, loadTrajectory, withService } from "../data/results.js";
 import { el, fill, icon, plural, takesDrops } from "../dom.js";
-import { Control, CRS, control, DomEvent, LeafletMap, latLngBounds } from "../leaflet.js";
+import { CRS, control, LeafletMap, latLngBounds } from "../leaflet.js";
 import { failureNote, problemNote } from "../messages.js";
 import { addShortcut } from "../shortcuts.js";
 import { getState, setState, subscribe } from "../state.js";
@@ -16,6 +16,7 @@ import { CITY_KEYS, CityScene } from "./city.js";
 import { PLACE_SIGNS, signOfChange } from "./city_places.js";
 import { ComparedLayer, followCompared, onCompared } from "./compared.js";
 import { addCoordinates } from "./coordinates.js";
+import { addButton, addCorner } from "./corners.js";
 import { closeDetails, goTo, hasDetails, keepDetails, openDetails, openSelection } from "./details.js";
 import { clearFilter, isFiltering, onFilterChange } from "./filter.js";
 import { KeyframeLayer } from "./keyframe.js";
@@ -453,7 +454,7 @@ function makeMap(holder, local, current) {
     { pane: "surface" },
   ).addTo(made);
   control.zoom({ position: "topleft" }).addTo(made);
-  addFit(made);
+  addButton(made, "fit", "Show the whole drive", () => fitDrive(true));
   const measure = addMeasure(made, local);
   control.scale({ position: "bottomleft", imperial: false, maxWidth: 140 }).addTo(made);
   const attribution = control.attribution({ position: "bottomright", prefix: false }).addTo(made);
@@ -516,29 +517,12 @@ function addFilterNote(made) {
   // The button stays when the words change: Leaflet takes a click on what is gone by then for one on the map.
   const all = el("button.link", { onClick: clearFilter }, "Show all");
   const box = el("div.filter-note", { role: "status", hidden: true }, count, all);
-  const note = new Control({ position: "topleft" });
-  note.onAdd = () => {
-    DomEvent.disableClickPropagation(box);
-    return box;
-  };
-  note.addTo(made);
+  addCorner(made, "topleft", box);
   const update = () => {
     box.hidden = !isFiltering() || !shown.result;
     fill(count, `${queue().length} of ${plural(shown.result?.intersections.length ?? 0, "intersection")}`);
   };
   return { update };
-}
-
-/** @param {any} made */
-function addFit(made) {
-  const label = "Show the whole drive";
-  const onClick = (/** @type {Event} */ e) => (e.preventDefault(), fitDrive(true));
-  const button = el("a", { href: "#", role: "button", title: label, "aria-label": label, onClick }, icon("fit"));
-  const bar = el("div.leaflet-bar.leaflet-control", button);
-  const fit = control.zoom({ position: "topleft" });
-  fit.onAdd = () => bar;
-  fit.onRemove = () => {};
-  fit.addTo(made);
 }
 
 /** @param {boolean} animate */

@@ -55,7 +55,7 @@ export function trace(path, shape, x, y, r) {
 
 /** The signs by name. */
 export const SIGNS = /** @type {Record<string, Sign>} */ ({
-  detection: { colour: "--tp", shape: "disc", filled: true, width: 0 },
+  detections: { colour: "--tp", shape: "disc", filled: true, width: 0 },
   tp: { colour: "--tp", shape: "disc", filled: true, width: 0 },
   fp: { colour: "--fp", shape: "cross", filled: false, width: 2, rim: true },
   found: { colour: "--found", shape: "square", filled: false, width: 2, rim: true },
@@ -67,7 +67,7 @@ export const SIGNS = /** @type {Record<string, Sign>} */ ({
   shared: { colour: "--ink-2", shape: "ring", filled: false, width: 1.4 },
   here: { colour: "--tp", shape: "hexagon", filled: false, width: 1.8 },
   elsewhere: { colour: "--tp", shape: "square", filled: false, width: 1.8 },
-  keyframe: { colour: "--track", shape: "dot", filled: true, width: 0 },
+  keyframes: { colour: "--track", shape: "dot", filled: true, width: 0 },
 });
 
 /**
