@@ -271,10 +271,7 @@ export async function follow(path, { onEvent, signal, onConnection }) {
   }
 }
 
-/**
- * @param {Response} response
- * @returns {AsyncGenerator<{id: string|null, type: string, data: string}>}
- */
+/** @param {Response} response @returns {AsyncGenerator<{id: string|null, type: string, data: string}>} */
 async function* parseEvents(response) {
   if (!response.body) return;
   const reader = response.body.pipeThrough(new TextDecoderStream()).getReader();

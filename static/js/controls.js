@@ -3,12 +3,7 @@ import { el, fill, icon } from "./dom.js";
 
 let count = 0;
 
-/**
- * @param {string} title
- * @param {any} control
- * @param {any} [hint]
- * @returns {HTMLElement}
- */
+/** @param {string} title @param {any} control @param {any} [hint] @returns {HTMLElement} */
 export function field(title, control, hint) {
   return el("label.field", el("span", title), control, hint && el("small", hint));
 }
@@ -95,11 +90,7 @@ export function iconButton(symbol, label, onClick, title = label) {
   return el("button", props, icon(symbol));
 }
 
-/**
- * A button that copies a text.
- * @param {string} name
- * @param {() => string} text
- */
+/** A button that copies a text. @param {string} name @param {() => string} text */
 export function copyButton(name, text) {
   const button = el("button", { type: "button", onClick: () => void copy() }, icon("copy"), name);
   const copy = async () => {
@@ -142,11 +133,7 @@ export function figure(value, name, more) {
   return el("div.figure", el("b", value), el("span", name), more && el("em", more));
 }
 
-/**
- * @param {string[]} heads
- * @param {any[][]} rows Cells: `td` elements, or what goes into one.
- * @returns {HTMLElement}
- */
+/** @param {string[]} heads @param {any[][]} rows Cells: `td` elements, or what goes into one. @returns {HTMLElement} */
 export function table(heads, rows) {
   const head = heads.map((name) => el("th", { scope: "col" }, name));
   const body = rows.map((cells) =>

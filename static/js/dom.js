@@ -59,11 +59,7 @@ function append(parent, children) {
   }
 }
 
-/**
- * Put new children in the place of the old ones.
- * @param {Element} parent
- * @param {...any} children
- */
+/** Put new children in the place of the old ones. @param {Element} parent @param {...any} children */
 export function fill(parent, ...children) {
   parent.replaceChildren();
   append(parent, children);
@@ -83,10 +79,7 @@ export function icon(name, label) {
   );
 }
 
-/**
- * Announce something to screen readers, at the next pause.
- * @param {string} text
- */
+/** Announce something to screen readers, at the next pause. @param {string} text */
 export function announce(text) {
   const region = document.getElementById("announcer");
   if (region && region.textContent !== text) region.textContent = text;

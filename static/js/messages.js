@@ -5,10 +5,7 @@ import { el, fill } from "./dom.js";
 
 const MAX_SHOWN = 20;
 
-/**
- * A box that says what went wrong, in the server's words.
- * @param {unknown} error An error, or a problem document.
- */
+/** A box that says what went wrong, in the server's words. @param {unknown} error An error, or a problem document. */
 export function problemNote(error) {
   const problem = /** @type {any} */ (error);
   const title = problem.title ?? "Something went wrong";
@@ -29,10 +26,7 @@ function fileProblems(problems) {
   return el("ul", shown);
 }
 
-/**
- * Show an error that no panel shows.
- * @param {unknown} error
- */
+/** Show an error that no panel shows. @param {unknown} error */
 export function showError(error) {
   if (error instanceof DOMException && error.name === "AbortError") return;
   if (error instanceof Error && !(error instanceof ApiError)) console.error(error);

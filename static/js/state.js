@@ -63,10 +63,7 @@ export function getState() {
   return state;
 }
 
-/**
- * Change the state; listeners of what really changed are called.
- * @param {Partial<State>} patch
- */
+/** Change the state; listeners of what really changed are called. @param {Partial<State>} patch */
 export function setState(patch) {
   const before = state;
   const isOther = patch.job !== undefined && patch.job !== before.job;

@@ -12,11 +12,7 @@ function storage(kind) {
   }
 }
 
-/**
- * @param {string} key
- * @param {"localStorage" | "sessionStorage"} [kind]
- * @returns {string | null}
- */
+/** @param {string} key @param {"localStorage" | "sessionStorage"} [kind] @returns {string | null} */
 export function recall(key, kind = "localStorage") {
   return own.get(key) ?? storage(kind)?.getItem(key) ?? null;
 }

@@ -226,10 +226,7 @@ function detectionTable(detections) {
   return table(["Detection", "Ahead", "Left", "Branches", "Score", "Error"], rows);
 }
 
-/**
- * Why candidates are not intersections.
- * @param {any[]} candidates
- */
+/** Why candidates are not intersections. @param {any[]} candidates */
 function rejectedCandidates(candidates) {
   const rejected = candidates.filter((each) => !each.kept);
   if (!rejected.length) return null;

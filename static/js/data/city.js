@@ -168,10 +168,7 @@ export async function stepFinding(by, isWanted = () => true) {
   return next !== undefined;
 }
 
-/**
- * Say what was seen at the finding that is looked at, and go to the next one that is open.
- * @param {Verdict} verdict
- */
+/** Say what was seen at the finding that is looked at, and go to the next one that is open. @param {Verdict} verdict */
 export async function judge(verdict) {
   const { finding } = getState();
   if (!finding) return;

@@ -25,10 +25,7 @@ function radii(lat) {
 }
 
 export class Frame {
-  /**
-   * @param {import("./results.js").Place[]} keyframes
-   * @param {boolean} local Positions are metres of W.
-   */
+  /** @param {import("./results.js").Place[]} keyframes @param {boolean} local Positions are metres of W. */
   constructor(keyframes, local) {
     this.local = local;
     this.rows = new Map(keyframes.map((each, row) => [each.properties.frame, row]));

@@ -39,11 +39,7 @@ const KEPT = 3;
 /** @type {Map<string, Promise<Result>>} */
 const cache = new Map();
 
-/**
- * Load the result of a successful job; the last few are kept.
- * @param {any} job
- * @returns {Promise<Result>}
- */
+/** Load the result of a successful job; the last few are kept. @param {any} job @returns {Promise<Result>} */
 export function loadResult(job) {
   let result = cache.get(job.id);
   if (!result) {
@@ -169,10 +165,7 @@ async function orNull(answer) {
   }
 }
 
-/**
- * The positions of a line; one across the antimeridian comes in parts.
- * @param {any} geometry @returns {number[][]}
- */
+/** The positions of a line; one across the antimeridian comes in parts. @param {any} geometry @returns {number[][]} */
 export function lineOf(geometry) {
   return (geometry?.type === "MultiLineString" ? geometry.coordinates.flat() : geometry?.coordinates) ?? [];
 }

@@ -30,10 +30,7 @@ import { placingField } from "./placing.js";
  * @property {JobSettings | null} before What was chosen before.
  */
 
-/**
- * @param {Known} known
- * @param {() => void} onChange
- */
+/** @param {Known} known @param {() => void} onChange */
 export function jobForm(known, onChange) {
   const map = mapChoice(known, () => (showPolicy(), onChange()));
 
@@ -248,11 +245,7 @@ function schemaOf(root, config, part) {
 /** @param {any} root @param {any} schema */
 const resolve = (root, schema) => (schema.$ref ? root.$defs[schema.$ref.split("/").pop()] : schema);
 
-/**
- * @param {any} schema
- * @param {any} value
- * @param {(value: any, isValid: boolean) => void} onChange
- */
+/** @param {any} schema @param {any} value @param {(value: any, isValid: boolean) => void} onChange */
 function inputFor(schema, value, onChange) {
   if (schema.type === "boolean") {
     return select({ true: "yes", false: "no" }, String(value), (next) => onChange(next === "true", true));

@@ -6,10 +6,7 @@ import { el } from "../dom.js";
 /** @typedef {{lat_deg: number, lon_deg: number, radius_km: number}} Near Where to search. */
 /** @typedef {{georeference: "drive"|"map", near: Near | null}} Placing As a job has it. */
 
-/**
- * @param {Placing | null} before What was chosen before.
- * @param {() => void} onChange
- */
+/** @param {Placing | null} before What was chosen before. @param {() => void} onChange */
 export function placingField(before, onChange) {
   const wanted = before?.georeference === "map";
   let isTouched = before !== null;

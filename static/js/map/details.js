@@ -48,10 +48,7 @@ export function chosenFrame() {
   return result && kind === "intersection" ? frameOf(item.properties, result) : (item?.properties.frame ?? null);
 }
 
-/**
- * Show all that is known of a thing.
- * @param {Hit} hit
- */
+/** Show all that is known of a thing. @param {Hit} hit */
 export function openDetails(hit) {
   const { map, result } = shown;
   if (!map || !result) return;
@@ -76,10 +73,7 @@ export function popupOf(map, { lat, lng }, content) {
   return new Popup(options).setLatLng([lat, lng]).setContent(content);
 }
 
-/**
- * Go to a thing and open its details.
- * @param {Hit} hit
- */
+/** Go to a thing and open its details. @param {Hit} hit */
 export function goTo(hit) {
   const { map, result } = shown;
   if (!map || !result) return;
@@ -102,10 +96,7 @@ function selectionOf({ kind, item }) {
 /** @param {string|null} name Id or uid. @param {import("../data/results.js").Place} intersection @returns {boolean} */
 export const isNamed = (name, { properties: p }) => name !== null && (name === String(p.id) || name === p.uid);
 
-/**
- * Show what the address names, where that is not what is shown.
- * @param {(hit: Hit) => void} open
- */
+/** Show what the address names, where that is not what is shown. @param {(hit: Hit) => void} open */
 export function openSelection(open) {
   const { result, map } = shown;
   const { intersection, node, job } = getState();

@@ -83,12 +83,7 @@ export const widthText = ({ width_m, is_driven }) =>
 /** @param {string} text @returns {string} */
 const sentence = (text) => `${text[0].toUpperCase()}${text.slice(1)}.`;
 
-/**
- * All that is known of it.
- * @param {Hit} hit
- * @param {Result} result
- * @returns {Array<[string, any]|false>}
- */
+/** All that is known of it. @param {Hit} hit @param {Result} result @returns {Array<[string, any]|false>} */
 export function factsOf({ kind, item }, result) {
   const { local } = result;
   const { properties: p } = item;

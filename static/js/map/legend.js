@@ -13,10 +13,7 @@ const OPEN_KEY = "interloc.legend";
 const HEADED = new Set(["Intersections", "OSM intersections", "Detections"]);
 const WIDE_PX = 640; // on a narrower map the legend is folded: it would hide the half of it
 
-/**
- * @param {any} map
- * @returns {{show: (result: import("../data/results.js").Result|null) => void}}
- */
+/** @param {any} map @returns {{show: (result: import("../data/results.js").Result|null) => void}} */
 export function addLegend(map) {
   const box = el("section.legend", { hidden: true, "aria-label": "Layers of the map" });
   addCorner(map, "topright", box);

@@ -35,10 +35,7 @@ export function queue() {
     .sort((a, b) => order(a, b) || a.properties.id - b.properties.id);
 }
 
-/**
- * Go to the next or the previous intersection; behind the last comes the first.
- * @param {1|-1} by
- */
+/** Go to the next or the previous intersection; behind the last comes the first. @param {1|-1} by */
 export function step(by) {
   const places = queue();
   if (!places.length) return announce("No intersection passes the filter.");

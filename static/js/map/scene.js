@@ -33,10 +33,7 @@ const RING_PX = 13;
 const RINGED = new Set(["right", "wrong", "unscored"]);
 
 export class Scene {
-  /**
-   * @param {import("../data/results.js").Result} result
-   * @param {any} map
-   */
+  /** @param {import("../data/results.js").Result} result @param {any} map */
   constructor(result, map) {
     /** @param {number} x At zoom 0. @param {number} y @returns {{lat: number, lng: number}} */
     this.unproject = (x, y) => map.options.crs.pointToLatLng({ x, y }, 0);
@@ -89,11 +86,7 @@ export class Scene {
     if (this.on.has("measured")) this.#paintMeasured(context, view);
   }
 
-  /**
-   * All the rest.
-   * @param {CanvasRenderingContext2D} context
-   * @param {import("./surface.js").View} view
-   */
+  /** All the rest. @param {CanvasRenderingContext2D} context @param {import("./surface.js").View} view */
   paint(context, view) {
     const size = Math.min(1.35, Math.max(0.6, (view.zoom - (this.result.local ? -4 : 12)) / 6));
     context.lineCap = "round";

@@ -119,12 +119,7 @@ function but(ids, one) {
   return rest.length ? rest : null;
 }
 
-/**
- * A table with a column for each job.
- * @param {string} first
- * @param {string[]} names
- * @param {any[][]} rows
- */
+/** A table with a column for each job. @param {string} first @param {string[]} names @param {any[][]} rows */
 function columns(first, names, rows) {
   const made = table([first, ...names], rows);
   made.querySelectorAll("thead th").forEach((head, i) => {

@@ -166,10 +166,7 @@ function filterFields(result) {
   return element;
 }
 
-/**
- * @param {typeof RANGES[0]} range
- * @param {Place[]} places
- */
+/** @param {typeof RANGES[0]} range @param {Place[]} places */
 function rangeFields({ figure, name, scale, step: by }, places) {
   const values = places.map(({ properties }) => properties[figure] * scale).filter(Number.isFinite);
   const digits = by === "1" ? 0 : 2;

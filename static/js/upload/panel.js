@@ -201,10 +201,7 @@ async function showArchive(file, begun) {
   await showForm({ drive: null, drives: [], archive: file, handle: null }, begun);
 }
 
-/**
- * @param {Picked} picked
- * @param {Begun | null} begun The upload that this is to go on with.
- */
+/** @param {Picked} picked @param {Begun | null} begun The upload that this is to go on with. */
 async function showForm(picked, begun) {
   const isUnlabelled = !picked.drive || (picked.drive.layout !== "reduced" && !Object.keys(picked.drive.labels).length);
   const [presets, { models }] = await Promise.all([

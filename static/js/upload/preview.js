@@ -106,13 +106,7 @@ export function fitVerdict({ fit_m, length_m }) {
   return [isBad ? `${text}: do both belong to this drive?` : text, isBad];
 }
 
-/**
- * Say how a map fits the drive.
- *
- * @param {File} map
- * @param {Found} found
- * @returns {[text: string, isBad: boolean]}
- */
+/** Say how a map fits the drive. @param {File} map @param {Found} found @returns {[text: string, isBad: boolean]} */
 export function mapVerdict(map, { track, look, isDone }) {
   if (!isReadableMap(map.name)) {
     return [`The service reads ${map.name}: this page looks into .osm and .osm.gz files only.`, false];

@@ -193,12 +193,7 @@ export class Transfer {
     );
   }
 
-  /**
-   * Do something as soon as a connection is free.
-   *
-   * @template T
-   * @param {() => Promise<T>} work
-   */
+  /** Do something as soon as a connection is free. @template T @param {() => Promise<T>} work */
   async #withConnection(work) {
     if (this.free > 0) this.free -= 1;
     else await new Promise((/** @type {(value: void) => void} */ resolve) => this.queue.push(resolve));
