@@ -7,7 +7,7 @@ import { el, fill } from "../dom.js";
 import { attempt, confirmAction, openDialog } from "../messages.js";
 import { setState } from "../state.js";
 
-/** @typedef {import("../data/city.js").City} City */
+/** @import { City } from "../data/city.js" */
 
 const PAGE = 100;
 

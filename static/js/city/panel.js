@@ -23,8 +23,7 @@ import { getState, setState, subscribe } from "../state.js";
 import { manageDrives, newMap, removeMap } from "./dialogs.js";
 import { precisionText, streetsOf } from "./words.js";
 
-/** @typedef {import("../data/city.js").City} City */
-/** @typedef {import("../data/city.js").Entry} Entry */
+/** @import { City, Entry } from "../data/city.js" */
 
 const NAMES = /** @type {Record<string, string>} */ (Object.fromEntries(VERDICTS));
 const STATES = { open: "Not looked at", judged: "Looked at", all: "All" };

@@ -6,6 +6,8 @@ import { onResult } from "../map/shown.js";
 import { showError } from "../messages.js";
 import { permalink, subscribe } from "../state.js";
 
+/** @import { Result } from "../data/results.js" */
+
 /** Layers in a word, in the order of the list; the service has the words that explain them. */
 const LAYERS = /** @type {Record<string, string>} */ ({
   intersections: "Intersections",
@@ -35,7 +37,7 @@ const KMZ = "KMZ: all layers in one file, with the signs of this page.";
 
 /** @param {HTMLElement} container */
 export function mount(container) {
-  /** @type {import("../data/results.js").Result|null} */
+  /** @type {Result|null} */
   let result = null;
   const label = "Link to this view";
   const link = el("input", { type: "text", readOnly: true, "aria-label": label, onFocus: () => link.select() });
@@ -52,7 +54,7 @@ export function mount(container) {
   });
 }
 
-/** @param {import("../data/results.js").Result} result @param {HTMLElement} link */
+/** @param {Result} result @param {HTMLElement} link */
 function sections(result, link) {
   const { job, local, surface } = result;
   const at = `jobs/${job.id}`;

@@ -16,8 +16,8 @@ import { coordinates, linksAt } from "./links.js";
 import { OverviewScene, REACH_PX } from "./overview.js";
 import { colour, paintSigns, SIGNS, trace } from "./symbols.js";
 
-/** @typedef {import("../data/city.js").City} City */
-/** @typedef {import("./surface.js").View} View */
+/** @import { City, Member } from "../data/city.js" */
+/** @import { View } from "./surface.js" */
 /** @typedef {{sign: string, lng: number, lat: number, x: number, y: number, properties: any, finding: any, changes: any[]}} Spot */
 
 const MAX_PLACES = 1000; // at once; of more each part of the view shows some
@@ -43,7 +43,7 @@ export class CityScene extends OverviewScene {
     this.cut = "";
     /** What was asked for. @type {{box: number[], filter: string|null, isWhole: boolean, zoom: number}|null} */
     this.asked = null;
-    /** By their names on the map. @type {Promise<Map<string, import("../data/city.js").Member>>|null} */
+    /** By their names on the map. @type {Promise<Map<string, Member>>|null} */
     this.members = null;
     /** What was said of findings. @type {Promise<void>|null} */
     this.verdicts = null;
@@ -231,7 +231,7 @@ export class CityScene extends OverviewScene {
 
 /**
  * @param {any} feature Of the layer `drives`.
- * @param {Map<string, import("../data/city.js").Member>} members
+ * @param {Map<string, Member>} members
  * @returns {import("../data/overview.js").DriveOnMap}
  */
 function driveOf({ id: label, geometry, properties: { intersections } }, members) {

@@ -11,7 +11,8 @@ import { getState, subscribe } from "../state.js";
 import { onResult, shown } from "./shown.js";
 import { signIcon } from "./symbols.js";
 
-/** @typedef {{jobs: string[], items: import("../data/compared.js").Compared[]}} Comparison `jobs`: ids, the shown one first. */
+/** @import { Compared } from "../data/compared.js" */
+/** @typedef {{jobs: string[], items: Compared[]}} Comparison `jobs`: ids, the shown one first. */
 
 /** @type {Comparison|null} */
 let compared = null;
@@ -87,7 +88,7 @@ export class ComparedLayer {
   }
 }
 
-/** @param {import("../data/compared.js").Compared} item */
+/** @param {Compared} item */
 function describe({ found }) {
   const finders = (compared?.jobs ?? []).filter((_, i) => found[i]);
   const names = finders.map((id) => {

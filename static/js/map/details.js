@@ -1,7 +1,5 @@
 /** Tips under the pointer, and the details of what is chosen: by a click, from a list, by a link. */
 
-/** @typedef {import("./scene.js").Hit} Hit */
-
 import { copyButton, factRows } from "../controls.js";
 import { el } from "../dom.js";
 import { Popup } from "../leaflet.js";
@@ -12,6 +10,9 @@ import { coordinates, linksAt, noteText } from "./links.js";
 import { ring } from "./pointer.js";
 import { shown } from "./shown.js";
 import { signIcon } from "./symbols.js";
+
+/** @import { Result } from "../data/results.js" */
+/** @import { Hit } from "./scene.js" */
 
 /** @param {Hit} hit @returns {HTMLElement} What it is, in a few words. */
 export function tipOf(hit) {
@@ -118,7 +119,7 @@ export function closeDetails() {
   shown.map?.closePopup();
 }
 
-/** @param {Hit} hit @param {import("../data/results.js").Result} result */
+/** @param {Hit} hit @param {Result} result */
 function contentOf(hit, result) {
   const sign = signOf(hit);
   const why = whyOf(hit, result);
@@ -132,7 +133,7 @@ function contentOf(hit, result) {
   ]);
 }
 
-/** @param {Hit} hit @param {import("../data/results.js").Result} result */
+/** @param {Hit} hit @param {Result} result */
 function actionsOf({ kind, item }, result) {
   const { properties: p } = item;
   const frame = chosenFrame();
@@ -151,7 +152,7 @@ export const ofService = ({ reason }) => /highway=service\b.*leaves out/.test(re
 
 /**
  * A button that counts service roads as roads of the map, or no longer.
- * @param {import("../data/results.js").Result} result
+ * @param {Result} result
  * @returns {HTMLElement|null} null where the result does not say what comes of it.
  */
 export function serviceSwitch({ report }) {
@@ -163,7 +164,7 @@ export function serviceSwitch({ report }) {
 
 /**
  * @param {any} properties Of an intersection.
- * @param {import("../data/results.js").Result} result
+ * @param {Result} result
  * @returns {number} The keyframe in the middle of those that saw it.
  */
 function frameOf({ id, first_frame, last_frame }, result) {
@@ -171,7 +172,7 @@ function frameOf({ id, first_frame, last_frame }, result) {
   return own[own.length >> 1]?.properties.frame ?? Math.round((first_frame + last_frame) / 2);
 }
 
-/** @param {Hit} hit @param {import("../data/results.js").Result} result */
+/** @param {Hit} hit @param {Result} result */
 function waysOut(hit, result) {
   const { item, kind } = hit;
   const copy = copyButton("Copy coordinates", () => coordinates(item, result.local));

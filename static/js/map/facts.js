@@ -5,8 +5,8 @@ import { ellipseOf, SIGMAS_95 } from "./ellipse.js";
 import { kindOfNode, layerOfDetection, NODE_OUTCOMES, verdictOf } from "./layers.js";
 import { coordinates } from "./links.js";
 
-/** @typedef {import("./scene.js").Hit} Hit */
-/** @typedef {import("../data/results.js").Result} Result */
+/** @import { Result } from "../data/results.js" */
+/** @import { Hit } from "./scene.js" */
 
 const DETECTIONS = /** @type {Record<string, string>} */ ({
   none: "Detection",

@@ -2,7 +2,7 @@
 import { getState, setState, subscribe } from "../state.js";
 import { VERDICTS, verdictOf } from "./layers.js";
 
-/** @typedef {import("../data/results.js").Place} Place */
+/** @import { Place } from "../data/results.js" */
 /** @typedef {"confidence"|"observations"|"position_std_m"} Figure */
 /**
  * @typedef {object} Filter

@@ -1,7 +1,7 @@
 /** The layers of a result: what they are called, what they hold, which are on. */
 import { kindOfCompared } from "../data/compared.js";
 
-/** @typedef {import("../data/results.js").Result} Result */
+/** @import { Result } from "../data/results.js" */
 /** @typedef {"Base"|"Drive"|"Intersections"|"OSM intersections"|"Detections"|"Compare"|"Keyframe"} Group */
 
 /**

@@ -8,17 +8,19 @@ import { LAYERS, layersOf, layersOn } from "./layers.js";
 import { signIcon } from "./symbols.js";
 import { tileBox } from "./tiles.js";
 
+/** @import { Result } from "../data/results.js" */
+
 const OPEN_KEY = "interloc.legend";
 /** Groups whose name is needed to read their rows; the others' names are for screen readers. */
 const HEADED = new Set(["Intersections", "OSM intersections", "Detections"]);
 const WIDE_PX = 640; // on a narrower map the legend is folded: it would hide the half of it
 
-/** @param {any} map @returns {{show: (result: import("../data/results.js").Result|null) => void}} */
+/** @param {any} map @returns {{show: (result: Result|null) => void}} */
 export function addLegend(map) {
   const box = el("section.legend", { hidden: true, "aria-label": "Layers of the map" });
   addCorner(map, "topright", box);
 
-  /** @type {import("../data/results.js").Result|null} */
+  /** @type {Result|null} */
   let result = null;
   const update = () => {
     box.hidden = !result;

@@ -2,7 +2,7 @@
 import { formatDate, formatMetres, plural } from "../dom.js";
 import { verdictOf } from "./layers.js";
 
-/** @typedef {import("./scene.js").Hit} Hit */
+/** @import { Hit } from "./scene.js" */
 
 const ZOOM = 19;
 const HALF_M = 75; // of the square that an editor loads

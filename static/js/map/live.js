@@ -5,6 +5,8 @@ import { fillRings, project } from "./paths.js";
 import { Scene } from "./scene.js";
 import { colour, trace } from "./symbols.js";
 
+/** @import { View } from "./surface.js" */
+
 const CANDIDATE_PX = 6;
 const VEHICLE_PX = 9;
 
@@ -103,12 +105,12 @@ export class LiveScene extends Scene {
     return null;
   }
 
-  /** @param {CanvasRenderingContext2D} context @param {import("./surface.js").View} view */
+  /** @param {CanvasRenderingContext2D} context @param {View} view */
   paintGround(context, view) {
     fillRings(context, view, this.surface, colour("--seen-road"));
   }
 
-  /** @param {CanvasRenderingContext2D} context @param {import("./surface.js").View} view */
+  /** @param {CanvasRenderingContext2D} context @param {View} view */
   paint(context, view) {
     super.paint(context, view);
     context.beginPath();

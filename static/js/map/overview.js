@@ -4,8 +4,8 @@ import { setState } from "../state.js";
 import { nearestOn, project, strokePaths } from "./paths.js";
 import { colour, paintSigns, SIGNS, trace } from "./symbols.js";
 
-/** @typedef {import("../data/overview.js").DriveOnMap} DriveOnMap */
-/** @typedef {import("./surface.js").View} View */
+/** @import { DriveOnMap } from "../data/overview.js" */
+/** @import { View } from "./surface.js" */
 /**
  * @typedef {object} Item Places are those at zoom 0.
  * @property {DriveOnMap} drive

@@ -1,6 +1,6 @@
 /** Lines and areas on a canvas: projected once, to zoom 0, then painted as a view shows them. */
 
-/** @typedef {import("./surface.js").View} View */
+/** @import { View } from "./surface.js" */
 
 const STEP_PX = 2; // a thousand tracks in one town have more points than pixels
 

@@ -7,7 +7,7 @@ import { passes } from "./filter.js";
 import { VERDICTS, verdictOf } from "./layers.js";
 import { shown } from "./shown.js";
 
-/** @typedef {import("../data/results.js").Place} Place */
+/** @import { Place } from "../data/results.js" */
 /** @typedef {(a: Place, b: Place) => number} Order */
 
 const ORDER = Object.keys(VERDICTS);

@@ -9,6 +9,7 @@ import { fillRings, nearestOn, project, strokePaths } from "./paths.js";
 import { paintStreetNames, takenBySign } from "./street_names.js";
 import { colour, paintSigns, SIGNS } from "./symbols.js";
 
+/** @import { View } from "./surface.js" */
 /**
  * @typedef {{kind: "intersection"|"node"|"detection"|"keyframe"|"road", item: any}} Hit
  * @typedef {{xs: Float64Array, ys: Float64Array, items: any[]}} Points Projected at zoom 0.
@@ -74,11 +75,7 @@ export class Scene {
     this.hasTiles = false;
   }
 
-  /**
-   * What lies below the pictures of a keyframe.
-   * @param {CanvasRenderingContext2D} context
-   * @param {import("./surface.js").View} view
-   */
+  /** What lies below the pictures of a keyframe. @param {CanvasRenderingContext2D} context @param {View} view */
   paintGround(context, view) {
     context.lineCap = "round";
     context.lineJoin = "round";
@@ -86,7 +83,7 @@ export class Scene {
     if (this.on.has("measured")) this.#paintMeasured(context, view);
   }
 
-  /** All the rest. @param {CanvasRenderingContext2D} context @param {import("./surface.js").View} view */
+  /** All the rest. @param {CanvasRenderingContext2D} context @param {View} view */
   paint(context, view) {
     const size = Math.min(1.35, Math.max(0.6, (view.zoom - (this.result.local ? -4 : 12)) / 6));
     context.lineCap = "round";
@@ -126,7 +123,7 @@ export class Scene {
     if (view.perMetre >= RING_FROM) paintDetections("fp", 3.2 * size, 1); // within the ring of what they are a part of
   }
 
-  /** Of streets, and the widths of measured roads: none on another, none below a sign. @param {CanvasRenderingContext2D} context @param {import("./surface.js").View} view */
+  /** Of streets, and the widths of measured roads: none on another, none below a sign. @param {CanvasRenderingContext2D} context @param {View} view */
   #paintNames(context, view) {
     /** @type {import("./street_names.js").Taken[]} */
     const taken = [];
@@ -142,7 +139,7 @@ export class Scene {
     if (this.on.has("measured")) paintStreetNames(context, view, widths, taken);
   }
 
-  /** @param {CanvasRenderingContext2D} context @param {import("./surface.js").View} view */
+  /** @param {CanvasRenderingContext2D} context @param {View} view */
   #paintRoads(context, view) {
     /** @param {number} metres */
     const width = (metres) => Math.max(1.2, Math.min(metres * view.perMetre, 40));
@@ -171,7 +168,7 @@ export class Scene {
     }
   }
 
-  /** As wide as they were measured, on the picture of what was seen. @param {CanvasRenderingContext2D} context @param {import("./surface.js").View} view */
+  /** As wide as they were measured, on the picture of what was seen. @param {CanvasRenderingContext2D} context @param {View} view */
   #paintMeasured(context, view) {
     const edge = colour("--measured");
     const inside = colour("--measured-inside");
@@ -189,7 +186,7 @@ export class Scene {
 
   /**
    * @param {CanvasRenderingContext2D} context
-   * @param {import("./surface.js").View} view
+   * @param {View} view
    * @param {Points} points
    * @param {string} name Of the layer and its sign.
    * @param {number} r
@@ -217,7 +214,7 @@ export class Scene {
     paintSigns(context, sign, drawn, r, alpha);
   }
 
-  /** @param {CanvasRenderingContext2D} context @param {import("./surface.js").View} view */
+  /** @param {CanvasRenderingContext2D} context @param {View} view */
   #paintUncertainty(context, view) {
     const { xs, ys, items } = this.intersections;
     for (const verdict of Object.keys(VERDICT_PX)) {
@@ -242,7 +239,7 @@ export class Scene {
     }
   }
 
-  /** @param {CanvasRenderingContext2D} context @param {import("./surface.js").View} view */
+  /** @param {CanvasRenderingContext2D} context @param {View} view */
   #paintBranches(context, view) {
     const reach = Math.min(60, Math.max(16, RAY_M * view.perMetre));
     if (RAY_M * view.perMetre < 6) return;
@@ -270,7 +267,7 @@ export class Scene {
 
   /**
    * What lies under the pointer: the nearest thing of the topmost layer.
-   * @param {import("./surface.js").View} view Of which x and y are pixels.
+   * @param {View} view Of which x and y are pixels.
    * @param {number} x
    * @param {number} y
    * @returns {Hit|null}
@@ -309,7 +306,7 @@ export class Scene {
     return false;
   }
 
-  /** @param {import("./surface.js").View} view @param {number} x @param {number} y @returns {Hit|null} The measured road there. */
+  /** @param {View} view @param {number} x @param {number} y @returns {Hit|null} The measured road there. */
   #findRoad(view, x, y) {
     for (const { path, width, properties } of this.measured) {
       const { away, at } = nearestOn(path, view, x, y);
@@ -320,7 +317,7 @@ export class Scene {
   }
 }
 
-/** @param {Points} points @param {import("./surface.js").View} view @param {number} x @param {number} y @param {number} reach @param {(item: any) => boolean} chosen */
+/** @param {Points} points @param {View} view @param {number} x @param {number} y @param {number} reach @param {(item: any) => boolean} chosen */
 function nearest({ xs, ys, items }, view, x, y, reach, chosen) {
   let row = -1;
   let min = reach * reach;
@@ -331,7 +328,7 @@ function nearest({ xs, ys, items }, view, x, y, reach, chosen) {
   return row;
 }
 
-/** @param {Float64Array} line Of two points. @param {import("./surface.js").View} view @param {Set<string>} taken @returns {boolean} Whether it is seen, and differs from the lines before by a pixel. */
+/** @param {Float64Array} line Of two points. @param {View} view @param {Set<string>} taken @returns {boolean} Whether it is seen, and differs from the lines before by a pixel. */
 function isFresh(line, view, taken) {
   const [x, y, toX, toY] = [view.x(line[0]), view.y(line[1]), view.x(line[2]), view.y(line[3])];
   if (!view.shows(x, y) && !view.shows(toX, toY)) return false;

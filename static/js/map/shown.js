@@ -1,7 +1,7 @@
 /** What is on the map: a small store between the map and all that follows it. */
 import { news } from "../news.js";
 
-/** @typedef {import("../data/results.js").Result} Result */
+/** @import { Result } from "../data/results.js" */
 /**
  * @typedef {object} Preview Of a drive that is to be sent, or is being sent.
  * @property {Result} result Its track, where its scans were taken, and the roads of its map.

@@ -35,6 +35,8 @@ import { signIcon } from "./symbols.js";
 import { makeTiles, OSM_CREDIT, onTilesChange } from "./tiles.js";
 import { mountTimeline } from "./timeline.js";
 
+/** @import { Result } from "../data/results.js" */
+
 /** What the signs of the map mean, where there is no legend. */
 const KEYS = { ...VERDICTS, missed: NODE_OUTCOMES.missed };
 const LIVE_MS = 200; // between two pictures of a drive that is under way
@@ -44,7 +46,7 @@ const LOCAL_CREDIT = "Metres of the drive’s own frame: it has no georeference"
 let scene = null;
 /** What the map was last fitted to. @type {{places: number[][], local: boolean, padding: number[][]}|null} */
 let whole = null;
-/** What was last shown before it was sent: its roads stay while its job runs. @type {import("../data/results.js").Result|null} */
+/** What was last shown before it was sent: its roads stay while its job runs. @type {Result|null} */
 let previewed = null;
 /** Whether the map shows a place of the result, worth a permalink. */
 let isPlaced = false;
@@ -288,9 +290,9 @@ export async function mountStage() {
     return true;
   };
 
-  /** As it was loaded. @type {import("../data/results.js").Result|null} */
+  /** As it was loaded. @type {Result|null} */
   let loaded = null;
-  /** @param {import("../data/results.js").Result} result */
+  /** @param {Result} result */
   const show = (result) => {
     loaded = result;
     const next = getState().service && result.report?.with_service ? withService(result) : result;

@@ -7,14 +7,13 @@ import { chosenFrame } from "./details.js";
 import { firstDetection } from "./shown.js";
 import { colour } from "./symbols.js";
 
+/** @import { Result } from "../data/results.js" */
+
 const SPEEDS = [5, 10, 25, 60];
 
-/**
- * @param {HTMLElement} strip
- * @returns {{show: (result: import("../data/results.js").Result|null) => void, isFollowing: () => boolean}}
- */
+/** @param {HTMLElement} strip @returns {{show: (result: Result|null) => void, isFollowing: () => boolean}} */
 export function mountTimeline(strip) {
-  /** @type {import("../data/results.js").Result|null} */
+  /** @type {Result|null} */
   let result = null;
   let playing = 0;
   let last = 0;
@@ -136,10 +135,7 @@ export function mountTimeline(strip) {
 }
 
 /** Bars of detections per keyframe, the true ones below, the false ones on top. */
-function drawDensity(
-  /** @type {HTMLCanvasElement} */ canvas,
-  /** @type {import("../data/results.js").Result} */ result,
-) {
+function drawDensity(/** @type {HTMLCanvasElement} */ canvas, /** @type {Result} */ result) {
   const ratio = Math.max(1, devicePixelRatio);
   const [w, h] = [canvas.clientWidth, canvas.clientHeight];
   if (!w) return;

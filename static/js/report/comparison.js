@@ -15,7 +15,7 @@ import { getState, setState, subscribe } from "../state.js";
 import { lineChart } from "./chart.js";
 import { at, curve } from "./scores.js";
 
-/** @typedef {import("../map/compared.js").Comparison} Comparison */
+/** @import { Comparison } from "../map/compared.js" */
 
 const COLOURS = ["--tp", "--fp", "--found", "--missed", "--warn", "--accent", "--ink", "--outside"];
 const DASHES = [undefined, "7 3", "2 3", "9 3 2 3", "4 2", "12 4", "2 2", "6 2 2 2"];

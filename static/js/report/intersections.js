@@ -9,8 +9,8 @@ import { signIcon } from "../map/symbols.js";
 import { getState, subscribe } from "../state.js";
 import { belowRow, outcomeColumn, sortedTable } from "./sorted_table.js";
 
-/** @typedef {import("../data/results.js").Place} Place */
-/** @typedef {import("../map/filter.js").Figure} Figure */
+/** @import { Place, Result } from "../data/results.js" */
+/** @import { Figure } from "../map/filter.js" */
 
 /** @type {import("./sorted_table.js").Column[]} */
 const COLUMNS = [
@@ -60,7 +60,7 @@ const RANGES = [
   { figure: "position_std_m", name: "Uncertainty (1 σ), m", scale: 1, step: "0.1" },
 ];
 
-/** @param {import("../data/results.js").Result} result */
+/** @param {Result} result */
 export function intersectionList(result) {
   if (!result.intersections.length) return el("p.quiet", "No intersection was found on this drive.");
   const isScored = result.report !== null;
@@ -131,7 +131,7 @@ export function intersectionList(result) {
 
 const showAll = () => el("button.link", { type: "button", onClick: clearFilter }, "Show all");
 
-/** @param {import("../data/results.js").Result} result */
+/** @param {Result} result */
 function filterFields(result) {
   const verdicts = /** @type {const} */ (["wrong", "right", "unscored"])
     .map((name) => ({ name, many: result.intersections.filter((each) => verdictOf(each) === name).length }))

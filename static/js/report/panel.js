@@ -12,6 +12,8 @@ import { intersectionList } from "./intersections.js";
 import { nodeTable } from "./nodes.js";
 import { at, curve, histogram, sequenceOf } from "./scores.js";
 
+/** @import { Result } from "../data/results.js" */
+
 const D = 5;
 const DETECTIONS_HINT =
   "Every detection at every keyframe, against the nearest OSM intersection of its region of interest; true within D.";
@@ -25,7 +27,7 @@ export function mount(container) {
   });
 }
 
-/** @param {import("../data/results.js").Result} result */
+/** @param {Result} result */
 function unscored(result) {
   const [title, text] = result.local
     ? [
@@ -47,7 +49,7 @@ function unscored(result) {
   ]);
 }
 
-/** @param {import("../data/results.js").Result} result @param {any} report */
+/** @param {Result} result @param {any} report */
 function sections(result, report) {
   const scores = at(report, D);
   const { map_level: level, osm } = report;
@@ -101,7 +103,7 @@ function sections(result, report) {
   ];
 }
 
-/** What service roads would change, or do. @param {import("../data/results.js").Result} result */
+/** What service roads would change, or do. @param {Result} result */
 function serviceNote(result) {
   const other = result.report.with_service;
   if (!other) return null;
@@ -125,11 +127,7 @@ function mapFigures(level) {
   ]);
 }
 
-/**
- * The paper's figures, where the drive is one of its sequences.
- * @param {import("../data/results.js").Result} result
- * @param {any} report
- */
+/** The paper's figures, where the drive is one of its sequences. @param {Result} result @param {any} report */
 function paperNote(result, report) {
   const sequence = sequenceOf(result.job.drive_name);
   if (!sequence) return null;

@@ -8,8 +8,8 @@
 import { ApiError, getConfig, isMap, sendJson } from "../api.js";
 import { formatBytes, plural } from "../dom.js";
 
-/** @typedef {import("../api.js").FileProblem} FileProblem */
-/** @typedef {import("./folder.js").Folder} Folder */
+/** @import { FileProblem } from "../api.js" */
+/** @import { Folder } from "./folder.js" */
 /**
  * @typedef {object} NumberedLook Files of a folder, by their numbers.
  * @property {string} folder Path inside the drive.
@@ -314,7 +314,7 @@ export function problemsOf({ look, labels, layout, problems }, folders, isMade) 
 /**
  * Write the OXTS files of a KITTI raw drive as one file with one row per frame, the first for frame 0 of the sequence.
  *
- * @param {import("./folder.js").Folder} folder What was picked: the raw drive, or its oxts/.
+ * @param {Folder} folder What was picked: the raw drive, or its oxts/.
  * @param {(done: number, total: number) => void} [onProgress]
  * @returns {Promise<File>}
  */

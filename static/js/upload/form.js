@@ -12,10 +12,10 @@ import { fitVerdict, mapVerdict, showPreview } from "./preview.js";
 import { readingForm } from "./reading_form.js";
 import { countFolders, groundBytesOf } from "./upload.js";
 
-/** @typedef {import("./drive_folder.js").DriveFolder} DriveFolder */
-/** @typedef {import("../api.js").FileProblem} FileProblem */
-/** @typedef {import("./upload.js").JudgedLabels} JudgedLabels */
-/** @typedef {import("./upload.js").Settings} Settings */
+/** @import { FileProblem } from "../api.js" */
+/** @import { DriveFolder, ListedName } from "./drive_folder.js" */
+/** @import { Remembered } from "./memory.js" */
+/** @import { JudgedLabels, Settings } from "./upload.js" */
 
 /** What may be added to a drive, by layout. */
 const MORE_FILES = /** @type {Record<string, string>} */ ({
@@ -34,18 +34,18 @@ const SENDING = {
 /**
  * @param {object} picked
  * @param {DriveFolder | null} picked.drive
- * @param {import("./drive_folder.js").ListedName[]} picked.drives All in the folder.
+ * @param {ListedName[]} picked.drives All in the folder.
  * @param {File | null} picked.archive
  * @param {FileSystemDirectoryHandle | null} picked.handle
  * @param {any} picked.presets
  * @param {import("./label_form.js").Network[]} picked.networks Of the service; none where the drive has labels.
- * @param {import("./memory.js").Remembered | null} picked.begun The upload of the same folder that was begun before.
+ * @param {Remembered | null} picked.begun The upload of the same folder that was begun before.
  * @param {Settings | null} picked.before Settings to start from.
  * @param {object} actions
  * @param {(source: import("./upload.js").Source, settings: Settings) => void} actions.onStart
  * @param {() => void} actions.onBack
  * @param {(root: string) => void} actions.onChoose Another drive of the folder.
- * @param {(begun: import("./memory.js").Remembered) => void} actions.onContinue
+ * @param {(begun: Remembered) => void} actions.onContinue
  */
 export function formView(
   { drive, drives, archive, handle, presets, networks, begun, before },
@@ -330,7 +330,7 @@ function resumeNote(onContinue) {
   return el("div.note", title, text, el("div.row.go-on", button));
 }
 
-/** @param {DriveFolder} drive @param {import("./drive_folder.js").ListedName[]} drives @param {(root: string) => void} onChoose */
+/** @param {DriveFolder} drive @param {ListedName[]} drives @param {(root: string) => void} onChoose */
 function driveChooser(drive, drives, onChoose) {
   const options = Object.fromEntries(
     drives.map(({ root, name, kind, files }) => [

@@ -8,8 +8,8 @@ import { field, filePicker, radios, section, select } from "../controls.js";
 import { LABEL_FOLDERS } from "../data/lists.js";
 import { el, fill, formatBytes, formatCount, formatDuration, formatPercent, plural } from "../dom.js";
 
-/** @typedef {import("./drive_folder.js").DriveFolder} DriveFolder */
-/** @typedef {import("./upload.js").JudgedLabels} JudgedLabels */
+/** @import { DriveFolder } from "./drive_folder.js" */
+/** @import { JudgedLabels } from "./upload.js" */
 /**
  * @typedef {object} Network As the service lists it.
  * @property {string} name

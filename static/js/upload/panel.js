@@ -16,9 +16,9 @@ import { dropPreview, setPreviewProgress, showPreview } from "./preview.js";
 import { progressView } from "./progress_view.js";
 import { Refusal, Upload } from "./upload.js";
 
-/** @typedef {import("./drive_folder.js").DriveFolder} DriveFolder */
-/** @typedef {import("./memory.js").Remembered} Remembered */
-/** @typedef {import("./folder.js").Folder} Folder */
+/** @import { DriveFolder } from "./drive_folder.js" */
+/** @import { Folder } from "./folder.js" */
+/** @import { Remembered } from "./memory.js" */
 /**
  * @typedef {object} Picked
  * @property {DriveFolder | null} drive

@@ -6,11 +6,11 @@ import { problemNote } from "../messages.js";
 import { LAYOUTS } from "./drive_folder.js";
 import { madeFolder } from "./upload.js";
 
+/** @import { Upload } from "./upload.js" */
+
 const REDRAW_MS = 150;
 const POSE_OWNERS = { camera: "of the camera", lidar: "of the LiDAR", imu: "of the IMU", oxts: "from OXTS" };
 const STEPS = { files: "Small files", archive: "Archive", plan: "Plan", scans: "Scans", check: "Check", run: "Job" };
-
-/** @typedef {import("./upload.js").Upload} Upload */
 
 /**
  * @param {object} actions

@@ -5,7 +5,7 @@ import { el, fill, formatCount } from "../dom.js";
 import { LAYOUTS, oxtsRows } from "./drive_folder.js";
 import { folderOfInput } from "./folder.js";
 
-/** @typedef {import("./drive_folder.js").DriveFolder} DriveFolder */
+/** @import { DriveFolder } from "./drive_folder.js" */
 
 const POSE_FRAMES = {
   auto: "From the motion",

@@ -4,8 +4,8 @@ import { getConfig, sha256 } from "../api.js";
 import { pathOf } from "./drive_folder.js";
 import { DIGEST_MAX_BYTES, PARALLEL } from "./transfer.js";
 
-/** @typedef {import("./transfer.js").Transfer} Transfer */
-/** @typedef {import("./drive_folder.js").NumberedFiles} NumberedFiles */
+/** @import { DriveFolder, NumberedFiles } from "./drive_folder.js" */
+/** @import { Transfer } from "./transfer.js" */
 /** @typedef {Map<string, {size_bytes: number, sha256: string}>} Present Files that the service has, by path. */
 
 const SMALL_BYTES = 1024 * 1024;
@@ -116,7 +116,7 @@ export async function sendFiles(transfer, files, present, isTrusted, onDone) {
   });
 }
 
-/** @param {import("./drive_folder.js").DriveFolder} drive @param {string[]} folders @returns {[string, File][]} Scan by scan. */
+/** @param {DriveFolder} drive @param {string[]} folders @returns {[string, File][]} Scan by scan. */
 export function rawFiles(drive, folders) {
   const labels = folders.map((folder) => drive.labels[folder]);
   if (!drive.scans) {
@@ -137,7 +137,7 @@ export function rawFiles(drive, folders) {
  *
  * @param {Transfer} transfer
  * @param {object} what
- * @param {import("./drive_folder.js").DriveFolder} what.drive
+ * @param {DriveFolder} what.drive
  * @param {number[]} what.frames Scans to send.
  * @param {Map<string, import("./upload.js").JudgedLabels>} what.schemes By label folder.
  * @param {number} what.groundBytes About the size of what is left of a scan.
@@ -207,7 +207,7 @@ class Estimate {
  * The manifest of the reduced drive: what the service planned, with the sizes that only the browser knows.
  *
  * @param {any} planned
- * @param {import("./drive_folder.js").DriveFolder} drive
+ * @param {DriveFolder} drive
  * @returns {Uint8Array<ArrayBuffer>}
  */
 export function manifestBytes(planned, drive) {
