@@ -43,7 +43,6 @@ export class ApiError extends Error {
 
 /** @typedef {{severity: string, path: string, message: string}} FileProblem */
 
-/** @returns {string|null} */
 export function getToken() {
   return recall(TOKEN_KEY, "sessionStorage");
 }
@@ -126,7 +125,7 @@ const OF_A_PROXY = {
     "limit: client_max_body_size 0 in nginx, as docs/service.md has it.",
 };
 
-/** @param {number} status @param {string} text @param {string|null} retryAfter @returns {ApiError} */
+/** @param {number} status @param {string} text @param {string|null} retryAfter */
 function errorOf(status, text, retryAfter) {
   /** @type {any} */
   let problem = {};
@@ -155,7 +154,6 @@ function unreachable(cause) {
  * @param {string} path
  * @param {{method?: string, json?: any, body?: BodyInit|null, headers?: Record<string, string>, signal?: AbortSignal,
  *   cache?: RequestCache, keepalive?: boolean}} [options] `json` is sent as such.
- * @returns {Promise<Response>}
  * @throws {ApiError}
  */
 export async function request(path, { json, headers = {}, ...options } = {}) {
@@ -178,7 +176,7 @@ export async function request(path, { json, headers = {}, ...options } = {}) {
   }
 }
 
-/** @param {string} path @param {{signal?: AbortSignal, headers?: Record<string, string>}} [options] @returns {Promise<any>} */
+/** @param {string} path @param {{signal?: AbortSignal, headers?: Record<string, string>}} [options] */
 export async function getJson(path, options = {}) {
   return (
     await request(path, { headers: { Accept: "application/json", ...options.headers }, signal: options.signal })
@@ -361,7 +359,6 @@ let config;
 /** As loaded at the start. */
 export const getConfig = () => config;
 
-/** @returns {Promise<void>} */
 export async function loadConfig() {
   let response;
   try {

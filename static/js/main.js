@@ -34,7 +34,7 @@ const PANELS = {
   export: { title: "Export", load: () => import("./exports/panel.js") },
 };
 
-/** @param {string} id @returns {HTMLElement} */
+/** @param {string} id */
 const part = (id) => /** @type {HTMLElement} */ (document.getElementById(id));
 
 async function start() {

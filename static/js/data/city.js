@@ -199,7 +199,7 @@ export async function takeBack() {
   await countAgain();
 }
 
-/** @template T @param {() => Promise<T>} send @returns {Promise<T>} */
+/** @template T @param {() => Promise<T>} send */
 async function change(send) {
   try {
     return await send();

@@ -9,7 +9,6 @@ const POLL_MS = 1500;
 /** @type {{isRunning: boolean, error: unknown, drive: string|null, fraction: number|null}} `fraction`: how much is made. */
 export const demo = { isRunning: false, error: null, drive: null, fraction: null };
 
-/** @returns {string} */
 export function demoText() {
   const part = demo.fraction === null ? "" : ` ${Math.floor(100 * demo.fraction)} % of it is done.`;
   return `The server drives through a small made-up town: about a minute, longer on a busy machine.${part}`;

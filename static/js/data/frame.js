@@ -10,7 +10,6 @@ const E2 = 0.00669437999014;
  * @param {{lng: number, lat: number}} a
  * @param {{lng: number, lat: number}} b
  * @param {boolean} local They are metres of W.
- * @returns {number}
  */
 export function distanceM(a, b, local) {
   const [dx, dy] = [b.lng - a.lng, b.lat - a.lat];

@@ -279,7 +279,7 @@ function inputFor(schema, value, onChange) {
   return input;
 }
 
-/** @param {any} schema @returns {string} */
+/** @param {any} schema */
 function rangeOf(schema) {
   const number = (schema.anyOf ?? [schema]).find((/** @type {any} */ each) => each.maximum !== undefined);
   if (!number) return "";

@@ -308,7 +308,7 @@ function boxOf(bounds) {
 /** @param {number[]} a @param {number[]} b @returns {number[]} What lies in both. */
 const overlap = (a, b) => a.map((each, i) => (i < 2 ? Math.max(each, b[i]) : Math.min(each, b[i])));
 
-/** @param {number[]} box @param {number[]} inside @returns {boolean} */
+/** @param {number[]} box @param {number[]} inside */
 const holds = (box, inside) => box[0] <= inside[0] && box[1] <= inside[1] && box[2] >= inside[2] && box[3] >= inside[3];
 
 /** @param {() => Promise<any>} call @returns {() => void} Done where the queue is on the page. */

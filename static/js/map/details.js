@@ -94,7 +94,7 @@ function selectionOf({ kind, item }) {
   };
 }
 
-/** @param {string|null} name Id or uid. @param {import("../data/results.js").Place} intersection @returns {boolean} */
+/** @param {string|null} name Id or uid. @param {import("../data/results.js").Place} intersection */
 export const isNamed = (name, { properties: p }) => name !== null && (name === String(p.id) || name === p.uid);
 
 /** Show what the address names, where that is not what is shown. @param {(hit: Hit) => void} open */

@@ -22,7 +22,7 @@ export function signOf({ kind, item }) {
   return kind === "detection" ? layerOfDetection(item) : null;
 }
 
-/** @param {Hit} hit @returns {string} */
+/** @param {Hit} hit */
 export function titleOf({ kind, item }) {
   if (kind === "intersection") {
     const verdict = verdictOf(item);
@@ -80,7 +80,7 @@ function ellipseText(properties) {
 export const widthText = ({ width_m, is_driven }) =>
   width_m === null ? null : `${is_driven ? "" : "≥ "}${formatMetres(width_m, 1)}`;
 
-/** @param {string} text @returns {string} */
+/** @param {string} text */
 const sentence = (text) => `${text[0].toUpperCase()}${text.slice(1)}.`;
 
 /** All that is known of it. @param {Hit} hit @param {Result} result @returns {Array<[string, any]|false>} */

@@ -40,7 +40,7 @@ export const clearFilter = () => setState({ filter: null });
 /** @param {() => void} call @returns {() => void} Stops it. */
 export const onFilterChange = (call) => subscribe(["filter"], call);
 
-/** @param {Place} intersection @returns {boolean} */
+/** @param {Place} intersection */
 export const passes = (intersection) => matches(getFilter(), intersection);
 
 /** @returns {boolean} Whether something may be left out. */
@@ -80,7 +80,7 @@ export function parseFilter(text) {
   return filter;
 }
 
-/** @param {Filter} wanted @param {Place} intersection @returns {boolean} */
+/** @param {Filter} wanted @param {Place} intersection */
 export function matches({ verdicts, words, ranges }, intersection) {
   const { properties: p } = intersection;
   if (verdicts && !verdicts.includes(verdictOf(intersection))) return false;
@@ -92,7 +92,7 @@ export function matches({ verdicts, words, ranges }, intersection) {
   return !text || isCalled(text, p);
 }
 
-/** @param {string} text In lower case. @param {any} properties @returns {boolean} */
+/** @param {string} text In lower case. @param {any} properties */
 function isCalled(text, { id, osm_id, uid, reason, names }) {
   if (/^\d+$/.test(text)) return text === String(id) || text === String(osm_id) || `n${text}` === uid;
   return [uid, reason, names].some((each) => each?.toLowerCase().includes(text));

@@ -8,7 +8,7 @@ import { shown } from "./shown.js";
 /** Ends or begins the measure of the map that is shown. @type {() => void} */
 let toggle = () => {};
 
-/** @param {any} map @param {boolean} local @returns {{isOn: () => boolean}} */
+/** @param {any} map @param {boolean} local */
 export function addMeasure(map, local) {
   const label = "Measure distances";
   const title = `${label} (m): click points on the map, Backspace takes the last one back, Escape ends`;

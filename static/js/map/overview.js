@@ -184,7 +184,7 @@ function isSeen({ box: [left, top, right, bottom] }, view) {
   );
 }
 
-/** @param {Item} item @param {View} view @returns {boolean} */
+/** @param {Item} item @param {View} view */
 function isSmall({ box: [left, top, right, bottom] }, view) {
   return Math.max(right - left, bottom - top) * view.scale < 2 * SMALL_PX;
 }

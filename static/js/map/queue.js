@@ -28,7 +28,6 @@ export function setOrder(next) {
   order = next ?? byVerdict;
 }
 
-/** @returns {Place[]} */
 export function queue() {
   return (shown.result?.intersections ?? [])
     .filter(passes)

@@ -270,7 +270,6 @@ export class Scene {
    * @param {View} view Of which x and y are pixels.
    * @param {number} x
    * @param {number} y
-   * @returns {Hit|null}
    */
   at(view, x, y) {
     /** @type {Array<[Hit["kind"], Points, number, (item: any) => boolean]>} */
@@ -344,7 +343,7 @@ function classOf({ highway }) {
   return { width, kind };
 }
 
-/** @param {any} properties @returns {boolean} */
+/** @param {any} properties */
 function isDrivable(properties) {
   return Boolean(properties.is_drivable ?? true);
 }

@@ -579,14 +579,13 @@ function keepInView(place) {
   shown.map.panBy([x - target[0], y - target[1]], { animate: false });
 }
 
-/** @returns {string} */
 function viewText() {
   const { lat, lng } = shown.map.getCenter();
   const digits = shown.result?.local ? 1 : 6;
   return `${Number(shown.map.getZoom().toFixed(2))}/${lat.toFixed(digits)}/${lng.toFixed(digits)}`;
 }
 
-/** @param {string} text @returns {boolean} */
+/** @param {string} text */
 function applyView(text) {
   const [zoom, lat, lng] = text.split("/").map(Number);
   if (![zoom, lat, lng].every(Number.isFinite)) return false;

@@ -87,7 +87,6 @@ export const takenBySign = (x, y) => ({ x, y, name: null, cos: 1, sin: 0, reach:
  * @param {Float64Array} path
  * @param {{x: (x: number) => number, y: (y: number) => number}} view
  * @param {number} length Pixels.
- * @returns {Spot[]}
  */
 export function spots(path, view, length) {
   /** @type {number[]} */

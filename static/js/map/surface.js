@@ -93,12 +93,12 @@ export class View {
     return x * this.scale - this.origin.x;
   }
 
-  /** @param {number} y @returns {number} */
+  /** @param {number} y */
   y(y) {
     return y * this.scale - this.origin.y;
   }
 
-  /** @param {number} x Pixels. @param {number} y @param {number} [margin] @returns {boolean} */
+  /** @param {number} x Pixels. @param {number} y @param {number} [margin] */
   shows(x, y, margin = 20) {
     return x > -margin && y > -margin && x < this.size.x + margin && y < this.size.y + margin;
   }

@@ -119,7 +119,7 @@ export function signIcon(name) {
   ]);
 }
 
-/** @param {Shape} shape @param {number} r @returns {string} */
+/** @param {Shape} shape @param {number} r */
 function outlineOf(shape, r) {
   const path = (/** @type {number[][]} */ line) => `M${line.map(([x, y]) => `${8 + r * x} ${8 + r * y}`).join("L")}`;
   return OUTLINES[shape]?.map(path).join("") + (OPEN.has(shape) ? "" : "Z");

@@ -14,7 +14,6 @@ const changes = news();
 /** Called when another address is to be used. */
 export const onTilesChange = changes.hear;
 
-/** @returns {string} */
 function tileUrl() {
   return recall(URL_KEY) || getConfig().tile_url || "";
 }
@@ -40,7 +39,7 @@ export function makeTiles() {
   return layer;
 }
 
-/** @param {string} url @returns {string} */
+/** @param {string} url */
 function hostOf(url) {
   try {
     return new URL(url.replace("{s}", "a")).host;

@@ -107,13 +107,13 @@ function comparison({ job, report }) {
   return [el("h2.cut", job.drive_name), el("p.small", "This job: ", titleOf(job)), alone, choice, holder, places];
 }
 
-/** @param {any} other @param {any} job @returns {boolean} */
+/** @param {any} other @param {any} job */
 function isComparable(other, job) {
   const isOther = other.drive_id === job.drive_id && other.id !== job.id;
   return isOther && other.state === "successful" && Boolean(other.summary?.report);
 }
 
-/** @param {string[]} ids @param {string} one @returns {string[]|null} */
+/** @param {string[]} ids @param {string} one */
 function but(ids, one) {
   const rest = ids.filter((each) => each !== one);
   return rest.length ? rest : null;
@@ -204,7 +204,7 @@ function differences(names, jobs, { settings, nodes, warnings, found_by_all, mis
   ];
 }
 
-/** @param {any[]} jobs undefined where a job is not in the lists. @returns {any[][]} */
+/** @param {any[]} jobs undefined where a job is not in the lists. */
 function choicesThatDiffer(jobs) {
   if (!jobs.every(Boolean)) return [];
   const requests = jobs.map((each) => each.request);

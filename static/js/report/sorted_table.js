@@ -142,7 +142,6 @@ export function outcomeColumn(meaning, names, signOf) {
 /**
  * Numbers by their size, words by their letters with the numbers in them by their size; nothing comes last.
  * @param {any} a @param {any} b @param {boolean} down
- * @returns {number}
  */
 export function compare(a, b, down) {
   const [noA, noB] = [a ?? null, b ?? null].map((each) => each === null);

@@ -152,7 +152,7 @@ async function contentsOf(files) {
   return contents;
 }
 
-/** @param {Blob} file @returns {Promise<string>} */
+/** @param {Blob} file */
 async function base64Of(file) {
   const bytes = new Uint8Array(await file.arrayBuffer());
   let text = "";
@@ -160,13 +160,7 @@ async function base64Of(file) {
   return btoa(text);
 }
 
-/**
- * The files of a drive that the service has found in a folder.
- *
- * @param {Folder} folder
- * @param {DriveLook} look
- * @returns {DriveFolder}
- */
+/** The files of a drive that the service has found in a folder. @param {Folder} folder @param {DriveLook} look */
 export function driveOf(folder, look) {
   const front = look.root ? `${look.root}/` : "";
   const filesOf = (/** @type {Record<string, string>} */ paths) =>
@@ -316,7 +310,6 @@ export function problemsOf({ look, labels, layout, problems }, folders, isMade) 
  *
  * @param {Folder} folder What was picked: the raw drive, or its oxts/.
  * @param {(done: number, total: number) => void} [onProgress]
- * @returns {Promise<File>}
  */
 export async function oxtsRows(folder, onProgress = () => {}) {
   const found = [...folder.files].flatMap(([path, file]) => {

@@ -342,7 +342,7 @@ function driveChooser(drive, drives, onChoose) {
   return field(`${drives.length} drives are in the folder: which one?`, choice);
 }
 
-/** @param {DriveFolder} drive @returns {string} */
+/** @param {DriveFolder} drive */
 export const fingerprintOfDrive = (drive) => fingerprintOf(filesOfDrive(drive));
 
 /** @param {DriveFolder} drive @param {string} path @returns {string} A path of the drive in the folder that was picked. */
@@ -385,7 +385,7 @@ function reasonOf({ scans, recorded, look }, made) {
   return `${why}: all ${all} are sent as they are, and the service keeps what the method needs.`;
 }
 
-/** @param {DriveFolder} drive @returns {string} */
+/** @param {DriveFolder} drive */
 function georeferenceOf({ look, layout }) {
   if (look?.georeference) return look.georeference;
   if (look?.georeference_reason) return "none";

@@ -163,7 +163,7 @@ function factsOf({ size_bytes, height, width, seconds_per_scan: seconds }, keyfr
   return facts.join("");
 }
 
-/** @param {number} seconds @returns {string} */
+/** @param {number} seconds */
 const roughly = (seconds) => (seconds < 60 ? `${Math.max(1, Math.round(seconds))}\u00a0s` : formatDuration(seconds));
 
 /**

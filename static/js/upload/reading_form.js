@@ -61,7 +61,6 @@ export function readingForm(drive, before, onChange) {
   setFiles();
 
   const textOf = (/** @type {HTMLInputElement} */ input) => input.value.trim() || null;
-  /** @returns {string | null} */
   function complaint() {
     const topic = Object.values(topics).find((input) => input.value.trim() && !input.value.trim().startsWith("/"));
     if (topic) return `The topic ${topic.value.trim()} does not begin with a slash.`;

@@ -92,13 +92,7 @@ export async function reduceScan({ scan, labels, scanName, labelName }, groups) 
   return encodeGround(bits, roadCount);
 }
 
-/**
- * Say how often each label id occurs.
- *
- * @param {Blob} labels
- * @param {string} name
- * @returns {Promise<Map<number, number>>}
- */
+/** Say how often each label id occurs. @param {Blob} labels @param {string} name */
 export async function countLabels(labels, name) {
   if (labels.size % LABEL_BYTES) {
     throw new Error(`${name}: ${labelSizeMessage(labels.size)}`);
@@ -128,7 +122,6 @@ function checkSizes(scanBytes, labelBytes, scanName, labelName) {
  * @param {number} labelBytes
  * @param {string} scanName
  * @param {string} labelName
- * @returns {{path: string, message: string} | null}
  */
 export function sizeComplaint(scanBytes, labelBytes, scanName, labelName) {
   const text = (/** @type {number} */ value) => value.toLocaleString("en");
@@ -209,7 +202,6 @@ function splitPlanes(bits) {
  *
  * @param {Uint32Array} bits Three per point: the float32 bits of x, y, z in metres; road points first.
  * @param {number} roadCount How many points are road.
- * @returns {Promise<Uint8Array<ArrayBuffer>>}
  */
 async function encodeGround(bits, roadCount) {
   const count = bits.length / 3;

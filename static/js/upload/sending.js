@@ -14,7 +14,7 @@ const MAX_BATCH_FILES = 500;
 const BATCH_BYTES = 8 * 1024 * 1024;
 const PAGE = 10_000;
 
-/** @param {Transfer} transfer @returns {Promise<Present>} */
+/** @param {Transfer} transfer */
 export async function listPresent(transfer) {
   /** @type {Present} */
   const present = new Map();
@@ -51,7 +51,7 @@ export async function sendSmallFiles(transfer, files, present) {
   await transfer.each(batched, 2, (batch) => sendBatch(transfer, batch));
 }
 
-/** @param {[string, File][]} files @returns {[string, File][][]} */
+/** @param {[string, File][]} files */
 function batches(files) {
   const maxFiles = Math.min(MAX_BATCH_FILES, getConfig().limits.max_batch_files ?? MAX_BATCH_FILES);
   /** @type {[string, File][][]} */
@@ -208,7 +208,6 @@ class Estimate {
  *
  * @param {any} planned
  * @param {DriveFolder} drive
- * @returns {Uint8Array<ArrayBuffer>}
  */
 export function manifestBytes(planned, drive) {
   const scans = /** @type {NumberedFiles} */ (drive.scans);
@@ -241,7 +240,7 @@ class WorkerPool {
   /** @type {Map<Worker, Item>} */
   busy = new Map();
 
-  /** Let the next free worker do a task. @param {object} task @returns {Promise<any>} */
+  /** Let the next free worker do a task. @param {object} task */
   run(task) {
     return new Promise((resolve, reject) => {
       this.waiting.push({ task, resolve, reject });

@@ -349,7 +349,7 @@ export class Upload {
     }
   }
 
-  /** @param {"unpack" | "commit"} kind @returns {Promise<any>} */
+  /** @param {"unpack" | "commit"} kind */
   async #latestJob(kind) {
     const { body } = await this.transfer.ask(`jobs?drive=${this.driveId}&kind=${kind}&limit=1`);
     return body.jobs[0] ?? null;
@@ -378,7 +378,6 @@ export class Upload {
  *
  * @param {DriveFolder} drive
  * @param {string[]} folders
- * @returns {Promise<LabelCounts>}
  */
 export async function countFolders(drive, folders) {
   const frames = drive.look?.frames_to_look_into ?? [];
