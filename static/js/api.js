@@ -322,6 +322,23 @@ export async function download(path, name) {
   setTimeout(() => URL.revokeObjectURL(url), 60000);
 }
 
+const MAX_PICTURES = 200;
+/** Pictures by their paths, the one used last at the end. @type {Map<string, string>} */
+const pictures = new Map();
+
+/** @param {string} path @param {AbortSignal} [signal] @returns {Promise<string>} Address of a picture within the page; the last ones are kept. */
+export async function loadPicture(path, signal) {
+  const url = pictures.get(path) ?? URL.createObjectURL(await (await request(path, { signal })).blob());
+  pictures.delete(path);
+  pictures.set(path, url);
+  if (pictures.size > MAX_PICTURES) {
+    const [oldest] = pictures;
+    URL.revokeObjectURL(oldest[1]);
+    pictures.delete(oldest[0]);
+  }
+  return url;
+}
+
 /** @param {string} url @param {string} name */
 function save(url, name) {
   const link = document.createElement("a");

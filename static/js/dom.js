@@ -59,10 +59,17 @@ function append(parent, children) {
   }
 }
 
-/** Put new children in the place of the old ones. @param {Element} parent @param {...any} children */
+/** Put new children in the place of the old ones; what has the focus keeps it. @param {Element} parent @param {...any} children */
 export function fill(parent, ...children) {
+  const nameOf = (/** @type {any} */ each) =>
+    each.dataset.key || each.id || each.getAttribute("aria-label") || each.textContent;
+  const focused = document.activeElement;
+  const name = focused && focused !== parent && parent.contains(focused) ? nameOf(focused) : null;
   parent.replaceChildren();
   append(parent, children);
+  if (!name) return;
+  const stops = /** @type {HTMLElement[]} */ ([...parent.querySelectorAll("a, button, input, select")]);
+  stops.find((each) => nameOf(each) === name)?.focus();
 }
 
 /**

@@ -3,7 +3,7 @@
  *
  * The server draws the pictures; the last ones are kept.
  */
-import { getJson, request } from "../api.js";
+import { getJson, loadPicture } from "../api.js";
 import { iconButton, table } from "../controls.js";
 import { el, fill, formatMetres, plural } from "../dom.js";
 import { TurnedImage } from "../map/keyframe.js";
@@ -24,10 +24,6 @@ const STEPS = [
 ];
 const OF_CANDIDATES = new Set(["candidates", "branches"]); // these pictures are empty where there is no candidate
 const PAUSE_MS = 120; // while the slider moves, only the last keyframe is asked for
-const MAX_KEPT = 120;
-
-/** @type {Map<string, string>} Pictures by their paths on the server, the one used last at the end. */
-const pictures = new Map();
 
 /** @param {HTMLElement} drawer */
 export function mountDrawer(drawer) {
@@ -190,19 +186,6 @@ export function mountDrawer(drawer) {
 
   subscribe(["frame", "drawer"], update);
   onResult(update);
-}
-
-/** @param {string} path @param {AbortSignal} signal @returns {Promise<string>} Address of the picture within the page. */
-async function loadPicture(path, signal) {
-  const url = pictures.get(path) ?? URL.createObjectURL(await (await request(path, { signal })).blob());
-  pictures.delete(path);
-  pictures.set(path, url);
-  if (pictures.size > MAX_KEPT) {
-    const [oldest] = pictures;
-    URL.revokeObjectURL(oldest[1]);
-    pictures.delete(oldest[0]);
-  }
-  return url;
 }
 
 /** @param {string} name @param {string} hint @param {string} src */

@@ -1,7 +1,7 @@
 /**
  * A map of many drives: how far it is, which of it is shown, and the queue of what OpenStreetMap seems to have wrong.
  */
-import { address, download, getToken, onTokenChange, request } from "../api.js";
+import { address, download, getToken, loadPicture, onTokenChange } from "../api.js";
 import { copyButton, factRows, field, figure, iconButton, resultSection as section, select } from "../controls.js";
 import {
   chosenCity,
@@ -175,8 +175,6 @@ let gone = null;
 function fillQueue(holder, city, card) {
   const queue = /** @type {NonNullable<typeof cities.queue>} */ (cities.queue);
   const { kind, state } = getCityFilter();
-  const focused = holder.contains(document.activeElement) ? /** @type {HTMLElement} */ (document.activeElement) : null;
-  const key = focused?.dataset.key;
   const kinds = Object.fromEntries(Object.keys(queue.by_kind).map((each) => [each, kindName(each)]));
   const at = queue.entries.findIndex(({ id }) => id === getState().finding);
   const judgedKinds = Object.entries(queue.by_kind).filter(([, each]) => each.right + each.wrong + each.cannot_tell);
@@ -185,8 +183,6 @@ function fillQueue(holder, city, card) {
   const go = (/** @type {1|-1} */ by) => () => void stepFinding(by).catch(showError);
   const previous = iconButton("previous", "Previous finding", go(-1), "Previous finding (k)");
   const next = iconButton("next", "Next finding", go(1), "Next finding (j)");
-  const boxes = Object.entries({ state: stateBox, kind: kindBox, previous, next });
-  for (const [name, box] of boxes) box.dataset.key = name;
   stateBox.setAttribute("aria-label", "State of the findings");
   kindBox.setAttribute("aria-label", "Kind of the findings");
   const readMore = () => void loadQueue(city, { kind, state }, true).catch(showError);
@@ -216,7 +212,6 @@ function fillQueue(holder, city, card) {
       : el("p.quiet", emptyText(city, state, kind)),
     queue.next && el("button", { onClick: readMore }, "Show more"),
   );
-  if (key) /** @type {HTMLElement|null} */ (holder.querySelector(`[data-key="${CSS.escape(key)}"]`))?.focus();
   if (getState().finding === gone) return;
   gone = getState().finding;
   const row = /** @type {HTMLElement|null} */ (holder.querySelector('[aria-current="true"]'));
@@ -252,35 +247,17 @@ function entryRow({ id, kind, properties, verdict }) {
 function entryCard() {
   const element = el("article.box.finding", { "aria-label": "Finding", hidden: true });
   let shown = "";
-  /** Address within the page of the picture, by its own. */
-  const pictures = /** @type {Map<string, Promise<string>>} */ (new Map());
-  const load = (/** @type {string} */ path) => {
-    if (!pictures.has(path))
-      pictures.set(
-        path,
-        request(path).then(async (answer) => URL.createObjectURL(await answer.blob())),
-      );
-    return /** @type {Promise<string>} */ (pictures.get(path));
-  };
   const update = () => {
     const { entry } = cities;
     element.hidden = !entry;
     const now = JSON.stringify([entry, cities.readsOnly]);
     if (!entry || now === shown) return;
-    const focused = element.contains(document.activeElement)
-      ? /** @type {HTMLElement} */ (document.activeElement).dataset.key
-      : null;
     shown = now;
     const p = entry.properties;
-    const image =
-      entry.picture &&
-      el("img", {
-        alt: "The ground around it as the drives saw it: road grey, other ground green, tracks blue",
-        width: 320,
-        height: 320,
-      });
+    const alt = "The ground around it as the drives saw it: road grey, other ground green, tracks blue";
+    const image = entry.picture && el("img", { alt, width: 320, height: 320 });
     if (entry.picture)
-      load(entry.picture.replace("/api/v1/", "")).then(
+      loadPicture(entry.picture.replace("/api/v1/", "")).then(
         (url) => (image.src = url),
         () => image.remove(),
       );
@@ -338,7 +315,6 @@ function entryCard() {
       ),
       cities.readsOnly && el("p.small", "Your token may only read: others say what they see."),
     );
-    if (focused) /** @type {HTMLElement|null} */ (element.querySelector(`[data-key="${focused}"]`))?.focus();
   };
   return { element, update };
 }

@@ -61,7 +61,6 @@ export function mount(container) {
   const update = () => {
     if (isEditing(body)) return;
     if (!lists.isLoaded) return fill(body, el("p.quiet", "Loading…"));
-    const focused = body.contains(document.activeElement) ? labelOf(document.activeElement) : null;
     const found = drivesCalled(search.value);
     const current = getState().drive;
     const cards = found.filter(({ id }, i) => i < room || id === current);
@@ -77,7 +76,6 @@ export function mount(container) {
       lists.drives.length ? cards.map((drive) => driveCard(drive, jobs.get(drive.id) ?? [])) : emptyNote(),
       found.length > room && el("button", { onClick: showMore }, `Show more (${formatCount(found.length - room)})`),
     );
-    if (focused) [...body.querySelectorAll("button")].find((each) => labelOf(each) === focused)?.focus();
     void loadReport();
   };
   const showMore = () => {
@@ -99,9 +97,6 @@ export function mount(container) {
   if (lists.isLoaded) refreshLists().catch(showError); // they were loaded for another panel, some time ago
   update();
 }
-
-/** @param {Element|null} button */
-const labelOf = (button) => button?.getAttribute("aria-label") ?? button?.textContent;
 
 function emptyNote() {
   const text =

@@ -84,7 +84,6 @@ export function mount(container) {
     if (isSame && FINAL.has(job.state) && !FINAL.has(last.state)) announce(`The job is ${job.state}.`);
     last = job;
     if (isEditing(container) && isSame) return;
-    const focused = container.contains(document.activeElement) ? document.activeElement?.textContent : null;
     const title = el("h2.cut", { title: job.drive_name }, job.drive_name);
     const owner = job.owner === ANYONE ? "" : ` by ${job.owner}`;
     const { button: rename, element: name } = naming({
@@ -112,7 +111,6 @@ export function mount(container) {
         (bodies[job.state] ?? progress)(job),
       ]),
     );
-    if (focused) [...container.querySelectorAll("button")].find((each) => each.textContent === focused)?.focus();
   };
 
   redraw = () => last && show(last);

@@ -27,7 +27,6 @@ export function addLegend(map) {
     if (!result) return;
     const shown = result;
     const on = layersOn(getState().layers);
-    const focused = box.contains(document.activeElement) ? document.activeElement?.id : null;
     const rows = layersOf(shown);
     const groups = [...new Set(rows.map(({ layer }) => layer.group))];
     const remember = (/** @type {any} */ event) =>
@@ -41,7 +40,6 @@ export function addLegend(map) {
     const open = isWide() && recall(OPEN_KEY) !== "no";
     const summary = el("summary", { onClick: remember }, icon("layers"), "Layers");
     fill(box, el("details", { open }, summary, groups.map(fieldset)));
-    if (focused) document.getElementById(focused)?.focus();
   };
   const isWide = () => map.getSize().x >= WIDE_PX;
   let wasWide = true;

@@ -58,7 +58,6 @@ function comparison({ job, report }) {
     choice.hidden = !others.length;
     const chosen = comparedJobs();
     const maxOthers = getConfig().max_compared_jobs - 1;
-    const focused = choice.contains(document.activeElement) ? document.activeElement?.id : null;
     const row = (/** @type {any} */ each) => {
       const isChosen = chosen.includes(each.id);
       const onChange = () =>
@@ -68,7 +67,6 @@ function comparison({ job, report }) {
       return el("label.check", box, el("span", jobName(each)));
     };
     fill(choice, el("legend.field-name", "With other jobs of this drive"), others.map(row));
-    if (focused) document.getElementById(focused)?.focus();
   };
 
   showCompared = async () => {
