@@ -52,7 +52,7 @@ export function radios(legend, choices, value, onChange) {
   const title = el("legend.field-name", legend);
   const elements = rows.map((row) => row.element);
   return {
-    element: el("fieldset.radios", title, elements),
+    element: el("fieldset.radios.stack-s", title, elements),
     value: chosen,
     choose: (wanted) => {
       for (const { choice, input } of rows) input.checked = choice.value === wanted;
@@ -151,8 +151,14 @@ const SEVERITIES = /** @type {Record<string, string>} */ ({ error: "Error", warn
 export function problemList(problems) {
   if (!problems.length) return null;
   const items = problems.map(({ severity, path, message }) => {
-    const kind = el("span.severity", SEVERITIES[severity] ?? severity);
-    return el("li", { class: `is-${severity}` }, kind, el("span", el("code", path), " ", message));
+    return el(
+      "li.note.small",
+      { class: severity },
+      el("strong", SEVERITIES[severity] ?? severity),
+      el("code", path),
+      " ",
+      message,
+    );
   });
-  return el("ul.problems", items);
+  return el("ul.stack-s", items);
 }

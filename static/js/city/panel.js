@@ -245,7 +245,7 @@ function entryRow({ id, kind, properties, verdict }) {
 
 /** The finding that is looked at: what speaks for it, and what was said of it. */
 function entryCard() {
-  const element = el("article.box.finding", { "aria-label": "Finding", hidden: true });
+  const element = el("article.box.finding.stack-s", { "aria-label": "Finding", hidden: true });
   let shown = "";
   const update = () => {
     const { entry } = cities;

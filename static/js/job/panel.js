@@ -135,7 +135,7 @@ function progress(job) {
   const rest = typeof left === "number" && total ? `${formatDuration(Math.max(1, Math.round(left)))} left` : "";
   const retried = `Attempt ${job.attempts}: a worker died; the job goes on where it stopped.`;
   return [
-    el("ol.stages", items),
+    el("ol.steps.down", items),
     el("div.stack-s", [
       el("progress", { max: 1, value: total ? fraction : null, "aria-label": "Progress" }),
       el("div.spread.small.number", el("span", count), el("span", rest)),

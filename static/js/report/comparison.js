@@ -44,7 +44,7 @@ export function mount(container) {
 
 /** @param {import("../data/results.js").Result} result */
 function comparison({ job, report }) {
-  const choice = el("fieldset.others");
+  const choice = el("fieldset.others.stack-s");
   const holder = el("div.stack-s");
   const places = el("div.stack-s");
   const alone = el("p.quiet", "The drive has no other job with a map yet: run it again to compare.");
