@@ -157,22 +157,31 @@ function unreachable(cause) {
  * @throws {ApiError}
  */
 export async function request(path, { json, headers = {}, ...options } = {}) {
-  for (;;) {
-    const used = getToken();
-    const all = authHeaders(headers);
-    if (json !== undefined) {
-      all["Content-Type"] = "application/json";
-      options.body = JSON.stringify(json);
-    }
+  if (json !== undefined) {
+    headers = { ...headers, "Content-Type": "application/json" };
+    options.body = JSON.stringify(json);
+  }
+  return withToken(async () => {
     let response;
     try {
-      response = await fetch(address(path), { ...options, headers: all });
+      response = await fetch(address(path), { ...options, headers: authHeaders(headers) });
     } catch (cause) {
       throw unreachable(cause);
     }
     if (response.ok) return response;
-    if (response.status === 401 && (await renewToken(used))) continue;
     throw errorOf(response.status, await response.text(), response.headers.get("Retry-After"));
+  });
+}
+
+/** Send again with another token where the server refuses that of now. @template T @param {() => Promise<T>} send */
+async function withToken(send) {
+  for (;;) {
+    const used = getToken();
+    try {
+      return await send();
+    } catch (error) {
+      if (!(error instanceof ApiError && error.status === 401 && (await renewToken(used)))) throw error;
+    }
   }
 }
 
@@ -206,30 +215,31 @@ export async function sendJson(method, path, json, options = {}) {
  * @returns {Promise<any>} The answer as JSON.
  * @throws {ApiError}
  */
-export async function putFile(path, data, { digest = null, onProgress, signal, method = "PUT", headers = {} } = {}) {
-  for (;;) {
-    const used = getToken();
-    const { status, text, retryAfter } = await new Promise((resolve, reject) => {
-      signal?.throwIfAborted();
-      const xhr = new XMLHttpRequest();
-      const abort = () => xhr.abort();
-      xhr.open(method, address(path));
-      const all = authHeaders({ "Content-Type": "application/octet-stream", ...headers });
-      if (digest) all["Content-Digest"] = `sha-256=:${digest}:`;
-      for (const [name, value] of Object.entries(all)) xhr.setRequestHeader(name, value);
-      if (onProgress) xhr.upload.onprogress = (event) => onProgress(event.loaded);
-      xhr.onload = () =>
-        resolve({ status: xhr.status, text: xhr.responseText, retryAfter: xhr.getResponseHeader("Retry-After") });
-      xhr.onerror = () => reject(unreachable(null));
-      xhr.onabort = () => reject(new DOMException("The upload was stopped.", "AbortError"));
-      xhr.onloadend = () => signal?.removeEventListener("abort", abort);
-      signal?.addEventListener("abort", abort);
-      xhr.send(/** @type {any} */ (data));
-    });
-    if (status >= 200 && status < 300) return text ? JSON.parse(text) : null;
-    if (status === 401 && (await renewToken(used))) continue;
-    throw errorOf(status, text, retryAfter);
-  }
+export function putFile(path, data, { digest = null, onProgress, signal, method = "PUT", headers = {} } = {}) {
+  /** @type {Record<string, string>} */
+  const all = { "Content-Type": "application/octet-stream", ...headers };
+  if (digest) all["Content-Digest"] = `sha-256=:${digest}:`;
+  return withToken(
+    () =>
+      new Promise((resolve, reject) => {
+        signal?.throwIfAborted();
+        const xhr = new XMLHttpRequest();
+        const abort = () => xhr.abort();
+        xhr.open(method, address(path));
+        for (const [name, value] of Object.entries(authHeaders(all))) xhr.setRequestHeader(name, value);
+        if (onProgress) xhr.upload.onprogress = (event) => onProgress(event.loaded);
+        xhr.onload = () => {
+          const { status, responseText: text } = xhr;
+          if (status >= 200 && status < 300) resolve(text ? JSON.parse(text) : null);
+          else reject(errorOf(status, text, xhr.getResponseHeader("Retry-After")));
+        };
+        xhr.onerror = () => reject(unreachable(null));
+        xhr.onabort = () => reject(new DOMException("The upload was stopped.", "AbortError"));
+        xhr.onloadend = () => signal?.removeEventListener("abort", abort);
+        signal?.addEventListener("abort", abort);
+        xhr.send(/** @type {any} */ (data));
+      }),
+  );
 }
 
 /**

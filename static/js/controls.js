@@ -115,9 +115,7 @@ export function section(title, ...children) {
 }
 
 /** A part of a result, with room above it. @param {string} title @param {...any} children */
-export function resultSection(title, ...children) {
-  return el("section.section", el("h3", title), children);
-}
+export const resultSection = (title, ...children) => el("section.section", el("h3", title), children);
 
 /**
  * Names and values, for a `dl`.

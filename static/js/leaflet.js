@@ -16,7 +16,6 @@ export const {
   DomUtil,
   ImageOverlay,
   latLngBounds,
-  Layer,
   LayerGroup,
   Map: LeafletMap,
   Marker,
@@ -27,5 +26,4 @@ export const {
   SVG,
   TileLayer,
   Tooltip,
-  Util,
 } = all;
