@@ -98,9 +98,7 @@ export async function countLabels(labels, name) {
     throw new Error(`${name}: ${labelSizeMessage(labels.size)}`);
   }
   const counts = new Uint32Array(1 << 16);
-  for (const label of new Uint32Array(await readWhole(labels, name))) {
-    counts[label & 0xffff] += 1;
-  }
+  for (const label of new Uint32Array(await readWhole(labels, name))) counts[label & 0xffff] += 1;
   /** @type {Map<number, number>} */
   const found = new Map();
   counts.forEach((count, id) => count && found.set(id, count));
