@@ -126,6 +126,15 @@ export function factRows(facts) {
   return facts.flatMap((fact) => (fact ? [[el("dt", fact[0]), el("dd", fact[1])]] : []));
 }
 
+/** Names and values below each other. @param {string} kind Classes. @param {Parameters<typeof factRows>[0]} facts */
+export const factList = (kind, facts) => el("dl.figures", { class: kind }, factRows(facts));
+
+/** @param {any[]} texts */
+export const bullets = (texts) => el("ul.reasons", [texts.map((each) => el("li", each))]);
+
+/** A link to another site, in a tab of its own. @param {string} href @param {string} text @param {object} [props] */
+export const outLink = (href, text, props) => el("a", { href, target: "_blank", rel: "noopener", ...props }, text);
+
 /** A figure in large. @param {string} value @param {string} name @param {string} [more] */
 export function figure(value, name, more) {
   return el("div.figure", el("b", value), el("span", name), more && el("em", more));

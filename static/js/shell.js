@@ -2,6 +2,7 @@
  * What is around the panels: the header with drive and job at hand, and the tabs, the steps from a drive to its files.
  */
 import { getConfig, getJson, getToken, onTokenChange, ROOT, setToken } from "./api.js";
+import { outLink } from "./controls.js";
 import { lists, onListsChange, refreshLists, titleOf, watchLists } from "./data/lists.js";
 import { onUploadsChange, ownUpload, percent } from "./data/uploads.js";
 import { el, fill, icon } from "./dom.js";
@@ -24,7 +25,6 @@ export function mountHeader(header) {
   const jobs = el("select", { "aria-label": "Job", onChange: openJob });
   const token = el("button.plain", { onClick: () => changeToken().catch(showError) });
   const logo = el("img", { src: new URL("static/icon.svg", ROOT).href, alt: "", width: 22, height: 22 });
-  const docs = { class: "button plain", href: new URL("docs", ROOT).href, target: "_blank", rel: "noopener" };
   const keys = { title: "Keyboard shortcuts (?)", "aria-label": "Keyboard shortcuts" };
   const slash = el("span.quiet", { "aria-hidden": "true" }, "/");
   fill(
@@ -34,7 +34,7 @@ export function mountHeader(header) {
     el("span.grow"),
     token,
     el("button.square.plain.keys", { ...keys, onClick: listShortcuts }, "?"),
-    el("a", docs, "API"),
+    outLink(new URL("docs", ROOT).href, "API", { class: "button plain" }),
     el("span.small.version", getConfig().version && `v${getConfig().version}`),
   );
 

@@ -4,7 +4,7 @@
  * The server draws the pictures; the last ones are kept.
  */
 import { getJson, loadPicture } from "../api.js";
-import { iconButton, table } from "../controls.js";
+import { bullets, iconButton, table } from "../controls.js";
 import { el, fill, formatMetres, plural } from "../dom.js";
 import { TurnedImage } from "../map/keyframe.js";
 import { firstDetection, onResult, shown } from "../map/shown.js";
@@ -213,6 +213,6 @@ function detectionTable(detections) {
 function rejectedCandidates(candidates) {
   const rejected = candidates.filter((each) => !each.kept);
   if (!rejected.length) return null;
-  const items = rejected.map((each) => el("li", el("b", each.number), ` ${each.why_not ?? "rejected"}`));
-  return el("div", el("h3", "Candidates that were rejected"), el("ul.reasons", items));
+  const items = rejected.map((each) => [el("b", each.number), ` ${each.why_not ?? "rejected"}`]);
+  return el("div", el("h3", "Candidates that were rejected"), bullets(items));
 }

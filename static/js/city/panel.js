@@ -2,7 +2,17 @@
  * A map of many drives: how far it is, which of it is shown, and the queue of what OpenStreetMap seems to have wrong.
  */
 import { address, download, getToken, loadPicture, onTokenChange } from "../api.js";
-import { copyButton, factRows, field, figure, iconButton, resultSection as section, select } from "../controls.js";
+import {
+  bullets,
+  copyButton,
+  factList,
+  field,
+  figure,
+  iconButton,
+  outLink,
+  resultSection as section,
+  select,
+} from "../controls.js";
 import {
   chosenCity,
   cities,
@@ -194,11 +204,7 @@ function fillQueue(holder, city, card) {
       { role: "status" },
       `${plural(queue.open, "finding")} to look at, ${queue.judged} looked at. ${precisionText(queue.precision)}`,
     ),
-    judgedKinds.length > 1 &&
-      el(
-        "ul.reasons",
-        judgedKinds.map(([name, each]) => el("li", `${kindName(name)}: ${precisionText(each)}`)),
-      ),
+    judgedKinds.length > 1 && bullets(judgedKinds.map(([name, each]) => `${kindName(name)}: ${precisionText(each)}`)),
     el("div.tools", [
       stateBox,
       kindBox,
@@ -262,38 +268,24 @@ function entryCard() {
         () => image.remove(),
       );
     const streets = streetsOf(p?.osm_ways);
+    const links = Object.entries(entry.links).map(([name, href]) => outLink(href, LINKS[name] ?? name));
     fill(
       element,
       el("h4", kindName(entry.kind), streets && `: ${streets}`),
       p && el("p", p.text),
       image,
       p &&
-        el(
-          "dl.figures",
-          factRows([
-            ["Passes", `${p.passes}: ${p.drive_names}`],
-            p.distance_m !== null && ["Distance", formatMetres(p.distance_m, 1)],
-            p.branch_bearings_deg?.length > 0 && [
-              "Branches",
-              p.branch_bearings_deg.map((/** @type {number} */ b) => `${Math.round(b)}°`).join(", "),
-            ],
-            p.osm_id !== null && ["OSM node", String(p.osm_id)],
-          ]),
-        ),
-      p?.osm_ways &&
-        el("details", [
-          el("summary", "Ways around"),
-          el(
-            "ul.reasons",
-            p.osm_ways.split("; ").map((/** @type {string} */ way) => el("li", way)),
-          ),
+        factList("", [
+          ["Passes", `${p.passes}: ${p.drive_names}`],
+          p.distance_m !== null && ["Distance", formatMetres(p.distance_m, 1)],
+          p.branch_bearings_deg?.length > 0 && [
+            "Branches",
+            p.branch_bearings_deg.map((/** @type {number} */ b) => `${Math.round(b)}°`).join(", "),
+          ],
+          p.osm_id !== null && ["OSM node", String(p.osm_id)],
         ]),
-      el(
-        "p.row.links",
-        Object.entries(entry.links).map(([name, href]) =>
-          el("a", { href, target: "_blank", rel: "noopener" }, LINKS[name] ?? name),
-        ),
-      ),
+      p?.osm_ways && el("details", el("summary", "Ways around"), bullets(p.osm_ways.split("; "))),
+      el("p.row.links", links),
       el("p.small", "Keys: j next, k previous, 1 to 4 say what you see, u takes it back."),
       historyOf(entry),
       el(
@@ -335,10 +327,7 @@ function historyOf({ verdict, history }) {
     onClick: () => void takeBack().catch(showError),
   };
   return el("div.spread", [
-    el(
-      "ul.reasons",
-      rows.map(({ verdict: said, by, at }) => el("li", `${NAMES[said]}, by ${by}, ${formatAgo(at)}`)),
-    ),
+    bullets(rows.map(({ verdict: said, by, at }) => `${NAMES[said]}, by ${by}, ${formatAgo(at)}`)),
     el("button", back, "Take it back"),
   ]);
 }

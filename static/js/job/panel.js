@@ -1,6 +1,6 @@
 /** The job at hand: its progress while it runs, its outcome in figures, its failure explained. */
 import { follow, getJson, sendJson } from "../api.js";
-import { factRows, figure } from "../controls.js";
+import { factList, figure } from "../controls.js";
 import { FINAL, lists, refreshLists, rememberDrive, rememberJob, titleOf } from "../data/lists.js";
 import {
   announce,
@@ -196,23 +196,20 @@ function outcome(job) {
       ),
       el("button", { onClick: () => setState({ panel: "export" }) }, icon("download"), "Download"),
     ),
-    el(
-      "dl.figures.section",
-      factRows([
-        ["Preset", job.request.preset ?? "default"],
-        job.request.labels && ["Labels", job.request.labels],
-        summary.doubtful_labels_m?.length && ["Labels doubtful", doubtfulText(summary.doubtful_labels_m)],
-        ["Map", osm ? (osm.file ?? "OpenStreetMap, by Overpass") : "none"],
-        osm && ["Policy", policy ?? "drive"],
-        summary.location && ["Placed by its roads", placedText(summary.location)],
-        ["Own settings", own.length ? own : "none"],
-        seconds !== undefined && ["Time", formatDuration(seconds)],
-        methodSeconds && keyframes && ["Per keyframe", `${((1000 * methodSeconds) / keyframes).toFixed(1)} ms`],
-        summary.peak_memory_bytes && ["Peak memory", formatBytes(summary.peak_memory_bytes)],
-        ["Finished", finished],
-        ["Job", el("code", job.id)],
-      ]),
-    ),
+    factList("section", [
+      ["Preset", job.request.preset ?? "default"],
+      job.request.labels && ["Labels", job.request.labels],
+      summary.doubtful_labels_m?.length && ["Labels doubtful", doubtfulText(summary.doubtful_labels_m)],
+      ["Map", osm ? (osm.file ?? "OpenStreetMap, by Overpass") : "none"],
+      osm && ["Policy", policy ?? "drive"],
+      summary.location && ["Placed by its roads", placedText(summary.location)],
+      ["Own settings", own.length ? own : "none"],
+      seconds !== undefined && ["Time", formatDuration(seconds)],
+      methodSeconds && keyframes && ["Per keyframe", `${((1000 * methodSeconds) / keyframes).toFixed(1)} ms`],
+      summary.peak_memory_bytes && ["Peak memory", formatBytes(summary.peak_memory_bytes)],
+      ["Finished", finished],
+      ["Job", el("code", job.id)],
+    ]),
     el("div.row.section", runAgain(job, ""), pinButton(job), removal(job)),
   ];
 }

@@ -1,7 +1,7 @@
 /**
  * A map of many drives: its intersections and what OpenStreetMap seems to have wrong, asked for by the box that is seen.
  */
-import { factRows } from "../controls.js";
+import { factList, outLink } from "../controls.js";
 import { cities, featuresIn, judge, loadMembers, loadVerdicts, stepFinding, takeBack } from "../data/city.js";
 import { lists, titleOf } from "../data/lists.js";
 import { lineOf } from "../data/results.js";
@@ -267,17 +267,12 @@ const seenText = ({ drives, drives_near, passes }) =>
 
 /** @param {Spot} spot */
 function contentOf({ lat, lng, properties: p, changes }) {
-  const links = linksAt(lat, lng).map(({ name, href, title }) =>
-    el("a", { href, title, target: "_blank", rel: "noopener" }, name),
-  );
+  const links = linksAt(lat, lng).map(({ name, href, title }) => outLink(href, name, { title }));
   const change = changes.map(({ properties: c }) => el("p.why", changeText(c)));
   return el("div.details", [
     el("h3", `Intersection ${p.uid}`),
     change,
-    el(
-      "dl.figures",
-      factRows([...(p.passes ? seenFacts(p) : []), ["Latitude, longitude", coordinates({ lat, lng }, false)]]),
-    ),
+    factList("", [...(p.passes ? seenFacts(p) : []), ["Latitude, longitude", coordinates({ lat, lng }, false)]]),
     el("div.ways-out", el("p", links)),
   ]);
 }

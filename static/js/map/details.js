@@ -1,6 +1,6 @@
 /** Tips under the pointer, and the details of what is chosen: by a click, from a list, by a link. */
 
-import { copyButton, factRows } from "../controls.js";
+import { copyButton, factList, outLink } from "../controls.js";
 import { el } from "../dom.js";
 import { Popup } from "../leaflet.js";
 import { showMessage } from "../messages.js";
@@ -127,7 +127,7 @@ function contentOf(hit, result) {
     el("h3", sign && signIcon(sign), titleOf(hit)),
     hit.item.properties.names && el("p.streets", hit.item.properties.names),
     why && el("p.why", why),
-    el("dl.figures", factRows(factsOf(hit, result))),
+    factList("", factsOf(hit, result)),
     el("div.row", actionsOf(hit, result)),
     waysOut(hit, result),
   ]);
@@ -179,7 +179,7 @@ function waysOut(hit, result) {
   if (result.local || result.isMadeUp) return el("div.ways-out", copy);
   const id = kind === "detection" ? null : (item.properties.osm_id ?? null);
   const links = linksAt(item.lat, item.lng, isOsmNode(id, result) ? id : null).map(({ name, href, title }) =>
-    el("a", { href, title, target: "_blank", rel: "noopener", onClick: name === "JOSM" && tellOfJosm }, name),
+    outLink(href, name, { title, onClick: name === "JOSM" && tellOfJosm }),
   );
   const note = kind !== "road" && copyButton("Copy OSM note", () => noteText(hit, result.report?.osm.date));
   return el("div.ways-out", el("p", links), copy, note);

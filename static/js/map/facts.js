@@ -1,4 +1,5 @@
 /** What is known of a thing on the map, in words: its verdict first. */
+import { outLink } from "../controls.js";
 import { medianError } from "../data/results.js";
 import { el, formatDuration, formatMetres, formatPercent, plural } from "../dom.js";
 import { ellipseOf, SIGMAS_95 } from "./ellipse.js";
@@ -163,7 +164,7 @@ export function branchesOf({ branch_count, branch_bearings_deg, branch_widths_m 
 function osmLink(id, result) {
   if (id === null || id === undefined) return "–";
   if (!isOsmNode(id, result)) return String(id);
-  return el("a", { href: `https://www.openstreetmap.org/node/${id}`, target: "_blank", rel: "noopener" }, String(id));
+  return outLink(`https://www.openstreetmap.org/node/${id}`, String(id));
 }
 
 /** @param {number|null|undefined} id @param {Result} result @returns {boolean} Whether openstreetmap.org may know it. */

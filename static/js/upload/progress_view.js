@@ -1,6 +1,6 @@
 /** How far an upload is: steps, figures, what the service found, and what can be done about it. */
 
-import { factRows, problemList } from "../controls.js";
+import { factList, factRows, problemList } from "../controls.js";
 import { announce, el, fill, formatBytes, formatCount, formatDuration, formatMetres, icon, plural } from "../dom.js";
 import { problemNote } from "../messages.js";
 import { LAYOUTS } from "./drive_folder.js";
@@ -108,7 +108,7 @@ export function progressView({ onChange, onCorrect, onLeave }) {
     const owner = POSE_OWNERS[/** @type {keyof typeof POSE_OWNERS} */ (found.pose_frame)] ?? found.pose_frame;
     const why = (/** @type {string | null} */ text) => text && el("small.why", text);
     const keyframes = `${formatCount(found.frames.length)} of ${plural(found.scans, "scan")}`;
-    const rows = factRows([
+    const facts = factList("box wordy", [
       ["Layout", LAYOUTS[/** @type {keyof typeof LAYOUTS} */ (found.layout)] ?? found.layout],
       owner && ["Poses", [owner, why(found.pose_frame_reason)]],
       ["Georeference", [found.georeference ?? "none", why(found.georeference_reason)]],
@@ -116,7 +116,7 @@ export function progressView({ onChange, onCorrect, onLeave }) {
       ["To be sent", sending === "raw" ? `all ${plural(found.scans, "scan")}` : keyframes],
       madeFolder(options) && ["To be labelled", `about ${keyframes}`],
     ]);
-    fill(plan, el("dl.figures.box.wordy", rows));
+    fill(plan, facts);
   }
 
   return {
