@@ -8,24 +8,18 @@ import { kindOfCompared } from "../data/compared.js";
  * @param {string} id In permalinks.
  * @param {Group} group
  * @param {string} title
- * @param {string} look In the legend: a sign of `SIGNS`, or "line" and the class of a line.
+ * @param {string} look In the legend, see symbols.js.
  * @param {string} hint
  */
 const layer = (id, group, title, look, hint) => ({ id, group, title, look, hint });
 
 export const LAYERS = [
-  layer("tiles", "Base", "Map tiles", "line tiles", "Pictures from a tile server; needs the internet."),
-  layer("surface", "Base", "Road seen by LiDAR", "line surface", "Where the drive's LiDAR saw road: a map of its own."),
-  layer("roads", "Base", "OSM roads", "line road", "Roads of the map that the drive was scored against."),
-  layer(
-    "measured",
-    "Base",
-    "Roads measured",
-    "line centreline",
-    "Centrelines and widths of the roads that the drive saw.",
-  ),
-  layer("track", "Drive", "Trajectory", "line track", "Where the vehicle drove."),
-  layer("places", "Drive", "Next best places", "line place", "Where else the roads of the map fit the drive, worse."),
+  layer("tiles", "Base", "Map tiles", "tiles", "Pictures from a tile server; needs the internet."),
+  layer("surface", "Base", "Road seen by LiDAR", "surface", "Where the drive's LiDAR saw road: a map of its own."),
+  layer("roads", "Base", "OSM roads", "road", "Roads of the map that the drive was scored against."),
+  layer("measured", "Base", "Roads measured", "centreline", "Centrelines and widths of the roads that the drive saw."),
+  layer("track", "Drive", "Trajectory", "track", "Where the vehicle drove."),
+  layer("places", "Drive", "Next best places", "place", "Where else the roads of the map fit the drive, worse."),
   layer("keyframes", "Drive", "Keyframes", "keyframes", "Places at which the method looked for intersections."),
   layer("right", "Intersections", "Right", "right", "An OSM intersection of its own lies within 10 m."),
   layer("wrong", "Intersections", "Wrong", "wrong", "No OSM intersection of its own lies within 10 m."),
@@ -34,23 +28,17 @@ export const LAYERS = [
     "uncertainty",
     "Intersections",
     "Uncertainty (95 %)",
-    "line uncertainty",
+    "uncertainty",
     "It lies in the ellipse with a chance of 95 %.",
   ),
-  layer("branches", "Intersections", "Branches", "line branch", "Bearings of the roads that leave an intersection."),
+  layer("branches", "Intersections", "Branches", "branch", "Bearings of the roads that leave an intersection."),
   layer("found", "OSM intersections", "Found", "found", "An intersection of the map is assigned to it, within 10 m."),
   layer("missed", "OSM intersections", "Missed", "missed", "Passed, and no intersection of the map is assigned to it."),
   layer("outside", "OSM intersections", "Out of reach", "outside", "In no relevant zone; they do not count."),
   layer("detections", "Detections", "Not scored", "detections", "Detections not compared with OpenStreetMap."),
   layer("tp", "Detections", "True", "tp", "An OSM intersection lies within D (TP)."),
   layer("fp", "Detections", "False", "fp", "No OSM intersection within D (FP)."),
-  layer(
-    "errors",
-    "Detections",
-    "Error lines",
-    "line error",
-    "From a detection to the OSM intersection it is matched to.",
-  ),
+  layer("errors", "Detections", "Error lines", "error", "From a detection to the OSM intersection it is matched to."),
   layer("shared", "Compare", "Found by all", "shared", "Intersections that all compared jobs found."),
   layer("here", "Compare", "Not by all others", "here", "Intersections of this job that another one did not find."),
   layer(
@@ -64,7 +52,7 @@ export const LAYERS = [
     "zone",
     "Keyframe",
     "Seen area, zone in it",
-    "line roi",
+    "roi",
     "Dashed: what the chosen keyframe sees (S). Solid: the relevant zone, in which intersections count.",
   ),
 ];

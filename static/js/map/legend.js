@@ -63,7 +63,7 @@ function row({ id, title, look, hint }, count, on) {
   const box = el("input", { type: "checkbox", id: `layer-${id}`, checked: on.has(id), onChange });
   return el("label", { title: hint, htmlFor: box.id }, [
     box,
-    look.startsWith("line ") ? el("span", { class: `sign ${look}`, "aria-hidden": "true" }) : signIcon(look),
+    signIcon(look),
     el("span.grow", title),
     count !== null && el("span.number.quiet", formatCount(count)),
   ]);
