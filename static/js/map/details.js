@@ -26,10 +26,11 @@ export function keepDetails(map) {
   observer.observe(map.getContainer());
   map.on("unload", () => observer.disconnect());
   map.on("resize", () => {
-    if (!chosen) return;
+    const box = map.getContainer().querySelector(".leaflet-popup");
+    if (!chosen || !box) return;
     const { item } = chosen;
     map.panInside([item.lat, item.lng], {
-      paddingTopLeft: [170, Math.min(300, map.getSize().y - 40)],
+      paddingTopLeft: [170, Math.min(box.offsetHeight + 24, map.getSize().y - 30)],
       paddingBottomRight: [170, 30],
       animate: false,
     });
