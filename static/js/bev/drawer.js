@@ -58,7 +58,7 @@ export function mountDrawer(drawer) {
     const enlarge = () => showLarge(name, hint, image.src);
     const isAll = layer === "all";
     const caption = el("span", el("b", isAll ? "" : `${number + 1} `), name);
-    const choice = !isAll && el("label", { title: "Show it on the map" }, box, "on map");
+    const choice = !isAll && el("label.key-row.quiet", { title: "Show it on the map" }, box, "on map");
     const nothing = el("span.nothing", { hidden: true }, "none");
     const button = el("button.picture", { ...label, onClick: enlarge }, image, nothing);
     return { layer, image, button, nothing, figure: el("figure", button, el("figcaption", caption, choice)) };

@@ -28,13 +28,13 @@ export function newMap(chosen = []) {
       await loadMaps();
       setState({ panel: "map", map: made.id });
     });
-  const pickOf = (/** @type {any} */ box) => el("label.check", box, el("span.cut", box.title));
+  const pickOf = (/** @type {any} */ box) => el("label.key-row", box, el("span.cut", box.title));
   const none = "There are none yet: upload drives first, or put them into the map later.";
   const content = [
     field("Name", name),
     el("fieldset.stack-s", [
       el("legend.field-name", "Its drives"),
-      boxes.length ? el("div.scroll.picks", boxes.map(pickOf)) : el("p.small", none),
+      boxes.length ? el("div.scroll.picks.stack-s", boxes.map(pickOf)) : el("p.small", none),
       el("small", "Of each drive the result that counts is merged: the pinned one, else the best."),
     ]),
   ];

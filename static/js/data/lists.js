@@ -56,21 +56,14 @@ export async function refreshLists(isLook = false) {
     ]);
     const now = JSON.stringify(heads);
     if (isLook && lists.isWhole && now === headsShown && heads.some(({ next }) => next)) return;
-    if (!lists.isLoaded)
-      showRows(
-        heads.map(({ rows }) => rows),
-        false,
-      );
+    if (!lists.isLoaded) showRows(heads, false);
     const pages = await Promise.all(heads.map(readRest));
     if (mine < shown) return; // one that was asked for later was faster
     if (made > before && tries < MAX_TRIES) continue;
     shown = mine;
     headsShown = now;
     lists.isCut = pages[0].next !== null;
-    showRows(
-      pages.map(({ rows }) => rows),
-      true,
-    );
+    showRows(pages, true);
     return;
   }
 }
@@ -95,8 +88,9 @@ export function watchLists() {
   timer = setTimeout(look, LOOK_MS);
 }
 
-/** @param {any[][]} received Drives, jobs, trash. @param {boolean} isWhole */
-function showRows([drives, received, trash], isWhole) {
+/** @param {Rows[]} parts Drives, jobs, trash. @param {boolean} isWhole */
+function showRows(parts, isWhole) {
+  const [drives, received, trash] = parts.map(({ rows }) => rows);
   const jobs = received.map(newer);
   const isSame =
     lists.isWhole && JSON.stringify([drives, jobs, trash]) === JSON.stringify([lists.drives, lists.jobs, lists.trash]);

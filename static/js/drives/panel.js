@@ -135,7 +135,7 @@ function driveCard(drive, jobs) {
   const { button: rename, element: name } = naming({
     path: `drives/${drive.id}`,
     item: drive,
-    heading: el("h3", el("button.link", { title: drive.name, onClick: open }, drive.name)),
+    heading: el("h3", el("button.link.cut", { title: drive.name, onClick: open }, drive.name)),
     title: drive.name,
     mayBeUnnamed: false,
     onChange: (changed) => {

@@ -15,7 +15,7 @@ import { attempt } from "../messages.js";
  * @returns {{button: HTMLElement, element: HTMLElement}} What begins it, and where it happens.
  */
 export function naming({ path, item, heading, title, mayBeUnnamed, onChange }) {
-  const element = el("div.naming");
+  const element = el("div.naming.grow");
   const button = iconButton("edit", `Rename ${title}`, edit, "Rename it, or note something about it");
 
   function show() {

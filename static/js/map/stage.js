@@ -626,7 +626,7 @@ function tileSwitch() {
     else on.add("tiles");
     setState({ layers: [...on] });
   };
-  return el("label.check", el("input", { type: "checkbox", checked, onChange: change }), "Map tiles");
+  return el("label.key-row", el("input", { type: "checkbox", checked, onChange: change }), "Map tiles");
 }
 
 /** @param {string|null} drive */

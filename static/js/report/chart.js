@@ -39,7 +39,7 @@ export function lineChart(lines, { max, mark, onMark }) {
         const value = line.points.find(([each]) => each === d)?.[1];
         const borderTopStyle = !line.dash ? "solid" : line.dash.startsWith("2") ? "dotted" : "dashed";
         const key = el("i.key", { style: { borderColor: line.colour, borderTopStyle } });
-        return el("span", key, `${line.name} ${formatPercent(value)}`);
+        return el("span.key-row", key, `${line.name} ${formatPercent(value)}`);
       }),
     );
   };

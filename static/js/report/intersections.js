@@ -76,7 +76,7 @@ export function intersectionList(result) {
   setOrder(null);
   const count = el("span.number.quiet");
   const status = el("p.small", { role: "status" });
-  const search = el("input", {
+  const search = el("input.grow", {
     type: "search",
     placeholder: "Street, id, place or reason",
     "aria-label": "Find intersections by street, id, name of the place, or words of the reason",
@@ -140,7 +140,7 @@ function filterFields(result) {
   const boxes = verdicts.map(({ name, many }) => {
     const checked = !filter.verdicts || filter.verdicts.includes(name);
     const input = el("input", { type: "checkbox", value: name, checked, onChange: () => choose() });
-    return { input, element: el("label.check", input, signIcon(name), `${VERDICTS[name]} (${many})`) };
+    return { input, element: el("label.key-row", input, signIcon(name), `${VERDICTS[name]} (${many})`) };
   });
   const choose = () => {
     const on = boxes.filter(({ input }) => input.checked).map(({ input }) => input.value);
