@@ -77,10 +77,11 @@ export function mount(container) {
       fill(head, cities.maps ? problemNote({ title: "No such map", detail: "It may have been deleted." }) : "Loading…");
       if (cities.maps) head.append(mapChoice(null));
       fill(queue);
+      shown = "";
       return fill(more);
     }
     const { kind, state } = getCityFilter();
-    const now = JSON.stringify([cities.maps, getState().places, Boolean(getToken())]);
+    const now = JSON.stringify([city.id, cities.maps, getState().places, Boolean(getToken())]);
     if (now !== shown) {
       fill(head, headOf(city), city.bbox && filterOf());
       fill(more, city.bbox && filesOf(city));
