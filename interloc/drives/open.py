@@ -19,13 +19,14 @@ from interloc.drives.labels import SEMANTICKITTI, LabelJudgement
 from interloc.drives.layouts import SCAN_FOLDERS, not_a_drive, recognise_layout
 from interloc.drives.options import LABEL_FILES, ODOMETRY, DriveArguments, DriveOptions, LabelFolder, ReadingOptions
 from interloc.drives.plausibility import RoadSeen, check_motion, check_points
+from interloc.drives.poses.motion import longest_piece
 from interloc.drives.scan_motion import check_scan_motion
 from interloc.drives.scans.deskewed import deskewed, is_to_deskew
 from interloc.drives.scans.raw import RawScans, trajectory_of
 from interloc.drives.scans.recorded import Recording
 from interloc.drives.scans.reduced import ReducedScans, reduced_trajectory
 from interloc.drives.scans.reduced_format import ReducedManifest, is_reduced, read_manifest
-from interloc.drives.trajectory import Trajectory
+from interloc.drives.trajectory import LidarPoses, Trajectory
 from interloc.processes import Progress
 
 NO_POSES = "there are none: they are computed from the points (--poses odometry)."
@@ -159,7 +160,7 @@ def read_drive(
             if scans is None or scans.frames is None:
                 readings[folder] = DriveReading(scans)
                 continue
-            where = trajectory()
+            scans, where = _longest_piece(scans, trajectory(), findings)
             sample = sample_indices(scans.usable, len(scans.usable) if thorough else SAMPLED_SCANS)
             labels = scans.judge_labels(sample, options, findings)
             reading = DriveReading(scans, where, sample, labels, _drive_of(scans, where, labels))
@@ -256,6 +257,30 @@ def _label_folder(
     return "geometry"
 
 
+def _longest_piece(scans: Scans, where: Trajectory, findings: Findings) -> tuple[Scans, Trajectory]:
+    """Cut a drive where its poses jump."""
+    poses, frames = where.poses, scans.frames
+    if poses is None or where.times_s is None or frames is None:
+        return scans, where
+    rows, jumps = longest_piece(poses.T_world_lidar[:, :3, 3], where.times_s, frames)
+    if not jumps:
+        return scans, where
+    findings.warning(_pose_file(scans, poses), f"the poses {jumps}")
+    usable = scans.usable[(scans.usable >= rows.start) & (scans.usable < rows.stop)] - rows.start
+    if isinstance(scans, RawScans):
+        counts = scans.recording.point_counts
+        counts = None if counts is None else counts[rows]
+        recording = replace(scans.recording, frames=frames[rows], point_counts=counts)
+        return replace(scans, recording=recording, usable=usable), where.part(rows)
+    return replace(scans, frames=frames[rows], usable=usable), where.part(rows)
+
+
+def _pose_file(scans: Scans, poses: LidarPoses) -> str:
+    if scans.parts.poses is not None:
+        return scans.parts.file(scans.parts.poses).name
+    return "oxts" if poses.frame == "oxts" else "poses"  # those of a bag are in no file
+
+
 def _drive_of(scans: Scans, trajectory: Trajectory, labels: LabelJudgement) -> FolderDrive | None:
     poses = trajectory.poses
     if scans.frames is None or poses is None or not scans.is_complete:
@@ -279,9 +304,8 @@ def _checked(reading: DriveReading, findings: Findings) -> DriveReading:
     drive, scans = reading.drive, reading.scans
     if drive is None or scans is None:
         return reading
-    pose_file = "oxts" if drive.pose_frame == "oxts" else "poses"  # those of a bag are in no file
-    if scans.parts.poses is not None:
-        pose_file = scans.parts.file(scans.parts.poses).name
+    assert reading.trajectory.poses is not None
+    pose_file = _pose_file(scans, reading.trajectory.poses)
     seen = []
     for index in reading.sample:
         with findings.stage():
@@ -289,7 +313,7 @@ def _checked(reading: DriveReading, findings: Findings) -> DriveReading:
                 seen.append(RoadSeen.of(index, road, NEAR_M))
     errors = findings.errors
     check_points(drive.T_world_lidar, seen, scans.parts.file(scans.parts.scans).name, findings)
-    check_motion(drive.T_world_lidar, drive.frames, drive.times_s, pose_file, findings)
+    check_motion(drive.T_world_lidar, pose_file, findings)
     reading = replace(reading, flatness_m=check_flat_road(drive, scans.usable, pose_file, findings))
     if findings.errors == errors:  # else what follows is the same fault in other words
         check_scan_motion(drive, scans.usable, pose_file, findings)

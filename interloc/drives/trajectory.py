@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -84,6 +84,14 @@ class Trajectory:
     georeference: Georeference | None = None
     georeference_reason: str | None = None
     is_odd: bool = False
+
+    def part(self, rows: slice) -> Trajectory:
+        """Return that of some of the scans."""
+        assert self.poses is not None
+        poses = replace(self.poses, T_world_lidar=_from_first(self.poses.T_world_lidar[rows]), T_file_world=None)
+        times_s = None if self.times_s is None else self.times_s[rows]
+        georeference = None if self.georeference is None else self.georeference.part(rows)
+        return replace(self, poses=poses, times_s=times_s, georeference=georeference)
 
 
 def read_trajectory(
