@@ -19,14 +19,13 @@ from interloc.drives.labels import SEMANTICKITTI, LabelJudgement
 from interloc.drives.layouts import SCAN_FOLDERS, not_a_drive, recognise_layout
 from interloc.drives.options import LABEL_FILES, ODOMETRY, DriveArguments, DriveOptions, LabelFolder, ReadingOptions
 from interloc.drives.plausibility import RoadSeen, check_motion, check_points
-from interloc.drives.poses.motion import longest_piece
 from interloc.drives.scan_motion import check_scan_motion
 from interloc.drives.scans.deskewed import deskewed, is_to_deskew
 from interloc.drives.scans.raw import RawScans, trajectory_of
 from interloc.drives.scans.recorded import Recording
 from interloc.drives.scans.reduced import ReducedScans, reduced_trajectory
 from interloc.drives.scans.reduced_format import ReducedManifest, is_reduced, read_manifest
-from interloc.drives.trajectory import LidarPoses, Trajectory
+from interloc.drives.trajectory import Trajectory
 from interloc.processes import Progress
 
 NO_POSES = "there are none: they are computed from the points (--poses odometry)."
@@ -160,7 +159,8 @@ def read_drive(
             if scans is None or scans.frames is None:
                 readings[folder] = DriveReading(scans)
                 continue
-            scans, where = _longest_piece(scans, trajectory(), findings)
+            rows, where = trajectory().within_jumps(scans.frames, _pose_file(scans, trajectory()), findings)
+            scans = scans if rows is None else _within(scans, rows)
             sample = sample_indices(scans.usable, len(scans.usable) if thorough else SAMPLED_SCANS)
             labels = scans.judge_labels(sample, options, findings)
             reading = DriveReading(scans, where, sample, labels, _drive_of(scans, where, labels))
@@ -257,28 +257,23 @@ def _label_folder(
     return "geometry"
 
 
-def _longest_piece(scans: Scans, where: Trajectory, findings: Findings) -> tuple[Scans, Trajectory]:
-    """Cut a drive where its poses jump."""
-    poses, frames = where.poses, scans.frames
-    if poses is None or where.times_s is None or frames is None:
-        return scans, where
-    rows, jumps = longest_piece(poses.T_world_lidar[:, :3, 3], where.times_s, frames)
-    if not jumps:
-        return scans, where
-    findings.warning(_pose_file(scans, poses), f"the poses {jumps}")
+def _within(scans: Scans, rows: slice) -> Scans:
+    """Return a piece of the scans."""
+    assert scans.frames is not None
     usable = scans.usable[(scans.usable >= rows.start) & (scans.usable < rows.stop)] - rows.start
+    frames = scans.frames[rows]
     if isinstance(scans, RawScans):
         counts = scans.recording.point_counts
-        counts = None if counts is None else counts[rows]
-        recording = replace(scans.recording, frames=frames[rows], point_counts=counts)
-        return replace(scans, recording=recording, usable=usable), where.part(rows)
-    return replace(scans, frames=frames[rows], usable=usable), where.part(rows)
+        recording = replace(scans.recording, frames=frames, point_counts=None if counts is None else counts[rows])
+        return replace(scans, recording=recording, usable=usable)
+    return replace(scans, frames=frames, usable=usable)
 
 
-def _pose_file(scans: Scans, poses: LidarPoses) -> str:
+def _pose_file(scans: Scans, trajectory: Trajectory) -> str:
     if scans.parts.poses is not None:
         return scans.parts.file(scans.parts.poses).name
-    return "oxts" if poses.frame == "oxts" else "poses"  # those of a bag are in no file
+    is_oxts = trajectory.poses is not None and trajectory.poses.frame == "oxts"
+    return "oxts" if is_oxts else "poses"  # those of a bag are in no file
 
 
 def _drive_of(scans: Scans, trajectory: Trajectory, labels: LabelJudgement) -> FolderDrive | None:
@@ -304,8 +299,7 @@ def _checked(reading: DriveReading, findings: Findings) -> DriveReading:
     drive, scans = reading.drive, reading.scans
     if drive is None or scans is None:
         return reading
-    assert reading.trajectory.poses is not None
-    pose_file = _pose_file(scans, reading.trajectory.poses)
+    pose_file = _pose_file(scans, reading.trajectory)
     seen = []
     for index in reading.sample:
         with findings.stage():
