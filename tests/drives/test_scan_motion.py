@@ -91,7 +91,7 @@ def test_poses_that_the_scans_contradict(
 def test_a_wrong_scale_is_told_by_its_number(tmp_path: Path, written: Path, factor: float) -> None:
     text = with_poses(written, tmp_path / "street", scaled(factor)(streets.poses()))
     (found,) = re.findall(r"the poses move (\d\.\d\d) times as far as the scans", text)
-    assert float(found) == pytest.approx(factor, rel=0.03)
+    assert float(found) == pytest.approx(factor, rel=0.05)
 
 
 def test_where_nothing_stands_upright_the_scale_is_not_told(ground: Path) -> None:

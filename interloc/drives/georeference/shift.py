@@ -106,7 +106,7 @@ def fit_shift(times: FloatArray, positions: FloatArray, fix_times: FloatArray, e
     unshifted = cost(0.0)[0]
     metres = abs(late) / unit * _USUAL_SPEED_MPS
     gain = unshifted - best
-    if not np.isfinite(unshifted):
+    if not np.isfinite(unshifted) or not count:
         return None
     is_there = metres >= _MIN_SHIFT_M and gain >= _GAIN_M**2 and best <= _BETTER * unshifted
     is_there &= count * gain >= _SIGNIFICANT * max(best, 1e-6)
