@@ -463,8 +463,8 @@ def _scale_explanation(pairs: list[_Pair], poses: FloatArray) -> _Explanation:
 
 def _scale_words(scale: float) -> str:
     return (
-        f"The poses move {1 / max(scale, 1e-3):.2f} times as far as the scans. Usual cause: the scale of a monocular or "
-        "visual odometry, the radius of a wheel, or poses or points in another unit"
+        f"The poses move {1 / max(scale, 1e-3):.2f} times as far as the scans. Usual cause: the scale of a monocular "
+        "or visual odometry, the radius of a wheel, or poses or points in another unit"
     )
 
 
