@@ -99,7 +99,7 @@ def test_a_georeference_that_jumps_against_the_poses(street: Path) -> None:
         rows[number] = ",".join([frame, f"{float(lat) + 2e-4:.9f}", *rest])  # 22 m to the north
     (street / "geo.csv").write_text("\n".join([header, *rows]) + "\n")
     (jump,) = (problem for problem in inspect_drive(street).problems if problem.severity == "warning")
-    assert jump.path == "geo.csv"
+    assert jump.path.startswith("geo.csv")
     assert "2 times, first by 22 m after " in jump.message
 
 
