@@ -134,7 +134,7 @@ def check_scan_motion(drive: FolderDrive, usable: IntArray, pose_file: str, find
     is_off = scale is not None and abs(np.log(scale)) > _OFF_SCALE
     untold = "" if tells else "too little that stands upright or turns to tell whether they move as the poses."
     if tells and scale is None and fault is None:
-        untold = "too little that stands upright to tell whether the poses have their scale: a third more is not seen."
+        untold = "too little that stands upright to be sure of the scale of the poses."
     if untold and float(np.linalg.norm(np.ptp(poses[:, :3, 3], axis=0))) > _MUCH_M:
         findings.note(pose_file, f"the scans hold {untold}")
     if mistake.is_clear and (fault is None or fault[1] < _PLACES_WRONG):

@@ -96,7 +96,7 @@ def test_a_wrong_scale_is_told_by_its_number(tmp_path: Path, written: Path, fact
 
 def test_where_nothing_stands_upright_the_scale_is_not_told(ground: Path) -> None:
     notes = [problem.message for problem in inspect_drive(ground).problems]
-    assert any("whether the poses have their scale" in note for note in notes)
+    assert any("to be sure of the scale of the poses" in note for note in notes)
 
 
 @pytest.mark.parametrize("kind", ["written", "ground"])
