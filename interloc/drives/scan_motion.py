@@ -356,7 +356,7 @@ class _Matcher:
         share, motion = pair.match.best
         if share < _MATCHED[self.kind]:
             return None
-        turns = max(abs(motion[2]), abs(_planar(self.poses, i, j)[2]) / 2) > _NO_MOTION_RAD
+        turns = max(abs(motion[2]), abs(_planar(self.poses, i, j)[2]) / 3) > _NO_MOTION_RAD
         if self.kind == "road" and np.hypot(*motion[:2]) < _NO_MOTION_M and not turns:
             return None  # a straight road looks the same from everywhere, best of all where points end at one range
         return pair
