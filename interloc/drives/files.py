@@ -116,7 +116,7 @@ class SourceFile:
         return self._decoded(self._read(MAX_SMALL_BYTES))
 
     def lines(self) -> list[str]:
-        """Read the lines of a text file, or of its .gz, with one per frame.
+        """Read the lines of a text file, or of its .gz, with one per frame; without blank ones at its end.
 
         Raises
         ------
@@ -126,7 +126,7 @@ class SourceFile:
         text = self._decoded(self._data())
         if "\r" in text:
             text = text.replace("\r\n", "\n").replace("\r", "\n")
-        lines = text.removesuffix("\n").split("\n")
+        lines = text.rstrip().split("\n")
         longest = max(range(len(lines)), key=lambda row: len(lines[row]))
         if len(lines[longest]) > MAX_LINE_CHARS:
             raise self.fault(
