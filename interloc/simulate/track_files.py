@@ -49,7 +49,7 @@ def read_csv(path: Path) -> tuple[FloatArray, FloatArray | None]:
     DriveError
         The header lacks a column, there are no rows, or a value is not a number or not on the earth.
     """
-    file = SourceFile(path, path.parent)
+    file = SourceFile(path, Path())
     expected = "Expected a header that names the columns lat and lon (degrees), and alt (metres) if known."
     table = read_table(file, [("lon", "lat", "z"), ("lon", "lat")], expected, blank="z")
     lonlat, alt = table.values[:, :2], table.values[:, 2:]
@@ -69,5 +69,5 @@ def read_oxts(path: Path) -> FloatArray:
     DriveError
         There is no such file, or it does not hold such rows.
     """
-    file = SourceFile(path, path.parent)
+    file = SourceFile(path, Path())
     return read_oxts_folder(file, list_numbered(file, ".txt").numbers) if path.is_dir() else read_oxts_rows(file)
