@@ -95,7 +95,7 @@ def command(
     if locate and overpass and near is None:
         raise click.UsageError("the map of which place is to be fetched? Say it by --near LAT,LON, or give --osm FILE")
     from interloc.client.connection import Connection
-    from interloc.client.jobs import finished, placing, submit
+    from interloc.client.jobs import JobRequest, finished, placing, submit
     from interloc.client.prepare import PushOptions, prepare
     from interloc.drives.options import ReadingOptions
 
@@ -123,19 +123,14 @@ def command(
         pushed = _send(connection, drive, prepared, push_options, threads=jobs)
         job: JobAnswer | None = None
         if run:
-            wanted: dict[str, Any] = {
-                "config": config,
-                "labels": "predictions" if model is not None else label_folders[0] if label_folders else None,
-                "osm": None if osm is None else osm.name,
-                "policy": policy,
-                "tolerance_m": tolerance_m,
-                "place": place,
-            }
+            labels = "predictions" if model is not None else label_folders[0] if label_folders else None
+            there = None if osm is None else osm.name
+            wanted = JobRequest(config, labels, there, overpass, policy, tolerance_m, place)
             if not pushed.files_sent and not overpass and not fresh:
-                job = finished(connection, pushed.drive_id, **wanted)
+                job = finished(connection, pushed.drive_id, wanted)
             if job is None:
                 told = None if notify is None else {"successUri": notify, "failedUri": notify}
-                job = submit(connection, pushed.drive_id, overpass=overpass, subscriber=told, **wanted)
+                job = submit(connection, pushed.drive_id, wanted, subscriber=told)
             else:
                 console.note(f"job {job.id} has done the same already: it is not repeated (--fresh repeats it)")
             job = _finish(connection, job, out)
