@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterable, Iterator
+from functools import partial
 from typing import Any, Literal
 
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, ProcessCollector, generate_latest
@@ -35,9 +36,8 @@ class Metrics:
     def __init__(self) -> None:
         self.registry = CollectorRegistry()
         ProcessCollector(registry=self.registry)
-        self._requests = Counter(
-            "interloc_http_requests", "Requests answered.", ("method", "route", "status"), registry=self.registry
-        )
+        counter = partial(Counter, registry=self.registry)
+        self._requests = counter("interloc_http_requests", "Requests answered.", ("method", "route", "status"))
         self._seconds = Histogram(
             "interloc_http_request_seconds",
             "Time to answer; streams of events are left out.",
@@ -45,25 +45,14 @@ class Metrics:
             buckets=_BUCKETS_S,
             registry=self.registry,
         )
-        self._received = Counter("interloc_received_bytes", "Bodies of requests: uploads.", registry=self.registry)
+        self._received = counter("interloc_received_bytes", "Bodies of requests: uploads.")
         self.listeners = Gauge("interloc_event_listeners", "Streams of events that are open.", registry=self.registry)
-        self.worker_restarts = Counter(
-            "interloc_worker_restarts", "Worker processes that died and were replaced.", registry=self.registry
-        )
-        self._removals = Counter("interloc_removals", _REMOVALS, ("reason",), registry=self.registry)
-        self._removed = Counter(
-            "interloc_removed_bytes", "Bytes of what was removed or set aside.", ("reason",), registry=self.registry
-        )
-
-        self.webhooks = Counter(
-            "interloc_webhooks", "Calls of subscribers, by outcome.", ("outcome",), registry=self.registry
-        )
-        self.refused_tokens = Counter(
-            "interloc_refused_tokens",
-            "Requests refused for their token: unknown, too many, expired, read only.",
-            ("reason",),
-            registry=self.registry,
-        )
+        self.worker_restarts = counter("interloc_worker_restarts", "Worker processes that died and were replaced.")
+        self._removals = counter("interloc_removals", _REMOVALS, ("reason",))
+        self._removed = counter("interloc_removed_bytes", "Bytes of what was removed or set aside.", ("reason",))
+        self.webhooks = counter("interloc_webhooks", "Calls of subscribers, by outcome.", ("outcome",))
+        refused = "Requests refused for their token: unknown, too many, expired, read only."
+        self.refused_tokens = counter("interloc_refused_tokens", refused, ("reason",))
 
     def count_request(
         self, method: str, route: str, status: int, *, seconds: float | None, received_bytes: int

@@ -28,13 +28,7 @@ _NO_WORKER = "It waits for a worker: none can be started at present. The service
 
 
 def find_job(session: Session, job_id: str) -> tuple[Job, str]:
-    """Return a job and the name of its drive.
-
-    Raises
-    ------
-    Problem
-        404 there is no such job.
-    """
+    """Return a job (404 where there is none) and the name of its drive."""
     found = session.execute(
         select(Job, Drive.name).join(Drive, Drive.id == Job.drive_id).where(Job.id == job_id, is_alive())
     ).one_or_none()
@@ -57,7 +51,7 @@ def job_models(session: Session, context: Context, rows: Iterable[tuple[Job, str
     """Return jobs as clients see them, given with the names of their drives."""
     rows = list(rows)
     now = context.database.clock(session)
-    waiting = [job for job, _ in rows if _waits_for_its_turn(job)]
+    waiting = [job for job, _ in rows if job.state == JobState.ACCEPTED and job.message is None]
     if context.lacks_workers.is_set():
         told = dict.fromkeys((job.id for job in waiting), _NO_WORKER)
     else:
@@ -66,10 +60,6 @@ def job_models(session: Session, context: Context, rows: Iterable[tuple[Job, str
     deliveries = deliveries_of(session, [job for job, _ in rows])
     models = [_job_model(job, name, links, now, job.message or told.get(job.id)) for job, name in rows]
     return [model.model_copy(update={"deliveries": deliveries.get(model.id, [])}) for model in models]
-
-
-def _waits_for_its_turn(job: Job) -> bool:
-    return job.state == JobState.ACCEPTED and job.message is None
 
 
 def _job_model(job: Job, drive_name: str, links: _Links, now: float, message: str | None) -> JobModel:
@@ -111,13 +101,7 @@ def _progress(job: Job, now: float) -> Progress:
 
 
 class _Links:
-    """Addresses of jobs and of the parts of their results.
-
-    Parameters
-    ----------
-    root_path
-        Path under which the service is shown.
-    """
+    """Addresses of jobs and of the parts of their results, below the path under which the service is shown."""
 
     def __init__(self, root_path: str) -> None:
         self._jobs = f"{root_path}/api/v1/jobs"

@@ -52,13 +52,7 @@ class DeliveryModel(BaseModel):
 
 
 def check_subscriber(settings: Settings, subscriber: Subscriber | None) -> dict[str, Any]:
-    """Return the member of a request that is stored, empty where nobody is to be told.
-
-    Raises
-    ------
-    Problem
-        422: the service does not call, or not this host.
-    """
+    """Return the member of a request that is stored, empty where nobody is to be told; a 422 if it is refused."""
     wanted = {} if subscriber is None else subscriber.model_dump(exclude_none=True)
     for name, uri in wanted.items():
         if not settings.webhook_hosts:
@@ -75,11 +69,8 @@ def note(session: Session, job: Job, state: JobState, now: float, **facts: Any) 
 
     Parameters
     ----------
-    session
-    job
     state
         That it enters.
-    now
     **facts
         Outcome of the job: `summary`, `error`.
     """

@@ -34,6 +34,10 @@ class Base(DeclarativeBase):
     type_annotation_map = {dict[str, Any]: JSON(none_as_null=True), str: String(255), int: BigInteger, float: Float}  # noqa: RUF012
 
 
+def _index_where(condition: str, *names: str) -> Index:
+    return Index(*names, sqlite_where=text(condition), postgresql_where=text(condition))
+
+
 class Drive(Base):
     """A drive that is being uploaded, or is ready for jobs."""
 
@@ -98,19 +102,8 @@ class DriveFile(Base):
     """Client that sent it, where that is not the owner of the drive: its bytes count for that client."""
 
     __table_args__ = (
-        Index(
-            "ix_drive_files_sender",
-            "sender",
-            sqlite_where=text("sender IS NOT NULL"),
-            postgresql_where=text("sender IS NOT NULL"),
-        ),
-        Index(
-            "ix_drive_files_folded",
-            "drive_id",
-            "folded",
-            sqlite_where=text("folded IS NOT NULL"),
-            postgresql_where=text("folded IS NOT NULL"),
-        ),
+        _index_where("sender IS NOT NULL", "ix_drive_files_sender", "sender"),
+        _index_where("folded IS NOT NULL", "ix_drive_files_folded", "drive_id", "folded"),
     )
 
 
