@@ -126,7 +126,7 @@ class SourceFile:
         text = self._decoded(self._data())
         if "\r" in text:
             text = text.replace("\r\n", "\n").replace("\r", "\n")
-        lines = text.rstrip().split("\n")
+        lines = text.removesuffix("\n").split("\n")
         longest = max(range(len(lines)), key=lambda row: len(lines[row]))
         if len(lines[longest]) > MAX_LINE_CHARS:
             raise self.fault(
@@ -134,6 +134,8 @@ class SourceFile:
                 "Usual cause: a file without line breaks.",
                 longest + 1,
             )
+        while not lines[-1].strip():
+            lines.pop()
         return lines
 
     def head(self) -> bytes:
