@@ -84,17 +84,13 @@ class _StateRegistry(CollectorRegistry):
 
     def collect(self) -> Iterable[Metric]:
         """Read it."""
-        yield _gauge("interloc_free_bytes", "Space left where drives are kept.", self._storage.free_bytes())
+        yield GaugeMetricFamily("interloc_free_bytes", "Space left where drives are kept.", self._storage.free_bytes())
         yield from _writers(self._database)
         with self._database.reading() as session:
             now = self._database.clock(session)
             yield from _drives(session)
             yield from _jobs(session, now)
             yield from _stages(session)
-
-
-def _gauge(name: str, help_: str, value: float) -> Metric:
-    return GaugeMetricFamily(name, help_, value)
 
 
 def _writers(database: Database) -> Iterator[Metric]:
@@ -118,7 +114,7 @@ def _drives(session: Session) -> Iterator[Metric]:
     yield drives
     yield stored
     trash = session.scalar(select(func.coalesce(func.sum(Drive.stored_bytes), 0)).where(Drive.deleted_at.is_not(None)))
-    yield _gauge("interloc_trash_bytes", "Bytes kept on disk of drives in the trash.", float(trash or 0))
+    yield GaugeMetricFamily("interloc_trash_bytes", "Bytes kept on disk of drives in the trash.", float(trash or 0))
 
 
 def _jobs(session: Session, now: float) -> Iterator[Metric]:
@@ -128,7 +124,9 @@ def _jobs(session: Session, now: float) -> Iterator[Metric]:
     yield jobs
 
     oldest = session.scalar(select(func.min(Job.created_at)).where(Job.state == JobState.ACCEPTED))
-    yield _gauge("interloc_oldest_waiting_job_seconds", "Age of the job that waits longest.", now - (oldest or now))
+    yield GaugeMetricFamily(
+        "interloc_oldest_waiting_job_seconds", "Age of the job that waits longest.", now - (oldest or now)
+    )
 
     waits = SummaryMetricFamily(
         "interloc_queue_wait_seconds", "Time from submission to start, of the jobs that are kept.", labels=["kind"]
@@ -164,7 +162,7 @@ def _stages(session: Session) -> Iterator[Metric]:
     for stage, spent in seconds.items():
         stages.add_metric([stage], spent)
     yield stages
-    yield _gauge(
+    yield GaugeMetricFamily(
         "interloc_keyframes_per_second", f"Keyframes per second of work, of the last {_RECENT} jobs.", _rate(outcomes)
     )
 

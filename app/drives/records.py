@@ -14,7 +14,7 @@ from sqlalchemy import ColumnElement, func, or_, select
 from sqlalchemy.orm import Session, defer
 
 from app.context import Context
-from app.drives.models import DriveList, DriveModel, DriveOptionsModel, FileList, NewDrive, UploadedFile
+from app.drives.models import DriveList, DriveModel, FileList, NewDrive, UploadedFile
 from app.http.paging import cursor_of, newest_first, rows_after
 from app.http.problem_types import (
     BUSY,
@@ -38,7 +38,7 @@ from app.settings import Settings
 from app.states import ACTIVE, DriveState, JobKind, JobState
 from app.store import sidecars
 from app.store.database import moment
-from app.store.models import Drive, DriveFile, Job
+from app.store.models import Drive, DriveFile, Job, columns_for
 from app.store.storage import Storage
 from app.work.places import TRAJECTORY
 from interloc.drives.inspect import DriveReport
@@ -343,21 +343,11 @@ def drive_model(drive: Drive, settings: Settings, *, report: bool = True, result
     """Return a drive as clients see it; `result`: the job that stands for it."""
     expires_at = drive.touched_at + 3600 * settings.upload_expires_h
     return DriveModel(
-        id=drive.id,
-        name=drive.name,
-        note=drive.note,
-        state=drive.state,
-        owner=drive.owner,
-        keep_raw=drive.keep_raw,
-        options=DriveOptionsModel.model_validate(drive.options),
-        source=drive.source,
+        **columns_for(DriveModel, drive, but=("pinned_job", "report")),
         files=drive.file_count,
-        size_bytes=drive.size_bytes,
-        stored_bytes=drive.stored_bytes,
         bbox=None if drive.west is None else [drive.west, drive.south, drive.east, drive.north],
         result_job=result,
         pinned_job=drive.pinned_job if drive.pinned_job == result else None,
-        created_at=moment(drive.created_at),
         expires_at=moment(expires_at) if drive.state == DriveState.UPLOADING else None,
         report=DriveReport.model_validate(drive.report) if report and drive.report else None,
     )

@@ -15,8 +15,7 @@ from app.jobs.outlook import outlook, seconds_left
 from app.jobs.titles import own_settings, title_of
 from app.jobs.webhooks import deliveries_of
 from app.states import JobKind, JobState
-from app.store.database import moment
-from app.store.models import Drive, Job
+from app.store.models import Drive, Job, columns_for
 from interloc.output.layers import LAYERS, PLACES
 from interloc.output.layout import ROAD_LAYERS
 from interloc.output.vector_files import suffixes_here
@@ -63,31 +62,16 @@ def job_models(session: Session, context: Context, rows: Iterable[tuple[Job, str
 
 
 def _job_model(job: Job, drive_name: str, links: _Links, now: float, message: str | None) -> JobModel:
+    error = None if job.error is None else ProblemDocument.model_validate(job.error | stored(job.error).document())
     return JobModel(
-        id=job.id,
-        kind=job.kind,
-        drive_id=job.drive_id,
+        **columns_for(JobModel, job, but=("message", "error")),
         drive_name=drive_name,
         title=title_of(job),
-        name=job.name,
-        note=job.note,
         own_settings=own_settings(job.request),
-        owner=job.owner,
-        state=job.state,
-        stage=job.stage,
         message=message,
         progress=_progress(job, now),
-        request=job.request,
-        created_at=moment(job.created_at),
-        started_at=None if job.started_at is None else moment(job.started_at),
-        finished_at=None if job.finished_at is None else moment(job.finished_at),
-        attempts=job.attempts,
-        error=None
-        if job.error is None
-        else ProblemDocument.model_validate({**job.error, **stored(job.error).document()}),
-        summary=job.summary,
+        error=error,
         links=links.of(job),
-        version=job.version,
     )
 
 

@@ -23,7 +23,7 @@ from app.jobs.calls import AllowedHosts, CallRefusedError
 from app.settings import Settings
 from app.states import JobState
 from app.store.database import moment
-from app.store.models import Delivery, Job, new_id
+from app.store.models import Delivery, Job, columns_for, new_id
 
 Uri = Field(None, max_length=2000, pattern=r"^https?://[!-~]+$", examples=["https://hooks.example.org/interloc"])
 
@@ -119,13 +119,4 @@ def _model(row: Delivery) -> DeliveryModel:
     state: Literal["waiting", "delivered", "given up"] = "waiting"
     if row.next_at is None:
         state = "given up" if row.delivered_at is None else "delivered"
-    return DeliveryModel(
-        id=row.id,
-        type=row.type,
-        uri=row.uri,
-        state=state,
-        attempts=row.attempts,
-        error=row.error,
-        next_at=None if row.next_at is None else moment(row.next_at),
-        delivered_at=None if row.delivered_at is None else moment(row.delivered_at),
-    )
+    return DeliveryModel(**columns_for(DeliveryModel, row), state=state)

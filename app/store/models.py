@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import secrets
+from collections.abc import Collection
 from typing import Any
 
+from pydantic import BaseModel
 from sqlalchemy import (
     JSON,
     BigInteger,
@@ -32,6 +34,12 @@ class Base(DeclarativeBase):
     """All times are seconds since 1970 by the clock of the database."""
 
     type_annotation_map = {dict[str, Any]: JSON(none_as_null=True), str: String(255), int: BigInteger, float: Float}  # noqa: RUF012
+
+
+def columns_for(model: type[BaseModel], row: Base, *, but: Collection[str] = ()) -> dict[str, Any]:
+    """Return the columns of a row that a model has under the same names, except some; times become dates there."""
+    shared = model.model_fields.keys() & row.__table__.columns.keys()
+    return {name: getattr(row, name) for name in shared.difference(but)}
 
 
 def _index_where(condition: str, *names: str) -> Index:

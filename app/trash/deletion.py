@@ -27,7 +27,7 @@ from app.states import FINAL
 from app.store import sidecars
 from app.store.database import moment
 from app.store.incoming import remove, size_of
-from app.store.models import Drive, Job
+from app.store.models import Drive, Job, columns_for
 from app.store.storage import TRASH
 from app.trash.models import TrashItem, TrashKind, TrashList
 
@@ -249,14 +249,11 @@ def _item(context: Context, row: Drive | Job, name: str) -> TrashItem:
         kind = "jobs"
         size = size_of(context.storage.folder(f"jobs/{row.id}"))
     return TrashItem(
+        **columns_for(TrashItem, row, but=("kind", "name", "size_bytes")),
         kind=kind,
-        id=row.id,
         name=name,
         title=title_of(row) if isinstance(row, Job) else None,
-        owner=row.owner,
         size_bytes=size,
-        deleted_at=moment(row.deleted_at),
-        deleted_by=row.deleted_by,
         purged_at=moment(row.deleted_at + 3600 * context.settings.trash_h),
     )
 

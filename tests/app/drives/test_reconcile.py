@@ -23,7 +23,6 @@ from app.jobs.queue import submit
 from app.settings import Settings
 from app.store.models import Drive, DriveFile
 from tests.app import kills
-from tests.app.postgres import postgres_url  # noqa: F401 - a fixture
 from tests.app.street import write_street
 
 API = "/api/v1"
@@ -32,11 +31,10 @@ OLD, NEW = b"of before", b"of afterwards, and longer"
 Serve = Callable[..., httpx.Client]
 
 
-@pytest.fixture(params=["sqlite", "postgres"])
-def context(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Context]:
+@pytest.fixture
+def context(url: str, tmp_path: Path) -> Iterator[Context]:
     """A service that is not running."""
-    address = None if request.param == "sqlite" else request.getfixturevalue("postgres_url")
-    opened = Context.open(Settings(data_dir=tmp_path / "data", database_url=address, min_free_bytes=0))
+    opened = Context.open(Settings(data_dir=tmp_path / "data", database_url=url, min_free_bytes=0))
     yield opened
     opened.close()
 
