@@ -109,7 +109,7 @@ class Trajectory:
         if not jumps:
             return None, self
         findings.warning(pose_file, f"the poses {jumps}")
-        poses = replace(self.poses, T_world_lidar=_from_first(self.poses.T_world_lidar[rows]), T_file_world=None)
+        poses = replace(self.poses, T_world_lidar=from_first(self.poses.T_world_lidar[rows]), T_file_world=None)
         georeference = None if self.georeference is None else self.georeference.part(rows)
         return rows, replace(self, poses=poses, times_s=self.times_s[rows], georeference=georeference)
 
