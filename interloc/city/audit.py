@@ -21,7 +21,6 @@ from interloc.city.citymap import CityMap
 from interloc.city.osm_plane import OsmPlane
 from interloc.city.places import SAME_PASS_S, PlaceTable
 from interloc.city.settings import AuditConfig, Kind
-from interloc.city.surface import ground_at
 from interloc.city.verdicts import Judgement
 from interloc.osm.graph import RoadGraph
 
@@ -179,19 +178,14 @@ class _Auditor:
         nearest, node = _nearest(table.xy, osm.xy[osm.junctions])
         for row in self.looked_at.tolist():
             kind: Kind = "missing_junction" if nearest[row] > self.config.junction_m else "missing_branch"
-            key = _key(kind, table.uid[row])
-            ease = self._ease(key)
+            ease = self._ease(kind, table.uid[row])
             if self.certainty[row] < self.config.min_confidence * ease:
                 continue
             # A junction that lies a little elsewhere has its branches elsewhere, too: it lacks none of them.
             origins = [table.xy[row], *([osm.xy[osm.junctions[node[row]]]] if kind == "missing_branch" else [])]
             saw = {i: self._lacks(row, i, origins, ease) for i in range(len(table.bearings_deg[row]))}
             branches = [i for i, drives in saw.items() if self._enough(drives)]
-            if not branches:
-                continue
-            reason = self._excuse(table.xy[row])
-            if reason is not None:
-                self._hold_back(reason)
+            if not branches or self._is_held_back(self._excuse(table.xy[row])):
                 continue
             drives = saw[branches[0]]
             bearings = [float(table.bearings_deg[row][i]) for i in branches]
@@ -229,7 +223,7 @@ class _Auditor:
 
     def _road(self, name: str, xy: FloatArray) -> float:
         """Return the share of (N, 2) positions that a drive saw as road."""
-        return float(ground_at(self.city, name, xy).road.mean())
+        return float(self.city.drives[name].ground_at(xy, self.city.epsg)[0].mean())
 
     def _moved(self) -> Iterator[Finding]:
         """Yield junctions that lie elsewhere: place and node are each other's only partner."""
@@ -247,8 +241,7 @@ class _Auditor:
             if len(near) != 1 or not is_open[near[0]]:
                 continue
             node = int(osm.junctions[near[0]])
-            key = _key("moved", osm.graph.node_id[node])
-            ease, apart = self._ease(key), osm.xy[node] - here
+            ease, apart = self._ease("moved", osm.graph.node_id[node]), osm.xy[node] - here
             distance = float(np.hypot(*apart))
             cov = table.position_cov_m2[row][[[0, 1], [1, 2]]]
             sigmas = float(np.sqrt(apart @ np.linalg.solve(cov, apart)))
@@ -258,24 +251,21 @@ class _Auditor:
             ):
                 continue
             beside = [each for each in shown[places.query_ball_point(osm.xy[node], _PARTNER_M)].tolist() if each != row]
-            if self._are_strange(beside, node) or self.certainty[row] < config.min_confidence * ease:
-                self._hold_back("several places near the node, or not sure enough")
-                continue
             bearings = np.sort(table.bearings_deg[row])
             gaps = np.diff(np.append(bearings, bearings[0] + 360.0))
-            if gaps.min() < _APART_DEG:
-                self._hold_back("acute: the position slides along the bisector")
-                continue
-            if osm.is_odd(node):
-                self._hold_back("link, roundabout or two carriageways")
-                continue
             drives = self._off_road(row, node, ease)
-            if not self._enough(drives):
-                self._hold_back("node and its roads lie on what was seen as road")
-                continue
-            reason = self._excuse(here)
-            if reason is not None:
-                self._hold_back(reason)
+            reason = (
+                "several places near the node, or not sure enough"
+                if self._are_strange(beside, node) or self.certainty[row] < config.min_confidence * ease
+                else "acute: the position slides along the bisector"
+                if gaps.min() < _APART_DEG
+                else "link, roundabout or two carriageways"
+                if osm.is_odd(node)
+                else "node and its roads lie on what was seen as road"
+                if not self._enough(drives)
+                else self._excuse(here)
+            )
+            if self._is_held_back(reason):
                 continue
             yield self._finding(
                 "moved",
@@ -304,24 +294,22 @@ class _Auditor:
 
     def _beside(self) -> Iterator[Finding]:
         """Yield junctions beside the road: passes drove straight on, from one road of the node to another."""
+        from scipy.spatial import cKDTree  # noqa: PLC0415
+
         osm, config = self.osm, self.config
         nodes = np.array([each for each in osm.open_junctions.tolist() if not osm.is_odd(each)], dtype=np.int64)
         past: dict[int, dict[str, float]] = defaultdict(dict)
         for name, drive in sorted(self.city.drives.items()):
-            track = drive.track_each_m - drive.knots.mean(axis=0)
-            metres, _ = _nearest(osm.xy[nodes], track)
+            track = cKDTree(drive.track_each_m - drive.knots.mean(axis=0))
+            metres = np.asarray(track.query(osm.xy[nodes])[0])
             rows = np.flatnonzero((metres > config.moved_m * config.kept) & (metres < _PAST_M))
             for node, distance in zip(nodes[rows].tolist(), metres[rows].tolist(), strict=True):
                 if self._leads_past(track, node):
                     past[node][name] = distance
         for node, found in past.items():
-            least = config.moved_m * self._ease(_key("moved", osm.graph.node_id[node]))
+            least = config.moved_m * self._ease("moved", osm.graph.node_id[node])
             drives = tuple(name for name, distance in found.items() if distance > least)
-            if not self._enough(drives):
-                continue
-            reason = self._excuse(osm.xy[node])
-            if reason is not None:
-                self._hold_back(reason)
+            if not self._enough(drives) or self._is_held_back(self._excuse(osm.xy[node])):
                 continue
             distance = float(np.median([found[name] for name in drives]))
             yield self._finding(
@@ -334,11 +322,11 @@ class _Auditor:
                 distance_m=_round(distance),
             )
 
-    def _leads_past(self, track: FloatArray, node: int) -> bool:
+    def _leads_past(self, tree: Any, node: int) -> bool:  # noqa: ANN401 - without types
         """Tell whether a track, a position each metre, leads straight from a road of a node to another, off the map."""
-        joins = []
+        joins, track = list[int](), tree.data
         for road in self.osm.roads_from(node, _PAST_M):
-            metres, at = _nearest(road, track)
+            metres, at = tree.query(road)
             joins += at[metres < _ON_TRACK_M][:1].tolist()
         for first, last in combinations(sorted(joins), 2):
             into = track[first] - track[max(first - _AHEAD_M, 0)]
@@ -356,24 +344,24 @@ class _Auditor:
         nearest, _ = _nearest(osm.xy, self.places.xy[self.places.is_shown])
         for node in osm.open_junctions.tolist():
             drives = self._came_by(node)
-            ease = self._ease(_key("phantom", osm.graph.node_id[node]))
+            ease = self._ease("phantom", osm.graph.node_id[node])
             if not self._enough(drives) or nearest[node] <= config.junction_m:
                 continue
             sides = [road[int(_BESIDE_M) :] for road in osm.roads_from(node, _PHANTOM_M)]
             shares = [
-                (np.mean([g.road.mean() for g in seen]), np.mean([g.other[:12].mean() for g in seen]))
-                for seen in ([ground_at(self.city, name, side) for name in drives] for side in sides if len(side) >= 12)
+                (np.mean([road.mean() for road, _ in seen]), np.mean([other[:12].mean() for _, other in seen]))
+                for seen in (
+                    [self.city.drives[name].ground_at(side, self.city.epsg) for name in drives]
+                    for side in sides
+                    if len(side) >= 12
+                )
             ]
             unseen = [
                 share for share in shares
                 if share[0] < config.max_phantom_road / ease and share[1] >= config.min_phantom_other * ease
             ]  # fmt: skip
-            if not unseen:
-                self._hold_back("side road seen, or not told from what was not seen")
-                continue
-            reason = self._excuse(osm.xy[node])
-            if reason is not None:
-                self._hold_back(reason)
+            blind = None if unseen else "side road seen, or not told from what was not seen"
+            if self._is_held_back(blind or self._excuse(osm.xy[node])):
                 continue
             yield self._finding(
                 "phantom",
@@ -397,8 +385,8 @@ class _Auditor:
                 continue
             row, node = int(rows[0]), nodes[0]
             apart = np.hypot(*(osm.xy[nodes] - table.xy[row]).T)
-            key = _key("one_junction", osm.graph.node_id[node])
-            if table.confidence[row] < self.config.min_confidence * self._ease(key) or apart.max() > _PARTNER_M:
+            ease = self._ease("one_junction", osm.graph.node_id[node])
+            if table.confidence[row] < self.config.min_confidence * ease or apart.max() > _PARTNER_M:
                 continue
             ids = [int(each) for each in osm.graph.node_id[nodes]]
             yield self._finding(
@@ -414,8 +402,20 @@ class _Auditor:
     # what they share --------------------------------------------------------------------------------------------------
 
     def _came_by(self, node: int) -> tuple[str, ...]:
-        """Return the drives that came by a node: three keyframes or more within 15 m."""
-        return self._near_nodes.get(node, ())
+        """Return the drives that came by an open junction: three keyframes or more within 15 m."""
+        return tuple(self.came_by.get(node, ()))
+
+    @cached_property
+    def came_by(self) -> dict[int, list[str]]:
+        from scipy.spatial import cKDTree  # noqa: PLC0415
+
+        rows, found = self.osm.open_junctions, defaultdict[int, list[str]](list)
+        for name, drive in sorted(self.city.drives.items()):
+            tree = cKDTree(drive.track_xy - drive.knots.mean(axis=0))
+            counts = tree.query_ball_point(self.osm.xy[rows], _TRACK_M, return_length=True)
+            for node in rows[np.asarray(counts) >= 3].tolist():
+                found[node].append(name)
+        return found
 
     def _passes(self, names: Sequence[str]) -> int:
         """Return how many passes drives are: one that begins within ten minutes of another's end is the same."""
@@ -442,21 +442,6 @@ class _Auditor:
         found: FloatArray = self.places.confidence * np.array([len(near) / len(saw) for near, saw in pairs])
         return found
 
-    @property
-    def _near_nodes(self) -> dict[int, tuple[str, ...]]:
-        if not hasattr(self, "_near"):
-            from scipy.spatial import cKDTree  # noqa: PLC0415
-
-            rows = self.osm.open_junctions
-            found: dict[int, list[str]] = {}
-            for name, drive in sorted(self.city.drives.items()):
-                tree = cKDTree(drive.track_xy - drive.knots.mean(axis=0))
-                counts = tree.query_ball_point(self.osm.xy[rows], _TRACK_M, return_length=True)
-                for node in rows[np.asarray(counts) >= 3].tolist():
-                    found.setdefault(node, []).append(name)
-            self._near = {node: tuple(names) for node, names in found.items()}
-        return self._near
-
     def _excuse(self, xy: FloatArray) -> str | None:
         """Return why nothing is to be claimed at a place; None where nothing speaks against it."""
         osm = self.osm
@@ -473,11 +458,13 @@ class _Auditor:
             return "roundabout"
         return None
 
-    def _ease(self, key: str) -> float:
-        return self.config.kept if key in self.known else 1.0
+    def _ease(self, kind: Kind, about: object) -> float:
+        return self.config.kept if _key(kind, about) in self.known else 1.0
 
-    def _hold_back(self, reason: str) -> None:
-        self.held_back[reason] = self.held_back.get(reason, 0) + 1
+    def _is_held_back(self, reason: str | None) -> bool:
+        if reason is not None:
+            self.held_back[reason] = self.held_back.get(reason, 0) + 1
+        return reason is not None
 
     def _finding(
         self,
