@@ -9,7 +9,6 @@ import numpy as np
 
 from interloc.arrays import FloatArray
 from interloc.city.citymap import CityMap
-from interloc.city.surface import ground_at
 
 ChangeKind = Literal["new_junction", "gone_junction", "new_branch", "gone_branch"]
 
@@ -131,9 +130,9 @@ def _side_seen(
         if (_apart(bearings, bearing_deg) <= _BRANCH_DEG).any():
             saw.add(name)
             continue
-        ground = ground_at(city, name, side)
-        if ground.road.mean() >= _ROAD:
+        road, other = city.drives[name].ground_at(side, city.epsg)
+        if road.mean() >= _ROAD:
             saw.add(name)
-        elif ground.other.mean() >= _OTHER:
+        elif other.mean() >= _OTHER:
             missed.add(name)
     return saw, missed

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from interloc.arrays import FloatArray, IntArray
+from interloc.arrays import BoolArray, FloatArray, IntArray
 from interloc.city.adjustment import Prior, Sightings
 from interloc.city.passes import Pass
 from interloc.city.settings import CityConfig
@@ -61,18 +61,45 @@ class DriveOnMap:
         return cKDTree(self.track_xy)
 
     @cached_property
+    def track_each_m(self) -> FloatArray:
+        """Positions each metre along the keyframes, (n, 2)."""
+        travelled = np.append(0.0, np.cumsum(np.hypot(*np.diff(self.track_xy, axis=0).T)))
+        at = np.arange(0.0, travelled[-1] + 0.5)
+        return np.stack([np.interp(at, travelled, axis) for axis in self.track_xy.T], axis=-1)
+
+    @cached_property
     def branches(self) -> tuple[FloatArray, FloatArray, IntArray]:
         """Bearings and widths of the branches of all sightings, one after the other, and how many each has."""
         data = self.data
         bearing, width = (np.concatenate([np.zeros(0), *each]) for each in (data.bearings_deg, data.widths_m))
         return bearing, width, np.array([len(each) for each in data.bearings_deg], dtype=np.int64)
 
-    def overlaps(self, other: DriveOnMap, margin_m: float) -> bool:
-        """Tell whether the boxes around what two drives saw come within a margin of each other."""
-        if not len(self.xy) or not len(other.xy):
-            return False
-        low, high = self.xy.min(axis=0) - margin_m, self.xy.max(axis=0) + margin_m
-        return bool((other.xy.max(axis=0) >= low).all() and (other.xy.min(axis=0) <= high).all())
+    @cached_property
+    def box(self) -> FloatArray:
+        """Lowest and highest x and y of what it saw, (2, 2); without anything the lowest is the higher one."""
+        return np.stack([self.xy.min(axis=0, initial=np.inf), self.xy.max(axis=0, initial=-np.inf)])
+
+    @cached_property
+    def track_box(self) -> FloatArray:
+        """The same of its keyframes."""
+        return np.stack([self.track_xy.min(axis=0), self.track_xy.max(axis=0)])
+
+    def ground_at(self, xy: FloatArray, epsg: int | None) -> tuple[BoolArray, BoolArray]:
+        """Return where it saw road, and where other ground, of (N, 2) positions on the map: else it saw nothing."""
+        road, nothing = self.data.road, np.zeros(len(xy), dtype=np.bool_)
+        if road is None or road.epsg is None or not len(xy):
+            return nothing, nothing
+        along = self.data.track_along_m
+        nearest = np.argmin(np.sum((self.track_xy - xy.mean(axis=0)) ** 2, axis=1))
+        knots = np.linspace(0.0, along[-1], len(self.knots))
+        there = xy + [np.interp(along[nearest], knots, axis) for axis in self.knots.T]
+        if road.epsg != epsg:
+            from pyproj import Transformer  # noqa: PLC0415 - slow to import
+
+            turned = Transformer.from_crs(epsg, road.epsg, always_xy=True).transform(there[:, 0], there[:, 1])
+            there = np.stack(turned, axis=-1)
+        is_road = road.raster.at(there) > 0
+        return is_road, nothing if road.other is None else (road.other.at(there) > 0) & ~is_road
 
 
 def system_of(drives: Sequence[DriveOnMap], config: CityConfig) -> tuple[Sightings, IntArray]:

@@ -20,7 +20,7 @@ from interloc.drives.poses.frame import to_lidar
 from interloc.drives.poses.lines import PoseLines, read_poses
 from interloc.drives.poses.tum import is_tum, read_tum
 from interloc.errors import InterLocError
-from interloc.geometry import enu_from_lonlat, invert_transform
+from interloc.geometry import enu_from_lonlat, from_first
 
 _MAX_SPEED_MPS = 80.0
 
@@ -208,12 +208,12 @@ def _poses_of_scans(
     elif frames[0] > 0 and lines.frames is None:
         findings.note(file.name, f"the scans start at {frames[0]}, and there is one pose per scan: taken one to one.")
     lidar, frame, reason = to_lidar(lines.poses, parts, file, declared, findings)
-    return LidarPoses(_from_first(lidar[rows]), frame, reason, lidar[rows[0]])
+    return LidarPoses(from_first(lidar[rows]), frame, reason, lidar[rows[0]])
 
 
 def _differ_in_length(file: SourceFile, times: SourceFile, pose_count: int, findings: Findings) -> bool:
     """Warn where there are not as many times as poses: both have a line per frame of their sequence."""
-    count = len("\n".join(times.lines()).rstrip().split("\n"))
+    count = len(times.lines())
     if count == pose_count:
         return False
     findings.warning(
@@ -305,21 +305,12 @@ def _poses_from_georeference(georeference: Georeference | None, why_none: str, f
         )
     reason = "there is no poses.txt; the poses are those of the georeference"
     findings.note("oxts", reason)
-    return LidarPoses(_from_first(poses_of(georeference)), "oxts", reason)
-
-
-def _from_first(poses: FloatArray) -> FloatArray:
-    """Express poses in the LiDAR at the first scan."""
-    relative: FloatArray = invert_transform(poses[0]) @ poses
-    relative[0] = np.eye(4)
-    return relative
+    return LidarPoses(poses_of(georeference), "oxts", reason)
 
 
 def _read_times(file: SourceFile, frames: IntArray, findings: Findings) -> FloatArray | None:
     """Read the time of every scan, seconds; None where there is none that fits."""
     lines = [text.strip() for text in file.lines()]
-    while lines and not lines[-1]:
-        lines.pop()
     rows = rows_by_frame(frames, len(lines))
     if rows is None:
         findings.warning(

@@ -12,7 +12,7 @@ from interloc.drives.files import SourceFile
 from interloc.drives.findings import Findings, GeoreferenceFileError
 from interloc.drives.georeference.shift import fit_shift
 from interloc.drives.poses.motion import body_steps, body_turns, rows_apart
-from interloc.geometry import ecef_from_geodetic, enu_from_lonlat, invert_transform
+from interloc.geometry import ecef_from_geodetic, enu_from_lonlat, from_first
 
 MAX_GEOREFERENCE_ERROR = 0.1
 """Of the distance between two scans; all KITTI drives stay under 0.02, and those of other drives are over 0.1."""
@@ -91,9 +91,7 @@ def checked_fixes(file: SourceFile, rows: FloatArray, frames: IntArray) -> Float
 
 def poses_of(georeference: Georeference) -> FloatArray:
     """Return (N, 4, 4) T_world_lidar of a georeference, exact on the ellipsoid; W is the LiDAR at the first fix."""
-    T_ecef_lidar = ecef_poses(georeference)
-    relative: FloatArray = invert_transform(T_ecef_lidar[0]) @ T_ecef_lidar
-    return relative
+    return from_first(ecef_poses(georeference))
 
 
 def ecef_poses(georeference: Georeference) -> FloatArray:
@@ -153,12 +151,11 @@ def check_georeference(poses: FloatArray, georeference: Georeference, findings: 
         swapped = replace(georeference, lat_deg=georeference.lon_deg, lon_deg=georeference.lat_deg)
         if np.abs(swapped.lat_deg).max() < 90.0 and error_of(swapped) < MAX_GEOREFERENCE_ERROR:
             cause = "Latitude and longitude are swapped: the other way round the motion is that of the poses."
-        findings.error(
-            GeoreferenceFileError(
-                georeference.source,
-                f"describes another motion than the poses: off by {error:.0%} of the distance, piece by piece "
-                f"(usual: under 2 %). {cause}",
-            )
+        findings.refuse(
+            georeference.source,
+            f"describes another motion than the poses: off by {error:.0%} of the distance, piece by piece "
+            f"(usual: under 2 %). {cause}",
+            GeoreferenceFileError,
         )
     return error
 
@@ -171,13 +168,12 @@ def _check_turns(ours: FloatArray, theirs: FloatArray, source: str, findings: Fi
     if np.sqrt(squares) < MIN_TURNED_RAD or share > _MIN_TURN_SHARE:
         return
     how = "to the other side" if share < -_MIN_TURN_SHARE else "otherwise"
-    findings.error(
-        GeoreferenceFileError(
-            source,
-            f"turns {how} than the poses ({share:.0%} of its turns are in them). Usual cause: one of the two has its z "
-            "axis down (NED, FRD), so that left and right are mirrored, or an attitude that is not filled in. "
-            "Expected x forward, y left, z up in both.",
-        )
+    findings.refuse(
+        source,
+        f"turns {how} than the poses ({share:.0%} of its turns are in them). Usual cause: one of the two has its z "
+        "axis down (NED, FRD), so that left and right are mirrored, or an attitude that is not filled in. "
+        "Expected x forward, y left, z up in both.",
+        GeoreferenceFileError,
     )
 
 
@@ -195,11 +191,10 @@ def check_shift(poses: FloatArray, georeference: Georeference, findings: Finding
     shift = fit_shift(scans, poses[:, :2, 3], scans, enu)
     if shift is None or abs(shift.late) < _MIN_SHIFT_SCANS:
         return
-    findings.error(
-        GeoreferenceFileError(
-            georeference.source,
-            f"is {abs(shift.late):.1f} scans {'late' if shift.late > 0 else 'early'} against the poses: so shifted it "
-            f"lies {shift.after_m:.1f} m off them, else {shift.before_m:.1f} m, and intersections would be about "
-            f"{shift.metres:.0f} m off along the road. Usual cause: rows that start at another frame, or two clocks.",
-        )
+    findings.refuse(
+        georeference.source,
+        f"is {abs(shift.late):.1f} scans {'late' if shift.late > 0 else 'early'} against the poses: so shifted it "
+        f"lies {shift.after_m:.1f} m off them, else {shift.before_m:.1f} m, and intersections would be about "
+        f"{shift.metres:.0f} m off along the road. Usual cause: rows that start at another frame, or two clocks.",
+        GeoreferenceFileError,
     )
