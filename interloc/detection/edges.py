@@ -24,7 +24,6 @@ REACH = 4  # rings before and behind one that show the direction of its road
 MAX_MISSES = 4  # rings without an edge that it crosses straight on
 UNSEEN_SHARE = 0.6  # of a half width that may be missing at an edge that was not seen
 LASTING_RAD = math.radians(110.0)  # a corner between two roads at this angle is short
-FOLLOW_COS = math.cos(math.radians(60.0))  # an axis is followed inwards until it has turned by this
 
 PLACE = np.dtype([(name, np.float64) for name in ("row", "col", "n", "rr", "rc", "cc", "half")])
 """A place on the axis of a branch: row and column, number of its pixels (0: not to be trusted), sums over them of the
@@ -118,7 +117,7 @@ def follow_edge(
         norm = math.hypot(u_row, u_col)
         u_row, u_col = u_row / norm, u_col / norm
         r, c = trail[i + 1, 0] + RING_PX * u_row, trail[i + 1, 1] + RING_PX * u_col
-        if -(u_row * d_row + u_col * d_col) < FOLLOW_COS or _is_on_other(r, c, lines, which, fit):
+        if u_row * d_row + u_col * d_col > 0.0 or _is_on_other(r, c, lines, which, fit):
             break
         left, right = edges_across(words, r, c, u_row, u_col, half + SLACK_PX + 1.0)
         misses += 1
