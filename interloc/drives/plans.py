@@ -120,7 +120,7 @@ class PlanMatch:
     def _distance_m(self) -> Float32Array:
         """How far each place is from the nearest cell of the target, up to 2 m."""
         free: UInt8Array = np.ones((_FINE_SIZE, _FINE_SIZE), dtype=np.uint8)
-        at = np.floor(self.target / _FINE_M).astype(np.int64) + _FINE_SIZE // 2
+        at = np.rint(self.target / _FINE_M).astype(np.int64) + _FINE_SIZE // 2
         free[at[:, 0], at[:, 1]] = 0
         distance_m: Float32Array = (_FINE_M * cv2.distanceTransform(free, cv2.DIST_L2, 5)).astype(np.float32)
         distance_m[distance_m > _FAR_M] = _FAR_M
@@ -128,7 +128,7 @@ class PlanMatch:
 
     def off_m(self, motion: FloatArray) -> float:
         """Return how far the cells of the source, moved so, are from those of the target: the mean, each up to 2 m."""
-        at = np.floor((rotate_2d(self.source, motion[2]) + motion[:2]) / _FINE_M).astype(np.int64) + _FINE_SIZE // 2
+        at = np.rint((rotate_2d(self.source, motion[2]) + motion[:2]) / _FINE_M).astype(np.int64) + _FINE_SIZE // 2
         at = at[((at >= 0) & (at < _FINE_SIZE)).all(axis=1)]
         return float(self._distance_m[at[:, 0], at[:, 1]].mean()) if len(at) else _FAR_M
 

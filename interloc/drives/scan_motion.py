@@ -45,6 +45,11 @@ _CLOSER, _PLACES_CLOSER = 1.25, 3
 """So much closer must scans lie with the motion of a mistake: with their own they lie up to 1.04 times as far off on
 drives that turn hardly at all, and 0.7 to 0.4 times where they turn."""
 
+_SCALES = np.exp(np.arange(-0.9, 0.91, 0.02))
+_SCALE_APART_M, _SCALE_PLACES, _AGREE, _ALIKE = 3.0, 4, 0.75, 0.05
+_OFF_SCALE = 0.07
+"""Of the logarithm of a scale: on sound drives, real and simulated, it is 0.04 at most where places agree."""
+
 
 @dataclass(frozen=True)
 class _Pair:
@@ -138,16 +143,26 @@ def check_scan_motion(drive: FolderDrive, usable: IntArray, pose_file: str, find
     mistake = max(mistakes, key=lambda each: each.ratio, default=_Mistake(""))
     fault = _unlike(near, poses, mistake) or _in_another_unit(pairs, near, poses)
     tells = pairs or any(each.ratio * _CLOSER < 1.0 for each in mistakes)
-    if not tells and float(np.linalg.norm(np.ptp(poses[:, :3, 3], axis=0))) > _MUCH_M:
-        findings.note(
-            pose_file, "the scans hold too little that stands upright or turns to tell whether they move as the poses."
-        )
+    scale = _scale_of(matcher.laid, poses) if matcher.kind == "upright" else None
+    untold = "" if tells else "too little that stands upright or turns to tell whether they move as the poses."
+    if tells and scale is None and fault is None:
+        untold = "too little that stands upright to tell whether the poses have their scale: a third more is not seen."
+    if untold and float(np.linalg.norm(np.ptp(poses[:, :3, 3], axis=0))) > _MUCH_M:
+        findings.note(pose_file, f"the scans hold {untold}")
     if mistake.is_clear and (fault is None or fault[1] < _PLACES_WRONG):
         text = f"the scans do not move as the poses do ({mistake.closer} of {mistake.of} places). {mistake.words}."
         if mistake.metres < _LITTLE_M:
             findings.warning(pose_file, text)
         else:
             findings.error(DriveFileError(pose_file, text))
+    elif scale is not None and abs(np.log(scale)) > _OFF_SCALE:
+        findings.error(
+            DriveFileError(
+                pose_file,
+                f"the poses move {1 / scale:.2f} times as far as the scans. Usual cause: the scale of a monocular or "
+                "visual odometry, the radius of a wheel, or another unit.",
+            )
+        )
     elif fault is not None:
         pair, wrong, of, usual = fault
         x, y, turn = _planar(poses, pair.i, pair.j)
@@ -220,6 +235,28 @@ def _mistakes(pairs: list[_Pair], poses: FloatArray) -> list[_Mistake]:
             closer = int(np.count_nonzero(off_m < told_m[rows]))
             found.append(_Mistake(words, ratio, closer, len(rows), metres))
     return found
+
+
+def _scale_of(laid: list[_Pair], poses: FloatArray) -> float | None:
+    """Return how many times as far as the poses the scans move; None where that cannot be told.
+
+    Places that do not overlap are looked at: the scale by which the scans of all lie closest together must be that of
+    most of them alone.
+    """
+    off_m: list[list[float]] = []
+    until = 0
+    for pair in sorted(laid, key=lambda each: each.j):
+        told = _planar(poses, pair.i, pair.j)
+        if pair.i >= until and np.hypot(told[0], told[1]) > _SCALE_APART_M:
+            off_m.append([pair.match.off_m(told * (scale, scale, 1.0)) for scale in _SCALES])
+            until = pair.j
+    if len(off_m) < _SCALE_PLACES:
+        return None
+    alone, best = np.log(_SCALES[np.argmin(off_m, axis=1)]), int(np.argmin(np.sum(off_m, axis=0)))
+    together = np.log(_SCALES[best])
+    alike = int(np.count_nonzero(np.abs(alone - together) < max(_ALIKE, abs(together) / 4)))
+    is_told = 0 < best < len(_SCALES) - 1 and alike >= max(_SCALE_PLACES, _AGREE * len(off_m))
+    return float(_SCALES[best]) if is_told else None
 
 
 def _is_near(told: FloatArray) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from interloc.drives.options import DriveOptions, PoseFrame
 from interloc.drives.poses.calibration import IMU_CALIBRATION
 from interloc.drives.poses.frame import to_lidar
 from interloc.drives.poses.lines import PoseLines, read_poses
+from interloc.drives.poses.motion import longest_piece
 from interloc.drives.poses.tum import is_tum, read_tum
 from interloc.errors import InterLocError
 from interloc.geometry import enu_from_lonlat, invert_transform
@@ -84,6 +85,36 @@ class Trajectory:
     georeference: Georeference | None = None
     georeference_reason: str | None = None
     is_odd: bool = False
+
+    def within_jumps(
+        self, frames: IntArray | None, pose_file: str, findings: Findings
+    ) -> tuple[slice | None, Trajectory]:
+        """Cut where the poses jump; a warning says what is left out.
+
+        Parameters
+        ----------
+        frames : (N,) int64 or None
+            Scan numbers; None: from 0 on.
+        pose_file : str
+            Name of the pose file in messages.
+
+        Returns
+        -------
+        rows : slice or None
+            The longest piece between two jumps; None where there are none.
+        Trajectory
+            Of these rows.
+        """
+        if self.poses is None or self.times_s is None:
+            return None, self
+        frames = np.arange(len(self.times_s)) if frames is None else frames
+        rows, jumps = longest_piece(self.poses.T_world_lidar[:, :3, 3], self.times_s, frames)
+        if not jumps:
+            return None, self
+        findings.warning(pose_file, f"the poses {jumps}")
+        poses = replace(self.poses, T_world_lidar=_from_first(self.poses.T_world_lidar[rows]), T_file_world=None)
+        georeference = None if self.georeference is None else self.georeference.part(rows)
+        return rows, replace(self, poses=poses, times_s=self.times_s[rows], georeference=georeference)
 
 
 def read_trajectory(

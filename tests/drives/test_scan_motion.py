@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -84,6 +85,18 @@ def test_poses_that_the_scans_contradict(
     assert "the scans do not move as the poses do" in text
     if kind == "written":
         assert words in text
+
+
+@pytest.mark.parametrize("factor", [0.7, 0.9, 1.1, 1.2, 1.5])
+def test_a_wrong_scale_is_told_by_its_number(tmp_path: Path, written: Path, factor: float) -> None:
+    text = with_poses(written, tmp_path / "street", scaled(factor)(streets.poses()))
+    (found,) = re.findall(r"the poses move (\d\.\d\d) times as far as the scans", text)
+    assert float(found) == pytest.approx(factor, rel=0.05)
+
+
+def test_where_nothing_stands_upright_the_scale_is_not_told(ground: Path) -> None:
+    notes = [problem.message for problem in inspect_drive(ground).problems]
+    assert any("whether the poses have their scale" in note for note in notes)
 
 
 @pytest.mark.parametrize("kind", ["written", "ground"])

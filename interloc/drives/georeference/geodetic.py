@@ -193,7 +193,9 @@ def check_shift(poses: FloatArray, georeference: Georeference, findings: Finding
     enu = enu_from_lonlat(lonlat[0, 1], lonlat[0, 0], lonlat)
     scans = np.arange(len(poses), dtype=np.float64)
     shift = fit_shift(scans, poses[:, :2, 3], scans, enu)
-    if shift is None or abs(shift.late) < _MIN_SHIFT_SCANS:
+    if shift is None or not shift.is_there or abs(shift.late) < _MIN_SHIFT_SCANS:
+        if shift is not None and shift.untold:
+            findings.note(georeference.source, shift.untold)
         return
     findings.error(
         GeoreferenceFileError(
