@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from interloc.drives.odometry import PARTLY
 from interloc.drives.options import ODOMETRY, DriveOptions
-from interloc.errors import ConfigError
+from interloc.errors import ConfigError, DriveError
 from interloc.files import atomic_write
 from interloc.processes import Progress
 from interloc.reduction.convert import read_unreduced
@@ -84,6 +85,8 @@ def write_poses(
     trajectory = reading.trajectory
     assert scans.frames is not None
     assert trajectory.poses is not None
+    if PARTLY in trajectory.poses.reason:
+        raise DriveError(f"{trajectory.poses.reason}.")
     poses, times_s = trajectory.poses.T_world_lidar, trajectory.times_s
     rows, form = poses[:, :3].reshape(-1, 12), ["%.9g"] * 12
     if not is_contiguous(scans.frames) and scans.parts.layout not in _NUMBERED_ANYHOW:

@@ -3,8 +3,8 @@
 Each argument is SEQUENCE[:SENSOR[:SCANS]], a twin of KITTI with ten scans per second. Its poses, labels and fixes are
 hidden; `interloc run --near` computes the poses, labels the points by geometry and places the drive on the map of the
 whole city. Where it is placed, it is tried once more around a place `--away` km to the east, where it must be refused.
-Shown are the intersections of the map in reach that were found within 10 m, the farthest of them, how far the track lies
-from the true one, and processor time and memory of the whole process. Drives in --twins are used again.
+Shown are the intersections of the map in reach that were found within 10 m, the farthest of them, how far the track
+lies from the true one, and processor time and memory of the whole process. Drives in --twins are used again.
 """
 
 from __future__ import annotations
