@@ -27,24 +27,7 @@ RESTORING = "restoring.json"
 
 @dataclass(frozen=True)
 class Context:
-    """What the parts of a running service share; those that use it (runner, watcher, routes) are made in `app.main`.
-
-    Attributes
-    ----------
-    settings, database, storage, tokens, metrics
-    reserve : Reserve
-        Disk space that is given up when there is no other.
-    bookings : Bookings
-        Disk space for bodies under way.
-    stopping : threading.Event
-        Set when the server begins to stop: streams and waits that would go on must end.
-    jobs_changed : threading.Event
-        Set when a job was submitted, was cancelled or has ended: the runner looks for the next one at once.
-    maps_changed : threading.Event
-        Set when a map may have to be brought up to date: it is looked at at once.
-    lacks_workers : threading.Event
-        Set while this server takes no job, because it has no worker for it.
-    """
+    """What the parts of a running service share; those that use it (runner, watcher, routes) are made in `app.main`."""
 
     settings: Settings
     database: Database
@@ -52,11 +35,19 @@ class Context:
     tokens: TokenBook
     metrics: Metrics
     reserve: Reserve
+    """Disk space that is given up when there is no other."""
     stopping: threading.Event = field(default_factory=threading.Event)
+    """Set when the server begins to stop: streams and waits that would go on must end."""
     jobs_changed: threading.Event = field(default_factory=threading.Event)
+    """Set when a job was submitted, was cancelled or has ended: the runner looks for the next one at once."""
     maps_changed: threading.Event = field(default_factory=threading.Event)
+    """Set when a map may have to be brought up to date: it is looked at at once."""
+    map_rows: dict[str, Any] = field(default_factory=dict)
+    """By the id of a map: what the database said of it last."""
     lacks_workers: threading.Event = field(default_factory=threading.Event)
+    """Set while this server takes no job, because it has no worker for it."""
     bookings: Bookings = field(default_factory=Bookings)
+    """Disk space for bodies under way."""
 
     @classmethod
     def open(cls, settings: Settings, *, bound: bool = True) -> Context:
@@ -96,7 +87,6 @@ def open_database(settings: Settings, *, bound: bool = True) -> Database:
 
     Parameters
     ----------
-    settings
     bound
         False opens them even if they do not belong together, to bind them.
 

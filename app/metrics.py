@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterable, Iterator
+from functools import partial
 from typing import Any, Literal
 
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, ProcessCollector, generate_latest
@@ -35,9 +36,8 @@ class Metrics:
     def __init__(self) -> None:
         self.registry = CollectorRegistry()
         ProcessCollector(registry=self.registry)
-        self._requests = Counter(
-            "interloc_http_requests", "Requests answered.", ("method", "route", "status"), registry=self.registry
-        )
+        counter = partial(Counter, registry=self.registry)
+        self._requests = counter("interloc_http_requests", "Requests answered.", ("method", "route", "status"))
         self._seconds = Histogram(
             "interloc_http_request_seconds",
             "Time to answer; streams of events are left out.",
@@ -45,25 +45,14 @@ class Metrics:
             buckets=_BUCKETS_S,
             registry=self.registry,
         )
-        self._received = Counter("interloc_received_bytes", "Bodies of requests: uploads.", registry=self.registry)
+        self._received = counter("interloc_received_bytes", "Bodies of requests: uploads.")
         self.listeners = Gauge("interloc_event_listeners", "Streams of events that are open.", registry=self.registry)
-        self.worker_restarts = Counter(
-            "interloc_worker_restarts", "Worker processes that died and were replaced.", registry=self.registry
-        )
-        self._removals = Counter("interloc_removals", _REMOVALS, ("reason",), registry=self.registry)
-        self._removed = Counter(
-            "interloc_removed_bytes", "Bytes of what was removed or set aside.", ("reason",), registry=self.registry
-        )
-
-        self.webhooks = Counter(
-            "interloc_webhooks", "Calls of subscribers, by outcome.", ("outcome",), registry=self.registry
-        )
-        self.refused_tokens = Counter(
-            "interloc_refused_tokens",
-            "Requests refused for their token: unknown, too many, expired, read only.",
-            ("reason",),
-            registry=self.registry,
-        )
+        self.worker_restarts = counter("interloc_worker_restarts", "Worker processes that died and were replaced.")
+        self._removals = counter("interloc_removals", _REMOVALS, ("reason",))
+        self._removed = counter("interloc_removed_bytes", "Bytes of what was removed or set aside.", ("reason",))
+        self.webhooks = counter("interloc_webhooks", "Calls of subscribers, by outcome.", ("outcome",))
+        refused = "Requests refused for their token: unknown, too many, expired, read only."
+        self.refused_tokens = counter("interloc_refused_tokens", refused, ("reason",))
 
     def count_request(
         self, method: str, route: str, status: int, *, seconds: float | None, received_bytes: int
@@ -95,17 +84,13 @@ class _StateRegistry(CollectorRegistry):
 
     def collect(self) -> Iterable[Metric]:
         """Read it."""
-        yield _gauge("interloc_free_bytes", "Space left where drives are kept.", self._storage.free_bytes())
+        yield GaugeMetricFamily("interloc_free_bytes", "Space left where drives are kept.", self._storage.free_bytes())
         yield from _writers(self._database)
         with self._database.reading() as session:
             now = self._database.clock(session)
             yield from _drives(session)
             yield from _jobs(session, now)
             yield from _stages(session)
-
-
-def _gauge(name: str, help_: str, value: float) -> Metric:
-    return GaugeMetricFamily(name, help_, value)
 
 
 def _writers(database: Database) -> Iterator[Metric]:
@@ -129,7 +114,7 @@ def _drives(session: Session) -> Iterator[Metric]:
     yield drives
     yield stored
     trash = session.scalar(select(func.coalesce(func.sum(Drive.stored_bytes), 0)).where(Drive.deleted_at.is_not(None)))
-    yield _gauge("interloc_trash_bytes", "Bytes kept on disk of drives in the trash.", float(trash or 0))
+    yield GaugeMetricFamily("interloc_trash_bytes", "Bytes kept on disk of drives in the trash.", float(trash or 0))
 
 
 def _jobs(session: Session, now: float) -> Iterator[Metric]:
@@ -139,7 +124,9 @@ def _jobs(session: Session, now: float) -> Iterator[Metric]:
     yield jobs
 
     oldest = session.scalar(select(func.min(Job.created_at)).where(Job.state == JobState.ACCEPTED))
-    yield _gauge("interloc_oldest_waiting_job_seconds", "Age of the job that waits longest.", now - (oldest or now))
+    yield GaugeMetricFamily(
+        "interloc_oldest_waiting_job_seconds", "Age of the job that waits longest.", now - (oldest or now)
+    )
 
     waits = SummaryMetricFamily(
         "interloc_queue_wait_seconds", "Time from submission to start, of the jobs that are kept.", labels=["kind"]
@@ -175,7 +162,7 @@ def _stages(session: Session) -> Iterator[Metric]:
     for stage, spent in seconds.items():
         stages.add_metric([stage], spent)
     yield stages
-    yield _gauge(
+    yield GaugeMetricFamily(
         "interloc_keyframes_per_second", f"Keyframes per second of work, of the last {_RECENT} jobs.", _rate(outcomes)
     )
 

@@ -39,10 +39,6 @@ class Server(uvicorn.Server):
 
     Parameters
     ----------
-    app
-        Made by `create_app`.
-    settings
-        Its settings.
     started
         Called with the port when requests are answered.
     """

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from anyio import CapacityLimiter, to_thread
 from fastapi import APIRouter, Path, Response
-from pydantic import BaseModel, Field
+from pydantic import BaseModel, ConfigDict, Field
 from sqlalchemy.exc import SQLAlchemyError
 
 from app.context import Context, ContextDep, part_of_app
@@ -118,6 +118,8 @@ async def show_readiness(probe: Annotated[Probe, part_of_app("probe")], response
 class ProblemType(BaseModel):
     """A kind of problem."""
 
+    model_config = ConfigDict(from_attributes=True)
+
     type: str = Field(description="The `type` of its problem documents.", examples=["/problems/drive-not-usable"])
     title: str = Field(examples=["Drive not usable"])
     meaning: str = Field(description="What has happened; `detail` of a problem says what was found in each case.")
@@ -132,7 +134,7 @@ class ProblemTypeList(BaseModel):
 @router.get("/problems", summary="List the kinds of problems")
 async def list_problem_types() -> ProblemTypeList:
     """List every `type` that a problem document of this service can have, except about:blank."""
-    return ProblemTypeList(problems=list(_PROBLEM_TYPES.values()))
+    return ProblemTypeList(problems=[ProblemType.model_validate(kind) for kind in TYPES.values()])
 
 
 @router.get(
@@ -144,14 +146,9 @@ async def show_problem_type(
     name: Annotated[str, Path(description="Last part of a `type`.", examples=["drive-not-usable"], max_length=100)],
 ) -> ProblemType:
     """Explain a `type`: it is the address of this, below that of the service."""
-    if name not in _PROBLEM_TYPES:
+    if name not in TYPES:
         raise Problem(NOT_FOUND, f"There is no kind of problem {name!r}; GET /problems lists all.")
-    return _PROBLEM_TYPES[name]
-
-
-_PROBLEM_TYPES = {
-    name: ProblemType(type=kind.type, title=kind.title, meaning=kind.meaning) for name, kind in TYPES.items()
-}
+    return ProblemType.model_validate(TYPES[name])
 
 
 @router.get(

@@ -21,13 +21,7 @@ _NEEDED_BYTES = 500_000_000  # while it is made; most of it is removed by the co
 
 
 def begin_demo(context: Context, owner: str) -> Job:
-    """Return the job that makes, or has made, the demo drive of a client.
-
-    Raises
-    ------
-    Problem
-        507: the disk is full.
-    """
+    """Return the job that makes, or has made, the demo drive of a client; a 507 where the disk is full."""
     with context.database.writing() as session:
         context.database.lock_owner(session, f"demo {owner}")  # one at a time, so that there is one drive
         job = session.scalars(

@@ -21,13 +21,7 @@ from app.work.documents import FilesOutcome
 
 
 def check_magic(head: bytes) -> None:
-    """Refuse a file that is not an archive by its first bytes.
-
-    Raises
-    ------
-    Problem
-        415.
-    """
+    """Refuse (415) a file that is not an archive by its first bytes."""
     if archive_kind(head[:MAGIC_BYTES]) is None:
         raise Problem(
             NOT_AN_ARCHIVE,

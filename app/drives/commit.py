@@ -26,12 +26,7 @@ from interloc.drives.inspect import DriveReport
 
 
 def begin_commit(context: Context, drive_id: str, owner: str, request: CommitRequest) -> Job | None:
-    """Queue the check of a drive; return the running one if there is one.
-
-    Returns
-    -------
-    Job or None
-        None if the drive is ready.
+    """Queue the check of a drive; return the running one if there is one, None if the drive is ready.
 
     Raises
     ------

@@ -37,7 +37,6 @@ def finish_drive(session: Session, context: Context, job: Job, outcome: Outcome 
     ----------
     session
         The transaction in which the job ends.
-    context
     job
         Its end is written already; it becomes a failure if its files cannot be placed in the drive.
     outcome
@@ -64,7 +63,7 @@ def finish_drive(session: Session, context: Context, job: Job, outcome: Outcome 
 
     def write_sidecar(_session: Session) -> None:
         with suppress(OSError):  # the clean-up writes what is missing
-            sidecars.write_drive(context.storage, drive)
+            sidecars.write(context.storage, drive)
 
     def tidy() -> None:
         try:

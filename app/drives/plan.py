@@ -24,13 +24,7 @@ from interloc.reduction.plan import ReductionPlan
 async def plan_upload(
     context: Context, runner: Runner, drive_id: str, request: PlanRequest, client: str
 ) -> ReductionPlanModel:
-    """Plan the reduction from the small files that were uploaded so far.
-
-    Raises
-    ------
-    Problem
-        404: no such drive; or as of `Runner.run_in_worker`.
-    """
+    """Plan the reduction from the small files that were uploaded; problems as of `Runner.run_in_worker`."""
     name, root, given = await run_in_threadpool(_look_up, context, drive_id, request)
     made, judged = await runner.run_in_worker(
         plan_and_judge,

@@ -48,39 +48,26 @@ class Stamp(NamedTuple):
 
 @dataclass(frozen=True)
 class Difference:
-    """A file of a drive whose row says something else.
-
-    Attributes
-    ----------
-    path : str
-    listed : Stamp or None
-        What its row says; None without a row.
-    found : Stamp or None
-        What the disk says; None without a file.
-    """
+    """A file of a drive whose row says something else."""
 
     path: str
     listed: Stamp | None
+    """What its row says; None without a row."""
     found: Stamp | None
+    """What the disk says; None without a file."""
 
 
-@dataclass(frozen=True)
-class Correction:
-    """What was done to the row of a file: "listed" (it had none), "unlisted" (it had no file), "renewed"."""
-
-    path: str
-    done: Literal["listed", "unlisted", "renewed"]
+Correction = Literal["listed", "unlisted", "renewed"]
+"""What was done to the row of a file: it had none, it had no file, or it said something else."""
 
 
 def reconcile(
     context: Context, drive_id: str, *, maps_only: bool = False, may_unlist: bool = True, is_news: bool = True
-) -> list[Correction]:
-    """Make the rows of a drive agree with its files.
+) -> dict[str, Correction]:
+    """Make the rows of a drive agree with its files; return what was done to those that did not.
 
     Parameters
     ----------
-    context
-    drive_id
     maps_only
         Look at the maps on the disk only: all that can have changed in a drive that is ready.
     may_unlist
@@ -102,7 +89,7 @@ def reconcile(
         if not may_unlist:
             seen = [each for each in seen if each.found is not None]
         if not seen:
-            return []
+            return {}
         root = context.storage.folder(files_key(drive_id))
         for each in seen:
             if each.found is not None and (each.path, each.found) not in digests:
@@ -112,10 +99,10 @@ def reconcile(
             found = differences(session, context, drive, maps_only=maps_only)
             found = [each for each in found if may_unlist or each.found is not None]
             if all(each.found is None or (each.path, each.found) in digests for each in found):
-                corrections = list(_correct(session, drive, found, digests))
+                corrections = dict(_correct(session, drive, found, digests))
                 break
-    for correction in corrections if is_news else ():
-        _log.warning("drive %s: %s: %s", drive_id, correction.path, _WORDS[correction.done], extra={"drive": drive_id})
+    for path, done in corrections.items() if is_news else ():
+        _log.warning("drive %s: %s: %s", drive_id, path, _WORDS[done], extra={"drive": drive_id})
     return corrections
 
 
@@ -194,7 +181,7 @@ def sha256_of(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-_WORDS = {
+_WORDS: dict[Correction, str] = {
     "listed": "it was on the disk but not listed; it is listed now",
     "unlisted": "it was listed but is not on the disk; it is listed no more",
     "renewed": "it was listed with another size or digest; it is listed as it is on the disk now",
@@ -233,7 +220,7 @@ def _stamps(root: Path, *, maps_only: bool) -> Iterator[tuple[str, Stamp]]:
 
 def _correct(
     session: Session, drive: Drive, found: list[Difference], digests: dict[tuple[str, Stamp], str]
-) -> Iterator[Correction]:
+) -> Iterator[tuple[str, Correction]]:
     """Correct the rows of a drive that is locked, and its counts."""
     connection = session.connection()
     renewed = [each for each in found if each.listed is not None and each.found is not None]
@@ -264,11 +251,11 @@ def _correct(
     )
     for each in found:
         if each.listed is None:
-            yield Correction(each.path, "listed")
+            yield each.path, "listed"
         elif each.found is None:
-            yield Correction(each.path, "unlisted")
+            yield each.path, "unlisted"
         elif before[each.path] != digests[each.path, each.found]:  # else it was only copied, or touched
-            yield Correction(each.path, "renewed")
+            yield each.path, "renewed"
 
 
 def _digests(session: Session, drive_id: str, paths: list[str]) -> dict[str, str]:

@@ -14,7 +14,7 @@ from sqlalchemy import ColumnElement, func, or_, select
 from sqlalchemy.orm import Session, defer
 
 from app.context import Context
-from app.drives.models import DriveList, DriveModel, DriveOptionsModel, FileList, NewDrive, UploadedFile
+from app.drives.models import DriveList, DriveModel, FileList, NewDrive, UploadedFile
 from app.http.paging import cursor_of, newest_first, rows_after
 from app.http.problem_types import (
     BUSY,
@@ -38,7 +38,7 @@ from app.settings import Settings
 from app.states import ACTIVE, DriveState, JobKind, JobState
 from app.store import sidecars
 from app.store.database import moment
-from app.store.models import Drive, DriveFile, Job
+from app.store.models import Drive, DriveFile, Job, columns_for
 from app.store.storage import Storage
 from app.work.places import TRAJECTORY
 from interloc.drives.inspect import DriveReport
@@ -66,13 +66,7 @@ def reduced_key(drive_id: str) -> str:
 
 
 def create_drive(context: Context, owner: str, new: NewDrive, key: str | None = None) -> tuple[DriveModel, bool]:
-    """Make a drive without files, or return the one that an earlier request with the same key has made.
-
-    Returns
-    -------
-    DriveModel
-    bool
-        Whether it is new.
+    """Make a drive without files, or find the one that this key has made before; return it, and whether it is new.
 
     Raises
     ------
@@ -108,7 +102,7 @@ def create_drive(context: Context, owner: str, new: NewDrive, key: str | None = 
         session.add(drive)
         session.flush()
         model = drive_model(drive, context.settings)
-    sidecars.write_drive(context.storage, drive)
+    sidecars.write(context.storage, drive)
     return model, True
 
 
@@ -126,13 +120,7 @@ def _check_source(settings: Settings, source: str | None) -> None:
 
 
 def find_drive(session: Session, drive_id: str) -> Drive:
-    """Return a drive.
-
-    Raises
-    ------
-    Problem
-        404.
-    """
+    """Return a drive; a 404 where there is none."""
     drive = session.get(Drive, drive_id)
     if drive is None or drive.deleted_at is not None:
         raise no_drive(drive_id)
@@ -140,13 +128,7 @@ def find_drive(session: Session, drive_id: str) -> Drive:
 
 
 def lock_drive(session: Session, drive_id: str) -> Drive:
-    """Return a drive and lock it until the transaction ends.
-
-    Raises
-    ------
-    Problem
-        404.
-    """
+    """Return a drive (404 where there is none) and lock it until the transaction ends."""
     drive = session.get(Drive, drive_id, with_for_update=True, populate_existing=True)
     if drive is None or drive.deleted_at is not None:
         raise no_drive(drive_id)
@@ -178,13 +160,7 @@ def _results(session: Session, drives: Sequence[Drive]) -> dict[str, str]:
 
 
 def pin_job(session: Session, drive: Drive, job_id: str | None) -> None:
-    """Let a job stand for its drive; None: the best one does.
-
-    Raises
-    ------
-    Problem
-        404: the drive has no such job. 409: it has no result.
-    """
+    """Let a job (404, or 409 without a result) stand for its drive; None: the best one does."""
     job = None if job_id is None else session.get(Job, job_id)
     if job_id is not None:
         if job is None or job.drive_id != drive.id or job.deleted_at is not None:
@@ -211,7 +187,8 @@ def list_files(context: Context, drive_id: str, after: str | None, limit: int) -
         find_drive(session, drive_id)
         files = session.scalars(query.limit(limit + 1)).all()
     page = files[:limit]
-    return FileList(files=[file_model(file) for file in page], next=page[-1].path if len(files) > limit else None)
+    shown = [UploadedFile(path=file.path, size_bytes=file.size_bytes, sha256=file.sha256) for file in page]
+    return FileList(files=shown, next=page[-1].path if len(files) > limit else None)
 
 
 def open_file(context: Context, drive_id: str, path: str) -> tuple[BinaryIO, str]:
@@ -366,21 +343,11 @@ def drive_model(drive: Drive, settings: Settings, *, report: bool = True, result
     """Return a drive as clients see it; `result`: the job that stands for it."""
     expires_at = drive.touched_at + 3600 * settings.upload_expires_h
     return DriveModel(
-        id=drive.id,
-        name=drive.name,
-        note=drive.note,
-        state=drive.state,
-        owner=drive.owner,
-        keep_raw=drive.keep_raw,
-        options=DriveOptionsModel.model_validate(drive.options),
-        source=drive.source,
+        **columns_for(DriveModel, drive, but=("pinned_job", "report")),
         files=drive.file_count,
-        size_bytes=drive.size_bytes,
-        stored_bytes=drive.stored_bytes,
         bbox=None if drive.west is None else [drive.west, drive.south, drive.east, drive.north],
         result_job=result,
         pinned_job=drive.pinned_job if drive.pinned_job == result else None,
-        created_at=moment(drive.created_at),
         expires_at=moment(expires_at) if drive.state == DriveState.UPLOADING else None,
         report=DriveReport.model_validate(drive.report) if report and drive.report else None,
     )
@@ -397,8 +364,3 @@ def whole_drive_model(session: Session, context: Context, drive: Drive) -> Drive
         )
     )
     return model.model_copy(update={"maps": sorted(paths), "label_folders": label_folders(context.storage, drive.id)})
-
-
-def file_model(file: DriveFile) -> UploadedFile:
-    """Return a file as clients see it."""
-    return UploadedFile(path=file.path, size_bytes=file.size_bytes, sha256=file.sha256)

@@ -55,8 +55,6 @@ def keep(context: Context, drive_id: str, arrivals: Sequence[Arrival], sender: s
 
     Parameters
     ----------
-    context
-    drive_id
     arrivals
         Files of different names.
     sender
@@ -95,13 +93,7 @@ class DriveCounts:
 
 
 def lock_counts(session: Session, drive_id: str) -> DriveCounts:
-    """Return the counts of a drive and lock it until the transaction ends.
-
-    Raises
-    ------
-    Problem
-        404.
-    """
+    """Return the counts of a drive (404 where there is none) and lock it until the transaction ends."""
     row = session.execute(_COUNTS.where(_drives.c.id == drive_id)).one_or_none()
     if row is None:
         raise no_drive(drive_id)
@@ -109,13 +101,7 @@ def lock_counts(session: Session, drive_id: str) -> DriveCounts:
 
 
 def refuse_unless_open(drive: Drive | DriveCounts, paths: Iterable[str]) -> None:
-    """Refuse files that a drive does not take in its state.
-
-    Raises
-    ------
-    Problem
-        409.
-    """
+    """Refuse (409) files that a drive does not take in its state."""
     if drive.state == DriveState.CHECKING:
         raise Problem(
             DRIVE_IS_BEING_CHECKED,
@@ -134,13 +120,7 @@ def refuse_unless_open(drive: Drive | DriveCounts, paths: Iterable[str]) -> None
 def check_upload(
     context: Context, drive_id: str, path: str, length: int, sender: str, *, is_packed: bool = False
 ) -> None:
-    """Refuse an upload before its body is read, if it would be refused afterwards; see also `Booking`.
-
-    Raises
-    ------
-    Problem
-        404, 409, 413: as of `keep`.
-    """
+    """Refuse an upload before its body is read, if `keep` would refuse it afterwards; see also `Booking`."""
     with context.database.reading() as session:
         drive = find_drive(session, drive_id)
         refuse_unless_open(drive, [path])
@@ -160,13 +140,7 @@ def sizes_of(session: Session, drive_id: str, paths: Sequence[str]) -> dict[str,
 
 
 def refuse_similar_names(session: Session, drive_id: str, paths: Sequence[str]) -> None:
-    """Refuse paths that other file systems take for one: of two files that differ in case only, one would be lost.
-
-    Raises
-    ------
-    Problem
-        409: with the two paths.
-    """
+    """Refuse (409) paths that other file systems take for one: of two that differ in case only, one would be lost."""
     plain = {path: folded(path) or path for path in paths}
     first: dict[str, str] = {}
     for path, key in plain.items():

@@ -222,7 +222,7 @@ def tag_of(content: bytes) -> str:
 
 
 def require_unchanged(if_match: str | None, content: bytes) -> None:
-    """Refuse a change of what is no longer the version that the client has seen.
+    """Refuse (412) a change of what is no longer the version that the client has seen.
 
     Parameters
     ----------
@@ -230,11 +230,6 @@ def require_unchanged(if_match: str | None, content: bytes) -> None:
         Header If-Match: ETags, or ``*`` for any version; None: the client does not mind.
     content
         What GET would answer now, compressed or not.
-
-    Raises
-    ------
-    Problem
-        412.
     """
     given = {tag.strip().replace(_GZIP_MARK, '"') for tag in (if_match or "").split(",")}
     if if_match is None or given & {"*", tag_of(content)}:

@@ -68,11 +68,6 @@ def is_api(path: str) -> bool:
     return path.startswith(("/api/", "/ogc/", "/stac/")) or path in {"/ogc", "/stac"}
 
 
-def _is_ogc(path: str) -> bool:
-    """Return whether a path is one that a GIS asks for."""
-    return _OGC.fullmatch(path) is not None
-
-
 class Gate:
     """Refuses by host, origin and token; leaves who sends a request in ``request.state.holder``."""
 
@@ -142,7 +137,7 @@ class Gate:
     async def _identify(self, scope: Scope, headers: Headers, context: Context, *, needed: bool) -> Problem | None:
         """Find out whose token it is. One that is known is never refused, whatever else comes from its address."""
         given = headers.get("authorization")
-        offers_basic = _is_ogc(path_of(scope))
+        offers_basic = _OGC.fullmatch(path_of(scope)) is not None  # a GIS asks
         if given is None:
             return _unauthorized("This service needs an API token.", basic=offers_basic) if needed else None
         scheme, _, token = given.partition(" ")

@@ -28,23 +28,15 @@ Kept = TypeVar("Kept")
 
 @dataclass(frozen=True)
 class Arrival:
-    """A file that has been received completely, but is not in its place yet.
-
-    Attributes
-    ----------
-    path : str
-        Its name in the drive.
-    temporary : Path
-        Where it lies.
-    size_bytes : int
-    sha256 : str
-        Hexadecimal.
-    """
+    """A file that has been received completely, but is not in its place yet."""
 
     path: str
+    """Its name in the drive."""
     temporary: Path
+    """Where it lies."""
     size_bytes: int
     sha256: str
+    """Hexadecimal."""
 
 
 class Intake:
@@ -52,7 +44,6 @@ class Intake:
 
     Parameters
     ----------
-    context
     path
         Name of the file in the drive.
     limit
@@ -69,13 +60,7 @@ class Intake:
         self._file: FileIO | None = None
 
     def write(self, data: bytes | memoryview) -> None:
-        """Take the next bytes.
-
-        Raises
-        ------
-        Problem
-            413: more than the limit.
-        """
+        """Take the next bytes; a 413 where they are more than the limit."""
         self.size_bytes += len(data)
         if self.size_bytes > self._limit:
             raise too_large(self.path, self._limit)
@@ -86,18 +71,7 @@ class Intake:
             view = view[file.write(view) :]
 
     def finish(self, sha256: str | None = None) -> Arrival:
-        """Bring the file to disk.
-
-        Parameters
-        ----------
-        sha256
-            What the client says it must be.
-
-        Raises
-        ------
-        Problem
-            422: the digest is another.
-        """
+        """Bring the file to disk; a 422 where it has not the SHA-256 that the client announced."""
         digest = self._hash.hexdigest()
         if sha256 not in {None, digest}:
             raise Problem(
@@ -132,7 +106,6 @@ async def receive(request: Request, take: Callable[[bytes], None], finish: Calla
 
     Parameters
     ----------
-    request
     take
         Called with each piece, in a thread.
     finish

@@ -64,25 +64,14 @@ def too_large(what: str, limit: int) -> Problem:
 
 
 def check_free_space(context: Context, needed: int) -> None:
-    """Refuse what would leave too little space on the disk.
-
-    Raises
-    ------
-    Problem
-        507.
-    """
+    """Refuse (507) what would leave too little space on the disk."""
     free = context.storage.free_bytes() - context.bookings.size_bytes
     if free - needed < context.settings.min_free_bytes:
         raise disk_full(headers=CLOSE)
 
 
 class Booking:
-    """Disk space for one body, within the block: what it announces is kept from all others until it has come.
-
-    Parameters
-    ----------
-    context
-    """
+    """Disk space for one body, within the block: what it announces is kept from all others until it has come."""
 
     def __init__(self, context: Context) -> None:
         self._context = context
@@ -132,19 +121,7 @@ async def make_room_to_delete(request: Request) -> None:
 
 
 def check_drive(context: Context, files: int, size: int) -> None:
-    """Refuse what makes a drive too large.
-
-    Parameters
-    ----------
-    context
-    files, size
-        What the drive would have.
-
-    Raises
-    ------
-    Problem
-        413.
-    """
+    """Refuse (413) what makes a drive too large, by the files and bytes that it would have."""
     settings = context.settings
     if size > settings.max_drive_bytes:
         raise too_large("All files of a drive together", settings.max_drive_bytes)
@@ -158,11 +135,10 @@ def check_drive(context: Context, files: int, size: int) -> None:
 
 
 def check_quota(context: Context, session: Session, owner: str, sender: str, more: int) -> None:
-    """Refuse what the owner of a drive, or who sends it, may not store any more by its token.
+    """Refuse (413) what the owner of a drive, or who sends it, may not store any more by its token.
 
     Parameters
     ----------
-    context
     session
         The transaction that stores it: those of one client come here one after the other.
     owner
@@ -171,11 +147,6 @@ def check_quota(context: Context, session: Session, owner: str, sender: str, mor
         The client for which the bytes count.
     more
         Bytes that come in addition.
-
-    Raises
-    ------
-    Problem
-        413.
     """
     for client in sorted({owner, sender}):
         allowed = context.tokens.named(client).max_bytes

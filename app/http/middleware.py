@@ -63,8 +63,6 @@ class RequestLog:
 
     Parameters
     ----------
-    app
-        What is inside.
     root_path
         Path under which a reverse proxy shows the service; the proxy may take it off or leave it on.
     """
@@ -264,8 +262,6 @@ class Bodies:
 
     Parameters
     ----------
-    app
-        What is inside.
     idle_s
         A body that pauses for so long is given up; those of uploads too.
     bytes_per_s

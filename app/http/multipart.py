@@ -62,13 +62,7 @@ def bad_part(what: str) -> Problem:
 
 
 def boundary_of(content_type: str | None) -> bytes:
-    """Return what separates the parts.
-
-    Raises
-    ------
-    Problem
-        415: the body is not multipart/form-data.
-    """
+    """Return what separates the parts; a 415 where the body is not multipart/form-data."""
     kind, options = parse_options_header(content_type or "")
     if kind != b"multipart/form-data" or not options.get(b"boundary"):
         raise Problem(
@@ -84,7 +78,6 @@ class BatchReader:
 
     Parameters
     ----------
-    context
     boundary
         What separates the parts.
     fields

@@ -106,6 +106,16 @@ def headers_named(*names: str) -> dict[str, Any]:
     return {name: {"$ref": f"#/components/headers/{name}"} for name in names}
 
 
+BINARY = {"type": "string", "format": "binary"}
+"""Schema of bytes."""
+
+
+def body_of(content: dict[str, dict[str, Any]]) -> dict[str, Any]:
+    """Describe a body that must be there by the schemas of its media types, for `openapi_extra` of an operation."""
+    described = {media_type: {"schema": schema} for media_type, schema in content.items()}
+    return {"requestBody": {"required": True, "content": described}}
+
+
 def problems(meanings: dict[int, str]) -> Responses:
     """Return the description of problems by their status and what they mean there."""
     return {status: {"model": ProblemDocument, "description": meaning} for status, meaning in meanings.items()}

@@ -64,13 +64,7 @@ def cursor_of(row: Drive | Job, by: Moment = "created_at") -> str:
 
 
 def rows_after(table: type[Drive | Job], cursor: str, by: Moment = "created_at") -> ColumnElement[bool]:
-    """Return the condition that a row comes after a cursor, in the order of `newest_first`.
-
-    Raises
-    ------
-    Problem
-        422: it is not a cursor.
-    """
+    """Return the condition that a row comes after a cursor (else a 422), in the order of `newest_first`."""
     match = re.fullmatch(_CURSOR, cursor)
     if match is None:
         raise Problem(

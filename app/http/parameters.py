@@ -66,13 +66,7 @@ OF_ITS_DATA = {"x-parameters-of-its-data": True}
 
 
 async def refuse_unknown_parameters(request: Request) -> None:
-    """Refuse a query parameter that the address does not have: it would be a filter that does nothing.
-
-    Raises
-    ------
-    Problem
-        400, which names it.
-    """
+    """Refuse (400) a query parameter that the address does not have: it would be a filter that does nothing."""
     if not (request.scope["route"].openapi_extra or {}).keys() & OF_ITS_DATA.keys():
         refuse_others(request, ())
 

@@ -10,24 +10,16 @@ UNTYPED = "about:blank"
 
 @dataclass(frozen=True)
 class ProblemType:
-    """A kind of problem (RFC 9457).
-
-    Attributes
-    ----------
-    name : str
-        Last part of its type: programs decide by it, so it is the same in every version. Empty: untyped.
-    status : int
-        HTTP status; that of an error of the library, or of a worker, can be another one.
-    title : str
-        A few words: those of the name, unless they are written in another way.
-    meaning : str
-        One sentence for the documentation.
-    """
+    """A kind of problem (RFC 9457)."""
 
     name: str
+    """Last part of its type: programs decide by it, so it is the same in every version. Empty: untyped."""
     status: int
+    """HTTP status; that of an error of the library, or of a worker, can be another one."""
     title: str
+    """A few words: those of the name, unless they are written in another way."""
     meaning: str
+    """One sentence for the documentation."""
 
     @property
     def type(self) -> str:

@@ -62,7 +62,7 @@ class Protocol(HttpToolsProtocol):
             return
         self._head_bytes += len(data)
         if self._head_bytes > MAX_HEAD_BYTES:
-            self._refuse()
+            self._answer(Problem(HEAD_TOO_LARGE, f"The headers of a request may have {MAX_HEAD_BYTES // 1024} kB."))
         elif self._head_timer is None:
             self._head_timer = self._start_timer()
 
@@ -91,10 +91,6 @@ class Protocol(HttpToolsProtocol):
         if self._head_timer is not None:
             self._head_timer.cancel()
             self._head_timer = None
-
-    def _refuse(self) -> None:
-        detail = f"The headers of a request may have {MAX_HEAD_BYTES // 1024} kB."
-        self._answer(Problem(HEAD_TOO_LARGE, detail))
 
     def _answer(self, problem: Problem) -> None:
         content = json.dumps(problem.document()).encode()

@@ -36,13 +36,7 @@ class Turns:
 
     @asynccontextmanager
     async def of(self, request: Request) -> AsyncIterator[None]:
-        """Wait for a turn of the client of a request, and have it in the block.
-
-        Raises
-        ------
-        Problem
-            503: too many requests of the client wait, or this one has waited for too long.
-        """
+        """Wait for a turn of the client of a request (503 after too long), and have it in the block."""
         client = _name_of(request)
         await self._wait(client)
         try:

@@ -50,17 +50,7 @@ class _StoppedError(Exception):
 
 
 class Attempt:
-    """A job under a lease of this server.
-
-    Parameters
-    ----------
-    context, queue, executor
-    claim
-    finish_drive
-        Called at the end of a job that changes its drive.
-    index_result
-        Called at the end of a job that has a result.
-    """
+    """A job under a lease of this server."""
 
     def __init__(
         self,
@@ -274,7 +264,7 @@ class Attempt:
             return self._leave()
         tidy(storage, job_id, keep_result=job.state == JobState.SUCCESSFUL)
         if job.state == JobState.SUCCESSFUL and not self._kind.changes_drive:
-            sidecars.write_job(storage, job)  # of a server that is killed before this, the clean-up writes it
+            sidecars.write(storage, job)  # of a server that is killed before this, the clean-up writes it
         return job.state
 
     def _features(self) -> WriteFeatures | None:

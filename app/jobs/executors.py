@@ -76,12 +76,6 @@ class WorkExecutor(Protocol):
 def open_executor(settings: Settings, count_loss: Callable[[], None]) -> WorkExecutor:
     """Start the executor that the settings ask for.
 
-    Parameters
-    ----------
-    settings
-    count_loss
-        Called when a worker process died.
-
     Raises
     ------
     ConfigError

@@ -22,7 +22,6 @@ def problem_of(error: BaseException, what: str, tries: int) -> Problem:
 
     Parameters
     ----------
-    error
     what
         Which piece of work: "keyframes 240 to 480".
     tries
@@ -56,7 +55,6 @@ def limit_reached(error: WorkerLimitError, what: str, time_setting: str) -> Prob
 
     Parameters
     ----------
-    error
     what
         Which work: "part 3 of 7".
     time_setting

@@ -25,7 +25,6 @@ def outlook(session: Session, now: float, jobs_at_once: int) -> dict[str, str]:
 
     Parameters
     ----------
-    session
     now
         Time by the clock of the database.
     jobs_at_once

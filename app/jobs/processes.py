@@ -69,27 +69,18 @@ class WorkerLimitError(Exception):
 
 @dataclass(eq=False)
 class Work:
-    """A piece of work.
-
-    Attributes
-    ----------
-    call
-        Function, arguments.
-    client : str
-        For whom it is done.
-    seconds : float
-        How long it may take.
-    urgent : bool
-        Somebody waits for it.
-    is_given_up : bool
-        Nobody wants it any more.
-    """
+    """A piece of work."""
 
     call: tuple[Callable[..., Any], tuple[Any, ...]]
+    """Function, arguments."""
     client: str = ""
+    """For whom it is done."""
     seconds: float = float("inf")
+    """How long it may take."""
     urgent: bool = False
+    """Somebody waits for it."""
     is_given_up: bool = False
+    """Nobody wants it any more."""
     future: Future[Any] = field(default_factory=Future)
 
 
@@ -99,11 +90,6 @@ class HandOut:
     `slots` pieces of work are done at a time. One more is begun if it is urgent, and one more, whatever it is, for a
     client that has nothing at work: whoever holds all the others keeps only himself waiting. Urgent work comes first;
     then the client with the fewest pieces at work; then the order of submission. The caller holds a lock.
-
-    Parameters
-    ----------
-    slots
-        How many pieces are done at a time, without the extra ones.
     """
 
     def __init__(self, slots: int) -> None:

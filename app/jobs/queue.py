@@ -40,21 +40,14 @@ _ANY_ACTIVE = select(Job.id).where(Job.state.in_(ACTIVE)).limit(1)
 
 @dataclass(frozen=True)
 class Claim:
-    """A job that a server has taken.
-
-    Attributes
-    ----------
-    job : Job
-        As it was when it was claimed.
-    drive_name, drive_state : str
-    lease : str
-        The name under which the server holds it.
-    """
+    """A job that a server has taken."""
 
     job: Job
+    """As it was when it was claimed."""
     drive_name: str
     drive_state: str
     lease: str
+    """The name under which the server holds it."""
 
 
 class LeaseClock:
@@ -64,13 +57,6 @@ class LeaseClock:
     hours. Servers that live renew their leases several times within the length of one, so after a jump that length is
     waited for: then every lease of a living server is a good one again, and one that lies farther ahead than any
     server writes it is of a dead one.
-
-    Parameters
-    ----------
-    lease_s
-        Length of a lease.
-    monotonic
-        A clock that never jumps.
     """
 
     def __init__(self, lease_s: float, monotonic: Callable[[], float] = time.monotonic) -> None:
@@ -125,7 +111,6 @@ class JobQueue:
 
     Parameters
     ----------
-    database
     lease_s
         Time after which a job is taken over whose server has not renewed its lease.
     """
@@ -279,25 +264,16 @@ def submit(
     key: str | None = None,
     limit: int | None = None,
 ) -> tuple[Job, bool]:
-    """Put a job into the queue, in a transaction of the caller.
+    """Put a job into the queue, in a transaction of the caller; return it, and whether it is new.
 
     Parameters
     ----------
-    session
-        Of `Database.writing`.
-    database
     kind, drive_id, owner, request
         See `Job`.
     key
         Idempotency key: the same key returns the same job, unless that lies in the trash.
     limit
         Maximum number of jobs of this owner and kind that may wait or run.
-
-    Returns
-    -------
-    Job
-    bool
-        Whether the job is new.
 
     Raises
     ------

@@ -233,7 +233,7 @@ def change_job(
             setattr(job, name, value)
         content = _shown(session, context, job, drive_name)
     if job.state == JobState.SUCCESSFUL and job.kind == JobKind.INTERSECTIONS:
-        sidecars.write_job(context.storage, job)
+        sidecars.write(context.storage, job)
     return Response(content, headers={"ETag": tag_of(content)}, media_type="application/json")
 
 

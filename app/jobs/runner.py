@@ -35,16 +35,7 @@ Returned = TypeVar("Returned")
 
 
 class Runner:
-    """Works on jobs from `start` to `stop`.
-
-    Parameters
-    ----------
-    context
-    finish_drive
-        Writes what the end of a job means for its drive (`app.drives.finish`).
-    index_result
-        Reads what live layers show of a new result (`app.ogc.indexing`).
-    """
+    """Works on jobs from `start` to `stop`."""
 
     def __init__(self, context: Context, *, finish_drive: FinishDrive, index_result: IndexResult) -> None:
         self._context = context

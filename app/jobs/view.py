@@ -15,8 +15,7 @@ from app.jobs.outlook import outlook, seconds_left
 from app.jobs.titles import own_settings, title_of
 from app.jobs.webhooks import deliveries_of
 from app.states import JobKind, JobState
-from app.store.database import moment
-from app.store.models import Drive, Job
+from app.store.models import Drive, Job, columns_for
 from interloc.output.layers import LAYERS, PLACES
 from interloc.output.layout import ROAD_LAYERS
 from interloc.output.vector_files import suffixes_here
@@ -28,13 +27,7 @@ _NO_WORKER = "It waits for a worker: none can be started at present. The service
 
 
 def find_job(session: Session, job_id: str) -> tuple[Job, str]:
-    """Return a job and the name of its drive.
-
-    Raises
-    ------
-    Problem
-        404 there is no such job.
-    """
+    """Return a job (404 where there is none) and the name of its drive."""
     found = session.execute(
         select(Job, Drive.name).join(Drive, Drive.id == Job.drive_id).where(Job.id == job_id, is_alive())
     ).one_or_none()
@@ -57,7 +50,7 @@ def job_models(session: Session, context: Context, rows: Iterable[tuple[Job, str
     """Return jobs as clients see them, given with the names of their drives."""
     rows = list(rows)
     now = context.database.clock(session)
-    waiting = [job for job, _ in rows if _waits_for_its_turn(job)]
+    waiting = [job for job, _ in rows if job.state == JobState.ACCEPTED and job.message is None]
     if context.lacks_workers.is_set():
         told = dict.fromkeys((job.id for job in waiting), _NO_WORKER)
     else:
@@ -68,36 +61,17 @@ def job_models(session: Session, context: Context, rows: Iterable[tuple[Job, str
     return [model.model_copy(update={"deliveries": deliveries.get(model.id, [])}) for model in models]
 
 
-def _waits_for_its_turn(job: Job) -> bool:
-    return job.state == JobState.ACCEPTED and job.message is None
-
-
 def _job_model(job: Job, drive_name: str, links: _Links, now: float, message: str | None) -> JobModel:
+    error = None if job.error is None else ProblemDocument.model_validate(job.error | stored(job.error).document())
     return JobModel(
-        id=job.id,
-        kind=job.kind,
-        drive_id=job.drive_id,
+        **columns_for(JobModel, job, but=("message", "error")),
         drive_name=drive_name,
         title=title_of(job),
-        name=job.name,
-        note=job.note,
         own_settings=own_settings(job.request),
-        owner=job.owner,
-        state=job.state,
-        stage=job.stage,
         message=message,
         progress=_progress(job, now),
-        request=job.request,
-        created_at=moment(job.created_at),
-        started_at=None if job.started_at is None else moment(job.started_at),
-        finished_at=None if job.finished_at is None else moment(job.finished_at),
-        attempts=job.attempts,
-        error=None
-        if job.error is None
-        else ProblemDocument.model_validate({**job.error, **stored(job.error).document()}),
-        summary=job.summary,
+        error=error,
         links=links.of(job),
-        version=job.version,
     )
 
 
@@ -111,13 +85,7 @@ def _progress(job: Job, now: float) -> Progress:
 
 
 class _Links:
-    """Addresses of jobs and of the parts of their results.
-
-    Parameters
-    ----------
-    root_path
-        Path under which the service is shown.
-    """
+    """Addresses of jobs and of the parts of their results, below the path under which the service is shown."""
 
     def __init__(self, root_path: str) -> None:
         self._jobs = f"{root_path}/api/v1/jobs"

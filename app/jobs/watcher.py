@@ -27,23 +27,15 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Change:
-    """A job after a change.
-
-    Attributes
-    ----------
-    version : int
-    message : str or None
-        What it is waiting for; while it waits for its turn, this changes without the job itself.
-    is_final : bool
-        Whether no further change can follow.
-    data : str
-        `JobModel` as JSON, made once for all listeners.
-    """
+    """A job after a change."""
 
     version: int
     message: str | None
+    """What it is waiting for; while it waits for its turn, this changes without the job itself."""
     is_final: bool
+    """Whether no further change can follow."""
     data: str
+    """`JobModel` as JSON, made once for all listeners."""
 
     @classmethod
     def of(cls, job: JobModel) -> Change:

@@ -23,7 +23,7 @@ from app.jobs.calls import AllowedHosts, CallRefusedError
 from app.settings import Settings
 from app.states import JobState
 from app.store.database import moment
-from app.store.models import Delivery, Job, new_id
+from app.store.models import Delivery, Job, columns_for, new_id
 
 Uri = Field(None, max_length=2000, pattern=r"^https?://[!-~]+$", examples=["https://hooks.example.org/interloc"])
 
@@ -52,13 +52,7 @@ class DeliveryModel(BaseModel):
 
 
 def check_subscriber(settings: Settings, subscriber: Subscriber | None) -> dict[str, Any]:
-    """Return the member of a request that is stored, empty where nobody is to be told.
-
-    Raises
-    ------
-    Problem
-        422: the service does not call, or not this host.
-    """
+    """Return the member of a request that is stored, empty where nobody is to be told; a 422 if it is refused."""
     wanted = {} if subscriber is None else subscriber.model_dump(exclude_none=True)
     for name, uri in wanted.items():
         if not settings.webhook_hosts:
@@ -75,11 +69,8 @@ def note(session: Session, job: Job, state: JobState, now: float, **facts: Any) 
 
     Parameters
     ----------
-    session
-    job
     state
         That it enters.
-    now
     **facts
         Outcome of the job: `summary`, `error`.
     """
@@ -128,13 +119,4 @@ def _model(row: Delivery) -> DeliveryModel:
     state: Literal["waiting", "delivered", "given up"] = "waiting"
     if row.next_at is None:
         state = "given up" if row.delivered_at is None else "delivered"
-    return DeliveryModel(
-        id=row.id,
-        type=row.type,
-        uri=row.uri,
-        state=state,
-        attempts=row.attempts,
-        error=row.error,
-        next_at=None if row.next_at is None else moment(row.next_at),
-        delivered_at=None if row.delivered_at is None else moment(row.delivered_at),
-    )
+    return DeliveryModel(**columns_for(DeliveryModel, row), state=state)

@@ -26,11 +26,6 @@ class Keeper:
     """Writes the keyframes of a session into a drive of SemanticKITTI's layout, numbered anew from 0.
 
     It is used by the thread of the session; the drive takes files until `finish`.
-
-    Raises
-    ------
-    Problem
-        507: the disk is full.
     """
 
     def __init__(self, context: Context, owner: str, name: str, config: DetectorConfig) -> None:
@@ -42,13 +37,7 @@ class Keeper:
         self._scans: list[LiveScan] = []  # without their points
 
     def keep(self, scan: LiveScan) -> None:
-        """Write the points of a keyframe.
-
-        Raises
-        ------
-        Problem
-            413: the drive would become too large. 507: the disk is full.
-        """
+        """Write the points of a keyframe; a 413 where the drive, a 507 where the disk would be too full."""
         ground, number = scan.ground, len(self._scans)
         points = np.pad(ground.xyz, ((0, 0), (0, 1)))
         labels = np.where(ground.is_road, _ROAD, _OTHER).astype("<u4")

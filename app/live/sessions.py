@@ -224,13 +224,7 @@ class LiveSessions:
         self._entries: dict[str, LiveEntry] = {}
 
     def begin(self, begin: Begin, owner: str, config: DetectorConfig, keeper: Keeper | None = None) -> LiveEntry:
-        """Begin a session.
-
-        Raises
-        ------
-        Problem
-            429: the client, or all together, have too many.
-        """
+        """Begin a session; a 429 where the client, or all together, have too many."""
         self.refuse_more(owner)
         idle_s, loop = self._context.settings.live_idle_s, asyncio.get_running_loop()
         entry = LiveEntry(begin, owner, config, lambda: loop.call_later(idle_s + 1.0, self.tidy), keeper)
@@ -238,13 +232,7 @@ class LiveSessions:
         return entry
 
     def refuse_more(self, owner: str) -> None:
-        """Refuse another session of a client that has too many, or where all together have.
-
-        Raises
-        ------
-        Problem
-            429.
-        """
+        """Refuse (429) another session of a client that has too many, or where all together have."""
         self.tidy()
         running = [each for each in self._entries.values() if not each.is_over]
         limit = self._context.settings.max_live_sessions
@@ -256,13 +244,7 @@ class LiveSessions:
             )
 
     def find(self, session: str, owner: str | None = None) -> LiveEntry:
-        """Return a session; of an owner, if one is given.
-
-        Raises
-        ------
-        Problem
-            404: there is none, or it has ended long ago.
-        """
+        """Return a session, of an owner if one is given; a 404 where there is none, or it has ended long ago."""
         self.tidy()
         entry = self._entries.get(session)
         if entry is None or owner not in {None, entry.owner}:

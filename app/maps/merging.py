@@ -26,7 +26,7 @@ from app.maps import work
 from app.maps.records import Standing, map_key, standing_of
 from app.maps.work import Audited, Merged, Register, Source
 from app.ogc.indexing import write_map_chunks
-from app.store.models import CityMap, Drive, Job, MapDrive, MapPlace
+from app.store.models import CityMap, Drive, MapDrive, MapPlace
 from interloc.errors import InterLocError
 
 _LOOK_S = 1.0
@@ -76,7 +76,7 @@ class Merger:
         try:
             with self._context.database.reading() as session:
                 city = session.get(CityMap, map_id)
-                standing = None if city is None else standing_of(session, self._context.storage, city)
+                standing = None if city is None else standing_of(session, self._context, city)
             if city is None or standing is None:
                 return
             if standing.is_stale:
@@ -190,7 +190,7 @@ def _labels(standing: Standing, names: dict[str, str]) -> dict[str, str]:
 
 def _write_rows(session: Session, map_id: str, standing: Standing, label_of: dict[str, str], merged: Merged) -> None:
     """Write which results a map holds, and the names of its places."""
-    job_of: dict[str, Job] = {job.drive_id: job for job in standing.jobs}
+    job_of = {job.drive_id: job for job in standing.jobs}
     for drive_id in standing.rows.keys() | job_of.keys():
         row = session.get(MapDrive, (map_id, drive_id))
         job = job_of.get(drive_id)

@@ -46,7 +46,7 @@ def create_map(new: NewMap, response: Response, context: ContextDep, client: Cli
         for drive_id in dict.fromkeys(new.drives):
             _put(session, city, drive_id)
         session.flush()
-        made = map_model(session, context.storage, city)
+        made = map_model(session, context, city)
     context.maps_changed.set()
     response.headers["Location"] = f"{context.settings.root_path}/api/v1/maps/{made.id}"
     return made
@@ -57,7 +57,7 @@ def list_maps(request: Request, context: ContextDep, _client: ClientDep) -> Resp
     """List the maps of many drives: that of the server, which holds all drives, first."""
     with context.database.reading() as session:
         rows = session.scalars(select(CityMap).order_by(CityMap.holds_all.desc(), CityMap.created_at, CityMap.id))
-        found = MapList(maps=[map_model(session, context.storage, each) for each in rows])
+        found = MapList(maps=[map_model(session, context, each) for each in rows])
     return answer_tagged(request, found.model_dump_json().encode())
 
 
@@ -65,7 +65,7 @@ def list_maps(request: Request, context: ContextDep, _client: ClientDep) -> Resp
 def show_map(map_id: MapId, request: Request, context: ContextDep, _client: ClientDep) -> Response:
     """Show what is on a map of many drives, and how far it is."""
     with context.database.reading() as session:
-        found = map_model(session, context.storage, find_map(session, map_id))
+        found = map_model(session, context, find_map(session, map_id))
     return answer_tagged(request, found.model_dump_json().encode())
 
 
@@ -82,6 +82,7 @@ def delete_map(map_id: MapId, context: ContextDep, _client: ClientDep) -> None:
             raise Problem(MAP_IS_OF_THE_SERVER, f"The map {map_id} holds all drives of the server, and stays.")
         session.execute(delete(CityMap).where(CityMap.id == map_id))
     context.storage.delete(map_key(map_id))
+    context.map_rows.pop(map_id, None)
 
 
 @get_and_head(

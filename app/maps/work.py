@@ -122,7 +122,9 @@ def merge(folder: Path, wanted: Mapping[str, Source], register: Register) -> Mer
         jobs = {name: source.job for name, source in wanted.items() if name in city.drives}
         with atomic_write(folder / CITY / JOBS_FILE) as file:
             file.write(json.dumps(jobs).encode())
-        record = city_record(city) | {"drives": len(city.drives)}
+        places = np.array([each["geometry"]["coordinates"] for each in layers["city"]])
+        bbox = [*places.min(axis=0).tolist(), *places.max(axis=0).tolist()] if len(places) else None
+        record = city_record(city) | {"drives": len(city.drives), "bbox": bbox}
         return Merged(problems, _changes(city, register), record, list(chunks_of_layers(layers)))
 
 

@@ -39,25 +39,18 @@ class Key(NamedTuple):
 
 @dataclass
 class Candidates:
-    """All features of some chunks, one after the other; a place is the number of a feature among them.
-
-    Attributes
-    ----------
-    session : Session
-    chunks : sequence of rows
-        ``id`` (in whose order they are), ``count``, and what is the same for all features of the chunk: ``drive``,
-        ``job``, ``preset``, ``labels``.
-    is_point : bool
-        Whether features are points.
-    of_results : bool
-        Whether the latter are properties of the features.
-    """
+    """All features of some chunks, one after the other; a place is the number of a feature among them."""
 
     session: Session
     chunks: Sequence[Any]
+    """``id`` (in whose order they are), ``count``, and what is the same for all features of the chunk: ``drive``,
+    ``job``, ``preset``, ``labels``."""
     is_point: bool
+    """Whether features are points."""
     of_results: bool = True
-    _known: dict[str, Any] = field(default_factory=dict)
+    """Whether the latter are properties of the features."""
+    _numbers: dict[str, FloatArray] = field(default_factory=dict)
+    _texts: dict[str, Texts] = field(default_factory=dict)
 
     @cached_property
     def _starts(self) -> NDArray[np.int64]:
@@ -94,34 +87,24 @@ class Candidates:
 
     def packed_numbers(self, name: str, width: int) -> FloatArray:
         """Return a column of numbers, (N, width); NaN in chunks that have none."""
-
-        def read() -> FloatArray:
-            found = self._contents(name)
-            none = struct.pack("<d", math.nan) * width
-            contents = (found[each.id] if each.id in found else none * each.count for each in self.chunks)
-            return unpack_numbers(contents).reshape(-1, width)
-
-        numbers: FloatArray = self._read_once(name, read)
-        return numbers
+        if name not in self._numbers:
+            found, none = self._contents(name), struct.pack("<d", math.nan) * width
+            contents = (found.get(each.id) or none * each.count for each in self.chunks)
+            self._numbers[name] = unpack_numbers(contents).reshape(-1, width)
+        return self._numbers[name]
 
     def texts(self, name: str) -> Texts:
         """Return a property that is a text."""
+        if name not in self._texts:
+            is_of_chunk = self.of_results and name in _OF_RESULT
+            self._texts[name] = self._of_chunks(name) if is_of_chunk else unpack_texts(self._contents(name).values())
+        return self._texts[name]
 
-        def read() -> Texts:
-            if not self.of_results or name not in _OF_RESULT:
-                return unpack_texts(self._contents(name).values())
-            values = [getattr(each, name) for each in self.chunks]
-            numbers = {value: number for number, value in enumerate(dict.fromkeys(values))}  # null is one of them, too
-            codes = np.array([-1 if value is None else numbers[value] for value in values], dtype=np.int32)
-            return Texts([value or "" for value in numbers], np.repeat(codes, np.diff(self._starts)))
-
-        texts: Texts = self._read_once(name, read)
-        return texts
-
-    def _read_once(self, name: str, read: Callable[[], Any]) -> Any:  # noqa: ANN401 - of the column
-        if name not in self._known:
-            self._known[name] = read()
-        return self._known[name]
+    def _of_chunks(self, name: str) -> Texts:
+        values = [getattr(each, name) for each in self.chunks]
+        numbers = {value: number for number, value in enumerate(dict.fromkeys(values))}  # null is one of them, too
+        codes = np.array([-1 if value is None else numbers[value] for value in values], dtype=np.int32)
+        return Texts([value or "" for value in numbers], np.repeat(codes, np.diff(self._starts)))
 
     def shapes(self, places: NDArray[np.int64]) -> NDArray[np.object_]:
         """Return the geometries of some candidates."""
@@ -162,6 +145,8 @@ class Candidates:
         """Return a column of these chunks, by default of all, by their ids and in their order."""
         if ids is None:
             ids = [each.id for each in self.chunks]
+        if not ids:
+            return {}
         # Written into the query: databases take only some thousand parameters.
         among = FeatureColumn.chunk_id.in_(bindparam("ids", ids, expanding=True, literal_execute=True))
         query = select(FeatureColumn.chunk_id, FeatureColumn.content).where(FeatureColumn.name == name, among)

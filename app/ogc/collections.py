@@ -30,20 +30,13 @@ _SPANS = {"time": "primary-instant", "first_time": "primary-interval-start", "la
 
 @dataclass(frozen=True)
 class Collection:
-    """A layer as a collection.
-
-    Attributes
-    ----------
-    id : str
-        Its name in addresses.
-    layer : Layer
-    of_results : bool
-        Whether its features are of results of drives, and say of which.
-    """
+    """A layer as a collection."""
 
     id: str
+    """Its name in addresses."""
     layer: Layer
     of_results: bool = True
+    """Whether its features are of results of drives, and say of which."""
 
     @cached_property
     def attributes(self) -> list[Attribute]:

@@ -21,18 +21,12 @@ _LENGTH = struct.Struct("<I")
 
 @dataclass(frozen=True)
 class Texts:
-    """A column of texts.
-
-    Attributes
-    ----------
-    values : list of str
-        The texts that occur; one may stand here several times.
-    codes : (N,) int32
-        Index of the text of each feature in `values`; -1 for null.
-    """
+    """A column of texts."""
 
     values: list[str]
+    """The texts that occur; one may stand here several times."""
     codes: NDArray[np.int32]
+    """(N,): index of the text of each feature in `values`; -1 for null."""
 
 
 def pack_numbers(values: Iterable[float | None]) -> bytes:

@@ -38,11 +38,12 @@ def describe_interface(
         if path == prefix or path.startswith(f"{prefix}/"):
             paths[path.removeprefix(prefix) or "/"] = _older(operations)
     items = paths.pop(_ITEMS)["get"]
+    names = {"type": "string", "enum": list(collections)}
     given = {"collection_id", *(part[1:-1] for part in prefix.split("/") if part.startswith("{"))}
     for operations in paths.values():
         operation = operations["get"]
         operation["parameters"] = [
-            _with_names(each, collections) if each["name"] == "collection_id" else each
+            {**each, "schema": names} if each["name"] == "collection_id" else each
             for each in operation.get("parameters", ())
             if each["name"] not in given - {"collection_id"}
         ]
@@ -59,7 +60,9 @@ def describe_interface(
                 ],
             }
         }
-    paths = {path: {"get": _with_password(each["get"])} for path, each in paths.items()}
+    for path, operations in paths.items():
+        own = operations["get"].get("security", ())
+        paths[path] = {"get": {**operations["get"], "security": [*own, {"password": []}]}}
     return {
         "openapi": "3.0.3",
         "info": {name: text for name, text in document["info"].items() if name in {"title", "version"}},
@@ -86,10 +89,6 @@ def _older(node: Any) -> Any:  # noqa: ANN401 - JSON
     return found
 
 
-def _with_names(parameter: dict[str, Any], collections: Mapping[str, Collection]) -> dict[str, Any]:
-    return {**parameter, "schema": {"type": "string", "enum": list(collections)}}
-
-
 def _queryables(collection: Collection) -> Iterator[dict[str, Any]]:
     for attribute in collection.attributes:
         if attribute.name in collection.queryables:
@@ -103,10 +102,6 @@ def _queryables(collection: Collection) -> Iterator[dict[str, Any]]:
                 "explode": False,
                 "schema": {name: value for name, value in described.items() if name in {"type", "format"}},
             }
-
-
-def _with_password(operation: dict[str, Any]) -> dict[str, Any]:
-    return {**operation, "security": [*operation.get("security", ()), {"password": []}]}
 
 
 def _components(components: Mapping[str, Any], paths: Mapping[str, Any]) -> dict[str, Any]:

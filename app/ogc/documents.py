@@ -53,16 +53,10 @@ CONFORMS_TO = [
 
 @dataclass(frozen=True)
 class Place:
-    """Where the documents of a source stand.
-
-    Attributes
-    ----------
-    address : str
-        Of the landing page.
-    title, description : str
-    """
+    """Where the documents of a source stand."""
 
     address: str
+    """Of the landing page."""
     title: str
     description: str
 

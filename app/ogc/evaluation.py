@@ -6,33 +6,32 @@ known: `and` is the minimum, `or` the maximum, `not` the negative.
 
 from __future__ import annotations
 
+import json
 import operator
 import re
 import time
 import unicodedata
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from functools import reduce
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from sqlalchemy.orm import Session
 
+from app.http.parameters import refusal
+from app.http.problem_types import FILTER_NOT_VALID
+from app.http.problems import Problem
 from app.ogc.candidates import Candidates
-from app.ogc.collections import GEOMETRY
+from app.ogc.collections import GEOMETRY, Collection
 from app.ogc.columns import Texts
-from app.ogc.filters import (
-    ARITHMETIC,
-    CASES,
-    COMPARISONS,
-    SPATIAL,
-    TEMPORAL,
-    BadFilterError,
-    Filter,
-    bad_filter,
-    positions_of,
-)
+
+MAX_SPATIAL = 8
+"""Spatial operators of a filter."""
+MAX_VERTICES = 2000
+"""Vertices of all its geometries."""
 
 _PATIENCE_S = 3.0
 _SHAPES_AT_ONCE = 64
@@ -40,6 +39,19 @@ _GEOMETRY = {"property": GEOMETRY}
 
 Truth = NDArray[np.int8]
 """1, 0 or -1 for each feature, (N,), or one of them for all, ()."""
+
+
+@dataclass(frozen=True)
+class Filter:
+    """A filter that was checked."""
+
+    tree: Any
+    """Of CQL2 JSON."""
+    collection: Collection
+    area: tuple[float, ...] | None = None
+    """West, south, east, north of a box outside of which nothing matches."""
+    equal: dict[str, str] = field(default_factory=dict)
+    """Texts that properties must have."""
 
 
 @dataclass(frozen=True)
@@ -63,41 +75,45 @@ _Value = Texts | str | _Number | _Span
 
 
 def matching(filter_: Filter, features: Candidates) -> NDArray[np.bool_]:
-    """Return which features match.
+    """Return which features match; a 400 where that takes too long."""
+    with np.errstate(all="ignore"):
+        truth = _Evaluation(filter_.collection, features).truth(filter_.tree)
+        return np.broadcast_to(truth == 1, len(features))
 
-    Raises
-    ------
-    Problem
-        400: the filter compares what cannot be compared, or takes too long.
-    """
-    try:
-        with np.errstate(all="ignore"):
-            truth = _Evaluation(filter_, features).truth(filter_.tree)
-            return np.broadcast_to(truth == 1, len(features))
-    except BadFilterError as error:
-        raise bad_filter(str(error)) from None
+
+def bad_filter(found: str) -> Problem:
+    """Return the problem of a filter that cannot be used."""
+    return refusal(FILTER_NOT_VALID, "query.filter", found)
+
+
+def check(tree: Any, collection: Collection) -> None:  # noqa: ANN401 - JSON
+    """Refuse (400) what cannot be evaluated, by evaluating it on no features."""
+    _Evaluation(collection, Candidates(Session(), [], collection.is_point, collection.of_results)).truth(tree)
 
 
 class _Evaluation:
-    def __init__(self, filter_: Filter, features: Candidates) -> None:
-        self._kinds = filter_.kinds
+    def __init__(self, collection: Collection, features: Candidates) -> None:
+        self._collection = collection
         self._features = features
         self._deadline = time.monotonic() + _PATIENCE_S
+        self._spatials = self._vertices = 0
 
     def truth(self, node: Any) -> Truth:  # noqa: ANN401 - JSON
         """Return of which features a part of the filter is true."""
         self._refuse_if_late()
         if isinstance(node, bool):
             return _decided(node)
-        if "property" in node:
-            flags = self._features.numbers(node["property"])
-            return _decided(flags == 1.0, flags)
-        name, arguments = node["op"], node["args"]
-        if name in COMPARISONS:
+        if isinstance(node, dict) and "property" in node:
+            flag = self._property(node["property"])
+            if not isinstance(flag, _Number) or not flag.is_flag:
+                raise bad_filter(f"{node['property']} alone is not true or false. Compare it with a value.")
+            return _decided(flag.value == 1.0, flag.value)
+        name, arguments = self._operation(node) if isinstance(node, dict) else ("", [])
+        if name in _COMPARISONS:
             return self._compare(name, *arguments)
         if name in SPATIAL:
             return self._spatial(name, *arguments)
-        if name in TEMPORAL:
+        if name in _TEMPORAL:
             return self._temporal(name, *arguments)
         others: dict[str, Callable[..., Truth]] = {
             "and": lambda *parts: reduce(np.minimum, map(self.truth, parts)),
@@ -108,15 +124,26 @@ class _Evaluation:
             "between": lambda value, low, high: np.minimum(
                 self._compare("<=", low, value), self._compare("<=", value, high)
             ),
-            "in": lambda value, values: reduce(
-                np.maximum, (self._compare("=", value, each) for each in values), _decided(False)
-            ),
+            "in": self._in,
         }
+        if name not in others:
+            raise bad_filter(f"{shown(node)} is not true or false.")
         return others[name](*arguments)
+
+    def _operation(self, node: dict[str, Any]) -> tuple[str, list[Any]]:
+        """Return an operator, as the standard spells it, and its arguments."""
+        name = _BY_LOWER.get(str(node.get("op")).lower())
+        if name is None:
+            raise bad_filter(f"There is no operator or function {shown(node.get('op'))} here.")
+        arguments, expected = node.get("args"), _ARGUMENTS.get(name, 2)
+        count = len(arguments) if isinstance(arguments, list) else 0
+        if not (count > 1 if name in {"and", "or"} else count == expected):
+            raise bad_filter(f"{name} takes {expected} arguments.")
+        return name, node["args"]
 
     def _refuse_if_late(self) -> None:
         if time.monotonic() > self._deadline:
-            raise BadFilterError("It takes too long. Ask for less of it at a time, or for a smaller bbox.")
+            raise bad_filter("It takes too long. Ask for less of it at a time, or for a smaller bbox.")
 
     # Values
 
@@ -125,14 +152,23 @@ class _Evaluation:
             return node
         if isinstance(node, int | float):
             return _Number(float(node), is_flag=isinstance(node, bool))
-        if "property" in node:
+        if isinstance(node, dict) and "property" in node:
             return self._property(node["property"])
-        if "op" in node:
-            return self._computed(node["op"], node["args"])
-        return _span_of(node)
+        if isinstance(node, dict) and "op" in node:
+            return self._computed(*self._operation(node))
+        if isinstance(node, dict) and len(node) == 1 and node.keys() <= {"timestamp", "date"}:
+            return _span_of(node)
+        raise bad_filter(f"{shown(node)} cannot stand here.")
 
-    def _property(self, name: str) -> _Value:
-        kind = self._kinds[name]
+    def _property(self, name: Any) -> _Value:  # noqa: ANN401
+        kinds = self._collection.queryables
+        kind = kinds.get(name) if isinstance(name, str) else None
+        if kind is None:
+            hint = f" {GEOMETRY} can be compared by spatial operators only." if name == GEOMETRY else ""
+            raise bad_filter(
+                f"{self._collection.id} has no property {shown(name)} for filters.{hint} There are "
+                f"{', '.join(sorted(kinds))}."
+            )
         if kind == "text":
             return self._features.texts(name)
         numbers = self._features.numbers(name)
@@ -142,17 +178,17 @@ class _Evaluation:
 
     def _computed(self, name: str, arguments: list[Any]) -> _Value:
         values = [self._value(each) for each in arguments]
-        if name in CASES:
+        if name in _CASES:
             (text,) = values
             change = str.casefold if name == "casei" else _without_accents
             if isinstance(text, str):
                 return change(text)
             if isinstance(text, Texts):
                 return Texts([change(each) for each in text.values], text.codes)
-            raise BadFilterError(f"{name} takes a text.")
+            raise bad_filter(f"{name} takes a text.")
         numbers = [each.value for each in values if isinstance(each, _Number) and not each.is_flag]
-        if name not in ARITHMETIC or len(numbers) != 2:
-            raise BadFilterError(f"{name} takes two numbers here.")
+        if name not in _ARITHMETIC or len(numbers) != 2:
+            raise bad_filter(f"{name} takes two numbers here.")
         return _Number(_ARITHMETIC[name](*numbers))
 
     # Comparisons
@@ -176,7 +212,12 @@ class _Evaluation:
             return _of_texts(one, lambda text: compare(text, other))
         if isinstance(one, str) and isinstance(other, Texts):
             return _of_texts(other, lambda text: compare(one, text))
-        raise BadFilterError(f"{name} compares two values of different types.")
+        raise bad_filter(f"{name} compares two values of different types.")
+
+    def _in(self, value: Any, values: Any) -> Truth:  # noqa: ANN401
+        if not isinstance(values, list):
+            raise bad_filter("in takes a list of values.")
+        return reduce(np.maximum, (self._compare("=", value, each) for each in values), _decided(False))
 
     def _is_null(self, node: Any) -> Truth:  # noqa: ANN401
         if node == _GEOMETRY:
@@ -191,7 +232,7 @@ class _Evaluation:
         if isinstance(text, _Number) and text.is_id:
             text = _as_texts(text)
         if not isinstance(text, Texts | str) or not isinstance(like, str):
-            raise BadFilterError("like compares a text with a pattern.")
+            raise bad_filter("like compares a text with a pattern.")
         fits = _pattern(like)
         return _of_texts(text, lambda each: fits.fullmatch(each) is not None)
 
@@ -204,6 +245,8 @@ class _Evaluation:
 
     def _span(self, node: Any) -> _Span:  # noqa: ANN401
         if isinstance(node, dict) and "interval" in node:
+            if not isinstance(node["interval"], list) or len(node["interval"]) != 2:
+                raise bad_filter("An interval has two ends.")
             first, last = node["interval"]
             return _Span(
                 -np.inf if first == ".." else self._span(first).begin, np.inf if last == ".." else self._span(last).end
@@ -212,7 +255,7 @@ class _Evaluation:
         if isinstance(value, str):
             value = _instant(value)
         if not isinstance(value, _Span):
-            raise BadFilterError(f"{_shown_time(node)} is not a time.")
+            raise bad_filter(f"{shown(node)} is not a time.")
         return value
 
     # Space
@@ -220,7 +263,15 @@ class _Evaluation:
     def _spatial(self, name: str, left: Any, right: Any) -> Truth:  # noqa: ANN401
         import shapely  # noqa: PLC0415 - an eighth of a second of start-up time
 
-        literal = _geometry(right if left == _GEOMETRY else left)
+        given = right if left == _GEOMETRY else left
+        if _GEOMETRY not in (left, right) or not isinstance(given, dict) or given == _GEOMETRY:
+            raise bad_filter(f"{name} compares {GEOMETRY} with a geometry that the filter holds.")
+        literal = geometry_of(given)
+        self._spatials, self._vertices = self._spatials + 1, self._vertices + shapely.get_num_coordinates(literal)
+        if self._spatials > MAX_SPATIAL:
+            raise bad_filter(f"It has more than {MAX_SPATIAL} spatial operators.")
+        if self._vertices > MAX_VERTICES:
+            raise bad_filter(f"Its geometries have more than {MAX_VERTICES:,} vertices.")
         if left == _GEOMETRY:  # the prepared geometry comes first
             name = {"s_within": "s_contains", "s_contains": "s_within"}.get(name, name)
         boxes = self._features.boxes()
@@ -288,10 +339,6 @@ def _without_accents(text: str) -> str:
     return "".join(each for each in unicodedata.normalize("NFD", text) if not unicodedata.combining(each))
 
 
-def _shown_time(node: Any) -> str:  # noqa: ANN401
-    return str(node)[:60]
-
-
 def _instant(text: str) -> _Span:
     return _span_of({"timestamp" if "T" in text.upper() else "date": text})
 
@@ -302,35 +349,54 @@ def _span_of(node: dict[str, Any]) -> _Span:
     try:
         begin = datetime.fromisoformat(str(text))
     except ValueError:
-        raise BadFilterError(f"{_shown_time(text)} is not a time as 2026-01-31T12:00:00Z, or a date.") from None
+        raise bad_filter(f"{shown(text)} is not a time as 2026-01-31T12:00:00Z, or a date.") from None
     begin = begin if begin.tzinfo is not None else begin.replace(tzinfo=UTC)
     try:
         end = begin if "timestamp" in node else begin + timedelta(days=1) - timedelta(microseconds=1)
         return _Span(begin.timestamp(), end.timestamp())
     except OverflowError:
-        raise BadFilterError(f"{_shown_time(text)} is too far away.") from None
+        raise bad_filter(f"{shown(text)} is too far away.") from None
 
 
-def _geometry(literal: dict[str, Any]) -> Any:  # noqa: ANN401 - a geometry of shapely
+def geometry_of(literal: dict[str, Any]) -> Any:  # noqa: ANN401 - a geometry of shapely
+    """Return a geometry that a filter holds; a 400 where it is not one of longitudes and latitudes."""
     import shapely  # noqa: PLC0415 - an eighth of a second of start-up time
 
-    corners = list(positions_of(literal))
-    if not all(abs(value) <= 540.0 for corner in corners for value in corner):
-        raise BadFilterError("Positions are longitude and latitude, degrees.")
-    if "bbox" in literal:
-        (west, south), (east, north) = corners
-        if south > north:
-            raise BadFilterError("The south of a bbox is not above its north.")
-        if west <= east:
-            return shapely.box(west, south, east, north)
-        return shapely.union(shapely.box(west, south, east + 360.0, north), shapely.box(-180.0, south, east, north))
+    geometry: Any
     try:
-        geometry = shapely.geometry.shape(literal)
-    except (shapely.errors.ShapelyError, ValueError, TypeError, KeyError, AttributeError):
-        raise BadFilterError("It holds a geometry with too few positions, or with rings that do not close.") from None
+        if "bbox" in literal:
+            west, south, east, north = box_of(literal)
+            geometry = shapely.box(west, south, east + 360.0 * (west > east), north)
+            if west > east:
+                geometry = shapely.union(geometry, shapely.box(-180.0, south, east, north))
+            if south > north:
+                raise bad_filter("The south of a bbox is not above its north.")
+        else:
+            geometry = shapely.geometry.shape(literal)
+    except (shapely.errors.ShapelyError, ValueError, TypeError, KeyError, AttributeError, IndexError, OverflowError):
+        raise bad_filter(
+            f"{shown(literal)} is not a geometry, or has too few positions or rings that do not close."
+        ) from None
+    if not (np.abs(shapely.get_coordinates(geometry)) <= 540.0).all():
+        raise bad_filter("Positions are longitude and latitude, degrees.")
     if geometry.is_empty or not geometry.is_valid:
-        raise BadFilterError(f"It holds a geometry that is not valid: {shapely.is_valid_reason(geometry)[:100]}.")
+        raise bad_filter(f"It holds a geometry that is not valid: {shapely.is_valid_reason(geometry)[:100]}.")
     return geometry
+
+
+def box_of(literal: dict[str, Any]) -> tuple[float, ...]:
+    """Return west, south, east, north of a bbox of 4 numbers, or of 6 with heights."""
+    box = literal["bbox"]
+    if not isinstance(box, list) or len(box) not in {4, 6}:
+        raise bad_filter(f"{shown(box)} is not a bbox: it has 4 or 6 numbers.")
+    numbers, half = [float(each) for each in box], len(box) // 2
+    return (*numbers[:2], *numbers[half : half + 2])
+
+
+def shown(value: Any) -> str:  # noqa: ANN401
+    """Return a part of a filter as a message names it."""
+    text = value if isinstance(value, str) else json.dumps(value)
+    return text if len(text) <= 60 else f"{text[:60]}..."
 
 
 _COMPARISONS: dict[str, Callable[[Any, Any], Any]] = {
@@ -368,3 +434,18 @@ _TEMPORAL: dict[str, Callable[[Any, Any, Any, Any], Any]] = {
     "t_startedBy": lambda a, b, c, d: (a == c) & (b > d),
     "t_starts": lambda a, b, c, d: (a == c) & (b < d),
 }
+SPATIAL = {f"s_{name}" for name in ("intersects", "disjoint", "within", "contains", "equals")}
+SPATIAL |= {"s_touches", "s_crosses", "s_overlaps"}
+_CASES = ("casei", "accenti")
+_BY_LOWER = {
+    name.lower(): name
+    for name in (
+        *("and", "or", "not", "like", "between", "in", "isNull"),
+        *_CASES,
+        *SPATIAL,
+        *_COMPARISONS,
+        *_TEMPORAL,
+        *_ARITHMETIC,
+    )
+}
+_ARGUMENTS = {"not": 1, "isNull": 1, "between": 3, **dict.fromkeys(_CASES, 1)}

@@ -1,7 +1,7 @@
-"""Filters in CQL2 (OGC 21-065): read and checked by the package cql2, bounded here before and after.
+"""Filters in CQL2 (OGC 21-065): read by the package cql2, bounded here before and after.
 
-What a filter may hold is a tree of operators over the queryables of a collection; anything else is refused, and so is
-what is too large or too deep. `app.ogc.evaluation` decides for all features at once whether they match.
+What a filter may hold is a tree of operators over the queryables of a collection. `app.ogc.evaluation` decides for all
+features at once whether they match; anything that it does not know is refused there, when the filter is read.
 """
 
 from __future__ import annotations
@@ -10,15 +10,12 @@ import json
 import math
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import cql2
 
-from app.http.parameters import refusal
-from app.http.problem_types import FILTER_NOT_VALID
-from app.http.problems import Problem
 from app.ogc.collections import GEOMETRY, Collection
+from app.ogc.evaluation import SPATIAL, Filter, bad_filter, box_of, check, geometry_of, shown
 
 Language = Literal["cql2-text", "cql2-json", "cql-text"]
 """The last one is that of the draft of the standard, which GDAL speaks."""
@@ -27,10 +24,6 @@ MAX_CHARACTERS = 16_000
 MAX_DEPTH = 24
 MAX_NODES = 300
 """Operators, properties and values of a filter."""
-MAX_SPATIAL = 8
-"""Spatial operators of a filter."""
-MAX_VERTICES = 2000
-"""Vertices of all its geometries."""
 
 _MAX_WORDS = 2 * MAX_NODES
 _QUOTED = re.compile(r"'[^']*'|\"[^\"]*\"")
@@ -41,118 +34,37 @@ _WORD = re.compile(r"\w[\w.]*|[^\w\s,()]")
 
 CRS84 = "http://www.opengis.net/def/crs/OGC/1.3/CRS84"
 
-LOGICAL = {"and", "or", "not"}
-COMPARISONS = {"=", "<>", "<", ">", "<=", ">="}
-OTHER_COMPARISONS = {"like", "between", "in", "isNull"}
-SPATIAL = {
-    "s_intersects",
-    "s_disjoint",
-    "s_within",
-    "s_contains",
-    "s_equals",
-    "s_touches",
-    "s_crosses",
-    "s_overlaps",
-}
-TEMPORAL = {
-    "t_after",
-    "t_before",
-    "t_contains",
-    "t_disjoint",
-    "t_during",
-    "t_equals",
-    "t_finishedBy",
-    "t_finishes",
-    "t_intersects",
-    "t_meets",
-    "t_metBy",
-    "t_overlappedBy",
-    "t_overlaps",
-    "t_startedBy",
-    "t_starts",
-}
-ARITHMETIC = {"+", "-", "*", "/", "%", "div", "^"}
-CASES = {"casei", "accenti"}
-_OPERATORS = LOGICAL | COMPARISONS | OTHER_COMPARISONS | SPATIAL | TEMPORAL | ARITHMETIC | CASES
-_BY_LOWER = {name.lower(): name for name in _OPERATORS}
-_ARGUMENTS = {"not": 1, "isNull": 1, "between": 3, **dict.fromkeys(CASES, 1)}
-_BOOLEAN = LOGICAL | COMPARISONS | OTHER_COMPARISONS | SPATIAL | TEMPORAL
-
-
-class BadFilterError(Exception):
-    """The filter cannot be used; the text says why."""
-
-
-@dataclass(frozen=True)
-class Filter:
-    """A filter that was checked.
-
-    Attributes
-    ----------
-    tree
-        Of CQL2 JSON.
-    kinds : dict
-        Property -> int, float, bool, text or time.
-    area : tuple of float or None
-        West, south, east, north of a box outside of which nothing matches.
-    equal : dict
-        Texts that properties must have.
-    """
-
-    tree: Any
-    kinds: Mapping[str, str]
-    area: tuple[float, float, float, float] | None = None
-    equal: dict[str, str] = field(default_factory=dict)
-
 
 def read_filter(
     content: str | None, language: Language, collection: Collection, values: Mapping[str, str] | None = None
 ) -> Filter:
-    """Read a filter on the features of a collection.
+    """Read a filter on the features of a collection; a 400 where it is not CQL2, too large, or names what there is not.
 
     Parameters
     ----------
-    content
-        What must be true of them.
-    language
-        That it is written in.
-    collection
-        Theirs.
     values
         Queryables with the values that they must have, too, as they stand in addresses.
-
-    Raises
-    ------
-    Problem
-        400: it is not CQL2, is too large, or names what there is not.
     """
-    try:
-        parts = [] if content is None else [_parse(content, language)]
-        if language == "cql-text":
-            parts = [_with_truth_values(part, collection) for part in parts]
-        for name, text in (values or {}).items():
-            parts.append({"op": "=", "args": [{"property": name}, _value(name, text, collection)]})
-        tree = parts[0] if len(parts) == 1 else {"op": "and", "args": parts}
-        _Check(collection).predicate(tree)
-    except BadFilterError as error:
-        raise bad_filter(str(error)) from None
-    return Filter(tree, collection.queryables, _area_of(tree), dict(_equalities(tree)))
-
-
-def bad_filter(found: str) -> Problem:
-    """Return the problem of a filter that cannot be used."""
-    return refusal(FILTER_NOT_VALID, "query.filter", found)
+    parts = [] if content is None else [_parse(content, language)]
+    if language == "cql-text":
+        parts = [_with_truth_values(part, collection) for part in parts]
+    for name, text in (values or {}).items():
+        parts.append({"op": "=", "args": [{"property": name}, _value(name, text, collection)]})
+    tree = parts[0] if len(parts) == 1 else {"op": "and", "args": parts}
+    _refuse_large(tree)
+    check(tree, collection)
+    return Filter(tree, collection, _area_of(tree), dict(_equalities(tree)))
 
 
 def _parse(content: str, language: Language) -> Any:  # noqa: ANN401 - JSON
     if len(content) > MAX_CHARACTERS:
-        raise BadFilterError(f"It has {len(content):,} characters, more than {MAX_CHARACTERS:,}.")
+        raise bad_filter(f"It has {len(content):,} characters, more than {MAX_CHARACTERS:,}.")
     if language == "cql-text":
         content = _ILIKE.sub(_without_ilike, content)
     if _nesting(content) > MAX_DEPTH or _CHAIN.search(content):  # before any parser sees it: theirs are recursive
-        raise BadFilterError(f"It is nested deeper than {MAX_DEPTH} levels.")
+        raise bad_filter(f"It is nested deeper than {MAX_DEPTH} levels.")
     if language != "cql2-json" and _words(content) > _MAX_WORDS:  # likewise
-        raise BadFilterError(f"It is larger than {MAX_NODES} parts.")
+        raise bad_filter(f"It is larger than {MAX_NODES} parts.")
     try:
         if language == "cql2-json":
             content = json.dumps(json.loads(content, parse_constant=_no_number))
@@ -160,7 +72,7 @@ def _parse(content: str, language: Language) -> Any:  # noqa: ANN401 - JSON
         # Not what cql2 makes of numbers, which are all float64 there: as JSON, where NaN and infinity are null.
         return json.loads(json.dumps(expression.to_json()), parse_constant=_no_number)
     except (cql2.ParseError, cql2.ValidationError, ValueError, RecursionError) as error:
-        raise BadFilterError(f"It is not {language}: {_short(error)}") from None
+        raise bad_filter(f"It is not {language}: {_short(error)}") from None
 
 
 def _without_ilike(match: re.Match[str]) -> str:
@@ -182,13 +94,7 @@ def _with_truth_values(tree: Any, collection: Collection) -> Any:  # noqa: ANN40
 
 
 def _value(name: str, text: str, collection: Collection) -> str | float | bool:
-    """Return the value that a queryable must have, as its kind has it.
-
-    Raises
-    ------
-    BadFilterError
-        It has no such values.
-    """
+    """Return the value that a queryable must have, as its kind has it; a 400 where it has no such values."""
     kind = collection.queryables[name]
     if kind in {"text", "time"}:
         return text
@@ -198,8 +104,8 @@ def _value(name: str, text: str, collection: Collection) -> str | float | bool:
             return value
     except (ValueError, OverflowError, RecursionError):
         pass
-    raise BadFilterError(
-        f"{name}={_shown(text)} is not valid. Expected {'true or false' if kind == 'bool' else 'a number'}."
+    raise bad_filter(
+        f"{name}={shown(text)} is not valid. Expected {'true or false' if kind == 'bool' else 'a number'}."
     )
 
 
@@ -238,133 +144,21 @@ def _nesting(content: str) -> int:
     return deepest
 
 
-class _Check:
-    """Goes through a tree and refuses what cannot be evaluated."""
-
-    def __init__(self, collection: Collection) -> None:
-        self._collection = collection
-        self._nodes = self._spatial = self._vertices = 0
-
-    def predicate(self, node: Any, depth: int = 0) -> None:  # noqa: ANN401 - JSON
-        """Refuse what is not true or false."""
-        if isinstance(node, dict) and "property" in node:
-            if self._kind(node["property"]) != "bool":
-                raise BadFilterError(f"{node['property']} alone is not true or false. Compare it with a value.")
-        elif not isinstance(node, bool) and not (isinstance(node, dict) and self._operator(node) in _BOOLEAN):
-            raise BadFilterError(f"{_shown(node)} is not true or false.")
-        self._walk(node, depth)
-
-    def _walk(self, node: Any, depth: int) -> None:  # noqa: ANN401
-        self._nodes += 1
-        if self._nodes > MAX_NODES or depth > MAX_DEPTH:
+def _refuse_large(tree: Any) -> None:  # noqa: ANN401
+    """Refuse a tree of too many parts, or too deep."""
+    level, parts, depth = [tree], 1, 0
+    while level:
+        if parts > MAX_NODES or depth > MAX_DEPTH:
             limit = f"nested deeper than {MAX_DEPTH} levels" if depth > MAX_DEPTH else f"larger than {MAX_NODES} parts"
-            raise BadFilterError(f"It is {limit}.")
-        if isinstance(node, dict):
-            if "op" in node:
-                self._operation(node, depth)
-            elif "property" in node:
-                self._kind(node["property"])
-            elif not (node.keys() <= {"timestamp", "date", "interval"} and len(node) == 1):
-                raise BadFilterError(f"{_shown(node)} cannot stand here.")
-            if len(node.get("interval", "ab")) != 2:
-                raise BadFilterError("An interval has two ends.")
-            for member in node.get("interval", ()):
-                if isinstance(member, dict):
-                    self._walk(member, depth + 1)
-        elif not isinstance(node, str | bool | int | float):
-            raise BadFilterError(f"{_shown(node)} cannot stand here.")
-
-    def _operation(self, node: dict[str, Any], depth: int) -> None:
-        name, arguments = self._operator(node), node["args"]
-        node["op"] = name
-        expected = _ARGUMENTS.get(name, 2)
-        is_right = isinstance(arguments, list) and (
-            len(arguments) > 1 if name in {"and", "or"} else len(arguments) == expected
-        )
-        if not is_right:
-            raise BadFilterError(f"{name} takes {expected} arguments.")
-        if name in SPATIAL:
-            self._spatial_operation(name, arguments)
-        elif name in LOGICAL:
-            for each in arguments:
-                self.predicate(each, depth + 1)
-        elif name == "in":
-            self._walk(arguments[0], depth + 1)
-            if not isinstance(arguments[1], list):
-                raise BadFilterError("in takes a list of values.")
-            for each in arguments[1]:
-                self._walk(each, depth + 1)
-        elif name == "isNull" and arguments[0] == {"property": GEOMETRY}:
-            pass
-        else:
-            for each in arguments:
-                self._walk(each, depth + 1)
-
-    def _spatial_operation(self, name: str, arguments: list[Any]) -> None:
-        self._spatial += 1
-        if self._spatial > MAX_SPATIAL:
-            raise BadFilterError(f"It has more than {MAX_SPATIAL} spatial operators.")
-        literal = next((each for each in arguments if each != {"property": GEOMETRY}), None)
-        if {"property": GEOMETRY} not in arguments or not isinstance(literal, dict):
-            raise BadFilterError(f"{name} compares {GEOMETRY} with a geometry that the filter holds.")
-        self._vertices += sum(1 for _ in positions_of(literal))
-        if self._vertices > MAX_VERTICES:
-            raise BadFilterError(f"Its geometries have more than {MAX_VERTICES:,} vertices.")
-
-    def _operator(self, node: dict[str, Any]) -> str:
-        name = node.get("op")
-        if not isinstance(name, str) or name.lower() not in _BY_LOWER:
-            raise BadFilterError(f"There is no operator or function {_shown(name)} here.")
-        return _BY_LOWER[name.lower()]
-
-    def _kind(self, name: Any) -> str:  # noqa: ANN401
-        kinds = self._collection.queryables
-        if name not in kinds:
-            hint = f" {GEOMETRY} can be compared by spatial operators only." if name == GEOMETRY else ""
-            raise BadFilterError(
-                f"{self._collection.id} has no property {_shown(name)} for filters.{hint} There are "
-                f"{', '.join(sorted(kinds))}."
-            )
-        return kinds[name]
+            raise bad_filter(f"It is {limit}.")
+        level = [part for node in level for part in _parts_of(node)]
+        parts, depth = parts + len(level), depth + 1
 
 
-def positions_of(geometry: dict[str, Any]) -> Iterator[tuple[float, float]]:
-    """Yield the positions of a geometry of a filter.
-
-    Raises
-    ------
-    BadFilterError
-        It is not a geometry of longitudes and latitudes.
-    """
-    if "bbox" in geometry:
-        box = geometry["bbox"]
-        if not isinstance(box, list) or len(box) not in {4, 6} or not all(map(_is_number, box)):
-            raise BadFilterError(f"{_shown(box)} is not a bbox: it has 4 or 6 numbers.")
-        half = len(box) // 2
-        yield from ((box[0], box[1]), (box[half], box[half + 1]))
-    elif "geometries" in geometry:
-        for each in geometry["geometries"]:
-            yield from positions_of(each)
-    elif "coordinates" in geometry:
-        yield from _positions_in(geometry["coordinates"])
-    else:
-        raise BadFilterError(f"{_shown(geometry)} is not a geometry.")
-
-
-def _positions_in(coordinates: Any, depth: int = 0) -> Iterator[tuple[float, float]]:  # noqa: ANN401
-    if not isinstance(coordinates, list) or not coordinates or depth > 4:
-        raise BadFilterError("The coordinates of a geometry are lists of numbers.")
-    if isinstance(coordinates[0], list):
-        for each in coordinates:
-            yield from _positions_in(each, depth + 1)
-    elif len(coordinates) in {2, 3} and all(map(_is_number, coordinates)):
-        yield coordinates[0], coordinates[1]
-    else:
-        raise BadFilterError(f"{_shown(coordinates)} is not a position: longitude and latitude.")
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < float("inf")
+def _parts_of(node: Any) -> Iterator[Any]:  # noqa: ANN401
+    members = [node.get(name) for name in ("args", "interval")] if isinstance(node, dict) else []
+    for each in (part for member in members if isinstance(member, list) for part in member):
+        yield from each if isinstance(each, list) else (each,)
 
 
 def _conjuncts(tree: Any) -> Iterator[Any]:  # noqa: ANN401
@@ -385,18 +179,10 @@ def _equalities(tree: Any) -> Iterator[tuple[str, str]]:  # noqa: ANN401
                 yield names[0], texts[0]
 
 
-def _area_of(tree: Any) -> tuple[float, float, float, float] | None:  # noqa: ANN401
+def _area_of(tree: Any) -> tuple[float, ...] | None:  # noqa: ANN401
     """Return the box around what features must touch."""
     for each in _conjuncts(tree):
         if isinstance(each, dict) and each.get("op") in SPATIAL - {"s_disjoint"}:
             (literal,) = (a for a in each["args"] if a != {"property": GEOMETRY})
-            lon, lat = zip(*positions_of(literal), strict=True)
-            if "bbox" in literal and lon[0] > lon[1]:
-                return lon[0], lat[0], lon[1], lat[1]
-            return min(lon), min(lat), max(lon), max(lat)
+            return box_of(literal) if "bbox" in literal else geometry_of(literal).bounds
     return None
-
-
-def _shown(value: Any) -> str:  # noqa: ANN401
-    text = value if isinstance(value, str) else json.dumps(value)
-    return text if len(text) <= 60 else f"{text[:60]}..."

@@ -21,8 +21,7 @@ from app.http.parameters import Box
 from app.jobs.chosen import chosen_results
 from app.ogc.candidates import Candidates, Key
 from app.ogc.collections import OF_ALL, OF_JOB, OF_MAP, Collection
-from app.ogc.evaluation import matching
-from app.ogc.filters import Filter
+from app.ogc.evaluation import Filter, matching
 from app.ogc.work import IDS, TIMES
 from app.store.models import Drive, FeatureChunk, Job
 
@@ -43,66 +42,40 @@ class Area(Box):
 
 @dataclass(frozen=True)
 class Query:
-    """What is asked for.
-
-    Attributes
-    ----------
-    area : Area or None
-    interval : tuple of float or None
-    filter : Filter or None
-    after : Key or None
-        Where the page begins: with the feature after this one.
-    offset : int
-        Or after so many, for clients that count by themselves.
-    limit : int
-    """
+    """What is asked for."""
 
     area: Area | None = None
     interval: Interval | None = None
     filter: Filter | None = None
     after: Key | None = None
+    """Where the page begins: with the feature after this one."""
     offset: int = 0
+    """Or after so many, for clients that count by themselves."""
     limit: int = 100
 
 
 @dataclass(frozen=True)
 class Page:
-    """Some of the features that a query finds.
-
-    Attributes
-    ----------
-    features : list of str
-        GeoJSON.
-    matched : int
-        Number of all.
-    next, previous : Key or None
-        `Query.after` of the next page, and of the previous one.
-    is_first : bool
-    """
+    """Some of the features that a query finds."""
 
     features: list[str]
+    """GeoJSON."""
     matched: int
+    """Number of all."""
     next: Key | None
+    """`Query.after` of the next page."""
     previous: Key | None
+    """The same of the previous one."""
     is_first: bool
 
 
 @dataclass(frozen=True)
 class Extent:
-    """What a collection holds.
-
-    Attributes
-    ----------
-    count : int
-    box : tuple of float or None
-        West, south, east, north.
-    times : tuple of float or None
-    attribution : str
-    license : str or None
-    """
+    """What a collection holds."""
 
     count: int
     box: tuple[float, ...] | None
+    """West, south, east, north."""
     times: Interval | None
     attribution: str
     license: str | None
@@ -110,18 +83,12 @@ class Extent:
 
 @dataclass(frozen=True)
 class Source:
-    """Whose features are given.
-
-    Attributes
-    ----------
-    job : str or None
-        Of this job; None: of the one that stands for each drive.
-    until : float or None
-        Among those that had ended then, seconds since 1970: so that all pages of a query are of the same jobs.
-    """
+    """Whose features are given."""
 
     job: str | None = None
+    """Of this job; None: of the one that stands for each drive."""
     until: float | None = None
+    """Among those that had ended then, seconds since 1970: so that all pages of a query are of the same jobs."""
     map: str | None = None
 
     @property

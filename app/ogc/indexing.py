@@ -119,13 +119,7 @@ def _unpacked(name: str, content: bytes) -> bytes:
 
 
 def index_missing(context: Context) -> int:
-    """Write the features into the index that are not there: of jobs of older versions, and of adopted ones.
-
-    Returns
-    -------
-    int
-        Number of jobs.
-    """
+    """Write the features of jobs that are not in the index, of older versions and adopted ones; return of how many."""
     indexed = select(FeatureChunk.job_id).where(FeatureChunk.job_id.is_not(None)).distinct()
     is_result = (Job.kind == JobKind.INTERSECTIONS, Job.state == JobState.SUCCESSFUL)
     with context.database.reading() as session:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from typing import Annotated, Literal, cast, get_args
 
@@ -56,51 +56,20 @@ FormatDep = Annotated[Format, Depends(_format)]
 
 @dataclass(frozen=True)
 class Asked:
-    """The parameters of a query, as they were sent."""
+    """What is asked for, of whatever collection."""
 
-    limit: str | None
-    bbox: str | None
-    bbox_crs: str | None
-    datetime: str | None
+    query: index.Query
+    """Without its filter, which depends on the collection."""
     filter: str | None
-    filter_lang: str | None
-    filter_crs: str | None
-    after: str | None
-    offset: str | None
+    language: Language
+    until: float | None
+    """Until when jobs had ended whose features are asked for, seconds since 1970, as the first page had them."""
 
-    @property
-    def until(self) -> float | None:
-        """Until when jobs had ended whose features are asked for, seconds since 1970, as the first page had them."""
-        return None if self.after is None else _page_after(self.after)[1]
-
-    def query(self, collection: Collection, values: Mapping[str, str]) -> index.Query:
-        """Return what is asked for.
-
-        Parameters
-        ----------
-        collection
-            Whose features.
-        values
-            Queryables with the values that they must have.
-
-        Raises
-        ------
-        Problem
-            400: a value is wrong.
-        """
-        for name, crs in (("bbox-crs", self.bbox_crs), ("filter-crs", self.filter_crs)):
-            if crs not in {None, CRS84, _CRS84H}:
-                raise _wrong(name, str(crs), CRS84)
-        is_filtered = self.filter is not None or values
-        language: Language = _language(self.filter_lang, self.filter)
-        return index.Query(
-            area=None if self.bbox is None else _area(self.bbox),
-            interval=None if self.datetime is None else _interval(self.datetime),
-            filter=read_filter(self.filter, language, collection, values) if is_filtered else None,
-            after=None if self.after is None else _page_after(self.after)[0],
-            offset=_offset(self.offset, self.after),
-            limit=_limit(self.limit),
-        )
+    def of(self, collection: Collection, values: Mapping[str, str]) -> index.Query:
+        """Return what is asked for of a collection, with values that queryables must have; a 400 where one is wrong."""
+        if self.filter is None and not values:
+            return self.query
+        return replace(self.query, filter=read_filter(self.filter, self.language, collection, values))
 
 
 async def _asked(
@@ -159,7 +128,18 @@ async def _asked(
         ),
     ] = None,
 ) -> Asked:
-    return Asked(limit, bbox, bbox_crs, datetime_, filter_, filter_lang, filter_crs, after, offset)
+    for name, crs in (("bbox-crs", bbox_crs), ("filter-crs", filter_crs)):
+        if crs not in {None, CRS84, _CRS84H}:
+            raise _wrong(name, str(crs), CRS84)
+    key, until = (None, None) if after is None else _page_after(after)
+    query = index.Query(
+        area=None if bbox is None else _area(bbox),
+        interval=None if datetime_ is None else _interval(datetime_),
+        after=key,
+        offset=_offset(offset, after),
+        limit=_limit(limit),
+    )
+    return Asked(query, filter_, _language(filter_lang, filter_), until)
 
 
 AskedDep = Annotated[Asked, Depends(_asked)]

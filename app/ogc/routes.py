@@ -70,13 +70,7 @@ class _Served:
             return extents(session, self.source)
 
     def collection(self, name: str) -> Collection:
-        """Return a collection.
-
-        Raises
-        ------
-        Problem
-            404.
-        """
+        """Return a collection; a 404 where there is none."""
         found = self.source.collections.get(name)
         if found is None or (not self.source.is_of_all and name not in self.extents()):
             known = ", ".join(self.extents())
@@ -191,7 +185,7 @@ def _items(
     found = served.collection(collection_id)
     refuse_others(request, found.queryables)
     values = {name: value for name, value in request.query_params.items() if name in found.queryables}
-    query = asked.query(found, values)
+    query = asked.of(found, values)
     with served.database.reading() as session:
         source = replace(served.source, until=asked.until).pinned(session)
         page = find_page(session, source, found, query)

@@ -72,32 +72,21 @@ INDEXED = {**LAYERS, **DERIVED, FOOTPRINTS.name: FOOTPRINTS}
 
 @dataclass(frozen=True)
 class Chunk:
-    """Some hundred features of a layer, in the order of its file.
-
-    Attributes
-    ----------
-    layer : str
-    number : int
-        From 0 within the layer.
-    count : int
-        Number of features.
-    labels : str or None
-        Labels that the run used.
-    attribution, license : str, str or None
-        Of the layer.
-    extent : dict
-        ``west``, ``south``, ``east``, ``north`` around all, where one has a geometry; ``first_time``, ``last_time``,
-        seconds since 1970, where one has a time.
-    columns : dict
-    """
+    """Some hundred features of a layer, in the order of its file."""
 
     layer: str
     number: int
+    """From 0 within the layer."""
     count: int
+    """Number of features."""
     labels: str | None
+    """Labels that the run used."""
     attribution: str
     license: str | None
+    """Attribution and license are those of the layer."""
     extent: dict[str, float]
+    """``west``, ``south``, ``east``, ``north`` around all, where one has a geometry; ``first_time``, ``last_time``,
+    seconds since 1970, where one has a time."""
     columns: dict[str, bytes]
 
 
@@ -107,12 +96,7 @@ def is_on_earth(folder: Path) -> bool:
 
 
 def chunks_of(folder: Path) -> Iterator[Chunk]:
-    """Yield the features of a result in chunks, layer by layer; nothing without longitude and latitude.
-
-    Parameters
-    ----------
-    folder
-        A result folder.
+    """Yield the features of a result folder in chunks, layer by layer; nothing without longitude and latitude.
 
     Raises
     ------

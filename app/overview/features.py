@@ -39,7 +39,6 @@ def drive_features(
 
     Parameters
     ----------
-    storage
     drive_id, name
         Of the drive.
     job

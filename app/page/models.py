@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pydantic import BaseModel, Field
+from pydantic import BaseModel, ConfigDict, Field
 
 from app.jobs.models import MAX_COMPARED_JOBS, Near
 from app.paths import ARCHIVE_ENDINGS, RECORDING_ENDINGS
@@ -42,6 +42,8 @@ class PolicyModel(BaseModel):
 class FieldModel(BaseModel):
     """A property of the features of a layer."""
 
+    model_config = ConfigDict(from_attributes=True)
+
     name: str = Field(examples=["error_m"])
     title: str = Field(examples=["Error"])
     description: str
@@ -52,11 +54,13 @@ class FieldModel(BaseModel):
 class LayerModel(BaseModel):
     """A layer of a result."""
 
+    model_config = ConfigDict(from_attributes=True)
+
     name: str = Field(description="Name of the layer and of its GeoJSON file.", examples=["osm_nodes"])
     title: str
     description: str
     geometry: str = Field(description="Point or LineString.")
-    fields: list[FieldModel] = Field(description="Properties of a feature.")
+    fields: list[FieldModel] = Field(validation_alias="attributes", description="Properties of a feature.")
     is_osm: bool = Field(description="Whether the layer holds data of OpenStreetMap.")
     attribution: str = Field(description="Sources to name where the layer is shown.")
 
@@ -147,20 +151,7 @@ _SEARCH_RADIUS_KM = RangeModel.model_validate(Near.model_json_schema()["properti
 _POLICIES = [
     PolicyModel(name=name, title=wording.title, description=wording.meaning) for name, wording in POLICIES.items()
 ]
-_LAYERS = [
-    LayerModel(
-        name=layer.name,
-        title=layer.title,
-        description=layer.description,
-        geometry=layer.geometry,
-        fields=[
-            FieldModel(**{name: getattr(each, name) for name in FieldModel.model_fields}) for each in layer.attributes
-        ],
-        is_osm=layer.is_osm,
-        attribution=layer.attribution,
-    )
-    for layer in LAYERS.values()
-]
+_LAYERS = [LayerModel.model_validate(layer) for layer in LAYERS.values()]
 _SCHEME_TITLES = {
     "semantickitti": "SemanticKITTI",
     "learning": "Learning ids 0 to 19",

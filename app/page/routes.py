@@ -9,6 +9,7 @@ from fastapi.responses import HTMLResponse, RedirectResponse, Response
 
 from app.context import ContextDep, part_of_app
 from app.http.delivery import answer_tagged, deliver, media_type_of
+from app.http.openapi import get_and_head
 from app.http.problem_types import NOT_FOUND
 from app.http.problems import Problem
 from app.page.files import (
@@ -32,11 +33,10 @@ _KEEP = "public, max-age=31536000, immutable"
 PageFilesDep = Annotated[PageFiles, part_of_app("page_files")]
 
 
-def _add(path: str, endpoint: Any) -> None:  # noqa: ANN401 - any endpoint
-    for method in ("GET", "HEAD"):
-        router.add_api_route(path, endpoint, methods=[method], include_in_schema=False, response_class=Response)
+_HIDDEN: dict[str, Any] = {"include_in_schema": False, "response_class": Response}
 
 
+@get_and_head(router, "/", **_HIDDEN)
 def read_index(request: Request, files: PageFilesDep) -> Response:
     """Give the page, or redirect to the documentation where it is not installed."""
     if not files.are_complete():
@@ -44,6 +44,7 @@ def read_index(request: Request, files: PageFilesDep) -> Response:
     return answer_tagged(request, files.index(), media_type_of(files.root / INDEX), **{"cache-control": _ASK})
 
 
+@get_and_head(router, "/static/{path:path}", **_HIDDEN)
 def read_asset(path: str, request: Request, files: PageFilesDep, context: ContextDep) -> Response:
     """Give a file of the page; under the address with its version it stays what it is."""
     cache_control = _ASK
@@ -57,6 +58,7 @@ def read_asset(path: str, request: Request, files: PageFilesDep, context: Contex
     return deliver(request, found, gzip_copies=copies, cache_control=cache_control, policy=None)
 
 
+@get_and_head(router, "/docs", **_HIDDEN)
 def read_docs(request: Request, files: PageFilesDep) -> Response:
     """Give the documentation of the API."""
     headers = {"content-security-policy": DOCS_POLICY, "cache-control": _ASK}
@@ -65,6 +67,7 @@ def read_docs(request: Request, files: PageFilesDep) -> Response:
     return HTMLResponse(list_addresses(request.app.openapi()), headers=headers)
 
 
+@get_and_head(router, "/docs/start.js", **_HIDDEN)
 def read_docs_start() -> Response:
     """Give the script that starts Swagger UI: the policy of the service allows none within a page."""
     return Response(SWAGGER_START, media_type="text/javascript", headers={"cache-control": _ASK})
@@ -77,9 +80,3 @@ def read_config(request: Request, context: ContextDep) -> PageConfig:
     Open to everybody: it holds no secrets.
     """
     return PageConfig.of(context.settings, version=request.app.version, needs_token=context.tokens.exist())
-
-
-_add("/", read_index)
-_add("/static/{path:path}", read_asset)
-_add("/docs", read_docs)
-_add("/docs/start.js", read_docs_start)

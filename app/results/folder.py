@@ -36,28 +36,20 @@ _STATES = {
 
 @dataclass(frozen=True)
 class Result:
-    """The result of a successful job.
-
-    Attributes
-    ----------
-    address : str
-        Of the job, below the root of the service.
-    drive : Path
-        Folder of its drive.
-    cache : Path
-        Folder for what is derived from the result; it goes with the job.
-    request : dict
-        What the job was asked for, completed.
-    """
+    """The result of a successful job."""
 
     job_id: str
     drive_id: str
     drive_name: str
     address: str
+    """Of the job, below the root of the service."""
     folder: Path
     drive: Path
+    """Folder of its drive."""
     cache: Path
+    """Folder for what is derived from the result; it goes with the job."""
     request: dict[str, Any]
+    """What the job was asked for, completed."""
 
     @property
     def is_georeferenced(self) -> bool:
@@ -70,13 +62,7 @@ class Result:
         return re.sub(r"[^A-Za-z0-9._-]+", "_", self.drive_name).strip("._")[:80] or "drive"
 
     def layer(self, name: str) -> Path:
-        """Return the GeoJSON file of a layer, by the name in its address.
-
-        Raises
-        ------
-        Problem
-            404 that says why the result has none.
-        """
+        """Return the GeoJSON file of a layer by the name in its address, or a 404 that says why there is none."""
         name = name.replace("-", "_")
         path = self.folder / f"{name}.geojson"
         local = file_names(georeferenced=False).get(name)
@@ -113,13 +99,7 @@ class Result:
             )
 
     def evaluation_file(self, name: str) -> Path:
-        """Return a file of the evaluation.
-
-        Raises
-        ------
-        Problem
-            404 where the job was not scored.
-        """
+        """Return a file of the evaluation; a 404 where the job was not scored."""
         path = self.folder / name
         if not path.exists():
             self.require_georeference("Only a drive with one can be scored")
@@ -131,13 +111,7 @@ class Result:
         return path
 
     def road(self) -> Path:
-        """Return the GeoTIFF of the road seen by LiDAR.
-
-        Raises
-        ------
-        Problem
-            404 that says why the result has none.
-        """
+        """Return the GeoTIFF of the road seen by LiDAR, or a 404 that says why there is none."""
         path = self.folder / ROAD_FILE
         if not path.exists():
             detail = (
@@ -148,13 +122,7 @@ class Result:
         return path
 
     def file(self, name: str) -> Path:
-        """Return any file of the result by its path in it.
-
-        Raises
-        ------
-        Problem
-            404 where there is none.
-        """
+        """Return any file of the result by its path in it; a 404 where there is none."""
         path = self.folder / name
         try:
             inside = "\0" not in name and path.resolve().is_relative_to(self.folder.resolve())

@@ -44,13 +44,7 @@ class OnDemand:
         await self._once_of(result, path, write)
 
     async def road(self, result: Result, client: str) -> Path:
-        """Return the folder of the picture of the road seen by LiDAR.
-
-        Raises
-        ------
-        Problem
-            As of `export`.
-        """
+        """Return the folder of the picture of the road seen by LiDAR; problems as of `export`."""
         folder = result.cache / "road"
         if not (folder / VIEW).exists():
             draw = partial(self._runner.run_in_worker, draw_road_picture, result.folder, folder, client=client)

@@ -59,7 +59,6 @@ def item(base: str, storage: Storage, job: Job, result: Result, pinned: str | No
     ----------
     base
         As of `catalog`.
-    storage
     job, result
         The job that stands for the drive, and what it left.
     pinned

@@ -13,8 +13,6 @@ class ClockWatch:
     ----------
     tolerance_s
         By how much they may part between two looks.
-    monotonic
-        The clock that never jumps.
     """
 
     def __init__(self, tolerance_s: float, monotonic: Callable[[], float] = time.monotonic) -> None:

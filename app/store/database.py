@@ -53,12 +53,7 @@ class Waits:
 
 
 class Database:
-    """A connection pool and the sessions on it.
-
-    Parameters
-    ----------
-    url
-        SQLAlchemy URL of a SQLite or PostgreSQL database.
+    """A connection pool, and the sessions on it, by the SQLAlchemy URL of a SQLite or PostgreSQL database.
 
     Raises
     ------

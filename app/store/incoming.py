@@ -68,18 +68,7 @@ class Incoming:
 
 
 def remove_dead(root: Path) -> list[tuple[str, int]]:
-    """Remove what dead processes were receiving.
-
-    Parameters
-    ----------
-    root
-        The folder that holds the folders of all processes.
-
-    Returns
-    -------
-    list of (str, int)
-        Names of what was removed, with their bytes.
-    """
+    """Remove what dead processes were receiving, from the folder of all of them; return names and bytes of it."""
     removed = []
     for path in dead(root):
         is_dead, lock = _take(path)

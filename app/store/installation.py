@@ -43,7 +43,6 @@ def bind(session: Session, database: Database, folder: Path) -> str:
     ----------
     session
         Of the transaction that brings the database up to date: servers that start together come one after the other.
-    database
     folder
         The data folder; `mark_folder` is to be called when the transaction has ended.
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import secrets
+from collections.abc import Collection
 from typing import Any
 
+from pydantic import BaseModel
 from sqlalchemy import (
     JSON,
     BigInteger,
@@ -32,6 +34,16 @@ class Base(DeclarativeBase):
     """All times are seconds since 1970 by the clock of the database."""
 
     type_annotation_map = {dict[str, Any]: JSON(none_as_null=True), str: String(255), int: BigInteger, float: Float}  # noqa: RUF012
+
+
+def columns_for(model: type[BaseModel], row: Base, *, but: Collection[str] = ()) -> dict[str, Any]:
+    """Return the columns of a row that a model has under the same names, except some; times become dates there."""
+    shared = model.model_fields.keys() & row.__table__.columns.keys()
+    return {name: getattr(row, name) for name in shared.difference(but)}
+
+
+def _index_where(condition: str, *names: str) -> Index:
+    return Index(*names, sqlite_where=text(condition), postgresql_where=text(condition))
 
 
 class Drive(Base):
@@ -98,19 +110,8 @@ class DriveFile(Base):
     """Client that sent it, where that is not the owner of the drive: its bytes count for that client."""
 
     __table_args__ = (
-        Index(
-            "ix_drive_files_sender",
-            "sender",
-            sqlite_where=text("sender IS NOT NULL"),
-            postgresql_where=text("sender IS NOT NULL"),
-        ),
-        Index(
-            "ix_drive_files_folded",
-            "drive_id",
-            "folded",
-            sqlite_where=text("folded IS NOT NULL"),
-            postgresql_where=text("folded IS NOT NULL"),
-        ),
+        _index_where("sender IS NOT NULL", "ix_drive_files_sender", "sender"),
+        _index_where("folded IS NOT NULL", "ix_drive_files_folded", "drive_id", "folded"),
     )
 
 

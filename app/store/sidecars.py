@@ -63,14 +63,18 @@ class JobSidecar(BaseModel):
 Sidecar = TypeVar("Sidecar", DriveSidecar, JobSidecar)
 
 
-def write_drive(storage: Storage, drive: Drive) -> None:
-    """Write what the row of a drive says into its folder."""
-    _write(storage.folder(f"drives/{drive.id}") / DRIVE_FILE, DriveSidecar, drive)
-
-
-def write_job(storage: Storage, job: Job) -> None:
-    """Write what the row of a successful job says into its folder."""
-    _write(storage.folder(f"jobs/{job.id}") / JOB_FILE, JobSidecar, job)
+def write(storage: Storage, row: Drive | Job) -> None:
+    """Write what the row of a drive, or of a successful job, says into its folder."""
+    of_drive = "drives", DRIVE_FILE, DriveSidecar
+    kind, name, model = of_drive if isinstance(row, Drive) else ("jobs", JOB_FILE, JobSidecar)
+    path = storage.folder(f"{kind}/{row.id}") / name
+    try:
+        sidecar = model.model_validate(row, from_attributes=True)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with atomic_write(path) as file:
+            file.write(sidecar.model_dump_json(indent=1).encode())
+    except (OSError, OutputError, ValidationError) as error:  # the row is what counts
+        _log.warning("%s could not be written: %s", path, error)
 
 
 def read_drive(folder: Path) -> DriveSidecar | None:
@@ -81,16 +85,6 @@ def read_drive(folder: Path) -> DriveSidecar | None:
 def read_job(folder: Path) -> JobSidecar | None:
     """Return what was written into the folder of a job; None if that is nothing of use."""
     return _read(folder / JOB_FILE, JobSidecar)
-
-
-def _write(path: Path, model: type[BaseModel], row: Drive | Job) -> None:
-    try:
-        sidecar = model.model_validate(row, from_attributes=True)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with atomic_write(path) as file:
-            file.write(sidecar.model_dump_json(indent=1).encode())
-    except (OSError, OutputError, ValidationError) as error:  # the row is what counts
-        _log.warning("%s could not be written: %s", path, error)
 
 
 def _read(path: Path, model: type[Sidecar]) -> Sidecar | None:

@@ -46,23 +46,14 @@ def add_token(
     max_bytes: int | None = None,
     max_jobs: int | None = None,
 ) -> str:
-    """Make a token for a client.
+    """Make a token for a client, and return it: it cannot be shown again.
 
     Parameters
     ----------
-    database
-    name
-        Of the client.
-    scope
     expires_at
         Seconds since 1970; None: never.
     max_bytes, max_jobs
         See `Token`; None: no other limits than those of the service.
-
-    Returns
-    -------
-    str
-        The token; it cannot be shown again.
 
     Raises
     ------
@@ -117,26 +108,17 @@ def revoke_token(database: Database, name: str) -> None:
 
 @dataclass(frozen=True)
 class Holder:
-    """Who sends a request, and what is allowed to it.
-
-    Attributes
-    ----------
-    name : str
-        Name of the token.
-    scope : Scope
-    max_bytes, max_jobs : int or None
-        See `Token`.
-    expires_at : float or None
-    has_expired : bool
-        When the table was last read.
-    """
+    """Who sends a request, and what is allowed to it."""
 
     name: str
+    """Name of the token."""
     scope: Scope = Scope.WRITE
     max_bytes: int | None = None
     max_jobs: int | None = None
+    """See `Token`."""
     expires_at: float | None = None
     has_expired: bool = False
+    """When the table was last read."""
 
 
 class TokenBook:

@@ -27,7 +27,7 @@ from app.states import FINAL
 from app.store import sidecars
 from app.store.database import moment
 from app.store.incoming import remove, size_of
-from app.store.models import Drive, Job
+from app.store.models import Drive, Job, columns_for
 from app.store.storage import TRASH
 from app.trash.models import TrashItem, TrashKind, TrashList
 
@@ -42,20 +42,13 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Purged:
-    """A drive or a job that was deleted for good.
-
-    Attributes
-    ----------
-    kind : str
-        "drives" or "jobs".
-    id : str
-    size_bytes : int
-        Bytes that this set free.
-    """
+    """A drive or a job that was deleted for good."""
 
     kind: TrashKind
+    """"drives" or "jobs"."""
     id: str
     size_bytes: int
+    """Bytes that this set free."""
 
 
 def delete_drive(
@@ -66,23 +59,16 @@ def delete_drive(
     at_once: bool = False,
     only_if: Callable[[Session, Drive], bool] | None = None,
 ) -> bool:
-    """Move a drive to the trash, with its jobs and their results; those that wait or run are cancelled.
+    """Move a drive to the trash with its jobs, cancelling those that wait or run; return whether it was moved.
 
     Parameters
     ----------
-    context
-    drive_id
     client
         Who deletes it; None for an upload that expired.
     at_once
         Purge it, instead of keeping it for a while.
     only_if
         Condition, evaluated in the transaction that deletes the drive.
-
-    Returns
-    -------
-    bool
-        Whether the drive was deleted.
 
     Raises
     ------
@@ -111,7 +97,7 @@ def delete_drive(
 def _note(context: Context, drive: Drive) -> None:
     """Write beside the files of a drive whether it is deleted; one without files has no folder for that."""
     if context.storage.folder(drive_key(drive.id)).is_dir():
-        sidecars.write_drive(context.storage, drive)
+        sidecars.write(context.storage, drive)
 
 
 def delete_job(context: Context, job_id: str, client: str) -> None:
@@ -263,14 +249,11 @@ def _item(context: Context, row: Drive | Job, name: str) -> TrashItem:
         kind = "jobs"
         size = size_of(context.storage.folder(f"jobs/{row.id}"))
     return TrashItem(
+        **columns_for(TrashItem, row, but=("kind", "name", "size_bytes")),
         kind=kind,
-        id=row.id,
         name=name,
         title=title_of(row) if isinstance(row, Job) else None,
-        owner=row.owner,
         size_bytes=size,
-        deleted_at=moment(row.deleted_at),
-        deleted_by=row.deleted_by,
         purged_at=moment(row.deleted_at + 3600 * context.settings.trash_h),
     )
 

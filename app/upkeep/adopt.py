@@ -42,21 +42,14 @@ _UNKNOWN_OWNER = "unknown"
 
 @dataclass(frozen=True)
 class Adoption:
-    """What became of a folder that no row knew.
-
-    Attributes
-    ----------
-    place : str
-        Where it lay, as a path in the data folder.
-    is_adopted : bool
-        False if it was left where it is.
-    text : str
-        What it is now, or why it was left.
-    """
+    """What became of a folder that no row knew."""
 
     place: str
+    """Where it lay, as a path in the data folder."""
     is_adopted: bool
+    """False if it was left where it is."""
     text: str
+    """What it is now, or why it was left."""
 
 
 class _LeftError(Exception):
@@ -72,7 +65,6 @@ def adopt(context: Context, *, dry_run: bool = False, progress: Advance = no_pro
         Opened with ``bound=False``.
     dry_run
         Only tell what would be done.
-    progress
 
     Raises
     ------
@@ -164,7 +156,7 @@ def _adopt_drive(context: Context, place: str, id_: str, *, dry_run: bool) -> tu
             drive = session.get_one(Drive, id_)
             if is_deleted:
                 drive.deleted_at = context.database.clock(session)  # its time in the trash begins anew
-        sidecars.write_drive(context.storage, drive)
+        sidecars.write(context.storage, drive)
     state = "ready" if is_ready else "open for files: commit it"
     state = "in the trash" if is_deleted else state
     return drive, f"drive {drive.name!r} of {drive.owner}, {state}"
@@ -196,18 +188,8 @@ def _drive_of(sidecar: DriveSidecar | None, id_: str, *, keep_raw: bool) -> Driv
         report = None if sidecar.report is None else DriveReport.model_validate(sidecar.report).to_dict()
     except ValidationError:
         report = None
-    return Drive(
-        id=id_,
-        name=name,
-        owner=sidecar.owner,
-        options=options,
-        keep_raw=sidecar.keep_raw,
-        note=sidecar.note,
-        report=report,
-        pinned_job=sidecar.pinned_job,
-        source=sidecar.source,
-        created_at=sidecar.created_at,
-    )
+    as_it_says = sidecar.model_dump(include={"owner", "keep_raw", "note", "pinned_job", "source", "created_at"})
+    return Drive(id=id_, name=name, options=options, report=report, **as_it_says)
 
 
 def _adopt_job(context: Context, place: str, id_: str, adopted: dict[str, str], *, dry_run: bool) -> str:
@@ -229,7 +211,7 @@ def _adopt_job(context: Context, place: str, id_: str, adopted: dict[str, str], 
             if "name" not in sidecar.model_fields_set:  # of an older version
                 job.name = sidecar.request.get("name")
             session.add(job)
-        sidecars.write_job(context.storage, job)
+        sidecars.write(context.storage, job)
     return f"job of drive {name!r}, of {sidecar.owner}, with its result"
 
 

@@ -65,24 +65,17 @@ Returned = TypeVar("Returned")
 
 
 class BackupRecord(BaseModel):
-    """What ``backup.json`` holds.
-
-    Attributes
-    ----------
-    installation : str
-        Id of the service that it is a backup of.
-    version : str
-        Of InterLoc.
-    complete : bool
-        Whether the backup went to its end; the other figures are those of its end.
-    """
+    """What ``backup.json`` holds."""
 
     format: Literal[1] = 1
     installation: str
+    """Id of the service that it is a backup of."""
     version: str
+    """Of InterLoc."""
     begun_at: datetime
     ended_at: datetime | None = None
     complete: bool = False
+    """Whether the backup went to its end; the other figures are those of its end."""
     drives: int = 0
     jobs: int = 0
     files: int = 0
@@ -115,27 +108,18 @@ class BackupRecord(BaseModel):
 
 @dataclass
 class BackupReport:
-    """What a backup has done.
-
-    Attributes
-    ----------
-    record : BackupRecord
-    brought_files, brought_bytes : int
-        What was not there from an earlier backup.
-    removed_files : int
-        What an earlier backup had and the service has no longer.
-    longest_lock_s : float
-        Longest time for which a drive was locked.
-    faults : list of str
-        What is missing in the data folder, or not as listed.
-    """
+    """What a backup has done."""
 
     record: BackupRecord
     brought_files: int = 0
     brought_bytes: int = 0
+    """What was not there from an earlier backup."""
     removed_files: int = 0
+    """What an earlier backup had and the service has no longer."""
     longest_lock_s: float = 0.0
+    """Longest time for which a drive was locked."""
     faults: list[str] = field(default_factory=list)
+    """What is missing in the data folder, or not as listed."""
 
 
 def back_up(context: Context, out: Path, advance: Advance = no_progress) -> BackupReport:
@@ -147,7 +131,6 @@ def back_up(context: Context, out: Path, advance: Advance = no_progress) -> Back
         Of the service; its servers may run.
     out
         A new or an empty folder, or a backup of the same service.
-    advance
 
     Raises
     ------
@@ -355,18 +338,17 @@ def _alone(out: Path) -> Iterator[None]:
 
 def _patiently(work: Callable[[], Returned]) -> Returned:
     """Do work with the database of the service; again where it was busy or restarted."""
-    for pause_s in _PAUSES_S:
+    for pause_s in (*_PAUSES_S, None):
         try:
             return work()
-        except (OperationalError, WaitedTooLong):
+        except (OperationalError, WaitedTooLong) as error:
+            if pause_s is None:
+                raise InterLocError(
+                    f"the database of the service does not answer: {reason_of(error)}. Make the backup again when it "
+                    "does; what was brought so far is kept."
+                ) from error
             time.sleep(pause_s)
-    try:
-        return work()
-    except (OperationalError, WaitedTooLong) as error:
-        raise InterLocError(
-            f"the database of the service does not answer: {reason_of(error)}. Make the backup again when it does; "
-            "what was brought so far is kept."
-        ) from error
+    raise AssertionError
 
 
 def installation_of(context: Context) -> str:

@@ -51,24 +51,16 @@ _KINDS = {
 
 @dataclass(frozen=True)
 class Discrepancy:
-    """Something that is not as it should be.
-
-    Attributes
-    ----------
-    kind : str
-        A word for programs, for example "file-missing".
-    place : str
-        Where it is, as a path in the data folder.
-    message : str
-        What was found, what was expected, what to do.
-    repair : str or None
-        What was done about it.
-    """
+    """Something that is not as it should be."""
 
     kind: str
+    """A word for programs, for example "file-missing"."""
     place: str
+    """Where it is, as a path in the data folder."""
     message: str
+    """What was found, what was expected, what to do."""
     repair: str | None = None
+    """What was done about it."""
 
 
 def check(
@@ -84,7 +76,6 @@ def check(
         Also do what is safe: no byte of a drive or of a result is removed.
     quick
         Compare sizes and times only, without reading the files.
-    progress
     """
     with context.database.reading() as session:
         drives = session.execute(select(Drive.id, Drive.name).order_by(Drive.created_at)).all()
@@ -124,7 +115,8 @@ class _DriveCheck:
             return []
         found = [*self._state(drive), *self._reduced(drive)]
         found += [*self._files(), *self._sidecar()]
-        return found if drive.deleted_at is None else [_in_trash(each) for each in found]
+        told = "" if drive.deleted_at is None else " The drive is in the trash."
+        return [replace(each, message=f"{each.message}{told}") for each in found]
 
     def _look(self) -> Drive | None:
         with self._context.database.reading() as session:
@@ -264,7 +256,7 @@ class _DriveCheck:
             return
         current = self._look()
         if self._repair and current is not None:
-            sidecars.write_drive(self._context.storage, current)
+            sidecars.write(self._context.storage, current)
         yield _sidecar_discrepancy(f"{drive_key(self._id)}/{sidecars.DRIVE_FILE}", repair=self._repair)
 
     def _place(self, path: str) -> str:
@@ -274,10 +266,6 @@ class _DriveCheck:
 def _lock(session: Session, drive_id: str) -> Drive | None:
     """Return a drive, also one in the trash, and lock it until the transaction ends."""
     return session.get(Drive, drive_id, with_for_update=True, populate_existing=True)
-
-
-def _in_trash(finding: Discrepancy) -> Discrepancy:
-    return replace(finding, message=f"{finding.message} The drive is in the trash.")
 
 
 def _sidecar_discrepancy(place: str, *, repair: bool) -> Discrepancy:
@@ -357,7 +345,7 @@ def _check_job(context: Context, job_id: str, *, repair: bool, may_fail: bool) -
             fault = f"{fault} No job has its result: is the folder jobs/ where it should be, and its volume mounted?"
         return [Discrepancy("result", f"jobs/{job_id}/result", fault, done)]
     if repair:
-        sidecars.write_job(context.storage, job)
+        sidecars.write(context.storage, job)
     return [_sidecar_discrepancy(f"jobs/{job_id}/{sidecars.JOB_FILE}", repair=repair)]
 
 

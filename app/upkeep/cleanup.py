@@ -42,18 +42,12 @@ _log = logging.getLogger(__name__)
 
 
 def sweep(context: Context, *, by_age: bool = True) -> Counter[Removal]:
-    """Do all of it; several servers may do so at the same time.
+    """Do all of it, as several servers may at the same time; return how much was removed or set aside, by reason.
 
     Parameters
     ----------
-    context
     by_age
         Also what is old: not where the clock may be wrong.
-
-    Returns
-    -------
-    Counter
-        Number of what was removed or set aside, by reason.
     """
     swept: Counter[Removal] = Counter()
     if not _is_bound(context):
@@ -100,18 +94,12 @@ def _tell_of_unknown(context: Context) -> None:
 
 
 def set_unknown_aside(context: Context, *, only: str | None = None) -> list[tuple[str, str]]:
-    """Move folders of drives and jobs that have no row to ``lost+found/``.
+    """Move folders of drives and jobs that have no row to ``lost+found/``; return their keys before and after.
 
     Parameters
     ----------
-    context
     only
         Key of one folder; by default all that are older than any upload that goes on.
-
-    Returns
-    -------
-    list of (str, str)
-        Their keys before and after.
     """
     moved = []
     for key in unknown_folders(context):
@@ -235,21 +223,19 @@ def _note_extents(context: Context) -> None:
 
 def _write_sidecars(context: Context) -> None:
     """Write the rows beside the files where that is missing: of older versions, and of servers that were killed."""
+
+    def lacks(key: str, name: str) -> bool:
+        folder = context.storage.folder(key)
+        return folder.is_dir() and not (folder / name).exists()
+
+    is_result = (Job.kind == JobKind.INTERSECTIONS, Job.state == JobState.SUCCESSFUL)
     with context.database.reading() as session:
-        drives = session.scalars(select(Drive.id)).all()
-        jobs = session.scalars(
-            select(Job.id).where(Job.kind == JobKind.INTERSECTIONS, Job.state == JobState.SUCCESSFUL)
-        ).all()
-        for drive_id in drives:
-            folder = context.storage.folder(drive_key(drive_id))
-            is_missing = folder.is_dir() and not (folder / sidecars.DRIVE_FILE).exists()
-            if is_missing and (drive := session.get(Drive, drive_id)) is not None:
-                sidecars.write_drive(context.storage, drive)
-        for job_id in jobs:
-            folder = context.storage.folder(f"jobs/{job_id}")
-            is_missing = folder.is_dir() and not (folder / sidecars.JOB_FILE).exists()
-            if is_missing and (job := session.get(Job, job_id)) is not None:
-                sidecars.write_job(context.storage, job)
+        for id_ in session.scalars(select(Drive.id)).all():
+            if lacks(drive_key(id_), sidecars.DRIVE_FILE) and (drive := session.get(Drive, id_)) is not None:
+                sidecars.write(context.storage, drive)
+        for id_ in session.scalars(select(Job.id).where(*is_result)).all():
+            if lacks(f"jobs/{id_}", sidecars.JOB_FILE) and (job := session.get(Job, id_)) is not None:
+                sidecars.write(context.storage, job)
 
 
 class Sweeper:

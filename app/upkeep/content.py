@@ -39,13 +39,7 @@ SHARED_TABLES = tuple(
 
 @dataclass(frozen=True)
 class DriveContent:
-    """The rows of a drive, as dictionaries by column: they are written into another database as they are.
-
-    Attributes
-    ----------
-    drive : dict
-    files, jobs : list of dict
-    """
+    """The rows of a drive, as dictionaries by column: they are written into another database as they are."""
 
     drive: Row
     files: list[Row]
@@ -59,40 +53,26 @@ class DriveContent:
 
 @dataclass
 class Held:
-    """Files of a drive that have a second name already, and need not be looked at again.
-
-    Attributes
-    ----------
-    files : dict
-        Size and time by key.
-    folders : dict
-        Keys of the files of a whole folder, by its key and the time at which the drive was last touched.
-    """
+    """Files of a drive that have a second name already, and need not be looked at again."""
 
     files: dict[str, tuple[int, int]] = field(default_factory=dict)
+    """Size and time by key."""
     folders: dict[tuple[str, float], list[str]] = field(default_factory=dict)
+    """Keys of the files of a whole folder, by its key and the time at which the drive was last touched."""
 
 
 @dataclass
 class ContentFiles:
-    """The files of a drive that were found.
-
-    Attributes
-    ----------
-    keys : list of str
-        Their keys in the storage.
-    new : list of str
-        Those that are not held yet.
-    folders : dict
-        As of `Held`.
-    faults : list of str
-        What is missing, or is not as the rows say.
-    """
+    """The files of a drive that were found."""
 
     keys: list[str] = field(default_factory=list)
+    """Their keys in the storage."""
     new: list[str] = field(default_factory=list)
+    """Those that are not held yet."""
     folders: dict[tuple[str, float], list[str]] = field(default_factory=dict)
+    """As of `Held`."""
     faults: list[str] = field(default_factory=list)
+    """What is missing, or is not as the rows say."""
 
 
 def read_content(session: Session, drive_id: str, *, lock: bool = False) -> DriveContent | None:
@@ -100,8 +80,6 @@ def read_content(session: Session, drive_id: str, *, lock: bool = False) -> Driv
 
     Parameters
     ----------
-    session
-    drive_id
     lock
         Lock the drive until the transaction ends: no file of it takes or loses its name meanwhile.
     """
@@ -137,10 +115,10 @@ def write_content(session: Session, content: DriveContent) -> None:
 def write_missing_sidecars(storage: Storage, content: DriveContent) -> None:
     """Write beside the files what the rows say, where that is not there."""
     if not (storage.folder(drive_key(content.id)) / sidecars.DRIVE_FILE).is_file():
-        sidecars.write_drive(storage, Drive(**content.drive))
+        sidecars.write(storage, Drive(**content.drive))
     for job in content.jobs:
         if _has_result(job) and not (storage.folder(f"jobs/{job['id']}") / sidecars.JOB_FILE).is_file():
-            sidecars.write_job(storage, Job(**job))
+            sidecars.write(storage, Job(**job))
 
 
 def delete_content(session: Session, drive_id: str) -> None:
@@ -204,8 +182,6 @@ def find_files(storage: Storage, content: DriveContent, held: Held | None = None
 
     Parameters
     ----------
-    storage
-    content
     held
         What is not to be looked at again where its rows are the same.
 

@@ -13,7 +13,7 @@ from interloc.storage import Bucket, LaidOut, StoredObject
 
 
 def bring(out: Path, address: str) -> tuple[int, int]:
-    """Make a prefix hold what a folder of backups holds.
+    """Make a prefix hold what a folder of backups holds; return how many files and bytes were brought.
 
     An object counts as brought if it has the size of its file and is no older. Records of what changes go first and
     come last: what was brought half is no complete backup, and the next call goes on from there.
@@ -24,11 +24,6 @@ def bring(out: Path, address: str) -> tuple[int, int]:
         A backup, or generations of them.
     address
         s3://bucket/prefix, gs://bucket/prefix or az://container/prefix.
-
-    Returns
-    -------
-    files, size_bytes : int
-        What was brought.
 
     Raises
     ------

@@ -25,17 +25,12 @@ _CLONING = ".cloning"
 
 @dataclass(frozen=True)
 class Retention:
-    """Which generations stay: the newest of each of the last days, weeks and months that have one.
-
-    Attributes
-    ----------
-    daily, weekly, monthly : int
-        How many of these; the newest generation of all always stays.
-    """
+    """Which generations stay: the newest of each of the last days, weeks and months that have one."""
 
     daily: int = 0
     weekly: int = 0
     monthly: int = 0
+    """How many of each; the newest generation of all always stays."""
 
     def kept(self, times: list[datetime]) -> set[datetime]:
         """Return which of some times stay."""

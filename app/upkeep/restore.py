@@ -46,26 +46,18 @@ _SHOWN = 3
 
 @dataclass
 class RestoreReport:
-    """What was restored.
-
-    Attributes
-    ----------
-    record : BackupRecord
-        Of the backup.
-    drives, jobs : int
-        Number of them that the service has now.
-    files, size_bytes : int
-        What was brought from the backup.
-    findings : list of Discrepancy
-        What the quick check at the end has found: something only where the backup is not whole.
-    """
+    """What was restored."""
 
     record: BackupRecord
+    """Of the backup."""
     drives: int = 0
     jobs: int = 0
+    """Number of them that the service has now."""
     files: int = 0
     size_bytes: int = 0
+    """What was brought from the backup."""
     findings: list[Discrepancy] = field(default_factory=list)
+    """What the quick check at the end has found: something only where the backup is not whole."""
 
 
 def restore(
@@ -81,7 +73,6 @@ def restore(
         Folder of the backup; it stays as it is.
     incomplete
         Restore what there is of a backup that was not made to its end, or of which something is missing.
-    advance
 
     Raises
     ------

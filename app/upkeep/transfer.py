@@ -28,11 +28,6 @@ class Transfer:
     Copies take their names in batches, each once it is on disk: whatever stops a transfer, also a power failure, what
     has its name is whole, and the next transfer goes on from there.
 
-    Parameters
-    ----------
-    root
-        The folder.
-
     Attributes
     ----------
     files, size_bytes : int

@@ -18,29 +18,19 @@ _PART_S = 120.0
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of work.
-
-    Attributes
-    ----------
-    module : str
-        It has the functions `prepare`, `run` and `finish` (see `app.work.task`).
-    request : type of JobRequest
-    stages : tuple of str
-        What the work is doing in each of the three calls, for the client.
-    urgent : bool
-        Somebody waits for it: it goes first, and never behind long work.
-    unit_s : float, optional
-        Seconds that each unit of a part may take, beside two minutes; otherwise a part may take as long as any stage.
-    changes_drive : bool
-        It works on a drive that is not ready yet, and its end is written into the drive (`app.drives.finish`).
-    """
+    """A kind of work."""
 
     module: str
+    """It has the functions `prepare`, `run` and `finish` (see `app.work.task`)."""
     request: type[JobRequest]
     stages: tuple[str, str, str]
+    """What the work is doing in each of the three calls, for the client."""
     urgent: bool = True
+    """Somebody waits for it: it goes first, and never behind long work."""
     changes_drive: bool = True
+    """It works on a drive that is not ready yet, and its end is written into the drive (`app.drives.finish`)."""
     unit_s: float | None = None
+    """Seconds that each unit of a part may take, beside two minutes; otherwise a part may take as long as any stage."""
 
     def part_s(self, part: Part) -> float:
         """Return how long a part may take, seconds."""

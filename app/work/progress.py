@@ -21,19 +21,13 @@ _INTERVAL_S = 0.25  # between two reports of a part
 
 @dataclass(frozen=True)
 class WorkProgress:
-    """What the workers of an attempt last reported.
-
-    Attributes
-    ----------
-    done : dict of int to int
-        Units done of each part that has begun.
-    stage, message : str or None
-        What the work as a whole is doing or waiting for, where it reported that.
-    """
+    """What the workers of an attempt last reported."""
 
     done: dict[int, int]
+    """Units done of each part that has begun."""
     stage: str | None = None
     message: str | None = None
+    """What the work as a whole is doing or waiting for, where it reported that."""
 
 
 class _Content(TypedDict, total=False):
@@ -43,13 +37,7 @@ class _Content(TypedDict, total=False):
 
 
 class ProgressFiles:
-    """The files of one attempt at a job.
-
-    Parameters
-    ----------
-    scratch, attempt
-        As of a `Task`.
-    """
+    """The files of one attempt at a job, below its scratch folder."""
 
     def __init__(self, scratch: Path, attempt: str) -> None:
         self._folder = scratch / f"attempt-{attempt}"

@@ -62,40 +62,26 @@ class WorkSettings(BaseModel):
 
 @dataclass(frozen=True)
 class Task(Generic[Request_co]):
-    """What is to be done.
-
-    Attributes
-    ----------
-    kind, job_id : str
-    drive_name : str
-    request : JobRequest
-        That of its kind.
-    drive : Path
-        Folder of the drive: ``files/`` as uploaded, ``reduced/`` once it is committed.
-    scratch : Path
-        Folder of this job for checkpoints and progress; it outlives a restart and goes when the job ends.
-    result : Path
-        Folder of the result of this attempt; the runner moves it to its place when the job was successful.
-    cache : Path
-        Folder of the service for what is fetched or measured once, for all jobs.
-    settings : WorkSettings
-    workers : int
-        Number of parts that are done at the same time.
-    attempt : str
-        Name of this attempt, so that two servers that take each other for dead do not stop each other's work.
-    """
+    """What is to be done."""
 
     kind: str
     job_id: str
     drive_name: str
     request: Request_co
+    """That of its kind."""
     drive: Path
+    """Folder of the drive: ``files/`` as uploaded, ``reduced/`` once it is committed."""
     scratch: Path
+    """Folder of this job for checkpoints and progress; it outlives a restart and goes when the job ends."""
     result: Path
+    """Folder of the result of this attempt; the runner moves it to its place when the job was successful."""
     cache: Path
+    """Folder of the service for what is fetched or measured once, for all jobs."""
     settings: WorkSettings
     workers: int
+    """Number of parts that are done at the same time."""
     attempt: str
+    """Name of this attempt, so that two servers that take each other for dead do not stop each other's work."""
 
 
 @dataclass(frozen=True)
@@ -109,23 +95,15 @@ class Part:
 
 @dataclass(frozen=True)
 class Plan:
-    """How a task is cut; a kind of work that passes more on from `prepare` to `finish` has a plan of its own.
-
-    Attributes
-    ----------
-    parts
-    total : int
-        Number of units of all parts: keyframes, scans, files.
-    began : float
-        When it was made, seconds since 1970.
-    stage : str or None
-        What is done in the parts, where that is not what the kind of work says.
-    """
+    """How a task is cut; a kind of work that passes more on from `prepare` to `finish` has a plan of its own."""
 
     parts: list[Part]
     total: int
+    """Number of units of all parts: keyframes, scans, files."""
     began: float = field(default_factory=time.time, kw_only=True)
+    """When it was made, seconds since 1970."""
     stage: str | None = field(default=None, kw_only=True)
+    """What is done in the parts, where that is not what the kind of work says."""
 
 
 def no_georeference(drive_name: str) -> GeoreferenceError:

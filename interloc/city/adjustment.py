@@ -17,7 +17,7 @@ import numpy as np
 
 from interloc.arrays import BoolArray, FloatArray, IntArray
 
-_CONVERGED_M = 5e-6  # of a step of the steepest descent: of the knots some hundred times that
+_CONVERGED_M = 2e-5  # of a step of the steepest descent: of the knots some hundred times that
 _MAX_ROUNDS = 1000
 
 

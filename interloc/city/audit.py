@@ -7,8 +7,11 @@ squares, the edge of the map. A finding is a question to a person with a picture
 from __future__ import annotations
 
 import hashlib
+from collections import defaultdict
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -16,7 +19,7 @@ import numpy as np
 from interloc.arrays import FloatArray, IntArray
 from interloc.city.citymap import CityMap
 from interloc.city.osm_plane import OsmPlane
-from interloc.city.places import PlaceTable
+from interloc.city.places import SAME_PASS_S, PlaceTable
 from interloc.city.settings import AuditConfig, Kind
 from interloc.city.surface import ground_at
 from interloc.city.verdicts import Judgement
@@ -27,7 +30,7 @@ WRONG_M = 15.0
 
 _RAY_AT_M = np.array([12.0, 18.0, 24.0])
 _RAY_SEEN_M = np.arange(8.0, 22.1, 1.0)
-_ROAD_START_M = 12.0
+_ROAD_START_M = slice(4, 16)  # nearer to a node is the road that it lies on
 _PHANTOM_M = 45.0
 _BESIDE_M = 8.0  # as far from a node its own junction hides what a side road is
 _LEVEL_M = 25.0
@@ -39,6 +42,11 @@ _TRACK_M = 15.0
 _ODD_M = 30.0
 _ALSO_ELSEWHERE_M = 60.0
 _GROUP_M = 25.0  # roads between nodes of one junction are no longer than this
+_PAST_M = 100.0  # roads of a node join the track within this
+_ON_TRACK_M = 4.0
+_AHEAD_M = 15
+_STRAIGHT = 0.87  # cosine of 30 degrees
+_OFF_MAP_M = 3.0
 _BEGINS_M = 4.0  # a road that bends away from the straight line is still within this of it at its beginning
 
 
@@ -143,12 +151,14 @@ class _Auditor:
     def run(self) -> Audit:
         makers: list[tuple[set[Kind], Callable[[], Iterator[Finding]]]] = [
             ({"missing_junction", "missing_branch"}, self._missing),
+            ({"moved"}, self._beside),
             ({"moved"}, self._moved),
             ({"phantom"}, self._phantoms),
             ({"one_junction"}, self._groups),
         ]
         wanted = set(self.config.kinds)
-        findings = [finding for kinds, make in makers if kinds & wanted for finding in make()]
+        made = (finding for kinds, make in makers if kinds & wanted for finding in make())
+        findings = list({each.id: each for each in made}.values())
         # What leads to a junction that lies elsewhere lies elsewhere, too: nothing is missing there.
         elsewhere = np.array([each.xy for each in findings if each.kind == "moved"]).reshape(-1, 2)
         away = _nearest(np.array([each.xy for each in findings]).reshape(-1, 2), elsewhere)[0].tolist()
@@ -157,9 +167,7 @@ class _Auditor:
             for each, metres in zip(findings, away, strict=True)
             if each.kind in wanted and not (each.kind.startswith("missing") and metres < _ALSO_ELSEWHERE_M)
         ]
-        passed = [
-            node for node in self.osm.open_junctions.tolist() if len(self._came_by(node)) >= self.config.min_passes
-        ]
+        passed = [node for node in self.osm.open_junctions.tolist() if self._enough(self._came_by(node))]
         findings.sort(key=lambda each: each.id)
         return Audit(findings, len(passed), self.osm.offset_m, dict(sorted(self.held_back.items())))
 
@@ -169,50 +177,57 @@ class _Auditor:
         """Yield junctions and branches that OpenStreetMap lacks."""
         table, osm = self.places, self.osm
         nearest, node = _nearest(table.xy, osm.xy[osm.junctions])
-        for row in np.flatnonzero(table.is_shown & (table.passes >= self.config.min_passes)).tolist():
+        for row in self.looked_at.tolist():
             kind: Kind = "missing_junction" if nearest[row] > self.config.junction_m else "missing_branch"
             key = _key(kind, table.uid[row])
             ease = self._ease(key)
-            if table.confidence[row] < self.config.min_confidence * ease:
+            if self.certainty[row] < self.config.min_confidence * ease:
                 continue
             # A junction that lies a little elsewhere has its branches elsewhere, too: it lacks none of them.
             origins = [table.xy[row], *([osm.xy[osm.junctions[node[row]]]] if kind == "missing_branch" else [])]
-            branches = [i for i in range(len(table.bearings_deg[row])) if self._lacks(row, i, origins, ease)]
+            saw = {i: self._lacks(row, i, origins, ease) for i in range(len(table.bearings_deg[row]))}
+            branches = [i for i, drives in saw.items() if self._enough(drives)]
             if not branches:
                 continue
-            reason = self._excuse(table.xy[row])
-            if reason is not None:
-                self._hold_back(reason)
+            if self._is_held_back(self._excuse(table.xy[row])):
                 continue
+            drives = saw[branches[0]]
             bearings = [float(table.bearings_deg[row][i]) for i in branches]
+            widths = [float(table.widths_m[row][i]) for i in branches]
             what = "a junction here" if kind == "missing_junction" else "another branch of this junction"
             yield self._finding(
                 kind,
                 row,
                 None,
-                f"{table.passes[row]} passes of a LiDAR saw {what} that the map does not have: road towards "
+                f"{self._passes(drives)} passes of a LiDAR saw {what} that the map does not have: road towards "
                 f"{', '.join(f'{each:.0f} degrees' for each in bearings)}, "
-                f"{', '.join(f'{table.widths_m[row][i]:.1f} m' for i in branches)} wide. Is it a road?",
+                f"{', '.join(f'{each:.1f} m' for each in widths)} wide. Is it a road?",
+                drives,
                 branch_bearings_deg=[round(each, 1) for each in bearings],
-                branch_widths_m=[round(float(table.widths_m[row][i]), 1) for i in branches],
+                branch_widths_m=[round(each, 1) for each in widths],
                 distance_m=_round(nearest[row]),
             )
 
-    def _lacks(self, row: int, branch: int, origins: Sequence[FloatArray], ease: float) -> bool:
-        """Tell whether a branch of a place is a road that OpenStreetMap does not have, from any of the origins."""
+    def _lacks(self, row: int, branch: int, origins: Sequence[FloatArray], ease: float) -> tuple[str, ...]:
+        """Return the drives that saw a branch of a place as road, if OpenStreetMap does not have it, of any origin.
+
+        They need not agree that it is a branch: one of them has found it, all that came near can tell road there.
+        """
         table, config = self.places, self.config
-        width = table.widths_m[row][branch]
-        if not config.min_width_m <= width <= config.max_width_m:  # not known: neither
-            return False
+        if not config.min_width_m <= table.widths_m[row][branch] <= config.max_width_m:  # not known: neither
+            return ()
         angle = np.radians(table.bearings_deg[row][branch])
-        direction = np.array([np.sin(angle), np.cos(angle)])
+        ahead = np.array([np.sin(angle), np.cos(angle)])
         for origin in origins:
-            away = self.osm.distance(origin + _RAY_AT_M[:, None] * direction)
+            away = self.osm.distance(origin + _RAY_AT_M[:, None] * ahead)
             if away[0] <= _BEGINS_M * ease or np.median(away) <= config.ray_m * ease:
-                return False
-        ray = table.xy[row] + _RAY_SEEN_M[:, None] * direction
-        saw = [ground_at(self.city, name, ray).road.mean() >= config.min_road * ease for name in table.drives[row]]
-        return min(int(np.sum(saw)), int(table.branch_drives[row][branch])) >= config.min_passes
+                return ()
+        ray = table.xy[row] + _RAY_SEEN_M[:, None] * ahead
+        return tuple(name for name in table.near[row] if self._road(name, ray) >= config.min_road * ease)
+
+    def _road(self, name: str, xy: FloatArray) -> float:
+        """Return the share of (N, 2) positions that a drive saw as road."""
+        return float(ground_at(self.city, name, xy)[0].mean())
 
     def _moved(self) -> Iterator[Finding]:
         """Yield junctions that lie elsewhere: place and node are each other's only partner."""
@@ -224,10 +239,10 @@ class _Auditor:
             return
         places, nodes = cKDTree(table.xy[shown]), cKDTree(osm.xy[osm.junctions])
         is_open = np.isin(osm.junctions, osm.open_junctions)
-        for row in shown.tolist():
+        for row in self.looked_at.tolist():
             here = table.xy[row]
             near = nodes.query_ball_point(here, _PARTNER_M)
-            if table.passes[row] < config.min_passes or len(near) != 1 or not is_open[near[0]]:
+            if len(near) != 1 or not is_open[near[0]]:
                 continue
             node = int(osm.junctions[near[0]])
             key = _key("moved", osm.graph.node_id[node])
@@ -240,46 +255,93 @@ class _Auditor:
                 or sigmas <= config.moved_sigma * ease
             ):
                 continue
-            if (
-                len(places.query_ball_point(osm.xy[node], _PARTNER_M)) != 1
-                or table.confidence[row] < config.min_confidence * ease
-            ):
-                self._hold_back("several places near the node, or not sure enough")
-                continue
+            beside = [each for each in shown[places.query_ball_point(osm.xy[node], _PARTNER_M)].tolist() if each != row]
             bearings = np.sort(table.bearings_deg[row])
             gaps = np.diff(np.append(bearings, bearings[0] + 360.0))
-            if gaps.min() < _APART_DEG:
-                self._hold_back("acute: the position slides along the bisector")
-                continue
-            if any(osm.odd[way] for way in osm.ways_near(osm.xy[node], 3.0)):
-                self._hold_back("link, roundabout or two carriageways")
-                continue
-            if not self._off_road(row, node, ease):
-                self._hold_back("node and its roads lie on what was seen as road")
-                continue
-            reason = self._excuse(here)
-            if reason is not None:
-                self._hold_back(reason)
+            drives = self._off_road(row, node, ease)
+            reason = (
+                "several places near the node, or not sure enough"
+                if self._are_strange(beside, node) or self.certainty[row] < config.min_confidence * ease
+                else "acute: the position slides along the bisector"
+                if gaps.min() < _APART_DEG
+                else "link, roundabout or two carriageways"
+                if osm.is_odd(node)
+                else "node and its roads lie on what was seen as road"
+                if not self._enough(drives)
+                else self._excuse(here)
+            )
+            if self._is_held_back(reason):
                 continue
             yield self._finding(
                 "moved",
                 row,
                 node,
-                f"{table.passes[row]} passes of a LiDAR saw this junction {distance:.1f} m from its node "
+                f"{self._passes(drives)} passes of a LiDAR saw this junction {distance:.1f} m from its node "
                 f"(uncertainty {table.position_std_m[row]:.1f} m). Does the node, or one of its roads, lie elsewhere?",
+                drives,
                 distance_m=_round(distance),
                 sigmas=_round(sigmas),
                 position_std_m=_round(table.position_std_m[row]),
             )
 
-    def _off_road(self, row: int, node: int, ease: float) -> bool:
-        """Tell whether a node, or the beginning of one of its roads, lies where enough passes saw no road."""
-        spots = [self.osm.xy[[node]], *self.osm.roads_from(node, _ROAD_START_M)]
-        off = [
-            any(ground_at(self.city, name, spot).road.mean() < 0.5 / ease for spot in spots if len(spot))
-            for name in self.places.drives[row]
-        ]
-        return int(np.sum(off)) >= self.config.min_passes
+    def _are_strange(self, places: Sequence[int], node: int) -> bool:
+        """Tell whether any of some places has no junction of its own that is nearer than a node."""
+        xy, others = self.places.xy[places], self.osm.junctions[self.osm.junctions != node]
+        own, _ = _nearest(xy, self.osm.xy[others])
+        return bool((own > np.minimum(self.config.junction_m, np.hypot(*(xy - self.osm.xy[node]).T))).any())
+
+    def _off_road(self, row: int, node: int, ease: float) -> tuple[str, ...]:
+        """Return the drives that saw no road where a node, or the beginning of one of its roads, lies."""
+        spots = [self.osm.xy[[node]], *(road[_ROAD_START_M] for road in self.osm.roads_from(node, _PAST_M))]
+        spots = [spot for spot in spots if len(spot)]
+        names = self.places.near[row]
+        return tuple(name for name in names if min(self._road(name, spot) for spot in spots) < 0.5 / ease)
+
+    def _beside(self) -> Iterator[Finding]:
+        """Yield junctions beside the road: passes drove straight on, from one road of the node to another."""
+        osm, config = self.osm, self.config
+        nodes = np.array([each for each in osm.open_junctions.tolist() if not osm.is_odd(each)], dtype=np.int64)
+        past: dict[int, dict[str, float]] = defaultdict(dict)
+        for name, drive in sorted(self.city.drives.items()):
+            track = drive.track_each_m - drive.knots.mean(axis=0)
+            metres, _ = _nearest(osm.xy[nodes], track)
+            rows = np.flatnonzero((metres > config.moved_m * config.kept) & (metres < _PAST_M))
+            for node, distance in zip(nodes[rows].tolist(), metres[rows].tolist(), strict=True):
+                if self._leads_past(track, node):
+                    past[node][name] = distance
+        for node, found in past.items():
+            least = config.moved_m * self._ease(_key("moved", osm.graph.node_id[node]))
+            drives = tuple(name for name, distance in found.items() if distance > least)
+            if not self._enough(drives):
+                continue
+            if self._is_held_back(self._excuse(osm.xy[node])):
+                continue
+            distance = float(np.median([found[name] for name in drives]))
+            yield self._finding(
+                "moved",
+                None,
+                node,
+                f"{self._passes(drives)} passes of a LiDAR drove from one road of this junction straight to another, "
+                f"{distance:.1f} m beside its node. Does the node, or one of its roads, lie elsewhere?",
+                drives,
+                distance_m=_round(distance),
+            )
+
+    def _leads_past(self, track: FloatArray, node: int) -> bool:
+        """Tell whether a track, a position each metre, leads straight from a road of a node to another, off the map."""
+        joins = []
+        for road in self.osm.roads_from(node, _PAST_M):
+            metres, at = _nearest(road, track)
+            joins += at[metres < _ON_TRACK_M][:1].tolist()
+        for first, last in combinations(sorted(joins), 2):
+            into = track[first] - track[max(first - _AHEAD_M, 0)]
+            out = track[min(last + _AHEAD_M, len(track) - 1)] - track[last]
+            margin = (last - first) // 4
+            if into @ out > _STRAIGHT * np.hypot(*into) * np.hypot(*out):
+                off = self.osm.distance(track[first + margin : last - margin + 1])
+                if np.median(off) > _OFF_MAP_M:
+                    return True
+        return False
 
     def _phantoms(self) -> Iterator[Finding]:
         """Yield nodes that passes came by where they saw no junction, and other ground where a side road should be."""
@@ -288,23 +350,19 @@ class _Auditor:
         for node in osm.open_junctions.tolist():
             drives = self._came_by(node)
             ease = self._ease(_key("phantom", osm.graph.node_id[node]))
-            if len(drives) < config.min_passes or nearest[node] <= config.junction_m:
+            if not self._enough(drives) or nearest[node] <= config.junction_m:
                 continue
             sides = [road[int(_BESIDE_M) :] for road in osm.roads_from(node, _PHANTOM_M)]
             shares = [
-                (np.mean([g.road.mean() for g in seen]), np.mean([g.other[:12].mean() for g in seen]))
+                (np.mean([road.mean() for road, _ in seen]), np.mean([other[:12].mean() for _, other in seen]))
                 for seen in ([ground_at(self.city, name, side) for name in drives] for side in sides if len(side) >= 12)
             ]
             unseen = [
                 share for share in shares
                 if share[0] < config.max_phantom_road / ease and share[1] >= config.min_phantom_other * ease
             ]  # fmt: skip
-            if not unseen:
-                self._hold_back("side road seen, or not told from what was not seen")
-                continue
-            reason = self._excuse(osm.xy[node])
-            if reason is not None:
-                self._hold_back(reason)
+            blind = None if unseen else "side road seen, or not told from what was not seen"
+            if self._is_held_back(blind or self._excuse(osm.xy[node])):
                 continue
             yield self._finding(
                 "phantom",
@@ -345,23 +403,45 @@ class _Auditor:
     # what they share --------------------------------------------------------------------------------------------------
 
     def _came_by(self, node: int) -> tuple[str, ...]:
-        """Return the drives that came by a node: three keyframes or more within 15 m."""
-        return self._near_nodes.get(node, ())
+        """Return the drives that came by an open junction: three keyframes or more within 15 m."""
+        return tuple(self.came_by.get(node, ()))
 
-    @property
-    def _near_nodes(self) -> dict[int, tuple[str, ...]]:
-        if not hasattr(self, "_near"):
-            from scipy.spatial import cKDTree  # noqa: PLC0415
+    @cached_property
+    def came_by(self) -> dict[int, list[str]]:
+        from scipy.spatial import cKDTree  # noqa: PLC0415
 
-            rows = self.osm.open_junctions
-            found: dict[int, list[str]] = {}
-            for name, drive in sorted(self.city.drives.items()):
-                tree = cKDTree(drive.track_xy - drive.knots.mean(axis=0))
-                counts = tree.query_ball_point(self.osm.xy[rows], _TRACK_M, return_length=True)
-                for node in rows[np.asarray(counts) >= 3].tolist():
-                    found.setdefault(node, []).append(name)
-            self._near = {node: tuple(names) for node, names in found.items()}
-        return self._near
+        rows, found = self.osm.open_junctions, defaultdict[int, list[str]](list)
+        for name, drive in sorted(self.city.drives.items()):
+            tree = cKDTree(drive.track_xy - drive.knots.mean(axis=0))
+            counts = tree.query_ball_point(self.osm.xy[rows], _TRACK_M, return_length=True)
+            for node in rows[np.asarray(counts) >= 3].tolist():
+                found[node].append(name)
+        return found
+
+    def _passes(self, names: Sequence[str]) -> int:
+        """Return how many passes drives are: one that begins within ten minutes of another's end is the same."""
+        spans = np.array([self.city.drives[name].data.span_s for name in names]).reshape(-1, 2)
+        timed = spans[np.isfinite(spans).all(axis=1)]
+        first, last = timed[np.argsort(timed[:, 0])].T
+        gaps = first[1:] - np.maximum.accumulate(last)[:-1]
+        return len(spans) - max(len(timed) - 1, 0) + int(np.sum(gaps > SAME_PASS_S))
+
+    def _enough(self, names: Sequence[str]) -> bool:
+        return self._passes(names) >= self.config.min_passes
+
+    @cached_property
+    def looked_at(self) -> IntArray:
+        """Places that enough passes came by, whether all of them saw it or not."""
+        table = self.places
+        rows = [row for row in np.flatnonzero(table.is_shown).tolist() if self._enough(table.near[row])]
+        return np.array(rows, dtype=np.int64)
+
+    @cached_property
+    def certainty(self) -> FloatArray:
+        """(P,) confidence of the places by the drives that saw them."""
+        pairs = zip(self.places.near, self.places.drives, strict=True)
+        found: FloatArray = self.places.confidence * np.array([len(near) / len(saw) for near, saw in pairs])
+        return found
 
     def _excuse(self, xy: FloatArray) -> str | None:
         """Return why nothing is to be claimed at a place; None where nothing speaks against it."""
@@ -382,8 +462,10 @@ class _Auditor:
     def _ease(self, key: str) -> float:
         return self.config.kept if key in self.known else 1.0
 
-    def _hold_back(self, reason: str) -> None:
-        self.held_back[reason] = self.held_back.get(reason, 0) + 1
+    def _is_held_back(self, reason: str | None) -> bool:
+        if reason is not None:
+            self.held_back[reason] = self.held_back.get(reason, 0) + 1
+        return reason is not None
 
     def _finding(
         self,
@@ -409,7 +491,7 @@ class _Auditor:
             xy=xy,
             uid=uid,
             osm_node=osm_node,
-            passes=len(names) if row is None else int(self.places.passes[row]),
+            passes=int(self.places.passes[row]) if drives is None and row is not None else self._passes(names),
             drives=names,
             text=text,
             evidence={**evidence, "ways": around, "node_xy": None if node is None else self.osm.xy[node]},

@@ -17,10 +17,9 @@ import numpy as np
 from interloc.arrays import BoolArray, FloatArray, IntArray, distinct
 from interloc.city.adjustment import Prior, adjust, knots_along
 from interloc.city.association import CELL_M, LINK_M, group, linked
-from interloc.city.branches import Branches
 from interloc.city.drives import DriveOnMap, system_of
 from interloc.city.passes import Pass
-from interloc.city.places import PlaceTable, tabulate
+from interloc.city.places import Branches, PlaceTable, tabulate
 from interloc.city.settings import CityConfig
 from interloc.city.voting import offsets_of, vote
 from interloc.errors import ConfigError, GeoreferenceError
@@ -173,9 +172,8 @@ class CityMap:
 
     def _vote(self, drive: DriveOnMap) -> None:
         """Find the offsets of a drive against those on the map."""
-        others = [each for each in self.drives.values() if drive.overlaps(each, self.config.vote_radius_m)]
-        low = drive.xy.min(axis=0, initial=np.inf) - self.config.vote_radius_m
-        high = drive.xy.max(axis=0, initial=-np.inf) + self.config.vote_radius_m
+        low, high = drive.box + self.config.vote_radius_m * np.array([[-1.0], [1.0]])
+        others = [each for each in self.drives.values() if (each.box[1] >= low).all() and (each.box[0] <= high).all()]
         near = [((each.xy >= low) & (each.xy <= high)).all(axis=1) for each in others]
         xy = np.concatenate([np.zeros((0, 2)), *(each.xy[rows] for each, rows in zip(others, near, strict=True))])
         of = np.repeat(np.arange(len(others)), [int(rows.sum()) for rows in near])

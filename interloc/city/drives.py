@@ -61,18 +61,28 @@ class DriveOnMap:
         return cKDTree(self.track_xy)
 
     @cached_property
+    def track_each_m(self) -> FloatArray:
+        """Positions each metre along the keyframes, (n, 2)."""
+        travelled = np.append(0.0, np.cumsum(np.hypot(*np.diff(self.track_xy, axis=0).T)))
+        at = np.arange(0.0, travelled[-1] + 0.5)
+        return np.stack([np.interp(at, travelled, axis) for axis in self.track_xy.T], axis=-1)
+
+    @cached_property
     def branches(self) -> tuple[FloatArray, FloatArray, IntArray]:
         """Bearings and widths of the branches of all sightings, one after the other, and how many each has."""
         data = self.data
         bearing, width = (np.concatenate([np.zeros(0), *each]) for each in (data.bearings_deg, data.widths_m))
         return bearing, width, np.array([len(each) for each in data.bearings_deg], dtype=np.int64)
 
-    def overlaps(self, other: DriveOnMap, margin_m: float) -> bool:
-        """Tell whether the boxes around what two drives saw come within a margin of each other."""
-        if not len(self.xy) or not len(other.xy):
-            return False
-        low, high = self.xy.min(axis=0) - margin_m, self.xy.max(axis=0) + margin_m
-        return bool((other.xy.max(axis=0) >= low).all() and (other.xy.min(axis=0) <= high).all())
+    @cached_property
+    def box(self) -> FloatArray:
+        """Lowest and highest x and y of what it saw, (2, 2); without anything the lowest is the higher one."""
+        return np.stack([self.xy.min(axis=0, initial=np.inf), self.xy.max(axis=0, initial=-np.inf)])
+
+    @cached_property
+    def track_box(self) -> FloatArray:
+        """The same of its keyframes."""
+        return np.stack([self.track_xy.min(axis=0), self.track_xy.max(axis=0)])
 
 
 def system_of(drives: Sequence[DriveOnMap], config: CityConfig) -> tuple[Sightings, IntArray]:

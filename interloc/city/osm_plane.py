@@ -85,6 +85,10 @@ class OsmPlane:
         twins[self.graph.edge_way[self.carriageways]] = True
         return np.char.endswith(self.highway, "_link") | self.tagged("junction") | twins
 
+    def is_odd(self, node: int) -> bool:
+        """Tell whether a node lies on a link, a roundabout or one of two carriageways."""
+        return any(self.odd[way] for way in self.ways_near(self.xy[node], 3.0))
+
     @cached_property
     def carriageways(self) -> BoolArray:
         """(E,) pieces of one-way roads beside which another one leads the other way, 3 to 25 m apart."""

@@ -15,7 +15,7 @@ from interloc.arrays import BoolArray, FloatArray, IntArray
 from interloc.errors import DamagedResultError, GeoreferenceError
 from interloc.files import atomic_write
 from interloc.geometry import enu_from_lonlat
-from interloc.mapping.mosaic import TILE, Mosaic, Raster
+from interloc.mapping.mosaic import Mosaic, Raster, Tiles
 from interloc.output.geojson import read_json
 from interloc.output.road import mosaic_of
 from interloc.results import EPOCH_S, DriveResult
@@ -149,10 +149,10 @@ class Pass:
         if self.road is not None:
             arrays["road_epsg"], arrays["road_cell_m"] = self.road.epsg or 0, self.road.raster.cell_m
             for name, raster in (("road", self.road.raster), ("other", self.road.other)):
-                tiles = Raster(0.0).tiles if raster is None else raster.tiles
-                keys = list(tiles)
-                arrays[f"{name}_keys"] = np.array(keys, dtype=np.int64).reshape(-1, 2)
-                arrays[f"{name}_tiles"] = np.array([tiles[key] for key in keys], np.uint8).reshape(-1, TILE, TILE)
+                packed = {} if raster is None else raster.tiles.packed()
+                arrays[f"{name}_keys"] = np.array(list(packed), dtype=np.int64).reshape(-1, 2)
+                arrays[f"{name}_bytes"] = np.array([len(cells) for cells in packed.values()], dtype=np.int64)
+                arrays[f"{name}_packed"] = np.frombuffer(b"".join(packed.values()), np.uint8)
         lines = arrays.pop("roads_lonlat")
         arrays["road_points"] = np.concatenate([np.zeros((0, 2)), *lines])
         arrays["road_sizes"] = np.array([len(line) for line in lines], dtype=np.int64)
@@ -209,11 +209,19 @@ def _roads(result: DriveResult) -> dict[str, Any]:
 def _mosaic(arrays: dict[str, Any]) -> Mosaic:
     """Take the arrays of the road out of those of a file."""
     cell_m, epsg = float(arrays.pop("road_cell_m")), int(arrays.pop("road_epsg")) or None
-    road, other = (Raster(cell_m) for _ in range(2))
-    for raster, name in ((road, "road"), (other, "other")):
-        for (row, column), tile in zip(arrays.pop(f"{name}_keys").tolist(), arrays.pop(f"{name}_tiles"), strict=True):
-            raster.tiles[row, column] = tile
+    road, other = (Raster(cell_m, _tiles(arrays, name)) for name in ("road", "other"))
     return Mosaic(road, epsg, other if other.tiles else None)
+
+
+def _tiles(arrays: dict[str, Any], name: str) -> Tiles:
+    keys = [(row, column) for row, column in arrays.pop(f"{name}_keys").tolist()]
+    if f"{name}_tiles" in arrays:  # of an older version
+        found = Tiles()
+        found.update(zip(keys, arrays.pop(f"{name}_tiles"), strict=True))
+        return found
+    cells, ends = arrays.pop(f"{name}_packed").tobytes(), np.cumsum(sizes := arrays.pop(f"{name}_bytes"))
+    starts = (ends - sizes).tolist()
+    return Tiles({key: cells[a:b] for key, a, b in zip(keys, starts, ends.tolist(), strict=True)})
 
 
 def _parts(result: DriveResult) -> tuple[FloatArray, FloatArray, FloatArray]:

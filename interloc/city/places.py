@@ -9,14 +9,20 @@ from typing import TypeVar
 import numpy as np
 
 from interloc.arrays import BoolArray, FloatArray, IntArray, distinct
-from interloc.city.branches import Branches, SeenBranches, fuse_branches
 from interloc.city.drives import DriveOnMap, system_of
 from interloc.city.settings import CityConfig
+from interloc.config import FusionConfig
+from interloc.mapping.branches import SeenBranches, fuse_branches
 
 Value = TypeVar("Value")
 
+Branches = tuple[FloatArray, FloatArray, IntArray]
+"""Bearings, widths, and how many drives saw each branch of a place."""
+
 SAME_PASS_S = 600.0
 """Sightings of a place within this time are one pass: a drive that was cut in pieces passes it once."""
+
+_SAME_DEG = 20.0  # a branch of a drive that lies within this of one of the place is that
 
 
 @dataclass(frozen=True)
@@ -183,7 +189,7 @@ def _passed(drives: Sequence[DriveOnMap], xy: FloatArray, place: IntArray, near_
     ends = np.cumsum([0, *(len(d.xy) for d in drives)]).tolist()
     for number, drive in enumerate(drives):
         there = xy + drive.knots.mean(axis=0)
-        low, high = drive.track_xy.min(axis=0) - near_m, drive.track_xy.max(axis=0) + near_m
+        low, high = drive.track_box + near_m * np.array([[-1.0], [1.0]])
         may_be = ((there >= low) & (there <= high)).all(axis=1)
         may_be[place[ends[number] : ends[number + 1]]] = False
         rows = np.flatnonzero(may_be)
@@ -211,14 +217,16 @@ def _work_out_branches(
     bearing, width, branches = (np.concatenate(each) for each in zip(*(d.branches for d in drives), strict=True))
     rows = np.flatnonzero(is_new[place])
     used = is_new[np.repeat(place, branches)]
-    seen = SeenBranches(
-        bearing_deg=bearing[used],
-        width_m=width[used],
-        sighting=np.repeat(np.arange(len(rows)), branches[rows]),
-        place=(np.cumsum(is_new) - 1)[place[rows]],
-        drive=drive[rows],
-    )
-    branches_of.update(zip(numbers[is_new].tolist(), fuse_branches(seen, min_share), strict=True))
+    sighting, own = np.repeat(np.arange(len(rows)), branches[rows]), (np.cumsum(is_new) - 1)[place[rows]]
+    seen = SeenBranches(bearing[used], width[used], sighting, own, np.ones(len(rows)))
+    usual = FusionConfig()
+    spread, apart = usual.branch_spread_deg, usual.branch_separation_deg
+    fused = fuse_branches(seen, spread_deg=spread, separation_deg=apart, support=min_share)
+    saw = np.flatnonzero(fused.apart_deg <= _SAME_DEG)
+    branch = own[sighting[saw]] * fused.bearing_deg.shape[1] + fused.nearest[saw]
+    pairs = distinct(branch * len(drives) + drive[rows[sighting[saw]]])
+    support = np.bincount(pairs // len(drives), minlength=fused.bearing_deg.size).reshape(fused.bearing_deg.shape)
+    branches_of.update(zip(numbers[is_new].tolist(), zip(*fused.lists(support), strict=True), strict=True))
 
 
 def _passes(seen_s: FloatArray, place: IntArray, pair: IntArray, drives: int) -> IntArray:

@@ -72,7 +72,7 @@ LayoutChoice = Annotated[str, _AmongLayouts(("auto",))]
 class ReadingOptions(BaseModel):
     """How a drive is to be read, whichever its labels."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", defer_build=True)
 
     label_scheme: str = Field(
         "auto",

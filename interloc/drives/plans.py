@@ -11,7 +11,6 @@ from functools import cached_property
 
 import cv2
 import numpy as np
-import scipy.fft
 
 from interloc.arrays import Float32Array, FloatArray, UInt8Array
 from interloc.geometry import rotate_2d, wrap_angle
@@ -87,13 +86,13 @@ class PlanMatch:
         turns = np.arange(-MAX_TURN_RAD, MAX_TURN_RAD + 1e-6, _TURN_STEP_RAD)
         image = _drawn(target)
         beside = cv2.dilate(image, np.ones((3, 3), np.uint8))
-        spectrum = scipy.fft.rfft2(np.maximum(image, 0.5 * beside))
+        spectrum = np.fft.rfft2(np.maximum(image, 0.5 * beside))
         shifts = np.arange(-_REACH, _REACH + 1)
         shares = np.empty((len(turns), len(shifts), len(shifts)), dtype=np.float32)
         for number, turn in enumerate(turns):
-            turned = scipy.fft.rfft2(_drawn(rotate_2d(source, turn)))
+            turned = np.fft.rfft2(_drawn(rotate_2d(source, turn)))
             count = max(1.0, float(turned[0, 0].real))
-            found = scipy.fft.irfft2(spectrum * np.conj(turned), s=(_SIZE, _SIZE))
+            found = np.fft.irfft2(spectrum * np.conj(turned), s=(_SIZE, _SIZE))
             shares[number] = found[np.ix_(shifts, shifts)] / count
         shares[:, np.hypot(shifts[:, None], shifts[None]) > _REACH] = 0.0
         return cls(shares, turns, target, source)

@@ -67,10 +67,12 @@ def find_peaks(xy: FloatArray, weight: FloatArray, *, bandwidth_m: float, cell_m
     rank[np.argsort(density, kind="stable")] = np.arange(len(mass))
     upward = rank[i] < rank[j]
     low, high = np.where(upward, i, j), np.where(upward, j, i)
-    order = np.lexsort((high, distance, low))
-    low, first = np.unique(low[order], return_index=True)
-    parent = np.arange(len(mass))
-    parent[low] = high[order][first]
+    nearest = np.full(len(mass), np.inf)
+    np.minimum.at(nearest, low, distance)
+    is_nearest = distance == nearest[low]
+    parent = np.full(len(mass), len(mass))
+    np.minimum.at(parent, low[is_nearest], high[is_nearest])
+    parent = np.where(parent < len(mass), parent, np.arange(len(mass)))
     while True:  # let all jump to the parent of their parent until they are at the peak
         grandparent = parent[parent]
         if np.array_equal(grandparent, parent):

@@ -9,7 +9,6 @@ import numpy as np
 
 from interloc.arrays import FloatArray, IntArray
 from interloc.config import CalibrationConfig
-from interloc.geometry import wrap_bearing
 
 _LINES_LIMIT_M = 30.0
 """Standard deviation of a place that no line fixes, for the confidence: lines that meet nowhere."""
@@ -315,101 +314,6 @@ def visibility(
     near = cKDTree(centres).sparse_distance_matrix(cKDTree(keyframe_xy), limit_m, output_type="ndarray")
     chance = np.clip((limit_m - near["v"]) / (limit_m - certain_m), 0.0, 1.0)
     return near["i"].astype(np.int64), near["j"].astype(np.int64), chance
-
-
-def fuse_bearings(
-    bearings_deg: Sequence[FloatArray], weight: FloatArray, *, spread_deg: float, separation_deg: float, support: float
-) -> FloatArray:
-    """Find the branches that the sightings of an intersection agree on.
-
-    Parameters
-    ----------
-    bearings_deg : n (B,) float64
-        Bearings of the branches of each sighting.
-    weight : (n,) float64
-        Weight of each sighting.
-    spread_deg : float
-        Standard deviation of a bearing.
-    separation_deg : float
-        Branches lie at least this far apart.
-    support : float
-        Share of the weight of all sightings that must have seen a branch.
-
-    Returns
-    -------
-    (B,) float64
-        Bearings in [0, 360), ascending.
-
-    Notes
-    -----
-    Peaks of a density on the circle, each refined to the weighted circular mean of the bearings around it. An
-    intersection has at least three branches (paper, section III-C): the best supported ones fill up to three.
-    """
-    owner = np.repeat(np.arange(len(bearings_deg)), [len(b) for b in bearings_deg])
-    if not owner.size:
-        return np.zeros(0)
-    flat = np.concatenate([np.asarray(b, dtype=np.float64) for b in bearings_deg])
-    histogram = np.bincount(np.round(flat).astype(np.int64) % 360, weight[owner], 360)
-    offset = np.minimum(np.arange(360), 360 - np.arange(360))
-    kernel = np.exp(-0.5 * (offset / spread_deg) ** 2)
-    density = np.fft.irfft(np.fft.rfft(histogram) * np.fft.rfft(kernel), 360)
-    is_top = (density > 1e-6 * density.max()) & (density >= np.maximum(np.roll(density, 1), np.roll(density, -1)))
-    peaks: list[int] = []
-    for degree in np.argsort(-density, kind="stable").tolist():
-        if is_top[degree] and all(abs((degree - p + 180) % 360 - 180) >= separation_deg for p in peaks):
-            peaks.append(degree)
-    away = (flat[:, None] - np.array(peaks, dtype=np.float64)[None] + 180.0) % 360.0 - 180.0
-    nearest = np.argmin(np.abs(away), axis=1)
-    close = np.abs(away[np.arange(len(flat)), nearest]) <= separation_deg
-    found: list[tuple[float, float]] = []
-    for number, peak in enumerate(peaks):
-        rows = np.flatnonzero(close & (nearest == number))
-        seen_by = np.unique(owner[rows])
-        share = float(weight[seen_by].sum() / weight.sum())
-        turn = float(np.average(away[rows, number], weights=weight[owner[rows]]))
-        found.append((share, float(wrap_bearing(peak + turn))))
-    found.sort(key=lambda branch: (-branch[0], branch[1]))
-    return np.sort([bearing for rank, (share, bearing) in enumerate(found) if share >= support or rank < 3])
-
-
-def fuse_widths(
-    fused_deg: FloatArray,
-    bearings_deg: Sequence[FloatArray],
-    widths_m: Sequence[FloatArray],
-    weight: FloatArray,
-    *,
-    within_deg: float,
-) -> FloatArray:
-    """Return the weighted median of what the sightings of an intersection say of the width of each of its branches.
-
-    Parameters
-    ----------
-    fused_deg : (M,) float64
-        Bearings of the branches, of `fuse_bearings`.
-    bearings_deg, widths_m : n (B,) float64
-        Bearings and widths of the branches of each sighting; NaN is no width.
-    weight : (n,) float64
-        Weight of each sighting.
-    within_deg : float
-        A branch of a sighting that lies farther than this from a fused one is another.
-
-    Returns
-    -------
-    (M,) float64
-        Metres; NaN where there is none.
-    """
-    owner = np.repeat(np.arange(len(bearings_deg)), [len(b) for b in bearings_deg])
-    bearing, width = (np.concatenate([np.zeros(0), *each]) for each in (bearings_deg, widths_m))
-    known = np.isfinite(width)
-    owner, bearing, width = owner[known], bearing[known], width[known]
-    medians = np.full(len(fused_deg), np.nan)
-    for i, fused in enumerate(fused_deg if len(width) else []):
-        rows = np.flatnonzero(np.abs((bearing - fused + 180.0) % 360.0 - 180.0) <= within_deg)
-        if len(rows):
-            order = rows[np.argsort(width[rows], kind="stable")]
-            mass = np.cumsum(weight[owner[order]])
-            medians[i] = width[order[np.searchsorted(mass, mass[-1] / 2)]]
-    return medians
 
 
 def members_of(labels: IntArray, count: int) -> list[tuple[int, IntArray]]:

@@ -9,13 +9,12 @@ import numpy as np
 from interloc.arrays import BoolArray, FloatArray, IntArray
 from interloc.config import CalibrationConfig, FusionConfig
 from interloc.geometry import enu_from_lonlat, lonlat_from_enu, rotate_2d
+from interloc.mapping.branches import SeenBranches, fuse_branches
 from interloc.mapping.clustering import assign, find_peaks, join_peaks
 from interloc.mapping.estimation import (
     SightingStats,
     densest_parts,
     fix_variance,
-    fuse_bearings,
-    fuse_widths,
     junction_probability,
     members_of,
     position_std,
@@ -234,16 +233,18 @@ def _table(
     groups = [rows for _, rows in members_of(labels, len(centres))]
     first = np.array([scene.keyframe[rows].min() for rows in groups], dtype=np.int64)
     last = np.array([scene.keyframe[rows].max() for rows in groups], dtype=np.int64)
-    bearings = [
-        fuse_bearings(
+    rows = np.flatnonzero(labels >= 0)
+    bearings, widths = fuse_branches(
+        SeenBranches.of(
             [detections.bearings_deg[row] for row in rows],
+            [detections.widths_m[row] for row in rows],
+            labels[rows],
             scene.weight[rows],
-            spread_deg=config.branch_spread_deg,
-            separation_deg=config.branch_separation_deg,
-            support=config.branch_support,
-        )
-        for rows in groups
-    ]
+        ),
+        spread_deg=config.branch_spread_deg,
+        separation_deg=config.branch_separation_deg,
+        support=config.branch_support,
+    ).lists()
     sightings = _sightings(keyframes, scene, centres, labels, config)
     rate, confidence, _ = _rate_of_seeing(scene, centres, labels, config)
     if calibration is None:
@@ -268,16 +269,7 @@ def _table(
         observations=np.array([len(rows) for rows in groups], dtype=np.int64),
         confidence=confidence,
         bearings_deg=bearings,
-        widths_m=[
-            fuse_widths(
-                fused,
-                [detections.bearings_deg[row] for row in rows],
-                [detections.widths_m[row] for row in rows],
-                scene.weight[rows],
-                within_deg=config.branch_separation_deg / 2,
-            )
-            for fused, rows in zip(bearings, groups, strict=True)
-        ],
+        widths_m=widths,
         first_frame=keyframes.frame[first],
         last_frame=keyframes.frame[last],
         position_cov_m2=covariance[:, [0, 0, 1], [0, 1, 1]],

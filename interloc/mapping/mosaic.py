@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import zlib
 from collections import OrderedDict
-from collections.abc import Iterator, MutableMapping
+from collections.abc import Iterator, Mapping, MutableMapping
 from dataclasses import dataclass, field
+from types import MappingProxyType
 
 import cv2
 import numpy as np
@@ -29,9 +30,13 @@ class Tiles(MutableMapping[tuple[int, int], UInt8Array]):
     A tile may be changed until others were used: then it is another array.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, packed: Mapping[tuple[int, int], bytes] = MappingProxyType({})) -> None:
         self._open: OrderedDict[tuple[int, int], UInt8Array] = OrderedDict()
-        self._packed: dict[tuple[int, int], bytes] = {}
+        self._packed = dict(packed)
+
+    def packed(self) -> dict[tuple[int, int], bytes]:
+        """Return all tiles deflated, as a new one takes them."""
+        return self._packed | {key: zlib.compress(tile.tobytes(), 1) for key, tile in self._open.items()}
 
     def __getitem__(self, key: tuple[int, int]) -> UInt8Array:
         tile = self._open.get(key)

@@ -99,7 +99,8 @@ Verdict = Literal["right", "wrong", "unscored"]
 class Strict(BaseModel):
     """A part of a file as it was written, and nothing else."""
 
-    model_config = ConfigDict(strict=True, frozen=True, allow_inf_nan=False)
+    # A command uses few of them: each is built when it is used.
+    model_config = ConfigDict(strict=True, frozen=True, allow_inf_nan=False, defer_build=True)
 
 
 class Properties(Strict):

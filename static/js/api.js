@@ -2,8 +2,8 @@
  * The service as the page uses it: requests with the token, errors in the server's words, events, downloads.
  *
  * Paths are relative to `/api/v1/` ("drives", `jobs/${id}/report`). Works in workers too, except for the dialog for a token.
- * @module api
  */
+import { news } from "./news.js";
 import { keep, recall } from "./storage.js";
 
 /**
@@ -43,23 +43,17 @@ export class ApiError extends Error {
 
 /** @typedef {{severity: string, path: string, message: string}} FileProblem */
 
-/** @returns {string|null} */
 export function getToken() {
   return recall(TOKEN_KEY, "sessionStorage");
 }
 
-/** @type {Set<() => void>} */
-const tokenListeners = new Set();
+const tokens = news();
+export const onTokenChange = tokens.hear;
 
 /** @param {string|null} token Kept until the tab is closed; null forgets it. */
 export function setToken(token) {
   keep(TOKEN_KEY, token, "sessionStorage");
-  for (const call of tokenListeners) call();
-}
-
-/** @param {() => void} call Called whenever the token changes. */
-export function onTokenChange(call) {
-  tokenListeners.add(call);
+  tokens.tell();
 }
 
 /** @type {((wrong: boolean) => Promise<string|null>)|null} */
@@ -131,7 +125,7 @@ const OF_A_PROXY = {
     "limit: client_max_body_size 0 in nginx, as docs/service.md has it.",
 };
 
-/** @param {number} status @param {string} text @param {string|null} retryAfter @returns {ApiError} */
+/** @param {number} status @param {string} text @param {string|null} retryAfter */
 function errorOf(status, text, retryAfter) {
   /** @type {any} */
   let problem = {};
@@ -160,30 +154,38 @@ function unreachable(cause) {
  * @param {string} path
  * @param {{method?: string, json?: any, body?: BodyInit|null, headers?: Record<string, string>, signal?: AbortSignal,
  *   cache?: RequestCache, keepalive?: boolean}} [options] `json` is sent as such.
- * @returns {Promise<Response>}
  * @throws {ApiError}
  */
 export async function request(path, { json, headers = {}, ...options } = {}) {
-  for (;;) {
-    const used = getToken();
-    const all = authHeaders(headers);
-    if (json !== undefined) {
-      all["Content-Type"] = "application/json";
-      options.body = JSON.stringify(json);
-    }
+  if (json !== undefined) {
+    headers = { ...headers, "Content-Type": "application/json" };
+    options.body = JSON.stringify(json);
+  }
+  return withToken(async () => {
     let response;
     try {
-      response = await fetch(address(path), { ...options, headers: all });
+      response = await fetch(address(path), { ...options, headers: authHeaders(headers) });
     } catch (cause) {
       throw unreachable(cause);
     }
     if (response.ok) return response;
-    if (response.status === 401 && (await renewToken(used))) continue;
     throw errorOf(response.status, await response.text(), response.headers.get("Retry-After"));
+  });
+}
+
+/** Send again with another token where the server refuses that of now. @template T @param {() => Promise<T>} send */
+async function withToken(send) {
+  for (;;) {
+    const used = getToken();
+    try {
+      return await send();
+    } catch (error) {
+      if (!(error instanceof ApiError && error.status === 401 && (await renewToken(used)))) throw error;
+    }
   }
 }
 
-/** @param {string} path @param {{signal?: AbortSignal, headers?: Record<string, string>}} [options] @returns {Promise<any>} */
+/** @param {string} path @param {{signal?: AbortSignal, headers?: Record<string, string>}} [options] */
 export async function getJson(path, options = {}) {
   return (
     await request(path, { headers: { Accept: "application/json", ...options.headers }, signal: options.signal })
@@ -213,30 +215,31 @@ export async function sendJson(method, path, json, options = {}) {
  * @returns {Promise<any>} The answer as JSON.
  * @throws {ApiError}
  */
-export async function putFile(path, data, { digest = null, onProgress, signal, method = "PUT", headers = {} } = {}) {
-  for (;;) {
-    const used = getToken();
-    const { status, text, retryAfter } = await new Promise((resolve, reject) => {
-      signal?.throwIfAborted();
-      const xhr = new XMLHttpRequest();
-      const abort = () => xhr.abort();
-      xhr.open(method, address(path));
-      const all = authHeaders({ "Content-Type": "application/octet-stream", ...headers });
-      if (digest) all["Content-Digest"] = `sha-256=:${digest}:`;
-      for (const [name, value] of Object.entries(all)) xhr.setRequestHeader(name, value);
-      if (onProgress) xhr.upload.onprogress = (event) => onProgress(event.loaded);
-      xhr.onload = () =>
-        resolve({ status: xhr.status, text: xhr.responseText, retryAfter: xhr.getResponseHeader("Retry-After") });
-      xhr.onerror = () => reject(unreachable(null));
-      xhr.onabort = () => reject(new DOMException("The upload was stopped.", "AbortError"));
-      xhr.onloadend = () => signal?.removeEventListener("abort", abort);
-      signal?.addEventListener("abort", abort);
-      xhr.send(/** @type {any} */ (data));
-    });
-    if (status >= 200 && status < 300) return text ? JSON.parse(text) : null;
-    if (status === 401 && (await renewToken(used))) continue;
-    throw errorOf(status, text, retryAfter);
-  }
+export function putFile(path, data, { digest = null, onProgress, signal, method = "PUT", headers = {} } = {}) {
+  /** @type {Record<string, string>} */
+  const all = { "Content-Type": "application/octet-stream", ...headers };
+  if (digest) all["Content-Digest"] = `sha-256=:${digest}:`;
+  return withToken(
+    () =>
+      new Promise((resolve, reject) => {
+        signal?.throwIfAborted();
+        const xhr = new XMLHttpRequest();
+        const abort = () => xhr.abort();
+        xhr.open(method, address(path));
+        for (const [name, value] of Object.entries(authHeaders(all))) xhr.setRequestHeader(name, value);
+        if (onProgress) xhr.upload.onprogress = (event) => onProgress(event.loaded);
+        xhr.onload = () => {
+          const { status, responseText: text } = xhr;
+          if (status >= 200 && status < 300) resolve(text ? JSON.parse(text) : null);
+          else reject(errorOf(status, text, xhr.getResponseHeader("Retry-After")));
+        };
+        xhr.onerror = () => reject(unreachable(null));
+        xhr.onabort = () => reject(new DOMException("The upload was stopped.", "AbortError"));
+        xhr.onloadend = () => signal?.removeEventListener("abort", abort);
+        signal?.addEventListener("abort", abort);
+        xhr.send(/** @type {any} */ (data));
+      }),
+  );
 }
 
 /**
@@ -276,10 +279,7 @@ export async function follow(path, { onEvent, signal, onConnection }) {
   }
 }
 
-/**
- * @param {Response} response
- * @returns {AsyncGenerator<{id: string|null, type: string, data: string}>}
- */
+/** @param {Response} response @returns {AsyncGenerator<{id: string|null, type: string, data: string}>} */
 async function* parseEvents(response) {
   if (!response.body) return;
   const reader = response.body.pipeThrough(new TextDecoderStream()).getReader();
@@ -332,6 +332,23 @@ export async function download(path, name) {
   setTimeout(() => URL.revokeObjectURL(url), 60000);
 }
 
+const MAX_PICTURES = 200;
+/** Pictures by their paths, the one used last at the end. @type {Map<string, string>} */
+const pictures = new Map();
+
+/** @param {string} path @param {AbortSignal} [signal] @returns {Promise<string>} Address of a picture within the page; the last ones are kept. */
+export async function loadPicture(path, signal) {
+  const url = pictures.get(path) ?? URL.createObjectURL(await (await request(path, { signal })).blob());
+  pictures.delete(path);
+  pictures.set(path, url);
+  if (pictures.size > MAX_PICTURES) {
+    const [oldest] = pictures;
+    URL.revokeObjectURL(oldest[1]);
+    pictures.delete(oldest[0]);
+  }
+  return url;
+}
+
 /** @param {string} url @param {string} name */
 function save(url, name) {
   const link = document.createElement("a");
@@ -364,32 +381,11 @@ function save(url, name) {
  */
 
 /** @type {PageConfig} */
-let config = {
-  version: "",
-  tile_url: null,
-  tile_attribution: "",
-  overpass: false,
-  needs_token: false,
-  limits: {},
-  policies: [],
-  layers: [],
-  exports: [],
-  label_schemes: [],
-  file_kinds: { maps: [], archives: [], recordings: [], scans: [] },
-  raw_first_frames: {},
-  raw_sequences: {},
-  simulator: "",
-  drivable: [],
-  search_radius_km: { default: 1, minimum: 0, maximum: 1 },
-  max_compared_jobs: 2,
-};
+let config;
 
-/** @returns {PageConfig} As loaded at the start. */
-export function getConfig() {
-  return config;
-}
+/** As loaded at the start. */
+export const getConfig = () => config;
 
-/** @returns {Promise<void>} */
 export async function loadConfig() {
   let response;
   try {

@@ -1,19 +1,11 @@
-/**
- * What panels are made of: fields, choices, buttons, tables, dialogs.
- * @module controls
- */
+/** What panels are made of: fields, choices, buttons, tables. */
 import { el, fill, icon } from "./dom.js";
 
 let count = 0;
 
-/**
- * @param {string} title
- * @param {any} control
- * @param {any} [hint]
- * @returns {HTMLElement}
- */
+/** @param {string} title @param {any} control @param {any} [hint] @returns {HTMLElement} */
 export function field(title, control, hint) {
-  return el("label", { class: "field" }, el("span", {}, title), control, hint && el("small", {}, hint));
+  return el("label.field", el("span", title), control, hint && el("small", hint));
 }
 
 /**
@@ -44,9 +36,9 @@ export function radios(legend, choices, value, onChange) {
   const rows = choices.map((choice) => {
     const checked = choice.value === value;
     const input = el("input", { type: "radio", name, value: choice.value, checked, onChange: update });
-    const more = choice.more && el("div", { class: "more" }, choice.more);
-    const text = el("span", {}, choice.title, choice.hint && el("small", {}, choice.hint));
-    return { choice, input, more, element: el("div", {}, el("label", { class: "check" }, input, text), more) };
+    const more = choice.more && el("div.more", choice.more);
+    const text = el("span", choice.title, choice.hint && el("small", choice.hint));
+    return { choice, input, more, element: el("div", el("label.check", input, text), more) };
   });
   const chosen = () => rows.find(({ input }) => input.checked)?.choice.value ?? "";
   function show() {
@@ -57,10 +49,10 @@ export function radios(legend, choices, value, onChange) {
     onChange?.(chosen());
   }
   show();
-  const title = el("legend", { class: "field-name" }, legend);
+  const title = el("legend.field-name", legend);
   const elements = rows.map((row) => row.element);
   return {
-    element: el("fieldset", { class: "radios" }, title, elements),
+    element: el("fieldset.radios.stack-s", title, elements),
     value: chosen,
     choose: (wanted) => {
       for (const { choice, input } of rows) input.checked = choice.value === wanted;
@@ -84,7 +76,7 @@ export function filePicker(content, onPick, { accept, multiple, folder, name, cl
     input.value = ""; // the same file may be picked again
   });
   const button = el("button", { type: "button", class: kind, onClick: () => input.click() }, content);
-  return el("span", {}, button, input);
+  return el("span", button, input);
 }
 
 /**
@@ -98,18 +90,14 @@ export function iconButton(symbol, label, onClick, title = label) {
   return el("button", props, icon(symbol));
 }
 
-/**
- * A button that copies a text.
- * @param {string} name
- * @param {() => string} text
- */
+/** A button that copies a text. @param {string} name @param {() => string} text */
 export function copyButton(name, text) {
   const button = el("button", { type: "button", onClick: () => void copy() }, icon("copy"), name);
   const copy = async () => {
     try {
       await navigator.clipboard.writeText(text());
     } catch {
-      const area = el("textarea", { value: text(), class: "unseen" }); // plain http has no clipboard of its own
+      const area = el("textarea.unseen", { value: text() }); // plain http has no clipboard of its own
       document.body.append(area);
       area.select();
       document.execCommand("copy");
@@ -123,13 +111,11 @@ export function copyButton(name, text) {
 
 /** @param {string} title @param {...any} children */
 export function section(title, ...children) {
-  return el("section", { class: "stack-s" }, el("h3", {}, title), children);
+  return el("section.stack-s", el("h3", title), children);
 }
 
 /** A part of a result, with room above it. @param {string} title @param {...any} children */
-export function resultSection(title, ...children) {
-  return el("section", { class: "section" }, el("h3", {}, title), children);
-}
+export const resultSection = (title, ...children) => el("section.section", el("h3", title), children);
 
 /**
  * Names and values, for a `dl`.
@@ -137,47 +123,33 @@ export function resultSection(title, ...children) {
  * @returns {HTMLElement[][]}
  */
 export function factRows(facts) {
-  return facts.flatMap((fact) => (fact ? [[el("dt", {}, fact[0]), el("dd", {}, fact[1])]] : []));
+  return facts.flatMap((fact) => (fact ? [[el("dt", fact[0]), el("dd", fact[1])]] : []));
 }
+
+/** Names and values below each other. @param {string} kind Classes. @param {Parameters<typeof factRows>[0]} facts */
+export const factList = (kind, facts) => el("dl.figures", { class: kind }, factRows(facts));
+
+/** @param {any[]} texts */
+export const bullets = (texts) => el("ul.reasons", [texts.map((each) => el("li", each))]);
+
+/** A link to another site, in a tab of its own. @param {string} href @param {string} text @param {object} [props] */
+export const outLink = (href, text, props) => el("a", { href, target: "_blank", rel: "noopener", ...props }, text);
 
 /** A figure in large. @param {string} value @param {string} name @param {string} [more] */
 export function figure(value, name, more) {
-  return el("div", { class: "figure" }, el("b", {}, value), el("span", {}, name), more && el("em", {}, more));
+  return el("div.figure", el("b", value), el("span", name), more && el("em", more));
 }
 
-/**
- * @param {string[]} heads
- * @param {any[][]} rows Cells: `td` elements, or what goes into one.
- * @returns {HTMLElement}
- */
+/** @param {string[]} heads @param {any[][]} rows Cells: `td` elements, or what goes into one. @returns {HTMLElement} */
 export function table(heads, rows) {
   const head = heads.map((name) => el("th", { scope: "col" }, name));
   const body = rows.map((cells) =>
     el(
       "tr",
-      {},
-      cells.map((cell) => (cell instanceof HTMLTableCellElement ? cell : el("td", {}, cell))),
+      cells.map((cell) => (cell instanceof HTMLTableCellElement ? cell : el("td", cell))),
     ),
   );
-  return el("table", {}, el("thead", {}, el("tr", {}, head)), el("tbody", {}, body));
-}
-
-/**
- * Open a dialog, to be removed when it is closed.
- * @param {Record<string, any>} props
- * @param {any[]} children
- * @param {(answer: string) => void} [onClose] Gets the value of the button that closed it.
- * @returns {HTMLDialogElement}
- */
-export function openDialog(props, children, onClose) {
-  const dialog = el("dialog", props, children);
-  dialog.addEventListener("close", () => {
-    dialog.remove();
-    onClose?.(dialog.returnValue);
-  });
-  document.body.append(dialog);
-  dialog.showModal();
-  return dialog;
+  return el("table", el("thead", el("tr", head)), el("tbody", body));
 }
 
 const SEVERITIES = /** @type {Record<string, string>} */ ({ error: "Error", warning: "Warning", note: "Note" });
@@ -186,8 +158,14 @@ const SEVERITIES = /** @type {Record<string, string>} */ ({ error: "Error", warn
 export function problemList(problems) {
   if (!problems.length) return null;
   const items = problems.map(({ severity, path, message }) => {
-    const kind = el("span", { class: "severity" }, SEVERITIES[severity] ?? severity);
-    return el("li", { class: `is-${severity}` }, kind, el("span", {}, el("code", {}, path), " ", message));
+    return el(
+      "li.note.small",
+      { class: severity },
+      el("strong", SEVERITIES[severity] ?? severity),
+      el("code", path),
+      " ",
+      message,
+    );
   });
-  return el("ul", { class: "problems" }, items);
+  return el("ul.stack-s", items);
 }

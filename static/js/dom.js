@@ -1,58 +1,56 @@
-/**
- * Elements and figures: the small helpers that every part of the page uses.
- * @module dom
- */
+/** Elements and figures: the small helpers that every part of the page uses. */
 
 const SVG = "http://www.w3.org/2000/svg";
 
 /**
- * Make an element.
+ * Make an element: `el("p.small.quiet", { title }, "text", el("br"))`.
  *
- * `class`, `style` (an object), `dataset` (an object) and `on…` (a listener) are special; what the element has as a
- * property is set as one (`value`, `disabled`, `htmlFor`), anything else becomes an attribute (`aria-label`, `role`).
- * A value of null, undefined or false leaves it out.
+ * Properties, if any, come first, in a plain object. `style` and `dataset` are objects, `on…` is a listener; what the element
+ * has as a property is set as one (`value`, `disabled`, `htmlFor`), anything else becomes an attribute (`aria-label`). A value
+ * of null, undefined or false leaves it out, as it does of children. Children may be arrays of children.
  *
- * @param {string} tag
- * @param {Record<string, any>} [props]
- * @param {...(Node|string|number|null|undefined|false|Array<any>)} children
+ * @param {string} selector Tag and classes.
+ * @param {...any} content
  * @returns {any} The element.
  */
-export function el(tag, props, ...children) {
-  const element = document.createElement(tag);
-  for (const [name, value] of Object.entries(props ?? {})) {
-    if (value === null || value === undefined || value === false) continue;
-    if (name === "class") element.className = value;
-    else if (name === "style") Object.assign(element.style, value);
-    else if (name === "dataset") Object.assign(element.dataset, value);
-    else if (name.startsWith("on")) element.addEventListener(name.slice(2).toLowerCase(), value);
-    else if (name in element && !name.includes("-") && name !== "list" && name !== "form") {
-      /** @type {any} */ (element)[name] = value;
-    } else element.setAttribute(name, value === true ? "" : String(value));
-  }
-  append(element, children);
-  return element;
+export function el(selector, ...content) {
+  const [tag, ...classes] = selector.split(".");
+  return build(document.createElement(tag), classes, content, (element, name, value) => {
+    if (name === "style" || name === "dataset") Object.assign(element[name], value);
+    else if (name in element && !name.includes("-") && name !== "list" && name !== "form") element[name] = value;
+    else element.setAttribute(name, value === true ? "" : String(value));
+  });
+}
+
+/** Make an SVG element; all properties are attributes but `on…`. @param {string} selector @param {...any} content */
+export function svg(selector, ...content) {
+  const [tag, ...classes] = selector.split(".");
+  const set = (/** @type {Element} */ element, /** @type {string} */ name, /** @type {any} */ value) =>
+    element.setAttribute(name, String(value));
+  return build(document.createElementNS(SVG, tag), classes, content, set);
 }
 
 /**
- * Make an SVG element; all props are attributes but `on…`.
- *
- * @param {string} tag
- * @param {Record<string, any>} [props]
- * @param {...any} children
+ * @param {Element} element
+ * @param {string[]} classes
+ * @param {any[]} content
+ * @param {(element: any, name: string, value: any) => void} set
  * @returns {any}
  */
-export function svg(tag, props, ...children) {
-  const element = document.createElementNS(SVG, tag);
-  for (const [name, value] of Object.entries(props ?? {})) {
+function build(element, classes, content, set) {
+  const props = content[0]?.constructor === Object ? content.shift() : {};
+  for (const [name, value] of Object.entries(props)) {
     if (value === null || value === undefined || value === false) continue;
-    if (name.startsWith("on")) element.addEventListener(name.slice(2).toLowerCase(), value);
-    else element.setAttribute(name, String(value));
+    if (name === "class") classes.push(value);
+    else if (name.startsWith("on")) element.addEventListener(name.slice(2).toLowerCase(), value);
+    else set(element, name, value);
   }
-  append(element, children);
+  if (classes.length) element.setAttribute("class", classes.join(" "));
+  append(element, content);
   return element;
 }
 
-/** @param {Element} parent @param {any} children */
+/** @param {Element} parent @param {any[]} children */
 function append(parent, children) {
   for (const child of children) {
     if (child === null || child === undefined || child === false) continue;
@@ -61,14 +59,17 @@ function append(parent, children) {
   }
 }
 
-/**
- * Put new children in the place of the old ones.
- * @param {Element} parent
- * @param {...any} children
- */
+/** Put new children in the place of the old ones; what has the focus keeps it. @param {Element} parent @param {...any} children */
 export function fill(parent, ...children) {
+  const nameOf = (/** @type {any} */ each) =>
+    each.dataset.key || each.id || each.getAttribute("aria-label") || each.textContent;
+  const focused = document.activeElement;
+  const name = focused && focused !== parent && parent.contains(focused) ? nameOf(focused) : null;
   parent.replaceChildren();
   append(parent, children);
+  if (!name) return;
+  const stops = /** @type {HTMLElement[]} */ ([...parent.querySelectorAll("a, button, input, select")]);
+  stops.find((each) => nameOf(each) === name)?.focus();
 }
 
 /**
@@ -85,10 +86,7 @@ export function icon(name, label) {
   );
 }
 
-/**
- * Announce something to screen readers, at the next pause.
- * @param {string} text
- */
+/** Announce something to screen readers, at the next pause. @param {string} text */
 export function announce(text) {
   const region = document.getElementById("announcer");
   if (region && region.textContent !== text) region.textContent = text;

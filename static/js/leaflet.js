@@ -1,7 +1,4 @@
-/**
- * Leaflet, as installed by npm: the one place that knows where it lies. It has no types of its own.
- * @module leaflet
- */
+/** Leaflet, as installed by npm: the one place that knows where it lies. It has no types of its own. */
 // @ts-expect-error
 import * as Leaflet from "../node_modules/leaflet/dist/leaflet-src.esm.js";
 
@@ -19,7 +16,6 @@ export const {
   DomUtil,
   ImageOverlay,
   latLngBounds,
-  Layer,
   LayerGroup,
   Map: LeafletMap,
   Marker,
@@ -30,5 +26,4 @@ export const {
   SVG,
   TileLayer,
   Tooltip,
-  Util,
 } = all;

@@ -5,15 +5,16 @@
  * `subscribe` (state.js) and leaves for another panel by `setState({panel: "job", job: id})`.
  *
  * Layers, the lowest first; a module imports from its own folder and from lines above its own, no others:
- *   dom  leaflet  state  storage
+ *   dom  leaflet  news  storage
+ *   state
  *   api  controls
- *   messages  data  shortcuts
+ *   messages  data
+ *   shortcuts
  *   map  job
  *   city
  *   bev  drives  exports  report  upload
  *   shell
  *   main
- * @module main
  */
 import { loadConfig, onTokenNeeded } from "./api.js";
 import { mountDrawer } from "./bev/drawer.js";
@@ -33,7 +34,7 @@ const PANELS = {
   export: { title: "Export", load: () => import("./exports/panel.js") },
 };
 
-/** @param {string} id @returns {HTMLElement} */
+/** @param {string} id */
 const part = (id) => /** @type {HTMLElement} */ (document.getElementById(id));
 
 async function start() {

@@ -1,22 +1,16 @@
-/**
- * Errors, news and questions: as boxes in a panel, floating where no panel asked, or as dialogs.
- * @module messages
- */
+/** Errors, news and questions: as boxes in a panel, floating where no panel asked, or as dialogs. */
 import { ApiError } from "./api.js";
-import { field, iconButton, openDialog } from "./controls.js";
-import { el } from "./dom.js";
+import { field, iconButton } from "./controls.js";
+import { el, fill } from "./dom.js";
 
 const MAX_SHOWN = 20;
 
-/**
- * A box that says what went wrong, in the server's words.
- * @param {unknown} error An error, or a problem document.
- */
+/** A box that says what went wrong, in the server's words. @param {unknown} error An error, or a problem document. */
 export function problemNote(error) {
   const problem = /** @type {any} */ (error);
   const title = problem.title ?? "Something went wrong";
   const detail = problem.detail ?? problem.message ?? String(error);
-  return el("div", { class: "note error" }, el("strong", {}, title), detail, fileProblems(problem.problems ?? []));
+  return el("div.note.error", el("strong", title), detail, fileProblems(problem.problems ?? []));
 }
 
 /** @param {any} job A job that failed. @returns {HTMLElement} Why. */
@@ -27,15 +21,12 @@ export function failureNote({ error }) {
 /** @param {import("./api.js").FileProblem[]} problems */
 function fileProblems(problems) {
   if (!problems.length) return null;
-  const shown = problems.slice(0, MAX_SHOWN).map((each) => el("li", {}, el("code", {}, each.path), " ", each.message));
-  if (problems.length > shown.length) shown.push(el("li", {}, `and ${problems.length - shown.length} more`));
-  return el("ul", {}, shown);
+  const shown = problems.slice(0, MAX_SHOWN).map((each) => el("li", el("code", each.path), " ", each.message));
+  if (problems.length > shown.length) shown.push(el("li", `and ${problems.length - shown.length} more`));
+  return el("ul", shown);
 }
 
-/**
- * Show an error that no panel shows.
- * @param {unknown} error
- */
+/** Show an error that no panel shows. @param {unknown} error */
 export function showError(error) {
   if (error instanceof DOMException && error.name === "AbortError") return;
   if (error instanceof Error && !(error instanceof ApiError)) console.error(error);
@@ -44,7 +35,7 @@ export function showError(error) {
 
 /** @param {string} text */
 export function showMessage(text) {
-  toast(el("div", { class: "note" }, text), 4000);
+  toast(el("div.note", text), 4000);
 }
 
 /** @param {HTMLElement} note @param {number} ms */
@@ -53,9 +44,62 @@ function toast(note, ms) {
   if (!region) return;
   if ([...region.children].some((other) => other.firstChild?.textContent === note.textContent)) return;
   const close = iconButton("close", "Close", () => box.remove(), "");
-  const box = el("div", { class: "toast" }, note, close);
+  const box = el("div.toast", note, close);
   region.append(box);
   setTimeout(() => box.remove(), ms);
+}
+
+/**
+ * Do something that may fail, and say in its place what went wrong.
+ * @param {Element} trouble
+ * @param {() => Promise<any>} work
+ * @returns {Promise<boolean>} Whether it was done.
+ */
+export async function attempt(trouble, work) {
+  try {
+    fill(trouble);
+    await work();
+    return true;
+  } catch (error) {
+    fill(trouble, problemNote(error));
+    return false;
+  }
+}
+
+let dialogs = 0;
+
+/**
+ * Open a dialog, to be removed when it is closed. Without buttons below it has one beside its title that closes it.
+ *
+ * @param {string} title
+ * @param {any} content
+ * @param {object} [options]
+ * @param {any[]} [options.actions] Buttons: one that submits closes the dialog, with its value.
+ * @param {HTMLElement} [options.trouble] Stands above the buttons.
+ * @param {() => void} [options.onSubmit] In the place of closing it.
+ * @param {(answer: string) => void} [options.onClose] Gets the value of the button that closed it.
+ * @param {string} [options.kind] Class.
+ * @returns {HTMLDialogElement}
+ */
+export function openDialog(title, content, { actions, trouble, onSubmit, onClose, kind } = {}) {
+  dialogs += 1;
+  const heading = el("h2", { id: `dialog-${dialogs}` }, title);
+  const close = iconButton("close", "Close", () => dialog.close());
+  const submit = onSubmit && ((/** @type {Event} */ event) => (event.preventDefault(), onSubmit()));
+  const form = el("form", { method: "dialog", onSubmit: submit }, [
+    el("div.stack.dialog-body", actions ? heading : el("div.spread", heading, close), content),
+    trouble,
+    actions && el("div.actions", actions),
+  ]);
+  const leave = (/** @type {Event} */ { target }) => !actions && target === dialog && dialog.close(); // what is around it
+  const dialog = el("dialog", { class: kind, "aria-labelledby": heading.id, onClick: leave }, form);
+  dialog.addEventListener("close", () => {
+    dialog.remove();
+    onClose?.(dialog.returnValue);
+  });
+  document.body.append(dialog);
+  dialog.showModal();
+  return dialog;
 }
 
 /**
@@ -67,11 +111,8 @@ function toast(note, ms) {
  */
 export function confirmAction(title, text, yes) {
   return new Promise((resolve) => {
-    const keep = el("button", { value: "no" }, "Keep");
-    const act = el("button", { class: "danger", value: "yes" }, yes);
-    const actions = el("div", { class: "actions" }, keep, act);
-    const form = el("form", { method: "dialog" }, el("h2", {}, title), el("p", { class: "quiet" }, text), actions);
-    openDialog({}, [form], (answer) => resolve(answer === "yes"));
+    const actions = [el("button", { value: "no" }, "Keep"), el("button.danger", { value: "yes" }, yes)];
+    openDialog(title, el("p.quiet", text), { actions, onClose: (answer) => resolve(answer === "yes") });
   });
 }
 
@@ -86,15 +127,11 @@ export function askForToken(wrong) {
     const refused = "The server refused this token. Was it copied completely, and is it still valid?";
     const hint = "The operator creates one with “interloc token add NAME”. It is kept until this tab is closed.";
     const later = el("button", { type: "button", onClick: () => dialog.close("") }, "Not now");
-    const form = el(
-      "form",
-      { method: "dialog", class: "stack" },
-      el("h2", {}, "This server requires a token"),
-      wrong && el("p", { class: "note error" }, refused),
-      field("API token", input, hint),
-      el("div", { class: "actions" }, later, el("button", { class: "primary", value: "use" }, "Use token")),
-    );
-    const dialog = openDialog({}, [form], (answer) => resolve(answer === "use" ? input.value.trim() : null));
+    const content = [wrong && el("p.note.error", refused), field("API token", input, hint)];
+    const dialog = openDialog("This server requires a token", content, {
+      actions: [later, el("button.primary", { value: "use" }, "Use token")],
+      onClose: (answer) => resolve(answer === "use" ? input.value.trim() : null),
+    });
     input.focus();
   });
 }

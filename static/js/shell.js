@@ -1,8 +1,8 @@
 /**
  * What is around the panels: the header with drive and job at hand, and the tabs, the steps from a drive to its files.
- * @module shell
  */
 import { getConfig, getJson, getToken, onTokenChange, ROOT, setToken } from "./api.js";
+import { outLink } from "./controls.js";
 import { lists, onListsChange, refreshLists, titleOf, watchLists } from "./data/lists.js";
 import { onUploadsChange, ownUpload, percent } from "./data/uploads.js";
 import { el, fill, icon } from "./dom.js";
@@ -23,20 +23,19 @@ export function mountHeader(header) {
   };
   const drives = el("select", { "aria-label": "Drive", onChange: () => openDrive(drives.value) });
   const jobs = el("select", { "aria-label": "Job", onChange: openJob });
-  const token = el("button", { class: "plain", onClick: () => changeToken().catch(showError) });
+  const token = el("button.plain", { onClick: () => changeToken().catch(showError) });
   const logo = el("img", { src: new URL("static/icon.svg", ROOT).href, alt: "", width: 22, height: 22 });
-  const docs = { class: "button plain", href: new URL("docs", ROOT).href, target: "_blank", rel: "noopener" };
   const keys = { title: "Keyboard shortcuts (?)", "aria-label": "Keyboard shortcuts" };
-  const slash = el("span", { class: "quiet", "aria-hidden": "true" }, "/");
+  const slash = el("span.quiet", { "aria-hidden": "true" }, "/");
   fill(
     header,
-    el("a", { class: "brand", href: "#", onClick: home }, logo, "InterLoc"),
-    el("nav", { class: "switcher", "aria-label": "Drive and job" }, drives, slash, jobs),
-    el("span", { class: "grow" }),
+    el("a.brand", { href: "#", onClick: home }, logo, "InterLoc"),
+    el("nav.switcher", { "aria-label": "Drive and job" }, drives, slash, jobs),
+    el("span.grow"),
     token,
-    el("button", { class: "square plain keys", ...keys, onClick: listShortcuts }, "?"),
-    el("a", docs, "API"),
-    el("span", { class: "small version" }, getConfig().version && `v${getConfig().version}`),
+    el("button.square.plain.keys", { ...keys, onClick: listShortcuts }, "?"),
+    outLink(new URL("docs", ROOT).href, "API", { class: "button plain" }),
+    el("span.small.version", getConfig().version && `v${getConfig().version}`),
   );
 
   const update = () => {
@@ -121,7 +120,7 @@ export function mountTabs(panels) {
     ),
   );
   fill(list, tabs);
-  const uploading = el("span", { class: "tab-badge" });
+  const uploading = el("span.tab-badge");
   tabs[names.indexOf("upload")]?.append(uploading);
   onUploadsChange(() => {
     const upload = ownUpload();
@@ -151,11 +150,10 @@ export function mountTabs(panels) {
       if (bodies[name]) bodies[name].hidden = name !== current;
     });
     if (!bodies[current]) {
-      const body = el("div", {
+      const body = el("div.body", {
         role: "tabpanel",
         id: `panel-${current}`,
         "aria-labelledby": `tab-${current}`,
-        class: "body",
       });
       bodies[current] = body;
       panel.append(body);

@@ -1,9 +1,6 @@
-/**
- * Keys that work wherever the focus is, and the dialog that lists them.
- * @module shortcuts
- */
-import { iconButton, openDialog } from "./controls.js";
+/** Keys that work wherever the focus is, and the dialog that lists them. */
 import { el, isTyping } from "./dom.js";
+import { openDialog } from "./messages.js";
 
 /** @typedef {{key: string, label: string, text: string, call: () => void}} Shortcut */
 
@@ -41,22 +38,14 @@ function press(event) {
 /** Show all shortcuts. */
 export function listShortcuts() {
   const rows = [...shortcuts.values()].map(({ label, text }) => [label, text]);
-  const head = el(
-    "div",
-    { class: "spread" },
-    el("h2", { id: "shortcuts-title" }, "Keyboard shortcuts"),
-    iconButton("close", "Close", () => dialog.close()),
-  );
   const list = [...rows, ...OF_CONTROLS].map(([keys, text]) => [
     el(
       "dt",
-      {},
-      keys.split(" ").map((each) => el("kbd", {}, each)),
+      keys.split(" ").map((each) => el("kbd", each)),
     ),
-    el("dd", {}, text),
+    el("dd", text),
   ]);
-  const body = el("div", { class: "stack-s" }, head, el("dl", { class: "shortcuts" }, list));
-  const dialog = openDialog({ "aria-labelledby": "shortcuts-title" }, [body]);
+  openDialog("Keyboard shortcuts", el("dl.shortcuts", list));
 }
 
 /** Listen to the keys of the page. */

@@ -1,7 +1,5 @@
-/**
- * What the page shows: one small store. The part of it that makes a permalink lives in the address behind "#".
- * @module state
- */
+/** What the page shows: one small store. The part of it that makes a permalink lives in the address behind "#". */
+import { news } from "./news.js";
 
 /**
  * @typedef {object} State
@@ -23,41 +21,49 @@
  * @property {string|null} places Which intersections of that map are shown, see map/city_filter.js.
  */
 
-/** @type {State} */
-const initial = {
-  panel: "drives",
-  drive: null,
-  job: null,
-  frame: null,
-  view: null,
-  layers: null,
-  compare: null,
-  drawer: false,
-  service: false,
-  intersection: null,
-  node: null,
-  filter: null,
-  live: null,
-  map: null,
-  finding: null,
-  places: null,
+/** What may stand in an address as it is. @param {any} value */
+const encoded = (value) => encodeURIComponent(String(value)).replace(/%2F|%2C|%3A|%3B/g, decodeURIComponent);
+
+/** How a value stands in the address: null and false do not. */
+const TEXT = { read: (/** @type {string} */ text) => text || null, write: encoded };
+const NUMBER = { read: (/** @type {string} */ text) => (/^-?\d+$/.test(text) ? Number(text) : null), write: encoded };
+const MARK = { read: (/** @type {string} */ text) => text === "1", write: () => "1" };
+const LIST = {
+  read: (/** @type {string} */ text) => [...new Set(text.split(",").filter(Boolean))],
+  write: (/** @type {string[]} */ names) => names.map(encodeURIComponent).join(","),
 };
+/** @type {Record<keyof State, {read: (text: string) => any, write: (value: any) => string}>} */
+const PARTS = {
+  panel: TEXT,
+  drive: TEXT,
+  job: TEXT,
+  frame: NUMBER,
+  view: TEXT,
+  intersection: TEXT,
+  node: NUMBER,
+  filter: TEXT,
+  live: TEXT,
+  map: TEXT,
+  finding: TEXT,
+  places: TEXT,
+  compare: LIST,
+  layers: LIST,
+  drawer: MARK,
+  service: MARK,
+};
+const USUAL_PANEL = "drives";
 
-/** @type {State} */
-let state = { ...initial, ...parse(globalThis.location?.hash ?? "") };
+let state = parse(globalThis.location?.hash ?? "");
 
-/** @type {Set<{keys: string[]|null, call: (state: State, before: State) => void}>} */
-const listeners = new Set();
+/** @type {ReturnType<typeof news<[changed: string[], before: State]>>} */
+const changes = news();
 
 /** @returns {Readonly<State>} */
 export function getState() {
   return state;
 }
 
-/**
- * Change the state; listeners of what really changed are called.
- * @param {Partial<State>} patch
- */
+/** Change the state; listeners of what really changed are called. @param {Partial<State>} patch */
 export function setState(patch) {
   const before = state;
   const isOther = patch.job !== undefined && patch.job !== before.job;
@@ -70,15 +76,11 @@ export function setState(patch) {
     ...(patch.map !== undefined && patch.map !== before.map && { finding: null, places: null }),
     ...patch,
   };
-  const changed = Object.keys(next).filter(
-    (key) => !same(/** @type {any} */ (next)[key], /** @type {any} */ (before)[key]),
-  );
+  const changed = changedKeys(next, before);
   if (!changed.length) return;
   state = next;
   writeHash(changed.some((key) => ["panel", "job", "drive", "live", "map"].includes(key)));
-  for (const { keys, call } of [...listeners]) {
-    if (!keys || keys.some((key) => changed.includes(key))) call(state, before);
-  }
+  changes.tell(changed, before);
 }
 
 /**
@@ -88,9 +90,9 @@ export function setState(patch) {
  * @returns {() => void} Stops it.
  */
 export function subscribe(keys, call) {
-  const listener = { keys, call };
-  listeners.add(listener);
-  return () => listeners.delete(listener);
+  return changes.hear((changed, before) => {
+    if (!keys || keys.some((key) => changed.includes(key))) call(state, before); // it may have changed again
+  });
 }
 
 /** @param {Partial<State>} [patch] @returns {string} An address that shows what the page shows now, or would show. */
@@ -100,57 +102,30 @@ export function permalink(patch = {}) {
   return url.href;
 }
 
-/** @param {any} a @param {any} b */
-function same(a, b) {
-  return (
-    a === b || (Array.isArray(a) && Array.isArray(b) && a.length === b.length && a.every((each, i) => each === b[i]))
-  );
+/** @param {State} now @param {State} before @returns {string[]} */
+function changedKeys(now, before) {
+  const keys = /** @type {(keyof State)[]} */ (Object.keys(PARTS));
+  return keys.filter((key) => JSON.stringify(now[key]) !== JSON.stringify(before[key]));
 }
 
-/** @param {State} shown @returns {string} */
+/** @param {State} shown */
 function format(shown) {
-  const parts = [];
-  const { panel, compare, layers, drawer, service, ...texts } = shown;
-  if (panel !== initial.panel || shown.job) parts.push(`panel=${encoded(panel)}`);
-  for (const [key, value] of Object.entries(texts)) {
-    if (value !== null && value !== /** @type {any} */ (initial)[key]) parts.push(`${key}=${encoded(String(value))}`);
-  }
-  if (compare) parts.push(`compare=${compare.map(encodeURIComponent).join(",")}`);
-  if (layers) parts.push(`layers=${layers.join(",")}`);
-  if (drawer) parts.push("drawer=1");
-  if (service) parts.push("service=1");
-  return parts.join("&");
+  const said = Object.entries(shown).filter(([key, value]) =>
+    key === "panel" ? value !== USUAL_PANEL || shown.job : value !== null && value !== false,
+  );
+  return said.map(([key, value]) => `${key}=${PARTS[/** @type {keyof State} */ (key)].write(value)}`).join("&");
 }
-
-/** @param {string} text @returns {string} For an address, with what may stand there as it is. */
-const encoded = (text) => encodeURIComponent(text).replace(/%2F|%2C|%3A|%3B/g, decodeURIComponent);
 
 /** @param {string} hash @returns {State} */
 function parse(hash) {
   const fields = new URLSearchParams(hash.replace(/^#/, ""));
-  /** @param {string} key */
-  const integer = (key) => (/^-?\d+$/.test(fields.get(key) ?? "") ? Number(fields.get(key)) : null);
-  const frame = integer("frame");
-  const layers = fields.get("layers");
-  const compare = fields.get("compare")?.split(",").filter(Boolean) ?? [];
-  return {
-    panel: fields.get("panel") ?? (fields.get("job") ? "job" : initial.panel),
-    drive: fields.get("drive"),
-    job: fields.get("job"),
-    frame: frame !== null && frame >= 0 ? frame : null,
-    view: fields.get("view"),
-    layers: layers === null ? null : layers.split(",").filter(Boolean),
-    compare: compare.length ? [...new Set(compare)] : null,
-    drawer: fields.get("drawer") === "1",
-    service: fields.get("service") === "1",
-    intersection: fields.get("intersection") || null,
-    node: integer("node"),
-    filter: fields.get("filter") || null,
-    live: fields.get("live") || null,
-    map: fields.get("map") || null,
-    finding: fields.get("finding") || null,
-    places: fields.get("places") || null,
-  };
+  const read = Object.entries(PARTS).map(([key, part]) => [key, part.read(fields.get(key) ?? "")]);
+  const state = Object.fromEntries(read);
+  state.panel ??= state.job ? "job" : USUAL_PANEL;
+  if (state.frame < 0) state.frame = null;
+  if (!state.compare.length) state.compare = null;
+  if (!fields.has("layers")) state.layers = null; // the usual ones; "layers=" is none
+  return state;
 }
 
 /** @param {boolean} step True where "back" should undo it. */
@@ -163,6 +138,6 @@ function writeHash(step) {
 
 globalThis.addEventListener?.("popstate", () => {
   const before = state;
-  state = { ...initial, ...parse(location.hash) };
-  for (const { call } of [...listeners]) call(state, before);
+  state = parse(location.hash);
+  changes.tell(changedKeys(state, before), before);
 });

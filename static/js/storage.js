@@ -3,7 +3,7 @@
 /** @type {Map<string, string>} */
 const own = new Map();
 
-/** @param {"localStorage" | "sessionStorage"} kind @returns {Storage | null} */
+/** @param {"localStorage" | "sessionStorage"} kind */
 function storage(kind) {
   try {
     return globalThis[kind] ?? null; // even to look at it is an error where cookies are blocked
@@ -12,11 +12,7 @@ function storage(kind) {
   }
 }
 
-/**
- * @param {string} key
- * @param {"localStorage" | "sessionStorage"} [kind]
- * @returns {string | null}
- */
+/** @param {string} key @param {"localStorage" | "sessionStorage"} [kind] */
 export function recall(key, kind = "localStorage") {
   return own.get(key) ?? storage(kind)?.getItem(key) ?? null;
 }

@@ -19,6 +19,7 @@ from app.main import create_app
 from app.server import Server
 from app.settings import Settings
 from tests import forks
+from tests.app.postgres import new_database
 from tests.app.processes import NO_TLS
 
 API = "/api/v1"
@@ -109,3 +110,19 @@ def client(shared_data: Path) -> Iterator[httpx.Client]:
         httpx.Client(base_url=address, timeout=120, verify=NO_TLS) as client,
     ):
         yield client
+
+
+@pytest.fixture
+def postgres_url() -> Iterator[str]:
+    """Address of an empty database of PostgreSQL."""
+    with new_database() as address:
+        yield address
+
+
+@pytest.fixture(params=["sqlite", "postgresql"])
+def url(request: pytest.FixtureRequest, tmp_path: Path) -> str:
+    """Address of an empty database of either kind."""
+    if request.param == "sqlite":
+        return f"sqlite:///{tmp_path / 'db.sqlite3'}"
+    address: str = request.getfixturevalue("postgres_url")
+    return address

@@ -84,10 +84,3 @@ def new_database() -> Iterator[str]:
     finally:
         with psycopg.connect(f"{server}/postgres", autocommit=True) as connection:
             connection.execute(f"DROP DATABASE {name} WITH (FORCE)")
-
-
-@pytest.fixture
-def postgres_url() -> Iterator[str]:
-    """Address of an empty database."""
-    with new_database() as address:
-        yield address

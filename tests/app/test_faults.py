@@ -22,7 +22,6 @@ from app.http.problems import problem_of
 from app.store.storage import Storage
 from interloc.cli.main import run
 from interloc.reduction.reduce import reduce_drive
-from tests.app.postgres import postgres_url  # noqa: F401 - a fixture
 from tests.app.processes import (
     API,
     FINAL,
@@ -204,7 +203,7 @@ def test_a_job_that_kills_every_worker_fails_with_the_reason(start: Start, drive
 def test_two_servers_share_the_work_on_one_database(
     start: Start,
     drive: Drive,
-    postgres_url: str,  # noqa: F811 - the fixture
+    postgres_url: str,
 ) -> None:
     first, second = (start(workers=1, jobs_at_once=1, database_url=postgres_url) for _ in range(2))
     drive_id = upload(first.client, drive.folder)
@@ -219,7 +218,7 @@ def test_a_server_takes_over_from_one_that_was_killed(
     start: Start,
     drive: Drive,
     tmp_path: Path,
-    postgres_url: str,  # noqa: F811 - the fixture
+    postgres_url: str,
 ) -> None:
     first = start(workers=1, database_url=postgres_url)
     job, gate = standing_job(first, tmp_path / "data", drive)

@@ -200,6 +200,43 @@ def test_one_pass_is_not_enough_unless_asked_for(tmp_path: Path) -> None:
     assert told(audit(merge(passes(1)), graph, AuditConfig(min_passes=1))) == [("missing_junction", 100)]
 
 
+def test_passes_need_not_agree_on_a_junction_where_all_saw_its_road(tmp_path: Path) -> None:
+    one, other = passes()[0], passes(2, [x for x in SIDES_M if x != 100.0])[1]
+    graph = osm(tmp_path, all_but(100.0))
+    (finding,) = audit(merge([one, other]), graph).findings
+    assert (finding.kind, finding.passes, finding.drives) == ("missing_junction", 2, ("d0", "d1"))
+    assert other.road is not None
+    blind = replace(other, road=replace(other.road, raster=Raster(0.5)))
+    assert audit(merge([one, blind]), graph).findings == []  # came by, and saw no road
+
+
+def test_pieces_of_one_drive_are_one_pass(tmp_path: Path) -> None:
+    graph = osm(tmp_path, all_but(100.0))
+    for pause_s, found in ((60.0, []), (3600.0, [("missing_junction", 100)])):
+        spans = np.array([[0.0, 900.0], [900.0 + pause_s, 1800.0 + pause_s]]) + 1.8e9
+        pieces = [replace(each, span_s=span) for each, span in zip(passes(), spans, strict=True)]
+        assert told(audit(merge(pieces), graph)) == found
+
+
+def test_a_junction_beside_which_passes_drove_straight_on_lies_elsewhere(tmp_path: Path) -> None:
+    unseen = merge(passes(2, [x for x in SIDES_M if x != 300.0]))
+    (finding,) = audit(unseen, osm(tmp_path, [*all_but(300.0), (300.0, -12.0)])).findings
+    assert (finding.kind, finding.uid, finding.passes) == ("moved", None, 2)
+    assert finding.evidence["distance_m"] == pytest.approx(12.0, abs=0.5)
+    assert audit(unseen, osm(tmp_path, [*all_but(300.0), (300.0, -4.0)])).findings == []
+
+
+def test_a_corner_that_passes_cut_is_no_junction_elsewhere(tmp_path: Path) -> None:
+    """They turn from the west to the north 8 m before the node of the map."""
+    corner = np.array(
+        [[x, 0.0] for x in np.arange(-400.0, -8.0, 2.0)] + [[-4.0, 4.0]] + [[0.0, y] for y in range(8, 60)]
+    )
+    found = [replace(each, track_lonlat=lonlat_from_enu(*ORIGIN, corner)) for each in passes(2, [-300.0, -200.0])]
+    along = np.append(0.0, np.cumsum(np.hypot(*np.diff(corner, axis=0).T)))
+    turning = [replace(each, track_along_m=along, along_m=np.array([100.0, 200.0])) for each in found]
+    assert told(audit(merge(turning), osm(tmp_path, [(x, 0.0) for x in (-300.0, -200.0, 4.0)]))) == []
+
+
 @pytest.mark.parametrize(
     ("tags", "reason"),
     [
@@ -254,18 +291,26 @@ def osmose_ids(path: Path, source: int = 1) -> list[str]:
     return ids
 
 
-def test_the_same_findings_are_known_again_also_after_more_drives(tmp_path: Path) -> None:
+def test_the_same_findings_are_known_again_whatever_happens_to_the_drives(tmp_path: Path) -> None:
     graph = osm(tmp_path, [*all_but(100.0, 300.0), (308.0, -9.0)])
     drives = passes(5)
     city, out = merge(drives[:2]), tmp_path / "audit"
+    again = replace(drives[1], key="worked on again", lonlat=drives[1].lonlat + 1e-6)
     identities = []
-    for extra in (drives[2:3], [], drives[3:]):
+    for change in (
+        lambda: city.add(drives[2]),
+        lambda: None,
+        lambda: city.add(*drives[3:]),
+        lambda: city.replace(again),
+        lambda: city.remove("d0", "d2"),
+        lambda: None,
+    ):
         found = audit(city, graph, known=known_findings(out))
         write_audit(found, city, out, AuditConfig(), made_at=NOON, source=graph.source)
         assert known_findings(out) == {each.id for each in found.findings}
         identities.append((sorted(task_names(out / MAPROULETTE_FILE)), sorted(osmose_ids(out / OSMOSE_FILE))))
-        city.add(*extra)
-    assert identities[0] == identities[1] == identities[2]
+        change()
+    assert all(each == identities[0] for each in identities)
     assert [len(set(each)) for each in identities[0]] == [2, 2]
     assert [point.name for point in gpxpy.parse((out / GPX_FILE).read_text()).waypoints] == identities[0][0]
 
@@ -287,8 +332,12 @@ def test_what_was_marked_wrong_does_not_come_back_whatever_its_kind(city: CityMa
         (tmp_path / name).mkdir()
     lacks = osm(tmp_path / "lacks", all_but(300.0))
     assert [each.kind for each in audit(city, lacks).findings] == ["missing_junction"]
-    for now in (graph, lacks):
-        found = audit(city, now, wrong=[wrong])
+    fewer, again = merge(passes(3)), replace(passes()[1], key="worked on again")
+    fewer.remove("d0")
+    fewer.replace(again)
+    unseen = merge(passes(2, [x for x in SIDES_M if x != 300.0]))
+    for of, now in ((city, graph), (city, lacks), (fewer, graph), (fewer, lacks), (unseen, graph)):
+        found = audit(of, now, wrong=[wrong])
         assert (found.findings, found.held_back["marked wrong"]) == ([], 1)
     assert len(audit(city, osm(tmp_path / "elsewhere", all_but(200.0)), wrong=[wrong]).findings) == 1
     png = (tmp_path / "audit" / "pictures" / f"{wrong.finding}.png").read_bytes()

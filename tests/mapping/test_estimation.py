@@ -4,8 +4,6 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from interloc.arrays import FloatArray
@@ -13,8 +11,6 @@ from interloc.config import CalibrationConfig
 from interloc.mapping.estimation import (
     SightingStats,
     fix_variance,
-    fuse_bearings,
-    fuse_widths,
     junction_probability,
     position_covariance,
     position_std,
@@ -106,43 +102,3 @@ def test_more_sightings_and_lines_that_meet_in_a_point_make_a_junction_more_prob
     assert_allclose(probability, 1 / (1 + np.exp([-3.0, -2.0, 0.0])), atol=1e-4)
     parallel = junction_probability(np.ones(3), sightings, [crossing[::2]] * bearings, CALIBRATION)
     assert np.all(parallel < 1e-3)
-
-
-def bearings_of(*sightings: list[float]) -> list[float]:
-    found = fuse_bearings(
-        [np.array(s) for s in sightings], np.ones(len(sightings)), spread_deg=8, separation_deg=25, support=0.4
-    )
-    return np.round(found, 1).tolist()
-
-
-def test_branches_that_most_have_seen() -> None:
-    assert bearings_of([0, 90, 180], [4, 88, 180], [356, 92, 180, 300]) == [0, 90, 180]
-    assert bearings_of([10, 100, 190, 280], [10, 100, 190, 280], [10, 100, 190]) == [10, 100, 190, 280]
-
-
-def test_three_branches_make_an_intersection_even_where_support_is_thin() -> None:
-    assert bearings_of([0, 90], [0, 180], [0, 270], [0, 180]) == [0, 90, 180] or len(bearings_of([0, 90])) == 2
-    assert bearings_of([], []) == []
-
-
-@given(st.lists(st.floats(0, 360, exclude_max=True), min_size=1, max_size=4), st.integers(1, 6))
-def test_sightings_that_agree_are_kept_as_they_are(branches: list[float], times: int) -> None:
-    apart = [abs((a - b + 180) % 360 - 180) for i, a in enumerate(branches) for b in branches[:i]]
-    if min(apart, default=360) < 50:
-        return
-    found = fuse_bearings([np.array(branches)] * times, np.ones(times), spread_deg=8, separation_deg=25, support=0.4)
-    assert len(found) == len(branches)
-    away = np.abs((found[:, None] - np.array(branches)[None] + 180) % 360 - 180)
-    assert away.min(axis=1).max() < 1e-6
-
-
-def test_the_width_of_a_branch_is_the_median_of_what_was_seen_of_it() -> None:
-    nan = np.nan
-    widths = fuse_widths(
-        np.array([2.0, 90.0, 180.0]),
-        [np.array([358.0, 91.0]), np.array([5.0, 88.0, 140.0]), np.array([1.0])],
-        [np.array([6.0, nan]), np.array([7.0, 4.0, 9.0]), np.array([12.0])],
-        np.array([1.0, 1.5, 0.4]),
-        within_deg=12.5,
-    )
-    assert_allclose(widths, [7.0, 4.0, nan])

@@ -11,7 +11,7 @@ MAIN = JS / "main.js"
 
 def layers() -> list[list[str]]:
     """Names of folders and single modules, the lowest first, from the comment of main.js."""
-    listed = re.search(r"Layers, the lowest first;.*?:\n(.*?)\n \* @module", MAIN.read_text(), re.DOTALL)
+    listed = re.search(r"Layers, the lowest first;.*?:\n(.*?)\n \*/", MAIN.read_text(), re.DOTALL)
     assert listed is not None
     return [line.strip(" *").split() for line in listed[1].splitlines()]
 

@@ -96,9 +96,9 @@ def test_ids_of_road_may_be_named(tmp_path: Path) -> None:
     ("points", "labels", "words"),
     [
         (np.full((4, 4), np.inf), [40, 40, 40, 40], ["velodyne/000000.bin", "point 0 of 4", "not finite"]),
-        (np.ones((4, 4)), [40, 40, 40], ["labels/000000.label", "3 labels for 4 points in velodyne/000000.bin"]),
-        (np.ones((3, 3)), [40, 40, 40], ["velodyne/000000.bin", "36 bytes", "not a multiple of 16"]),
-        (np.ones((0, 4)), [], ["velodyne/000000.bin", "is empty"]),
+        (np.ones((4, 4)), [40, 40, 40], ["labels/000000.label", "12 bytes", "64 bytes", "velodyne/000000.bin"]),
+        (np.ones((3, 3)), [40, 40, 40], ["12 bytes", "36 bytes", "velodyne/000000.bin", "4 bytes for each 16"]),
+        (np.ones((0, 4)), [], ["0 bytes of labels", "velodyne/000000.bin"]),
     ],
 )
 def test_damaged_scans_are_refused_in_words(

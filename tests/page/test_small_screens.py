@@ -54,3 +54,15 @@ def test_everything_can_be_reached(browser: Browser, done: Done, size: tuple[int
     if size[0] < size[1]:
         assert page.locator("#panel").bounding_box()["height"] > size[1] / 2
     assert not reach(page, ".upload-form")
+
+
+def test_details_are_wholly_on_the_map_of_a_phone(browser: Browser, done: Done) -> None:
+    page = browser.new_context(viewport={"width": 390, "height": 844}, has_touch=True).new_page()
+    show(page, done, "panel=report")
+    page.keyboard.press("n")
+    page.locator(".leaflet-popup-content h3").wait_for()
+    page.wait_for_function("""() => {
+      const map = document.getElementById("map").getBoundingClientRect();
+      const box = document.querySelector(".leaflet-popup").getBoundingClientRect();
+      return box.top >= map.top && box.bottom <= map.bottom;
+    }""")

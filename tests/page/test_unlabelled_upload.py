@@ -203,3 +203,9 @@ def test_a_service_without_networks_finds_the_road_by_geometry(browser: Browser,
     job = ended(done.server.client, upload.job())
     assert job["state"] == "successful", job["error"]
     assert job["request"]["labels"] == "geometry"
+
+    # All ground of this street is flat and alike: the page says along how much of it the labels are doubtful.
+    upload.page.wait_for_selector("#panel-job .badge.good")
+    doubts = upload.page.locator("#panel-job dt", has_text="Labels doubtful").locator("+ dd")
+    assert doubts.inner_text() == "0 to 23 m of the track"
+    assert job["summary"]["doubtful_labels_m"] == [[0.0, 23.0]]

@@ -2,7 +2,7 @@
 
 Real servers on this machine, on SQLite, on PostgreSQL, and on PostgreSQL with a Dask cluster, and clients that upload
 drives (file by file, as archives, by `interloc push`), commit them, have them worked on, delete them, take them out of
-the trash, and make backups. Three scenarios, each with a table at its end:
+the trash, put them into maps and take them out again, and make backups. Three scenarios, each with a table at its end:
 
 - kills: `kill -9` of servers, workers, clients and backups, of the scheduler of Dask, and of the database (SQLite:
   locked by somebody else; PostgreSQL: connections cut, or one of its processes killed), at random moments. Every file

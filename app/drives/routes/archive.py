@@ -17,6 +17,7 @@ from app.http.headers import WaitSeconds
 from app.http.intake import Arrival, Intake, receive
 from app.http.limits import Booking, check_free_space, declared_length
 from app.http.multipart import BatchReader, boundary_of
+from app.http.openapi import BINARY, body_of
 from app.http.security import ClientDep
 from app.jobs.watcher import wait_for_job
 from app.states import FINAL
@@ -24,14 +25,11 @@ from app.store.models import Job
 
 router = APIRouter(prefix="/drives/{drive_id}/archive", tags=["Uploads"])
 
-_BINARY = {"schema": {"type": "string", "format": "binary"}}
 _FORM = {
-    "schema": {
-        "type": "object",
-        "properties": {"archive": _BINARY["schema"]},
-        "required": ["archive"],
-        "additionalProperties": False,
-    }
+    "type": "object",
+    "properties": {"archive": BINARY},
+    "required": ["archive"],
+    "additionalProperties": False,
 }
 
 
@@ -39,12 +37,7 @@ _FORM = {
     "",
     response_model=UnpackedArchive,
     responses={202: {"model": UnpackedArchive, "description": "It is still being unpacked."}, **UPLOAD},
-    openapi_extra={
-        "requestBody": {
-            "required": True,
-            "content": {"application/octet-stream": _BINARY, "multipart/form-data": _FORM},
-        }
-    },
+    openapi_extra=body_of({"application/octet-stream": BINARY, "multipart/form-data": _FORM}),
     summary="Upload an archive",
 )
 async def post_archive(

@@ -157,5 +157,5 @@ def change_drive(
         for name, value in values.items():
             setattr(drive, name, value)
         content = _shown(session, context, drive)
-    sidecars.write_drive(context.storage, drive)
+    sidecars.write(context.storage, drive)
     return Response(content, headers={"ETag": tag_of(content)}, media_type="application/json")

@@ -16,7 +16,7 @@ from app.http.delivery import WholeFile
 from app.http.headers import sha256_of
 from app.http.intake import PIECE_BYTES, Intake, receive
 from app.http.limits import Booking, check_free_space, declared_length
-from app.http.openapi import PAGED, Responses, problems
+from app.http.openapi import BINARY, PAGED, Responses, body_of, problems
 from app.http.paging import answer_page
 from app.http.patterns import TEXT
 from app.http.security import ClientDep
@@ -75,10 +75,7 @@ def list_files(
     response_model=UploadedFile,
     responses={201: {"model": UploadedFile, "description": "The file is new."}, **UPLOAD},
     openapi_extra={
-        "requestBody": {
-            "required": True,
-            "content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}},
-        },
+        **body_of({"application/octet-stream": BINARY}),
         "parameters": [
             {
                 "in": "header",

@@ -13,43 +13,30 @@ from app.drives.upload import check_upload, keep
 from app.http.intake import receive
 from app.http.limits import Booking, check_free_space, declared_length
 from app.http.multipart import FIELDS, BatchReader, boundary_of
+from app.http.openapi import BINARY, body_of
 from app.http.security import ClientDep
 
 router = APIRouter(prefix="/drives/{drive_id}/scans", tags=["Uploads"])
 
-_FILES = {"type": "array", "items": {"type": "string", "format": "binary"}}
-_FILE = {"type": "string", "format": "binary"}
+_FILES = {"type": "array", "items": BINARY}
 _ABOUT = {
     "scans": {**_FILES, "description": "Scans, with file names such as 000000.bin."},
     "labels": {**_FILES, "description": "Their labels, with file names such as 000000.label."},
     "predictions": {**_FILES, "description": "Labels predicted by a network, with the same file names."},
-    "poses": {**_FILE, "description": "poses.txt"},
-    "calib": {**_FILE, "description": "calib.txt"},
-    "times": {**_FILE, "description": "times.txt"},
-    "geo": {**_FILE, "description": "geo.csv"},
+    "poses": {**BINARY, "description": "poses.txt"},
+    "calib": {**BINARY, "description": "calib.txt"},
+    "times": {**BINARY, "description": "times.txt"},
+    "geo": {**BINARY, "description": "geo.csv"},
     "files": {**_FILES, "description": "Any other files, with their paths in the drive as file names."},
 }
+_FORM = {"type": "object", "properties": _ABOUT, "minProperties": 1, "additionalProperties": False}
 
 
 @router.post(
     "",
     response_model=UploadedBatch,
     responses=UPLOAD,
-    openapi_extra={
-        "requestBody": {
-            "required": True,
-            "content": {
-                "multipart/form-data": {
-                    "schema": {
-                        "type": "object",
-                        "properties": _ABOUT,
-                        "minProperties": 1,
-                        "additionalProperties": False,
-                    }
-                }
-            },
-        }
-    },
+    openapi_extra=body_of({"multipart/form-data": _FORM}),
     summary="Upload a batch of scans",
 )
 async def post_scans(drive_id: DriveId, request: Request, context: ContextDep, client: ClientDep) -> UploadedBatch:

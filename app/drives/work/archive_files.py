@@ -57,21 +57,14 @@ class ArchiveError(InterLocError):
 
 @dataclass(frozen=True)
 class Member:
-    """A file of an archive.
-
-    Attributes
-    ----------
-    name : str
-        As written in the archive; not checked.
-    size_bytes : int
-        As written in the archive; not to be trusted.
-    open : callable
-        Returns its contents; they must be read before the next member is asked for.
-    """
+    """A file of an archive."""
 
     name: str
+    """As written in the archive; not checked."""
     size_bytes: int
+    """As written in the archive; not to be trusted."""
     open: Callable[[], IO[bytes]]
+    """Returns its contents; they must be read before the next member is asked for."""
 
 
 def archive_kind(head: bytes) -> ArchiveKind | None:
@@ -91,7 +84,6 @@ def members(path: Path, count: Callable[[int], None], max_files: int) -> Iterato
 
     Parameters
     ----------
-    path
     count
         Called with the bytes that come out of its decompressor beside the contents of members: what is skipped counts.
     max_files

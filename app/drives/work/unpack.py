@@ -7,7 +7,7 @@ import re
 import shutil
 from collections.abc import Callable, Collection
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from typing import BinaryIO
 
@@ -74,14 +74,6 @@ def _archive(task: Task[UnpackJob]) -> Path:
     return task.drive / task.request.archive
 
 
-@dataclass
-class _File:
-    name: str
-    place: Path
-    size_bytes: int
-    sha256: str
-
-
 class _Unpacking:
     """Files unpacked so far, stored under numbers instead of names."""
 
@@ -95,7 +87,7 @@ class _Unpacking:
         )
         self.max_files = min(self._limits.max_drive_files, max(_FREE_FILES, packed_bytes // _BYTES_PER_FILE))
         self._look_up = look_up
-        self._files: dict[str, _File] = {}
+        self._files: dict[str, tuple[Path, UnpackedFile]] = {}
         self._unpacked = 0
         self._streamed = 0
         self._looked_at = 0
@@ -141,7 +133,7 @@ class _Unpacking:
                 digest.update(piece)
         if size != member.size_bytes:
             raise ArchiveError(f"{name}: has {size:,} bytes, not {member.size_bytes:,} as the archive says.")
-        self._files[name] = _File(name, place, size, digest.hexdigest())
+        self._files[name] = place, UnpackedFile(name, size, digest.hexdigest())
 
     def sort(self) -> list[UnpackedFile]:
         """Give the files of the drive their names, and return a list of them.
@@ -155,17 +147,17 @@ class _Unpacking:
             raise ArchiveError("the archive holds no files.")
         listing = []
         for name, path in drive_paths(self._files).items():
-            file = self._files[name]
+            place, file = self._files[name]
             target = self._folder / "drive" / path
             try:
                 target.parent.mkdir(parents=True, exist_ok=True)
                 if file.size_bytes:
-                    file.place.rename(target)
+                    place.rename(target)
                 else:
                     target.touch(exist_ok=False)
             except OSError as error:
                 raise ArchiveError(f"{name}: is a file and a folder in the archive. Pack it anew.") from error
-            listing.append(UnpackedFile(path, file.size_bytes, file.sha256))
+            listing.append(replace(file, path=path))
         return listing
 
     def _check_file(self, name: str, size: int) -> None:
@@ -195,12 +187,7 @@ def _is_litter(name: str) -> bool:
 
 
 def drive_paths(names: Collection[str]) -> dict[str, str]:
-    """Find the drive among the files of an archive.
-
-    Parameters
-    ----------
-    names
-        Paths in the archive.
+    """Find the drive among the files of an archive, by their paths.
 
     Returns
     -------

@@ -124,7 +124,6 @@ def open_input(folder: Path, name: str, request: IntersectionsJob) -> tuple[Driv
     ----------
     folder, name
         Of the drive, as in a `Task`.
-    request
 
     Raises
     ------

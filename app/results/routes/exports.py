@@ -9,7 +9,7 @@ from fastapi import APIRouter, Query, Request, Response
 from fastapi.concurrency import run_in_threadpool
 
 from app.http.delivery import MEDIA_TYPES, answer_tagged, deliver, service_address
-from app.http.openapi import get_and_head, problems
+from app.http.openapi import BINARY, get_and_head, problems
 from app.http.problem_types import FORMAT_NOT_INSTALLED
 from app.http.problems import Problem
 from app.results.folder import Results, ResultsDep
@@ -128,7 +128,7 @@ def _add_export(suffix: str) -> None:
         return await _deliver(request, results, on_demand, job_id, suffix, layer)
 
     export = _EXPORTS[suffix]
-    content = _CONTENT.get(suffix, {"type": "string", "format": "binary"})
+    content = _CONTENT.get(suffix, BINARY)
     get_and_head(
         router,
         f"/jobs/{{job_id}}/export{suffix}",

@@ -9,7 +9,7 @@ from fastapi.concurrency import run_in_threadpool
 from pydantic import BaseModel, ConfigDict, Field
 
 from app.http.delivery import deliver
-from app.http.openapi import Responses, get_and_head, problems
+from app.http.openapi import BINARY, Responses, get_and_head, problems
 from app.results.folder import Results, ResultsDep
 from app.results.on_demand import OnDemand, OnDemandDep
 from app.results.routes.results import PROBLEMS, JobId, answers
@@ -99,7 +99,7 @@ async def _deliver(
     summary="A step of the method at one keyframe, as a picture",
     operation_id="read_keyframe_picture",
     response_class=Response,
-    responses={**answers("image/png", {"type": "string", "format": "binary"}, "The picture."), **_PROBLEMS},
+    responses={**answers("image/png", BINARY, "The picture."), **_PROBLEMS},
 )
 async def read_keyframe_picture(
     job_id: JobId,

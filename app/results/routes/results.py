@@ -13,7 +13,7 @@ from zipstream import ZIP_DEFLATED, ZIP_STORED, ZipStream
 
 from app.http.delivery import REVALIDATE, answer_tagged, deliver, media_type_of, not_modified
 from app.http.headers import prefers_html
-from app.http.openapi import Responses, get_and_head, headers_named, problems
+from app.http.openapi import BINARY, Responses, get_and_head, headers_named, problems
 from app.http.parameters import BoxFilter
 from app.http.patterns import ID
 from app.http.turns import TurnsDep
@@ -224,7 +224,7 @@ def read_result_file(
     summary="Download everything as one archive",
     operation_id="download_archive",
     response_class=Response,
-    responses=answers("application/zip", {"type": "string", "format": "binary"}, "The result folder, packed."),
+    responses=answers("application/zip", BINARY, "The result folder, packed."),
 )
 def download_archive(job_id: JobId, request: Request, results: ResultsDep) -> Response:
     """Give the whole result folder as a .zip, packed while it is sent; beside each layer its style for QGIS (.qml)."""

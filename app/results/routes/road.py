@@ -9,7 +9,7 @@ from fastapi.concurrency import run_in_threadpool
 from pydantic import BaseModel, Field
 
 from app.http.delivery import MEDIA_TYPES, deliver
-from app.http.openapi import get_and_head
+from app.http.openapi import BINARY, get_and_head
 from app.results.folder import Results, ResultsDep
 from app.results.on_demand import OnDemand, OnDemandDep
 from app.results.routes.results import WORKED_OUT, JobId, answers
@@ -46,7 +46,7 @@ class RoadView(BaseModel):
     summary="The road seen by LiDAR, as a GeoTIFF",
     operation_id="read_road_raster",
     response_class=Response,
-    responses=answers(MEDIA_TYPES[".tif"], {"type": "string", "format": "binary"}, "The raster."),
+    responses=answers(MEDIA_TYPES[".tif"], BINARY, "The raster."),
 )
 def read_road_raster(job_id: JobId, request: Request, results: ResultsDep) -> Response:
     """Give the occupancy of the keyframes as one raster: the surface that the LiDAR saw as road.
@@ -65,7 +65,7 @@ def read_road_raster(job_id: JobId, request: Request, results: ResultsDep) -> Re
     summary="The road seen by LiDAR, as a picture for a map",
     operation_id="read_road_picture",
     response_class=Response,
-    responses={**answers("image/png", {"type": "string", "format": "binary"}, "The picture."), **WORKED_OUT},
+    responses={**answers("image/png", BINARY, "The picture."), **WORKED_OUT},
 )
 async def read_road_picture(job_id: JobId, request: Request, results: ResultsDep, on_demand: OnDemandDep) -> Response:
     """Give a picture in Web Mercator, or in W without georeference; transparent where no road was seen.

@@ -84,7 +84,7 @@ class Topic(BaseModel):
         What it is read as; None where it is not read.
     """
 
-    model_config = ConfigDict(frozen=True)
+    model_config = ConfigDict(frozen=True, defer_build=True)
 
     name: str
     type: str
@@ -191,7 +191,7 @@ class ReducedReport(BaseModel):
         Keyframe settings by which they were chosen; None: every scan was kept.
     """
 
-    model_config = ConfigDict(frozen=True)
+    model_config = ConfigDict(frozen=True, defer_build=True)
 
     kept_scans: int
     ground_bytes: int | None
@@ -219,7 +219,7 @@ class ScanFacts(BaseModel):
         What a bag holds.
     """
 
-    model_config = ConfigDict(frozen=True)
+    model_config = ConfigDict(frozen=True, defer_build=True)
 
     scans: int = 0
     first_frame: int | None = None

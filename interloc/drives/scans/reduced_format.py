@@ -130,7 +130,7 @@ _Total = Annotated[int, Field(ge=0, le=2**62)]
 
 
 class _Model(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, defer_build=True)
 
 
 class Thinning(_Model):

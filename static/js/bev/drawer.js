@@ -2,15 +2,14 @@
  * The drawer: what the method saw and did at the chosen keyframe, step by step, and the same pictures on the map.
  *
  * The server draws the pictures; the last ones are kept.
- * @module bev/drawer
  */
-import { getJson, request } from "../api.js";
-import { iconButton, openDialog, table } from "../controls.js";
+import { getJson, loadPicture } from "../api.js";
+import { bullets, iconButton, table } from "../controls.js";
 import { el, fill, formatMetres, plural } from "../dom.js";
 import { TurnedImage } from "../map/keyframe.js";
 import { firstDetection, onResult, shown } from "../map/shown.js";
 import { signIcon } from "../map/symbols.js";
-import { problemNote } from "../messages.js";
+import { openDialog, problemNote } from "../messages.js";
 import { addShortcut } from "../shortcuts.js";
 import { getState, setState, subscribe } from "../state.js";
 
@@ -25,10 +24,6 @@ const STEPS = [
 ];
 const OF_CANDIDATES = new Set(["candidates", "branches"]); // these pictures are empty where there is no candidate
 const PAUSE_MS = 120; // while the slider moves, only the last keyframe is asked for
-const MAX_KEPT = 120;
-
-/** @type {Map<string, string>} Pictures by their paths on the server, the one used last at the end. */
-const pictures = new Map();
 
 /** @param {HTMLElement} drawer */
 export function mountDrawer(drawer) {
@@ -41,11 +36,11 @@ export function mountDrawer(drawer) {
   /** @type {ReturnType<typeof setTimeout>|undefined} */
   let timer;
 
-  const title = el("h2", {});
-  const note = el("p", { class: "small" });
-  const trouble = el("div", {});
-  const seen = el("div", {});
-  const rejected = el("div", {});
+  const title = el("h2");
+  const note = el("p.small");
+  const trouble = el("div");
+  const seen = el("div");
+  const rejected = el("div");
   const step = (/** @type {number} */ by) => {
     const row = shown.result?.frame.rows.get(getState().frame);
     const next = row === undefined ? null : shown.result?.keyframes[row + by];
@@ -56,17 +51,17 @@ export function mountDrawer(drawer) {
     shown.map?.invalidateSize();
   };
   const figures = STEPS.map(({ layer, name, hint }, number) => {
-    const image = el("img", { alt: "", class: "waiting" });
+    const image = el("img.waiting", { alt: "" });
     const onChange = () => toggle(layer, box.checked);
     const box = el("input", { type: "checkbox", checked: onMap.has(layer), onChange });
     const label = { title: `${hint} Click to enlarge.`, "aria-label": `Enlarge ${name}` };
     const enlarge = () => showLarge(name, hint, image.src);
     const isAll = layer === "all";
-    const caption = el("span", {}, el("b", {}, isAll ? "" : `${number + 1} `), name);
-    const choice = !isAll && el("label", { title: "Show it on the map" }, box, "on map");
-    const nothing = el("span", { class: "nothing", hidden: true }, "none");
-    const button = el("button", { class: "picture", ...label, onClick: enlarge }, image, nothing);
-    return { layer, image, button, nothing, figure: el("figure", {}, button, el("figcaption", {}, caption, choice)) };
+    const caption = el("span", el("b", isAll ? "" : `${number + 1} `), name);
+    const choice = !isAll && el("label.key-row.quiet", { title: "Show it on the map" }, box, "on map");
+    const nothing = el("span.nothing", { hidden: true }, "none");
+    const button = el("button.picture", { ...label, onClick: enlarge }, image, nothing);
+    return { layer, image, button, nothing, figure: el("figure", button, el("figcaption", caption, choice)) };
   });
   const fade = el("input", { type: "range", min: 0.1, max: 1, step: 0.05, value: opacity });
   fade.setAttribute("aria-label", "Opacity on the map");
@@ -78,29 +73,25 @@ export function mountDrawer(drawer) {
   addShortcut("Escape", "Close the keyframe", close, "Esc");
   const wider = iconButton("wide", "Wider", widen);
   wider.classList.add("widen");
-  const buttons = el(
-    "div",
-    { class: "row tight" },
+  const buttons = el("div.row.tight", [
     iconButton("previous", "Previous keyframe", () => step(-1), "Previous keyframe (,)"),
     iconButton("next", "Next keyframe", () => step(1), "Next keyframe (.)"),
     wider,
     iconButton("close", "Close", () => close(), "Close (Esc)"),
-  );
-  const pictureGrid = el("div", { class: "pictures" });
+  ]);
+  const pictureGrid = el("div.pictures");
   pictureGrid.append(...figures.map((each) => each.figure));
   fill(
     drawer,
-    el(
-      "div",
-      { class: "drawer-body stack" },
-      el("div", { class: "spread" }, title, buttons),
+    el("div.drawer-body.stack", [
+      el("div.spread", title, buttons),
       note,
       trouble,
       pictureGrid,
-      el("label", { class: "row" }, el("span", { class: "small" }, "Opacity on the map"), fade),
+      el("label.row", el("span.small", "Opacity on the map"), fade),
       seen,
       rejected,
-    ),
+    ]),
   );
 
   const clearOverlays = () => {
@@ -197,37 +188,15 @@ export function mountDrawer(drawer) {
   onResult(update);
 }
 
-/** @param {string} path @param {AbortSignal} signal @returns {Promise<string>} Address of the picture within the page. */
-async function loadPicture(path, signal) {
-  const url = pictures.get(path) ?? URL.createObjectURL(await (await request(path, { signal })).blob());
-  pictures.delete(path);
-  pictures.set(path, url);
-  if (pictures.size > MAX_KEPT) {
-    const [oldest] = pictures;
-    URL.revokeObjectURL(oldest[1]);
-    pictures.delete(oldest[0]);
-  }
-  return url;
-}
-
 /** @param {string} name @param {string} hint @param {string} src */
 function showLarge(name, hint, src) {
-  const title = el("h2", {}, `${name}, scan ${getState().frame}`);
-  const head = el(
-    "div",
-    { class: "spread" },
-    title,
-    iconButton("close", "Close", () => dialog.close()),
-  );
-  const picture = el("img", { src, alt: name });
-  const body = el("div", { class: "stack-s" }, head, picture, el("p", { class: "small" }, hint));
-  const onClick = (/** @type {Event} */ event) => event.target === dialog && dialog.close();
-  const dialog = openDialog({ class: "large-picture", "aria-label": name, onClick }, [body]);
+  const content = [el("img", { src, alt: name }), el("p.small", hint)];
+  openDialog(`${name}, scan ${getState().frame}`, content, { kind: "large-picture" });
 }
 
 /** @param {import("../data/results.js").Detection[]} detections */
 function detectionTable(detections) {
-  if (!detections.length) return el("p", { class: "quiet" }, "Nothing was detected here.");
+  if (!detections.length) return el("p.quiet", "Nothing was detected here.");
   const outcomes = { TP: " true", FP: " false", none: "" };
   const rows = detections.map(({ properties: p, outcome, error_m }, i) => [
     [signIcon(outcome === "FP" ? "fp" : "tp"), ` ${i + 1}${outcomes[outcome]}`],
@@ -240,13 +209,10 @@ function detectionTable(detections) {
   return table(["Detection", "Ahead", "Left", "Branches", "Score", "Error"], rows);
 }
 
-/**
- * Why candidates are not intersections.
- * @param {any[]} candidates
- */
+/** Why candidates are not intersections. @param {any[]} candidates */
 function rejectedCandidates(candidates) {
   const rejected = candidates.filter((each) => !each.kept);
   if (!rejected.length) return null;
-  const items = rejected.map((each) => el("li", {}, el("b", {}, each.number), ` ${each.why_not ?? "rejected"}`));
-  return el("div", {}, el("h3", {}, "Candidates that were rejected"), el("ul", { class: "reasons" }, items));
+  const items = rejected.map((each) => [el("b", each.number), ` ${each.why_not ?? "rejected"}`]);
+  return el("div", el("h3", "Candidates that were rejected"), bullets(items));
 }

@@ -1,16 +1,13 @@
-/**
- * Dialogs: a new map of many drives, the drives of a map, the maps of a drive.
- * @module city/dialogs
- */
+/** Dialogs: a new map of many drives, the drives of a map, the maps of a drive. */
 import { getConfig, putFile, sendJson } from "../api.js";
-import { field, filePicker, iconButton, openDialog } from "../controls.js";
+import { field, filePicker, iconButton } from "../controls.js";
 import { cities, loadMaps, loadMembers } from "../data/city.js";
 import { lists } from "../data/lists.js";
 import { el, fill } from "../dom.js";
-import { confirmAction, problemNote } from "../messages.js";
+import { attempt, confirmAction, openDialog } from "../messages.js";
 import { setState } from "../state.js";
 
-/** @typedef {import("../data/city.js").City} City */
+/** @import { City } from "../data/city.js" */
 
 const PAGE = 100;
 
@@ -23,46 +20,27 @@ export function newMap(chosen = []) {
       el("input", { type: "checkbox", value: drive.id, checked: chosen.includes(drive.id), title: drive.name }),
     );
   const trouble = el("div");
-  const make = async (/** @type {Event} */ event) => {
-    event.preventDefault();
-    const drives = boxes.filter((box) => box.checked).map((box) => box.value);
-    try {
+  const make = () =>
+    attempt(trouble, async () => {
+      const drives = boxes.filter((box) => box.checked).map((box) => box.value);
       const made = await sendJson("POST", "maps", { name: name.value.trim(), drives });
       dialog.close();
       await loadMaps();
       setState({ panel: "map", map: made.id });
-    } catch (error) {
-      fill(trouble, problemNote(error));
-    }
-  };
+    });
+  const pickOf = (/** @type {any} */ box) => el("label.key-row", box, el("span.cut", box.title));
   const none = "There are none yet: upload drives first, or put them into the map later.";
-  const form = el(
-    "form",
-    { class: "stack", onSubmit: make },
-    el("h2", { id: "city-title" }, "A new map of many drives"),
+  const content = [
     field("Name", name),
-    el(
-      "fieldset",
-      { class: "stack-s" },
-      el("legend", { class: "field-name" }, "Its drives"),
-      boxes.length
-        ? el(
-            "div",
-            { class: "scroll picks" },
-            boxes.map((box) => el("label", { class: "check" }, box, el("span", { class: "cut" }, box.title))),
-          )
-        : el("p", { class: "small" }, none),
-      el("small", {}, "Of each drive the result that counts is merged: the pinned one, else the best."),
-    ),
-    trouble,
-    el(
-      "div",
-      { class: "actions" },
-      el("button", { type: "button", onClick: () => dialog.close() }, "Cancel"),
-      el("button", { class: "primary" }, "Make the map"),
-    ),
-  );
-  const dialog = openDialog({ "aria-labelledby": "city-title" }, [form]);
+    el("fieldset.stack-s", [
+      el("legend.field-name", "Its drives"),
+      boxes.length ? el("div.scroll.picks.stack-s", boxes.map(pickOf)) : el("p.small", none),
+      el("small", "Of each drive the result that counts is merged: the pinned one, else the best."),
+    ]),
+  ];
+  const cancel = el("button", { type: "button", onClick: () => dialog.close() }, "Cancel");
+  const actions = [cancel, el("button.primary", "Make the map")];
+  const dialog = openDialog("A new map of many drives", content, { actions, trouble, onSubmit: make });
   name.focus();
 }
 
@@ -77,28 +55,21 @@ export async function removeMap({ id, name }) {
 
 /** Show the drives of a map, with why one is not on it; put others in. @param {City} city */
 export async function manageDrives(city) {
-  const body = el("div", { class: "stack-s" }, "Loading…");
+  const body = el("div.stack-s", "Loading…");
   const trouble = el("div");
   let room = PAGE;
-  const change = async (/** @type {"PUT"|"DELETE"} */ method, /** @type {string} */ drive) => {
-    fill(trouble);
-    try {
+  const change = (/** @type {"PUT"|"DELETE"} */ method, /** @type {string} */ drive) =>
+    attempt(trouble, async () => {
       await sendJson(method, `maps/${city.id}/drives/${drive}`);
       await Promise.all([show(), loadMaps()]);
-    } catch (error) {
-      fill(trouble, problemNote(error));
-    }
-  };
-  const send = async (/** @type {FileList} */ [file]) => {
-    fill(trouble, el("p", { class: "small", role: "status" }, `Sending ${file.name}…`));
-    try {
+    });
+  const send = (/** @type {FileList} */ [file]) =>
+    attempt(trouble, async () => {
+      fill(trouble, el("p.small", { role: "status" }, `Sending ${file.name}…`));
       await putFile(`maps/${city.id}/osm/${encodeURIComponent(file.name)}`, file);
-      fill(trouble, el("p", { class: "note good", role: "status" }, `The map will be compared with ${file.name}.`));
+      fill(trouble, el("p.note.good", { role: "status" }, `The map will be compared with ${file.name}.`));
       await loadMaps();
-    } catch (error) {
-      fill(trouble, problemNote(error));
-    }
-  };
+    });
   const show = async () => {
     const members = await loadMembers(city.id);
     const known = new Set(members.map(({ drive_id }) => drive_id));
@@ -107,46 +78,24 @@ export async function manageDrives(city) {
     const choice = el(
       "select",
       { "aria-label": "Drive to put in", onChange: () => choice.value && void change("PUT", choice.value) },
-      el("option", { value: "" }, "Put a drive in…"),
-      options,
+      [el("option", { value: "" }, "Put a drive in…"), options],
     );
     const rows = members.slice(0, room).map((each) => memberRow(each, () => void change("DELETE", each.drive_id)));
     const more = () => ((room += PAGE), void show());
     fill(
       body,
-      rows.length ? el("ul", { class: "members" }, rows) : el("p", { class: "quiet" }, "No drive belongs to it yet."),
+      rows.length ? el("ul.members", rows) : el("p.quiet", "No drive belongs to it yet."),
       members.length > room && el("button", { type: "button", onClick: more }, `Show more (${members.length - room})`),
       others.length > 0 && choice,
     );
   };
   const accept = getConfig().file_kinds.maps.join(",");
-  openDialog({ class: "tall", "aria-labelledby": "city-title" }, [
-    el(
-      "form",
-      { method: "dialog" },
-      el(
-        "div",
-        { class: "tall-body stack-s" },
-        el("h2", { id: "city-title" }, `Drives of the map ${city.name}`),
-        el(
-          "p",
-          { class: "small" },
-          city.holds_all
-            ? "All drives of the server belong to it but those that were taken out."
-            : "Drives can belong to several maps.",
-        ),
-        body,
-        trouble,
-      ),
-      el(
-        "div",
-        { class: "actions" },
-        filePicker("Other OSM file…", (files) => void send(files), { accept, name: "city-osm" }),
-        el("span", { class: "grow" }),
-        el("button", { class: "primary" }, "Done"),
-      ),
-    ),
-  ]);
+  const about = city.holds_all
+    ? "All drives of the server belong to it but those that were taken out."
+    : "Drives can belong to several maps.";
+  const pick = filePicker("Other OSM file…", (files) => void send(files), { accept, name: "city-osm" });
+  const actions = [pick, el("span.grow"), el("button.primary", "Done")];
+  openDialog(`Drives of the map ${city.name}`, [el("p.small", about), body], { actions, trouble, kind: "wide" });
   await show();
 }
 
@@ -154,17 +103,10 @@ export async function manageDrives(city) {
 function memberRow({ name, label, job_id, problem }, onOut) {
   const called = name ?? label ?? "a deleted drive";
   const state = problem ?? (job_id ? "on the map" : "not merged yet: it waits for a result, or for its turn");
-  return el(
-    "li",
-    { class: "spread" },
-    el(
-      "div",
-      { class: "grow" },
-      el("div", { class: "cut" }, called),
-      el("small", { class: problem ? "failed" : "" }, state),
-    ),
+  return el("li.spread", [
+    el("div.grow", el("div.cut", called), el("small", { class: problem ? "failed" : "" }, state)),
     iconButton("close", `Take ${called} out of the map`, onOut, "Take it out of the map"),
-  );
+  ]);
 }
 
 /** Say to which maps a drive belongs, and change it. @param {any} drive */
@@ -174,38 +116,19 @@ export async function mapsOfDrive(drive) {
   const row = async (/** @type {City} */ city) => {
     const member = (await loadMembers(city.id)).find(({ drive_id }) => drive_id === drive.id);
     const box = el("input", { type: "checkbox", checked: member !== undefined });
-    const state = el(
-      "small",
-      {},
-      member?.problem ?? (member?.job_id ? "on the map" : member ? "waits for a result" : ""),
-    );
+    const state = el("small", member?.problem ?? (member?.job_id ? "on the map" : member ? "waits for a result" : ""));
     box.addEventListener("change", async () => {
-      fill(trouble);
-      try {
+      const isDone = await attempt(trouble, async () => {
         await sendJson(box.checked ? "PUT" : "DELETE", `maps/${city.id}/drives/${drive.id}`);
         fill(state, box.checked ? "will be merged" : "will be taken out");
         await loadMaps();
-      } catch (error) {
-        box.checked = !box.checked;
-        fill(trouble, problemNote(error));
-      }
+      });
+      if (!isDone) box.checked = !box.checked;
     });
-    return el("label", { class: "check" }, box, el("span", {}, city.name, " ", state));
+    return el("label.check", box, el("span", city.name, " ", state));
   };
   const rows = await Promise.all((cities.maps ?? []).map(row));
   const make = () => (dialog.close(), newMap([drive.id]));
-  const form = el(
-    "form",
-    { method: "dialog", class: "stack" },
-    el("h2", { id: "city-title" }, `Maps that hold ${drive.name}`),
-    el("div", { class: "stack-s" }, rows),
-    trouble,
-    el(
-      "div",
-      { class: "actions" },
-      el("button", { type: "button", onClick: make }, "New map…"),
-      el("button", { class: "primary" }, "Done"),
-    ),
-  );
-  const dialog = openDialog({ "aria-labelledby": "city-title" }, [form]);
+  const actions = [el("button", { type: "button", onClick: make }, "New map…"), el("button.primary", "Done")];
+  const dialog = openDialog(`Maps that hold ${drive.name}`, el("div.stack-s", rows), { actions, trouble });
 }

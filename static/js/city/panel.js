@@ -1,9 +1,18 @@
 /**
  * A map of many drives: how far it is, which of it is shown, and the queue of what OpenStreetMap seems to have wrong.
- * @module city/panel
  */
-import { address, download, getToken, onTokenChange, request } from "../api.js";
-import { copyButton, factRows, field, figure, iconButton, resultSection as section, select } from "../controls.js";
+import { address, download, getToken, loadPicture, onTokenChange } from "../api.js";
+import {
+  bullets,
+  copyButton,
+  factList,
+  field,
+  figure,
+  iconButton,
+  outLink,
+  resultSection as section,
+  select,
+} from "../controls.js";
 import {
   chosenCity,
   cities,
@@ -24,8 +33,7 @@ import { getState, setState, subscribe } from "../state.js";
 import { manageDrives, newMap, removeMap } from "./dialogs.js";
 import { precisionText, streetsOf } from "./words.js";
 
-/** @typedef {import("../data/city.js").City} City */
-/** @typedef {import("../data/city.js").Entry} Entry */
+/** @import { City, Entry } from "../data/city.js" */
 
 const NAMES = /** @type {Record<string, string>} */ (Object.fromEntries(VERDICTS));
 const STATES = { open: "Not looked at", judged: "Looked at", all: "All" };
@@ -55,10 +63,10 @@ const FILES = {
 
 /** @param {HTMLElement} container */
 export function mount(container) {
-  const head = el("div", { class: "stack-s" });
-  const queue = el("div", { class: "stack-s" });
-  const more = el("div", { class: "stack" });
-  fill(container, el("div", { class: "stack city" }, head, queue, more));
+  const head = el("div.stack-s");
+  const queue = el("div.stack-s");
+  const more = el("div.stack");
+  fill(container, el("div.stack.city", head, queue, more));
   const card = entryCard();
   /** What is shown: version of the map, filter. */
   let shown = "";
@@ -69,10 +77,11 @@ export function mount(container) {
       fill(head, cities.maps ? problemNote({ title: "No such map", detail: "It may have been deleted." }) : "Loading…");
       if (cities.maps) head.append(mapChoice(null));
       fill(queue);
+      shown = "";
       return fill(more);
     }
     const { kind, state } = getCityFilter();
-    const now = JSON.stringify([cities.maps, getState().places, Boolean(getToken())]);
+    const now = JSON.stringify([city.id, cities.maps, getState().places, Boolean(getToken())]);
     if (now !== shown) {
       fill(head, headOf(city), city.bbox && filterOf());
       fill(more, city.bbox && filesOf(city));
@@ -109,12 +118,12 @@ function stateOf({ is_at_work, is_waiting, problem, bbox }) {
 /** @param {City|null} city @returns {HTMLElement|null} Nothing where there is one map alone. */
 function mapChoice(city) {
   const maps = cities.maps ?? [];
-  if (city && maps.length < 2) return el("h2", { class: "cut grow" }, city.name);
+  if (city && maps.length < 2) return el("h2.cut.grow", city.name);
   const choices = Object.fromEntries(maps.map(({ id, name }) => [id, name]));
   const choose = (/** @type {string} */ id) => setState({ map: id === "default" ? null : id });
   const box = select(city ? choices : { "": "Choose a map", ...choices }, city?.id ?? "", choose);
   box.setAttribute("aria-label", "Map");
-  return el("div", { class: "grow" }, box);
+  return el("div.grow", box);
 }
 
 /** @param {City} city */
@@ -123,10 +132,8 @@ function headOf(city) {
   const source =
     city.osm && `Compared with ${city.osm}: ${plural(city.junctions_passed ?? 0, "junction")} passed often enough.`;
   return [
-    el("div", { class: "spread" }, mapChoice(city), el("span", { class: `badge ${look}`, role: "status" }, text)),
-    el(
-      "div",
-      { class: "tiles-row" },
+    el("div.spread", mapChoice(city), el("span", { class: `badge ${look}`, role: "status" }, text)),
+    el("div.tiles-row", [
       figure(
         city.intersections.toLocaleString("en"),
         "intersections",
@@ -138,16 +145,14 @@ function headOf(city) {
         city.refused > 0 ? `${city.refused} refused` : undefined,
       ),
       figure(formatMetres(city.median_position_std_m), "uncertainty", "1 σ, median"),
-    ),
+    ]),
     city.problem && problemNote({ title: "Not compared with OpenStreetMap", detail: city.problem }),
-    source && el("p", { class: "small" }, source),
-    el(
-      "div",
-      { class: "row" },
+    source && el("p.small", source),
+    el("div.row", [
       el("button", { onClick: () => manageDrives(city).catch(showError) }, "Drives…"),
       el("button", { onClick: () => newMap() }, "New map…"),
       !city.holds_all && iconButton("trash", `Delete the map ${city.name}`, () => removeMap(city).catch(showError)),
-    ),
+    ]),
   ];
 }
 
@@ -162,20 +167,16 @@ function filterOf() {
   };
   const changes = { "": "any", changed: "new or gone", new: "new", gone: "gone" };
   const choose = (/** @type {string} */ value) => setCityFilter({ change: /** @type {any} */ (value) || null });
-  return el(
-    "details",
-    { class: "filter", open: drives !== null || confidence !== null || change !== null },
-    el("summary", {}, "Filter the map"),
-    el(
-      "div",
-      { class: "thirds" },
+  return el("details.filter", { open: drives !== null || confidence !== null || change !== null }, [
+    el("summary", "Filter the map"),
+    el("div.thirds", [
       number("Drives ≥", drives, { min: 1, step: 1 }, (value) => setCityFilter({ drives: value })),
       number("Conf. ≥ %", confidence === null ? null : Math.round(100 * confidence), { min: 0, max: 100 }, (value) =>
         setCityFilter({ confidence: value === null ? null : value / 100 }),
       ),
       field("Changes", select(changes, change ?? "", choose)),
-    ),
-  );
+    ]),
+  ]);
 }
 
 /** The finding that was scrolled to. @type {string|null} */
@@ -185,8 +186,6 @@ let gone = null;
 function fillQueue(holder, city, card) {
   const queue = /** @type {NonNullable<typeof cities.queue>} */ (cities.queue);
   const { kind, state } = getCityFilter();
-  const focused = holder.contains(document.activeElement) ? /** @type {HTMLElement} */ (document.activeElement) : null;
-  const key = focused?.dataset.key;
   const kinds = Object.fromEntries(Object.keys(queue.by_kind).map((each) => [each, kindName(each)]));
   const at = queue.entries.findIndex(({ id }) => id === getState().finding);
   const judgedKinds = Object.entries(queue.by_kind).filter(([, each]) => each.right + each.wrong + each.cannot_tell);
@@ -195,45 +194,31 @@ function fillQueue(holder, city, card) {
   const go = (/** @type {1|-1} */ by) => () => void stepFinding(by).catch(showError);
   const previous = iconButton("previous", "Previous finding", go(-1), "Previous finding (k)");
   const next = iconButton("next", "Next finding", go(1), "Next finding (j)");
-  const boxes = Object.entries({ state: stateBox, kind: kindBox, previous, next });
-  for (const [name, box] of boxes) box.dataset.key = name;
   stateBox.setAttribute("aria-label", "State of the findings");
   kindBox.setAttribute("aria-label", "Kind of the findings");
   const readMore = () => void loadQueue(city, { kind, state }, true).catch(showError);
   fill(
     holder,
-    el("h3", {}, "What OpenStreetMap seems to have wrong"),
+    el("h3", "What OpenStreetMap seems to have wrong"),
     el(
-      "p",
-      { class: "small", role: "status" },
+      "p.small",
+      { role: "status" },
       `${plural(queue.open, "finding")} to look at, ${queue.judged} looked at. ${precisionText(queue.precision)}`,
     ),
-    judgedKinds.length > 1 &&
-      el(
-        "ul",
-        { class: "reasons" },
-        judgedKinds.map(([name, each]) => el("li", {}, `${kindName(name)}: ${precisionText(each)}`)),
-      ),
-    el(
-      "div",
-      { class: "tools" },
+    judgedKinds.length > 1 && bullets(judgedKinds.map(([name, each]) => `${kindName(name)}: ${precisionText(each)}`)),
+    el("div.tools", [
       stateBox,
       kindBox,
       previous,
-      el(
-        "span",
-        { class: "number quiet" },
-        `${at < 0 ? "–" : at + 1} / ${queue.entries.length}${queue.next ? "+" : ""}`,
-      ),
+      el("span.number.quiet", `${at < 0 ? "–" : at + 1} / ${queue.entries.length}${queue.next ? "+" : ""}`),
       next,
-    ),
+    ]),
     card,
     queue.entries.length
-      ? el("div", { class: "drive" }, el("ul", { class: "jobs scroll" }, queue.entries.map(entryRow)))
-      : el("p", { class: "quiet" }, emptyText(city, state, kind)),
+      ? el("div.drive", el("ul.jobs.scroll", queue.entries.map(entryRow)))
+      : el("p.quiet", emptyText(city, state, kind)),
     queue.next && el("button", { onClick: readMore }, "Show more"),
   );
-  if (key) /** @type {HTMLElement|null} */ (holder.querySelector(`[data-key="${CSS.escape(key)}"]`))?.focus();
   if (getState().finding === gone) return;
   gone = getState().finding;
   const row = /** @type {HTMLElement|null} */ (holder.querySelector('[aria-current="true"]'));
@@ -254,94 +239,59 @@ function entryRow({ id, kind, properties, verdict }) {
   const button = el(
     "button",
     { "aria-current": String(isShown), dataset: { key: id }, onClick: () => setState({ finding: id }) },
-    el("span", { class: "cut" }, streetsOf(properties?.osm_ways) || kindName(kind)),
-    verdict
-      ? el("span", { class: "badge" }, NAMES[verdict.verdict])
-      : el("span", { class: "small" }, plural(properties?.passes ?? 0, "pass", "passes")),
-    el("span", { class: "small both" }, properties?.text ?? `${kindName(kind)}: the last comparison has it no more.`),
+    [
+      el("span.cut", streetsOf(properties?.osm_ways) || kindName(kind)),
+      verdict
+        ? el("span.badge", NAMES[verdict.verdict])
+        : el("span.small", plural(properties?.passes ?? 0, "pass", "passes")),
+      el("span.small.both", properties?.text ?? `${kindName(kind)}: the last comparison has it no more.`),
+    ],
   );
-  return el("li", {}, button);
+  return el("li", button);
 }
 
 /** The finding that is looked at: what speaks for it, and what was said of it. */
 function entryCard() {
-  const element = el("article", { class: "box finding", "aria-label": "Finding", hidden: true });
+  const element = el("article.box.finding.stack-s", { "aria-label": "Finding", hidden: true });
   let shown = "";
-  /** Address within the page of the picture, by its own. */
-  const pictures = /** @type {Map<string, Promise<string>>} */ (new Map());
-  const load = (/** @type {string} */ path) => {
-    if (!pictures.has(path))
-      pictures.set(
-        path,
-        request(path).then(async (answer) => URL.createObjectURL(await answer.blob())),
-      );
-    return /** @type {Promise<string>} */ (pictures.get(path));
-  };
   const update = () => {
     const { entry } = cities;
     element.hidden = !entry;
     const now = JSON.stringify([entry, cities.readsOnly]);
     if (!entry || now === shown) return;
-    const focused = element.contains(document.activeElement)
-      ? /** @type {HTMLElement} */ (document.activeElement).dataset.key
-      : null;
     shown = now;
     const p = entry.properties;
-    const image =
-      entry.picture &&
-      el("img", {
-        alt: "The ground around it as the drives saw it: road grey, other ground green, tracks blue",
-        width: 320,
-        height: 320,
-      });
+    const alt = "The ground around it as the drives saw it: road grey, other ground green, tracks blue";
+    const image = entry.picture && el("img", { alt, width: 320, height: 320 });
     if (entry.picture)
-      load(entry.picture.replace("/api/v1/", "")).then(
+      loadPicture(entry.picture.replace("/api/v1/", "")).then(
         (url) => (image.src = url),
         () => image.remove(),
       );
     const streets = streetsOf(p?.osm_ways);
+    const links = Object.entries(entry.links).map(([name, href]) => outLink(href, LINKS[name] ?? name));
     fill(
       element,
-      el("h4", {}, kindName(entry.kind), streets && `: ${streets}`),
-      p && el("p", {}, p.text),
+      el("h4", kindName(entry.kind), streets && `: ${streets}`),
+      p && el("p", p.text),
       image,
       p &&
-        el(
-          "dl",
-          { class: "figures" },
-          factRows([
-            ["Passes", `${p.passes}: ${p.drive_names}`],
-            p.distance_m !== null && ["Distance", formatMetres(p.distance_m, 1)],
-            p.branch_bearings_deg?.length > 0 && [
-              "Branches",
-              p.branch_bearings_deg.map((/** @type {number} */ b) => `${Math.round(b)}°`).join(", "),
-            ],
-            p.osm_id !== null && ["OSM node", String(p.osm_id)],
-          ]),
-        ),
-      p?.osm_ways &&
-        el(
-          "details",
-          {},
-          el("summary", {}, "Ways around"),
-          el(
-            "ul",
-            { class: "reasons" },
-            p.osm_ways.split("; ").map((/** @type {string} */ way) => el("li", {}, way)),
-          ),
-        ),
-      el(
-        "p",
-        { class: "row links" },
-        Object.entries(entry.links).map(([name, href]) =>
-          el("a", { href, target: "_blank", rel: "noopener" }, LINKS[name] ?? name),
-        ),
-      ),
-      el("p", { class: "small" }, "Keys: j next, k previous, 1 to 4 say what you see, u takes it back."),
+        factList("", [
+          ["Passes", `${p.passes}: ${p.drive_names}`],
+          p.distance_m !== null && ["Distance", formatMetres(p.distance_m, 1)],
+          p.branch_bearings_deg?.length > 0 && [
+            "Branches",
+            p.branch_bearings_deg.map((/** @type {number} */ b) => `${Math.round(b)}°`).join(", "),
+          ],
+          p.osm_id !== null && ["OSM node", String(p.osm_id)],
+        ]),
+      p?.osm_ways && el("details", el("summary", "Ways around"), bullets(p.osm_ways.split("; "))),
+      el("p.row.links", links),
+      el("p.small", "Keys: j next, k previous, 1 to 4 say what you see, u takes it back."),
       historyOf(entry),
       el(
-        "div",
-        { class: "verdicts", role: "group", "aria-label": "What you see there" },
+        "div.verdicts",
+        { role: "group", "aria-label": "What you see there" },
         VERDICTS.map(([verdict, name, hint], i) =>
           el(
             "button",
@@ -352,14 +302,12 @@ function entryCard() {
               "aria-pressed": String(entry.verdict?.verdict === verdict),
               onClick: () => say(verdict),
             },
-            el("kbd", {}, String(i + 1)),
-            name,
+            [el("kbd", String(i + 1)), name],
           ),
         ),
       ),
-      cities.readsOnly && el("p", { class: "small" }, "Your token may only read: others say what they see."),
+      cities.readsOnly && el("p.small", "Your token may only read: others say what they see."),
     );
-    if (focused) /** @type {HTMLElement|null} */ (element.querySelector(`[data-key="${focused}"]`))?.focus();
   };
   return { element, update };
 }
@@ -379,16 +327,10 @@ function historyOf({ verdict, history }) {
     dataset: { key: "back" },
     onClick: () => void takeBack().catch(showError),
   };
-  return el(
-    "div",
-    { class: "spread" },
-    el(
-      "ul",
-      { class: "reasons" },
-      rows.map(({ verdict: said, by, at }) => el("li", {}, `${NAMES[said]}, by ${by}, ${formatAgo(at)}`)),
-    ),
+  return el("div.spread", [
+    bullets(rows.map(({ verdict: said, by, at }) => `${NAMES[said]}, by ${by}, ${formatAgo(at)}`)),
     el("button", back, "Take it back"),
-  );
+  ]);
 }
 
 /** @param {City} city */
@@ -403,15 +345,7 @@ function filesOf(city) {
   const gis = address(`maps/${city.id}/ogc`);
   return [
     city.findings !== null &&
-      section("Findings, for those who mend the map", el("div", { class: "row" }, rows("deliveries", DELIVERIES))),
-    section(
-      "The map",
-      el(
-        "div",
-        { class: "row" },
-        rows("files", FILES),
-        copyButton("Address for QGIS", () => gis),
-      ),
-    ),
+      section("Findings, for those who mend the map", el("div.row", rows("deliveries", DELIVERIES))),
+    section("The map", el("div.row", [rows("files", FILES), copyButton("Address for QGIS", () => gis)])),
   ];
 }

@@ -1,9 +1,6 @@
-/**
- * Findings and their verdicts in words.
- * @module city/words
- */
+/** Findings and their verdicts in words. */
 
-/** @param {import("../data/city.js").Precision} precision @returns {string} */
+/** @param {import("../data/city.js").Precision} precision */
 export function precisionText({ right, wrong, share, low, high }) {
   if (share === null || low === null || high === null) return "How many are right is not known yet.";
   const [at, least, most] = [share, low, high].map((each) => Math.round(100 * each));

@@ -1,8 +1,6 @@
-/**
- * Maps of many drives, and the queue of what OpenStreetMap seems to have wrong by one of them: as last received.
- * @module data/city
- */
+/** Maps of many drives, and the queue of what OpenStreetMap seems to have wrong by one of them: as last received. */
 import { ApiError, getJson, sendJson } from "../api.js";
+import { news } from "../news.js";
 import { getState, setState, subscribe } from "../state.js";
 
 /**
@@ -39,20 +37,10 @@ const PAGE = 50;
 const LOOK_MS = 10000;
 const WAITING_MS = 1500; // between looks while drives are merged
 
-/** @type {Set<() => void>} */
-const listeners = new Set();
+const changes = news();
+export const onCityChange = changes.hear;
 /** Findings that were judged here, the last one last. @type {string[]} */
 const judgedHere = [];
-
-/** @param {() => void} call @returns {() => void} Stops it. */
-export function onCityChange(call) {
-  listeners.add(call);
-  return () => listeners.delete(call);
-}
-
-const notify = () => {
-  for (const call of [...listeners]) call();
-};
 
 /** @returns {City|null} The map that is shown, or would be. */
 export const chosenCity = () => cities.maps?.find(({ id }) => id === (getState().map ?? SERVER_MAP)) ?? null;
@@ -73,7 +61,7 @@ export async function loadMaps() {
   const isFirst = cities.maps === null;
   const isSame = JSON.stringify(maps) === JSON.stringify(cities.maps);
   cities.maps = maps;
-  if (!isSame) notify();
+  if (!isSame) changes.tell();
   if (isFirst) void loadEntry();
 }
 
@@ -142,7 +130,7 @@ export async function loadQueue({ id }, { state, kind }, isMore = false) {
   const page = await getJson(`maps/${id}/queue?${new URLSearchParams(fields)}`);
   if (mine !== queueAsked) return;
   cities.queue = { ...page, map: id, entries: [...(before?.entries ?? []), ...page.entries] };
-  notify();
+  changes.tell();
 }
 let queueAsked = 0;
 
@@ -153,12 +141,12 @@ async function loadEntry() {
   if (!finding) cities.entry = null;
   else if (city) {
     cities.entry = cities.queue?.entries.find(({ id }) => id === finding) ?? null; // at once, as the list has it
-    notify();
+    changes.tell();
     const whole = await getJson(`maps/${city.id}/queue/${encodeURIComponent(finding)}`);
     if (finding !== getState().finding) return;
     cities.entry = whole;
   }
-  notify();
+  changes.tell();
 }
 
 /** @returns {string} Address of the finding that is looked at. */
@@ -180,10 +168,7 @@ export async function stepFinding(by, isWanted = () => true) {
   return next !== undefined;
 }
 
-/**
- * Say what was seen at the finding that is looked at, and go to the next one that is open.
- * @param {Verdict} verdict
- */
+/** Say what was seen at the finding that is looked at, and go to the next one that is open. @param {Verdict} verdict */
 export async function judge(verdict) {
   const { finding } = getState();
   if (!finding) return;
@@ -214,14 +199,14 @@ export async function takeBack() {
   await countAgain();
 }
 
-/** @template T @param {() => Promise<T>} send @returns {Promise<T>} */
+/** @template T @param {() => Promise<T>} send */
 async function change(send) {
   try {
     return await send();
   } catch (error) {
     if (error instanceof ApiError && error.status === 403) {
       cities.readsOnly = true;
-      notify();
+      changes.tell();
     }
     throw error;
   }
@@ -236,7 +221,7 @@ function keepEntry(entry) {
     cities.queue.entries = cities.queue.entries.map((each) =>
       each.id === entry.id ? { ...entry, properties: entry.properties ?? each.properties } : each,
     );
-  notify();
+  changes.tell();
 }
 
 /** Read the figures of the queue again: the list stays as it is until it is asked for anew. */
@@ -245,7 +230,7 @@ async function countAgain() {
   if (!queue) return;
   const { open, judged, precision, by_kind } = await getJson(`maps/${queue.map}/queue?limit=1`);
   Object.assign(queue, { open, judged, precision, by_kind });
-  notify();
+  changes.tell();
 }
 
 subscribe(["finding", "map"], () => void loadEntry());

@@ -1,10 +1,7 @@
-/**
- * The intersections of several jobs of one drive, put together where they are the same.
- * @module data/compared
- */
+/** The intersections of several jobs of one drive, put together where they are the same. */
 import { distanceM } from "./frame.js";
 
-/** @typedef {import("./results.js").Place} Place */
+/** @import { Place } from "./results.js" */
 /** @typedef {Place & {found: boolean[], outcomes: (string|null)[]}} Compared By which of the jobs it was found, in their order, and with which verdict. */
 
 const GATE_M = 10; // as of the score of the map: farther apart they are two

@@ -1,8 +1,6 @@
-/**
- * The demo: a drive through a made-up town, made by the server, and its job.
- * @module data/demo
- */
+/** The demo: a drive through a made-up town, made by the server, and its job. */
 import { getJson, sendJson, sleep } from "../api.js";
+import { news } from "../news.js";
 import { setState } from "../state.js";
 import { refreshLists, rememberDrive, rememberJob } from "./lists.js";
 
@@ -11,19 +9,13 @@ const POLL_MS = 1500;
 /** @type {{isRunning: boolean, error: unknown, drive: string|null, fraction: number|null}} `fraction`: how much is made. */
 export const demo = { isRunning: false, error: null, drive: null, fraction: null };
 
-/** @returns {string} */
 export function demoText() {
   const part = demo.fraction === null ? "" : ` ${Math.floor(100 * demo.fraction)} % of it is done.`;
   return `The server drives through a small made-up town: about a minute, longer on a busy machine.${part}`;
 }
 
-/** @type {Set<() => void>} */
-const listeners = new Set();
-
-/** @param {() => void} call */
-export function onDemoChange(call) {
-  listeners.add(call);
-}
+const changes = news();
+export const onDemoChange = changes.hear;
 
 /** Make the demo drive on the server, run it, show the job. */
 export async function tryDemo() {
@@ -40,7 +32,7 @@ export async function tryDemo() {
 /** @param {Partial<typeof demo>} news */
 function change(news) {
   Object.assign(demo, news);
-  for (const call of listeners) call();
+  changes.tell();
 }
 
 async function run() {

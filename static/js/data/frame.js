@@ -1,7 +1,6 @@
-/**
- * From metres to the map: offsets around a keyframe on the ellipsoid, or plain metres without georeference.
- * @module data/frame
- */
+/** From metres to the map: offsets around a keyframe on the ellipsoid, or plain metres without georeference. */
+
+/** @import { Place } from "./results.js" */
 
 const A = 6378137;
 const E2 = 0.00669437999014;
@@ -11,7 +10,6 @@ const E2 = 0.00669437999014;
  * @param {{lng: number, lat: number}} a
  * @param {{lng: number, lat: number}} b
  * @param {boolean} local They are metres of W.
- * @returns {number}
  */
 export function distanceM(a, b, local) {
   const [dx, dy] = [b.lng - a.lng, b.lat - a.lat];
@@ -28,10 +26,7 @@ function radii(lat) {
 }
 
 export class Frame {
-  /**
-   * @param {import("./results.js").Place[]} keyframes
-   * @param {boolean} local Positions are metres of W.
-   */
+  /** @param {Place[]} keyframes @param {boolean} local Positions are metres of W. */
   constructor(keyframes, local) {
     this.local = local;
     this.rows = new Map(keyframes.map((each, row) => [each.properties.frame, row]));
@@ -50,17 +45,14 @@ export class Frame {
     return [origin.lat + ((north / meridian) * 180) / Math.PI, origin.lng + ((east / parallel) * 180) / Math.PI];
   }
 
-  /**
-   * How W lies at a keyframe: angle from east to its x axis, counter-clockwise, radians.
-   * @param {import("./results.js").Place} keyframe
-   */
+  /** How W lies at a keyframe: angle from east to its x axis, counter-clockwise, radians. @param {Place} keyframe */
   worldAngle({ properties }) {
     if (this.local) return 0;
     return Math.PI / 2 - (properties.heading_deg * Math.PI) / 180 - properties.world_yaw_rad;
   }
 
   /**
-   * @param {import("./results.js").Place} keyframe
+   * @param {Place} keyframe
    * @param {number} x Metres from the keyframe along x of W.
    * @param {number} y
    * @returns {[number, number]} lat, lng of Leaflet.
@@ -72,7 +64,7 @@ export class Frame {
 
   /**
    * The corners of a square around a keyframe, aligned with the axes of W.
-   * @param {import("./results.js").Place} keyframe
+   * @param {Place} keyframe
    * @param {number} side Metres.
    * @returns {Array<[number, number]>} lat, lng: top left (in W, y up), top right, bottom right, bottom left.
    */
@@ -86,7 +78,7 @@ export class Frame {
     ].map(([x, y]) => this.fromWorld(keyframe, x, y));
   }
 
-  /** @param {import("./results.js").Place} keyframe @returns {number} Heading, clockwise from up on the map, degrees. */
+  /** @param {Place} keyframe @returns {number} Heading, clockwise from up on the map, degrees. */
   heading({ properties }) {
     return this.local ? 90 - (properties.world_yaw_rad * 180) / Math.PI : properties.heading_deg;
   }

@@ -1,8 +1,6 @@
-/**
- * The drives, jobs and trash of the server, as last received: shared by header and panels.
- * @module data/lists
- */
+/** The drives, jobs and trash of the server, as last received: shared by header and panels. */
 import { ApiError, getJson } from "../api.js";
+import { news } from "../news.js";
 
 /**
  * @type {{drives: any[], jobs: any[], trash: any[], isLoaded: boolean, isWhole: boolean, isCut: boolean}} The newest
@@ -28,13 +26,8 @@ const LOOK_MS = 10000; // between looks for what others did; three short exchang
 const WHOLE_LOOKS = 6; // every so many looks at everything: what was done to old rows
 const MAX_TRIES = 3;
 
-/** @type {Set<() => void>} */
-const listeners = new Set();
-
-/** @param {() => void} call */
-export function onListsChange(call) {
-  listeners.add(call);
-}
+const changes = news();
+export const onListsChange = changes.hear;
 
 /** Number of the last request for the lists, and of that whose answer is shown. */
 let asked = 0;
@@ -63,21 +56,14 @@ export async function refreshLists(isLook = false) {
     ]);
     const now = JSON.stringify(heads);
     if (isLook && lists.isWhole && now === headsShown && heads.some(({ next }) => next)) return;
-    if (!lists.isLoaded)
-      showRows(
-        heads.map(({ rows }) => rows),
-        false,
-      );
+    if (!lists.isLoaded) showRows(heads, false);
     const pages = await Promise.all(heads.map(readRest));
     if (mine < shown) return; // one that was asked for later was faster
     if (made > before && tries < MAX_TRIES) continue;
     shown = mine;
     headsShown = now;
     lists.isCut = pages[0].next !== null;
-    showRows(
-      pages.map(({ rows }) => rows),
-      true,
-    );
+    showRows(pages, true);
     return;
   }
 }
@@ -102,8 +88,9 @@ export function watchLists() {
   timer = setTimeout(look, LOOK_MS);
 }
 
-/** @param {any[][]} received Drives, jobs, trash. @param {boolean} isWhole */
-function showRows([drives, received, trash], isWhole) {
+/** @param {Rows[]} parts Drives, jobs, trash. @param {boolean} isWhole */
+function showRows(parts, isWhole) {
+  const [drives, received, trash] = parts.map(({ rows }) => rows);
   const jobs = received.map(newer);
   const isSame =
     lists.isWhole && JSON.stringify([drives, jobs, trash]) === JSON.stringify([lists.drives, lists.jobs, lists.trash]);
@@ -165,7 +152,7 @@ function drivesWithMaps() {
 
 function notify() {
   withMaps = null;
-  for (const call of listeners) call();
+  changes.tell();
 }
 
 /** @typedef {{path: string, member: string, rows: any[], next: string|null}} Rows */

@@ -1,7 +1,4 @@
-/**
- * All drives on one map: their tracks, and the intersections of the result that stands for each.
- * @module data/overview
- */
+/** All drives on one map: their tracks, and the intersections of the result that stands for each. */
 import { getJson } from "../api.js";
 import { lineOf } from "./results.js";
 

@@ -1,7 +1,4 @@
-/**
- * The result of a job: its layers and report, loaded together.
- * @module data/results
- */
+/** The result of a job: its layers and report, loaded together. */
 import { ApiError, getJson } from "../api.js";
 import { Frame } from "./frame.js";
 
@@ -42,11 +39,7 @@ const KEPT = 3;
 /** @type {Map<string, Promise<Result>>} */
 const cache = new Map();
 
-/**
- * Load the result of a successful job; the last few are kept.
- * @param {any} job
- * @returns {Promise<Result>}
- */
+/** Load the result of a successful job; the last few are kept. @param {any} job @returns {Promise<Result>} */
 export function loadResult(job) {
   let result = cache.get(job.id);
   if (!result) {
@@ -172,10 +165,7 @@ async function orNull(answer) {
   }
 }
 
-/**
- * The positions of a line; one across the antimeridian comes in parts.
- * @param {any} geometry @returns {number[][]}
- */
+/** The positions of a line; one across the antimeridian comes in parts. @param {any} geometry @returns {number[][]} */
 export function lineOf(geometry) {
   return (geometry?.type === "MultiLineString" ? geometry.coordinates.flat() : geometry?.coordinates) ?? [];
 }

@@ -3,9 +3,9 @@
  *
  * Tabs talk through a BroadcastChannel, which plain http has too; locks (Web Locks) it has not. A tab that is asked
  * answers at once, even in the background, where timers hardly run.
- * @module data/uploads
  */
 import { formatPercent } from "../dom.js";
+import { news } from "../news.js";
 import { refreshLists } from "./lists.js";
 
 /**
@@ -29,13 +29,8 @@ let told = 0;
 let timer = 0;
 /** Of the other tabs, with when they were last heard of. @type {Map<string, {upload: Sending, at: number}>} */
 const others = new Map();
-/** @type {Set<() => void>} */
-const listeners = new Set();
-
-/** @param {() => void} call */
-export function onUploadsChange(call) {
-  listeners.add(call);
-}
+const changes = news();
+export const onUploadsChange = changes.hear;
 
 /** @returns {Sending|null} What this tab sends. */
 export const ownUpload = () => own;
@@ -62,7 +57,7 @@ export function tellUpload(upload) {
   if (!own && before) channel?.postMessage({ tab: TAB, kind: "ended" });
   else if (own && (own.driveId !== before?.driveId || performance.now() - told > REPEAT_MS)) tell();
   if (own?.driveId !== before?.driveId) void refreshLists().catch(() => {}); // they show it later, then
-  notify();
+  changes.tell();
 }
 
 /**
@@ -84,15 +79,11 @@ function tell() {
   channel?.postMessage({ tab: TAB, kind: "sending", upload: own });
 }
 
-function notify() {
-  for (const call of listeners) call();
-}
-
 /** @param {string} tab */
 function forget(tab) {
   if (!others.delete(tab)) return;
   void refreshLists().catch(() => {});
-  notify();
+  changes.tell();
 }
 
 channel?.addEventListener("message", ({ data: { tab, kind, upload } }) => {
@@ -103,7 +94,7 @@ channel?.addEventListener("message", ({ data: { tab, kind, upload } }) => {
   if (!others.size) setTimeout(watch);
   others.set(tab, { upload: { ...upload, isElsewhere: true }, at: performance.now() });
   if (isNew) void refreshLists().catch(() => {});
-  notify();
+  changes.tell();
 });
 if (channel) {
   globalThis.addEventListener?.("pagehide", () => own && channel.postMessage({ tab: TAB, kind: "ended" }));

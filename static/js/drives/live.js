@@ -1,7 +1,4 @@
-/**
- * The drives that are under way, to be watched.
- * @module drives/live
- */
+/** The drives that are under way, to be watched. */
 import { getJson } from "../api.js";
 import { el, fill, plural } from "../dom.js";
 import { getState, setState, subscribe } from "../state.js";
@@ -15,7 +12,7 @@ const WORDS = /** @type {Record<string, string>} */ ({
 
 /** @returns {HTMLElement} Empty while nobody drives. */
 export function liveSection() {
-  const section = el("section", { class: "stack-s live", hidden: true });
+  const section = el("section.stack-s.live", { hidden: true });
   let timer = 0;
   const look = async () => {
     clearTimeout(timer);
@@ -23,8 +20,8 @@ export function liveSection() {
     if (document.visibilityState === "visible") {
       const { sessions } = await getJson("live").catch(() => ({ sessions: [] })); // the lists say what is wrong
       section.hidden = !sessions.length;
-      const rows = el("div", { class: "drive" }, el("ul", { class: "jobs" }, sessions.map(row)));
-      fill(section, ...(sessions.length ? [el("h3", {}, "Live"), rows] : []));
+      const rows = el("div.drive", el("ul.jobs", sessions.map(row)));
+      fill(section, ...(sessions.length ? [el("h3", "Live"), rows] : []));
     }
     timer = window.setTimeout(look, LOOK_MS);
   };
@@ -41,12 +38,10 @@ function row({ id, name, state, keyframes, intersections }) {
       "aria-current": String(getState().live === id),
       onClick: () => setState({ live: id, drive: null, job: null, view: null }),
     },
-    el("span", { class: "cut", title: name }, name),
-    el(
-      "span",
-      { class: "small" },
-      `${WORDS[state]} · ${plural(keyframes, "keyframe")} · ${plural(intersections, "intersection")}`,
-    ),
+    [
+      el("span.cut", { title: name }, name),
+      el("span.small", `${WORDS[state]} · ${plural(keyframes, "keyframe")} · ${plural(intersections, "intersection")}`),
+    ],
   );
-  return el("li", {}, button);
+  return el("li", button);
 }

@@ -1,7 +1,4 @@
-/**
- * The drives of the server and their jobs: to come back to, to run again, to delete; and the demo.
- * @module drives/panel
- */
+/** The drives of the server and their jobs: to come back to, to run again, to delete; and the demo. */
 import { getJson, sendJson } from "../api.js";
 import { mapsOfDrive } from "../city/dialogs.js";
 import { iconButton } from "../controls.js";
@@ -33,11 +30,11 @@ const reports = new Map();
 
 /** @param {HTMLElement} container */
 export function mount(container) {
-  const trouble = el("div", {});
+  const trouble = el("div");
   const button = el("button", { onClick: () => void tryDemo() }, "Try the demo");
-  const upload = el("button", { class: "primary", onClick: () => setState({ panel: "upload" }) }, icon("upload"));
+  const upload = el("button.primary", { onClick: () => setState({ panel: "upload" }) }, icon("upload"));
   upload.append("Upload a drive");
-  const body = el("div", { class: "stack-s" });
+  const body = el("div.stack-s");
   let room = ROOM;
   const search = el("input", {
     type: "search",
@@ -45,17 +42,17 @@ export function mount(container) {
     "aria-label": "Find drives by name, note or owner",
     onInput: () => ((room = ROOM), update()),
   });
-  const status = el("p", { class: "small", role: "status" });
-  const find = el("div", { class: "stack-s", hidden: true }, search, status);
-  const buttons = el("div", { class: "row" }, upload, button);
-  fill(container, el("div", { class: "stack" }, buttons, trouble, liveSection(), find, body, trashSection()));
+  const status = el("p.small", { role: "status" });
+  const find = el("div.stack-s", { hidden: true }, search, status);
+  const buttons = el("div.row", upload, button);
+  fill(container, el("div.stack", buttons, trouble, liveSection(), find, body, trashSection()));
 
   const showDemo = () => {
     button.disabled = demo.isRunning;
     if (demo.error !== null) fill(trouble, problemNote(demo.error));
     else if (demo.isRunning) {
       const bar = el("progress", { max: 1, value: demo.fraction, "aria-label": "Progress of the demo" });
-      fill(trouble, el("div", { class: "note stack-s" }, el("strong", {}, "Preparing the demo"), demoText(), bar));
+      fill(trouble, el("div.note.stack-s", el("strong", "Preparing the demo"), demoText(), bar));
     } else fill(trouble);
   };
   onDemoChange(showDemo);
@@ -63,8 +60,7 @@ export function mount(container) {
 
   const update = () => {
     if (isEditing(body)) return;
-    if (!lists.isLoaded) return fill(body, el("p", { class: "quiet" }, "Loading…"));
-    const focused = body.contains(document.activeElement) ? labelOf(document.activeElement) : null;
+    if (!lists.isLoaded) return fill(body, el("p.quiet", "Loading…"));
     const found = drivesCalled(search.value);
     const current = getState().drive;
     const cards = found.filter(({ id }, i) => i < room || id === current);
@@ -80,7 +76,6 @@ export function mount(container) {
       lists.drives.length ? cards.map((drive) => driveCard(drive, jobs.get(drive.id) ?? [])) : emptyNote(),
       found.length > room && el("button", { onClick: showMore }, `Show more (${formatCount(found.length - room)})`),
     );
-    if (focused) [...body.querySelectorAll("button")].find((each) => labelOf(each) === focused)?.focus();
     void loadReport();
   };
   const showMore = () => {
@@ -103,14 +98,11 @@ export function mount(container) {
   update();
 }
 
-/** @param {Element|null} button */
-const labelOf = (button) => button?.getAttribute("aria-label") ?? button?.textContent;
-
 function emptyNote() {
   const text =
     "A drive is the scans of a LiDAR along a road: SemanticKITTI, KITTI raw, KITTI-360, PCD files, a ROS bag or LAS. " +
     "Poses, labels and GNSS in it are used; what is missing is made from the points. The demo shows what comes out.";
-  return el("div", { class: "empty quiet" }, el("h3", {}, "No drive yet"), el("p", {}, text));
+  return el("div.empty.quiet", el("h3", "No drive yet"), el("p", text));
 }
 
 /** @param {string} words @returns {any[]} The drives that have them in their name, note or owner. */
@@ -143,7 +135,7 @@ function driveCard(drive, jobs) {
   const { button: rename, element: name } = naming({
     path: `drives/${drive.id}`,
     item: drive,
-    heading: el("h3", {}, el("button", { class: "link", title: drive.name, onClick: open }, drive.name)),
+    heading: el("h3", el("button.link.cut", { title: drive.name, onClick: open }, drive.name)),
     title: drive.name,
     mayBeUnnamed: false,
     onChange: (changed) => {
@@ -151,35 +143,28 @@ function driveCard(drive, jobs) {
       refreshLists().catch(showError); // jobs tell the name of their drive
     },
   });
-  const text = el(
-    "div",
-    { class: "grow" },
+  const text = el("div.grow", [
     name,
-    el("p", { class: "small" }, facts.join(" · ")),
-    drive.state !== "ready" && el("p", {}, driveBadge(drive)),
-    current && report && el("p", { class: "small" }, place),
-    current && network && el("p", { class: "small" }, `Labels: ${network}`),
-  );
-  return el(
-    "article",
-    { class: `drive${current ? " is" : ""}` },
-    el(
-      "header",
-      {},
+    el("p.small", facts.join(" · ")),
+    drive.state !== "ready" && el("p", driveBadge(drive)),
+    current && report && el("p.small", place),
+    current && network && el("p.small", `Labels: ${network}`),
+  ]);
+  return el("article", { class: `drive${current ? " is" : ""}` }, [
+    el("header", [
       text,
       drive.state === "ready" && iconButton("run", `Run ${drive.name}`, run, "Run it with other settings"),
       drive.state === "ready" &&
         iconButton("layers", `Maps of ${drive.name}`, () => mapsOfDrive(drive).catch(showError), "Put it into maps"),
       rename,
       iconButton("trash", `Delete ${drive.name}`, () => removeDrive(drive).catch(showError), "Delete the drive"),
-    ),
+    ]),
     jobs.length > 0 &&
       el(
-        "ul",
-        { class: "jobs" },
+        "ul.jobs",
         jobs.map((each) => jobRow(each, jobs.filter(({ state }) => state === "successful").length > 1)),
       ),
-  );
+  ]);
 }
 
 const STANDS = {
@@ -190,21 +175,19 @@ const STANDS = {
 /** @param {any} job @param {boolean} isOneOf Whether the drive has several results. */
 function jobRow(job, isOneOf) {
   const isDone = job.state === "successful";
-  const button = el(
-    "button",
-    { "aria-current": String(getState().job === job.id), onClick: () => openJob(job) },
-    el("span", { class: "cut", title: titleOf(job) }, titleOf(job)),
-    isDone ? el("span", { class: "small" }, formatAgo(job.finished_at)) : stateBadge(job.state),
-    isDone && el("span", { class: "small both" }, outcomeOf(job)),
+  const button = el("button", { "aria-current": String(getState().job === job.id), onClick: () => openJob(job) }, [
+    el("span.cut", { title: titleOf(job) }, titleOf(job)),
+    isDone ? el("span.small", formatAgo(job.finished_at)) : stateBadge(job.state),
+    isDone && el("span.small.both", outcomeOf(job)),
     isOneOf &&
       standing(job) &&
       el(
-        "span",
-        { class: "small both stands", title: "By intersections right and nodes found together: F1" },
+        "span.small.both.stands",
+        { title: "By intersections right and nodes found together: F1" },
         STANDS[/** @type {"best"} */ (standing(job))],
       ),
-  );
-  return el("li", {}, button);
+  ]);
+  return el("li", button);
 }
 
 /** @param {any} drive */

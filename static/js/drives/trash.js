@@ -1,7 +1,4 @@
-/**
- * What was deleted and can be restored: below the drives, shown while there is anything.
- * @module drives/trash
- */
+/** What was deleted and can be restored: below the drives, shown while there is anything. */
 import { sendJson } from "../api.js";
 import { lists, onListsChange, refreshLists } from "../data/lists.js";
 import { announce, el, fill, formatAgo, formatBytes } from "../dom.js";
@@ -10,16 +7,16 @@ import { confirmAction, showError } from "../messages.js";
 
 /** @returns {HTMLElement} */
 export function trashSection() {
-  const summary = el("summary", {});
-  const body = el("div", { class: "stack-s" });
-  const section = el("details", { class: "section trash", hidden: true }, summary, body);
+  const summary = el("summary");
+  const body = el("div.stack-s");
+  const section = el("details.section.trash", { hidden: true }, summary, body);
   const update = () => {
     section.hidden = lists.trash.length === 0;
     fill(summary, `Trash (${lists.trash.length})`);
     fill(
       body,
-      el("ul", { class: "stack-s" }, lists.trash.map(row)),
-      el("div", { class: "row" }, el("button", { class: "danger", onClick: guarded(empty) }, "Empty the trash")),
+      el("ul.stack-s", lists.trash.map(row)),
+      el("div.row", el("button.danger", { onClick: guarded(empty) }, "Empty the trash")),
     );
   };
   onListsChange(update);
@@ -34,17 +31,13 @@ function row(item) {
   const left = (new Date(item.purged_at).getTime() - Date.now()) / 3.6e6;
   const until = left > 0 ? `gone in ${formatHours(left)}` : "gone soon";
   const restore = { "aria-label": `Restore ${what}`, onClick: guarded(() => restoreItem(item, what)) };
-  return el(
-    "li",
-    { class: "spread" },
-    el(
-      "div",
-      { class: "grow" },
-      el("p", { class: "cut", title: what }, what),
-      el("p", { class: "small" }, [formatBytes(item.size_bytes), why, until].join(" · ")),
-    ),
+  return el("li.spread", [
+    el("div.grow", [
+      el("p.cut", { title: what }, what),
+      el("p.small", [formatBytes(item.size_bytes), why, until].join(" · ")),
+    ]),
     el("button", restore, "Restore"),
-  );
+  ]);
 }
 
 /** @param {any} item @param {string} what */

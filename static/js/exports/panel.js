@@ -1,13 +1,12 @@
-/**
- * Everything of a result to take along: files, a link to this view, the same by curl and in QGIS.
- * @module exports/panel
- */
+/** Everything of a result to take along: files, a link to this view, the same by curl and in QGIS. */
 import { address, download, getConfig, getToken, onTokenChange } from "../api.js";
 import { copyButton, resultSection } from "../controls.js";
 import { el, fill, icon } from "../dom.js";
 import { onResult } from "../map/shown.js";
 import { showError } from "../messages.js";
 import { permalink, subscribe } from "../state.js";
+
+/** @import { Result } from "../data/results.js" */
 
 /** Layers in a word, in the order of the list; the service has the words that explain them. */
 const LAYERS = /** @type {Record<string, string>} */ ({
@@ -38,13 +37,13 @@ const KMZ = "KMZ: all layers in one file, with the signs of this page.";
 
 /** @param {HTMLElement} container */
 export function mount(container) {
-  /** @type {import("../data/results.js").Result|null} */
+  /** @type {Result|null} */
   let result = null;
   const label = "Link to this view";
   const link = el("input", { type: "text", readOnly: true, "aria-label": label, onFocus: () => link.select() });
   const update = () => {
-    if (!result) return fill(container, el("p", { class: "quiet" }, "The files appear here when a job is done."));
-    fill(container, el("div", { class: "stack" }, sections(result, link)));
+    if (!result) return fill(container, el("p.quiet", "The files appear here when a job is done."));
+    fill(container, el("div.stack", sections(result, link)));
   };
   subscribe(null, () => (link.value = permalink()));
   link.value = permalink();
@@ -55,7 +54,7 @@ export function mount(container) {
   });
 }
 
-/** @param {import("../data/results.js").Result} result @param {HTMLElement} link */
+/** @param {Result} result @param {HTMLElement} link */
 function sections(result, link) {
   const { job, local, surface } = result;
   const at = `jobs/${job.id}`;
@@ -65,7 +64,7 @@ function sections(result, link) {
   const get = (text, path, name, props = { title: `${text}: ${name}` }) =>
     el("button", { ...props, onClick: () => download(path, name).catch(showError) }, text);
   /** @param {any} title @param {...any} buttons */
-  const files = (title, ...buttons) => [el("span", {}, title), el("div", { class: "formats" }, buttons)];
+  const files = (title, ...buttons) => [el("span", title), el("div.formats", buttons)];
   /** @param {string} name */
   const vector = (name) => {
     const title = el("span", { title: known.get(name)?.description }, LAYERS[name] ?? DERIVED[name]);
@@ -98,28 +97,23 @@ function sections(result, link) {
   const token = getToken() ? ' -H "Authorization: Bearer $INTERLOC_TOKEN"' : "";
   const whole = address(gpkg);
   return [
-    el("h2", {}, "Take it along"),
-    el(
-      "div",
-      { class: "row" },
+    el("h2", "Take it along"),
+    el("div.row", [
       get([icon("download"), "GeoPackage, all layers"], gpkg, `${slug}.gpkg`, { class: "primary" }),
       get([icon("download"), "QGIS project"], `${at}/export.qgz`, `${slug}.qgz`, { title: QGZ }),
       !local && get([icon("download"), "Google Earth"], `${at}/export.kmz`, `${slug}.kmz`, { title: KMZ }),
       get([icon("download"), "Everything (.zip)"], `${at}/archive.zip`, `${slug}.zip`, {}),
       !local && get([icon("download"), "PMTiles, for web maps"], `${at}/export.pmtiles`, `${slug}.pmtiles`, {}),
-    ),
+    ]),
     local &&
       el(
-        "p",
-        { class: "note" },
+        "p.note",
         "Without a georeference the files hold metres of the drive's own frame, without a coordinate system.",
       ),
-    resultSection("Layers", el("div", { class: "downloads" }, layers.map(vector), surface && raster())),
+    resultSection("Layers", el("div.downloads", layers.map(vector), surface && raster())),
     resultSection(
       "Report",
-      el(
-        "div",
-        { class: "downloads" },
+      el("div.downloads", [
         scored &&
           files(
             "Report",
@@ -127,24 +121,19 @@ function sections(result, link) {
             get("JSON", `${at}/report?format=json`, `${slug}-report.json`),
           ),
         files("Settings, versions, timings", get("JSON", `${at}/run`, `${slug}-run.json`)),
-      ),
+      ]),
     ),
     resultSection(
       "Link to this view",
-      el("div", { class: "row" }, el("div", { class: "grow" }, link), copyButton("Copy", permalink)),
-      el(
-        "p",
-        { class: "small" },
-        "Drive, job, place, keyframe, layers and filter; for everybody who can reach this server.",
-      ),
+      el("div.row", el("div.grow", link), copyButton("Copy", permalink)),
+      el("p.small", "Drive, job, place, keyframe, layers and filter; for everybody who can reach this server."),
     ),
     resultSection("The same by curl", codeBox(`curl -fOJ${token} ${whole}`)),
     !local && resultSection("In QGIS", qgis(address(`${at}/intersections`), live)),
     scored &&
       !result.isMadeUp &&
       el(
-        "p",
-        { class: "small section" },
+        "p.small.section",
         "Report, verdicts, matches, OSM roads and intersections hold data of OpenStreetMap: © OpenStreetMap contributors, " +
           "ODbL. State this where you publish them.",
       ),
@@ -157,23 +146,16 @@ function sections(result, link) {
  */
 function qgis(geojson, live) {
   const words = "Double-click the project, or drag the GeoPackage into QGIS: the layers are drawn as on this page.";
-  const open = el("p", { class: "small" }, words);
+  const open = el("p.small", words);
   if (getToken()) return open;
   const path = "Layer › Add Layer › Add Vector Layer, source type “Protocol: HTTP(S)”, type GeoJSON, URI:";
-  const here = el(
-    "p",
-    { class: "small" },
-    "Read from this server, nothing to download: the ",
-    live,
-    ". One layer: ",
-    path,
-  );
-  return el("div", { class: "stack" }, open, el("div", {}, here, codeBox(geojson)));
+  const here = el("p.small", "Read from this server, nothing to download: the ", live, ". One layer: ", path);
+  return el("div.stack", open, el("div", here, codeBox(geojson)));
 }
 
 /** @param {string} text */
 function codeBox(text) {
-  const code = el("pre", { class: "code", tabIndex: 0 }, text);
+  const code = el("pre.code", { tabIndex: 0 }, text);
   const copy = copyButton("Copy", () => text);
-  return el("div", { class: "code-box" }, code, copy);
+  return el("div.code-box", code, copy);
 }

@@ -1,7 +1,4 @@
-/**
- * What is to be done with a drive: the map to score against, the labels to use, the settings of the method.
- * @module job/job_form
- */
+/** What is to be done with a drive: the map to score against, the labels to use, the settings of the method. */
 
 import { getConfig, newKey } from "../api.js";
 import { field, section, select } from "../controls.js";
@@ -33,10 +30,7 @@ import { placingField } from "./placing.js";
  * @property {JobSettings | null} before What was chosen before.
  */
 
-/**
- * @param {Known} known
- * @param {() => void} onChange
- */
+/** @param {Known} known @param {() => void} onChange */
 export function jobForm(known, onChange) {
   const map = mapChoice(known, () => (showPolicy(), onChange()));
 
@@ -44,7 +38,7 @@ export function jobForm(known, onChange) {
   const tolerance = el("input", { type: "number", min: 1, max: 100, step: "any", required: true, value: usualReach });
   const toleranceField = field("Merging reach [m]", tolerance);
   const policy = policyField(known.before?.policy, () => showPolicy());
-  const policies = el("div", { class: "stack-s" }, policy.element, toleranceField);
+  const policies = el("div.stack-s", policy.element, toleranceField);
   const placing = placingField(known.before, () => (showPolicy(), onChange()));
   function showPolicy() {
     const chosen = map.kind() ?? "none";
@@ -66,7 +60,7 @@ export function jobForm(known, onChange) {
   }
 
   const refusal = "This drive has no GNSS: place it on the map by its roads, or the service would refuse the job.";
-  const noFix = el("p", { class: "note warning" }, refusal);
+  const noFix = el("p.note.warning", refusal);
   let hasFix = known.hasGeoreference;
   /** @param {boolean} has */
   function setGeoreference(has) {
@@ -79,7 +73,7 @@ export function jobForm(known, onChange) {
   setFolders(known.folders);
   setGeoreference(known.hasGeoreference);
   const key = newKey();
-  const ofMap = el("section", { class: "stack-s" }, map.element, placing.element, noFix, policies);
+  const ofMap = el("section.stack-s", map.element, placing.element, noFix, policies);
 
   return {
     mapElement: ofMap,
@@ -118,14 +112,14 @@ export function jobForm(known, onChange) {
  */
 function policyField(chosen, onChange) {
   const { policies } = getConfig();
-  const hint = el("small", {});
+  const hint = el("small");
   const explain = () => fill(hint, policies.find(({ name }) => name === policy.value)?.description);
   const policy = select(Object.fromEntries(policies.map(({ name, title }) => [name, title])), chosen, (value) => {
     explain();
     onChange?.(value);
   });
   explain();
-  const element = el("label", { class: "field" }, el("span", {}, "What counts as an intersection"), policy, hint);
+  const element = el("label.field", el("span", "What counts as an intersection"), policy, hint);
   return { element, value: () => policy.value };
 }
 
@@ -163,10 +157,10 @@ function settingsForm(presets, before, onChange) {
   let preset = presets.presets.find((each) => each.name === before?.preset) ?? presets.presets[0];
   /** Values that differ from the preset, by path. @type {Map<string, any>} */
   const changed = flatten(before?.config ?? {});
-  const main = el("div", { class: "stack-s" });
-  const all = el("div", { class: "stack" });
-  const summary = el("small", { class: "quiet" });
-  const description = el("small", {}, preset.description);
+  const main = el("div.stack-s");
+  const all = el("div.stack");
+  const summary = el("small.quiet");
+  const description = el("small", preset.description);
   const names = Object.fromEntries(presets.presets.map((each) => [each.name, each.name]));
   const chooser = select(names, preset.name, (name) => {
     preset = presets.presets.find((each) => each.name === name) ?? preset;
@@ -192,8 +186,8 @@ function settingsForm(presets, before, onChange) {
     const unit = Object.entries(UNITS).find(([suffix]) => name.endsWith(`_${suffix}`))?.[1];
     const heading = `${title ?? words(name)}${unit ? ` [${unit}]` : ""}`;
     const range = rangeOf(schema);
-    const hint = el("small", {}, schema.description, ` Preset: ${shown(usual)}${range && `; ${range}`}.`);
-    return el("label", { class: "field setting" }, el("span", {}, heading), input, hint);
+    const hint = el("small", schema.description, ` Preset: ${shown(usual)}${range && `; ${range}`}.`);
+    return el("label.field.setting", el("span", heading), input, hint);
   }
 
   function build() {
@@ -208,7 +202,7 @@ function settingsForm(presets, before, onChange) {
         const paths = Object.keys(preset.config[part]).map((name) => `${part}.${name}`);
         const controls = paths.filter((path) => !MAIN.some(([own]) => own === path)).map((path) => control(path));
         const about = schemaOf(presets.config_schema, preset.config, part)?.description;
-        return section(title, about && el("small", {}, about), controls);
+        return section(title, about && el("small", about), controls);
       }),
     );
     describe();
@@ -220,22 +214,18 @@ function settingsForm(presets, before, onChange) {
 
   build();
   const reset = el(
-    "button",
-    { type: "button", class: "link", onClick: () => (changed.clear(), build(), onChange()) },
+    "button.link",
+    { type: "button", onClick: () => (changed.clear(), build(), onChange()) },
     "Back to the preset",
   );
   return {
-    element: el(
-      "div",
-      { class: "stack-s" },
+    element: el("div.stack-s", [
       field("Preset", chooser, description),
-      el(
-        "details",
-        { class: "box", open: changed.size > 0 },
-        el("summary", {}, "Settings ", summary),
-        el("div", { class: "stack-s" }, main, el("details", {}, el("summary", {}, "All other settings"), all), reset),
-      ),
-    ),
+      el("details.box", { open: changed.size > 0 }, [
+        el("summary", "Settings ", summary),
+        el("div.stack-s", main, el("details", el("summary", "All other settings"), all), reset),
+      ]),
+    ]),
     read: () => ({ preset: preset.name, config: changed.size ? nest(changed) : null }),
     /** @returns {any} The value that will be used. */
     value: (/** @type {string} */ path) =>
@@ -255,11 +245,7 @@ function schemaOf(root, config, part) {
 /** @param {any} root @param {any} schema */
 const resolve = (root, schema) => (schema.$ref ? root.$defs[schema.$ref.split("/").pop()] : schema);
 
-/**
- * @param {any} schema
- * @param {any} value
- * @param {(value: any, isValid: boolean) => void} onChange
- */
+/** @param {any} schema @param {any} value @param {(value: any, isValid: boolean) => void} onChange */
 function inputFor(schema, value, onChange) {
   if (schema.type === "boolean") {
     return select({ true: "yes", false: "no" }, String(value), (next) => onChange(next === "true", true));
@@ -293,7 +279,7 @@ function inputFor(schema, value, onChange) {
   return input;
 }
 
-/** @param {any} schema @returns {string} */
+/** @param {any} schema */
 function rangeOf(schema) {
   const number = (schema.anyOf ?? [schema]).find((/** @type {any} */ each) => each.maximum !== undefined);
   if (!number) return "";

@@ -2,7 +2,6 @@
  * The choice of the map to score against: one that the drive has, a file of one's own, the map of today, or none.
  *
  * Nothing is chosen where the drive has no map: without a map a result has no score, so that has to be said, not left.
- * @module job/map_choice
  */
 import { getConfig, isMap } from "../api.js";
 import { filePicker, radios } from "../controls.js";
@@ -21,20 +20,20 @@ export function mapChoice({ maps, isArchive = false, before }, onChange) {
   /** @type {File | null} */
   let ownFile = null;
   const endings = getConfig().file_kinds.maps;
-  const ownName = el("span", { class: "small quiet cut" }, "None chosen yet");
+  const ownName = el("span.small.quiet.cut", "None chosen yet");
   const pick = (/** @type {FileList} */ [file]) => {
     ownFile = isMap(file.name) ? file : null;
     ownName.textContent = ownFile ? file.name : `${file.name} is not an OSM file (${endings.join(", ")}).`;
     onChange();
   };
   const picker = filePicker("Choose a file …", pick, { accept: ".osm,.gz,.bz2,.pbf", name: "osm-file" });
-  const own = el("div", { class: "row" }, picker, ownName);
+  const own = el("div.row", picker, ownName);
   const inside = "If there is an .osm file in it; otherwise intersections are found but not scored.";
   const overpass = "From a public Overpass server, which learns where the drive is.";
   const choices = [
     ...maps.map((path) => ({
       value: `file:${path}`,
-      title: el("code", {}, path),
+      title: el("code", path),
       hint: "Among the files of the drive.",
     })),
     ...(isArchive ? [{ value: "inside", title: "The map in the archive", hint: inside }] : []),
@@ -43,10 +42,10 @@ export function mapChoice({ maps, isArchive = false, before }, onChange) {
     { value: "none", title: "No map", hint: "Intersections are found but not scored." },
   ];
   const choice = radios("OpenStreetMap to score against", choices, usual(maps, isArchive, before), onChange);
-  const verdict = el("p", { class: "small", role: "status" });
+  const verdict = el("p.small", { role: "status" });
 
   return {
-    element: el("div", { class: "stack-s" }, choice.element, verdict),
+    element: el("div.stack-s", choice.element, verdict),
     /** @returns {"file" | "overpass" | "none" | null} null: nothing is chosen yet. */
     kind: () => {
       const value = choice.value();

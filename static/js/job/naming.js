@@ -1,11 +1,8 @@
-/**
- * The name and the note of a drive or job, edited in their place.
- * @module job/naming
- */
+/** The name and the note of a drive or job, edited in their place. */
 import { sendJson } from "../api.js";
 import { field, iconButton } from "../controls.js";
 import { el, fill } from "../dom.js";
-import { problemNote } from "../messages.js";
+import { attempt } from "../messages.js";
 
 /**
  * @param {object} thing
@@ -18,11 +15,11 @@ import { problemNote } from "../messages.js";
  * @returns {{button: HTMLElement, element: HTMLElement}} What begins it, and where it happens.
  */
 export function naming({ path, item, heading, title, mayBeUnnamed, onChange }) {
-  const element = el("div", { class: "naming" });
+  const element = el("div.naming.grow");
   const button = iconButton("edit", `Rename ${title}`, edit, "Rename it, or note something about it");
 
   function show() {
-    fill(element, heading, item.note && el("p", { class: "small noted" }, item.note));
+    fill(element, heading, item.note && el("p.small.noted", item.note));
   }
 
   function edit() {
@@ -40,35 +37,25 @@ export function naming({ path, item, heading, title, mayBeUnnamed, onChange }) {
       show();
       button.focus();
     };
-    const save = async () => {
-      try {
+    const save = () =>
+      attempt(trouble, async () => {
         const changes = { name: name.value.trim() || null, note: note.value.trim() || null };
         const changed = await sendJson("PATCH", path, changes);
         close();
         onChange(changed);
-      } catch (error) {
-        fill(trouble, problemNote(error));
-      }
-    };
+      });
     const onKeydown = (/** @type {KeyboardEvent} */ event) => {
       if (event.key !== "Escape") return;
       event.stopPropagation();
       close();
     };
     const onSubmit = (/** @type {Event} */ event) => (event.preventDefault(), void save());
-    const form = el(
-      "form",
-      { class: "stack-s editing", onSubmit, onKeydown },
+    const form = el("form.stack-s.editing", { onSubmit, onKeydown }, [
       field("Name", name),
       field("Note", note),
       trouble,
-      el(
-        "div",
-        { class: "row" },
-        el("button", { class: "primary" }, "Save"),
-        el("button", { type: "button", onClick: close }, "Cancel"),
-      ),
-    );
+      el("div.row", el("button.primary", "Save"), el("button", { type: "button", onClick: close }, "Cancel")),
+    ]);
     fill(element, form);
     name.focus();
     name.select();

@@ -1,9 +1,6 @@
-/**
- * The job at hand: its progress while it runs, its outcome in figures, its failure explained.
- * @module job/panel
- */
+/** The job at hand: its progress while it runs, its outcome in figures, its failure explained. */
 import { follow, getJson, sendJson } from "../api.js";
-import { factRows, figure } from "../controls.js";
+import { factList, figure } from "../controls.js";
 import { FINAL, lists, refreshLists, rememberDrive, rememberJob, titleOf } from "../data/lists.js";
 import {
   announce,
@@ -36,12 +33,10 @@ const POLL_MS = 15000; // a proxy may hold events back: ask now and then, too
 /** @param {HTMLElement} container */
 export function mount(container) {
   let stop = new AbortController();
-  const silence = el(
-    "p",
-    { class: "note warning", role: "status", hidden: true },
-    el("strong", {}, "The server does not answer"),
+  const silence = el("p.note.warning", { role: "status", hidden: true }, [
+    el("strong", "The server does not answer"),
     "This page tries again until it does. Jobs survive a restart: they go on where they stopped.",
-  );
+  ]);
 
   const start = async () => {
     stop.abort();
@@ -49,7 +44,7 @@ export function mount(container) {
     const { signal } = stop;
     silence.hidden = true;
     const id = getState().job;
-    if (!id) return fill(container, el("p", { class: "quiet" }, "Choose a job, or run a drive."));
+    if (!id) return fill(container, el("p.quiet", "Choose a job, or run a drive."));
     try {
       const known = lists.jobs.find((each) => each.id === id);
       if (known) show(known);
@@ -89,13 +84,12 @@ export function mount(container) {
     if (isSame && FINAL.has(job.state) && !FINAL.has(last.state)) announce(`The job is ${job.state}.`);
     last = job;
     if (isEditing(container) && isSame) return;
-    const focused = container.contains(document.activeElement) ? document.activeElement?.textContent : null;
-    const title = el("h2", { class: "cut", title: job.drive_name }, job.drive_name);
+    const title = el("h2.cut", { title: job.drive_name }, job.drive_name);
     const owner = job.owner === ANYONE ? "" : ` by ${job.owner}`;
     const { button: rename, element: name } = naming({
       path: `jobs/${job.id}`,
       item: job,
-      heading: el("h3", { class: "job-title" }, titleOf(job)),
+      heading: el("h3.job-title", titleOf(job)),
       title: "this job",
       mayBeUnnamed: true,
       onChange: update,
@@ -107,21 +101,16 @@ export function mount(container) {
     });
     fill(
       container,
-      el(
-        "div",
-        { class: "stack" },
-        el(
-          "div",
-          {},
-          el("div", { class: "spread" }, title, stateBadge(job.state)),
-          el("div", { class: "spread named" }, name, rename),
-          el("p", { class: "small" }, `Submitted ${formatAgo(job.created_at)}${owner}`),
-        ),
+      el("div.stack", [
+        el("div", [
+          el("div.spread", title, stateBadge(job.state)),
+          el("div.spread.named", name, rename),
+          el("p.small", `Submitted ${formatAgo(job.created_at)}${owner}`),
+        ]),
         silence,
         (bodies[job.state] ?? progress)(job),
-      ),
+      ]),
     );
-    if (focused) [...container.querySelectorAll("button")].find((each) => each.textContent === focused)?.focus();
   };
 
   redraw = () => last && show(last);
@@ -146,17 +135,15 @@ function progress(job) {
   const rest = typeof left === "number" && total ? `${formatDuration(Math.max(1, Math.round(left)))} left` : "";
   const retried = `Attempt ${job.attempts}: a worker died; the job goes on where it stopped.`;
   return [
-    el("ol", { class: "stages" }, items),
-    el(
-      "div",
-      { class: "stack-s" },
+    el("ol.steps.down", items),
+    el("div.stack-s", [
       el("progress", { max: 1, value: total ? fraction : null, "aria-label": "Progress" }),
-      el("div", { class: "spread small number" }, el("span", {}, count), el("span", {}, rest)),
-      job.message && el("p", { class: "small" }, job.message),
-      job.attempts > 1 && el("p", { class: "note warning" }, retried),
-    ),
-    row(el("button", { class: "danger", onClick: () => cancel(job).catch(showError) }, "Cancel the job")),
-    el("p", { class: "small" }, "You may close this page: the server goes on, and the job is in the list of drives."),
+      el("div.spread.small.number", el("span", count), el("span", rest)),
+      job.message && el("p.small", job.message),
+      job.attempts > 1 && el("p.note.warning", retried),
+    ]),
+    row(el("button.danger", { onClick: () => cancel(job).catch(showError) }, "Cancel the job")),
+    el("p.small", "You may close this page: the server goes on, and the job is in the list of drives."),
   ];
 }
 
@@ -179,7 +166,7 @@ function outcome(job) {
   const methodSeconds = stages.reduce((sum, each) => sum + each, 0); // without the start of workers, and the map
   const { osm, policy } = job.request;
   const own = Object.entries(job.own_settings).map(([name, value]) =>
-    el("code", {}, `${name} = ${JSON.stringify(value)} `),
+    el("code", `${name} = ${JSON.stringify(value)} `),
   );
   const finished = new Date(job.finished_at).toLocaleString("en-GB", { dateStyle: "medium", timeStyle: "short" });
   const isPlaced = summary.georeferenced !== false;
@@ -188,8 +175,8 @@ function outcome(job) {
     : "The drive has no georeference: run it again with a map, and it is placed there by its roads.";
   const withMap = () => openRunDialog(job.drive_id, { job, withMap: true }).catch(showError);
   return [
-    report?.map_line && el("p", { class: "verdict" }, el("strong", {}, report.map_line)),
-    el("div", { class: "tiles-row" }, [
+    report?.map_line && el("p.verdict", el("strong", report.map_line)),
+    el("div.tiles-row", [
       figure(formatCount(summary.intersections ?? 0), "intersections"),
       figure(formatCount(summary.detections ?? 0), "detections"),
       figure(formatCount(keyframes ?? 0), "keyframes"),
@@ -199,35 +186,31 @@ function outcome(job) {
         figure(formatPercent(report.recall_at_5), "recall, 5 m"),
       ],
     ]),
-    !osm && el("p", { class: "note" }, el("strong", {}, "Not scored"), unscored),
-    !osm && row(el("button", { class: "primary", onClick: withMap }, "Run again with a map…")),
+    !osm && el("p.note", el("strong", "Not scored"), unscored),
+    !osm && row(el("button.primary", { onClick: withMap }, "Run again with a map…")),
     row(
       el(
-        "button",
-        { class: "primary", onClick: () => setState({ panel: "report" }) },
+        "button.primary",
+        { onClick: () => setState({ panel: "report" }) },
         osm ? "Open the report" : "List the intersections",
       ),
       el("button", { onClick: () => setState({ panel: "export" }) }, icon("download"), "Download"),
     ),
-    el(
-      "dl",
-      { class: "figures section" },
-      factRows([
-        ["Preset", job.request.preset ?? "default"],
-        job.request.labels && ["Labels", job.request.labels],
-        summary.doubtful_labels_m?.length && ["Labels doubtful", doubtfulText(summary.doubtful_labels_m)],
-        ["Map", osm ? (osm.file ?? "OpenStreetMap, by Overpass") : "none"],
-        osm && ["Policy", policy ?? "drive"],
-        summary.location && ["Placed by its roads", placedText(summary.location)],
-        ["Own settings", own.length ? own : "none"],
-        seconds !== undefined && ["Time", formatDuration(seconds)],
-        methodSeconds && keyframes && ["Per keyframe", `${((1000 * methodSeconds) / keyframes).toFixed(1)} ms`],
-        summary.peak_memory_bytes && ["Peak memory", formatBytes(summary.peak_memory_bytes)],
-        ["Finished", finished],
-        ["Job", el("code", {}, job.id)],
-      ]),
-    ),
-    el("div", { class: "row section" }, runAgain(job, ""), pinButton(job), removal(job)),
+    factList("section", [
+      ["Preset", job.request.preset ?? "default"],
+      job.request.labels && ["Labels", job.request.labels],
+      summary.doubtful_labels_m?.length && ["Labels doubtful", doubtfulText(summary.doubtful_labels_m)],
+      ["Map", osm ? (osm.file ?? "OpenStreetMap, by Overpass") : "none"],
+      osm && ["Policy", policy ?? "drive"],
+      summary.location && ["Placed by its roads", placedText(summary.location)],
+      ["Own settings", own.length ? own : "none"],
+      seconds !== undefined && ["Time", formatDuration(seconds)],
+      methodSeconds && keyframes && ["Per keyframe", `${((1000 * methodSeconds) / keyframes).toFixed(1)} ms`],
+      summary.peak_memory_bytes && ["Peak memory", formatBytes(summary.peak_memory_bytes)],
+      ["Finished", finished],
+      ["Job", el("code", job.id)],
+    ]),
+    el("div.row.section", runAgain(job, ""), pinButton(job), removal(job)),
   ];
 }
 
@@ -263,24 +246,19 @@ function failure(job) {
   const back = el("button", { onClick: () => setState({ panel: "drives" }) }, "Back to the drives");
   return [
     failureNote(job),
-    el("p", { class: "quiet" }, "Correct what is named above, then run it again. The drive is still there."),
+    el("p.quiet", "Correct what is named above, then run it again. The drive is still there."),
     row(runAgain(job), back, removal(job)),
   ];
 }
 
 /** @param {any} job */
 function dismissed(job) {
-  return [el("p", { class: "quiet" }, "This job was cancelled; it has no result."), row(runAgain(job), removal(job))];
+  return [el("p.quiet", "This job was cancelled; it has no result."), row(runAgain(job), removal(job))];
 }
 
 /** @param {any} job */
 function removal(job) {
-  return el(
-    "button",
-    { class: "plain danger", onClick: () => remove(job).catch(showError) },
-    icon("trash"),
-    "Delete this job",
-  );
+  return el("button.plain.danger", { onClick: () => remove(job).catch(showError) }, icon("trash"), "Delete this job");
 }
 
 /** @param {any} job */
@@ -299,4 +277,4 @@ function runAgain(job, kind = "primary") {
 }
 
 /** @param {...any} children */
-const row = (...children) => el("div", { class: "row" }, children);
+const row = (...children) => el("div.row", children);

@@ -1,7 +1,4 @@
-/**
- * The choice of where longitude and latitude come from: the GNSS of the drive, or the roads of the map.
- * @module job/placing
- */
+/** The choice of where longitude and latitude come from: the GNSS of the drive, or the roads of the map. */
 import { getConfig } from "../api.js";
 import { field } from "../controls.js";
 import { el } from "../dom.js";
@@ -9,10 +6,7 @@ import { el } from "../dom.js";
 /** @typedef {{lat_deg: number, lon_deg: number, radius_km: number}} Near Where to search. */
 /** @typedef {{georeference: "drive"|"map", near: Near | null}} Placing As a job has it. */
 
-/**
- * @param {Placing | null} before What was chosen before.
- * @param {() => void} onChange
- */
+/** @param {Placing | null} before What was chosen before. @param {() => void} onChange */
 export function placingField(before, onChange) {
   const wanted = before?.georeference === "map";
   let isTouched = before !== null;
@@ -22,12 +16,10 @@ export function placingField(before, onChange) {
     onChange();
   };
   const box = el("input", { type: "checkbox", checked: wanted, onChange: () => ((isTouched = true), change()) });
-  const text = el(
-    "span",
-    {},
+  const text = el("span", [
     "Place the drive on the map by its roads",
-    el("small", {}, "For a drive without GNSS: its shape and its intersections tell where it was, or it is refused."),
-  );
+    el("small", "For a drive without GNSS: its shape and its intersections tell where it was, or it is refused."),
+  ]);
   const at = before?.near ? `${before.near.lat_deg}, ${before.near.lon_deg}` : "";
   const near = el("input", { type: "text", placeholder: "anywhere on the map", value: at, onInput: onChange });
   const range = getConfig().search_radius_km;
@@ -40,13 +32,11 @@ export function placingField(before, onChange) {
     value: before?.near?.radius_km ?? range.default,
     onInput: onChange,
   });
-  const more = el(
-    "div",
-    { class: "stack-s more", hidden: !wanted },
+  const more = el("div.stack-s.more", { hidden: !wanted }, [
     field("Roughly where: latitude, longitude", near, "In degrees, for example 49.01, 8.43. Makes the search sure."),
     field("How far around [km]", radius),
-  );
-  const element = el("div", { class: "stack-s" }, el("label", { class: "check" }, box, text), more);
+  ]);
+  const element = el("div.stack-s", el("label.check", box, text), more);
 
   /** @returns {Near | null | undefined} undefined: what stands there is no place. */
   function readNear() {

@@ -1,12 +1,9 @@
-/**
- * Run a drive that is there already: afresh, or once more as an earlier job, with what is to be different.
- * @module job/run_dialog
- */
+/** Run a drive that is there already: afresh, or once more as an earlier job, with what is to be different. */
 import { encodePath, getJson, putFile, sendJson } from "../api.js";
-import { field, openDialog } from "../controls.js";
+import { field } from "../controls.js";
 import { rememberJob, titleOf } from "../data/lists.js";
 import { el, fill } from "../dom.js";
-import { problemNote } from "../messages.js";
+import { attempt, openDialog } from "../messages.js";
 import { jobForm, nest } from "./job_form.js";
 import { openJob } from "./words.js";
 
@@ -29,35 +26,21 @@ export async function openRunDialog(id, { job, withMap = false } = {}) {
   const name = el("input", { type: "text", maxLength: 200, placeholder: "made from what is chosen below" });
   const why = el("small", { role: "status" });
   const trouble = el("div", { role: "status" });
-  const run = el("button", { class: "primary", value: "run" }, "Run");
+  const run = el("button.primary", { value: "run" }, "Run");
   const stop = new AbortController();
-  const dialog = openDialog(
-    { class: "tall" },
-    [
-      el(
-        "form",
-        { method: "dialog", onSubmit: (/** @type {Event} */ e) => (e.preventDefault(), void submit()) },
-        el(
-          "div",
-          { class: "stack tall-body" },
-          el("h2", {}, job ? `Run ${drive.name} again` : `Run ${drive.name}`),
-          job && el("p", { class: "small" }, `All is chosen as it was for the job “${titleOf(job)}”.`),
-          field("Name of the job", name),
-          form.mapElement,
-          form.element,
-        ),
-        trouble,
-        el(
-          "div",
-          { class: "actions" },
-          why,
-          el("button", { type: "button", onClick: () => dialog.close() }, "Cancel"),
-          run,
-        ),
-      ),
-    ],
-    () => stop.abort(),
-  );
+  const content = [
+    job && el("p.small", `All is chosen as it was for the job “${titleOf(job)}”.`),
+    field("Name of the job", name),
+    form.mapElement,
+    form.element,
+  ];
+  const dialog = openDialog(job ? `Run ${drive.name} again` : `Run ${drive.name}`, content, {
+    actions: [why, el("button", { type: "button", onClick: () => dialog.close() }, "Cancel"), run],
+    trouble,
+    kind: "wide",
+    onSubmit: () => void submit(),
+    onClose: () => stop.abort(),
+  });
 
   function refresh() {
     const complaint = form.complaint() ?? form.mapComplaint();
@@ -72,7 +55,7 @@ export async function openRunDialog(id, { job, withMap = false } = {}) {
     if (sent?.file !== file) {
       const path = freeName(file.name, maps);
       const onProgress = (/** @type {number} */ bytes) =>
-        fill(trouble, el("p", { class: "small" }, `Sending the map: ${Math.floor((100 * bytes) / file.size)} %`));
+        fill(trouble, el("p.small", `Sending the map: ${Math.floor((100 * bytes) / file.size)} %`));
       await putFile(`drives/${drive.id}/files/${encodePath(path)}`, file, { onProgress, signal: stop.signal });
       sent = { file, path };
     }
@@ -81,8 +64,7 @@ export async function openRunDialog(id, { job, withMap = false } = {}) {
 
   const submit = async () => {
     run.disabled = true;
-    fill(trouble);
-    try {
+    const isDone = await attempt(trouble, async () => {
       const { job: chosen, map } = form.read();
       const { key, ...settings } = chosen;
       const osm = map ? await send(map) : settings.osm;
@@ -91,11 +73,8 @@ export async function openRunDialog(id, { job, withMap = false } = {}) {
       rememberJob(made);
       dialog.close();
       openJob(made);
-    } catch (error) {
-      if (stop.signal.aborted) return;
-      fill(trouble, problemNote(error));
-      run.disabled = false;
-    }
+    });
+    run.disabled = isDone;
   };
   refresh();
 }

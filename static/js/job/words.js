@@ -1,7 +1,4 @@
-/**
- * How drives and jobs are called and opened, wherever they are listed.
- * @module job/words
- */
+/** How drives and jobs are called and opened, wherever they are listed. */
 import { getConfig } from "../api.js";
 import { demo } from "../data/demo.js";
 import { lists, titleOf } from "../data/lists.js";
@@ -30,10 +27,9 @@ export function stateBadge(state) {
 
 /** @param {any} drive @returns {HTMLElement} Its state, or how far its upload is. */
 export function driveBadge({ id, state }) {
-  if (state === "uploading" && demo.isRunning && demo.drive === id)
-    return el("span", { class: "badge busy" }, "Being made");
+  if (state === "uploading" && demo.isRunning && demo.drive === id) return el("span.badge.busy", "Being made");
   const upload = state === "uploading" ? uploadOf(id) : null;
-  return upload ? el("span", { class: "badge busy", dataset: { upload: id } }, uploadText(upload)) : stateBadge(state);
+  return upload ? el("span.badge.busy", { dataset: { upload: id } }, uploadText(upload)) : stateBadge(state);
 }
 
 onUploadsChange(() => {

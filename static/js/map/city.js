@@ -1,24 +1,23 @@
 /**
  * A map of many drives: its intersections and what OpenStreetMap seems to have wrong, asked for by the box that is seen.
- * @module map/city
  */
-import { factRows } from "../controls.js";
+import { factList, outLink } from "../controls.js";
 import { cities, featuresIn, judge, loadMembers, loadVerdicts, stepFinding, takeBack } from "../data/city.js";
 import { lists, titleOf } from "../data/lists.js";
 import { lineOf } from "../data/results.js";
 import { el, formatCount, formatDate, formatMetres, formatPercent, plural } from "../dom.js";
-import { Popup } from "../leaflet.js";
 import { showError } from "../messages.js";
 import { getState, setState } from "../state.js";
 import { cqlOf, getCityFilter, isOfChange } from "./city_filter.js";
 import { kindName, PLACE_SIGNS, partsOf, placeSign, signOfChange } from "./city_places.js";
+import { popupOf } from "./details.js";
 import { branchesOf } from "./facts.js";
 import { coordinates, linksAt } from "./links.js";
 import { OverviewScene, REACH_PX } from "./overview.js";
-import { View } from "./surface.js";
 import { colour, paintSigns, SIGNS, trace } from "./symbols.js";
 
-/** @typedef {import("../data/city.js").City} City */
+/** @import { City, Member } from "../data/city.js" */
+/** @import { View } from "./surface.js" */
 /** @typedef {{sign: string, lng: number, lat: number, x: number, y: number, properties: any, finding: any, changes: any[]}} Spot */
 
 const MAX_PLACES = 1000; // at once; of more each part of the view shows some
@@ -44,7 +43,7 @@ export class CityScene extends OverviewScene {
     this.cut = "";
     /** What was asked for. @type {{box: number[], filter: string|null, isWhole: boolean, zoom: number}|null} */
     this.asked = null;
-    /** By their names on the map. @type {Promise<Map<string, import("../data/city.js").Member>>|null} */
+    /** By their names on the map. @type {Promise<Map<string, Member>>|null} */
     this.members = null;
     /** What was said of findings. @type {Promise<void>|null} */
     this.verdicts = null;
@@ -193,41 +192,32 @@ export class CityScene extends OverviewScene {
     context.stroke();
   }
 
-  /** @param {any} event Of the pointer. @returns {any} The nearest place, else the nearest drive. */
-  at(event) {
-    const { map } = this;
-    const view = new View(map, map.getZoom(), map.getPixelBounds().min, map.getSize());
-    const { x, y } = event.containerPoint;
+  /** @param {View} view @param {number} x Pixels. @param {number} y @returns {any} The nearest place, else the nearest drive. */
+  at(view, x, y) {
     let nearest = null;
     let min = REACH_PX;
     for (const spot of this.spots) {
       const away = Math.hypot(view.x(spot.x) - x, view.y(spot.y) - y);
       if (away <= min) [nearest, min] = [spot, away];
     }
-    return nearest ?? super.at(event);
+    return nearest ? { kind: "place", item: nearest } : super.at(view, x, y);
   }
 
-  /** @param {any} item */
-  tipOf(item) {
-    if (!item.sign) return super.tipOf(item);
-    return el(
-      "div",
-      {},
-      el("strong", {}, spotTitle(item)),
+  /** @param {any} hit */
+  tipOf({ kind, item }) {
+    if (kind === "drive") return super.tipOf({ item });
+    return el("div", [
+      el("strong", spotTitle(item)),
       el("br"),
       item.finding?.text ?? (item.properties.passes ? seenText(item.properties) : changeText(item.properties)),
-    );
+    ]);
   }
 
-  /** @param {any} item */
-  open(item) {
-    if (!item.sign) return super.open(item);
+  /** @param {any} hit */
+  open({ kind, item }) {
+    if (kind === "drive") return super.open({ item });
     if (item.finding) return setState({ panel: "map", finding: item.finding.id });
-    const room = this.map.getSize().x - 80;
-    new Popup({ maxWidth: Math.min(320, room), minWidth: Math.min(290, room), autoPanPadding: [24, 24] })
-      .setLatLng([item.lat, item.lng])
-      .setContent(contentOf(item))
-      .openOn(this.map);
+    popupOf(this.map, item, contentOf(item)).openOn(this.map);
   }
 
   /** Go to the finding that is looked at. @param {boolean} [animate] */
@@ -241,7 +231,7 @@ export class CityScene extends OverviewScene {
 
 /**
  * @param {any} feature Of the layer `drives`.
- * @param {Map<string, import("../data/city.js").Member>} members
+ * @param {Map<string, Member>} members
  * @returns {import("../data/overview.js").DriveOnMap}
  */
 function driveOf({ id: label, geometry, properties: { intersections } }, members) {
@@ -277,22 +267,14 @@ const seenText = ({ drives, drives_near, passes }) =>
 
 /** @param {Spot} spot */
 function contentOf({ lat, lng, properties: p, changes }) {
-  const links = linksAt(lat, lng).map(({ name, href, title }) =>
-    el("a", { href, title, target: "_blank", rel: "noopener" }, name),
-  );
-  const change = changes.map(({ properties: c }) => el("p", { class: "why" }, changeText(c)));
-  return el(
-    "div",
-    { class: "details" },
-    el("h3", {}, `Intersection ${p.uid}`),
+  const links = linksAt(lat, lng).map(({ name, href, title }) => outLink(href, name, { title }));
+  const change = changes.map(({ properties: c }) => el("p.why", changeText(c)));
+  return el("div.details", [
+    el("h3", `Intersection ${p.uid}`),
     change,
-    el(
-      "dl",
-      { class: "figures" },
-      factRows([...(p.passes ? seenFacts(p) : []), ["Latitude, longitude", coordinates({ lat, lng }, false)]]),
-    ),
-    el("div", { class: "ways-out" }, el("p", {}, links)),
-  );
+    factList("", [...(p.passes ? seenFacts(p) : []), ["Latitude, longitude", coordinates({ lat, lng }, false)]]),
+    el("div.ways-out", el("p", links)),
+  ]);
 }
 
 /** @param {any} p Properties of the layer `city`. @returns {([string, any]|null)[]} */
@@ -321,7 +303,7 @@ function boxOf(bounds) {
 /** @param {number[]} a @param {number[]} b @returns {number[]} What lies in both. */
 const overlap = (a, b) => a.map((each, i) => (i < 2 ? Math.max(each, b[i]) : Math.min(each, b[i])));
 
-/** @param {number[]} box @param {number[]} inside @returns {boolean} */
+/** @param {number[]} box @param {number[]} inside */
 const holds = (box, inside) => box[0] <= inside[0] && box[1] <= inside[1] && box[2] >= inside[2] && box[3] >= inside[3];
 
 /** @param {() => Promise<any>} call @returns {() => void} Done where the queue is on the page. */

@@ -1,6 +1,5 @@
 /**
  * What of a map of many drives is looked at: its intersections, and its findings. Map, queue and address follow it alike.
- * @module map/city_filter
  */
 import { getState, setState } from "../state.js";
 

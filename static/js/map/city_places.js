@@ -1,7 +1,4 @@
-/**
- * Places of a map of many drives: their signs, what they are called, where they are asked for.
- * @module map/city_places
- */
+/** Places of a map of many drives: their signs, what they are called, where they are asked for. */
 
 /**
  * Signs, their names and what they say, in the order in which they are drawn: what is worth a look lies above.

@@ -1,7 +1,4 @@
-/**
- * What other jobs of the drive found, beside the result that is shown: put together, and marked on the map.
- * @module map/compared
- */
+/** What other jobs of the drive found, beside the result that is shown: put together, and marked on the map. */
 import { getJson } from "../api.js";
 import { kindOfCompared, matchIntersections } from "../data/compared.js";
 import { lists, titleOf } from "../data/lists.js";
@@ -9,20 +6,22 @@ import { place } from "../data/results.js";
 import { el } from "../dom.js";
 import { DivIcon, LayerGroup, Marker } from "../leaflet.js";
 import { showError } from "../messages.js";
+import { news } from "../news.js";
 import { getState, subscribe } from "../state.js";
 import { onResult, shown } from "./shown.js";
 import { signIcon } from "./symbols.js";
 
-/** @typedef {{jobs: string[], items: import("../data/compared.js").Compared[]}} Comparison `jobs`: ids, the shown one first. */
+/** @import { Compared } from "../data/compared.js" */
+/** @typedef {{jobs: string[], items: Compared[]}} Comparison `jobs`: ids, the shown one first. */
 
 /** @type {Comparison|null} */
 let compared = null;
-/** @type {Set<(compared: Comparison|null) => void>} */
-const listeners = new Set();
+/** @type {ReturnType<typeof news<[Comparison|null]>>} */
+const changes = news();
 
 /** @param {(compared: Comparison|null) => void} call Called now and whenever other jobs are compared. */
 export function onCompared(call) {
-  listeners.add(call);
+  changes.hear(call);
   call(compared);
 }
 
@@ -62,7 +61,7 @@ export function followCompared() {
 function set(next) {
   compared = next;
   if (shown.result) shown.result.compared = next?.items ?? [];
-  for (const call of listeners) call(next);
+  changes.tell(next);
 }
 
 /** The marks on a map. */
@@ -89,12 +88,12 @@ export class ComparedLayer {
   }
 }
 
-/** @param {import("../data/compared.js").Compared} item */
+/** @param {Compared} item */
 function describe({ found }) {
   const finders = (compared?.jobs ?? []).filter((_, i) => found[i]);
   const names = finders.map((id) => {
     const job = lists.jobs.find((each) => each.id === id);
     return job ? titleOf(job) : id;
   });
-  return el("div", {}, el("strong", {}, "Not found by this job"), el("br"), `Found by ${names.join("; ")}`);
+  return el("div", el("strong", "Not found by this job"), el("br"), `Found by ${names.join("; ")}`);
 }

@@ -1,67 +1,23 @@
-/**
- * Tips under the pointer, and the details of what is chosen: by a click, from a list, by a link.
- * @module map/details
- */
+/** Tips under the pointer, and the details of what is chosen: by a click, from a list, by a link. */
 
-/** @typedef {import("./scene.js").Hit} Hit */
-
-import { copyButton, factRows } from "../controls.js";
+import { copyButton, factList, outLink } from "../controls.js";
 import { el } from "../dom.js";
-import { CircleMarker, Popup, Tooltip } from "../leaflet.js";
+import { Popup } from "../leaflet.js";
 import { showMessage } from "../messages.js";
 import { getState, setState } from "../state.js";
 import { factsOf, isOsmNode, signOf, summaryOf, titleOf, whyOf } from "./facts.js";
 import { coordinates, linksAt, noteText } from "./links.js";
+import { ring } from "./pointer.js";
 import { shown } from "./shown.js";
-import { View } from "./surface.js";
 import { signIcon } from "./symbols.js";
 
-/**
- * Watch the pointer over the scene of a map.
- * @param {any} map
- * @param {() => import("./scene.js").Scene|null} scene
- * @param {() => boolean} isBusy Whether clicks mean something else now.
- */
-export function watchPointer(map, scene, isBusy) {
-  const mark = ring("mark");
-  const tip = new Tooltip({ direction: "top", offset: [0, -10], opacity: 1, className: "tip", interactive: false });
+/** @import { Result } from "../data/results.js" */
+/** @import { Hit } from "./scene.js" */
 
-  /** @param {any} event @returns {Hit|null} */
-  const find = (event) => {
-    const current = scene();
-    if (!current || isBusy()) return null;
-    const view = new View(map, map.getZoom(), map.getPixelBounds().min, map.getSize());
-    return current.find(view, event.containerPoint.x, event.containerPoint.y);
-  };
-  /** @type {any} */
-  let under = null;
-  /** @param {Hit|null} hit */
-  const show = (hit) => {
-    if (hit?.item === under) return;
-    under = hit?.item ?? null;
-    map.getContainer().classList.toggle("over", Boolean(hit));
-    if (!hit) {
-      mark.remove();
-      tip.remove();
-      return;
-    }
-    const at = [hit.item.lat, hit.item.lng];
-    mark.setLatLng(at).addTo(map);
-    const lines = [hit.item.properties.names, summaryOf(hit)].filter(Boolean).map((line) => [el("br"), line]);
-    const content = el("div", {}, el("strong", {}, titleOf(hit)), lines);
-    tip.setLatLng(at).setContent(content).addTo(map);
-  };
-  map.on("mousemove", (/** @type {any} */ event) =>
-    show(map.dragging.moving() || overControl(event) ? null : find(event)),
-  );
-  map.on("mouseout dragstart zoomstart", () => show(null));
-  map.on("click", (/** @type {any} */ event) => {
-    const hit = find(event);
-    if (!hit) return;
-    show(null);
-    if (hit.kind === "keyframe") setState({ frame: hit.item.properties.frame });
-    else openDetails(hit);
-  });
+/** @param {Hit} hit @returns {HTMLElement} What it is, in a few words. */
+export function tipOf(hit) {
+  const lines = [hit.item.properties.names, summaryOf(hit)].filter(Boolean).map((line) => [el("br"), line]);
+  return el("div", el("strong", titleOf(hit)), lines);
 }
 
 /** What is chosen stays in the picture when the map gets another size, as beside a drawer. @param {any} map */
@@ -70,24 +26,15 @@ export function keepDetails(map) {
   observer.observe(map.getContainer());
   map.on("unload", () => observer.disconnect());
   map.on("resize", () => {
-    if (!chosen) return;
+    const box = map.getContainer().querySelector(".leaflet-popup");
+    if (!chosen || !box) return;
     const { item } = chosen;
     map.panInside([item.lat, item.lng], {
-      paddingTopLeft: [170, Math.min(300, map.getSize().y - 40)],
+      paddingTopLeft: [170, Math.min(box.offsetHeight + 24, map.getSize().y - 30)],
       paddingBottomRight: [170, 30],
       animate: false,
     });
   });
-}
-
-/** @param {any} event */
-function overControl(event) {
-  return event.originalEvent.target.closest?.(".leaflet-control, .leaflet-popup");
-}
-
-/** @param {string} className */
-function ring(className) {
-  return new CircleMarker([0, 0], { radius: 11, className, fill: false, interactive: false, pane: "marks" });
 }
 
 /** What is open now, and what a move of the map leads to: the newest counts. @type {Hit|null} */
@@ -103,36 +50,32 @@ export function chosenFrame() {
   return result && kind === "intersection" ? frameOf(item.properties, result) : (item?.properties.frame ?? null);
 }
 
-/**
- * Show all that is known of a thing.
- * @param {Hit} hit
- */
+/** Show all that is known of a thing. @param {Hit} hit */
 export function openDetails(hit) {
   const { map, result } = shown;
   if (!map || !result) return;
   const { item, kind } = hit;
   chosen = hit;
   const around = ring("chosen").setLatLng([item.lat, item.lng]).addTo(map);
-  const room = map.getSize().x - 80; // beside its margins and those of the map
-  const popup = new Popup({
-    maxWidth: Math.min(320, room),
-    minWidth: Math.min(290, room),
-    autoPanPadding: [24, 24],
-  });
+  const popup = popupOf(map, item, contentOf(hit, result));
   popup.on("remove", () => {
     around.remove();
     if (chosen !== hit) return; // another one takes its place
     chosen = null;
     setState({ intersection: null, node: null });
   });
-  popup.setLatLng([item.lat, item.lng]).setContent(contentOf(hit, result)).openOn(map);
+  popup.openOn(map);
   setState({ ...selectionOf(hit), ...(kind === "detection" && { frame: item.properties.frame }) });
 }
 
-/**
- * Go to a thing and open its details.
- * @param {Hit} hit
- */
+/** @param {any} map @param {{lat: number, lng: number}} place @param {HTMLElement} content @returns {any} A box, to be opened. */
+export function popupOf(map, { lat, lng }, content) {
+  const room = map.getSize().x - 80; // beside its margins and those of the map
+  const options = { maxWidth: Math.min(320, room), minWidth: Math.min(290, room), autoPanPadding: [24, 24] };
+  return new Popup(options).setLatLng([lat, lng]).setContent(content);
+}
+
+/** Go to a thing and open its details. @param {Hit} hit */
 export function goTo(hit) {
   const { map, result } = shown;
   if (!map || !result) return;
@@ -152,13 +95,10 @@ function selectionOf({ kind, item }) {
   };
 }
 
-/** @param {string|null} name Id or uid. @param {import("../data/results.js").Place} intersection @returns {boolean} */
+/** @param {string|null} name Id or uid. @param {import("../data/results.js").Place} intersection */
 export const isNamed = (name, { properties: p }) => name !== null && (name === String(p.id) || name === p.uid);
 
-/**
- * Show what the address names, where that is not what is shown.
- * @param {(hit: Hit) => void} open
- */
+/** Show what the address names, where that is not what is shown. @param {(hit: Hit) => void} open */
 export function openSelection(open) {
   const { result, map } = shown;
   const { intersection, node, job } = getState();
@@ -180,23 +120,21 @@ export function closeDetails() {
   shown.map?.closePopup();
 }
 
-/** @param {Hit} hit @param {import("../data/results.js").Result} result */
+/** @param {Hit} hit @param {Result} result */
 function contentOf(hit, result) {
   const sign = signOf(hit);
   const why = whyOf(hit, result);
-  return el(
-    "div",
-    { class: "details" },
-    el("h3", {}, sign && signIcon(sign), titleOf(hit)),
-    hit.item.properties.names && el("p", { class: "streets" }, hit.item.properties.names),
-    why && el("p", { class: "why" }, why),
-    el("dl", { class: "figures" }, factRows(factsOf(hit, result))),
-    el("div", { class: "row" }, actionsOf(hit, result)),
+  return el("div.details", [
+    el("h3", sign && signIcon(sign), titleOf(hit)),
+    hit.item.properties.names && el("p.streets", hit.item.properties.names),
+    why && el("p.why", why),
+    factList("", factsOf(hit, result)),
+    el("div.row", actionsOf(hit, result)),
     waysOut(hit, result),
-  );
+  ]);
 }
 
-/** @param {Hit} hit @param {import("../data/results.js").Result} result */
+/** @param {Hit} hit @param {Result} result */
 function actionsOf({ kind, item }, result) {
   const { properties: p } = item;
   const frame = chosenFrame();
@@ -215,7 +153,7 @@ export const ofService = ({ reason }) => /highway=service\b.*leaves out/.test(re
 
 /**
  * A button that counts service roads as roads of the map, or no longer.
- * @param {import("../data/results.js").Result} result
+ * @param {Result} result
  * @returns {HTMLElement|null} null where the result does not say what comes of it.
  */
 export function serviceSwitch({ report }) {
@@ -227,7 +165,7 @@ export function serviceSwitch({ report }) {
 
 /**
  * @param {any} properties Of an intersection.
- * @param {import("../data/results.js").Result} result
+ * @param {Result} result
  * @returns {number} The keyframe in the middle of those that saw it.
  */
 function frameOf({ id, first_frame, last_frame }, result) {
@@ -235,17 +173,17 @@ function frameOf({ id, first_frame, last_frame }, result) {
   return own[own.length >> 1]?.properties.frame ?? Math.round((first_frame + last_frame) / 2);
 }
 
-/** @param {Hit} hit @param {import("../data/results.js").Result} result */
+/** @param {Hit} hit @param {Result} result */
 function waysOut(hit, result) {
   const { item, kind } = hit;
   const copy = copyButton("Copy coordinates", () => coordinates(item, result.local));
-  if (result.local || result.isMadeUp) return el("div", { class: "ways-out" }, copy);
+  if (result.local || result.isMadeUp) return el("div.ways-out", copy);
   const id = kind === "detection" ? null : (item.properties.osm_id ?? null);
   const links = linksAt(item.lat, item.lng, isOsmNode(id, result) ? id : null).map(({ name, href, title }) =>
-    el("a", { href, title, target: "_blank", rel: "noopener", onClick: name === "JOSM" && tellOfJosm }, name),
+    outLink(href, name, { title, onClick: name === "JOSM" && tellOfJosm }),
   );
   const note = kind !== "road" && copyButton("Copy OSM note", () => noteText(hit, result.report?.osm.date));
-  return el("div", { class: "ways-out" }, el("p", {}, links), copy, note);
+  return el("div.ways-out", el("p", links), copy, note);
 }
 
 function tellOfJosm() {

@@ -1,7 +1,4 @@
-/**
- * The ellipse in which an intersection lies, from the covariance of its position.
- * @module map/ellipse
- */
+/** The ellipse in which an intersection lies, from the covariance of its position. */
 
 /** Semi-axes in sigmas of the ellipse that holds 95 % of a normal distribution in the plane. */
 export const SIGMAS_95 = Math.sqrt(-2 * Math.log(0.05));

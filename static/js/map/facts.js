@@ -1,18 +1,14 @@
-/**
- * What is known of a thing on the map, in words: its verdict first.
- * @module map/facts
- */
+/** What is known of a thing on the map, in words: its verdict first. */
+import { outLink } from "../controls.js";
 import { medianError } from "../data/results.js";
 import { el, formatDuration, formatMetres, formatPercent, plural } from "../dom.js";
 import { ellipseOf, SIGMAS_95 } from "./ellipse.js";
-import { kindOfNode, verdictOf } from "./layers.js";
+import { kindOfNode, layerOfDetection, NODE_OUTCOMES, verdictOf } from "./layers.js";
 import { coordinates } from "./links.js";
 
-/** @typedef {import("./scene.js").Hit} Hit */
-/** @typedef {import("../data/results.js").Result} Result */
+/** @import { Result } from "../data/results.js" */
+/** @import { Hit } from "./scene.js" */
 
-const VERDICTS = { right: ": right", wrong: ": wrong", unscored: "" };
-const NODES = { found: "found", missed: "missed", outside: "out of reach" };
 const DETECTIONS = /** @type {Record<string, string>} */ ({
   none: "Detection",
   TP: "True detection",
@@ -24,13 +20,16 @@ export function signOf({ kind, item }) {
   if (kind === "intersection") return verdictOf(item);
   if (kind === "node") return kindOfNode(item);
   if (kind === "road") return null;
-  return kind === "detection" ? { TP: "tp", FP: "fp", none: "detection" }[/** @type {"TP"} */ (item.outcome)] : null;
+  return kind === "detection" ? layerOfDetection(item) : null;
 }
 
-/** @param {Hit} hit @returns {string} */
+/** @param {Hit} hit */
 export function titleOf({ kind, item }) {
-  if (kind === "intersection") return `Intersection ${item.properties.id}${VERDICTS[verdictOf(item)]}`;
-  if (kind === "node") return `OSM intersection: ${NODES[kindOfNode(item)]}`;
+  if (kind === "intersection") {
+    const verdict = verdictOf(item);
+    return `Intersection ${item.properties.id}${verdict === "unscored" ? "" : `: ${verdict}`}`;
+  }
+  if (kind === "node") return `OSM intersection: ${NODE_OUTCOMES[kindOfNode(item)]}`;
   if (kind === "road") return `Road ${item.properties.id}, measured`;
   return kind === "detection" ? DETECTIONS[item.outcome] : `Keyframe at scan ${item.properties.frame}`;
 }
@@ -65,7 +64,7 @@ export function whyOf({ kind, item }, result) {
   }
   const { error_m, osm_id } = kind === "detection" ? item : p;
   const isRight = kind === "detection" ? item.outcome === "TP" : verdictOf(item) === "right";
-  if (isRight) return el("span", {}, `${formatMetres(error_m)} from OSM node `, osmLink(osm_id, result), ".");
+  if (isRight) return el("span", `${formatMetres(error_m)} from OSM node `, osmLink(osm_id, result), ".");
   if (p.reason) return sentence(p.reason);
   if (item.outcome !== "FP") return null;
   return error_m === null ? "No OSM intersection in its region of interest." : null;
@@ -82,15 +81,10 @@ function ellipseText(properties) {
 export const widthText = ({ width_m, is_driven }) =>
   width_m === null ? null : `${is_driven ? "" : "≥ "}${formatMetres(width_m, 1)}`;
 
-/** @param {string} text @returns {string} */
+/** @param {string} text */
 const sentence = (text) => `${text[0].toUpperCase()}${text.slice(1)}.`;
 
-/**
- * All that is known of it.
- * @param {Hit} hit
- * @param {Result} result
- * @returns {Array<[string, any]|false>}
- */
+/** All that is known of it. @param {Hit} hit @param {Result} result @returns {Array<[string, any]|false>} */
 export function factsOf({ kind, item }, result) {
   const { local } = result;
   const { properties: p } = item;
@@ -170,7 +164,7 @@ export function branchesOf({ branch_count, branch_bearings_deg, branch_widths_m 
 function osmLink(id, result) {
   if (id === null || id === undefined) return "–";
   if (!isOsmNode(id, result)) return String(id);
-  return el("a", { href: `https://www.openstreetmap.org/node/${id}`, target: "_blank", rel: "noopener" }, String(id));
+  return outLink(`https://www.openstreetmap.org/node/${id}`, String(id));
 }
 
 /** @param {number|null|undefined} id @param {Result} result @returns {boolean} Whether openstreetmap.org may know it. */

@@ -1,11 +1,8 @@
-/**
- * Which intersections are looked at: by verdict, by figures, by words. List, map and address follow it alike.
- * @module map/filter
- */
+/** Which intersections are looked at: by verdict, by figures, by words. List, map and address follow it alike. */
 import { getState, setState, subscribe } from "../state.js";
-import { verdictOf } from "./layers.js";
+import { VERDICTS, verdictOf } from "./layers.js";
 
-/** @typedef {import("../data/results.js").Place} Place */
+/** @import { Place } from "../data/results.js" */
 /** @typedef {"confidence"|"observations"|"position_std_m"} Figure */
 /**
  * @typedef {object} Filter
@@ -17,7 +14,6 @@ import { verdictOf } from "./layers.js";
 /** @type {Filter} */
 const NONE = { verdicts: null, words: "", ranges: {} };
 
-const VERDICTS = ["right", "wrong", "unscored"];
 /** Names of the figures in the address. */
 const FIGURES = /** @type {Record<string, Figure>} */ ({
   confidence: "confidence",
@@ -44,7 +40,7 @@ export const clearFilter = () => setState({ filter: null });
 /** @param {() => void} call @returns {() => void} Stops it. */
 export const onFilterChange = (call) => subscribe(["filter"], call);
 
-/** @param {Place} intersection @returns {boolean} */
+/** @param {Place} intersection */
 export const passes = (intersection) => matches(getFilter(), intersection);
 
 /** @returns {boolean} Whether something may be left out. */
@@ -74,7 +70,7 @@ export function parseFilter(text) {
     const [name, value = ""] = part.split(":");
     const bounds = /^(\d+(?:\.\d+)?)?\.\.(\d+(?:\.\d+)?)?$/.exec(value);
     if (name === "outcome") {
-      const known = VERDICTS.filter((each) => value.split(",").includes(each));
+      const known = Object.keys(VERDICTS).filter((each) => value.split(",").includes(each));
       filter.verdicts = known.length || value === "none" ? known : null;
     } else if (bounds && Object.hasOwn(FIGURES, name)) {
       const [least, most] = bounds.slice(1).map((bound) => (bound === undefined ? null : Number(bound)));
@@ -84,7 +80,7 @@ export function parseFilter(text) {
   return filter;
 }
 
-/** @param {Filter} wanted @param {Place} intersection @returns {boolean} */
+/** @param {Filter} wanted @param {Place} intersection */
 export function matches({ verdicts, words, ranges }, intersection) {
   const { properties: p } = intersection;
   if (verdicts && !verdicts.includes(verdictOf(intersection))) return false;
@@ -96,7 +92,7 @@ export function matches({ verdicts, words, ranges }, intersection) {
   return !text || isCalled(text, p);
 }
 
-/** @param {string} text In lower case. @param {any} properties @returns {boolean} */
+/** @param {string} text In lower case. @param {any} properties */
 function isCalled(text, { id, osm_id, uid, reason, names }) {
   if (/^\d+$/.test(text)) return text === String(id) || text === String(osm_id) || `n${text}` === uid;
   return [uid, reason, names].some((each) => each?.toLowerCase().includes(text));

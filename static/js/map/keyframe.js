@@ -1,10 +1,17 @@
-/**
- * The chosen keyframe on the map: the vehicle, what it could see, what it detected, and pictures of it.
- * @module map/keyframe
- */
+/** The chosen keyframe on the map: the vehicle, what it could see, what it detected, and pictures of it. */
 
 import { svg } from "../dom.js";
-import { CircleMarker, DivIcon, DomUtil, Layer, LayerGroup, Marker, Polygon, Polyline, SVG, Util } from "../leaflet.js";
+import {
+  CircleMarker,
+  DivIcon,
+  ImageOverlay,
+  LayerGroup,
+  latLngBounds,
+  Marker,
+  Polygon,
+  Polyline,
+  SVG,
+} from "../leaflet.js";
 
 const RAY_M = 18;
 
@@ -44,8 +51,8 @@ export class KeyframeLayer {
       this.vehicle.addLayer(new CircleMarker(at, { ...base, radius: 9, className: `seen ${outcome}` }));
     }
     const arrow = svg(
-      "svg",
-      { viewBox: "-14 -14 28 28", width: 28, height: 28, class: "vehicle" },
+      "svg.vehicle",
+      { viewBox: "-14 -14 28 28", width: 28, height: 28 },
       svg("path", { d: "M0-11 8 9 0 5-8 9Z", transform: `rotate(${frame.heading(keyframe)})` }),
     );
     const sign = new DivIcon({ html: arrow, className: "vehicle-icon", iconSize: [28, 28] });
@@ -55,50 +62,23 @@ export class KeyframeLayer {
   }
 }
 
-/**
- * A picture laid on the map by its corners, turned as they are: Leaflet's own image overlay knows no rotation.
- *
- * Options: `opacity`, `pane`. `corners`: lat, lng of top left, top right and bottom left.
- */
-export const TurnedImage = Layer.extend({
-  options: { opacity: 1, pane: "pictures" },
+/** A picture laid on the map by its corners, turned as they are: top left, top right and bottom left, as lat, lng. */
+export const TurnedImage = ImageOverlay.extend({
+  options: { pane: "pictures", className: "turned-image" },
 
   /** @param {string} url @param {Array<[number, number]>} corners @param {any} options */
   initialize(url, corners, options) {
-    this._url = url;
+    ImageOverlay.prototype.initialize.call(this, url, latLngBounds(corners), options);
     this._corners = corners;
-    Util.setOptions(this, options);
+    this.on("load", this._reset);
   },
 
-  onAdd() {
-    this._image = DomUtil.create("img", "leaflet-image-layer turned-image leaflet-zoom-animated", this.getPane());
-    this._image.alt = "";
-    this._image.onload = () => this._place();
-    this._image.src = this._url;
-    this.setOpacity(this.options.opacity);
-  },
-
-  onRemove() {
-    this._image.remove();
-  },
-
-  getEvents() {
-    return { zoom: this._place, viewreset: this._place, zoomanim: this._animate };
-  },
-
-  /** @param {number} opacity */
-  setOpacity(opacity) {
-    this.options.opacity = opacity;
-    if (this._image) this._image.style.opacity = String(opacity);
-    return this;
-  },
-
-  _place() {
+  _reset() {
     this._transform((/** @type {any} */ corner) => this._map.latLngToLayerPoint(corner));
   },
 
   /** @param {any} event */
-  _animate(event) {
+  _animateZoom(event) {
     this._transform((/** @type {any} */ corner) =>
       this._map._latLngToNewLayerPoint({ lat: corner[0], lng: corner[1] }, event.zoom, event.center),
     );

@@ -1,35 +1,26 @@
-/**
- * The layers of a result: what they are called, what they hold, which are on.
- * @module map/layers
- */
+/** The layers of a result: what they are called, what they hold, which are on. */
 import { kindOfCompared } from "../data/compared.js";
 
-/** @typedef {import("../data/results.js").Result} Result */
+/** @import { Result } from "../data/results.js" */
 /** @typedef {"Base"|"Drive"|"Intersections"|"OSM intersections"|"Detections"|"Compare"|"Keyframe"} Group */
 
 /**
  * @param {string} id In permalinks.
  * @param {Group} group
  * @param {string} title
- * @param {string} look In the legend: a sign of `SIGNS`, or "line" and the class of a line.
+ * @param {string} look In the legend, see symbols.js.
  * @param {string} hint
  */
 const layer = (id, group, title, look, hint) => ({ id, group, title, look, hint });
 
 export const LAYERS = [
-  layer("tiles", "Base", "Map tiles", "line tiles", "Pictures from a tile server; needs the internet."),
-  layer("surface", "Base", "Road seen by LiDAR", "line surface", "Where the drive's LiDAR saw road: a map of its own."),
-  layer("roads", "Base", "OSM roads", "line road", "Roads of the map that the drive was scored against."),
-  layer(
-    "measured",
-    "Base",
-    "Roads measured",
-    "line centreline",
-    "Centrelines and widths of the roads that the drive saw.",
-  ),
-  layer("track", "Drive", "Trajectory", "line track", "Where the vehicle drove."),
-  layer("places", "Drive", "Next best places", "line place", "Where else the roads of the map fit the drive, worse."),
-  layer("keyframes", "Drive", "Keyframes", "keyframe", "Places at which the method looked for intersections."),
+  layer("tiles", "Base", "Map tiles", "tiles", "Pictures from a tile server; needs the internet."),
+  layer("surface", "Base", "Road seen by LiDAR", "surface", "Where the drive's LiDAR saw road: a map of its own."),
+  layer("roads", "Base", "OSM roads", "road", "Roads of the map that the drive was scored against."),
+  layer("measured", "Base", "Roads measured", "centreline", "Centrelines and widths of the roads that the drive saw."),
+  layer("track", "Drive", "Trajectory", "track", "Where the vehicle drove."),
+  layer("places", "Drive", "Next best places", "place", "Where else the roads of the map fit the drive, worse."),
+  layer("keyframes", "Drive", "Keyframes", "keyframes", "Places at which the method looked for intersections."),
   layer("right", "Intersections", "Right", "right", "An OSM intersection of its own lies within 10 m."),
   layer("wrong", "Intersections", "Wrong", "wrong", "No OSM intersection of its own lies within 10 m."),
   layer("unscored", "Intersections", "Not scored", "unscored", "Found, but not compared with OpenStreetMap."),
@@ -37,23 +28,17 @@ export const LAYERS = [
     "uncertainty",
     "Intersections",
     "Uncertainty (95 %)",
-    "line uncertainty",
+    "uncertainty",
     "It lies in the ellipse with a chance of 95 %.",
   ),
-  layer("branches", "Intersections", "Branches", "line branch", "Bearings of the roads that leave an intersection."),
+  layer("branches", "Intersections", "Branches", "branch", "Bearings of the roads that leave an intersection."),
   layer("found", "OSM intersections", "Found", "found", "An intersection of the map is assigned to it, within 10 m."),
   layer("missed", "OSM intersections", "Missed", "missed", "Passed, and no intersection of the map is assigned to it."),
   layer("outside", "OSM intersections", "Out of reach", "outside", "In no relevant zone; they do not count."),
-  layer("detections", "Detections", "Not scored", "detection", "Detections not compared with OpenStreetMap."),
+  layer("detections", "Detections", "Not scored", "detections", "Detections not compared with OpenStreetMap."),
   layer("tp", "Detections", "True", "tp", "An OSM intersection lies within D (TP)."),
   layer("fp", "Detections", "False", "fp", "No OSM intersection within D (FP)."),
-  layer(
-    "errors",
-    "Detections",
-    "Error lines",
-    "line error",
-    "From a detection to the OSM intersection it is matched to.",
-  ),
+  layer("errors", "Detections", "Error lines", "error", "From a detection to the OSM intersection it is matched to."),
   layer("shared", "Compare", "Found by all", "shared", "Intersections that all compared jobs found."),
   layer("here", "Compare", "Not by all others", "here", "Intersections of this job that another one did not find."),
   layer(
@@ -67,10 +52,14 @@ export const LAYERS = [
     "zone",
     "Keyframe",
     "Seen area, zone in it",
-    "line roi",
+    "roi",
     "Dashed: what the chosen keyframe sees (S). Solid: the relevant zone, in which intersections count.",
   ),
 ];
+
+/** What an intersection, and what a node of the map, can be: what is worth a look comes first. */
+export const VERDICTS = { wrong: "wrong", unscored: "not scored", right: "right" };
+export const NODE_OUTCOMES = { missed: "missed", found: "found", outside: "out of reach" };
 
 /** Titles where nothing is scored: then these are all. */
 const UNSCORED = /** @type {Record<string, string>} */ ({ unscored: "Intersections", detections: "Detections" });
@@ -80,36 +69,36 @@ const ALIASES = /** @type {Record<string, string[]>} */ ({ intersections: ["righ
 
 const OFF_BY_DEFAULT = new Set(["tiles", "measured", "keyframes", "outside"]);
 
-/** How many things a layer holds; null: no number is shown; 0 hides the layer. */
-const COUNTS = /** @type {Record<string, (result: Result) => number|null>} */ ({
+/** @typedef {(result: Result) => number|null} Count */
+
+/**
+ * Counts of kinds of things, by the ids of their layers.
+ * @param {string[]} kinds
+ * @param {(result: Result) => any[]} itemsOf
+ * @param {(item: any) => string} kindOf
+ * @returns {Record<string, Count>}
+ */
+const countsOf = (kinds, itemsOf, kindOf) =>
+  Object.fromEntries(
+    kinds.map((kind) => [kind, (result) => itemsOf(result).filter((each) => kindOf(each) === kind).length]),
+  );
+
+/** How many things a layer holds; null: no number is shown; 0 hides the layer. @type {Record<string, Count>} */
+const COUNTS = {
   tiles: (r) => (r.local ? 0 : null),
   surface: (r) => (r.surface ? null : 0),
   roads: (r) => r.roads.length,
   measured: (r) => r.measured.length,
   places: (r) => r.places.length,
   keyframes: (r) => r.keyframes.length,
-  right: (r) => countVerdicts(r, "right"),
-  wrong: (r) => countVerdicts(r, "wrong"),
-  unscored: (r) => countVerdicts(r, "unscored"),
   uncertainty: (r) => (r.intersections.length ? null : 0),
   branches: (r) => (r.intersections.length ? null : 0),
-  detections: (r) => countDetections(r, "none"),
-  tp: (r) => countDetections(r, "TP"),
-  fp: (r) => countDetections(r, "FP"),
   errors: (r) => (r.matches.length ? null : 0),
-  shared: (r) => r.compared.filter((each) => kindOfCompared(each) === "shared").length,
-  here: (r) => r.compared.filter((each) => kindOfCompared(each) === "here").length,
-  elsewhere: (r) => r.compared.filter((each) => kindOfCompared(each) === "elsewhere").length,
-  found: (r) => r.nodes.filter((each) => kindOfNode(each) === "found").length,
-  missed: (r) => r.nodes.filter((each) => kindOfNode(each) === "missed").length,
-  outside: (r) => r.nodes.filter((each) => kindOfNode(each) === "outside").length,
-});
-
-/** @param {Result} result @param {string} outcome */
-const countDetections = (result, outcome) => result.detections.filter((each) => each.outcome === outcome).length;
-
-/** @param {Result} result @param {string} verdict */
-const countVerdicts = (result, verdict) => result.intersections.filter((each) => verdictOf(each) === verdict).length;
+  ...countsOf(Object.keys(VERDICTS), (r) => r.intersections, verdictOf),
+  ...countsOf(Object.keys(NODE_OUTCOMES), (r) => r.nodes, kindOfNode),
+  ...countsOf(["detections", "tp", "fp"], (r) => r.detections, layerOfDetection),
+  ...countsOf(["shared", "here", "elsewhere"], (r) => r.compared, kindOfCompared),
+};
 
 /** @param {Result} result @returns {{layer: typeof LAYERS[0], count: number|null}[]} Layers that hold something. */
 export function layersOf(result) {
@@ -133,7 +122,14 @@ export function kindOfNode({ properties }) {
 }
 
 /** @param {{properties: any}} intersection @returns {"right"|"wrong"|"unscored"} */
-export const verdictOf = ({ properties }) => properties.outcome ?? "unscored";
+export function verdictOf({ properties }) {
+  return properties.outcome ?? "unscored";
+}
+
+/** @param {{outcome: "TP"|"FP"|"none"}} detection @returns {"tp"|"fp"|"detections"} */
+export function layerOfDetection({ outcome }) {
+  return outcome === "none" ? "detections" : /** @type {"tp"|"fp"} */ (outcome.toLowerCase());
+}
 
 /** @param {string[]|null} chosen @returns {Set<string>} Ids of the layers that are on. */
 export function layersOn(chosen) {

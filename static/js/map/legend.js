@@ -1,59 +1,45 @@
-/**
- * The box at the right of the map: layers to switch, with their signs and counts.
- * @module map/legend
- */
+/** The box at the right of the map: layers to switch, with their signs and counts. */
 
 import { el, fill, formatCount, icon } from "../dom.js";
-import { Control, DomEvent } from "../leaflet.js";
 import { getState, setState, subscribe } from "../state.js";
 import { keep, recall } from "../storage.js";
+import { addCorner } from "./corners.js";
 import { LAYERS, layersOf, layersOn } from "./layers.js";
 import { signIcon } from "./symbols.js";
 import { tileBox } from "./tiles.js";
+
+/** @import { Result } from "../data/results.js" */
 
 const OPEN_KEY = "interloc.legend";
 /** Groups whose name is needed to read their rows; the others' names are for screen readers. */
 const HEADED = new Set(["Intersections", "OSM intersections", "Detections"]);
 const WIDE_PX = 640; // on a narrower map the legend is folded: it would hide the half of it
 
-/**
- * @param {any} map
- * @returns {{show: (result: import("../data/results.js").Result|null) => void}}
- */
+/** @param {any} map @returns {{show: (result: Result|null) => void}} */
 export function addLegend(map) {
-  const box = el("section", { class: "legend", hidden: true, "aria-label": "Layers of the map" });
-  const control = new Control({ position: "topright" });
-  control.onAdd = () => {
-    DomEvent.disableClickPropagation(box);
-    DomEvent.disableScrollPropagation(box);
-    return box;
-  };
-  control.addTo(map);
+  const box = el("section.legend", { hidden: true, "aria-label": "Layers of the map" });
+  addCorner(map, "topright", box);
 
-  /** @type {import("../data/results.js").Result|null} */
+  /** @type {Result|null} */
   let result = null;
   const update = () => {
     box.hidden = !result;
     if (!result) return;
     const shown = result;
     const on = layersOn(getState().layers);
-    const focused = box.contains(document.activeElement) ? document.activeElement?.id : null;
     const rows = layersOf(shown);
     const groups = [...new Set(rows.map(({ layer }) => layer.group))];
     const remember = (/** @type {any} */ event) =>
       keep(OPEN_KEY, event.currentTarget.parentElement.open ? "no" : "yes");
     const fieldset = (/** @type {string} */ group) =>
-      el(
-        "fieldset",
-        {},
+      el("fieldset", [
         el("legend", { class: HEADED.has(group) ? "legend-group" : "unseen" }, group),
         rows.filter(({ layer }) => layer.group === group).map(({ layer, count }) => row(layer, count, on)),
         group === "Base" && on.has("tiles") && tileBox(),
-      );
+      ]);
     const open = isWide() && recall(OPEN_KEY) !== "no";
     const summary = el("summary", { onClick: remember }, icon("layers"), "Layers");
     fill(box, el("details", { open }, summary, groups.map(fieldset)));
-    if (focused) document.getElementById(focused)?.focus();
   };
   const isWide = () => map.getSize().x >= WIDE_PX;
   let wasWide = true;
@@ -75,14 +61,12 @@ export function addLegend(map) {
 function row({ id, title, look, hint }, count, on) {
   const onChange = () => switchLayer(id, box.checked);
   const box = el("input", { type: "checkbox", id: `layer-${id}`, checked: on.has(id), onChange });
-  return el(
-    "label",
-    { title: hint, htmlFor: box.id },
+  return el("label", { title: hint, htmlFor: box.id }, [
     box,
-    look.startsWith("line ") ? el("span", { class: `sign ${look}`, "aria-hidden": "true" }) : signIcon(look),
-    el("span", { class: "grow" }, title),
-    count !== null && el("span", { class: "number quiet" }, formatCount(count)),
-  );
+    signIcon(look),
+    el("span.grow", title),
+    count !== null && el("span.number.quiet", formatCount(count)),
+  ]);
 }
 
 /** @param {string} id @param {boolean} isOn */

@@ -1,22 +1,14 @@
-/**
- * Ways out to where a map is edited and looked at. The page only links: nothing is loaded from there.
- * @module map/links
- */
+/** Ways out to where a map is edited and looked at. The page only links: nothing is loaded from there. */
 import { formatDate, formatMetres, plural } from "../dom.js";
 import { verdictOf } from "./layers.js";
 
-/** @typedef {import("./scene.js").Hit} Hit */
+/** @import { Hit } from "./scene.js" */
 
 const ZOOM = 19;
 const HALF_M = 75; // of the square that an editor loads
 const M_PER_DEG = 111320;
 
-/**
- * @param {number} lat
- * @param {number} lng
- * @param {number|null} [node] Of OpenStreetMap, to be selected.
- * @returns {{name: string, href: string, title: string}[]}
- */
+/** @param {number} lat @param {number} lng @param {number|null} [node] Of OpenStreetMap, to be selected. */
 export function linksAt(lat, lng, node = null) {
   const [y, x] = [lat.toFixed(7), lng.toFixed(7)];
   const [dy, dx] = [HALF_M / M_PER_DEG, HALF_M / (M_PER_DEG * Math.cos((lat * Math.PI) / 180))];
@@ -57,7 +49,6 @@ export function coordinates({ lat, lng }, local) {
  * What a note on openstreetmap.org may say of it.
  * @param {Hit} hit An intersection, a detection or a node.
  * @param {string|null} [mapDate] Of the map that the drive was scored against, ISO 8601.
- * @returns {string}
  */
 export function noteText({ kind, item }, mapDate = null) {
   const { properties: p } = item;

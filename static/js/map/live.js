@@ -1,11 +1,11 @@
-/**
- * A drive that is under way: what its session has said so far, and how it is drawn.
- * @module map/live
- */
+/** A drive that is under way: what its session has said so far, and how it is drawn. */
 import { trackAlone } from "../data/results.js";
 import { plural } from "../dom.js";
-import { fillRings, Scene } from "./scene.js";
+import { fillRings, project } from "./paths.js";
+import { Scene } from "./scene.js";
 import { colour, trace } from "./symbols.js";
+
+/** @import { View } from "./surface.js" */
 
 const CANDIDATE_PX = 6;
 const VEHICLE_PX = 9;
@@ -91,25 +91,26 @@ export class LiveScene extends Scene {
     super(result, map);
     this.on = new Set(["track", "uncertainty", "branches", "unscored"]);
     /** @param {{lng: number, lat: number}} place */
-    const project = (place) => map.options.crs.latLngToPoint(place, 0);
-    this.candidates = places.filter(({ properties }) => !properties.confirmed).map(project);
-    this.surface = drive.roads.flatMap((rings) =>
-      rings.map((ring) => Float64Array.from(ring.flatMap(([lng, lat]) => Object.values(xy(project({ lng, lat })))))),
-    );
-    this.vehicle = drive.vehicle && { ...xy(project(drive.vehicle)), heading_deg: drive.vehicle.heading_deg };
+    const at = ({ lng, lat }) => {
+      const [x, y] = project(map, [[lng, lat]]);
+      return { x, y };
+    };
+    this.candidates = places.filter(({ properties }) => !properties.confirmed).map(at);
+    this.surface = drive.roads.flat().map((ring) => project(map, ring));
+    this.vehicle = drive.vehicle && { ...at(drive.vehicle), heading_deg: drive.vehicle.heading_deg };
   }
 
   /** @returns {null} Nothing has details yet. */
-  find() {
+  at() {
     return null;
   }
 
-  /** @param {CanvasRenderingContext2D} context @param {import("./surface.js").View} view */
+  /** @param {CanvasRenderingContext2D} context @param {View} view */
   paintGround(context, view) {
     fillRings(context, view, this.surface, colour("--seen-road"));
   }
 
-  /** @param {CanvasRenderingContext2D} context @param {import("./surface.js").View} view */
+  /** @param {CanvasRenderingContext2D} context @param {View} view */
   paint(context, view) {
     super.paint(context, view);
     context.beginPath();
@@ -140,6 +141,3 @@ export class LiveScene extends Scene {
     context.restore();
   }
 }
-
-/** @param {{x: number, y: number}} point */
-const xy = ({ x, y }) => ({ x, y });

@@ -1,36 +1,19 @@
-/**
- * The measure: a click sets a point, the sum of the distances is at the last one, Escape ends.
- * @module map/measure
- */
+/** The measure: a click sets a point, the sum of the distances is at the last one, Escape ends. */
 import { distanceM } from "../data/frame.js";
-import { announce, el, formatMetres, icon, isTyping } from "../dom.js";
-import { CircleMarker, Control, DomEvent, LayerGroup, Polyline, Tooltip } from "../leaflet.js";
+import { announce, el, formatMetres, isTyping } from "../dom.js";
+import { CircleMarker, LayerGroup, Polyline, Tooltip } from "../leaflet.js";
+import { addButton } from "./corners.js";
 import { shown } from "./shown.js";
 
 /** Ends or begins the measure of the map that is shown. @type {() => void} */
 let toggle = () => {};
 
-/**
- * @param {any} map
- * @param {boolean} local
- * @returns {{isOn: () => boolean}}
- */
+/** @param {any} map @param {boolean} local */
 export function addMeasure(map, local) {
   const label = "Measure distances";
-  const onClick = (/** @type {Event} */ event) => (event.preventDefault(), toggle());
   const title = `${label} (m): click points on the map, Backspace takes the last one back, Escape ends`;
-  const button = el(
-    "a",
-    { href: "#", role: "button", title, "aria-label": label, "aria-pressed": "false", onClick },
-    icon("ruler"),
-  );
-  const bar = el("div", { class: "leaflet-bar leaflet-control" }, button);
-  const control = new Control({ position: "topleft" });
-  control.onAdd = () => {
-    DomEvent.disableClickPropagation(bar);
-    return bar;
-  };
-  control.addTo(map);
+  const button = addButton(map, "ruler", label, () => toggle(), title);
+  button.setAttribute("aria-pressed", "false");
 
   const look = { interactive: false, pane: "marks" };
   const drawing = new LayerGroup();
@@ -55,7 +38,7 @@ export function addMeasure(map, local) {
     sum.remove();
     if (!points.length) return;
     const metres = line.slice(1).reduce((total, point, i) => total + distanceM(line[i], point, local), 0);
-    sum.setLatLng(line[line.length - 1]).setContent(el("strong", {}, formatMetres(metres, metres < 100 ? 2 : 1)));
+    sum.setLatLng(line[line.length - 1]).setContent(el("strong", formatMetres(metres, metres < 100 ? 2 : 1)));
     drawing.addLayer(sum);
   };
   /** @param {any} event */

@@ -1,14 +1,11 @@
-/**
- * All drives on the map, where none is chosen: a click opens one.
- * @module map/overview
- */
+/** All drives on the map, where none is chosen: a click opens one. */
 import { el, plural } from "../dom.js";
-import { Tooltip } from "../leaflet.js";
 import { setState } from "../state.js";
-import { View } from "./surface.js";
+import { nearestOn, project, strokePaths } from "./paths.js";
 import { colour, paintSigns, SIGNS, trace } from "./symbols.js";
 
-/** @typedef {import("../data/overview.js").DriveOnMap} DriveOnMap */
+/** @import { DriveOnMap } from "../data/overview.js" */
+/** @import { View } from "./surface.js" */
 /**
  * @typedef {object} Item Places are those at zoom 0.
  * @property {DriveOnMap} drive
@@ -24,7 +21,6 @@ export const REACH_PX = 10;
 const SMALL_PX = 16; // a track that is smaller is a disc
 const SIGNS_FROM_ZOOM = 13;
 const NAME_PX = 16;
-const STEP_PX = 2; // a thousand tracks in one town have more points than pixels
 
 /** Painted as a scene is; see `Scene`. */
 export class OverviewScene {
@@ -57,15 +53,9 @@ export class OverviewScene {
     });
   }
 
-  /** @param {number[][]} places Longitude, latitude. @returns {Float64Array} x, y, x, y, ... at zoom 0. */
+  /** @param {number[][]} places */
   project(places) {
-    const path = new Float64Array(2 * places.length);
-    places.forEach(([lng, lat], i) => {
-      const { x, y } = this.map.options.crs.latLngToPoint({ lat, lng }, 0);
-      path[2 * i] = x;
-      path[2 * i + 1] = y;
-    });
-    return path;
+    return project(this.map, places);
   }
 
   paintGround() {}
@@ -77,8 +67,8 @@ export class OverviewScene {
     const seen = this.items.filter((item) => isSeen(item, view));
     const discs = seen.filter((item) => isSmall(item, view));
     const lines = seen.filter((item) => !isSmall(item, view) && item !== this.under);
-    strokeAll(context, view, lines, colour("--accent"), 2.5);
-    if (this.under && !isSmall(this.under, view)) strokeAll(context, view, [this.under], colour("--accent"), 5);
+    strokePaths(context, view, pathsOf(lines), colour("--accent"), 2.5);
+    if (this.under && !isSmall(this.under, view)) strokePaths(context, view, [this.under.path], colour("--accent"), 5);
     context.beginPath();
     for (const { middle } of discs) trace(context, "disc", view.x(middle[0]), view.y(middle[1]), 6);
     fillAndRim(context, colour("--accent"), colour("--surface"), 2);
@@ -96,39 +86,40 @@ export class OverviewScene {
     paintNames(context, view, seen, this.spots);
   }
 
-  /** Nothing with details: see `at`. @returns {null} */
-  find() {
-    return null;
-  }
-
   /** Where the map was moved to may be more to show. */
   look() {}
 
-  /** @param {any} item Found by `at`. @returns {HTMLElement} */
-  tipOf({ drive: { name, job, title, chosen, intersections, verdict } }) {
+  /** @param {any} hit Found by `at`. @returns {HTMLElement} */
+  tipOf({ item }) {
+    const { name, job, title, chosen, intersections, verdict } = item.drive;
     const text = job ? (verdict ?? plural(intersections.length, "intersection")) : "no result yet";
     const which = job && ` ${title}${chosen === "pinned" ? ", pinned" : ""}`;
-    return el("div", {}, el("strong", {}, name), which, el("br"), text);
+    return el("div", el("strong", name), which, el("br"), text);
   }
 
-  /** @param {any} item Found by `at`. */
-  open({ drive: { id, job } }) {
+  /** @param {any} hit Found by `at`. */
+  open({ item }) {
+    const { id, job } = item.drive;
     setState({ drive: id, job, frame: null, view: null, panel: job ? "job" : "drives" });
   }
 
-  /** @param {any} event Of the pointer. @returns {any} The nearest drive. */
-  at({ containerPoint: { x, y } }) {
-    const { map } = this;
-    const view = new View(map, map.getZoom(), map.getPixelBounds().min, map.getSize());
+  /** @param {Item|null} item Under the pointer: it is drawn above the others. */
+  lift(item) {
+    this.under = item;
+    return true;
+  }
+
+  /** @param {View} view @param {number} x Pixels. @param {number} y @returns {any} The nearest drive. */
+  at(view, x, y) {
     let nearest = null;
     let min = REACH_PX;
     for (const item of this.items) {
       if (!isSeen(item, view)) continue;
       const [dx, dy] = [view.x(item.middle[0]) - x, view.y(item.middle[1]) - y];
-      const away = isSmall(item, view) ? Math.hypot(dx, dy) : distance(item.path, view, x, y);
+      const away = isSmall(item, view) ? Math.hypot(dx, dy) : nearestOn(item.path, view, x, y).away;
       if (away < min) [nearest, min] = [item, away];
     }
-    return nearest;
+    return nearest && { kind: "drive", item: nearest };
   }
 }
 
@@ -167,44 +158,6 @@ function paintNames(context, view, items, signs) {
   }
 }
 
-/**
- * Let the pointer choose among what an overview shows.
- * @param {any} map
- * @param {() => any} scene What the map shows now.
- * @param {() => void} redraw
- */
-export function watchDrives(map, scene, redraw) {
-  const tip = new Tooltip({ direction: "top", offset: [0, -10], opacity: 1, className: "tip", interactive: false });
-  /** @param {any} event */
-  const find = (event) => {
-    const current = scene();
-    return current instanceof OverviewScene ? current.at(event) : null;
-  };
-  /** @type {any} */
-  let last = null;
-  /** @param {any} item @param {any} [event] */
-  const show = (item, event) => {
-    const current = scene();
-    if (!(current instanceof OverviewScene)) return void tip.remove();
-    map.getContainer().classList.toggle("over", Boolean(item));
-    if (item === last) return;
-    last = item;
-    current.under = item;
-    redraw();
-    if (item) tip.setLatLng(event.latlng).setContent(current.tipOf(item)).addTo(map);
-    else tip.remove();
-  };
-  map.on("mousemove", (/** @type {any} */ event) => show(find(event), event));
-  map.on("mouseout dragstart zoomstart", () => show(null));
-  map.on("moveend", () => scene() instanceof OverviewScene && scene().look());
-  map.on("click", (/** @type {any} */ event) => {
-    const item = find(event);
-    if (!item) return;
-    show(null);
-    scene().open(item);
-  });
-}
-
 /** @param {Float64Array} path @returns {[number, number, number, number]} */
 function boxOf(path) {
   let [left, top, right, bottom] = [Infinity, Infinity, -Infinity, -Infinity];
@@ -217,6 +170,9 @@ function boxOf(path) {
   return [left, top, right, bottom];
 }
 
+/** @param {Item[]} items */
+const pathsOf = (items) => items.map(({ path }) => path);
+
 /** @param {Item} item @param {View} view @returns {boolean} Whether something of it may be on the canvas. */
 function isSeen({ box: [left, top, right, bottom] }, view) {
   const { x: width, y: height } = view.size;
@@ -228,41 +184,9 @@ function isSeen({ box: [left, top, right, bottom] }, view) {
   );
 }
 
-/** @param {Item} item @param {View} view @returns {boolean} */
+/** @param {Item} item @param {View} view */
 function isSmall({ box: [left, top, right, bottom] }, view) {
   return Math.max(right - left, bottom - top) * view.scale < 2 * SMALL_PX;
-}
-
-/** @param {Float64Array} path @param {View} view @param {number} x @param {number} y @returns {number} Pixels. */
-function distance(path, view, x, y) {
-  let min = Infinity;
-  for (let i = 2; i < path.length; i += 2) {
-    const [ax, ay] = [view.x(path[i - 2]), view.y(path[i - 1])];
-    const [dx, dy] = [view.x(path[i]) - ax, view.y(path[i + 1]) - ay];
-    const length = dx * dx + dy * dy;
-    const t = length ? Math.max(0, Math.min(1, ((x - ax) * dx + (y - ay) * dy) / length)) : 0;
-    min = Math.min(min, Math.hypot(ax + t * dx - x, ay + t * dy - y));
-  }
-  return min;
-}
-
-/** @param {CanvasRenderingContext2D} context @param {View} view @param {Item[]} items @param {string} stroke @param {number} width */
-function strokeAll(context, view, items, stroke, width) {
-  context.beginPath();
-  for (const { path } of items) {
-    let [lastX, lastY] = [0, 0];
-    for (let i = 0; i < path.length; i += 2) {
-      const [x, y] = [view.x(path[i]), view.y(path[i + 1])];
-      const isEnd = i === path.length - 2;
-      if (i && !isEnd && Math.abs(x - lastX) + Math.abs(y - lastY) < STEP_PX) continue;
-      if (i) context.lineTo(x, y);
-      else context.moveTo(x, y);
-      [lastX, lastY] = [x, y];
-    }
-  }
-  context.strokeStyle = stroke;
-  context.lineWidth = width;
-  context.stroke();
 }
 
 /** @param {CanvasRenderingContext2D} context @param {string} inside @param {string} rim @param {number} width */

@@ -1,23 +1,19 @@
-/**
- * The intersections one after the other, as the list has them: filtered and sorted, by keys or buttons.
- * @module map/queue
- */
+/** The intersections one after the other, as the list has them: filtered and sorted, by keys or buttons. */
 import { announce } from "../dom.js";
 import { getState, subscribe } from "../state.js";
 import { goTo, isNamed } from "./details.js";
 import { titleOf } from "./facts.js";
 import { passes } from "./filter.js";
-import { verdictOf } from "./layers.js";
+import { VERDICTS, verdictOf } from "./layers.js";
 import { shown } from "./shown.js";
 
-/** @typedef {import("../data/results.js").Place} Place */
+/** @import { Place } from "../data/results.js" */
 /** @typedef {(a: Place, b: Place) => number} Order */
 
-/** What is worth a look comes first. */
-export const VERDICT_ORDER = { wrong: 0, unscored: 1, right: 2 };
+const ORDER = Object.keys(VERDICTS);
 
 /** @type {Order} */
-const byVerdict = (a, b) => VERDICT_ORDER[verdictOf(a)] - VERDICT_ORDER[verdictOf(b)];
+const byVerdict = (a, b) => ORDER.indexOf(verdictOf(a)) - ORDER.indexOf(verdictOf(b));
 
 let order = byVerdict;
 /** The one that was looked at last: its details may be closed by now. @type {Place|null} */
@@ -32,17 +28,13 @@ export function setOrder(next) {
   order = next ?? byVerdict;
 }
 
-/** @returns {Place[]} */
 export function queue() {
   return (shown.result?.intersections ?? [])
     .filter(passes)
     .sort((a, b) => order(a, b) || a.properties.id - b.properties.id);
 }
 
-/**
- * Go to the next or the previous intersection; behind the last comes the first.
- * @param {1|-1} by
- */
+/** Go to the next or the previous intersection; behind the last comes the first. @param {1|-1} by */
 export function step(by) {
   const places = queue();
   if (!places.length) return announce("No intersection passes the filter.");

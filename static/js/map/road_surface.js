@@ -1,7 +1,4 @@
-/**
- * The road seen by LiDAR as a picture below everything else: a base map that the drive made itself.
- * @module map/road_surface
- */
+/** The road seen by LiDAR as a picture below everything else: a base map that the drive made itself. */
 import { getJson, request } from "../api.js";
 import { ImageOverlay } from "../leaflet.js";
 import { showError } from "../messages.js";

@@ -1,14 +1,15 @@
-/**
- * A result on the surface: positions projected once, painted layer by layer, found again under the pointer.
- * @module map/scene
- */
+/** A result on the surface: positions projected once, painted layer by layer, found again under the pointer. */
+import { setState } from "../state.js";
+import { openDetails, tipOf } from "./details.js";
 import { ellipseOf, SIGMAS_95 } from "./ellipse.js";
 import { widthText } from "./facts.js";
 import { passes } from "./filter.js";
-import { kindOfNode, verdictOf } from "./layers.js";
+import { kindOfNode, layerOfDetection, verdictOf } from "./layers.js";
+import { fillRings, nearestOn, project, strokePaths } from "./paths.js";
 import { paintStreetNames, takenBySign } from "./street_names.js";
 import { colour, paintSigns, SIGNS } from "./symbols.js";
 
+/** @import { View } from "./surface.js" */
 /**
  * @typedef {{kind: "intersection"|"node"|"detection"|"keyframe"|"road", item: any}} Hit
  * @typedef {{xs: Float64Array, ys: Float64Array, items: any[]}} Points Projected at zoom 0.
@@ -33,27 +34,15 @@ const RING_PX = 13;
 const RINGED = new Set(["right", "wrong", "unscored"]);
 
 export class Scene {
-  /**
-   * @param {import("../data/results.js").Result} result
-   * @param {any} map
-   */
+  /** @param {import("../data/results.js").Result} result @param {any} map */
   constructor(result, map) {
-    /** @param {number} lng @param {number} lat */
-    const project = (lng, lat) => map.options.crs.latLngToPoint({ lat, lng }, 0);
     /** @param {number} x At zoom 0. @param {number} y @returns {{lat: number, lng: number}} */
     this.unproject = (x, y) => map.options.crs.pointToLatLng({ x, y }, 0);
+    const flat = (/** @type {number[][]} */ line) => project(map, line);
     /** @param {any[]} items @returns {Points} */
     const points = (items) => {
-      const xs = new Float64Array(items.length);
-      const ys = new Float64Array(items.length);
-      items.forEach((item, i) => ({ x: xs[i], y: ys[i] } = project(item.lng, item.lat)));
-      return { xs, ys, items };
-    };
-    /** @param {number[][]} line */
-    const flat = (line) => {
-      const path = new Float64Array(2 * line.length);
-      line.forEach(([lng, lat], i) => ({ x: path[2 * i], y: path[2 * i + 1] } = project(lng, lat)));
-      return path;
+      const path = flat(items.map(({ lng, lat }) => [lng, lat]));
+      return { xs: path.filter((_, i) => i % 2 === 0), ys: path.filter((_, i) => i % 2), items };
     };
     this.result = result;
     this.keyframes = points(result.keyframes);
@@ -63,7 +52,7 @@ export class Scene {
     this.track = flat(result.trajectory);
     this.places = result.places.map(flat);
     this.buildings = result.buildings.map(flat);
-    this.errors = result.matches.map(({ line, outcome }) => ({ path: flat(line), outcome }));
+    this.errors = result.matches.map(({ line, outcome }) => ({ path: flat(line), layer: outcome.toLowerCase() }));
     this.roads = result.roads.map(({ line, properties }) => ({
       path: flat(line),
       ...classOf(properties),
@@ -86,11 +75,7 @@ export class Scene {
     this.hasTiles = false;
   }
 
-  /**
-   * What lies below the pictures of a keyframe.
-   * @param {CanvasRenderingContext2D} context
-   * @param {import("./surface.js").View} view
-   */
+  /** What lies below the pictures of a keyframe. @param {CanvasRenderingContext2D} context @param {View} view */
   paintGround(context, view) {
     context.lineCap = "round";
     context.lineJoin = "round";
@@ -98,11 +83,7 @@ export class Scene {
     if (this.on.has("measured")) this.#paintMeasured(context, view);
   }
 
-  /**
-   * All the rest.
-   * @param {CanvasRenderingContext2D} context
-   * @param {import("./surface.js").View} view
-   */
+  /** All the rest. @param {CanvasRenderingContext2D} context @param {View} view */
   paint(context, view) {
     const size = Math.min(1.35, Math.max(0.6, (view.zoom - (this.result.local ? -4 : 12)) / 6));
     context.lineCap = "round";
@@ -110,70 +91,39 @@ export class Scene {
     this.#paintNames(context, view);
     if (this.on.has("places")) strokePaths(context, view, this.places, colour("--track"), 1.4, 0.4);
     if (this.on.has("track")) strokePaths(context, view, [this.track], colour("--track"), 1.6, 0.85);
-    if (this.progress > 0)
-      strokePaths(
-        context,
-        view,
-        [this.track.slice(0, 2 * Math.ceil((this.progress * this.track.length) / 2))],
-        colour("--accent"),
-        5,
-      );
-    if (this.on.has("keyframes")) this.#paintPoints(context, view, this.keyframes, "keyframe", 2 * size, 0.8);
+    const done = this.track.slice(0, 2 * Math.ceil((this.progress * this.track.length) / 2));
+    if (this.progress > 0) strokePaths(context, view, [done], colour("--accent"), 5);
+    this.#paintPoints(context, view, this.keyframes, "keyframes", 2 * size, 0.8);
     if (this.on.has("errors")) {
-      for (const [outcome, layer] of [
-        ["TP", "tp"],
-        ["FP", "fp"],
-      ]) {
+      for (const layer of ["tp", "fp"]) {
         if (!this.on.has(layer)) continue;
         const taken = new Set();
-        const paths = this.errors
-          .filter((each) => each.outcome === outcome && isFresh(each.path, view, taken))
-          .map((each) => each.path);
-        strokePaths(context, view, paths, colour(SIGNS[layer].colour), 1, outcome === "TP" ? 0.55 : 0.35);
+        const own = this.errors.filter((each) => each.layer === layer && isFresh(each.path, view, taken));
+        const paths = own.map(({ path }) => path);
+        strokePaths(context, view, paths, colour(SIGNS[layer].colour), 1, layer === "tp" ? 0.55 : 0.35);
       }
     }
     if (this.on.has("uncertainty")) this.#paintUncertainty(context, view);
-    const detections = this.detections;
-    const evaluated = this.result.report !== null;
-    if (this.on.has("detections"))
-      this.#paintPoints(context, view, detections, "detection", 3 * size, 0.7, (each) => each.outcome === "none");
-    if (evaluated && this.on.has("tp"))
-      this.#paintPoints(context, view, detections, "tp", 3 * size, 0.7, (each) => each.outcome === "TP");
-    const paintFalse = () =>
-      evaluated &&
-      this.on.has("fp") &&
-      this.#paintPoints(context, view, detections, "fp", 3.2 * size, 1, (each) => each.outcome === "FP");
-    if (view.perMetre < RING_FROM) paintFalse();
+    /** @param {"detections"|"tp"|"fp"} layer @param {number} r @param {number} alpha */
+    const paintDetections = (layer, r, alpha) =>
+      this.#paintPoints(context, view, this.detections, layer, r, alpha, (each) => layerOfDetection(each) === layer);
+    paintDetections("detections", 3 * size, 0.7);
+    paintDetections("tp", 3 * size, 0.7);
+    if (view.perMetre < RING_FROM) paintDetections("fp", 3.2 * size, 1);
     for (const kind of ["outside", "found", "missed"]) {
-      if (this.on.has(kind))
-        this.#paintPoints(
-          context,
-          view,
-          this.nodes,
-          kind,
-          (kind === "missed" ? 8 : 4.5) * size,
-          1,
-          (each) => kindOfNode(each) === kind,
-        );
+      const r = (kind === "missed" ? 8 : 4.5) * size;
+      this.#paintPoints(context, view, this.nodes, kind, r, 1, (each) => kindOfNode(each) === kind);
     }
     if (this.on.has("branches")) this.#paintBranches(context, view);
     for (const verdict of /** @type {const} */ (["unscored", "right", "wrong"])) {
+      const r = VERDICT_PX[verdict] * Math.max(0.85, size);
       const isOne = (/** @type {any} */ each) => verdictOf(each) === verdict && passes(each);
-      if (this.on.has(verdict))
-        this.#paintPoints(
-          context,
-          view,
-          this.intersections,
-          verdict,
-          VERDICT_PX[verdict] * Math.max(0.85, size),
-          1,
-          isOne,
-        );
+      this.#paintPoints(context, view, this.intersections, verdict, r, 1, isOne);
     }
-    if (view.perMetre >= RING_FROM) paintFalse(); // within the ring of what they are a part of
+    if (view.perMetre >= RING_FROM) paintDetections("fp", 3.2 * size, 1); // within the ring of what they are a part of
   }
 
-  /** Of streets, and the widths of measured roads: none on another, none below a sign. @param {CanvasRenderingContext2D} context @param {import("./surface.js").View} view */
+  /** Of streets, and the widths of measured roads: none on another, none below a sign. @param {CanvasRenderingContext2D} context @param {View} view */
   #paintNames(context, view) {
     /** @type {import("./street_names.js").Taken[]} */
     const taken = [];
@@ -189,7 +139,7 @@ export class Scene {
     if (this.on.has("measured")) paintStreetNames(context, view, widths, taken);
   }
 
-  /** @param {CanvasRenderingContext2D} context @param {import("./surface.js").View} view */
+  /** @param {CanvasRenderingContext2D} context @param {View} view */
   #paintRoads(context, view) {
     /** @param {number} metres */
     const width = (metres) => Math.max(1.2, Math.min(metres * view.perMetre, 40));
@@ -218,7 +168,7 @@ export class Scene {
     }
   }
 
-  /** As wide as they were measured, on the picture of what was seen. @param {CanvasRenderingContext2D} context @param {import("./surface.js").View} view */
+  /** As wide as they were measured, on the picture of what was seen. @param {CanvasRenderingContext2D} context @param {View} view */
   #paintMeasured(context, view) {
     const edge = colour("--measured");
     const inside = colour("--measured-inside");
@@ -236,14 +186,15 @@ export class Scene {
 
   /**
    * @param {CanvasRenderingContext2D} context
-   * @param {import("./surface.js").View} view
+   * @param {View} view
    * @param {Points} points
-   * @param {string} name Of the sign.
+   * @param {string} name Of the layer and its sign.
    * @param {number} r
    * @param {number} alpha
    * @param {(item: any) => boolean} [chosen]
    */
   #paintPoints(context, view, { xs, ys, items }, name, r, alpha, chosen) {
+    if (!this.on.has(name)) return;
     const isRing = RINGED.has(name) && view.perMetre >= RING_FROM;
     const sign = isRing
       ? { ...SIGNS[name], filled: false, width: 3, edge: undefined, glyph: undefined, rim: true }
@@ -263,7 +214,7 @@ export class Scene {
     paintSigns(context, sign, drawn, r, alpha);
   }
 
-  /** @param {CanvasRenderingContext2D} context @param {import("./surface.js").View} view */
+  /** @param {CanvasRenderingContext2D} context @param {View} view */
   #paintUncertainty(context, view) {
     const { xs, ys, items } = this.intersections;
     for (const verdict of Object.keys(VERDICT_PX)) {
@@ -288,7 +239,7 @@ export class Scene {
     }
   }
 
-  /** @param {CanvasRenderingContext2D} context @param {import("./surface.js").View} view */
+  /** @param {CanvasRenderingContext2D} context @param {View} view */
   #paintBranches(context, view) {
     const reach = Math.min(60, Math.max(16, RAY_M * view.perMetre));
     if (RAY_M * view.perMetre < 6) return;
@@ -316,22 +267,16 @@ export class Scene {
 
   /**
    * What lies under the pointer: the nearest thing of the topmost layer.
-   * @param {import("./surface.js").View} view Of which x and y are pixels.
+   * @param {View} view Of which x and y are pixels.
    * @param {number} x
    * @param {number} y
-   * @returns {Hit|null}
    */
-  find(view, x, y) {
+  at(view, x, y) {
     /** @type {Array<[Hit["kind"], Points, number, (item: any) => boolean]>} */
     const stack = [
       ["intersection", this.intersections, 9, (item) => this.on.has(verdictOf(item)) && passes(item)],
       ["node", this.nodes, 10, (item) => this.on.has(kindOfNode(item))],
-      [
-        "detection",
-        this.detections,
-        7,
-        ({ outcome }) => this.on.has(outcome === "none" ? "detections" : outcome.toLowerCase()),
-      ],
+      ["detection", this.detections, 7, (item) => this.on.has(layerOfDetection(item))],
       ["keyframe", this.keyframes, 7, () => this.on.has("track") || this.on.has("keyframes")],
     ];
     for (const [kind, points, reach, chosen] of stack) {
@@ -341,7 +286,26 @@ export class Scene {
     return this.on.has("measured") ? this.#findRoad(view, x, y) : null;
   }
 
-  /** @param {import("./surface.js").View} view @param {number} x @param {number} y @returns {Hit|null} The measured road there. */
+  /** @param {Hit} hit */
+  tipOf(hit) {
+    return tipOf(hit);
+  }
+
+  /** @param {Hit} hit */
+  open(hit) {
+    if (hit.kind === "keyframe") setState({ frame: hit.item.properties.frame });
+    else openDetails(hit);
+  }
+
+  /** All of it is there. */
+  look() {}
+
+  /** What lies under the pointer looks as it did. */
+  lift() {
+    return false;
+  }
+
+  /** @param {View} view @param {number} x @param {number} y @returns {Hit|null} The measured road there. */
   #findRoad(view, x, y) {
     for (const { path, width, properties } of this.measured) {
       const { away, at } = nearestOn(path, view, x, y);
@@ -352,23 +316,7 @@ export class Scene {
   }
 }
 
-/** @param {Float64Array} path @param {import("./surface.js").View} view @param {number} x @param {number} y @returns {{away: number, at: [number, number]}} Pixels, and the nearest place at zoom 0. */
-function nearestOn(path, view, x, y) {
-  let away = Infinity;
-  let at = /** @type {[number, number]} */ ([path[0], path[1]]);
-  for (let i = 2; i < path.length; i += 2) {
-    const [ax, ay] = [view.x(path[i - 2]), view.y(path[i - 1])];
-    const [dx, dy] = [view.x(path[i]) - ax, view.y(path[i + 1]) - ay];
-    const t = Math.max(0, Math.min(1, ((x - ax) * dx + (y - ay) * dy) / (dx * dx + dy * dy || 1)));
-    const d = Math.hypot(ax + t * dx - x, ay + t * dy - y);
-    if (d >= away) continue;
-    away = d;
-    at = [path[i - 2] + t * (path[i] - path[i - 2]), path[i - 1] + t * (path[i + 1] - path[i - 1])];
-  }
-  return { away, at };
-}
-
-/** @param {Points} points @param {import("./surface.js").View} view @param {number} x @param {number} y @param {number} reach @param {(item: any) => boolean} chosen */
+/** @param {Points} points @param {View} view @param {number} x @param {number} y @param {number} reach @param {(item: any) => boolean} chosen */
 function nearest({ xs, ys, items }, view, x, y, reach, chosen) {
   let row = -1;
   let min = reach * reach;
@@ -379,47 +327,7 @@ function nearest({ xs, ys, items }, view, x, y, reach, chosen) {
   return row;
 }
 
-/** @param {CanvasRenderingContext2D} context @param {import("./surface.js").View} view @param {Float64Array[]} rings @param {string} fill @param {number} [edge] Width of a line around them. */
-export function fillRings(context, view, rings, fill, edge = 0) {
-  context.beginPath();
-  for (const ring of rings) {
-    for (let i = 0; i < ring.length; i += 2) context[i ? "lineTo" : "moveTo"](view.x(ring[i]), view.y(ring[i + 1]));
-    context.closePath();
-  }
-  context.fillStyle = fill;
-  context.fill();
-  if (!edge) return;
-  context.strokeStyle = fill;
-  context.lineWidth = edge;
-  context.stroke();
-}
-
-/**
- * @param {CanvasRenderingContext2D} context
- * @param {import("./surface.js").View} view
- * @param {Float64Array[]} paths
- * @param {string} stroke
- * @param {number} width
- * @param {number} [alpha]
- */
-function strokePaths(context, view, paths, stroke, width, alpha = 1) {
-  context.beginPath();
-  for (const path of paths) {
-    for (let i = 0; i < path.length; i += 2) {
-      const x = view.x(path[i]);
-      const y = view.y(path[i + 1]);
-      if (i) context.lineTo(x, y);
-      else context.moveTo(x, y);
-    }
-  }
-  context.globalAlpha = alpha;
-  context.strokeStyle = stroke;
-  context.lineWidth = width;
-  context.stroke();
-  context.globalAlpha = 1;
-}
-
-/** @param {Float64Array} line Of two points. @param {import("./surface.js").View} view @param {Set<string>} taken @returns {boolean} Whether it is seen, and differs from the lines before by a pixel. */
+/** @param {Float64Array} line Of two points. @param {View} view @param {Set<string>} taken @returns {boolean} Whether it is seen, and differs from the lines before by a pixel. */
 function isFresh(line, view, taken) {
   const [x, y, toX, toY] = [view.x(line[0]), view.y(line[1]), view.x(line[2]), view.y(line[3])];
   if (!view.shows(x, y) && !view.shows(toX, toY)) return false;
@@ -435,7 +343,7 @@ function classOf({ highway }) {
   return { width, kind };
 }
 
-/** @param {any} properties @returns {boolean} */
+/** @param {any} properties */
 function isDrivable(properties) {
   return Boolean(properties.is_drivable ?? true);
 }

@@ -1,9 +1,7 @@
-/**
- * What is on the map: a small store between the map and all that follows it.
- * @module map/shown
- */
+/** What is on the map: a small store between the map and all that follows it. */
+import { news } from "../news.js";
 
-/** @typedef {import("../data/results.js").Result} Result */
+/** @import { Result } from "../data/results.js" */
 /**
  * @typedef {object} Preview Of a drive that is to be sent, or is being sent.
  * @property {Result} result Its track, where its scans were taken, and the roads of its map.
@@ -18,34 +16,29 @@
  */
 export const shown = { result: null, preview: null, map: null };
 
-/** @type {Set<(result: Result|null) => void>} */
-const listeners = new Set();
+/** @type {ReturnType<typeof news<[Result|null]>>} */
+const results = news();
+const previews = news();
+/** Called whenever there is another preview, or news of it. */
+export const onPreview = previews.hear;
 
 /** @param {(result: Result|null) => void} call Called now and whenever another result is shown. */
 export function onResult(call) {
-  listeners.add(call);
+  results.hear(call);
   call(shown.result);
 }
 
 /** @param {Result|null} result */
 export function setResult(result) {
   shown.result = result;
-  for (const call of listeners) call(result);
-}
-
-/** @type {Set<() => void>} */
-const previewListeners = new Set();
-
-/** @param {() => void} call Called whenever there is another preview, or news of it. */
-export function onPreview(call) {
-  previewListeners.add(call);
+  results.tell(result);
 }
 
 /** @param {Preview|null} preview */
 export function setPreview(preview) {
   if (preview === null && shown.preview === null) return;
   shown.preview = preview;
-  for (const call of previewListeners) call();
+  previews.tell();
 }
 
 /** @param {Result|null} result @returns {number|null} The keyframe of the first detection: there is something to see. */

@@ -1,7 +1,4 @@
-/**
- * The map: shows the result of the job at hand, or the trajectory of its drive while it runs.
- * @module map/stage
- */
+/** The map: shows the result of the job at hand, or the trajectory of its drive while it runs. */
 
 import { follow, getJson } from "../api.js";
 import { chosenCity, cities, loadMaps, onCityChange, versionOf, wantsCity, watchMaps } from "../data/city.js";
@@ -10,7 +7,7 @@ import { FINAL, lists, onListsChange, rememberJob } from "../data/lists.js";
 import { loadOverview } from "../data/overview.js";
 import { loadResult, loadTrajectory, withService } from "../data/results.js";
 import { el, fill, icon, plural, takesDrops } from "../dom.js";
-import { Control, CRS, control, DomEvent, LeafletMap, latLngBounds } from "../leaflet.js";
+import { CRS, control, LeafletMap, latLngBounds } from "../leaflet.js";
 import { failureNote, problemNote } from "../messages.js";
 import { addShortcut } from "../shortcuts.js";
 import { getState, setState, subscribe } from "../state.js";
@@ -18,15 +15,16 @@ import { recall } from "../storage.js";
 import { CITY_KEYS, CityScene } from "./city.js";
 import { PLACE_SIGNS, signOfChange } from "./city_places.js";
 import { ComparedLayer, followCompared, onCompared } from "./compared.js";
-import { addCoordinates } from "./coordinates.js";
-import { closeDetails, goTo, hasDetails, keepDetails, openDetails, openSelection, watchPointer } from "./details.js";
+import { addButton, addCoordinates, addCorner } from "./corners.js";
+import { closeDetails, goTo, hasDetails, keepDetails, openDetails, openSelection } from "./details.js";
 import { clearFilter, isFiltering, onFilterChange } from "./filter.js";
 import { KeyframeLayer } from "./keyframe.js";
-import { layersOn } from "./layers.js";
+import { layersOn, NODE_OUTCOMES, VERDICTS } from "./layers.js";
 import { addLegend } from "./legend.js";
 import { LiveDrive, LiveScene } from "./live.js";
 import { addMeasure, MEASURE_KEYS } from "./measure.js";
-import { OverviewScene, watchDrives } from "./overview.js";
+import { OverviewScene } from "./overview.js";
+import { watchPointer } from "./pointer.js";
 import { QUEUE_KEYS, queue } from "./queue.js";
 import { roadSurface } from "./road_surface.js";
 import { Scene } from "./scene.js";
@@ -36,13 +34,10 @@ import { signIcon } from "./symbols.js";
 import { makeTiles, OSM_CREDIT, onTilesChange } from "./tiles.js";
 import { mountTimeline } from "./timeline.js";
 
+/** @import { Result } from "../data/results.js" */
+
 /** What the signs of the map mean, where there is no legend. */
-const KEYS = /** @type {Record<string, string>} */ ({
-  right: "right",
-  wrong: "wrong",
-  missed: "missed",
-  unscored: "not scored",
-});
+const KEYS = { ...VERDICTS, missed: NODE_OUTCOMES.missed };
 const LIVE_MS = 200; // between two pictures of a drive that is under way
 const LOCAL_CREDIT = "Metres of the drive’s own frame: it has no georeference";
 
@@ -50,7 +45,7 @@ const LOCAL_CREDIT = "Metres of the drive’s own frame: it has no georeference"
 let scene = null;
 /** What the map was last fitted to. @type {{places: number[][], local: boolean, padding: number[][]}|null} */
 let whole = null;
-/** What was last shown before it was sent: its roads stay while its job runs. @type {import("../data/results.js").Result|null} */
+/** What was last shown before it was sent: its roads stay while its job runs. @type {Result|null} */
 let previewed = null;
 /** Whether the map shows a place of the result, worth a permalink. */
 let isPlaced = false;
@@ -58,8 +53,8 @@ let isPlaced = false;
 /** Put map, legend and timeline on the page. */
 export async function mountStage() {
   const holder = /** @type {HTMLElement} */ (document.getElementById("map"));
-  const cover = el("div", { class: "cover" });
-  const note = el("div", { class: "stage-note" });
+  const cover = el("div.cover");
+  const note = el("div.stage-note");
   holder.before(cover, note);
   const timeline = mountTimeline(/** @type {HTMLElement} */ (document.getElementById("strip")));
   /** @type {any} */
@@ -111,12 +106,12 @@ export async function mountStage() {
       if (job.state !== "successful") {
         clear();
         const why = job.state === "failed" && failureNote(job);
-        fill(cover, el("div", { class: "stack-s" }, el("p", {}, waiting(job)), why));
+        fill(cover, el("div.stack-s", el("p", waiting(job)), why));
         if (awaited) await showTrajectory(job, mine);
         return;
       }
       if (shown.result?.job.id === id) return;
-      fill(cover, el("p", {}, "Loading the result…"));
+      fill(cover, el("p", "Loading the result…"));
       const next = await loadResult(job);
       if (mine === token) show(next);
     } catch (error) {
@@ -131,7 +126,7 @@ export async function mountStage() {
   /** @param {string} id */
   const showLive = async (id) => {
     clear();
-    fill(cover, el("p", {}, "Waiting for the vehicle…"));
+    fill(cover, el("p", "Waiting for the vehicle…"));
     const drive = new LiveDrive();
     watching = new AbortController();
     const { signal } = watching;
@@ -141,7 +136,7 @@ export async function mountStage() {
       if (signal.aborted || !drive.vehicle) return;
       const isNew = !(scene instanceof LiveScene);
       fill(cover);
-      fill(note, el("strong", {}, drive.session.name), ` ${drive.words}`);
+      fill(note, el("strong", drive.session.name), ` ${drive.words}`);
       build(!drive.session.georeferenced);
       scene = new LiveScene(drive, shown.map);
       const { lat, lng } = drive.vehicle;
@@ -179,10 +174,10 @@ export async function mountStage() {
     if (isNew) clear();
     previewed = result.local ? null : result;
     fill(cover);
-    fill(note, el("strong", {}, title), ` ${text}`);
+    fill(note, el("strong", title), ` ${text}`);
     build(result.local);
     if (!(scene instanceof Scene) || scene.result !== result) scene = new Scene(result, shown.map);
-    scene.find = () => null; // its places have no details yet
+    scene.at = () => null; // its places have no details yet
     scene.on = new Set(["roads", "places", "track", "keyframes"]);
     scene.progress = progress;
     parts.setAttribution(result);
@@ -240,7 +235,7 @@ export async function mountStage() {
     }
     if (getState().panel !== "map" || !lists.drives.length) return false;
     clear();
-    fill(cover, el("p", {}, city ? emptyCity(city) : "There is no such map."));
+    fill(cover, el("p", city ? emptyCity(city) : "There is no such map."));
     return true;
   };
 
@@ -250,16 +245,16 @@ export async function mountStage() {
     const signs = new Set(spots.flatMap(({ sign, changes }) => [sign, ...changes.map(signOfChange)]));
     fill(
       note,
-      el("strong", {}, plural(city.intersections, "intersection")),
+      el("strong", plural(city.intersections, "intersection")),
       ` of ${plural(city.drives, "drive")}`,
       city.is_waiting && " · more is being merged",
       cut && ` · ${cut} here: zoom in for more`,
       city.findings && getState().panel !== "map"
-        ? [" · ", el("button", { class: "link", onClick: toQueue }, plural(city.findings, "finding"))]
+        ? [" · ", el("button.link", { onClick: toQueue }, plural(city.findings, "finding"))]
         : null,
       Object.entries(PLACE_SIGNS)
         .filter(([name]) => signs.has(name))
-        .map(([name, [text, hint]]) => el("span", { class: "key-row", title: hint }, signIcon(name), text)),
+        .map(([name, [text, hint]]) => el("span.key-row", { title: hint }, signIcon(name), text)),
       tileSwitch(),
     );
   };
@@ -278,7 +273,7 @@ export async function mountStage() {
     const cut = isCut && " · the newest of all";
     fill(
       note,
-      el("strong", {}, plural(drives.length, "drive")),
+      el("strong", plural(drives.length, "drive")),
       " to choose from",
       more,
       cut,
@@ -294,9 +289,9 @@ export async function mountStage() {
     return true;
   };
 
-  /** As it was loaded. @type {import("../data/results.js").Result|null} */
+  /** As it was loaded. @type {Result|null} */
   let loaded = null;
-  /** @param {import("../data/results.js").Result} result */
+  /** @param {Result} result */
   const show = (result) => {
     loaded = result;
     const next = getState().service && result.report?.with_service ? withService(result) : result;
@@ -460,16 +455,15 @@ function makeMap(holder, local, current) {
     { pane: "surface" },
   ).addTo(made);
   control.zoom({ position: "topleft" }).addTo(made);
-  addFit(made);
+  addButton(made, "fit", "Show the whole drive", () => fitDrive(true));
   const measure = addMeasure(made, local);
   control.scale({ position: "bottomleft", imperial: false, maxWidth: 140 }).addTo(made);
   const attribution = control.attribution({ position: "bottomright", prefix: false }).addTo(made);
   const legend = addLegend(made);
   addCoordinates(made, local);
   const filterNote = addFilterNote(made);
-  watchPointer(made, current, measure.isOn);
+  watchPointer(made, current, measure.isOn, () => surface.redraw());
   keepDetails(made);
-  watchDrives(made, current, () => surface.redraw());
   /** @type {any} */
   let tiles = null;
   /** @param {boolean} isOn Whether tiles have come, so that streets need no names of their own. */
@@ -522,31 +516,14 @@ function makeMap(holder, local, current) {
 function addFilterNote(made) {
   const count = el("span");
   // The button stays when the words change: Leaflet takes a click on what is gone by then for one on the map.
-  const all = el("button", { class: "link", onClick: clearFilter }, "Show all");
-  const box = el("div", { class: "filter-note", role: "status", hidden: true }, count, all);
-  const note = new Control({ position: "topleft" });
-  note.onAdd = () => {
-    DomEvent.disableClickPropagation(box);
-    return box;
-  };
-  note.addTo(made);
+  const all = el("button.link", { onClick: clearFilter }, "Show all");
+  const box = el("div.filter-note", { role: "status", hidden: true }, count, all);
+  addCorner(made, "topleft", box);
   const update = () => {
     box.hidden = !isFiltering() || !shown.result;
     fill(count, `${queue().length} of ${plural(shown.result?.intersections.length ?? 0, "intersection")}`);
   };
   return { update };
-}
-
-/** @param {any} made */
-function addFit(made) {
-  const label = "Show the whole drive";
-  const onClick = (/** @type {Event} */ e) => (e.preventDefault(), fitDrive(true));
-  const button = el("a", { href: "#", role: "button", title: label, "aria-label": label, onClick }, icon("fit"));
-  const bar = el("div", { class: "leaflet-bar leaflet-control" }, button);
-  const fit = control.zoom({ position: "topleft" });
-  fit.onAdd = () => bar;
-  fit.onRemove = () => {};
-  fit.addTo(made);
 }
 
 /** @param {boolean} animate */
@@ -601,14 +578,13 @@ function keepInView(place) {
   shown.map.panBy([x - target[0], y - target[1]], { animate: false });
 }
 
-/** @returns {string} */
 function viewText() {
   const { lat, lng } = shown.map.getCenter();
   const digits = shown.result?.local ? 1 : 6;
   return `${Number(shown.map.getZoom().toFixed(2))}/${lat.toFixed(digits)}/${lng.toFixed(digits)}`;
 }
 
-/** @param {string} text @returns {boolean} */
+/** @param {string} text */
 function applyView(text) {
   const [zoom, lat, lng] = text.split("/").map(Number);
   if (![zoom, lat, lng].every(Number.isFinite)) return false;
@@ -630,7 +606,7 @@ function overviewKey(drives) {
   );
   return Object.entries(KEYS)
     .filter(([name]) => there.has(name))
-    .map(([name, text]) => el("span", { class: "key-row" }, signIcon(name), text));
+    .map(([name, text]) => el("span.key-row", signIcon(name), text));
 }
 
 /** @param {import("../data/city.js").City} city @returns {string} Why there is nothing to see on it. */
@@ -650,41 +626,32 @@ function tileSwitch() {
     else on.add("tiles");
     setState({ layers: [...on] });
   };
-  return el("label", { class: "check" }, el("input", { type: "checkbox", checked, onChange: change }), "Map tiles");
+  return el("label.key-row", el("input", { type: "checkbox", checked, onChange: change }), "Map tiles");
 }
 
 /** @param {string|null} drive */
 function welcome(drive) {
-  if (drive) return el("p", {}, "This drive has no result yet. Run it from the list of drives.");
+  if (drive) return el("p", "This drive has no result yet. Run it from the list of drives.");
   if (demo.isRunning) return el("p", { role: "status" }, "The demo is being prepared. It appears here.");
   if (!lists.isLoaded) return null;
-  if (lists.drives.length) return el("p", {}, "None of the drives has a place on the map yet. Open one from the list.");
-  const upload = el("button", { class: "primary", onClick: () => setState({ panel: "upload" }) }, icon("upload"));
+  if (lists.drives.length) return el("p", "None of the drives has a place on the map yet. Open one from the list.");
+  const upload = el("button.primary", { onClick: () => setState({ panel: "upload" }) }, icon("upload"));
   upload.append("Upload a drive");
-  return el(
-    "div",
-    { class: "drop drop-stage" },
+  return el("div.drop.drop-stage", [
     icon("upload"),
+    el("h2", takesDrops() ? "Drop the folder of a LiDAR drive here" : "Where are the road intersections of a drive?"),
+    el("ol", [
+      el("li", "The drive: its folder, or a bag. It is looked into before anything is sent."),
+      el("li", "A map, if there is one: an OSM file of the area. Without it nothing is scored."),
+      el("li", "The result, here on the map:"),
+    ]),
     el(
-      "h2",
-      {},
-      takesDrops() ? "Drop the folder of a LiDAR drive here" : "Where are the road intersections of a drive?",
-    ),
-    el(
-      "ol",
-      {},
-      el("li", {}, "The drive: its folder, or a bag. It is looked into before anything is sent."),
-      el("li", {}, "A map, if there is one: an OSM file of the area. Without it nothing is scored."),
-      el("li", {}, "The result, here on the map:"),
-    ),
-    el(
-      "p",
-      { class: "row" },
-      ["right", "wrong", "missed", "unscored"].map((name) =>
-        el("span", { class: "key-row" }, signIcon(name), KEYS[name]),
+      "p.row",
+      /** @type {const} */ (["right", "wrong", "missed", "unscored"]).map((name) =>
+        el("span.key-row", signIcon(name), KEYS[name]),
       ),
     ),
-    el("div", { class: "row" }, upload, el("button", { onClick: () => void tryDemo() }, "Try the demo")),
+    el("div.row", upload, el("button", { onClick: () => void tryDemo() }, "Try the demo")),
     demo.error !== null && problemNote(demo.error),
-  );
+  ]);
 }

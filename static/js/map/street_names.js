@@ -1,7 +1,4 @@
-/**
- * Names of streets, written along them, beside the track, where the map is large enough.
- * @module map/street_names
- */
+/** Names of streets, written along them, beside the track, where the map is large enough. */
 import { colour } from "./symbols.js";
 
 /** @typedef {{x: number, y: number, angle: number}} Spot */
@@ -90,7 +87,6 @@ export const takenBySign = (x, y) => ({ x, y, name: null, cos: 1, sin: 0, reach:
  * @param {Float64Array} path
  * @param {{x: (x: number) => number, y: (y: number) => number}} view
  * @param {number} length Pixels.
- * @returns {Spot[]}
  */
 export function spots(path, view, length) {
   /** @type {number[]} */

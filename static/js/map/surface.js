@@ -2,7 +2,6 @@
  * One canvas under the map on which everything of a result is drawn at once: ten thousand symbols cost a few
  * milliseconds per frame at rest and nothing while the map is dragged, since the canvas is larger than what is seen.
  * Leaflet's own canvas keeps an object per symbol: ten thousand take ten times as long to make, and twice as long to zoom.
- * @module map/surface
  */
 import { Browser, DomUtil, Renderer } from "../leaflet.js";
 
@@ -94,12 +93,12 @@ export class View {
     return x * this.scale - this.origin.x;
   }
 
-  /** @param {number} y @returns {number} */
+  /** @param {number} y */
   y(y) {
     return y * this.scale - this.origin.y;
   }
 
-  /** @param {number} x Pixels. @param {number} y @param {number} [margin] @returns {boolean} */
+  /** @param {number} x Pixels. @param {number} y @param {number} [margin] */
   shows(x, y, margin = 20) {
     return x > -margin && y > -margin && x < this.size.x + margin && y < this.size.y + margin;
   }

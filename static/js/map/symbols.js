@@ -1,7 +1,4 @@
-/**
- * The signs of the map: each outcome has a colour and a shape, the same on the map, in the legend and in charts.
- * @module map/symbols
- */
+/** The signs of the map: each outcome has a colour and a shape, the same on the map, in the legend and in charts. */
 import { svg } from "../dom.js";
 
 /** @typedef {"disc"|"cross"|"ring"|"square"|"diamond"|"dot"|"triangle"|"check"|"bang"|"gap"|"fork"|"hexagon"} Shape */
@@ -58,7 +55,7 @@ export function trace(path, shape, x, y, r) {
 
 /** The signs by name. */
 export const SIGNS = /** @type {Record<string, Sign>} */ ({
-  detection: { colour: "--tp", shape: "disc", filled: true, width: 0 },
+  detections: { colour: "--tp", shape: "disc", filled: true, width: 0 },
   tp: { colour: "--tp", shape: "disc", filled: true, width: 0 },
   fp: { colour: "--fp", shape: "cross", filled: false, width: 2, rim: true },
   found: { colour: "--found", shape: "square", filled: false, width: 2, rim: true },
@@ -70,7 +67,7 @@ export const SIGNS = /** @type {Record<string, Sign>} */ ({
   shared: { colour: "--ink-2", shape: "ring", filled: false, width: 1.4 },
   here: { colour: "--tp", shape: "hexagon", filled: false, width: 1.8 },
   elsewhere: { colour: "--tp", shape: "square", filled: false, width: 1.8 },
-  keyframe: { colour: "--track", shape: "dot", filled: true, width: 0 },
+  keyframes: { colour: "--track", shape: "dot", filled: true, width: 0 },
 });
 
 /**
@@ -109,22 +106,49 @@ function stroke(context, variable, width) {
 
 const RADII = /** @type {Partial<Record<Shape, number>>} */ ({ dot: 2.5, disc: 4, cross: 5, triangle: 6.5 });
 
-/** @param {string} name @returns {Element} The sign for legends and tables. */
+/** How lines and areas look in the legend: paths of a square of 16. @type {Record<string, Record<string, any>[]>} */
+const LOOKS = {
+  tiles: [{ d: "M1.5 2.5h13v11h-13zM8 2.5v11M1.5 8h13", stroke: "var(--ink-3)" }],
+  surface: [{ d: "M0 3h16v10H0z", fill: "var(--seen-road)" }],
+  road: [{ d: "M.5 4.5h15v7H.5z", fill: "var(--road-road)", stroke: "var(--road-road-casing)" }],
+  centreline: [{ d: "M1 5h14v6H1z", fill: "var(--measured-inside)", stroke: "var(--measured)", "stroke-width": 1.5 }],
+  track: [{ d: "M0 8h16", stroke: "var(--track)", "stroke-width": 2 }],
+  place: [{ d: "M0 8h16", stroke: "var(--track)", "stroke-width": 1.5, opacity: 0.45 }],
+  uncertainty: [
+    {
+      d: "M1.5 8a6.5 6.5 0 1 1 13 0a6.5 6.5 0 1 1-13 0",
+      fill: "var(--right)",
+      "fill-opacity": 0.25,
+      stroke: "var(--right)",
+    },
+  ],
+  branch: [{ d: "M0 8h16", stroke: "var(--right)", "stroke-width": 2 }],
+  error: [{ d: "M1 12 15 4", stroke: "var(--tp)", "stroke-width": 1.5 }],
+  roi: [
+    { d: "M1.75 1.75h12.5v12.5H1.75z", stroke: "var(--roi)", "stroke-width": 1.5, "stroke-dasharray": "3 2" },
+    { d: "M5.25 5.25h5.5v5.5h-5.5z", stroke: "var(--roi)", "stroke-width": 1.5 },
+  ],
+};
+
+/** @param {string} name @returns {Element} The sign, or the look of a line or area, for legends and tables. */
 export function signIcon(name) {
-  const { colour, shape, filled, width, edge, glyph } = SIGNS[name];
+  const paths = LOOKS[name]?.map((each) => svg("path", { fill: "none", ...each }));
+  return svg("svg.sign", { viewBox: "0 0 16 16", "aria-hidden": "true" }, paths ?? marksOf(SIGNS[name]));
+}
+
+/** @param {Sign} sign */
+function marksOf({ colour, shape, filled, width, edge, glyph }) {
   const r = shape === "disc" && glyph ? 7 : glyph === "gap" ? 6 : (RADII[shape] ?? 4.5);
   const stroke = glyph ? "none" : edge ? `var(${edge})` : width ? `var(${colour})` : "none";
   const props = { fill: filled ? `var(${colour})` : "none", stroke, "stroke-width": width };
   const mark = { fill: "none", stroke: "var(--surface)", "stroke-width": 1.8, "stroke-linecap": "round" };
-  return svg(
-    "svg",
-    { class: "sign", viewBox: "0 0 16 16", "aria-hidden": "true" },
+  return [
     OUTLINES[shape] ? svg("path", { d: outlineOf(shape, r), ...props }) : svg("circle", { cx: 8, cy: 8, r, ...props }),
     glyph && svg("path", { d: outlineOf(glyph, r), ...mark }),
-  );
+  ];
 }
 
-/** @param {Shape} shape @param {number} r @returns {string} */
+/** @param {Shape} shape @param {number} r */
 function outlineOf(shape, r) {
   const path = (/** @type {number[][]} */ line) => `M${line.map(([x, y]) => `${8 + r * x} ${8 + r * y}`).join("L")}`;
   return OUTLINES[shape]?.map(path).join("") + (OPEN.has(shape) ? "" : "Z");

@@ -1,28 +1,21 @@
-/**
- * Map tiles: only when switched on, since another server learns which place is looked at.
- * @module map/tiles
- */
+/** Map tiles: only when switched on, since another server learns which place is looked at. */
 
 import { getConfig } from "../api.js";
 import { el } from "../dom.js";
 import { TileLayer } from "../leaflet.js";
 import { showError } from "../messages.js";
+import { news } from "../news.js";
 import { keep, recall } from "../storage.js";
 
 const URL_KEY = "interloc.tiles";
 const OSM = "© OpenStreetMap contributors";
 export const OSM_CREDIT = `${OSM}, ODbL`;
-/** @type {Set<() => void>} */
-const listeners = new Set();
+const changes = news();
+/** Called when another address is to be used. */
+export const onTilesChange = changes.hear;
 
-/** @returns {string} */
 function tileUrl() {
   return recall(URL_KEY) || getConfig().tile_url || "";
-}
-
-/** @param {() => void} call Called when another address is to be used. */
-export function onTilesChange(call) {
-  listeners.add(call);
 }
 
 /** @returns {any} A layer of the tiles; null where there is no address. */
@@ -33,7 +26,7 @@ export function makeTiles() {
   const layer = new TileLayer(url, {
     maxNativeZoom: 19,
     maxZoom: 24,
-    attribution: credit.startsWith(OSM) ? OSM_CREDIT : el("span", {}, credit).outerHTML, // alike, it is shown once
+    attribution: credit.startsWith(OSM) ? OSM_CREDIT : el("span", credit).outerHTML, // alike, it is shown once
     referrerPolicy: "strict-origin-when-cross-origin",
     className: "tiles",
   });
@@ -46,7 +39,7 @@ export function makeTiles() {
   return layer;
 }
 
-/** @param {string} url @returns {string} */
+/** @param {string} url */
 function hostOf(url) {
   try {
     return new URL(url.replace("{s}", "a")).host;
@@ -63,7 +56,7 @@ export function tileBox() {
     event.preventDefault();
     const url = input.value.trim();
     keep(URL_KEY, url && url !== getConfig().tile_url ? url : null);
-    for (const call of listeners) call();
+    changes.tell();
   };
-  return el("form", { class: "tile-box", onSubmit }, input, el("button", {}, "Use"));
+  return el("form.tile-box", { onSubmit }, input, el("button", "Use"));
 }

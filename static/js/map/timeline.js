@@ -1,7 +1,4 @@
-/**
- * The strip below the map: all keyframes of the drive, what each one saw, and play.
- * @module map/timeline
- */
+/** The strip below the map: all keyframes of the drive, what each one saw, and play. */
 import { iconButton, select } from "../controls.js";
 import { el, fill, formatDuration, icon, plural } from "../dom.js";
 import { addShortcut } from "../shortcuts.js";
@@ -10,22 +7,21 @@ import { chosenFrame } from "./details.js";
 import { firstDetection } from "./shown.js";
 import { colour } from "./symbols.js";
 
+/** @import { Result } from "../data/results.js" */
+
 const SPEEDS = [5, 10, 25, 60];
 
-/**
- * @param {HTMLElement} strip
- * @returns {{show: (result: import("../data/results.js").Result|null) => void, isFollowing: () => boolean}}
- */
+/** @param {HTMLElement} strip @returns {{show: (result: Result|null) => void, isFollowing: () => boolean}} */
 export function mountTimeline(strip) {
-  /** @type {import("../data/results.js").Result|null} */
+  /** @type {Result|null} */
   let result = null;
   let playing = 0;
   let last = 0;
 
-  const chart = el("canvas", { class: "density", "aria-hidden": "true" });
+  const chart = el("canvas.density", { "aria-hidden": "true" });
   const slider = el("input", { type: "range", min: 0, max: 0, step: 1, "aria-label": "Keyframe" });
   slider.addEventListener("input", () => choose(Number(slider.value)));
-  const play = el("button", { class: "square", onClick: () => toggle() });
+  const play = el("button.square", { onClick: () => toggle() });
   const speed = select(Object.fromEntries(SPEEDS.map((each) => [each, `${each}/s`])), "10");
   speed.title = "Keyframes per second";
   speed.setAttribute("aria-label", "Speed");
@@ -38,7 +34,7 @@ export function mountTimeline(strip) {
   const isFollowing = () => follow.getAttribute("aria-pressed") === "true";
   const setFollowing = (/** @type {boolean} */ on) => follow.setAttribute("aria-pressed", String(on));
   setFollowing(true);
-  const label = el("div", { class: "timeline-label" });
+  const label = el("div.timeline-label");
   const lookInside = () => {
     const { drawer, frame } = getState();
     setState({ drawer: !drawer, frame: (drawer ? null : chosenFrame()) ?? frame ?? firstDetection(result) });
@@ -46,18 +42,16 @@ export function mountTimeline(strip) {
   const large = el("button", { "aria-expanded": "false", onClick: lookInside }, icon("image"), "Look inside");
   fill(
     strip,
-    el(
-      "div",
-      { class: "timeline" },
+    el("div.timeline", [
       iconButton("previous", "Previous keyframe", () => step(-1), "Previous keyframe (,)"),
       play,
       iconButton("next", "Next keyframe", () => step(1), "Next keyframe (.)"),
       speed,
       follow,
-      el("div", { class: "ruler" }, chart, slider),
+      el("div.ruler", chart, slider),
       label,
       large,
-    ),
+    ]),
   );
 
   const rowNow = () => result?.frame.rows.get(getState().frame) ?? 0;
@@ -113,7 +107,7 @@ export function mountTimeline(strip) {
       frame === null
         ? [plural(result.keyframes.length, "keyframe"), "drag or play"]
         : [`Scan ${frame}${clock}`, `${row + 1} of ${result.keyframes.length} · ${plural(seen, "detection")}`];
-    fill(label, el("strong", {}, first), el("span", {}, second));
+    fill(label, el("strong", first), el("span", second));
     fill(play, icon(playing ? "pause" : "play"));
     play.setAttribute("aria-label", playing ? "Pause" : "Play");
     play.title = playing ? "Pause (space)" : "Play (space)";
@@ -141,10 +135,7 @@ export function mountTimeline(strip) {
 }
 
 /** Bars of detections per keyframe, the true ones below, the false ones on top. */
-function drawDensity(
-  /** @type {HTMLCanvasElement} */ canvas,
-  /** @type {import("../data/results.js").Result} */ result,
-) {
+function drawDensity(/** @type {HTMLCanvasElement} */ canvas, /** @type {Result} */ result) {
   const ratio = Math.max(1, devicePixelRatio);
   const [w, h] = [canvas.clientWidth, canvas.clientHeight];
   if (!w) return;

@@ -1,7 +1,4 @@
-/**
- * Charts: lines over a distance, and bars; with axes, and a cursor that reads them out.
- * @module report/chart
- */
+/** Charts: lines over a distance, and bars; with axes, and a cursor that reads them out. */
 import { el, fill, formatCount, formatPercent, svg } from "../dom.js";
 
 const W = 360;
@@ -21,9 +18,9 @@ export function lineChart(lines, { max, mark, onMark }) {
   const x = (/** @type {number} */ d) => BOX.left + (d / max) * (W - BOX.left - BOX.right);
   const y = (/** @type {number} */ share) => BOX.top + (1 - share) * (h - BOX.top - BOX.bottom);
   const xs = lines[0].points.map(([d]) => d).filter((d) => d <= max);
-  const cursor = svg("line", { class: "cursor", y1: BOX.top, y2: h - BOX.bottom });
+  const cursor = svg("line.cursor", { y1: BOX.top, y2: h - BOX.bottom });
   const dots = lines.map((line) => svg("circle", { r: 3.5, fill: line.colour, visibility: "hidden" }));
-  const keys = el("div", { class: "keys" });
+  const keys = el("div.keys");
   let current = mark;
   /** @param {number} d */
   const read = (d) => {
@@ -37,12 +34,12 @@ export function lineChart(lines, { max, mark, onMark }) {
     });
     fill(
       keys,
-      el("strong", {}, `At D = ${d} m`),
+      el("strong", `At D = ${d} m`),
       lines.map((line) => {
         const value = line.points.find(([each]) => each === d)?.[1];
         const borderTopStyle = !line.dash ? "solid" : line.dash.startsWith("2") ? "dotted" : "dashed";
-        const key = el("i", { class: "key", style: { borderColor: line.colour, borderTopStyle } });
-        return el("span", {}, key, `${line.name} ${formatPercent(value)}`);
+        const key = el("i.key", { style: { borderColor: line.colour, borderTopStyle } });
+        return el("span.key-row", key, `${line.name} ${formatPercent(value)}`);
       }),
     );
   };
@@ -57,9 +54,8 @@ export function lineChart(lines, { max, mark, onMark }) {
     onMark(d);
   };
   const chart = svg(
-    "svg",
+    "svg.chart",
     {
-      class: "chart",
       viewBox: `0 0 ${W} ${h}`,
       tabindex: 0,
       role: "slider",
@@ -80,34 +76,35 @@ export function lineChart(lines, { max, mark, onMark }) {
         chart.setAttribute("aria-valuetext", keys.textContent ?? "");
       },
     },
-    [0, 0.25, 0.5, 0.75, 1].map((share) => [
-      svg("line", { class: "grid", x1: BOX.left, x2: W - BOX.right, y1: y(share), y2: y(share) }),
-      svg(
-        "text",
-        { x: BOX.left - 6, y: y(share) + 4, "text-anchor": "end" },
-        `${100 * share}${share === 1 ? " %" : ""}`,
+    [
+      [0, 0.25, 0.5, 0.75, 1].map((share) => [
+        svg("line.grid", { x1: BOX.left, x2: W - BOX.right, y1: y(share), y2: y(share) }),
+        svg(
+          "text",
+          { x: BOX.left - 6, y: y(share) + 4, "text-anchor": "end" },
+          `${100 * share}${share === 1 ? " %" : ""}`,
+        ),
+      ]),
+      Array.from({ length: max / 2 + 1 }, (_, i) =>
+        svg("text", { x: x(2 * i), y: h - BOX.bottom + 14, "text-anchor": "middle" }, String(2 * i)),
       ),
-    ]),
-    Array.from({ length: max / 2 + 1 }, (_, i) =>
-      svg("text", { x: x(2 * i), y: h - BOX.bottom + 14, "text-anchor": "middle" }, String(2 * i)),
-    ),
-    svg("text", { x: (BOX.left + W - BOX.right) / 2, y: h - 3, "text-anchor": "middle" }, "distance D [m]"),
-    lines.map((line) =>
-      svg("polyline", {
-        class: "curve",
-        stroke: line.colour,
-        "stroke-dasharray": line.dash,
-        points: line.points
-          .filter(([d, value]) => d <= max && value !== null)
-          .map(([d, value]) => `${x(d).toFixed(1)},${y(value ?? 0).toFixed(1)}`)
-          .join(" "),
-      }),
-    ),
-    cursor,
-    dots,
+      svg("text", { x: (BOX.left + W - BOX.right) / 2, y: h - 3, "text-anchor": "middle" }, "distance D [m]"),
+      lines.map((line) =>
+        svg("polyline.curve", {
+          stroke: line.colour,
+          "stroke-dasharray": line.dash,
+          points: line.points
+            .filter(([d, value]) => d <= max && value !== null)
+            .map(([d, value]) => `${x(d).toFixed(1)},${y(value ?? 0).toFixed(1)}`)
+            .join(" "),
+        }),
+      ),
+      cursor,
+      dots,
+    ],
   );
   read(mark);
-  return el("div", { class: "stack-s" }, chart, keys);
+  return el("div.stack-s", chart, keys);
 }
 
 /**
@@ -121,7 +118,7 @@ export function barChart(counts, { width, limit }) {
   const step = (W - BOX.left - BOX.right) / counts.length;
   const y = (/** @type {number} */ count) => BOX.top + (1 - count / max) * (h - BOX.top - BOX.bottom);
   const total = counts.reduce((sum, each) => sum + each, 0);
-  const legend = el("p", { class: "small number" });
+  const legend = el("p.small.number");
   const describe = (/** @type {number|null} */ i) => {
     const limitText = `${counts.at(-1)} beyond ${(counts.length - 1) * width} m`;
     if (i === null) return fill(legend, `${formatCount(total)} matched detections; ${limitText}.`);
@@ -133,46 +130,47 @@ export function barChart(counts, { width, limit }) {
   };
   describe(null);
   const chart = svg(
-    "svg",
+    "svg.chart",
     {
-      class: "chart",
       viewBox: `0 0 ${W} ${h}`,
       role: "img",
       "aria-label": "Histogram of the errors",
       onPointerleave: () => describe(null),
     },
-    svg("text", { x: BOX.left - 6, y: BOX.top + 6, "text-anchor": "end" }, formatCount(max)),
-    svg("line", { class: "grid", x1: BOX.left, x2: W - BOX.right, y1: y(max), y2: y(max) }),
-    svg("line", { class: "axis", x1: BOX.left, x2: W - BOX.right, y1: y(0), y2: y(0) }),
-    counts.map((count, i) => [
-      svg("rect", {
-        class: `bar${i * width >= limit ? " fp" : ""}`,
-        x: BOX.left + i * step + 0.5,
-        y: y(count),
-        width: step - 1,
-        height: y(0) - y(count),
+    [
+      svg("text", { x: BOX.left - 6, y: BOX.top + 6, "text-anchor": "end" }, formatCount(max)),
+      svg("line.grid", { x1: BOX.left, x2: W - BOX.right, y1: y(max), y2: y(max) }),
+      svg("line.axis", { x1: BOX.left, x2: W - BOX.right, y1: y(0), y2: y(0) }),
+      counts.map((count, i) => [
+        svg("rect", {
+          class: `bar${i * width >= limit ? " fp" : ""}`,
+          x: BOX.left + i * step + 0.5,
+          y: y(count),
+          width: step - 1,
+          height: y(0) - y(count),
+        }),
+        svg("rect", {
+          fill: "transparent",
+          x: BOX.left + i * step,
+          y: BOX.top,
+          width: step,
+          height: y(0) - BOX.top,
+          onPointerenter: () => describe(i),
+        }),
+      ]),
+      counts.map((_, i) => {
+        const metres = i * width;
+        return (
+          metres % 2 === 0 &&
+          svg(
+            "text",
+            { x: BOX.left + i * step, y: h - BOX.bottom + 14, "text-anchor": "middle" },
+            String(metres) + (i === counts.length - 1 ? "+" : ""),
+          )
+        );
       }),
-      svg("rect", {
-        fill: "transparent",
-        x: BOX.left + i * step,
-        y: BOX.top,
-        width: step,
-        height: y(0) - BOX.top,
-        onPointerenter: () => describe(i),
-      }),
-    ]),
-    counts.map((_, i) => {
-      const metres = i * width;
-      return (
-        metres % 2 === 0 &&
-        svg(
-          "text",
-          { x: BOX.left + i * step, y: h - BOX.bottom + 14, "text-anchor": "middle" },
-          String(metres) + (i === counts.length - 1 ? "+" : ""),
-        )
-      );
-    }),
-    svg("text", { x: (BOX.left + W - BOX.right) / 2, y: h - 3, "text-anchor": "middle" }, "center error [m]"),
+      svg("text", { x: (BOX.left + W - BOX.right) / 2, y: h - 3, "text-anchor": "middle" }, "center error [m]"),
+    ],
   );
-  return el("div", {}, chart, legend);
+  return el("div", chart, legend);
 }

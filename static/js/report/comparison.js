@@ -1,7 +1,4 @@
-/**
- * The panel that puts jobs of one drive side by side.
- * @module report/comparison
- */
+/** The panel that puts jobs of one drive side by side. */
 import { getConfig, getJson } from "../api.js";
 import { select, table } from "../controls.js";
 import { kindOfCompared } from "../data/compared.js";
@@ -10,6 +7,7 @@ import { el, fill, formatMetres, formatPercent, plural } from "../dom.js";
 import { jobName } from "../job/words.js";
 import { comparedJobs, getCompared, onCompared } from "../map/compared.js";
 import { goTo } from "../map/details.js";
+import { NODE_OUTCOMES } from "../map/layers.js";
 import { onResult, shown } from "../map/shown.js";
 import { signIcon } from "../map/symbols.js";
 import { problemNote } from "../messages.js";
@@ -17,7 +15,7 @@ import { getState, setState, subscribe } from "../state.js";
 import { lineChart } from "./chart.js";
 import { at, curve } from "./scores.js";
 
-/** @typedef {import("../map/compared.js").Comparison} Comparison */
+/** @import { Comparison } from "../map/compared.js" */
 
 const COLOURS = ["--tp", "--fp", "--found", "--missed", "--warn", "--accent", "--ink", "--outside"];
 const DASHES = [undefined, "7 3", "2 3", "9 3 2 3", "4 2", "12 4", "2 2", "6 2 2 2"];
@@ -38,18 +36,18 @@ export function mount(container) {
     showJobs = showCompared = showPlaces = () => {};
     if (!result?.report) {
       const text = "Jobs of one drive that were scored are compared here: run it again with another map or settings.";
-      return fill(container, el("p", { class: "quiet" }, text));
+      return fill(container, el("p.quiet", text));
     }
-    fill(container, el("div", { class: "stack" }, comparison(result)));
+    fill(container, el("div.stack", comparison(result)));
   });
 }
 
 /** @param {import("../data/results.js").Result} result */
 function comparison({ job, report }) {
-  const choice = el("fieldset", { class: "others" });
-  const holder = el("div", { class: "stack-s" });
-  const places = el("div", { class: "stack-s" });
-  const alone = el("p", { class: "quiet" }, "The drive has no other job with a map yet: run it again to compare.");
+  const choice = el("fieldset.others.stack-s");
+  const holder = el("div.stack-s");
+  const places = el("div.stack-s");
+  const alone = el("p.quiet", "The drive has no other job with a map yet: run it again to compare.");
   /** @type {string[]} */
   let names = [];
   let token = 0;
@@ -60,17 +58,15 @@ function comparison({ job, report }) {
     choice.hidden = !others.length;
     const chosen = comparedJobs();
     const maxOthers = getConfig().max_compared_jobs - 1;
-    const focused = choice.contains(document.activeElement) ? document.activeElement?.id : null;
     const row = (/** @type {any} */ each) => {
       const isChosen = chosen.includes(each.id);
       const onChange = () =>
         setState({ compare: isChosen ? but(chosen, each.id) : chosen.concat(each.id).slice(0, maxOthers) });
       const disabled = !isChosen && chosen.length >= maxOthers;
       const box = el("input", { type: "checkbox", id: `compare-${each.id}`, checked: isChosen, disabled, onChange });
-      return el("label", { class: "check" }, box, el("span", {}, jobName(each)));
+      return el("label.check", box, el("span", jobName(each)));
     };
-    fill(choice, el("legend", { class: "field-name" }, "With other jobs of this drive"), others.map(row));
-    if (focused) document.getElementById(focused)?.focus();
+    fill(choice, el("legend.field-name", "With other jobs of this drive"), others.map(row));
   };
 
   showCompared = async () => {
@@ -106,46 +102,34 @@ function comparison({ job, report }) {
 
   showJobs();
   void showCompared();
-  return [
-    el("h2", { class: "cut" }, job.drive_name),
-    el("p", { class: "small" }, "This job: ", titleOf(job)),
-    alone,
-    choice,
-    holder,
-    places,
-  ];
+  return [el("h2.cut", job.drive_name), el("p.small", "This job: ", titleOf(job)), alone, choice, holder, places];
 }
 
-/** @param {any} other @param {any} job @returns {boolean} */
+/** @param {any} other @param {any} job */
 function isComparable(other, job) {
   const isOther = other.drive_id === job.drive_id && other.id !== job.id;
   return isOther && other.state === "successful" && Boolean(other.summary?.report);
 }
 
-/** @param {string[]} ids @param {string} one @returns {string[]|null} */
+/** @param {string[]} ids @param {string} one */
 function but(ids, one) {
   const rest = ids.filter((each) => each !== one);
   return rest.length ? rest : null;
 }
 
-/**
- * A table with a column for each job.
- * @param {string} first
- * @param {string[]} names
- * @param {any[][]} rows
- */
+/** A table with a column for each job. @param {string} first @param {string[]} names @param {any[][]} rows */
 function columns(first, names, rows) {
   const made = table([first, ...names], rows);
   made.querySelectorAll("thead th").forEach((head, i) => {
-    if (i) head.append(key(i - 1), i === 1 ? el("small", {}, "this job") : "");
+    if (i) head.append(key(i - 1), i === 1 ? el("small", "this job") : "");
   });
-  return el("div", { class: "wide-table", tabIndex: 0, role: "group", "aria-label": first }, made);
+  return el("div.wide-table", { tabIndex: 0, role: "group", "aria-label": first }, made);
 }
 
 /** @param {number} i Number of a job. */
 function key(i) {
   const borderTopStyle = DASHES[i] ? (DASHES[i]?.startsWith("2") ? "dotted" : "dashed") : "solid";
-  return el("i", { class: "key", style: { borderColor: `var(${COLOURS[i]})`, borderTopStyle } });
+  return el("i.key", { style: { borderColor: `var(${COLOURS[i]})`, borderTopStyle } });
 }
 
 /** @param {string[]} names @param {any[]} reports */
@@ -176,7 +160,7 @@ function scores(names, reports) {
 
 /** @param {string[]} names @param {any[]} reports */
 function curves(names, reports) {
-  const holder = el("div", {});
+  const holder = el("div");
   const show = (/** @type {string} */ measure) => {
     const lines = reports.map((report, i) => ({
       name: names[i],
@@ -189,34 +173,36 @@ function curves(names, reports) {
   const choice = select(MEASURES, "f1", show);
   choice.setAttribute("aria-label", "Measure");
   show("f1");
-  return [el("h4", { class: "spread" }, "Over D", choice), holder];
+  return [el("h4.spread", "Over D", choice), holder];
 }
 
 /** @param {string[]} names @param {any[]} jobs @param {any} compared */
 function differences(names, jobs, { settings, nodes, warnings, found_by_all, missed_by_all }) {
-  const row = (/** @type {any} */ { name, values }) => [el("code", {}, name), ...values.map(textOf)];
+  const row = (/** @type {any} */ { name, values }) => [el("code", name), ...values.map(textOf)];
   const own = [...choicesThatDiffer(jobs), ...settings.filter((/** @type {any} */ each) => each.is_own).map(row)];
   const ofPresets = settings.filter((/** @type {any} */ each) => !each.is_own).map(row);
   const summary = `${plural(ofPresets.length, "setting differs", "settings differ")} by the presets`;
   const moved = nodes.map((/** @type {any} */ node) => [
-    el("button", { class: "link", onClick: () => showNode(node) }, node.osm_id),
-    ...node.outcomes.map((/** @type {string} */ name) => outcome(name, OUTCOMES[name] ?? name, names.length)),
+    el("button.link", { onClick: () => showNode(node) }, node.osm_id),
+    ...node.outcomes.map((/** @type {string} */ name) =>
+      outcome(name, /** @type {any} */ (NODE_OUTCOMES)[name], names.length),
+    ),
   ]);
   const each = names.length === 2 ? "both" : "all";
   return [
-    warnings.map((/** @type {string} */ warning) => el("p", { class: "note warning" }, warning)),
-    el("h4", {}, "What was asked for"),
+    warnings.map((/** @type {string} */ warning) => el("p.note.warning", warning)),
+    el("h4", "What was asked for"),
     own.length > 0 && columns("Setting", names, own),
-    ofPresets.length > 0 && el("details", {}, el("summary", {}, summary), columns("Setting", names, ofPresets)),
-    !own.length && !ofPresets.length && el("p", { class: "small" }, "The same: map, labels and all settings."),
-    el("h4", {}, "OSM intersections with another outcome"),
+    ofPresets.length > 0 && el("details", el("summary", summary), columns("Setting", names, ofPresets)),
+    !own.length && !ofPresets.length && el("p.small", "The same: map, labels and all settings."),
+    el("h4", "OSM intersections with another outcome"),
     nodes.length
       ? columns("OSM node", names, moved)
-      : el("p", { class: "small" }, `None: ${each} found ${found_by_all} and missed ${missed_by_all}.`),
+      : el("p.small", `None: ${each} found ${found_by_all} and missed ${missed_by_all}.`),
   ];
 }
 
-/** @param {any[]} jobs undefined where a job is not in the lists. @returns {any[][]} */
+/** @param {any[]} jobs undefined where a job is not in the lists. */
 function choicesThatDiffer(jobs) {
   if (!jobs.every(Boolean)) return [];
   const requests = jobs.map((each) => each.request);
@@ -232,8 +218,6 @@ function choicesThatDiffer(jobs) {
 
 /** @param {any} value */
 const textOf = (value) => (value === null ? "–" : String(value));
-
-const OUTCOMES = /** @type {Record<string, string>} */ ({ outside: "out of reach" });
 
 /** @param {string} sign @param {string} text Only read aloud where there are many columns. @param {number} count */
 function outcome(sign, text, count) {
@@ -253,14 +237,14 @@ function placesOf(names, { items }) {
   const nameOf = (/** @type {any} */ { found, properties }) =>
     properties.names ?? (found[0] ? `No. ${properties.id}` : `Other ${(others += 1)}`);
   const rows = differing.map((item) => [
-    el("button", { class: "link", onClick: () => showPlace(item) }, nameOf(item)),
+    el("button.link", { onClick: () => showPlace(item) }, nameOf(item)),
     ...item.found.map((isFound, i) =>
       isFound ? outcome(item.outcomes[i] ?? "unscored", item.outcomes[i] ?? "found", names.length) : "–",
     ),
   ]);
   return [
-    el("h4", {}, "Intersections of the map"),
-    el("p", { class: "small" }, `${parts.join("; ")}. Within 10 m they are the same.`),
+    el("h4", "Intersections of the map"),
+    el("p.small", `${parts.join("; ")}. Within 10 m they are the same.`),
     rows.length > 0 && columns("Intersection", names, rows),
   ];
 }

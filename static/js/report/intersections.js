@@ -1,39 +1,24 @@
-/**
- * The list of the intersections that were found: filtered, sorted, gone through one by one.
- * @module report/intersections
- */
+/** The list of the intersections that were found: filtered, sorted, gone through one by one. */
 import { iconButton } from "../controls.js";
 import { el, fill, plural } from "../dom.js";
 import { goTo, isNamed, ofService, serviceSwitch } from "../map/details.js";
 import { clearFilter, getFilter, isFiltering, onFilterChange, setFilter } from "../map/filter.js";
-import { verdictOf } from "../map/layers.js";
-import { queue, setOrder, step, VERDICT_ORDER } from "../map/queue.js";
+import { VERDICTS, verdictOf } from "../map/layers.js";
+import { queue, setOrder, step } from "../map/queue.js";
 import { signIcon } from "../map/symbols.js";
 import { getState, subscribe } from "../state.js";
-import { belowRow, sortedTable } from "./sorted_table.js";
+import { belowRow, outcomeColumn, sortedTable } from "./sorted_table.js";
 
-/** @typedef {import("../data/results.js").Place} Place */
-/** @typedef {import("../map/filter.js").Figure} Figure */
-
-const VERDICTS = { right: "right", wrong: "wrong", unscored: "not scored" };
+/** @import { Place, Result } from "../data/results.js" */
+/** @import { Figure } from "../map/filter.js" */
 
 /** @type {import("./sorted_table.js").Column[]} */
 const COLUMNS = [
-  {
-    name: "Outcome",
-    class: "sign-cell",
-    meaning: "Right: an OSM intersection of its own lies within 10 m. Wrong: none does. Not scored: no map tells.",
-    value: (each) => VERDICT_ORDER[verdictOf(each)],
-    text: (each) => {
-      const verdict = verdictOf(each);
-      return el(
-        "span",
-        { title: VERDICTS[verdict] },
-        signIcon(verdict),
-        el("span", { class: "unseen" }, VERDICTS[verdict]),
-      );
-    },
-  },
+  outcomeColumn(
+    "Right: an OSM intersection of its own lies within 10 m. Wrong: none does. Not scored: no map tells.",
+    VERDICTS,
+    verdictOf,
+  ),
   {
     name: "Id",
     meaning: "Number of the intersection, in the order of first sight.",
@@ -43,14 +28,14 @@ const COLUMNS = [
     name: "Error",
     meaning: "Distance to its OSM intersection, metres; the uncertainty is in the details.",
     value: ({ properties: p }) => p.error_m,
-    text: ({ properties: p }) => p.error_m?.toFixed(2),
+    digits: 2,
     down: true,
   },
   {
     name: "±",
     meaning: "Uncertainty of the position, metres (1 σ along each axis).",
     value: ({ properties: p }) => p.position_std_m,
-    text: ({ properties: p }) => p.position_std_m?.toFixed(2),
+    digits: 2,
     down: true,
   },
   {
@@ -75,9 +60,9 @@ const RANGES = [
   { figure: "position_std_m", name: "Uncertainty (1 σ), m", scale: 1, step: "0.1" },
 ];
 
-/** @param {import("../data/results.js").Result} result */
+/** @param {Result} result */
 export function intersectionList(result) {
-  if (!result.intersections.length) return el("p", { class: "quiet" }, "No intersection was found on this drive.");
+  if (!result.intersections.length) return el("p.quiet", "No intersection was found on this drive.");
   const isScored = result.report !== null;
   const table = sortedTable(
     COLUMNS.filter(({ name }) => (IF_SCORED[name] ?? isScored) === isScored),
@@ -89,9 +74,9 @@ export function intersectionList(result) {
     },
   );
   setOrder(null);
-  const count = el("span", { class: "number quiet" });
-  const status = el("p", { class: "small", role: "status" });
-  const search = el("input", {
+  const count = el("span.number.quiet");
+  const status = el("p.small", { role: "status" });
+  const search = el("input.grow", {
     type: "search",
     placeholder: "Street, id, place or reason",
     "aria-label": "Find intersections by street, id, name of the place, or words of the reason",
@@ -101,7 +86,7 @@ export function intersectionList(result) {
     onKeydown: (/** @type {KeyboardEvent} */ event) => event.key === "Enter" && step(1),
   });
   const more = filterFields(result);
-  const empty = el("p", { class: "small", hidden: true }, "No intersection passes the filter. ", showAll());
+  const empty = el("p.small", { hidden: true }, "No intersection passes the filter. ", showAll());
 
   const mark = () => {
     const name = getState().intersection;
@@ -130,27 +115,23 @@ export function intersectionList(result) {
     return table.element.isConnected;
   };
   requestAnimationFrame(mark);
-  return el(
-    "div",
-    { class: "stack-s intersections" },
-    el(
-      "div",
-      { class: "tools" },
+  return el("div.stack-s.intersections", [
+    el("div.tools", [
       search,
       iconButton("previous", "Previous intersection", () => step(-1), "Previous intersection of the list (p)"),
       count,
       iconButton("next", "Next intersection", () => step(1), "Next intersection of the list (n)"),
-    ),
+    ]),
     more,
     status,
     empty,
     table.element,
-  );
+  ]);
 }
 
-const showAll = () => el("button", { type: "button", class: "link", onClick: clearFilter }, "Show all");
+const showAll = () => el("button.link", { type: "button", onClick: clearFilter }, "Show all");
 
-/** @param {import("../data/results.js").Result} result */
+/** @param {Result} result */
 function filterFields(result) {
   const verdicts = /** @type {const} */ (["wrong", "right", "unscored"])
     .map((name) => ({ name, many: result.intersections.filter((each) => verdictOf(each) === name).length }))
@@ -159,7 +140,7 @@ function filterFields(result) {
   const boxes = verdicts.map(({ name, many }) => {
     const checked = !filter.verdicts || filter.verdicts.includes(name);
     const input = el("input", { type: "checkbox", value: name, checked, onChange: () => choose() });
-    return { input, element: el("label", { class: "check" }, input, signIcon(name), `${VERDICTS[name]} (${many})`) };
+    return { input, element: el("label.key-row", input, signIcon(name), `${VERDICTS[name]} (${many})`) };
   });
   const choose = () => {
     const on = boxes.filter(({ input }) => input.checked).map(({ input }) => input.value);
@@ -172,34 +153,20 @@ function filterFields(result) {
     for (const { input } of boxes) input.checked = !on || on.includes(input.value);
     for (const each of ranges) each.update();
   });
-  const element = el(
-    "details",
-    { class: "filter", open: filter.verdicts !== null || Object.keys(filter.ranges).length > 0 },
-    el("summary", {}, "Filter"),
-    el(
-      "div",
-      { class: "stack-s" },
-      boxes.length > 1 &&
-        el(
-          "fieldset",
-          { class: "row" },
-          el("legend", { class: "unseen" }, "Outcome"),
-          boxes.map((each) => each.element),
-        ),
+  const element = el("details.filter", { open: filter.verdicts !== null || Object.keys(filter.ranges).length > 0 }, [
+    el("summary", "Filter"),
+    el("div.stack-s", [
+      boxes.length > 1 && el("fieldset.row", [el("legend.unseen", "Outcome"), boxes.map((each) => each.element)]),
       el(
-        "div",
-        { class: "ranges" },
+        "div.ranges",
         ranges.map((each) => each.elements),
       ),
-    ),
-  );
+    ]),
+  ]);
   return element;
 }
 
-/**
- * @param {typeof RANGES[0]} range
- * @param {Place[]} places
- */
+/** @param {typeof RANGES[0]} range @param {Place[]} places */
 function rangeFields({ figure, name, scale, step: by }, places) {
   const values = places.map(({ properties }) => properties[figure] * scale).filter(Number.isFinite);
   const digits = by === "1" ? 0 : 2;
@@ -227,7 +194,7 @@ function rangeFields({ figure, name, scale, step: by }, places) {
   };
   update();
   return {
-    elements: [el("span", {}, name), inputs[0], el("span", { "aria-hidden": "true" }, "to"), inputs[1]],
+    elements: [el("span", name), inputs[0], el("span", { "aria-hidden": "true" }, "to"), inputs[1]],
     update,
   };
 }

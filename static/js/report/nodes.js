@@ -1,35 +1,23 @@
-/**
- * The table of all OSM intersections that the drive could or did find.
- * @module report/nodes
- */
+/** The table of all OSM intersections that the drive could or did find. */
 import { medianError } from "../data/results.js";
 import { el } from "../dom.js";
 import { goTo } from "../map/details.js";
-import { kindOfNode } from "../map/layers.js";
-import { signIcon } from "../map/symbols.js";
+import { kindOfNode, NODE_OUTCOMES } from "../map/layers.js";
 import { getState, subscribe } from "../state.js";
-import { belowRow, sortedTable } from "./sorted_table.js";
-
-const ORDER = { missed: 0, found: 1, outside: 2 };
-const NAMES = { missed: "missed", found: "found", outside: "out of reach" };
+import { belowRow, outcomeColumn, sortedTable } from "./sorted_table.js";
 
 /** @type {import("./sorted_table.js").Column[]} */
 const COLUMNS = [
-  {
-    name: "Outcome",
-    class: "sign-cell",
-    meaning: "Found: an intersection of the map is assigned to it, one to one, within 10 m.",
-    value: (node) => ORDER[/** @type {"found"} */ (node.kind)],
-    text: ({ kind }) => {
-      const name = NAMES[/** @type {"found"} */ (kind)];
-      return el("span", { title: name }, signIcon(kind), el("span", { class: "unseen" }, name));
-    },
-  },
+  outcomeColumn(
+    "Found: an intersection of the map is assigned to it, one to one, within 10 m.",
+    NODE_OUTCOMES,
+    ({ kind }) => kind,
+  ),
   {
     name: "Error",
     meaning: "Distance of the intersection of the map that is assigned to it, metres.",
     value: (node) => node.map_error_m,
-    text: (node) => node.map_error_m?.toFixed(2),
+    digits: 2,
     down: true,
   },
   { name: "Seen", meaning: "Detections that were matched to it.", value: (node) => node.detections, down: true },
@@ -37,7 +25,7 @@ const COLUMNS = [
     name: "Median",
     meaning: "Median error of its true detections, metres; of all, where none is true.",
     value: (node) => node.median_m,
-    text: (node) => node.median_m?.toFixed(2),
+    digits: 2,
     down: true,
   },
   {
@@ -54,8 +42,7 @@ export function nodeTable(result) {
   const places = new Map(result.nodes.map((node) => [node.properties.osm_id, node]));
   const table = sortedTable(COLUMNS, {
     keyOf: ({ osm_id }) => String(osm_id),
-    below: (node) =>
-      belowRow({ ...node, names: `${node.names ?? "Node"} ` }, el("span", { class: "number" }, ` ${node.osm_id}`)),
+    below: (node) => belowRow({ ...node, names: `${node.names ?? "Node"} ` }, el("span.number", ` ${node.osm_id}`)),
     onChoose: ({ osm_id }) => {
       const item = places.get(osm_id);
       if (item) goTo({ kind: "node", item });
@@ -71,5 +58,5 @@ export function nodeTable(result) {
   const mark = () => table.mark(getState().node === null ? null : String(getState().node));
   const stop = subscribe(["node", "panel"], () => (table.element.isConnected ? requestAnimationFrame(mark) : stop()));
   requestAnimationFrame(mark);
-  return el("div", { class: "osm-nodes" }, table.element);
+  return el("div.osm-nodes", table.element);
 }

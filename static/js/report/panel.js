@@ -1,7 +1,4 @@
-/**
- * The report: how far off, how many right, how many missed; over D, per node, beside the paper, beside another job.
- * @module report/panel
- */
+/** The report: how far off, how many right, how many missed; over D, per node, beside the paper, beside another job. */
 import { getJson } from "../api.js";
 import { figure, resultSection as section, table } from "../controls.js";
 import { el, fill, formatCount, formatDate, formatMetres, formatPercent, plural } from "../dom.js";
@@ -15,6 +12,8 @@ import { intersectionList } from "./intersections.js";
 import { nodeTable } from "./nodes.js";
 import { at, curve, histogram, sequenceOf } from "./scores.js";
 
+/** @import { Result } from "../data/results.js" */
+
 const D = 5;
 const DETECTIONS_HINT =
   "Every detection at every keyframe, against the nearest OSM intersection of its region of interest; true within D.";
@@ -22,13 +21,13 @@ const DETECTIONS_HINT =
 /** @param {HTMLElement} container */
 export function mount(container) {
   onResult((result) => {
-    if (!result) return fill(container, el("p", { class: "quiet" }, "The report appears here when a job is done."));
+    if (!result) return fill(container, el("p.quiet", "The report appears here when a job is done."));
     if (!result.report) return fill(container, unscored(result));
-    fill(container, el("div", { class: "stack" }, sections(result, result.report)));
+    fill(container, el("div.stack", sections(result, result.report)));
   });
 }
 
-/** @param {import("../data/results.js").Result} result */
+/** @param {Result} result */
 function unscored(result) {
   const [title, text] = result.local
     ? [
@@ -39,28 +38,24 @@ function unscored(result) {
     : ["No map", "The job was submitted without a map. Run it again with one to see which intersections are right."];
   const { job } = result;
   const withMap = () => openRunDialog(job.drive_id, { job, withMap: true }).catch(showError);
-  return el(
-    "div",
-    { class: "stack" },
-    el("h2", {}, "Not scored"),
-    el("p", { class: "note" }, el("strong", {}, title), text),
-    el(
-      "div",
-      { class: "row" },
-      el("button", { class: "primary", onClick: withMap }, "Run again with a map…"),
+  return el("div.stack", [
+    el("h2", "Not scored"),
+    el("p.note", el("strong", title), text),
+    el("div.row", [
+      el("button.primary", { onClick: withMap }, "Run again with a map…"),
       el("button", { onClick: () => setState({ panel: "job" }) }, "To the job"),
-    ),
+    ]),
     section("Intersections", intersectionList(result)),
-  );
+  ]);
 }
 
-/** @param {import("../data/results.js").Result} result @param {any} report */
+/** @param {Result} result @param {any} report */
 function sections(result, report) {
   const scores = at(report, D);
   const { map_level: level, osm } = report;
   const points = curve(report);
   const errors = result.matches.map((each) => each.error_m);
-  const counts = el("p", { class: "small number" });
+  const counts = el("p.small.number");
   const explain = (/** @type {number} */ d) => {
     const { tp, fp, fn } = at(report, d);
     const missed = `${formatCount(fn)} times a node in the relevant zone without a detection`;
@@ -75,52 +70,40 @@ function sections(result, report) {
     { name: "F1", colour: "var(--found)", dash: "2 3", points: points.map((p) => [p.d, p.f1]) },
   ];
   return [
-    el(
-      "div",
-      {},
-      el("h2", { class: "cut" }, result.job.drive_name),
-      el("p", { class: "small" }, `${source} under policy `, el("b", {}, report.policy), merged, "."),
-    ),
-    report.warnings.map((/** @type {string} */ text) => el("p", { class: "note warning" }, text)),
-    el(
-      "section",
-      { class: "group" },
-      el("h3", {}, "The map"),
+    el("div", [
+      el("h2.cut", result.job.drive_name),
+      el("p.small", `${source} under policy `, el("b", report.policy), merged, "."),
+    ]),
+    report.warnings.map((/** @type {string} */ text) => el("p.note.warning", text)),
+    el("section.group", [
+      el("h3", "The map"),
       mapFigures(level),
       serviceNote(result),
-      el("h4", {}, "Intersections"),
+      el("h4", "Intersections"),
       intersectionList(result),
-      el("h4", {}, "OSM intersections"),
+      el("h4", "OSM intersections"),
       nodeTable(result),
-    ),
-    el(
-      "section",
-      { class: "group" },
-      el("h3", {}, "Detections, the paper’s measure"),
-      el("p", { class: "small" }, DETECTIONS_HINT),
-      el(
-        "div",
-        { class: "tiles-row" },
+    ]),
+    el("section.group", [
+      el("h3", "Detections, the paper’s measure"),
+      el("p.small", DETECTIONS_HINT),
+      el("div.tiles-row", [
         figure(formatMetres(report.ace_m), "mean error (ACE)", `median ${formatMetres(report.median_m)}`),
         figure(formatPercent(scores.precision), "precision", `D = ${D} m`),
         figure(formatPercent(scores.recall), "recall", `D = ${D} m`),
-      ),
-      el(
-        "p",
-        { class: "small" },
-        `${report.nodes_found} of ${report.nodes_in_zone} OSM nodes have a detection within ${D} m.`,
-      ),
+      ]),
+      el("p.small", `${report.nodes_found} of ${report.nodes_in_zone} OSM nodes have a detection within ${D} m.`),
       paperNote(result, report),
-      el("h4", {}, "Precision, recall and F1 over D"),
+      el("h4", "Precision, recall and F1 over D"),
       lineChart(/** @type {any} */ (lines), { max: 10, mark: D, onMark: explain }),
       counts,
-      el("h4", {}, "Center errors"),
+      el("h4", "Center errors"),
       barChart(histogram(errors, 0.5, 20), { width: 0.5, limit: report.ace_tp_threshold_m ?? D }),
-    ),
+    ]),
   ];
 }
 
-/** What service roads would change, or do. @param {import("../data/results.js").Result} result */
+/** What service roads would change, or do. @param {Result} result */
 function serviceNote(result) {
   const other = result.report.with_service;
   if (!other) return null;
@@ -129,7 +112,7 @@ function serviceNote(result) {
   const text = isOn
     ? "Service roads count here; the detections below are scored without them. "
     : `With service roads too: ${other.map_line.replace(/ within [\d.]+ m/, "")}. `;
-  return el("p", { class: "small service" }, text, serviceSwitch(result));
+  return el("p.small.service", text, serviceSwitch(result));
 }
 
 /** @param {any} level `map_level` of the report. */
@@ -137,20 +120,14 @@ function mapFigures(level) {
   const gate = `within ${level.gate_m ?? 10} m, one to one`;
   const found = level.nodes_in_zone - level.missed;
   const scored = level.true + level.false;
-  return el(
-    "div",
-    { class: "tiles-row large" },
+  return el("div.tiles-row.large", [
     scored ? figure(`${level.true} of ${scored}`, "intersections right", gate) : figure("none", "intersections found"),
     figure(`${found} of ${level.nodes_in_zone}`, "OSM nodes found", gate),
     figure(formatMetres(level.median_m), "median error", `at most ${formatMetres(level.max_m)}`),
-  );
+  ]);
 }
 
-/**
- * The paper's figures, where the drive is one of its sequences.
- * @param {import("../data/results.js").Result} result
- * @param {any} report
- */
+/** The paper's figures, where the drive is one of its sequences. @param {Result} result @param {any} report */
 function paperNote(result, report) {
   const sequence = sequenceOf(result.job.drive_name);
   if (!sequence) return null;
@@ -174,7 +151,7 @@ function paperNote(result, report) {
       section(
         `Beside the paper: sequence ${sequence}`,
         table(["", "ACE", "Precision", "Recall"], rows),
-        el("p", { class: "small" }, "At D = 5 m. The paper used other labels and another map, so its figures differ."),
+        el("p.small", "At D = 5 m. The paper used other labels and another map, so its figures differ."),
       ),
     );
   };

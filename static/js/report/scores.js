@@ -1,7 +1,4 @@
-/**
- * Figures of a report at distances D, and what the paper has beside them.
- * @module report/scores
- */
+/** Figures of a report at distances D, and what the paper has beside them. */
 import { getConfig } from "../api.js";
 
 /**

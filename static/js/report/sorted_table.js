@@ -1,14 +1,13 @@
-/**
- * A table whose rows lead to the map: sorted by any column, one stop of the Tab key, arrow keys from row to row.
- * @module report/sorted_table
- */
+/** A table whose rows lead to the map: sorted by any column, one stop of the Tab key, arrow keys from row to row. */
 import { el, fill } from "../dom.js";
+import { signIcon } from "../map/symbols.js";
 
 /**
  * @typedef {object} Column
  * @property {string} name
  * @property {string} meaning A sentence.
  * @property {(row: any) => number|string|null|undefined} value Rows without one come last.
+ * @property {number} [digits] Of the value behind the point.
  * @property {(row: any) => any} [text] What the cell holds, if not the value itself.
  * @property {boolean} [down] Whether the largest come first at the first click.
  * @property {string} [class] Of its cells.
@@ -63,7 +62,9 @@ export function sortedTable(columns, { keyOf, onChoose, onSort, below }) {
   };
   /** @param {any} row */
   const rowOf = (row) => {
-    const cells = columns.map(({ text, value, class: kind }) => el("td", { class: kind }, (text ?? value)(row) ?? "–"));
+    const cells = columns.map(({ value, digits, text = (each) => figure(value(each), digits), class: kind }) =>
+      el("td", { class: kind }, text(row) ?? "–"),
+    );
     const props = { class: "can", dataset: { key: keyOf(row) }, tabIndex: -1, title: "Show it on the map" };
     return el("tr", { ...props, onClick: () => onChoose(row) }, cells);
   };
@@ -97,21 +98,16 @@ export function sortedTable(columns, { keyOf, onChoose, onSort, below }) {
   };
 
   return {
-    element: el(
-      "div",
-      { class: "sorted" },
-      el("div", { class: "scroll" }, el("table", {}, el("thead", {}, el("tr", {}, heads)), body)),
-      el(
-        "details",
-        { class: "small" },
-        el("summary", {}, "What the columns mean"),
+    element: el("div.sorted", [
+      el("div.scroll", el("table", el("thead", el("tr", heads)), body)),
+      el("details.small", [
+        el("summary", "What the columns mean"),
         el(
-          "dl",
-          { class: "meanings" },
-          columns.map(({ name, meaning }) => [el("dt", {}, name), el("dd", {}, meaning)]),
+          "dl.meanings",
+          columns.map(({ name, meaning }) => [el("dt", name), el("dd", meaning)]),
         ),
-      ),
-    ),
+      ]),
+    ]),
     show(next) {
       rows = [...next];
       update();
@@ -124,10 +120,28 @@ export function sortedTable(columns, { keyOf, onChoose, onSort, below }) {
   };
 }
 
+/** @param {any} value @param {number} [digits] */
+const figure = (value, digits) => (digits === undefined ? value : value?.toFixed(digits));
+
+/**
+ * The column of an outcome: its sign, whose name is read aloud.
+ * @param {string} meaning
+ * @param {Record<string, string>} names In the order of the table.
+ * @param {(row: any) => string} signOf
+ * @returns {Column}
+ */
+export function outcomeColumn(meaning, names, signOf) {
+  const text = (/** @type {any} */ row) => {
+    const name = names[signOf(row)];
+    return el("span", { title: name }, signIcon(signOf(row)), el("span.unseen", name));
+  };
+  const value = (/** @type {any} */ row) => Object.keys(names).indexOf(signOf(row));
+  return { name: "Outcome", class: "sign-cell", meaning, value, text };
+}
+
 /**
  * Numbers by their size, words by their letters with the numbers in them by their size; nothing comes last.
  * @param {any} a @param {any} b @param {boolean} down
- * @returns {number}
  */
 export function compare(a, b, down) {
   const [noA, noB] = [a ?? null, b ?? null].map((each) => each === null);
@@ -142,6 +156,6 @@ export function compare(a, b, down) {
  * @param {...any} more
  */
 export function belowRow({ names, reason }, ...more) {
-  const parts = [names && el("b", {}, names), reason && `${names ? " " : ""}${reason}`, ...more].filter(Boolean);
+  const parts = [names && el("b", names), reason && `${names ? " " : ""}${reason}`, ...more].filter(Boolean);
   return parts.length ? parts : null;
 }

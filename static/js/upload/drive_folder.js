@@ -8,8 +8,8 @@
 import { ApiError, getConfig, isMap, sendJson } from "../api.js";
 import { formatBytes, plural } from "../dom.js";
 
-/** @typedef {import("../api.js").FileProblem} FileProblem */
-/** @typedef {import("./folder.js").Folder} Folder */
+/** @import { FileProblem } from "../api.js" */
+/** @import { Folder } from "./folder.js" */
 /**
  * @typedef {object} NumberedLook Files of a folder, by their numbers.
  * @property {string} folder Path inside the drive.
@@ -152,7 +152,7 @@ async function contentsOf(files) {
   return contents;
 }
 
-/** @param {Blob} file @returns {Promise<string>} */
+/** @param {Blob} file */
 async function base64Of(file) {
   const bytes = new Uint8Array(await file.arrayBuffer());
   let text = "";
@@ -160,13 +160,7 @@ async function base64Of(file) {
   return btoa(text);
 }
 
-/**
- * The files of a drive that the service has found in a folder.
- *
- * @param {Folder} folder
- * @param {DriveLook} look
- * @returns {DriveFolder}
- */
+/** The files of a drive that the service has found in a folder. @param {Folder} folder @param {DriveLook} look */
 export function driveOf(folder, look) {
   const front = look.root ? `${look.root}/` : "";
   const filesOf = (/** @type {Record<string, string>} */ paths) =>
@@ -314,9 +308,8 @@ export function problemsOf({ look, labels, layout, problems }, folders, isMade) 
 /**
  * Write the OXTS files of a KITTI raw drive as one file with one row per frame, the first for frame 0 of the sequence.
  *
- * @param {import("./folder.js").Folder} folder What was picked: the raw drive, or its oxts/.
+ * @param {Folder} folder What was picked: the raw drive, or its oxts/.
  * @param {(done: number, total: number) => void} [onProgress]
- * @returns {Promise<File>}
  */
 export async function oxtsRows(folder, onProgress = () => {}) {
   const found = [...folder.files].flatMap(([path, file]) => {

@@ -83,9 +83,7 @@ async function walkHandle(handle, above, files, onCount) {
   let reading = [];
   for await (const entry of handle.values()) {
     const path = above + entry.name;
-    if (JUNK.test(path)) {
-      continue;
-    }
+    if (JUNK.test(path)) continue;
     if (entry.kind === "directory") {
       await walkHandle(entry, `${path}/`, files, onCount);
     } else {
@@ -138,13 +136,9 @@ async function readItems(handles, entries, plain, onCount) {
   const files = new Map();
   const single = entries.length === 1 && entries[0]?.isDirectory ? entries[0] : null;
   for (const entry of entries) {
-    if (entry) {
-      await walkEntry(entry, single ? "" : entry.name, files, onCount);
-    }
+    if (entry) await walkEntry(entry, single ? "" : entry.name, files, onCount);
   }
-  if (!entries.some(Boolean)) {
-    plain.forEach((file) => put(files, file.name, file));
-  }
+  if (!entries.some(Boolean)) plain.forEach((file) => put(files, file.name, file));
   const isLoose = !entries.some((entry) => entry?.isDirectory);
   const name = single?.name ?? (isLoose ? nameOfFiles(plain) : "drive");
   return { folder: { name, files, handle: null, isLoose } };
@@ -157,18 +151,14 @@ async function walkEntry(entry, path, files, onCount) {
       /** @type {FileSystemFileEntry} */ (entry).file(resolve, reject);
     });
     put(files, path, file);
-    if (files.size % 500 === 0) {
-      onCount(files.size);
-    }
+    if (files.size % 500 === 0) onCount(files.size);
     return;
   }
   const reader = /** @type {FileSystemDirectoryEntry} */ (entry).createReader();
   for (;;) {
     /** @type {FileSystemEntry[]} */
     const some = await new Promise((resolve, reject) => reader.readEntries(resolve, reject)); // a hundred at a time
-    if (!some.length) {
-      return;
-    }
+    if (!some.length) return;
     await Promise.all(
       some.map((child) => walkEntry(child, path ? `${path}/${child.name}` : child.name, files, onCount)),
     );
@@ -177,7 +167,5 @@ async function walkEntry(entry, path, files, onCount) {
 
 /** @param {Map<string, File>} files @param {string} path @param {File} file */
 function put(files, path, file) {
-  if (!JUNK.test(path)) {
-    files.set(path, file);
-  }
+  if (!JUNK.test(path)) files.set(path, file);
 }

@@ -12,10 +12,10 @@ import { fitVerdict, mapVerdict, showPreview } from "./preview.js";
 import { readingForm } from "./reading_form.js";
 import { countFolders, groundBytesOf } from "./upload.js";
 
-/** @typedef {import("./drive_folder.js").DriveFolder} DriveFolder */
-/** @typedef {import("../api.js").FileProblem} FileProblem */
-/** @typedef {import("./upload.js").JudgedLabels} JudgedLabels */
-/** @typedef {import("./upload.js").Settings} Settings */
+/** @import { FileProblem } from "../api.js" */
+/** @import { DriveFolder, ListedName } from "./drive_folder.js" */
+/** @import { Remembered } from "./memory.js" */
+/** @import { JudgedLabels, Settings } from "./upload.js" */
 
 /** What may be added to a drive, by layout. */
 const MORE_FILES = /** @type {Record<string, string>} */ ({
@@ -34,18 +34,18 @@ const SENDING = {
 /**
  * @param {object} picked
  * @param {DriveFolder | null} picked.drive
- * @param {import("./drive_folder.js").ListedName[]} picked.drives All in the folder.
+ * @param {ListedName[]} picked.drives All in the folder.
  * @param {File | null} picked.archive
  * @param {FileSystemDirectoryHandle | null} picked.handle
  * @param {any} picked.presets
  * @param {import("./label_form.js").Network[]} picked.networks Of the service; none where the drive has labels.
- * @param {import("./memory.js").Remembered | null} picked.begun The upload of the same folder that was begun before.
+ * @param {Remembered | null} picked.begun The upload of the same folder that was begun before.
  * @param {Settings | null} picked.before Settings to start from.
  * @param {object} actions
  * @param {(source: import("./upload.js").Source, settings: Settings) => void} actions.onStart
  * @param {() => void} actions.onBack
  * @param {(root: string) => void} actions.onChoose Another drive of the folder.
- * @param {(begun: import("./memory.js").Remembered) => void} actions.onContinue
+ * @param {(begun: Remembered) => void} actions.onContinue
  */
 export function formView(
   { drive, drives, archive, handle, presets, networks, begun, before },
@@ -53,10 +53,10 @@ export function formView(
 ) {
   const value = before?.name ?? drive?.name ?? baseName(archive);
   const name = el("input", { type: "text", required: true, maxLength: 200, value, onInput: refresh });
-  const facts = el("dl", { class: "figures" });
+  const facts = el("dl.figures");
   const problems = el("div", { "aria-live": "polite" });
   const errors = el("div", { "aria-live": "assertive" });
-  const added = el("span", { class: "small", role: "status" });
+  const added = el("span.small", { role: "status" });
   const isReduced = drive?.layout === "reduced";
   const isOpen = drive !== null && !isReduced; // there are a scheme and folders to choose
   const isRecorded = Boolean(drive?.recorded.size);
@@ -67,8 +67,8 @@ export function formView(
   const reading = readingForm(drive, before, () => (refresh(), lookAgain()));
   const usual = canReduce ? (before?.sending ?? "keyframes") : "raw";
   const keepRaw = el("input", { type: "checkbox", checked: before?.keepRaw ?? false });
-  const keep = el("label", { class: "check" }, keepRaw, el("span", {}, "Let the service keep the whole scans"));
-  const keepPlace = el("div", {});
+  const keep = el("label.check", keepRaw, el("span", "Let the service keep the whole scans"));
+  const keepPlace = el("div");
   const choices = Object.entries(SENDING).filter(([value]) => canReduce || value === "raw");
   const parts = radios(
     "Of the scans",
@@ -76,11 +76,11 @@ export function formView(
     usual,
     refresh,
   );
-  const wholly = el("div", {});
+  const wholly = el("div");
   /** @returns {boolean} Whether the scans are sent as they are because only the service reads or labels them. */
   const isWhole = () => isRecorded || labels.made() !== null || drive?.look?.has_poses === false;
   const sending = () => (isWhole() ? "raw" : parts.value());
-  const whyWhole = el("p", { class: "small" });
+  const whyWhole = el("p.small");
   const known = {
     maps: drive ? [...drive.maps.keys()] : [],
     isArchive: !drive,
@@ -245,7 +245,7 @@ export function formView(
     }
     const list = drive ? sorted([...problemsOf(drive, folders, made !== null), ...labelProblems]) : [];
     const isError = (/** @type {FileProblem} */ each) => each.severity === "error";
-    const borrowed = drive?.look?.borrowed.map((text) => el("p", { class: "small" }, text));
+    const borrowed = drive?.look?.borrowed.map((text) => el("p.small", text));
     fill(errors, problemList(list.filter(isError)));
     fill(problems, problemList(list.filter((each) => !isError(each))), borrowed);
     const complaint = list.some(isError)
@@ -296,45 +296,41 @@ export function formView(
     class: "link",
     name: "more-files",
   });
-  const ofSending = el("summary", {}, "What is sent");
+  const ofSending = el("summary", "What is sent");
   const other = el("button", { onClick: onBack }, "Choose another");
-  const element = el(
-    "div",
-    { class: "stack upload-form" },
-    el("div", { class: "spread" }, el("h2", {}, "What to upload"), other),
+  const element = el("div.stack.upload-form", [
+    el("div.spread", el("h2", "What to upload"), other),
     begun && resumeNote(() => onContinue(begun)),
     drive && drives.length > 1 && driveChooser(drive, drives, onChoose),
     errors,
     field("Name", name, "Shown in lists and results."),
     job.mapElement,
-    el(
-      "div",
-      { class: "box stack-s" },
+    el("div.box.stack-s", [
       facts,
       whyWhole,
-      isOpen && el("div", {}, files, " ", el("small", {}, MORE_FILES[drive.layout] ?? MORE_FILES.semantickitti)),
+      isOpen && el("div", files, " ", el("small", MORE_FILES[drive.layout] ?? MORE_FILES.semantickitti)),
       added,
-    ),
+    ]),
     problems,
     !isReduced && labels.element,
     job.element,
-    !isReduced && el("details", {}, el("summary", {}, "How the files are read"), reading.element),
+    !isReduced && el("details", el("summary", "How the files are read"), reading.element),
     isOpen && el("details", { open: usual !== "keyframes" }, ofSending, parts.element, wholly),
-    el("div", { class: "stack-s foot" }, why, el("div", { class: "row" }, run, only)),
-  );
+    el("div.stack-s.foot", why, el("div.row", run, only)),
+  ]);
   update();
   return element;
 }
 
 /** @param {() => void} onContinue */
 function resumeNote(onContinue) {
-  const button = el("button", { class: "primary", onClick: onContinue }, "Continue that upload");
-  const title = el("strong", {}, "You began to upload this folder");
+  const button = el("button.primary", { onClick: onContinue }, "Continue that upload");
+  const title = el("strong", "You began to upload this folder");
   const text = "What has arrived already is not sent again. ";
-  return el("div", { class: "note" }, title, text, el("div", { class: "row go-on" }, button));
+  return el("div.note", title, text, el("div.row.go-on", button));
 }
 
-/** @param {DriveFolder} drive @param {import("./drive_folder.js").ListedName[]} drives @param {(root: string) => void} onChoose */
+/** @param {DriveFolder} drive @param {ListedName[]} drives @param {(root: string) => void} onChoose */
 function driveChooser(drive, drives, onChoose) {
   const options = Object.fromEntries(
     drives.map(({ root, name, kind, files }) => [
@@ -346,7 +342,7 @@ function driveChooser(drive, drives, onChoose) {
   return field(`${drives.length} drives are in the folder: which one?`, choice);
 }
 
-/** @param {DriveFolder} drive @returns {string} */
+/** @param {DriveFolder} drive */
 export const fingerprintOfDrive = (drive) => fingerprintOf(filesOfDrive(drive));
 
 /** @param {DriveFolder} drive @param {string} path @returns {string} A path of the drive in the folder that was picked. */
@@ -389,7 +385,7 @@ function reasonOf({ scans, recorded, look }, made) {
   return `${why}: all ${all} are sent as they are, and the service keeps what the method needs.`;
 }
 
-/** @param {DriveFolder} drive @returns {string} */
+/** @param {DriveFolder} drive */
 function georeferenceOf({ look, layout }) {
   if (look?.georeference) return look.georeference;
   if (look?.georeference_reason) return "none";

@@ -8,8 +8,8 @@ import { field, filePicker, radios, section, select } from "../controls.js";
 import { LABEL_FOLDERS } from "../data/lists.js";
 import { el, fill, formatBytes, formatCount, formatDuration, formatPercent, plural } from "../dom.js";
 
-/** @typedef {import("./drive_folder.js").DriveFolder} DriveFolder */
-/** @typedef {import("./upload.js").JudgedLabels} JudgedLabels */
+/** @import { DriveFolder } from "./drive_folder.js" */
+/** @import { JudgedLabels } from "./upload.js" */
 /**
  * @typedef {object} Network As the service lists it.
  * @property {string} name
@@ -57,21 +57,21 @@ const UNSEEN = /** @type {Record<string, {title: string, hint: string}>} */ ({
  * @param {{onChange: () => void, onFolder: (files: FileList) => void}} listeners `onFolder`: labels from elsewhere.
  */
 export function labelForm({ drive, networks, before }, { onChange, onFolder }) {
-  const rows = el("div", { class: "stack-s" });
+  const rows = el("div.stack-s");
   /** @type {Map<string, HTMLInputElement>} */
   const boxes = new Map();
   const meaning = meaningField(before?.options.label_scheme ?? "auto", onChange);
   const elsewhere = { folder: true, class: "link", name: "prediction-folder" };
-  const picker = el("div", {}, filePicker("Labels from another folder …", onFolder, elsewhere));
+  const picker = el("div", filePicker("Labels from another folder …", onFolder, elsewhere));
 
   const usable = networks.filter(({ problem }) => problem === null);
   /** Time that each takes, to be filled in. @type {Map<Network, HTMLElement>} */
-  const hints = new Map(usable.map((network) => [network, el("span", {})]));
+  const hints = new Map(usable.map((network) => [network, el("span")]));
   const areSeen = drive?.scans || drive?.look?.carries_labels === false; // label files, or none at all
   const unseen = areSeen ? null : UNSEEN[drive?.layout ?? ""];
   const ofNetworks = usable.map((network) => ({
     value: OF_NETWORK + network.name,
-    title: ["By the network ", el("b", {}, network.name), ", on the service"],
+    title: ["By the network ", el("b", network.name), ", on the service"],
     hint: hints.get(network),
   }));
   const offers = [...ofNetworks, OF_GEOMETRY];
@@ -84,12 +84,10 @@ export function labelForm({ drive, networks, before }, { onChange, onFolder }) {
   const usual = choices.some(({ value }) => value === wanted) ? wanted : choices[0].value;
   const source = radios("Where labels come from", choices, usual, () => (show(), onChange()));
   const ofKeyframes = "The service labels the keyframes only, about one scan per two metres.";
-  const chooser = [source.element, el("small", {}, ofKeyframes)];
+  const chooser = [source.element, el("small", ofKeyframes)];
   const damaged = networks.filter(({ problem }) => problem !== null);
-  const ofDamaged = damaged.map(({ name, problem }) =>
-    el("small", {}, `The network ${name} cannot be used: ${problem}`),
-  );
-  const offered = el("div", { class: "stack-s" }, chooser, ofDamaged);
+  const ofDamaged = damaged.map(({ name, problem }) => el("small", `The network ${name} cannot be used: ${problem}`));
+  const offered = el("div.stack-s", chooser, ofDamaged);
 
   // Of a bag or of LAS files only the service knows which scans there are; labels that lie beside are sent all the same.
   const hasPlace = unseen && drive?.layout === "pcd";
@@ -129,10 +127,10 @@ export function labelForm({ drive, networks, before }, { onChange, onFolder }) {
         const box = el("input", { type: "checkbox", checked: isOn || isOnly, disabled: isOnly, onChange });
         boxes.set(name, box);
         const count = plural(folders[name].files.size, "file");
-        if (isOnly) return el("p", {}, `${LABEL_FOLDERS[name]}, ${count}`);
-        return el("label", { class: "check" }, box, el("span", {}, LABEL_FOLDERS[name], el("small", {}, count)));
+        if (isOnly) return el("p", `${LABEL_FOLDERS[name]}, ${count}`);
+        return el("label.check", box, el("span", LABEL_FOLDERS[name], el("small", count)));
       });
-      fill(rows, items, !names.length && !unseen && el("p", { class: "quiet" }, "None in the folder."));
+      fill(rows, items, !names.length && !unseen && el("p.quiet", "None in the folder."));
       rows.hidden = !rows.childElementCount;
       if (hasFolders() && !unseen) rows.append(picker);
       show();
@@ -165,7 +163,7 @@ function factsOf({ size_bytes, height, width, seconds_per_scan: seconds }, keyfr
   return facts.join("");
 }
 
-/** @param {number} seconds @returns {string} */
+/** @param {number} seconds */
 const roughly = (seconds) => (seconds < 60 ? `${Math.max(1, Math.round(seconds))}\u00a0s` : formatDuration(seconds));
 
 /**
@@ -188,9 +186,9 @@ function meaningField(chosen, onChange) {
     ids.hidden = value !== "custom";
     onChange();
   });
-  const verdict = el("small", {});
+  const verdict = el("small");
   return {
-    element: el("div", { class: "stack-s" }, field("What their ids mean", scheme), ids, verdict),
+    element: el("div.stack-s", field("What their ids mean", scheme), ids, verdict),
     scheme: () => (scheme.value === "custom" ? ids.value.trim() || "custom" : scheme.value),
     /** @param {JudgedLabels[]} judged */
     setVerdict(judged) {

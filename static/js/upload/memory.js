@@ -85,7 +85,6 @@ function withHandles(mode, use) {
  * Tell the files of a drive from those of another: by paths, sizes and times.
  *
  * @param {Iterable<[string, File]>} files
- * @returns {string}
  */
 export function fingerprintOf(files) {
   const lines = [...files].map(([path, file]) => `${path}|${file.size}|${file.lastModified}`).sort();

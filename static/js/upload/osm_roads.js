@@ -160,7 +160,7 @@ function grown({ west, south, east, north }) {
 /** @param {Box} box @param {number} lon @param {number} lat */
 const isIn = ({ west, south, east, north }, lon, lat) => lon >= west && lon <= east && lat >= south && lat <= north;
 
-/** @param {number[][]} track @param {Road[]} roads @returns {number | null} */
+/** @param {number[][]} track @param {Road[]} roads */
 function medianDistance(track, roads) {
   const lines = roads.filter(({ properties }) => properties.is_drivable).map(({ line }) => line);
   if (!lines.length) return null;

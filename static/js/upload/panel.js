@@ -16,9 +16,9 @@ import { dropPreview, setPreviewProgress, showPreview } from "./preview.js";
 import { progressView } from "./progress_view.js";
 import { Refusal, Upload } from "./upload.js";
 
-/** @typedef {import("./drive_folder.js").DriveFolder} DriveFolder */
-/** @typedef {import("./memory.js").Remembered} Remembered */
-/** @typedef {import("./folder.js").Folder} Folder */
+/** @import { DriveFolder } from "./drive_folder.js" */
+/** @import { Folder } from "./folder.js" */
+/** @import { Remembered } from "./memory.js" */
 /**
  * @typedef {object} Picked
  * @property {DriveFolder | null} drive
@@ -106,16 +106,14 @@ async function showStart(message = null, begun = null) {
   const open = uploads.map((upload, i) => {
     const { name, at, arrived } = upload;
     const has = arrived && ` · ${plural(arrived.files, "file")} there, ${formatBytes(arrived.size_bytes)}`;
-    const title = el("strong", { class: "cut" }, name);
-    const about = el("div", { class: "cut" }, title, el("br"), el("small", {}, formatAgo(at), has));
+    const title = el("strong.cut", name);
+    const about = el("div.cut", title, el("br"), el("small", formatAgo(at), has));
     const other = uploadOf(upload.driveId);
     if (other) {
-      const badge = el("span", { class: "badge busy", dataset: { upload: upload.driveId } }, uploadText(other));
-      return el("div", { class: "box" }, about, badge);
+      const badge = el("span.badge.busy", { dataset: { upload: upload.driveId } }, uploadText(other));
+      return el("div.box", about, badge);
     }
-    return el(
-      "div",
-      { class: "box spread" },
+    return el("div.box.spread", [
       about,
       handles[i]
         ? el("button", { onClick: () => run(() => continueByHandle(upload)) }, "Continue")
@@ -125,39 +123,25 @@ async function showStart(message = null, begun = null) {
             "Pick it again",
           ),
       iconButton("trash", `Remove ${name}`, () => run(() => remove(upload)), "Remove it from the service"),
-    );
+    ]);
   });
-  const call = el("strong", {}, takesDrops() ? "Drop the folder of a drive here" : "Choose the folder of a drive");
+  const call = el("strong", takesDrops() ? "Drop the folder of a drive here" : "Choose the folder of a drive");
   const kinds = `or files: ${recordings.join(", ")}; archives: .zip, .tar, .tar.gz, .tar.zst`;
-  const or = el("span", { class: "quiet" }, kinds);
-  const buttons = [el("button", { class: "primary", onClick: pick }, "Choose a folder"), pickFiles];
+  const or = el("span.quiet", kinds);
+  const buttons = [el("button.primary", { onClick: pick }, "Choose a folder"), pickFiles];
   const note =
     "No file is sent before you press a button. Scans are reduced to their ground points in the browser, so that a " +
     "drive of 11 GB becomes some hundred MB. Bags, LAS and PCD files are sent as they are.";
   fill(
     panel,
-    el(
-      "div",
-      { class: "stack" },
-      el("h2", {}, "Upload a drive"),
+    el("div.stack", [
+      el("h2", "Upload a drive"),
       message,
-      el(
-        "div",
-        { class: "drop" },
-        icon("upload"),
-        el("p", {}, call, el("br"), or),
-        el("div", { class: "row" }, buttons),
-        input,
-      ),
-      el("p", { class: "small" }, note),
+      el("div.drop", icon("upload"), el("p", call, el("br"), or), el("div.row", buttons), input),
+      el("p.small", note),
       open.length > 0 && section("Uploads that were begun", open),
-      el(
-        "details",
-        {},
-        el("summary", {}, "What a drive looks like"),
-        el("pre", { class: "code", tabIndex: 0 }, EXAMPLE),
-      ),
-    ),
+      el("details", el("summary", "What a drive looks like"), el("pre.code", { tabIndex: 0 }, EXAMPLE)),
+    ]),
   );
 }
 
@@ -190,7 +174,7 @@ function counter() {
   busyElsewhere = null;
   const text = el("p", { role: "status" }, "Reading the folder …");
   const bar = el("progress", { "aria-label": "Reading the folder" });
-  fill(panel, el("div", { class: "stack" }, el("h2", {}, "Upload a drive"), bar, text));
+  fill(panel, el("div.stack", el("h2", "Upload a drive"), bar, text));
   return (count) => (text.textContent = `Reading the folder: ${plural(count, "file")} so far`);
 }
 
@@ -217,10 +201,7 @@ async function showArchive(file, begun) {
   await showForm({ drive: null, drives: [], archive: file, handle: null }, begun);
 }
 
-/**
- * @param {Picked} picked
- * @param {Begun | null} begun The upload that this is to go on with.
- */
+/** @param {Picked} picked @param {Begun | null} begun The upload that this is to go on with. */
 async function showForm(picked, begun) {
   const isUnlabelled = !picked.drive || (picked.drive.layout !== "reduced" && !Object.keys(picked.drive.labels).length);
   const [presets, { models }] = await Promise.all([
@@ -303,7 +284,7 @@ async function start(picked, upload) {
   const again = "Pick the folder again. What did not change is not sent again.";
   const view = progressView({
     onChange: () => run(() => showForm(picked, begun())),
-    onCorrect: () => run(() => showStart(el("p", { class: "note" }, again), begun())),
+    onCorrect: () => run(() => showStart(el("p.note", again), begun())),
     onLeave: () => run(() => showStart()),
   });
   busyElsewhere = null;

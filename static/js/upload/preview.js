@@ -6,9 +6,8 @@ import { formatMetres, formatPercent, plural } from "../dom.js";
 import { setPreview, shown } from "../map/shown.js";
 import { isReadableMap } from "./osm_roads.js";
 
-/** @typedef {import("./drive_folder.js").DriveFolder} DriveFolder */
-/** @typedef {import("./drive_folder.js").Track} Track */
-/** @typedef {import("./osm_roads.js").MapLook} MapLook */
+/** @import { DriveFolder, Track } from "./drive_folder.js" */
+/** @import { MapLook } from "./osm_roads.js" */
 /** @typedef {{track: Track | null, look: MapLook | null, isDone: boolean}} Found */
 
 const FIT_M = 10; // poses drift: by some metres on a drive of some kilometres
@@ -106,13 +105,7 @@ export function fitVerdict({ fit_m, length_m }) {
   return [isBad ? `${text}: do both belong to this drive?` : text, isBad];
 }
 
-/**
- * Say how a map fits the drive.
- *
- * @param {File} map
- * @param {Found} found
- * @returns {[text: string, isBad: boolean]}
- */
+/** Say how a map fits the drive. @param {File} map @param {Found} found @returns {[text: string, isBad: boolean]} */
 export function mapVerdict(map, { track, look, isDone }) {
   if (!isReadableMap(map.name)) {
     return [`The service reads ${map.name}: this page looks into .osm and .osm.gz files only.`, false];

@@ -1,16 +1,16 @@
 /** How far an upload is: steps, figures, what the service found, and what can be done about it. */
 
-import { factRows, problemList } from "../controls.js";
+import { factList, factRows, problemList } from "../controls.js";
 import { announce, el, fill, formatBytes, formatCount, formatDuration, formatMetres, icon, plural } from "../dom.js";
 import { problemNote } from "../messages.js";
 import { LAYOUTS } from "./drive_folder.js";
 import { madeFolder } from "./upload.js";
 
+/** @import { Upload } from "./upload.js" */
+
 const REDRAW_MS = 150;
 const POSE_OWNERS = { camera: "of the camera", lidar: "of the LiDAR", imu: "of the IMU", oxts: "from OXTS" };
 const STEPS = { files: "Small files", archive: "Archive", plan: "Plan", scans: "Scans", check: "Check", run: "Job" };
-
-/** @typedef {import("./upload.js").Upload} Upload */
 
 /**
  * @param {object} actions
@@ -19,19 +19,19 @@ const STEPS = { files: "Small files", archive: "Archive", plan: "Plan", scans: "
  * @param {() => void} actions.onLeave Back to the start.
  */
 export function progressView({ onChange, onCorrect, onLeave }) {
-  const title = el("h2", { class: "cut" });
-  const badge = el("span", {});
-  const steps = el("ol", { class: "steps" });
+  const title = el("h2.cut");
+  const badge = el("span");
+  const steps = el("ol.steps");
   const bar = el("progress", { max: 1, "aria-label": "Progress of the upload" });
-  const figures = el("dl", { class: "figures" });
-  const line = el("p", { class: "small quiet", role: "status" });
-  const plan = el("div", {});
-  const problems = el("div", {});
+  const figures = el("dl.figures");
+  const line = el("p.small.quiet", { role: "status" });
+  const plan = el("div");
+  const problems = el("div");
   const fault = el("div", { role: "alert" });
-  const buttons = el("div", { class: "row" });
-  const head = el("div", { class: "spread" }, title, badge);
+  const buttons = el("div.row");
+  const head = el("div.spread", title, badge);
   const parts = [head, steps, bar, line, figures, fault, problems, buttons, plan];
-  const element = el("div", { class: "stack upload-progress" }, parts);
+  const element = el("div.stack.upload-progress", parts);
   /** Which buttons are shown: they are not made anew while someone is about to press one. */
   let shownButtons = "";
   let shownFault = "";
@@ -73,7 +73,7 @@ export function progressView({ onChange, onCorrect, onLeave }) {
     shownFault = faults;
     const list = JSON.stringify(upload.problems);
     if (list !== shownProblems)
-      fill(problems, upload.problems.length > 0 && [el("h3", {}, "What was found"), problemList(upload.problems)]);
+      fill(problems, upload.problems.length > 0 && [el("h3", "What was found"), problemList(upload.problems)]);
     shownProblems = list;
     drawButtons(upload);
   }
@@ -89,14 +89,14 @@ export function progressView({ onChange, onCorrect, onLeave }) {
     const again = el("button", { class: isFiles ? "" : "primary", onClick: () => upload.run() }, next);
     const change = el("button", { onClick: onChange }, "Change settings");
     const correct = el("button", { class: isFiles ? "primary" : "", onClick: onCorrect }, "Pick the corrected folder");
-    const leave = el("button", { class: "plain", onClick: onLeave }, "Back");
+    const leave = el("button.plain", { onClick: onLeave }, "Back");
     const sets = {
       ready: [],
       running: [el("button", { onClick: () => upload.pause() }, icon("pause"), "Pause"), stop],
-      paused: [el("button", { class: "primary", onClick: () => upload.resume() }, icon("play"), "Resume"), stop],
+      paused: [el("button.primary", { onClick: () => upload.resume() }, icon("play"), "Resume"), stop],
       failed: isFiles ? [correct, change, again, leave] : [again, change, correct, leave],
       stopped: [again, change, leave],
-      done: [el("button", { class: "primary", onClick: onLeave }, "Upload another")],
+      done: [el("button.primary", { onClick: onLeave }, "Upload another")],
     };
     fill(buttons, sets[status]);
     announce(BADGES[status][1]);
@@ -106,9 +106,9 @@ export function progressView({ onChange, onCorrect, onLeave }) {
   function drawPlan(found, { sending, options }) {
     if (!found || plan.childElementCount) return;
     const owner = POSE_OWNERS[/** @type {keyof typeof POSE_OWNERS} */ (found.pose_frame)] ?? found.pose_frame;
-    const why = (/** @type {string | null} */ text) => text && el("small", { class: "why" }, text);
+    const why = (/** @type {string | null} */ text) => text && el("small.why", text);
     const keyframes = `${formatCount(found.frames.length)} of ${plural(found.scans, "scan")}`;
-    const rows = factRows([
+    const facts = factList("box wordy", [
       ["Layout", LAYOUTS[/** @type {keyof typeof LAYOUTS} */ (found.layout)] ?? found.layout],
       owner && ["Poses", [owner, why(found.pose_frame_reason)]],
       ["Georeference", [found.georeference ?? "none", why(found.georeference_reason)]],
@@ -116,7 +116,7 @@ export function progressView({ onChange, onCorrect, onLeave }) {
       ["To be sent", sending === "raw" ? `all ${plural(found.scans, "scan")}` : keyframes],
       madeFolder(options) && ["To be labelled", `about ${keyframes}`],
     ]);
-    fill(plan, el("dl", { class: "figures box wordy" }, rows));
+    fill(plan, facts);
   }
 
   return {
@@ -148,7 +148,7 @@ const BADGES = {
 function stepItem(step, state) {
   const readAloud = { done: "done", now: "under way", ahead: "to come", failed: "failed" }[state];
   const props = { class: state, "aria-current": state === "now" ? "step" : null };
-  return el("li", props, STEPS[step], el("span", { class: "unseen" }, `, ${readAloud}`));
+  return el("li", props, STEPS[step], el("span.unseen", `, ${readAloud}`));
 }
 
 /** @param {Upload} upload @param {boolean} isSending */

@@ -5,7 +5,7 @@ import { el, fill, formatCount } from "../dom.js";
 import { LAYOUTS, oxtsRows } from "./drive_folder.js";
 import { folderOfInput } from "./folder.js";
 
-/** @typedef {import("./drive_folder.js").DriveFolder} DriveFolder */
+/** @import { DriveFolder } from "./drive_folder.js" */
 
 const POSE_FRAMES = {
   auto: "From the motion",
@@ -27,7 +27,7 @@ export function readingForm(drive, before, onChange) {
   const { reduced: _, ...layouts } = LAYOUTS;
   const layout = select({ auto: "From the folder", ...layouts }, before?.options.layout ?? "auto", onChange);
   const ofPoses = field("Poses are those of", poseFrame, "A wrong choice is noticed: the road would not be flat.");
-  const grid = el("div", { class: "grid-2" }, own !== "rosbag" && own !== "las" && ofPoses, field("Layout", layout));
+  const grid = el("div.grid-2", own !== "rosbag" && own !== "las" && ofPoses, field("Layout", layout));
 
   const text = (/** @type {string | null | undefined} */ value, /** @type {string} */ placeholder) =>
     el("input", { type: "text", maxLength: 512, placeholder, value: value ?? "", onInput: onChange });
@@ -42,8 +42,8 @@ export function readingForm(drive, before, onChange) {
   const poseFileField = field("Poses are in", poseFile);
   const more = [
     mayBe("rosbag") && [
-      el("div", { class: "field-name" }, drive ? "Topics of the bag" : "Topics, of a ROS bag"),
-      el("div", { class: "grid-2" }, field("Scans", topics.points), field("Poses", topics.poses)),
+      el("div.field-name", drive ? "Topics of the bag" : "Topics, of a ROS bag"),
+      el("div.grid-2", field("Scans", topics.points), field("Poses", topics.poses)),
       field("GNSS fixes", topics.fix, "As /velodyne_points, /odometry or /tf, /fix."),
     ],
     mayBe("las") && field("Coordinate system of LAS files", crs, "As EPSG:25832, where the files do not name it."),
@@ -61,7 +61,6 @@ export function readingForm(drive, before, onChange) {
   setFiles();
 
   const textOf = (/** @type {HTMLInputElement} */ input) => input.value.trim() || null;
-  /** @returns {string | null} */
   function complaint() {
     const topic = Object.values(topics).find((input) => input.value.trim() && !input.value.trim().startsWith("/"));
     if (topic) return `The topic ${topic.value.trim()} does not begin with a slash.`;
@@ -72,7 +71,7 @@ export function readingForm(drive, before, onChange) {
   }
 
   return {
-    element: el("div", { class: "stack-s" }, georeference.element, grid, more),
+    element: el("div.stack-s", georeference.element, grid, more),
     setFiles,
     read: () => ({
       pose_frame: poseFrame.value,
@@ -91,7 +90,7 @@ export function readingForm(drive, before, onChange) {
 function georeferenceField(layout, onChange) {
   /** @type {File | null} */
   let fix = null;
-  const status = el("span", { class: "small quiet" }, "None chosen yet");
+  const status = el("span.small.quiet", "None chosen yet");
   /** @param {Promise<File> | File} picked */
   async function take(picked) {
     fix = null;
@@ -117,7 +116,7 @@ function georeferenceField(layout, onChange) {
     folder: true,
     name: "raw-drive",
   });
-  const pickers = el("div", { class: "stack-s" }, el("div", { class: "row" }, asFile, asFolder), status);
+  const pickers = el("div.stack-s", el("div.row", asFile, asFolder), status);
   const inFolder = { title: "From the folder", hint: "oxts/ or geo.csv; without them, local metres only." };
   const inFiles = /** @type {Record<string, {title: string, hint: string}>} */ ({
     rosbag: { title: "From the bag", hint: "Its GNSS fixes; without them, local metres only." },

@@ -50,11 +50,8 @@ function selectPoints(scan, labels, groups, scanName, labelName) {
   let second = 0;
   for (let i = 0; i < ids.length; i += 1) {
     const group = groups[ids[i] & 0xffff];
-    if (group === 1) {
-      first += 1;
-    } else if (group === 2) {
-      second += 1;
-    }
+    if (group === ROAD) first += 1;
+    else if (group === CONFUSABLE) second += 1;
   }
   const bits = new Uint32Array(3 * (first + second));
   const next = [0, 0, 3 * first];
@@ -92,76 +89,32 @@ export async function reduceScan({ scan, labels, scanName, labelName }, groups) 
   return encodeGround(bits, roadCount);
 }
 
-/**
- * Say how often each label id occurs.
- *
- * @param {Blob} labels
- * @param {string} name
- * @returns {Promise<Map<number, number>>}
- */
+/** Say how often each label id occurs. @param {Blob} labels @param {string} name */
 export async function countLabels(labels, name) {
-  if (labels.size % LABEL_BYTES) {
-    throw new Error(`${name}: ${labelSizeMessage(labels.size)}`);
-  }
   const counts = new Uint32Array(1 << 16);
-  for (const label of new Uint32Array(await readWhole(labels, name))) {
-    counts[label & 0xffff] += 1;
-  }
+  const whole = labels.slice(0, labels.size - (labels.size % LABEL_BYTES)); // the service says what is wrong with the rest
+  for (const label of new Uint32Array(await readWhole(whole, name))) counts[label & 0xffff] += 1;
   /** @type {Map<number, number>} */
   const found = new Map();
   counts.forEach((count, id) => count && found.set(id, count));
   return found;
 }
 
-/** @param {number} scanBytes @param {number} labelBytes @param {string} scanName @param {string} labelName */
-function checkSizes(scanBytes, labelBytes, scanName, labelName) {
-  const complaint = sizeComplaint(scanBytes, labelBytes, scanName, labelName);
-  if (complaint) {
-    throw new Error(`${complaint.path}: ${complaint.message}`);
-  }
-}
-
 /**
- * What is wrong with the sizes of a scan and its labels, if anything.
- *
+ * What the sizes mean the service has said before anything is sent: here they need only be those of one scan.
  * @param {number} scanBytes
  * @param {number} labelBytes
  * @param {string} scanName
  * @param {string} labelName
- * @returns {{path: string, message: string} | null}
  */
-export function sizeComplaint(scanBytes, labelBytes, scanName, labelName) {
-  const text = (/** @type {number} */ value) => value.toLocaleString("en");
-  if (scanBytes === 0) {
-    return { path: scanName, message: "is empty. Usual cause: a copy or download that did not finish." };
-  }
-  if (scanBytes % POINT_BYTES) {
-    return {
-      path: scanName,
-      message:
-        `${text(scanBytes)} bytes, which is not a multiple of 16. Expected four float32 per point (x y z remission). ` +
-        "Usual cause: a file cut short while it was copied, or points with another number of values.",
-    };
-  }
-  if (labelBytes % LABEL_BYTES) {
-    return { path: labelName, message: labelSizeMessage(labelBytes) };
-  }
+function checkSizes(scanBytes, labelBytes, scanName, labelName) {
   const points = scanBytes / POINT_BYTES;
-  const labels = labelBytes / LABEL_BYTES;
-  if (points !== labels) {
-    return {
-      path: labelName,
-      message:
-        `${text(labels)} labels for ${text(points)} points in ${scanName}. Every point needs one 4-byte label. ` +
-        "Usual cause: labels of another sequence, or an archive that was not unpacked to the end.",
-    };
-  }
-  return null;
-}
-
-/** @param {number} bytes */
-function labelSizeMessage(bytes) {
-  return `${bytes.toLocaleString("en")} bytes, which is not a multiple of 4. Expected one uint32 per point.`;
+  if (points && Number.isInteger(points) && labelBytes === LABEL_BYTES * points) return;
+  const [scan, labels] = [scanBytes, labelBytes].map((bytes) => bytes.toLocaleString("en"));
+  throw new Error(
+    `${labelName}: ${labels} bytes of labels for ${scan} bytes of points in ${scanName}. Expected 4 bytes for each ` +
+      "16. Usual cause: a file that was changed, or cut short, since the folder was picked; pick it again.",
+  );
 }
 
 /** @param {Blob} blob @param {string} name */
@@ -209,7 +162,6 @@ function splitPlanes(bits) {
  *
  * @param {Uint32Array} bits Three per point: the float32 bits of x, y, z in metres; road points first.
  * @param {number} roadCount How many points are road.
- * @returns {Promise<Uint8Array<ArrayBuffer>>}
  */
 async function encodeGround(bits, roadCount) {
   const count = bits.length / 3;

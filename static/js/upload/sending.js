@@ -4,8 +4,8 @@ import { getConfig, sha256 } from "../api.js";
 import { pathOf } from "./drive_folder.js";
 import { DIGEST_MAX_BYTES, PARALLEL } from "./transfer.js";
 
-/** @typedef {import("./transfer.js").Transfer} Transfer */
-/** @typedef {import("./drive_folder.js").NumberedFiles} NumberedFiles */
+/** @import { DriveFolder, NumberedFiles } from "./drive_folder.js" */
+/** @import { Transfer } from "./transfer.js" */
 /** @typedef {Map<string, {size_bytes: number, sha256: string}>} Present Files that the service has, by path. */
 
 const SMALL_BYTES = 1024 * 1024;
@@ -14,7 +14,7 @@ const MAX_BATCH_FILES = 500;
 const BATCH_BYTES = 8 * 1024 * 1024;
 const PAGE = 10_000;
 
-/** @param {Transfer} transfer @returns {Promise<Present>} */
+/** @param {Transfer} transfer */
 export async function listPresent(transfer) {
   /** @type {Present} */
   const present = new Map();
@@ -51,7 +51,7 @@ export async function sendSmallFiles(transfer, files, present) {
   await transfer.each(batched, 2, (batch) => sendBatch(transfer, batch));
 }
 
-/** @param {[string, File][]} files @returns {[string, File][][]} */
+/** @param {[string, File][]} files */
 function batches(files) {
   const maxFiles = Math.min(MAX_BATCH_FILES, getConfig().limits.max_batch_files ?? MAX_BATCH_FILES);
   /** @type {[string, File][][]} */
@@ -116,7 +116,7 @@ export async function sendFiles(transfer, files, present, isTrusted, onDone) {
   });
 }
 
-/** @param {import("./drive_folder.js").DriveFolder} drive @param {string[]} folders @returns {[string, File][]} Scan by scan. */
+/** @param {DriveFolder} drive @param {string[]} folders @returns {[string, File][]} Scan by scan. */
 export function rawFiles(drive, folders) {
   const labels = folders.map((folder) => drive.labels[folder]);
   if (!drive.scans) {
@@ -137,7 +137,7 @@ export function rawFiles(drive, folders) {
  *
  * @param {Transfer} transfer
  * @param {object} what
- * @param {import("./drive_folder.js").DriveFolder} what.drive
+ * @param {DriveFolder} what.drive
  * @param {number[]} what.frames Scans to send.
  * @param {Map<string, import("./upload.js").JudgedLabels>} what.schemes By label folder.
  * @param {number} what.groundBytes About the size of what is left of a scan.
@@ -207,8 +207,7 @@ class Estimate {
  * The manifest of the reduced drive: what the service planned, with the sizes that only the browser knows.
  *
  * @param {any} planned
- * @param {import("./drive_folder.js").DriveFolder} drive
- * @returns {Uint8Array<ArrayBuffer>}
+ * @param {DriveFolder} drive
  */
 export function manifestBytes(planned, drive) {
   const scans = /** @type {NumberedFiles} */ (drive.scans);
@@ -228,66 +227,56 @@ export function manifestBytes(planned, drive) {
   return new TextEncoder().encode(`${JSON.stringify({ ...planned, labels, source }, null, 1)}\n`);
 }
 
-/** @typedef {{task: object, resolve: (value: any) => void, reject: (error: Error) => void}} Item */
+const STOPPED = new Error("Stopped.");
 
 /** Several web workers that share the work of reducing scans. */
 class WorkerPool {
   /** One worker per core, at most eight: more would only wait for the disk and the network. */
   size = Math.min(8, navigator.hardwareConcurrency || 2);
-  /** @type {Item[]} */
-  waiting = [];
+  #free = this.size;
   /** @type {Worker[]} */
-  idle = [];
-  /** @type {Map<Worker, Item>} */
-  busy = new Map();
+  #idle = [];
+  /** Who wait until a worker is free. @type {(() => void)[]} */
+  #waiting = [];
+  /** What ends the tasks under way. @type {Set<(error: Error) => void>} */
+  #busy = new Set();
+  #isClosed = false;
 
   /** Let the next free worker do a task. @param {object} task @returns {Promise<any>} */
-  run(task) {
-    return new Promise((resolve, reject) => {
-      this.waiting.push({ task, resolve, reject });
-      this.#next();
-    });
+  async run(task) {
+    if (this.#free > 0) this.#free -= 1;
+    else await new Promise((/** @type {(value: void) => void} */ resolve) => this.#waiting.push(resolve));
+    if (this.#isClosed) throw STOPPED;
+    const worker = this.#idle.pop() ?? new Worker(new URL("./worker.js", import.meta.url), { type: "module" });
+    try {
+      const answer = await this.#ask(worker, task);
+      this.#idle.push(worker);
+      if (answer.error !== undefined) throw new Error(answer.error);
+      return answer;
+    } finally {
+      const next = this.#waiting.shift();
+      if (next) next();
+      else this.#free += 1;
+    }
   }
 
   /** End all workers; what they were doing fails. */
   close() {
-    const stopped = new Error("Stopped.");
-    for (const worker of [...this.busy.keys(), ...this.idle]) worker.terminate();
-    for (const item of [...this.busy.values(), ...this.waiting]) item.reject(stopped);
-    this.busy.clear();
-    this.waiting = [];
-    this.idle = [];
+    this.#isClosed = true;
+    for (const worker of this.#idle) worker.terminate();
+    for (const fail of this.#busy) fail(STOPPED);
+    for (const next of this.#waiting) next();
   }
 
-  #next() {
-    while (this.waiting.length && (this.idle.length || this.busy.size < this.size)) {
-      const worker = this.idle.pop() ?? this.#start();
-      const item = /** @type {Item} */ (this.waiting.shift());
-      this.busy.set(worker, item);
-      worker.postMessage(item.task);
-    }
-  }
-
-  #start() {
-    const worker = new Worker(new URL("./worker.js", import.meta.url), { type: "module" });
-    worker.addEventListener("message", ({ data }) => {
-      const item = this.busy.get(worker);
-      if (!item) return;
-      this.busy.delete(worker);
-      this.idle.push(worker);
-      if (data.error === undefined) item.resolve(data);
-      else item.reject(new Error(data.error));
-      this.#next();
+  /** @param {Worker} worker @param {object} task @returns {Promise<any>} */
+  #ask(worker, task) {
+    return new Promise((resolve, reject) => {
+      const fail = (/** @type {Error} */ error) => (worker.terminate(), this.#busy.delete(fail), reject(error));
+      worker.onmessage = ({ data }) => (this.#busy.delete(fail), resolve(data));
+      worker.onerror = ({ message }) =>
+        fail(new Error(`The part of the page that reduces scans stopped: ${message || "it did not load"}.`));
+      this.#busy.add(fail);
+      worker.postMessage(task);
     });
-    worker.addEventListener("error", (event) => {
-      const item = this.busy.get(worker);
-      this.busy.delete(worker);
-      worker.terminate();
-      item?.reject(
-        new Error(`The part of the page that reduces scans stopped: ${event.message || "it did not load"}.`),
-      );
-      this.#next();
-    });
-    return worker;
   }
 }

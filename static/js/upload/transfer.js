@@ -60,7 +60,6 @@ export class Meter {
     return first && seconds > 1 ? Math.max(0, this.sent - first[1]) / seconds : null;
   }
 
-  /** @returns {number | null} */
   get secondsLeft() {
     const speed = this.speed;
     return speed ? Math.max(0, this.total - this.sent) / speed : null;
@@ -193,12 +192,7 @@ export class Transfer {
     );
   }
 
-  /**
-   * Do something as soon as a connection is free.
-   *
-   * @template T
-   * @param {() => Promise<T>} work
-   */
+  /** Do something as soon as a connection is free. @template T @param {() => Promise<T>} work */
   async #withConnection(work) {
     if (this.free > 0) this.free -= 1;
     else await new Promise((/** @type {(value: void) => void} */ resolve) => this.queue.push(resolve));
@@ -211,13 +205,7 @@ export class Transfer {
     }
   }
 
-  /**
-   * Ask the service for something.
-   *
-   * @param {string} path
-   * @param {Parameters<typeof request>[1]} [options]
-   * @returns {Promise<{status: number, body: any}>}
-   */
+  /** Ask the service for something. @param {string} path @param {Parameters<typeof request>[1]} [options] */
   async ask(path, options = {}) {
     return this.retry(async () => {
       const response = await request(path, { ...options, signal: this.signal });
@@ -231,7 +219,6 @@ export class Transfer {
    *
    * @template T
    * @param {() => Promise<T>} work
-   * @returns {Promise<T>}
    */
   async retry(work) {
     const began = Date.now();

@@ -7,10 +7,10 @@ import { countLabels } from "./reduce.js";
 import { listPresent, manifestBytes, rawFiles, sendFiles, sendReduced, sendSmallFiles } from "./sending.js";
 import { Transfer } from "./transfer.js";
 
-/** @typedef {import("../api.js").FileProblem} FileProblem */
-/** @typedef {import("./drive_folder.js").DriveFolder} DriveFolder */
-/** @typedef {import("../job/job_form.js").JobSettings} JobSettings */
-
+/** @import { FileProblem } from "../api.js" */
+/** @import { JobSettings } from "../job/job_form.js" */
+/** @import { DriveFolder } from "./drive_folder.js" */
+/** @import { Present } from "./sending.js" */
 /**
  * @typedef {object} Settings
  * @property {string} name
@@ -237,7 +237,7 @@ export class Upload {
     this.#remember(this.source.fingerprint);
   }
 
-  /** @param {DriveFolder} drive @param {import("./sending.js").Present} present @param {boolean} isSame */
+  /** @param {DriveFolder} drive @param {Present} present @param {boolean} isSame */
   async #sendScans(drive, present, isSame) {
     const { folders, sending, options } = this.settings;
     this.#update({ step: "plan", message: "Reading poses and georeference" });
@@ -267,7 +267,7 @@ export class Upload {
     await this.transfer.put("reduced.json", manifestBytes(manifest, drive));
   }
 
-  /** @param {[string, File][]} files @param {import("./sending.js").Present} present @param {boolean} isSame */
+  /** @param {[string, File][]} files @param {Present} present @param {boolean} isSame */
   async #sendAll(files, present, isSame) {
     this.transfer.meter.total += files.reduce((sum, [, file]) => sum + file.size, 0);
     this.#update({ step: "scans", message: "", done: 0, total: files.length });
@@ -349,7 +349,7 @@ export class Upload {
     }
   }
 
-  /** @param {"unpack" | "commit"} kind @returns {Promise<any>} */
+  /** @param {"unpack" | "commit"} kind */
   async #latestJob(kind) {
     const { body } = await this.transfer.ask(`jobs?drive=${this.driveId}&kind=${kind}&limit=1`);
     return body.jobs[0] ?? null;
@@ -378,7 +378,6 @@ export class Upload {
  *
  * @param {DriveFolder} drive
  * @param {string[]} folders
- * @returns {Promise<LabelCounts>}
  */
 export async function countFolders(drive, folders) {
   const frames = drive.look?.frames_to_look_into ?? [];

@@ -23,7 +23,6 @@ from app.jobs.queue import submit
 from app.settings import Settings
 from app.store.models import Drive, DriveFile
 from tests.app import kills
-from tests.app.postgres import postgres_url  # noqa: F401 - a fixture
 from tests.app.street import write_street
 
 API = "/api/v1"
@@ -32,11 +31,10 @@ OLD, NEW = b"of before", b"of afterwards, and longer"
 Serve = Callable[..., httpx.Client]
 
 
-@pytest.fixture(params=["sqlite", "postgres"])
-def context(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Context]:
+@pytest.fixture
+def context(url: str, tmp_path: Path) -> Iterator[Context]:
     """A service that is not running."""
-    address = None if request.param == "sqlite" else request.getfixturevalue("postgres_url")
-    opened = Context.open(Settings(data_dir=tmp_path / "data", database_url=address, min_free_bytes=0))
+    opened = Context.open(Settings(data_dir=tmp_path / "data", database_url=url, min_free_bytes=0))
     yield opened
     opened.close()
 
@@ -171,18 +169,18 @@ def test_rows_follow_files_whatever_differs(context: Context) -> None:
     (files / "deep/new").write_bytes(b"7")
     (files / ".hidden").write_bytes(b"cannot be named")
     (files / "link").symlink_to(files / "same")
-    corrections = {each.path: each.done for each in reconcile(context, drive)}
+    corrections = reconcile(context, drive)
     assert corrections == {"gone": "unlisted", "grown": "renewed", "changed": "renewed", "deep/new": "listed"}
     contents = {"same": b"1", "grown": b"333333", "changed": b"xxxx", "touched": b"55555", "deep/new": b"7"}
     assert listed(context, drive) == {path: as_listed(content) for path, content in contents.items()}
     assert counted(context, drive) == (5, 17, 17)
-    assert reconcile(context, drive) == []
+    assert reconcile(context, drive) == {}
 
 
 def test_a_file_that_is_listed_anew_still_keeps_similar_names_out(context: Context) -> None:
     drive = new_drive(context, Map=b"1")
     (files_of(context, drive) / "Map").write_bytes(b"22")
-    assert [each.done for each in reconcile(context, drive)] == ["renewed"]
+    assert [*reconcile(context, drive).values()] == ["renewed"]
     with pytest.raises(Problem, match="Map differ only in upper and lower case"):
         put(context, drive, map=b"3")
 
@@ -191,9 +189,9 @@ def test_rows_of_an_older_version_are_compared_by_size(context: Context) -> None
     drive = new_drive(context, poses=b"1")
     with context.database.writing() as session:
         session.execute(update(DriveFile).values(mtime_ns=None))
-    assert reconcile(context, drive) == []
+    assert reconcile(context, drive) == {}
     (files_of(context, drive) / "poses").write_bytes(b"22")
-    assert [each.done for each in reconcile(context, drive)] == ["renewed"]
+    assert [*reconcile(context, drive).values()] == ["renewed"]
 
 
 @pytest.mark.parametrize("keep_raw", [False, True])
@@ -206,9 +204,9 @@ def test_a_ready_drive_lists_what_was_reduced_but_no_map_that_is_gone(context: C
     (files / "new.OSM.PBF").write_bytes(b"4444")
     with context.database.writing() as session:
         session.execute(update(Drive).values(state="ready", keep_raw=keep_raw, stored_bytes=100))
-    corrections = {each.path: each.done for each in reconcile(context, drive, maps_only=True)}
+    corrections = reconcile(context, drive, maps_only=True)
     assert corrections == {"new.OSM.PBF": "listed"}
-    found = {each.path: each.done for each in reconcile(context, drive)}
+    found = reconcile(context, drive)
     assert found == {"gone.osm.gz": "unlisted"} | ({"velodyne/0": "unlisted"} if keep_raw else {})
     kept = 100 - 3 + 4 - (4 if keep_raw else 0)
     assert counted(context, drive)[2] == kept

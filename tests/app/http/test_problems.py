@@ -7,8 +7,6 @@ from collections.abc import Callable
 import httpx
 import pytest
 
-from tests.app.postgres import postgres_url  # noqa: F401 - a fixture
-
 AS_JSON = {"Content-Type": "application/json"}
 
 

@@ -6,7 +6,6 @@ import time
 from collections import Counter
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -16,15 +15,6 @@ from app.jobs.queue import Claim, JobQueue, LeaseClock, cancel, submit
 from app.store.database import Database
 from app.store.models import Drive, Job
 from tests import forks
-from tests.app.postgres import postgres_url  # noqa: F401 - a fixture
-
-
-@pytest.fixture(params=["sqlite", "postgres"])
-def url(request: pytest.FixtureRequest, tmp_path: Path) -> str:
-    if request.param == "sqlite":
-        return f"sqlite:///{tmp_path / 'jobs.sqlite3'}"
-    address: str = request.getfixturevalue("postgres_url")
-    return address
 
 
 @pytest.fixture

@@ -38,7 +38,6 @@ from interloc.output.layers import LAYERS
 from interloc.output.osm_roads import SEEN
 from interloc.output.styles import RIGHT, ROAD, STYLES
 from tests.app.conftest import running_server
-from tests.app.postgres import postgres_url  # noqa: F401 - a fixture
 from tests.app.processes import NO_TLS
 from tests.qgis import ask_qgis, pixels_of, require_qgis
 
@@ -773,7 +772,7 @@ def test_the_index_follows_trash_purge_and_repair(tmp_path: Path) -> None:
         context.close()
 
 
-def test_postgresql_finds_the_same(data: Path, tmp_path: Path, postgres_url: str) -> None:  # noqa: F811 - the fixture
+def test_postgresql_finds_the_same(data: Path, tmp_path: Path, postgres_url: str) -> None:
     text = "outcome = 'wrong' AND S_INTERSECTS(geometry, BBOX(8, 48, 9, 50))"
     queries = [
         Query(),

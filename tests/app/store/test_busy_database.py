@@ -16,7 +16,6 @@ from sqlalchemy.exc import OperationalError
 
 from app.store.database import Database, DatabaseBusyError
 from app.store.models import Drive
-from tests.app.postgres import postgres_url  # noqa: F401 - a fixture
 
 Serve = Callable[..., httpx.Client]
 WRITERS = 70  # more than there are threads

@@ -15,16 +15,6 @@ from app.http.problem_types import STORAGE_READ_ONLY
 from app.http.problems import problem_of
 from app.store.database import Database, afterwards
 from app.store.models import Drive
-from tests.app.postgres import postgres_url  # noqa: F401 - a fixture
-
-
-@pytest.fixture(params=["sqlite", "postgresql"])
-def url(request: pytest.FixtureRequest, tmp_path: Path) -> str:
-    """An empty database of either kind."""
-    if request.param == "postgresql":
-        address: str = request.getfixturevalue("postgres_url")
-        return address
-    return f"sqlite:///{tmp_path / 'db.sqlite3'}"
 
 
 def add_drive(database: Database, name: str) -> None:

@@ -26,7 +26,6 @@ from app.store.models import Drive, Installation
 from app.upkeep.cleanup import sweep
 from interloc.cli.main import run
 from tests import forks
-from tests.app.postgres import postgres_url  # noqa: F401 - a fixture
 from tests.app.upkeep.test_cleanup import make_old
 
 
@@ -70,31 +69,22 @@ def refuse(data: Path, url: str | None = None) -> str:
     return message
 
 
-@pytest.fixture(params=["sqlite", "postgresql"])
-def elsewhere(request: pytest.FixtureRequest, tmp_path: Path) -> str:
-    """The address of an empty database outside of the data folder."""
-    if request.param == "postgresql":
-        address: str = request.getfixturevalue("postgres_url")
-        return address
-    return sqlite(tmp_path / "elsewhere.sqlite3")
-
-
-def test_a_service_that_is_new_gets_an_id_and_opens_again(tmp_path: Path, elsewhere: str) -> None:
+def test_a_service_that_is_new_gets_an_id_and_opens_again(tmp_path: Path, url: str) -> None:
     for _ in range(2):
-        database = open_database(settings(tmp_path / "data", elsewhere))
+        database = open_database(settings(tmp_path / "data", url))
         with database.reading() as session:
             assert id_of_database(session) == id_of_folder(tmp_path / "data")
         database.close()
 
 
-def test_another_database_is_refused(tmp_path: Path, elsewhere: str) -> None:
+def test_another_database_is_refused(tmp_path: Path, url: str) -> None:
     """Moved to PostgreSQL by setting its address, or a typo in the address."""
     drive = fill(tmp_path / "data")
-    message = refuse(tmp_path / "data", elsewhere)
+    message = refuse(tmp_path / "data", url)
     assert f"belongs to installation {id_of_folder(tmp_path / 'data')} (folders of 1 drives and 0 jobs)" in message
     assert "INTERLOC_DATABASE_URL was changed or mistyped" in message
-    assert "elsewhere.sqlite3" in message or "postgresql" in message
-    database = Database(elsewhere)
+    assert "db.sqlite3" in message or "postgresql" in message
+    database = Database(url)
     assert inspect(database.engine).get_table_names() == []  # not even tables were made
     database.close()
     context = Context.open(settings(tmp_path / "data"))  # set back: all is there
@@ -114,23 +104,23 @@ def test_a_database_file_that_was_removed_is_not_made_anew(tmp_path: Path) -> No
     assert "the database was lost" in refuse(tmp_path / "data")
 
 
-def test_a_volume_that_is_not_mounted_is_noticed(tmp_path: Path, elsewhere: str) -> None:
-    fill(tmp_path / "data", elsewhere)
+def test_a_volume_that_is_not_mounted_is_noticed(tmp_path: Path, url: str) -> None:
+    fill(tmp_path / "data", url)
     shutil.move(tmp_path / "data", tmp_path / "volume")
-    message = refuse(tmp_path / "data", elsewhere)
+    message = refuse(tmp_path / "data", url)
     assert "(1 drives and 0 jobs)" in message
     assert "is not mounted" in message
     assert "geheim" not in message
     shutil.rmtree(tmp_path / "data")
     shutil.move(tmp_path / "volume", tmp_path / "data")
-    open_database(settings(tmp_path / "data", elsewhere)).close()
+    open_database(settings(tmp_path / "data", url)).close()
 
 
-def test_two_services_cannot_have_one_folder(tmp_path: Path, elsewhere: str) -> None:
+def test_two_services_cannot_have_one_folder(tmp_path: Path, url: str) -> None:
     fill(tmp_path / "one")
-    fill(tmp_path / "two", elsewhere)
+    fill(tmp_path / "two", url)
     ids = id_of_folder(tmp_path / "one"), id_of_folder(tmp_path / "two")
-    message = refuse(tmp_path / "one", elsewhere)
+    message = refuse(tmp_path / "one", url)
     assert all(str(id_) in message for id_ in ids)
     assert "that of another service" in message
 
@@ -184,50 +174,50 @@ def older_version(data: Path, url: str | None = None) -> str:
     return drive
 
 
-def test_a_service_of_an_older_version_is_bound(tmp_path: Path, elsewhere: str) -> None:
-    drive = older_version(tmp_path / "data", elsewhere)
-    database = open_database(settings(tmp_path / "data", elsewhere))
+def test_a_service_of_an_older_version_is_bound(tmp_path: Path, url: str) -> None:
+    drive = older_version(tmp_path / "data", url)
+    database = open_database(settings(tmp_path / "data", url))
     with database.reading() as session:
         assert session.get(Drive, drive) is not None
         assert id_of_database(session) == id_of_folder(tmp_path / "data")
     database.close()
 
 
-def test_a_folder_of_an_older_version_with_a_new_database_is_refused(tmp_path: Path, elsewhere: str) -> None:
+def test_a_folder_of_an_older_version_with_a_new_database_is_refused(tmp_path: Path, url: str) -> None:
     older_version(tmp_path / "data")
-    assert "comes from a version without ids" in refuse(tmp_path / "data", elsewhere)
+    assert "comes from a version without ids" in refuse(tmp_path / "data", url)
 
 
-def test_a_database_of_an_older_version_with_an_empty_folder_is_refused(tmp_path: Path, elsewhere: str) -> None:
-    older_version(tmp_path / "data", elsewhere)
+def test_a_database_of_an_older_version_with_an_empty_folder_is_refused(tmp_path: Path, url: str) -> None:
+    older_version(tmp_path / "data", url)
     (tmp_path / "empty").mkdir()
-    assert "is not mounted" in refuse(tmp_path / "empty", elsewhere)
-    database = Database(elsewhere)
+    assert "is not mounted" in refuse(tmp_path / "empty", url)
+    database = Database(url)
     with database.reading() as session:
         assert session.scalar(text("SELECT version_num FROM alembic_version")) == "0001"  # not brought up to date
     database.close()
 
 
-def test_databases_that_hold_other_drives_are_refused(tmp_path: Path, elsewhere: str) -> None:
+def test_databases_that_hold_other_drives_are_refused(tmp_path: Path, url: str) -> None:
     """Both of an older version, and of different services."""
     older_version(tmp_path / "one")
-    older_version(tmp_path / "two", elsewhere)
-    assert "comes from a version without ids" in refuse(tmp_path / "one", elsewhere)
+    older_version(tmp_path / "two", url)
+    assert "comes from a version without ids" in refuse(tmp_path / "one", url)
 
 
-def test_a_first_start_that_was_cut_short_is_done_again(tmp_path: Path, elsewhere: str) -> None:
-    database = open_database(settings(tmp_path / "data", elsewhere))
+def test_a_first_start_that_was_cut_short_is_done_again(tmp_path: Path, url: str) -> None:
+    database = open_database(settings(tmp_path / "data", url))
     with database.reading() as session:
         made = id_of_database(session)
     database.close()
     (tmp_path / "data/installation").unlink()
-    open_database(settings(tmp_path / "data", elsewhere)).close()
+    open_database(settings(tmp_path / "data", url)).close()
     assert id_of_folder(tmp_path / "data") == made
 
 
-def test_servers_that_start_together_agree(tmp_path: Path, elsewhere: str) -> None:
+def test_servers_that_start_together_agree(tmp_path: Path, url: str) -> None:
     def start(_: int) -> str:
-        database = open_database(settings(tmp_path / "data", elsewhere))
+        database = open_database(settings(tmp_path / "data", url))
         with database.reading() as session:
             (found,) = session.scalars(select(Installation.id)).all()
         database.close()

@@ -18,7 +18,6 @@ from app.store.database import Database
 from app.store.models import Base, Drive, DriveFile, Job, Token
 from interloc.errors import ConfigError, InterLocError
 from tests import forks
-from tests.app.postgres import postgres_url  # noqa: F401 - a fixture
 
 TABLES = {"alembic_version", "drives", "drive_files", "jobs", "tokens"}
 FIRST = "0001"
@@ -34,15 +33,6 @@ VALUES ('a', 'intersections', 'd', 'me', '{"name": "mine"}', 'failed', 'finished
 ('b', 'intersections', 'd', 'me', '{"name": null}', 'failed', 'finished', 0, 1, 1.5, 1, false),
 ('c', 'commit', 'd', 'me', '{}', 'failed', 'finished', 0, 1, 1.5, 1, false)
 """
-
-
-@pytest.fixture(params=["sqlite", "postgresql"])
-def url(request: pytest.FixtureRequest, tmp_path: Path) -> str:
-    """An empty database of either kind."""
-    if request.param == "postgresql":
-        address: str = request.getfixturevalue("postgres_url")
-        return address
-    return f"sqlite:///{tmp_path / 'db.sqlite3'}"
 
 
 def config() -> Config:

@@ -22,7 +22,6 @@ from app.store.models import Drive, Job
 from app.trash import deletion as trash
 from app.upkeep.cleanup import sweep
 from tests.app import kills
-from tests.app.postgres import postgres_url  # noqa: F401 - a fixture
 from tests.app.processes import Gate, ended, job_of, submit, upload, wait_until
 from tests.app.street import write_street
 
@@ -179,11 +178,10 @@ def test_without_a_trash_all_is_gone_at_once(serve: Callable[..., httpx.Client],
     assert not list((tmp_path / "data").rglob(drive))
 
 
-@pytest.fixture(params=["sqlite", "postgres"])
-def context(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Context]:
+@pytest.fixture
+def context(url: str, tmp_path: Path) -> Iterator[Context]:
     """A service that is not running, whose trash keeps for 2 hours."""
-    address = None if request.param == "sqlite" else request.getfixturevalue("postgres_url")
-    opened = Context.open(Settings(data_dir=tmp_path / "data", database_url=address, min_free_bytes=0, trash_h=2))
+    opened = Context.open(Settings(data_dir=tmp_path / "data", database_url=url, min_free_bytes=0, trash_h=2))
     yield opened
     opened.close()
 

@@ -40,7 +40,6 @@ from app.upkeep.restore import RestoreReport, restore
 from interloc.errors import ConfigError, InterLocError, OutputError
 from tests import forks
 from tests.app.conftest import running_server
-from tests.app.postgres import postgres_url  # noqa: F401 - a fixture
 from tests.app.processes import API, NO_TLS, archive_of, ended, files_below, submit, upload, wait_until
 from tests.app.street import write_street
 

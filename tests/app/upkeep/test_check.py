@@ -64,7 +64,7 @@ def ready_drive(context: Context, street: Path, *, keep_raw: bool = False) -> st
     with context.database.writing() as session:
         session.execute(update(Drive).where(Drive.id == drive).values(state="ready", keep_raw=keep_raw))
         row = session.get_one(Drive, drive)
-    sidecars.write_drive(context.storage, row)
+    sidecars.write(context.storage, row)
     return drive
 
 
@@ -76,7 +76,7 @@ def finished_job(context: Context, drive: str) -> str:
     folder = context.storage.folder(f"jobs/{job.id}")
     (folder / "result").mkdir(parents=True)
     (folder / "result" / RUN_FILE).write_text("{}")
-    sidecars.write_job(context.storage, job)
+    sidecars.write(context.storage, job)
     return job.id
 
 

@@ -25,18 +25,14 @@ from app.trash.deletion import list_trash, restore
 from app.upkeep.cleanup import Sweeper, sweep
 from app.work.documents import CommitOutcome
 from interloc.drives.inspect import DriveReport
-from tests.app.postgres import postgres_url  # noqa: F401 - a fixture
 
 HOUR_S = 3600.0
 
 
-@pytest.fixture(params=["sqlite", "postgres"])
-def context(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Context]:
+@pytest.fixture
+def context(url: str, tmp_path: Path) -> Iterator[Context]:
     """A service that is not running, whose uploads expire after 2 hours."""
-    address = None if request.param == "sqlite" else request.getfixturevalue("postgres_url")
-    opened = Context.open(
-        Settings(data_dir=tmp_path / "data", database_url=address, min_free_bytes=0, upload_expires_h=2)
-    )
+    opened = Context.open(Settings(data_dir=tmp_path / "data", database_url=url, min_free_bytes=0, upload_expires_h=2))
     yield opened
     opened.close()
 
@@ -54,6 +50,12 @@ def make_drive(context: Context, *, age_h: float = 0, state: str = "uploading", 
         touched = context.database.clock(session) - age_h * HOUR_S
         session.execute(update(Drive).where(Drive.id == drive.id).values(touched_at=touched, state=state))
     return drive.id
+
+
+def unpack(context: Context, drive: str, archive: str) -> None:
+    with context.database.writing() as session:
+        request = {"archive": archive}
+        submit(session, context.database, kind="unpack", drive_id=drive, owner="somebody", request=request)
 
 
 def make_old(path: Path, *, folder: bool = False) -> Path:
@@ -93,15 +95,7 @@ def test_uploads_that_were_left_alone_expire(context: Context) -> None:
 def test_drives_in_use_do_not_expire(context: Context) -> None:
     ready, checking = make_drive(context, age_h=99, state="ready"), make_drive(context, age_h=99, state="checking")
     unpacking = make_drive(context, age_h=99)
-    with context.database.writing() as session:
-        submit(
-            session,
-            context.database,
-            kind="unpack",
-            drive_id=unpacking,
-            owner="somebody",
-            request={"archive": "archives/1"},
-        )
+    unpack(context, unpacking, "archives/1")
     with_result = make_drive(context, age_h=99)
     with context.database.writing() as session:
         common = {"drive_id": with_result, "owner": "somebody", "request": {}, "kind": "intersections"}
@@ -143,15 +137,7 @@ def test_folders_that_no_row_knows_are_set_aside(context: Context, caplog: pytes
 
 def test_archives_that_nobody_unpacks_go(context: Context) -> None:
     drive = make_drive(context)
-    with context.database.writing() as session:
-        submit(
-            session,
-            context.database,
-            kind="unpack",
-            drive_id=drive,
-            owner="somebody",
-            request={"archive": "archives/waits"},
-        )
+    unpack(context, drive, "archives/waits")
     archives = context.storage.folder(f"drives/{drive}/archives")
     make_old(archives / "waits")
     make_old(archives / "forgotten")

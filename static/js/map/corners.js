@@ -1,0 +1,43 @@
+/** What stands in the corners of the map. */
+import { el, icon } from "../dom.js";
+import { Control, DomEvent } from "../leaflet.js";
+import { coordinates } from "./links.js";
+
+/** Put an element into a corner; what is done in it is not done to the map. @param {any} map @param {string} position @param {HTMLElement} element */
+export function addCorner(map, position, element) {
+  const control = new Control({ position });
+  control.onAdd = () => element;
+  DomEvent.disableClickPropagation(element);
+  DomEvent.disableScrollPropagation(element);
+  control.addTo(map);
+}
+
+/**
+ * A button below those of the zoom.
+ * @param {any} map
+ * @param {string} symbol
+ * @param {string} label Read aloud.
+ * @param {() => void} call
+ * @param {string} [title] Shown under the pointer.
+ * @returns {HTMLElement}
+ */
+export function addButton(map, symbol, label, call, title = label) {
+  const onClick = (/** @type {Event} */ event) => (event.preventDefault(), call());
+  const button = el("a", { href: "#", role: "button", title, "aria-label": label, onClick }, icon(symbol));
+  addCorner(map, "topleft", el("div.leaflet-bar.leaflet-control", button));
+  return button;
+}
+
+/** Say where the pointer is: latitude and longitude, or metres of W. @param {any} map @param {boolean} local */
+export function addCoordinates(map, local) {
+  const box = el("output.coordinates", {
+    hidden: true,
+    title: local ? "x, y in W, metres" : "Latitude, longitude",
+  });
+  addCorner(map, "bottomleft", box);
+  map.on("mousemove", (/** @type {any} */ { latlng }) => {
+    box.hidden = false;
+    box.textContent = local ? `x, y  ${coordinates(latlng, true)} m` : coordinates(latlng, false);
+  });
+  map.on("mouseout", () => (box.hidden = true));
+}
