@@ -16,7 +16,7 @@ from pydantic import BaseModel, ConfigDict
 
 from interloc.arrays import Float32Array, FloatArray, IntArray, UInt32Array
 from interloc.drives.findings import Findings
-from interloc.drives.layouts import DriveParts
+from interloc.drives.layouts import NUMBERED_ANYHOW, DriveParts
 from interloc.drives.options import DriveOptions
 from interloc.drives.trajectory import Trajectory
 
@@ -146,6 +146,12 @@ class Recording:
     def has_poses(self) -> bool:
         """Whether there are poses, damaged or not."""
         return self.carries_poses or self.parts.has_poses
+
+    @property
+    def has_pose_files(self) -> bool:
+        """Whether poses, times and georeference lie in files of the drive's own folder, a line for each number."""
+        is_own = not self.parts.in_kitti360_world and self.parts.layout not in NUMBERED_ANYHOW
+        return self.read_trajectory is None and is_own
 
     def within(self, rows: slice) -> Recording:
         """Return a piece of the recording, by its rows from one on up to another."""
