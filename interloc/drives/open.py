@@ -9,7 +9,7 @@ from functools import cache
 from pathlib import Path
 from typing import Unpack, cast
 
-from interloc.drives.checks import NEAR_M, check_flat_road, check_turns, sample_indices
+from interloc.drives.checks import NEAR_M, check_flat_road, sample_indices
 from interloc.drives.files import each_read_once
 from interloc.drives.findings import Findings
 from interloc.drives.folder import FolderDrive, Scans
@@ -308,8 +308,6 @@ def _checked(reading: DriveReading, findings: Findings) -> DriveReading:
     reading = replace(reading, flatness_m=check_flat_road(drive, scans.usable, pose_file, findings))
     if findings.errors == errors:  # else what follows is the same fault in other words
         check_scan_motion(drive, scans.usable, pose_file, findings)
-    if findings.errors == errors:
-        check_turns(drive, scans.usable, pose_file, findings, suspected=reading.trajectory.is_odd)
     if isinstance(scans, RawScans):
         scans.tell_doubts(findings)
     if drive.georeference is None or drive.pose_frame == "oxts":

@@ -14,6 +14,7 @@ from interloc.drives.open import open_drive
 from interloc.drives.plausibility import turning_with_path
 from interloc.geometry import invert_transform, rotation_from_rpy
 from tests import streets
+from tests.small_drives import geo_csv
 
 HALF_TURN_ABOUT_X = np.diag([1.0, -1.0, -1.0, 1.0])
 
@@ -89,6 +90,17 @@ def test_the_piece_after_a_jump_is_a_drive_of_its_own(street: Path) -> None:
     expected = invert_transform(streets.poses()[30]) @ streets.poses()[99]
     np.testing.assert_allclose(drive.T_world_lidar[-1], expected, atol=1e-4)
     assert len(drive.ground_points(69).road)
+
+
+def test_a_georeference_that_jumps_against_the_poses(street: Path) -> None:
+    header, *rows = geo_csv(streets.poses()).splitlines()
+    for number in range(40, 60):
+        frame, lat, *rest = rows[number].split(",")
+        rows[number] = ",".join([frame, f"{float(lat) + 2e-4:.9f}", *rest])  # 22 m to the north
+    (street / "geo.csv").write_text("\n".join([header, *rows]) + "\n")
+    (jump,) = (problem for problem in inspect_drive(street).problems if problem.severity == "warning")
+    assert jump.path.startswith("geo.csv")
+    assert "2 times, first by 22 m after " in jump.message
 
 
 @pytest.mark.parametrize("yaw", [0.0, 1.0])

@@ -8,17 +8,16 @@ import numpy as np
 
 from interloc.arrays import BoolArray, FloatArray, IntArray
 from interloc.drive import Georeference
-from interloc.drives.findings import DriveFileError, Findings
+from interloc.drives.findings import Findings
 from interloc.drives.georeference.fixes import MIN_EXTENT_M, MIN_FIXES, Fixes, extent_m, georeference_from_fixes
 from interloc.drives.georeference.geodetic import check_georeference, in_degrees
 from interloc.drives.georeference.shift import Shift, fit_shift, misfit_m
 from interloc.drives.scans.rosbag.bag import Bag, BagTopic
 from interloc.drives.scans.rosbag.frames import FrameTree, latest_of_each
-from interloc.drives.scans.rosbag.messages import NO_FIX, Fix, read_fix
+from interloc.drives.scans.rosbag.messages import NO_FIX, read_fix
 from interloc.drives.scans.rosbag.motion import LidarMotion
 from interloc.drives.scans.rosbag.stamps import clock_lead_s, clock_shift
-from interloc.drives.scans.rosbag.wire import WireError
-from interloc.geometry import enu_from_lonlat, invert_transform
+from interloc.geometry import enu_from_lonlat, from_first
 
 _ARM_STD_M = 1.0
 """Along each axis, of a place on a car that is not known."""
@@ -79,24 +78,14 @@ class BagFixes:
     def _laid_on(self, fixes: Fixes, distance_m: FloatArray, world: FloatArray) -> tuple[Georeference | None, str]:
         source = f"{self.topic.name} (GNSS), heading from the motion"
         georeference, doubts = georeference_from_fixes(fixes, world, distance_m, source), Findings(stop_at_first=False)
-        check_georeference(invert_transform(world[0]) @ world, georeference, doubts)
+        check_georeference(from_first(world), georeference, doubts)
         return (None, f"{self.topic.name} {doubts.found[0].message}") if doubts.found else (georeference, "")
-
-    def _read(self) -> list[Fix]:
-        assert self.topic.encoding is not None
-        messages = []
-        for number, message in enumerate(self.bag.messages(self.topic)):
-            try:
-                messages.append(read_fix(message, self.topic.encoding))
-            except WireError as error:
-                raise DriveFileError(self.bag.name, f"{self.topic.name}, message {number}: {error}.") from error
-        return messages
 
     def _within(
         self, motion: LidarMotion, scan_times_s: FloatArray, world: FloatArray, findings: Findings
     ) -> tuple[tuple[Fixes, FloatArray] | None, str]:
         """Return the fixes within the poses, and the distance driven until every scan; or why there are none."""
-        name, messages = self.topic.name, self._read()
+        name, messages = self.topic.name, list(self.bag.decoded(self.topic, read_fix))
         stamps = np.array([fix.header.stamp_ns for fix in messages], dtype=np.int64)
         log_s = self.topic.log_ns / 1e9
         times_s = log_s if self.by_log or bool((stamps <= 0).any()) else stamps / 1e9
