@@ -159,6 +159,7 @@ def _place_by_anchor(
             "position_std_m": round(locating.median(placed.position_std_m), 1),
         }
         uncertainty = f"{facts['position_std_m']} m (one sigma, median; what all fixes of a phone share included)"
+        uncertainty += f"; {placed.untold}" if placed.untold else ""
     if out is not None:
         write_geo_csv(out, drive.frames, georeference)
     fit = [("fit", f"{facts['rms_m']} m from the track before it was bent onto it")] if facts else []

@@ -468,6 +468,7 @@ class _Look:
         frames: IntArray | None = None,
     ) -> None:
         """Tell where the drive went, and how poses and georeference fit together."""
+        _, trajectory = trajectory.within_jumps(frames, pose_file, self.findings)
         found, poses, fixes = self._found, trajectory.poses, trajectory.georeference
         found.georeference = fixes.source if fixes else None
         found.georeference_reason = None if fixes else trajectory.georeference_reason
@@ -475,8 +476,7 @@ class _Look:
             return
         found.pose_frame = poses.frame
         found.keyframes = len(select_keyframes(poses.T_world_lidar, keyframes))
-        numbers = np.arange(len(poses.T_world_lidar)) if frames is None else frames
-        check_motion(poses.T_world_lidar, numbers, trajectory.times_s, pose_file, self.findings)
+        check_motion(poses.T_world_lidar, pose_file, self.findings)
         places, fitted, fit_m = poses.T_world_lidar[:, :2, 3], None, None
         if fixes is not None:
             places = np.stack([fixes.lon_deg, fixes.lat_deg], axis=1)

@@ -21,6 +21,7 @@ MIN_TURNED_RAD = np.radians(30.0)
 """Root of the sum of squared turns over which the turns of poses and georeference are compared."""
 
 _MIN_TURN_SHARE = 0.5
+_JUMP_M = 5.0
 _MIN_SHIFT_SCANS = 0.7
 _E7, _LEAST_E7 = 1e7, 2e7
 """Some receivers write multiples of 1e-7 degrees; beyond two degrees these are larger than any coordinate in metres."""
@@ -134,15 +135,26 @@ def check_georeference(poses: FloatArray, georeference: Georeference, findings: 
     rows = rows_apart(poses[:, :3, 3], 10.0)
     if len(rows) < 2:
         return None
-    ours = body_steps(poses[rows])
+    ours = body_steps(poses[rows])[:, :2]  # satellite heights settle by metres, and say nothing of the map
 
     def error_of(fixes: Georeference) -> float:
-        theirs = body_steps(ecef_poses(fixes)[rows])
+        theirs = body_steps(ecef_poses(fixes)[rows])[:, :2]
         return float(np.median(np.linalg.norm(theirs - ours, axis=1) / np.linalg.norm(ours, axis=1)))
 
     error = error_of(georeference)
     if error <= MAX_GEOREFERENCE_ERROR:
-        _check_turns(poses[rows], ecef_poses(georeference)[rows], georeference.source, findings)
+        theirs = ecef_poses(georeference)
+        _check_turns(poses[rows], theirs[rows], georeference.source, findings)
+        apart_m = np.linalg.norm((body_steps(theirs) - body_steps(poses))[:, :2], axis=1)
+        if (apart_m > _JUMP_M).any():
+            first = int(np.argmax(apart_m > _JUMP_M))
+            driven_m = float(np.linalg.norm(body_steps(poses[: first + 1]), axis=1).sum())
+            findings.warning(
+                georeference.source,
+                f"jumps against the poses, {np.count_nonzero(apart_m > _JUMP_M):,} times, first by "
+                f"{apart_m[first]:.0f} m after {driven_m:.0f} m: intersections are so far off there. Usual cause: a "
+                "receiver that lost its corrections (RTK), or an outage.",
+            )
     else:
         cause = (
             "Usual cause: the georeference of another drive, rows that start at another frame, or angles in another "
@@ -189,7 +201,9 @@ def check_shift(poses: FloatArray, georeference: Georeference, findings: Finding
     enu = enu_from_lonlat(lonlat[0, 1], lonlat[0, 0], lonlat)
     scans = np.arange(len(poses), dtype=np.float64)
     shift = fit_shift(scans, poses[:, :2, 3], scans, enu)
-    if shift is None or abs(shift.late) < _MIN_SHIFT_SCANS:
+    if shift is None or not shift.is_there or abs(shift.late) < _MIN_SHIFT_SCANS:
+        if shift is not None and shift.untold:
+            findings.untold(georeference.source, shift.untold)
         return
     findings.refuse(
         georeference.source,

@@ -106,7 +106,7 @@ class BagFixes:
         if not sound.any():
             return None, f"{name}: none of {len(messages):,} fixes has a position{_why_unsound(positions, status)}"
         positions[~np.isfinite(positions[:, 2]), 2] = 0.0
-        late = self._late(motion, times_s[sound], positions[sound])
+        late = self._late(motion, times_s[sound], positions[sound], findings)
         if late is not None and not late.is_sure:
             return None, (
                 f"{name}: the fixes are late or early against the poses, by {abs(late.late):.0f} s or so (about "
@@ -165,7 +165,9 @@ class BagFixes:
             )
         return (fixes, distance_m[len(rows) :]), ""
 
-    def _late(self, motion: LidarMotion, times_s: FloatArray, positions: FloatArray) -> Shift | None:
+    def _late(
+        self, motion: LidarMotion, times_s: FloatArray, positions: FloatArray, findings: Findings
+    ) -> Shift | None:
         """Find out whether (K,) fixes are late against the motion."""
         first, last = motion.span_s
         rows = latest_of_each(times_s)
@@ -174,11 +176,13 @@ class BagFixes:
         grid = np.linspace(first, last, int(np.clip((last - first) / _GRID_S, 2, _MAX_GRID)))
         path, lonlat = motion.at(grid)[:, :2, 3], positions[rows][:, [1, 0]]
         shift = fit_shift(grid, path, times_s[rows], enu_from_lonlat(lonlat[0, 1], lonlat[0, 0], lonlat))
-        if shift is not None:  # exchanged, a path is mirrored, and a shift may seem to help
-            exchanged = enu_from_lonlat(lonlat[0, 0], lonlat[0, 1], lonlat[:, ::-1])
-            if misfit_m(grid, path, times_s[rows], exchanged) < shift.after_m:
-                return None
-        return shift
+        if shift is None or not shift.is_there:
+            if shift is not None and shift.untold:
+                findings.untold(self.bag.name, f"{self.topic.name}: {shift.untold}")
+            return None
+        exchanged = enu_from_lonlat(lonlat[0, 0], lonlat[0, 1], lonlat[:, ::-1])
+        is_mirrored = misfit_m(grid, path, times_s[rows], exchanged) < shift.after_m  # then a shift may seem to help
+        return None if is_mirrored else shift
 
 
 def _sound_fixes(positions: FloatArray, status: IntArray) -> BoolArray:

@@ -13,7 +13,7 @@ from interloc.drives.findings import DriveFileError, Findings
 from interloc.drives.georeference.read import read_georeference
 from interloc.drives.layouts import DriveParts
 from interloc.drives.options import ODOMETRY, DriveOptions
-from interloc.drives.poses.motion import body_motion, jumps, named_jumps
+from interloc.drives.poses.motion import body_motion, longest_piece
 from interloc.drives.poses.timed import TimedPoses
 from interloc.drives.scans.rosbag.bag import Bag, BagTopic
 from interloc.drives.scans.rosbag.fixes import BagFixes
@@ -106,28 +106,13 @@ def find_motion(
             return replace(found, fault=bag.fault(f"{gap} Usual cause: poses that were kept too rarely."))
         (findings.warning if left_out > _MANY * len(covered) else findings.note)(bag.name, f"{text}.")
     found = replace(found, frames=every[covered], times_s=times_s[covered], motion=motion, poses=topic, by_log=by_log)
-    return _cut_at_jumps(found, topic, bag, findings)
-
-
-def _cut_at_jumps(found: BagMotion, topic: BagTopic, bag: Bag, findings: Findings) -> BagMotion:
-    """Keep the longest piece between two jumps of the poses: what lies beyond one lies at another place of the map."""
-    assert found.motion is not None
-    position = found.motion.at(found.times_s)[:, :3, 3]
-    after = jumps(position, found.times_s)
-    if not len(after):
+    rows, jumps = longest_piece(motion.at(found.times_s)[:, :3, 3], found.times_s, found.frames)
+    if not jumps:
         return found
-    ends = np.concatenate([[0], after + 1, [len(position)]])
-    longest = int(np.argmax(np.diff(ends)))
-    piece = slice(int(ends[longest]), int(ends[longest + 1]))
-    findings.warning(
-        bag.name,
-        f"the poses of {topic.name} jump: {named_jumps(after, position, found.frames)}. The drive is cut there, and "
-        f"its longest piece is used: scans {found.frames[piece][0]} to {found.frames[piece][-1]}, "
-        f"{piece.stop - piece.start:,} of {len(position):,}. Usual cause: an odometry that was reset or lost track.",
-    )
-    times_s = found.times_s[piece]
-    motion = replace(found.motion, within_s=(float(times_s[0]), float(times_s[-1])))
-    return replace(found, frames=found.frames[piece], times_s=times_s, motion=motion)
+    findings.warning(bag.name, f"the poses of {topic.name} {jumps}")
+    times_s = found.times_s[rows]
+    motion = replace(motion, within_s=(float(times_s[0]), float(times_s[-1])))
+    return replace(found, frames=found.frames[rows], times_s=times_s, motion=motion)
 
 
 def _owned_first(candidates: list[BagTopic], bag: Bag, points: PointsTopic, tree: FrameTree) -> list[BagTopic]:
@@ -229,15 +214,23 @@ def _cover(
 
 
 def read_bag_trajectory(
-    bag: Bag, points: PointsTopic, parts: DriveParts, found: BagMotion, options: DriveOptions, findings: Findings
+    bag: Bag,
+    points: PointsTopic,
+    parts: DriveParts,
+    found: BagMotion,
+    frames: IntArray,
+    options: DriveOptions,
+    findings: Findings,
 ) -> Trajectory:
-    """Return poses and times of the scans, and their georeference.
+    """Return poses and times of some scans, by their numbers, and their georeference.
 
     Raises
     ------
     DriveError, GeoreferenceError
         The first fault, where `findings` stops at it.
     """
+    rows = np.searchsorted(found.frames, frames)
+    found = replace(found, frames=frames, times_s=found.times_s[rows])
     if found.pose_file is not None:
         parts = replace(parts, poses=found.pose_file)
         trajectory = read_trajectory(parts, found.frames, options, findings, times_s=found.times_s)
