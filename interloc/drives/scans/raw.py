@@ -25,8 +25,7 @@ from interloc.drives.files import (
     scan_once,
 )
 from interloc.drives.findings import DriveFileError, Findings
-from interloc.drives.labels import SEMANTICKITTI, LabelJudgement, LabelScheme, judge_labels
-from interloc.drives.labels_below import check_below, ids_below
+from interloc.drives.labels import SEMANTICKITTI, LabelJudgement, LabelScheme, check_below, ids_below, judge_labels
 from interloc.drives.layouts import DriveParts
 from interloc.drives.options import DriveOptions, LabelFolder
 from interloc.drives.scans.recorded import PointSource, Recording, ScanFacts, ScanPoints
