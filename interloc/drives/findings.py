@@ -113,6 +113,10 @@ class Findings:
         if self._add(Finding("note", path, message)) and self.stop_at_first:
             _log.info("%s: %s", path, message)
 
+    def untold(self, path: str, message: str) -> None:
+        """List what no check could tell. It is not logged: most drives have something of the kind."""
+        self._add(Finding("note", path, message))
+
     @contextmanager
     def stage(self) -> Iterator[None]:
         """Run checks that end at their first error, which is raised or listed."""
