@@ -94,12 +94,12 @@ class Merger:
     def _merge(self, city: CityMap, standing: Standing) -> None:
         storage = self._context.storage
         with self._context.database.reading() as session:
-            named = select(Drive.id, Drive.name).where(Drive.id.in_([job.drive_id for job in standing.rows.jobs]))
+            named = select(Drive.id, Drive.name).where(Drive.id.in_([job.drive_id for job in standing.jobs]))
             names: dict[str, str] = dict(session.execute(named).all())
             places = session.execute(select(MapPlace.uid, MapPlace.lon, MapPlace.lat).where(MapPlace.map_id == city.id))
             register = Register(city.epsg, {uid: (lon, lat) for uid, lon, lat in places})
         label_of = _labels(standing, names)
-        wanted = {label_of[j.drive_id]: Source(j.id, storage.folder(f"jobs/{j.id}/result")) for j in standing.rows.jobs}
+        wanted = {label_of[j.drive_id]: Source(j.id, storage.folder(f"jobs/{j.id}/result")) for j in standing.jobs}
         merged = self._work(city, work.merge, storage.folder(map_key(city.id)), wanted, register)
 
         def write(session: Session, row: CityMap) -> None:
@@ -113,7 +113,7 @@ class Merger:
 
     def _audit(self, city: CityMap, standing: Standing) -> None:
         assert standing.osm is not None
-        wrong = [each.model_dump(mode="json") for each in standing.rows.wrong]
+        wrong = [each.model_dump(mode="json") for each in standing.wrong]
         outcome: Audited | InterLocError
         try:
             outcome = self._work(city, work.audit, self._context.storage.folder(map_key(city.id)), standing.osm, wrong)
@@ -177,12 +177,10 @@ class Merger:
 def _labels(standing: Standing, names: dict[str, str]) -> dict[str, str]:
     """Return the names of drives on the map: that of the drive, and its id where another one has that name."""
     label_of = {
-        j.drive_id: label
-        for j in standing.rows.jobs
-        if (row := standing.rows.drives.get(j.drive_id)) and (label := row.label)
+        j.drive_id: label for j in standing.jobs if (row := standing.rows.get(j.drive_id)) and (label := row.label)
     }
     taken = set(label_of.values())
-    for job in standing.rows.jobs:
+    for job in standing.jobs:
         if job.drive_id not in label_of:
             name = names.get(job.drive_id, job.drive_id)
             label_of[job.drive_id] = name if name not in taken else f"{name} {job.drive_id}"
@@ -192,8 +190,8 @@ def _labels(standing: Standing, names: dict[str, str]) -> dict[str, str]:
 
 def _write_rows(session: Session, map_id: str, standing: Standing, label_of: dict[str, str], merged: Merged) -> None:
     """Write which results a map holds, and the names of its places."""
-    job_of = {job.drive_id: job for job in standing.rows.jobs}
-    for drive_id in standing.rows.drives.keys() | job_of.keys():
+    job_of = {job.drive_id: job for job in standing.jobs}
+    for drive_id in standing.rows.keys() | job_of.keys():
         row = session.get(MapDrive, (map_id, drive_id))
         job = job_of.get(drive_id)
         if row is None and job is None:

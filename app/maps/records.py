@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from sqlalchemy import exists, func, select
 from sqlalchemy.orm import Session
@@ -61,41 +61,21 @@ def make_server_map(context: Context) -> None:
             session.add(CityMap(id=SERVER_MAP, name="All drives", owner="", holds_all=True, created_at=now))
 
 
-class Chosen(NamedTuple):
-    """The job that stands for a drive, and the name of the OSM file of the drive that it was scored with."""
-
-    id: str
-    drive_id: str
-    osm: str | None
-
-
-class Rows(NamedTuple):
-    """What the database says of a map: one job per drive, the oldest first; rows of drives by their ids; verdicts."""
-
-    jobs: list[Chosen]
-    drives: dict[str, MapDrive]
-    wrong: list[Judgement]
-
-
 @dataclass(frozen=True)
 class Standing:
-    """What a map should hold, and what it holds.
+    """What a map should hold, and what it holds."""
 
-    Attributes
-    ----------
-    rows : Rows
-    is_stale : bool
-        Whether it is to be merged.
-    osm : Path or None
-        The file to compare it with.
-    audit_key : str or None
-        Of the comparison that it should have.
-    """
-
-    rows: Rows
+    jobs: list[Any]
+    """`id`, `drive_id`, and `osm`, the file of the drive that it was scored with, of one job per drive."""
+    rows: dict[str, MapDrive]
+    """By the ids of drives."""
+    wrong: list[Judgement]
     is_stale: bool
+    """Whether it is to be merged."""
     osm: Path | None
+    """The file to compare it with."""
     audit_key: str | None
+    """Of the comparison that it should have."""
 
 
 def standing_of(session: Session, context: Context, city: CityMap) -> Standing:
@@ -104,20 +84,20 @@ def standing_of(session: Session, context: Context, city: CityMap) -> Standing:
     known = context.map_rows.get(city.id)
     if known is None or known[0] != stamp:
         known = context.map_rows[city.id] = stamp, _rows(session, city)
-    rows: Rows = known[1]
-    held = {each.drive_id: each.job_id for each in rows.drives.values() if each.job_id is not None}
+    jobs, rows, wrong = known[1]
+    held = {each.drive_id: each.job_id for each in rows.values() if each.job_id is not None}
     folder = context.storage.folder(map_key(city.id))
-    is_stale = held != {job.drive_id: job.id for job in rows.jobs}
+    is_stale = held != {job.drive_id: job.id for job in jobs}
     if not is_stale and held:
         is_indexed = session.scalar(select(exists().where(FeatureChunk.map_id == city.id)))
         is_whole = is_indexed and "bbox" in (city.summary or {}) and (folder / CITY / "city.json").is_file()
         is_stale = not is_whole
-    osm, key = _osm_of(context.storage, folder, rows.jobs) if held else (None, None)
-    last = max((each.at for each in rows.wrong), default=None)
-    audit_key = None if key is None else f"{city.revision} {len(rows.wrong)} {last} {key}"[-255:]
+    osm, key = _osm_of(context.storage, folder, jobs) if held else (None, None)
+    last = max((each.at for each in wrong), default=None)
+    audit_key = None if key is None else f"{city.revision} {len(wrong)} {last} {key}"[-255:]
     if city.audited is not None and audit_key == city.audited and not (folder / AUDIT).is_dir() and not _failed(city):
         audit_key = f"{audit_key} again"[-255:]
-    return Standing(rows, is_stale, osm, audit_key)
+    return Standing(jobs, rows, wrong, is_stale, osm, audit_key)
 
 
 def _stamp(session: Session, city: CityMap) -> tuple[Any, ...]:
@@ -131,20 +111,20 @@ def _stamp(session: Session, city: CityMap) -> tuple[Any, ...]:
     return city.revision, *(frozenset(map(tuple, session.execute(each))) for each in asked)
 
 
-def _rows(session: Session, city: CityMap) -> Rows:
+def _rows(session: Session, city: CityMap) -> tuple[list[Any], dict[str, MapDrive], list[Judgement]]:
     drives = {each.drive_id: each for each in session.scalars(select(MapDrive).where(MapDrive.map_id == city.id))}
     named = select(MapDrive.drive_id).where(MapDrive.map_id == city.id, MapDrive.is_member.is_(not city.holds_all))
     chosen = chosen_results(Drive.id.not_in(named) if city.holds_all else Drive.id.in_(named))
-    columns = chosen.with_only_columns(Job.id, Job.drive_id, Job.request["osm"]["file"].as_string())
-    jobs = [Chosen(*each) for each in session.execute(columns.order_by(Job.created_at, Job.id))]
-    return Rows(jobs, drives, wrong_ones(judgements_of(session, city.id)))
+    columns = chosen.with_only_columns(Job.id, Job.drive_id, Job.request["osm"]["file"].as_string().label("osm"))
+    jobs = list(session.execute(columns.order_by(Job.created_at, Job.id)))
+    return jobs, drives, wrong_ones(judgements_of(session, city.id))
 
 
 def _failed(city: CityMap) -> bool:
     return city.audit is not None and "problem" in city.audit
 
 
-def _osm_of(storage: Storage, folder: Path, jobs: Sequence[Chosen]) -> tuple[Path | None, str | None]:
+def _osm_of(storage: Storage, folder: Path, jobs: Sequence[Any]) -> tuple[Path | None, str | None]:
     """Return the OSM file of a map: its own, else that of its newest job that was scored with one of its drive."""
     files = (storage.folder(f"drives/{job.drive_id}/files/{job.osm}") for job in reversed(jobs) if job.osm)
     for path in chain(sorted((folder / OSM).glob("*")), files):
@@ -178,7 +158,7 @@ def map_model(session: Session, context: Context, city: CityMap) -> MapModel:
         is_waiting=standing.is_stale or (standing.audit_key is not None and standing.audit_key != city.audited),
         is_at_work=city.lease_owner is not None,
         drives=summary.get("drives", 0),
-        refused=sum(row.problem is not None for row in standing.rows.drives.values()),
+        refused=sum(row.problem is not None for row in standing.rows.values()),
         intersections=summary.get("intersections", 0),
         seen_by_several=summary.get("seen_by_several", 0),
         median_position_std_m=summary.get("median_position_std_m"),

@@ -189,9 +189,7 @@ class _Auditor:
             branches = [i for i, drives in saw.items() if self._enough(drives)]
             if not branches:
                 continue
-            reason = self._excuse(table.xy[row])
-            if reason is not None:
-                self._hold_back(reason)
+            if self._is_held_back(self._excuse(table.xy[row])):
                 continue
             drives = saw[branches[0]]
             bearings = [float(table.bearings_deg[row][i]) for i in branches]
@@ -229,7 +227,7 @@ class _Auditor:
 
     def _road(self, name: str, xy: FloatArray) -> float:
         """Return the share of (N, 2) positions that a drive saw as road."""
-        return float(ground_at(self.city, name, xy).road.mean())
+        return float(ground_at(self.city, name, xy)[0].mean())
 
     def _moved(self) -> Iterator[Finding]:
         """Yield junctions that lie elsewhere: place and node are each other's only partner."""
@@ -258,24 +256,21 @@ class _Auditor:
             ):
                 continue
             beside = [each for each in shown[places.query_ball_point(osm.xy[node], _PARTNER_M)].tolist() if each != row]
-            if self._are_strange(beside, node) or self.certainty[row] < config.min_confidence * ease:
-                self._hold_back("several places near the node, or not sure enough")
-                continue
             bearings = np.sort(table.bearings_deg[row])
             gaps = np.diff(np.append(bearings, bearings[0] + 360.0))
-            if gaps.min() < _APART_DEG:
-                self._hold_back("acute: the position slides along the bisector")
-                continue
-            if osm.is_odd(node):
-                self._hold_back("link, roundabout or two carriageways")
-                continue
             drives = self._off_road(row, node, ease)
-            if not self._enough(drives):
-                self._hold_back("node and its roads lie on what was seen as road")
-                continue
-            reason = self._excuse(here)
-            if reason is not None:
-                self._hold_back(reason)
+            reason = (
+                "several places near the node, or not sure enough"
+                if self._are_strange(beside, node) or self.certainty[row] < config.min_confidence * ease
+                else "acute: the position slides along the bisector"
+                if gaps.min() < _APART_DEG
+                else "link, roundabout or two carriageways"
+                if osm.is_odd(node)
+                else "node and its roads lie on what was seen as road"
+                if not self._enough(drives)
+                else self._excuse(here)
+            )
+            if self._is_held_back(reason):
                 continue
             yield self._finding(
                 "moved",
@@ -319,9 +314,7 @@ class _Auditor:
             drives = tuple(name for name, distance in found.items() if distance > least)
             if not self._enough(drives):
                 continue
-            reason = self._excuse(osm.xy[node])
-            if reason is not None:
-                self._hold_back(reason)
+            if self._is_held_back(self._excuse(osm.xy[node])):
                 continue
             distance = float(np.median([found[name] for name in drives]))
             yield self._finding(
@@ -361,19 +354,15 @@ class _Auditor:
                 continue
             sides = [road[int(_BESIDE_M) :] for road in osm.roads_from(node, _PHANTOM_M)]
             shares = [
-                (np.mean([g.road.mean() for g in seen]), np.mean([g.other[:12].mean() for g in seen]))
+                (np.mean([road.mean() for road, _ in seen]), np.mean([other[:12].mean() for _, other in seen]))
                 for seen in ([ground_at(self.city, name, side) for name in drives] for side in sides if len(side) >= 12)
             ]
             unseen = [
                 share for share in shares
                 if share[0] < config.max_phantom_road / ease and share[1] >= config.min_phantom_other * ease
             ]  # fmt: skip
-            if not unseen:
-                self._hold_back("side road seen, or not told from what was not seen")
-                continue
-            reason = self._excuse(osm.xy[node])
-            if reason is not None:
-                self._hold_back(reason)
+            blind = None if unseen else "side road seen, or not told from what was not seen"
+            if self._is_held_back(blind or self._excuse(osm.xy[node])):
                 continue
             yield self._finding(
                 "phantom",
@@ -414,8 +403,20 @@ class _Auditor:
     # what they share --------------------------------------------------------------------------------------------------
 
     def _came_by(self, node: int) -> tuple[str, ...]:
-        """Return the drives that came by a node: three keyframes or more within 15 m."""
-        return self._near_nodes.get(node, ())
+        """Return the drives that came by an open junction: three keyframes or more within 15 m."""
+        return tuple(self.came_by.get(node, ()))
+
+    @cached_property
+    def came_by(self) -> dict[int, list[str]]:
+        from scipy.spatial import cKDTree  # noqa: PLC0415
+
+        rows, found = self.osm.open_junctions, defaultdict[int, list[str]](list)
+        for name, drive in sorted(self.city.drives.items()):
+            tree = cKDTree(drive.track_xy - drive.knots.mean(axis=0))
+            counts = tree.query_ball_point(self.osm.xy[rows], _TRACK_M, return_length=True)
+            for node in rows[np.asarray(counts) >= 3].tolist():
+                found[node].append(name)
+        return found
 
     def _passes(self, names: Sequence[str]) -> int:
         """Return how many passes drives are: one that begins within ten minutes of another's end is the same."""
@@ -442,21 +443,6 @@ class _Auditor:
         found: FloatArray = self.places.confidence * np.array([len(near) / len(saw) for near, saw in pairs])
         return found
 
-    @property
-    def _near_nodes(self) -> dict[int, tuple[str, ...]]:
-        if not hasattr(self, "_near"):
-            from scipy.spatial import cKDTree  # noqa: PLC0415
-
-            rows = self.osm.open_junctions
-            found: dict[int, list[str]] = {}
-            for name, drive in sorted(self.city.drives.items()):
-                tree = cKDTree(drive.track_xy - drive.knots.mean(axis=0))
-                counts = tree.query_ball_point(self.osm.xy[rows], _TRACK_M, return_length=True)
-                for node in rows[np.asarray(counts) >= 3].tolist():
-                    found.setdefault(node, []).append(name)
-            self._near = {node: tuple(names) for node, names in found.items()}
-        return self._near
-
     def _excuse(self, xy: FloatArray) -> str | None:
         """Return why nothing is to be claimed at a place; None where nothing speaks against it."""
         osm = self.osm
@@ -476,8 +462,10 @@ class _Auditor:
     def _ease(self, key: str) -> float:
         return self.config.kept if key in self.known else 1.0
 
-    def _hold_back(self, reason: str) -> None:
-        self.held_back[reason] = self.held_back.get(reason, 0) + 1
+    def _is_held_back(self, reason: str | None) -> bool:
+        if reason is not None:
+            self.held_back[reason] = self.held_back.get(reason, 0) + 1
+        return reason is not None
 
     def _finding(
         self,

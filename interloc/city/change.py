@@ -131,9 +131,9 @@ def _side_seen(
         if (_apart(bearings, bearing_deg) <= _BRANCH_DEG).any():
             saw.add(name)
             continue
-        ground = ground_at(city, name, side)
-        if ground.road.mean() >= _ROAD:
+        road, other = ground_at(city, name, side)
+        if road.mean() >= _ROAD:
             saw.add(name)
-        elif ground.other.mean() >= _OTHER:
+        elif other.mean() >= _OTHER:
             missed.add(name)
     return saw, missed

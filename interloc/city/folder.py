@@ -39,7 +39,7 @@ from interloc.output.layers import CITY_LAYERS
 from interloc.results import moment
 
 CITY_FILE, STATE_FILE, PASSES = "city.json", "state.npz", "passes"
-FORMAT, FORMAT_VERSION = "interloc-city", 1
+FORMAT, FORMAT_VERSION = "interloc-city", 2
 CITY_NAMES = frozenset(
     [CITY_FILE, STATE_FILE, PASSES, *(f"{name}.geojson" for name in ("city", "drives", "roads", "changes"))]
 )

@@ -39,8 +39,8 @@ def picture_of(city: CityMap, xy: FloatArray, names: tuple[str, ...], node_xy: F
     cells = xy + np.stack([east, -south], axis=-1).reshape(-1, 2)
     road, other = np.zeros((2, len(cells)))
     for name in names:
-        ground = ground_at(city, name, cells)
-        road, other = road + ground.road / len(names), np.maximum(other, ground.other)
+        saw_road, saw_other = ground_at(city, name, cells)
+        road, other = road + saw_road / len(names), np.maximum(other, saw_other)
     image = np.full((len(cells), 3), _UNSEEN, dtype=np.float64)
     image[other > 0] = _OTHER
     depth = np.where(road > 0, 0.35 + 0.65 * road, 0.0)[:, None]

@@ -2,34 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from interloc.arrays import BoolArray, FloatArray
 from interloc.city.citymap import CityMap
 
 
-@dataclass(frozen=True)
-class Ground:
-    """What a drive saw at N positions; where both are False it saw nothing.
-
-    Attributes
-    ----------
-    road, other : (N,) bool
-    """
-
-    road: BoolArray
-    other: BoolArray
-
-
-def ground_at(city: CityMap, name: str, xy: FloatArray) -> Ground:
-    """Return what a drive saw at (N, 2) positions in the plane of the map; its offset is taken into account."""
+def ground_at(city: CityMap, name: str, xy: FloatArray) -> tuple[BoolArray, BoolArray]:
+    """Return where a drive saw road, and where other ground, of (N, 2) positions on the map: else it saw nothing."""
     drive = city.drives[name]
     road = drive.data.road
     nothing = np.zeros(len(xy), dtype=np.bool_)
     if road is None or road.epsg is None or not len(xy):
-        return Ground(nothing, nothing)
+        return nothing, nothing
     nearest = np.argmin(np.sum((drive.track_xy - xy.mean(axis=0)) ** 2, axis=1))
     knot = np.linspace(0.0, drive.data.track_along_m[-1], len(drive.knots))
     along = drive.data.track_along_m[nearest]
@@ -41,4 +26,4 @@ def ground_at(city: CityMap, name: str, xy: FloatArray) -> Ground:
         there = np.stack(turned, axis=-1)
     is_road = road.raster.at(there) > 0
     other = nothing if road.other is None else (road.other.at(there) > 0) & ~is_road
-    return Ground(is_road, other)
+    return is_road, other

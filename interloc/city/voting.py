@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -96,19 +97,13 @@ def offsets_of(keys: Sequence[str], votes: Votes) -> FloatArray:
     _, part = connected_components(coo_array((np.ones(len(rows)), (a, b)), shape=(count, count)), directed=False)
     first = {int(group): number for number, group in reversed([(i, part[i]) for i in np.argsort(keys)])}
     offset: FloatArray = np.zeros((count, 2))
-    weight = said[:, 2].copy()
+    weight, pinned = said[:, 2].copy(), list(first.values())
+    signs, each = np.tile([1.0, -1.0], len(rows)), np.repeat(np.arange(len(rows)), 2)
+    minus: Any = coo_array((signs, (each, rows.reshape(-1))), shape=(len(rows), count)).tocsr()
     for _ in range(_ROUNDS if len(rows) else 0):
-        system = np.zeros((count, count))
-        right = np.zeros((count, 2))
-        np.add.at(system, (a, a), weight)
-        np.add.at(system, (b, b), weight)
-        np.add.at(system, (a, b), -weight)
-        np.add.at(system, (b, a), -weight)
-        np.add.at(right, a, weight[:, None] * said[:, :2])
-        np.add.at(right, b, -weight[:, None] * said[:, :2])
-        pinned = list(first.values())
+        system = (minus.T @ minus.multiply(weight[:, None])).toarray()
         system[pinned, pinned] += 1.0
-        offset = np.linalg.solve(system, right).astype(np.float64)
-        rest = np.sum((offset[a] - offset[b] - said[:, :2]) ** 2, axis=1)
+        offset = np.linalg.solve(system, minus.T @ (weight[:, None] * said[:, :2]))
+        rest = np.sum((minus @ offset - said[:, :2]) ** 2, axis=1)
         weight = said[:, 2] * np.maximum(np.exp(-0.5 * rest / _OFF_M**2), 1e-3)
     return offset
