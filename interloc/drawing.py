@@ -80,6 +80,26 @@ def credit_roads(axes: Axes, *, is_made_up: bool) -> None:
         axes.text(0.995, 0.005, text, fontsize=7, color=MUTED, zorder=9, **corner)
 
 
+def scale_bar(axes: Axes, low: FloatArray, high: FloatArray) -> None:
+    """Draw a round length of about a fifth of a map in its lower left corner; `low`, `high`: its corners, metres."""
+    length = _round_length((high[0] - low[0]) / 5.0)
+    x, y = low + 0.04 * (high - low)
+    box = {"facecolor": PAPER, "edgecolor": "none", "alpha": 0.8, "pad": 2.0}
+    axes.plot([x, x + length], [y, y], color=INK, linewidth=3, solid_capstyle="butt", zorder=9)
+    axes.annotate(
+        f"{length:g} m",
+        (x + length / 2.0, y),
+        xytext=(0, 5),
+        textcoords="offset points",
+        ha="center",
+        va="bottom",
+        fontsize=9,
+        color=INK,
+        bbox=box,
+        zorder=8,
+    )
+
+
 def image(figure: Figure, kind: ImageFormat, *, dpi: int = 150) -> bytes:
     """Return the bytes of an image file of a figure; the same figure gives the same bytes."""
     import matplotlib as mpl  # noqa: PLC0415 - slow to import

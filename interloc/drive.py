@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor, wait
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Protocol, runtime_checkable
 
@@ -76,6 +76,18 @@ class Georeference:
     R_enu_lidar: FloatArray
     source: str
     position_std_m: FloatArray | None = None
+
+    def part(self, rows: slice) -> Georeference:
+        """Return that of some of the scans."""
+        std_m = self.position_std_m
+        return replace(
+            self,
+            lat_deg=self.lat_deg[rows],
+            lon_deg=self.lon_deg[rows],
+            alt_m=self.alt_m[rows],
+            R_enu_lidar=self.R_enu_lidar[rows],
+            position_std_m=None if std_m is None else std_m[rows],
+        )
 
 
 @runtime_checkable

@@ -122,6 +122,13 @@ def invert_transform(transform: FloatArray) -> FloatArray:
     return inverse
 
 
+def from_first(poses: FloatArray) -> FloatArray:
+    """Return (N, 4, 4) poses as seen from the first, which becomes the identity."""
+    relative: FloatArray = invert_transform(poses[0]) @ poses
+    relative[0] = np.eye(4)
+    return relative
+
+
 def _metres_per_degree(lat_deg: ArrayLike) -> tuple[FloatArray, FloatArray]:
     """Return metres per degree of latitude and of longitude at a latitude, from the radii of curvature."""
     lat = np.radians(np.asarray(lat_deg, dtype=np.float64))

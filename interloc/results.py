@@ -6,10 +6,10 @@ Bearings are degrees clockwise from north where the run is georeferenced, else c
 from __future__ import annotations
 
 import zlib
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -36,8 +36,22 @@ def unknown_like(values: list[FloatArray]) -> list[FloatArray]:
     return [np.full(len(each), np.nan) for each in values]
 
 
+class _Table:
+    """A dataclass of columns of one length: arrays, or lists; None where a column is not known."""
+
+    def select(self, rows: IntArray) -> Self:
+        """Return some of the rows."""
+
+        def taken(column: Any) -> Any:  # noqa: ANN401 - of any type
+            if column is None:
+                return None
+            return [column[row] for row in rows] if isinstance(column, list) else column[rows]
+
+        return replace(self, **{each.name: taken(getattr(self, each.name)) for each in fields(self)})  # type: ignore[type-var,arg-type]
+
+
 @dataclass(frozen=True)
-class KeyframeTable:
+class KeyframeTable(_Table):
     """The K keyframes of a run, in the order of the drive.
 
     Attributes
@@ -83,7 +97,7 @@ class KeyframeTable:
 
 
 @dataclass(frozen=True)
-class DetectionTable:
+class DetectionTable(_Table):
     """The D detections of a run, in the order of their keyframes.
 
     Attributes
@@ -125,19 +139,6 @@ class DetectionTable:
     def number(self) -> IntArray:
         """(D,) int64 number of each detection at its keyframe, from 1."""
         return np.arange(len(self)) - np.searchsorted(self.keyframe, self.keyframe) + 1
-
-    def select(self, rows: IntArray) -> DetectionTable:
-        """Return some of the detections, by their rows."""
-        return DetectionTable(
-            keyframe=self.keyframe[rows],
-            lidar_xy=self.lidar_xy[rows],
-            world_xy=self.world_xy[rows],
-            lonlat=None if self.lonlat is None else self.lonlat[rows],
-            bearings_deg=[self.bearings_deg[row] for row in rows],
-            score=self.score[rows],
-            intersection=self.intersection[rows],
-            widths_m=[self.widths_m[row] for row in rows],
-        )
 
     def names(self, keyframes: KeyframeTable) -> list[str]:
         """Return the id of each detection: scan number of its keyframe and its number there, as 120-1."""

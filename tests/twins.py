@@ -8,12 +8,12 @@ from interloc.simulate.config import SceneConfig
 from interloc.simulate.osm_map import read_map
 from interloc.simulate.scene import Scene, build_scene
 from interloc.simulate.tracks import LidarTrack
-from interloc.simulate.twins import twin_maps
+from interloc.simulate.twins import twin_files
 
 
 def twin_scene(
     kitti_dir: Path, sequence: str, track: LidarTrack, *, config: SceneConfig | None = None, seed: int = 0
 ) -> Scene:
     """Return the world of a sequence: streets of `osm/NN.osm.gz`, buildings of `osm_buildings/NN.osm.gz`."""
-    roads, buildings = twin_maps(kitti_dir, sequence)
-    return build_scene(track, read_map(roads, buildings), config=config, seed=seed)
+    files = twin_files(kitti_dir, sequence)
+    return build_scene(track, read_map(files["osm"], files.get("buildings")), config=config, seed=seed)

@@ -159,16 +159,9 @@ class TwinCase:
     @property
     def inputs(self) -> list[Path]:
         """All files that the twin is made of."""
-        root, name = self.kitti, self.sequence
-        needed = [
-            root / "oxts" / f"{name}.txt.gz",
-            root / f"poses_{self.poses}" / f"{name}.txt",
-            root / "calib" / f"{name}.txt",
-            root / "times" / f"{name}.txt",
-            self.osm,
-        ]
-        buildings = root / "osm_buildings" / f"{name}.osm.gz"
-        return [*needed, buildings] if buildings.exists() else needed
+        from interloc.simulate.twins import twin_files  # noqa: PLC0415 - not needed for recorded drives
+
+        return list(twin_files(self.kitti, self.sequence, poses=self.poses).values())
 
     def axes(self) -> None:
         """Return None: in a simulated drive the axes of the roads meet at the nodes of the map."""

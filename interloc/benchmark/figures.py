@@ -24,6 +24,7 @@ from interloc.drawing import (
     entitle,
     new_figure,
     quiet,
+    scale_bar,
     series_colour,
     series_style,
 )
@@ -75,7 +76,7 @@ def map_figure(picture: MapPicture) -> Figure:
     _scatter(axes, picture.missed, missed)
     ring = {"markersize": 14, "markeredgewidth": 1.6, "color": PURPLE, "fillstyle": "none", "marker": "o", "zorder": 8}
     _scatter(axes, picture.missed, ring | {"label": "missed"})
-    _draw_scale_bar(axes, low, high)
+    scale_bar(axes, low, high)
     credit_roads(axes, is_made_up=picture.is_made_up)
     handles, labels = axes.get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False, fontsize=8)
@@ -109,16 +110,6 @@ def _joined(pieces: list[tuple[Point, Point]]) -> list[list[Point]]:
             line.reverse()
         lines.append(line)
     return lines
-
-
-def _draw_scale_bar(axes: Axes, low: FloatArray, high: FloatArray) -> None:
-    width = high[0] - low[0]
-    length = max(step * 10.0**power for power in range(1, 5) for step in (1, 2, 5) if step * 10.0**power <= width / 3)
-    x, y = low + 0.05 * (high - low)
-    axes.plot([x, x + length], [y, y], color=INK, linewidth=2.5, solid_capstyle="butt", zorder=9)
-    axes.annotate(
-        f"{length:g} m", (x + length / 2, y), xytext=(0, 4), textcoords="offset points", ha="center", fontsize=8
-    )
 
 
 def drive_boxes_figure(measured: Measured) -> Figure:

@@ -25,6 +25,7 @@ from interloc.localization.sightings import Sightings, no_sightings, sightings_o
 from interloc.localization.track import Track, track_of
 from interloc.osm.graph import RoadGraph
 from interloc.pipeline import detect
+from interloc.simulate.tracks import lidar_poses, parse_tr
 from interloc.simulate.twins import twin_track
 
 if TYPE_CHECKING:
@@ -139,7 +140,7 @@ def pieces_of(
     """
     if twins is None:
         truth = twin_track(kitti, sequence)
-        poses = _lidar_poses(np.asarray(truth.poses_camera), str(truth.calib_text))
+        poses = lidar_poses(np.asarray(truth.poses_camera), parse_tr(truth.calib_text))
         track, sightings = track_of(poses), no_sightings()
         lonlat = np.column_stack([truth.lon_deg, truth.lat_deg])
         yaw = yaw_of(truth.R_enu_lidar)
@@ -314,17 +315,6 @@ def _by_length(rows: list[LocateRow]) -> Iterator[tuple[str, list[LocateRow]]]:
 
 def _percentile(values: list[float], percent: float) -> str:
     return f"{np.percentile(values, percent):.2f}" if values else "-"
-
-
-def _lidar_poses(camera: FloatArray, calib_text: str) -> FloatArray:
-    line = next(line for line in calib_text.splitlines() if line.startswith("Tr"))
-    T_cam_lidar = np.eye(4)
-    T_cam_lidar[:3] = np.array(line.split()[1:13], dtype=np.float64).reshape(3, 4)
-    full = np.tile(np.eye(4), (len(camera), 1, 1))
-    full[:, :3] = camera
-    poses = np.linalg.inv(T_cam_lidar) @ full @ T_cam_lidar
-    first: FloatArray = np.linalg.inv(poses[0]) @ poses
-    return first
 
 
 def _from_twin(drive: Drive) -> tuple[Track, Sightings, FloatArray, FloatArray]:

@@ -21,7 +21,6 @@ from interloc.city.citymap import CityMap
 from interloc.city.osm_plane import OsmPlane
 from interloc.city.places import SAME_PASS_S, PlaceTable
 from interloc.city.settings import AuditConfig, Kind
-from interloc.city.surface import ground_at
 from interloc.city.verdicts import Judgement
 from interloc.osm.graph import RoadGraph
 
@@ -179,17 +178,14 @@ class _Auditor:
         nearest, node = _nearest(table.xy, osm.xy[osm.junctions])
         for row in self.looked_at.tolist():
             kind: Kind = "missing_junction" if nearest[row] > self.config.junction_m else "missing_branch"
-            key = _key(kind, table.uid[row])
-            ease = self._ease(key)
+            ease = self._ease(kind, table.uid[row])
             if self.certainty[row] < self.config.min_confidence * ease:
                 continue
             # A junction that lies a little elsewhere has its branches elsewhere, too: it lacks none of them.
             origins = [table.xy[row], *([osm.xy[osm.junctions[node[row]]]] if kind == "missing_branch" else [])]
             saw = {i: self._lacks(row, i, origins, ease) for i in range(len(table.bearings_deg[row]))}
             branches = [i for i, drives in saw.items() if self._enough(drives)]
-            if not branches:
-                continue
-            if self._is_held_back(self._excuse(table.xy[row])):
+            if not branches or self._is_held_back(self._excuse(table.xy[row])):
                 continue
             drives = saw[branches[0]]
             bearings = [float(table.bearings_deg[row][i]) for i in branches]
@@ -227,7 +223,7 @@ class _Auditor:
 
     def _road(self, name: str, xy: FloatArray) -> float:
         """Return the share of (N, 2) positions that a drive saw as road."""
-        return float(ground_at(self.city, name, xy)[0].mean())
+        return float(self.city.drives[name].ground_at(xy, self.city.epsg)[0].mean())
 
     def _moved(self) -> Iterator[Finding]:
         """Yield junctions that lie elsewhere: place and node are each other's only partner."""
@@ -245,8 +241,7 @@ class _Auditor:
             if len(near) != 1 or not is_open[near[0]]:
                 continue
             node = int(osm.junctions[near[0]])
-            key = _key("moved", osm.graph.node_id[node])
-            ease, apart = self._ease(key), osm.xy[node] - here
+            ease, apart = self._ease("moved", osm.graph.node_id[node]), osm.xy[node] - here
             distance = float(np.hypot(*apart))
             cov = table.position_cov_m2[row][[[0, 1], [1, 2]]]
             sigmas = float(np.sqrt(apart @ np.linalg.solve(cov, apart)))
@@ -299,22 +294,22 @@ class _Auditor:
 
     def _beside(self) -> Iterator[Finding]:
         """Yield junctions beside the road: passes drove straight on, from one road of the node to another."""
+        from scipy.spatial import cKDTree  # noqa: PLC0415
+
         osm, config = self.osm, self.config
         nodes = np.array([each for each in osm.open_junctions.tolist() if not osm.is_odd(each)], dtype=np.int64)
         past: dict[int, dict[str, float]] = defaultdict(dict)
         for name, drive in sorted(self.city.drives.items()):
-            track = drive.track_each_m - drive.knots.mean(axis=0)
-            metres, _ = _nearest(osm.xy[nodes], track)
+            track = cKDTree(drive.track_each_m - drive.knots.mean(axis=0))
+            metres = np.asarray(track.query(osm.xy[nodes])[0])
             rows = np.flatnonzero((metres > config.moved_m * config.kept) & (metres < _PAST_M))
             for node, distance in zip(nodes[rows].tolist(), metres[rows].tolist(), strict=True):
                 if self._leads_past(track, node):
                     past[node][name] = distance
         for node, found in past.items():
-            least = config.moved_m * self._ease(_key("moved", osm.graph.node_id[node]))
+            least = config.moved_m * self._ease("moved", osm.graph.node_id[node])
             drives = tuple(name for name, distance in found.items() if distance > least)
-            if not self._enough(drives):
-                continue
-            if self._is_held_back(self._excuse(osm.xy[node])):
+            if not self._enough(drives) or self._is_held_back(self._excuse(osm.xy[node])):
                 continue
             distance = float(np.median([found[name] for name in drives]))
             yield self._finding(
@@ -327,11 +322,11 @@ class _Auditor:
                 distance_m=_round(distance),
             )
 
-    def _leads_past(self, track: FloatArray, node: int) -> bool:
+    def _leads_past(self, tree: Any, node: int) -> bool:  # noqa: ANN401 - without types
         """Tell whether a track, a position each metre, leads straight from a road of a node to another, off the map."""
-        joins = []
+        joins, track = list[int](), tree.data
         for road in self.osm.roads_from(node, _PAST_M):
-            metres, at = _nearest(road, track)
+            metres, at = tree.query(road)
             joins += at[metres < _ON_TRACK_M][:1].tolist()
         for first, last in combinations(sorted(joins), 2):
             into = track[first] - track[max(first - _AHEAD_M, 0)]
@@ -349,13 +344,17 @@ class _Auditor:
         nearest, _ = _nearest(osm.xy, self.places.xy[self.places.is_shown])
         for node in osm.open_junctions.tolist():
             drives = self._came_by(node)
-            ease = self._ease(_key("phantom", osm.graph.node_id[node]))
+            ease = self._ease("phantom", osm.graph.node_id[node])
             if not self._enough(drives) or nearest[node] <= config.junction_m:
                 continue
             sides = [road[int(_BESIDE_M) :] for road in osm.roads_from(node, _PHANTOM_M)]
             shares = [
                 (np.mean([road.mean() for road, _ in seen]), np.mean([other[:12].mean() for _, other in seen]))
-                for seen in ([ground_at(self.city, name, side) for name in drives] for side in sides if len(side) >= 12)
+                for seen in (
+                    [self.city.drives[name].ground_at(side, self.city.epsg) for name in drives]
+                    for side in sides
+                    if len(side) >= 12
+                )
             ]
             unseen = [
                 share for share in shares
@@ -386,8 +385,8 @@ class _Auditor:
                 continue
             row, node = int(rows[0]), nodes[0]
             apart = np.hypot(*(osm.xy[nodes] - table.xy[row]).T)
-            key = _key("one_junction", osm.graph.node_id[node])
-            if table.confidence[row] < self.config.min_confidence * self._ease(key) or apart.max() > _PARTNER_M:
+            ease = self._ease("one_junction", osm.graph.node_id[node])
+            if table.confidence[row] < self.config.min_confidence * ease or apart.max() > _PARTNER_M:
                 continue
             ids = [int(each) for each in osm.graph.node_id[nodes]]
             yield self._finding(
@@ -459,8 +458,8 @@ class _Auditor:
             return "roundabout"
         return None
 
-    def _ease(self, key: str) -> float:
-        return self.config.kept if key in self.known else 1.0
+    def _ease(self, kind: Kind, about: object) -> float:
+        return self.config.kept if _key(kind, about) in self.known else 1.0
 
     def _is_held_back(self, reason: str | None) -> bool:
         if reason is not None:

@@ -9,7 +9,6 @@ import numpy as np
 
 from interloc.arrays import FloatArray
 from interloc.city.citymap import CityMap
-from interloc.city.surface import ground_at
 
 ChangeKind = Literal["new_junction", "gone_junction", "new_branch", "gone_branch"]
 
@@ -131,7 +130,7 @@ def _side_seen(
         if (_apart(bearings, bearing_deg) <= _BRANCH_DEG).any():
             saw.add(name)
             continue
-        road, other = ground_at(city, name, side)
+        road, other = city.drives[name].ground_at(side, city.epsg)
         if road.mean() >= _ROAD:
             saw.add(name)
         elif other.mean() >= _OTHER:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from interloc.arrays import FloatArray, IntArray
+from interloc.arrays import BoolArray, FloatArray, IntArray
 from interloc.city.adjustment import Prior, Sightings
 from interloc.city.passes import Pass
 from interloc.city.settings import CityConfig
@@ -83,6 +83,23 @@ class DriveOnMap:
     def track_box(self) -> FloatArray:
         """The same of its keyframes."""
         return np.stack([self.track_xy.min(axis=0), self.track_xy.max(axis=0)])
+
+    def ground_at(self, xy: FloatArray, epsg: int | None) -> tuple[BoolArray, BoolArray]:
+        """Return where it saw road, and where other ground, of (N, 2) positions on the map: else it saw nothing."""
+        road, nothing = self.data.road, np.zeros(len(xy), dtype=np.bool_)
+        if road is None or road.epsg is None or not len(xy):
+            return nothing, nothing
+        along = self.data.track_along_m
+        nearest = np.argmin(np.sum((self.track_xy - xy.mean(axis=0)) ** 2, axis=1))
+        knots = np.linspace(0.0, along[-1], len(self.knots))
+        there = xy + [np.interp(along[nearest], knots, axis) for axis in self.knots.T]
+        if road.epsg != epsg:
+            from pyproj import Transformer  # noqa: PLC0415 - slow to import
+
+            turned = Transformer.from_crs(epsg, road.epsg, always_xy=True).transform(there[:, 0], there[:, 1])
+            there = np.stack(turned, axis=-1)
+        is_road = road.raster.at(there) > 0
+        return is_road, nothing if road.other is None else (road.other.at(there) > 0) & ~is_road
 
 
 def system_of(drives: Sequence[DriveOnMap], config: CityConfig) -> tuple[Sightings, IntArray]:

@@ -9,7 +9,6 @@ import numpy as np
 
 from interloc.arrays import FloatArray
 from interloc.city.citymap import CityMap
-from interloc.city.surface import ground_at
 
 HALF_M = 40.0
 _CELL_M = 0.5
@@ -39,7 +38,7 @@ def picture_of(city: CityMap, xy: FloatArray, names: tuple[str, ...], node_xy: F
     cells = xy + np.stack([east, -south], axis=-1).reshape(-1, 2)
     road, other = np.zeros((2, len(cells)))
     for name in names:
-        saw_road, saw_other = ground_at(city, name, cells)
+        saw_road, saw_other = city.drives[name].ground_at(cells, city.epsg)
         road, other = road + saw_road / len(names), np.maximum(other, saw_other)
     image = np.full((len(cells), 3), _UNSEEN, dtype=np.float64)
     image[other > 0] = _OTHER

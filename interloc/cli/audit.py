@@ -30,9 +30,7 @@ if TYPE_CHECKING:
 )
 @options.QUIET
 @options.JSON
-def command(
-    city: Path, osm: Path, out: Path, kinds: tuple[Kind, ...], passes: int | None, quiet: bool, as_json: bool
-) -> None:
+def command(city: Path, osm: Path, out: Path, kinds: tuple[Kind, ...], passes: int | None) -> None:
     """Compare CITY, a map of many drives that `interloc merge` wrote, with OpenStreetMap.
 
     OUT holds the findings as GeoJSON, as tasks for MapRoulette, as XML for Osmose and as GPX. Each is a question to a
@@ -54,7 +52,6 @@ def command(
     from interloc.evaluation.coverage import map_bounds
     from interloc.osm.reader import read_osm
 
-    console.set_up_log(quiet=quiet)
     drives = read_city(city)
     import numpy as np
 
@@ -68,14 +65,10 @@ def command(
     found = audit(drives, graph, config, known=known_findings(out), wrong=wrong)
     write_audit(found, drives, out, config, made_at=datetime.now(UTC), source=graph.source, made_up=graph.is_made_up)
     record = audit_record(found, config, graph.source)
-    if as_json:
-        console.say_json({"out": str(out), **record})
-    elif not quiet:
-        console.say_facts(
-            [
-                ("findings", ", ".join(f"{count} {kind}" for kind, count in record["by_kind"].items())),
-                ("junctions", f"{found.junctions} of OpenStreetMap that {config.min_passes} passes or more came by"),
-                ("held back", "; ".join(f"{count} {why}" for why, count in found.held_back.items()) or "none"),
-                ("written", str(out / "findings.geojson")),
-            ]
-        )
+    facts = [
+        ("findings", ", ".join(f"{count} {kind}" for kind, count in record["by_kind"].items())),
+        ("junctions", f"{found.junctions} of OpenStreetMap that {config.min_passes} passes or more came by"),
+        ("held back", "; ".join(f"{count} {why}" for why, count in found.held_back.items()) or "none"),
+        ("written", str(out / "findings.geojson")),
+    ]
+    console.say({"out": str(out), **record}, facts)

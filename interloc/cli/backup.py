@@ -11,7 +11,7 @@ from typing import Any
 import click
 
 from interloc.cli import console, options
-from interloc.cli.service import DATA_DIR, read_settings
+from interloc.cli.service import DATA_DIR, open_service, read_settings
 from interloc.errors import InterLocError
 
 _SHOWN = 5
@@ -33,8 +33,6 @@ def backup(
     keep_weekly: int | None,
     keep_monthly: int | None,
     to: str | None,
-    quiet: bool,
-    as_json: bool,
 ) -> None:
     """Back up drives, jobs, results and tokens of the web service to the folder OUT, while its servers run.
 
@@ -52,56 +50,46 @@ def backup(
     """
     if ":/" in str(out):
         raise click.UsageError(f"{out}: a backup is written to a folder, and brought to object storage by --to.")
-    settings = read_settings({"data_dir": data_dir})
-    from app.context import Context
-    from app.upkeep.backup import back_up
-    from app.upkeep.generations import Retention, back_up_generation
-
     everything, keep, dropped = out, (keep_daily, keep_weekly, keep_monthly), list[str]()
-    context = Context.open_existing(settings)
-    try:
-        with _resumable(), console.progress("backup", "B", quiet=quiet) as bar:
-            if any(count is not None for count in keep):
-                retention = Retention(*(count or 0 for count in keep))
-                out, report, dropped = back_up_generation(context, out, retention, bar)
-            else:
-                report = back_up(context, out, bar)
-    finally:
-        context.close()
+    with open_service(data_dir) as context, _resumable(), console.progress("backup", "B") as bar:
+        from app.upkeep.backup import back_up
+        from app.upkeep.generations import Retention, back_up_generation
+
+        if any(count is not None for count in keep):
+            retention = Retention(*(count or 0 for count in keep))
+            out, report, dropped = back_up_generation(context, out, retention, bar)
+        else:
+            report = back_up(context, out, bar)
     record, copied = report.record, None
     if to is not None:
         from app.upkeep.elsewhere import bring
 
         with _resumable():
             copied = bring(everything, to)
-    if as_json:
-        counts: dict[str, Any] = {
-            "brought_files": report.brought_files,
-            "brought_bytes": report.brought_bytes,
-            "removed_files": report.removed_files,
-            "longest_lock_s": round(report.longest_lock_s, 3),
-            "faults": report.faults,
-            "removed_generations": dropped,
-            "copied_files": None if copied is None else copied[0],
-            "copied_bytes": None if copied is None else copied[1],
-        }
-        console.say_json({"out": str(out), **record.model_dump(mode="json"), **counts})
-    elif not quiet:
-        assert record.ended_at is not None
-        seconds = (record.ended_at - record.begun_at).total_seconds()
-        brought = f"{report.brought_files:,} files, {console.size(report.brought_bytes)}"
-        removed = f"{report.removed_files:,} files that the service has no longer"
-        rows = [
-            ("backup", str(out)),
-            ("drives", f"{record.drives:,}, with {record.jobs:,} jobs"),
-            ("size", f"{record.files:,} files, {console.size(record.size_bytes)}"),
-            ("brought", brought if report.brought_files else "nothing: all was there"),
-            ("removed", removed),
-            *[("removed", f"the generation {name}") for name in dropped],
-            *([] if copied is None else [("copied", f"{copied[0]:,} files, {console.size(copied[1])}, to {to}")]),
-            ("time", f"{seconds:.1f} s; no drive was locked for longer than {report.longest_lock_s:.2f} s"),
-        ]
-        console.say_facts(row for row in rows if row != ("removed", removed) or report.removed_files)
+    counts: dict[str, Any] = {
+        "brought_files": report.brought_files,
+        "brought_bytes": report.brought_bytes,
+        "removed_files": report.removed_files,
+        "longest_lock_s": round(report.longest_lock_s, 3),
+        "faults": report.faults,
+        "removed_generations": dropped,
+        "copied_files": None if copied is None else copied[0],
+        "copied_bytes": None if copied is None else copied[1],
+    }
+    assert record.ended_at is not None
+    seconds = (record.ended_at - record.begun_at).total_seconds()
+    brought = f"{report.brought_files:,} files, {console.size(report.brought_bytes)}"
+    removed = [f"{report.removed_files:,} files that the service has no longer"] if report.removed_files else []
+    rows = [
+        ("backup", str(out)),
+        ("drives", f"{record.drives:,}, with {record.jobs:,} jobs"),
+        ("size", f"{record.files:,} files, {console.size(record.size_bytes)}"),
+        ("brought", brought if report.brought_files else "nothing: all was there"),
+        *[("removed", each) for each in (*removed, *(f"the generation {name}" for name in dropped))],
+        *([] if copied is None else [("copied", f"{copied[0]:,} files, {console.size(copied[1])}, to {to}")]),
+        ("time", f"{seconds:.1f} s; no drive was locked for longer than {report.longest_lock_s:.2f} s"),
+    ]
+    console.say({"out": str(out), **record.model_dump(mode="json"), **counts}, rows)
     if report.faults:
         raise InterLocError(
             f"all that there is was backed up, but the data folder itself is not whole: {_shown(report.faults)}. "
@@ -116,9 +104,7 @@ def backup(
 @click.option("--incomplete", is_flag=True, help="Restore what there is of a backup that is not whole.")
 @options.QUIET
 @options.JSON
-def restore(
-    backup: str, data_dir: Path | None, generation: str | None, incomplete: bool, quiet: bool, as_json: bool
-) -> None:
+def restore(backup: str, data_dir: Path | None, generation: str | None, incomplete: bool) -> None:
     """Restore BACKUP into an empty data folder and an empty database: SQLite, or PostgreSQL by INTERLOC_DATABASE_URL.
 
     BACKUP is a folder, or s3://bucket/prefix that `interloc backup --to` has written: then it is fetched first, into
@@ -134,7 +120,7 @@ def restore(
     from app.upkeep.generations import find_generation
     from app.upkeep.restore import restore as restore_backup
 
-    with _resumable(), console.progress("restore", "B", quiet=quiet) as bar:
+    with _resumable(), console.progress("restore", "B") as bar:
         if "://" in backup:
             from app.upkeep.elsewhere import fetch
 
@@ -143,26 +129,23 @@ def restore(
             folder = find_generation(Path(backup), generation)
         report = restore_backup(settings, folder, incomplete=incomplete, advance=bar)
     made_at = report.record.begun_at
-    if as_json:
-        facts: dict[str, Any] = {
-            "backup": str(folder),
-            "made_at": made_at.isoformat(),
-            "data_dir": str(settings.data_dir),
-            "drives": report.drives,
-            "jobs": report.jobs,
-            "files": report.files,
-            "size_bytes": report.size_bytes,
-            "findings": [asdict(finding) for finding in report.findings],
-        }
-        console.say_json(facts)
-    elif not quiet:
-        rows = [
-            ("restored", f"the backup of {made_at:%Y-%m-%d %H:%M} UTC to {settings.data_dir}"),
-            ("drives", f"{report.drives:,}, with {report.jobs:,} jobs"),
-            ("size", f"{report.files:,} files, {console.size(report.size_bytes)}"),
-            ("check", "rows and files agree" if not report.findings else f"{len(report.findings)} findings"),
-        ]
-        console.say_facts(rows)
+    record: dict[str, Any] = {
+        "backup": str(folder),
+        "made_at": made_at.isoformat(),
+        "data_dir": str(settings.data_dir),
+        "drives": report.drives,
+        "jobs": report.jobs,
+        "files": report.files,
+        "size_bytes": report.size_bytes,
+        "findings": [asdict(finding) for finding in report.findings],
+    }
+    rows = [
+        ("restored", f"the backup of {made_at:%Y-%m-%d %H:%M} UTC to {settings.data_dir}"),
+        ("drives", f"{report.drives:,}, with {report.jobs:,} jobs"),
+        ("size", f"{report.files:,} files, {console.size(report.size_bytes)}"),
+        ("check", "rows and files agree" if not report.findings else f"{len(report.findings)} findings"),
+    ]
+    console.say(record, rows)
     if report.findings:
         found = _shown([f"{finding.place}: {finding.message.rstrip('.')}" for finding in report.findings])
         raise InterLocError(

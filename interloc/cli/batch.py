@@ -49,8 +49,6 @@ def command(
     dask: str | None,
     as_map: bool,
     fresh: bool,
-    quiet: bool,
-    as_json: bool,
     **given: Any,
 ) -> None:
     """Work on many DRIVES as `interloc run` does on one, or as `interloc detect` where no map is given.
@@ -69,29 +67,27 @@ def command(
     from interloc.cli.batch_table import PAGE, TABLE, row_of, write_table
     from interloc.cli.units import Records, remove_records
 
-    console.set_up_log(quiet=quiet)
     options.configure(given["preset"], given["settings"])  # a mistake in it would fail every drive
     units = _units(drives, {name: given[name] for name in given if _is_given(context, name)})
     records = Records(out)
     if fresh:
         remove_records(out)
     ended = {unit.name: before for unit in units if (before := records.done(unit)) is not None}
-    if ended and not quiet:
-        click.echo(f"{counted(len(ended), 'drive')} of {len(units)} done already (--fresh does them again)", err=True)
+    if ended:
+        console.note(f"{counted(len(ended), 'drive')} of {len(units)} done already (--fresh does them again)")
     missing = [unit for unit in units if unit.name not in ended]
     if missing:
-        ended |= _do(missing, records, dask, workers, done=len(ended), quiet=quiet)
+        ended |= _do(missing, records, dask, workers, done=len(ended))
     left_out = _merge(units, ended, out) if as_map else []
     rows = [row_of(unit, ended[unit.name], out) for unit in units]
     write_table(rows, out)
     records.send(CITY, TABLE, PAGE)
     failed = [row for row in rows if row["error"] is not None]
-    if as_json:
-        console.say_json({"out": str(out), "drives": rows, "failed": len(failed), "not_on_map": left_out})
-    elif not quiet:
+    if not console.wants_json():
         for line in left_out:
-            click.echo(f"not on the map: {line}", err=True)
-        console.say_facts(_facts(rows, out / PAGE))
+            console.note(f"not on the map: {line}")
+    record = {"out": str(out), "drives": rows, "failed": len(failed), "not_on_map": left_out}
+    console.say(record, _facts(rows, out / PAGE))
     if failed:
         first = failed[0]
         raise InterLocError(
@@ -100,7 +96,7 @@ def command(
 
 
 def _do(
-    units: Sequence[Unit], records: Records, dask: str | None, workers: int | None, *, done: int, quiet: bool
+    units: Sequence[Unit], records: Records, dask: str | None, workers: int | None, *, done: int
 ) -> dict[str, Ended]:
     """Do units with a progress bar; `done` have been done before."""
     from interloc.cli.units import do_all
@@ -109,7 +105,7 @@ def _do(
     total = done + len(units)
     try:
         with (
-            console.progress("batch", "drive", quiet=quiet) as bar,
+            console.progress("batch", "drive") as bar,
             _executor(dask, min(workers or cores(), len(units))) as executor,
         ):
             return do_all(

@@ -337,8 +337,6 @@ def ablation(
     names: tuple[str, ...],
     out: Path,
     workers: int | None,
-    quiet: bool,
-    as_json: bool,
 ) -> None:
     """Take each rule and setting of a preset out alone, over drives, with intervals over places.
 
@@ -347,7 +345,7 @@ def ablation(
 
     \b
     Example:
-      interloc benchmark ablation --kitti kitti --recorded drives --take-out branches.fork_std_m,compound -o out
+      interloc benchmark ablation --kitti kitti --recorded drives --take-out branches.square_std_deg,compound -o out
     """
     from dataclasses import asdict, replace
 
@@ -361,14 +359,14 @@ def ablation(
         drives = replace(drives, sequences=tuple(_list(sequences)))
     configs = taken_out(preset, options.configure(preset, ()), names)
     cases = drives.cases(kitti, recorded, keep=keep, max_scans=max_scans)
-    rows = _run(Benchmark(tuple(cases), tuple(configs)), out, workers=workers, fresh=False, quiet=quiet)
+    rows = _run(Benchmark(tuple(cases), tuple(configs)), out, workers=workers, fresh=False)
     table = ablation_table(rows, configs, part)
     with atomic_write(out / "ablation.txt") as handle:
         handle.write(f"{text(table)}\n".encode())
-    if as_json:
+    if console.wants_json():
         console.say_json(asdict(table))
-        return
-    click.echo(text(table))
+    else:
+        click.echo(text(table))
 
 
 @command.command()
@@ -394,9 +392,7 @@ def ablation(
 @options.OUT
 @options.QUIET
 @options.JSON
-def locate(
-    kitti: Path, osm: Path, sequences: str, lengths: str, twins: Path | None, out: Path, quiet: bool, as_json: bool
-) -> None:
+def locate(kitti: Path, osm: Path, sequences: str, lengths: str, twins: Path | None, out: Path) -> None:
     """Place KITTI sequences and pieces of them on a map without GNSS; the truth is OXTS.
 
     Each piece is also searched on the mirrored map and on the map without the roads around the sequence, where nothing
@@ -418,26 +414,23 @@ def locate(
         raise click.UsageError(
             f"--lengths {lengths}: expected metres, whole or intersections, with commas between them"
         ) from None
-    console.set_up_log(quiet=quiet)
 
     def report(piece: Piece, rows: list[LocateRow]) -> None:
-        if not quiet:
-            first = rows[0]
-            outcome = first.outcome if first.right or first.outcome != "found" else "found, but WRONG"
-            error = "-" if first.median_m is None else f"{first.median_m:.2f} m"
-            click.echo(
-                f"{piece.sequence} from {piece.start_m:.0f} m, {piece.length_m:.0f} m: {outcome}, {error} "
-                f"(score {first.score:.2f}, next {first.runner_up:.2f}, chance {first.chance:.2f})",
-                err=True,
-            )
+        first = rows[0]
+        outcome = first.outcome if first.right or first.outcome != "found" else "found, but WRONG"
+        error = "-" if first.median_m is None else f"{first.median_m:.2f} m"
+        console.note(
+            f"{piece.sequence} from {piece.start_m:.0f} m, {piece.length_m:.0f} m: {outcome}, {error} "
+            f"(score {first.score:.2f}, next {first.runner_up:.2f}, chance {first.chance:.2f})"
+        )
 
     pieces = (piece for each in _list(sequences) for piece in pieces_of(kitti, each, lengths_m, twins=twins))
     rows = measure_pieces(pieces, read_osm(osm), report)
     write_locating(rows, out)
-    if as_json:
+    if console.wants_json():
         console.say_json({"rows": [asdict(row) for row in rows]})
-        return
-    click.echo(table_of(rows))
+    else:
+        click.echo(table_of(rows))
 
 
 def _measure(
@@ -452,8 +445,6 @@ def _measure(
     tolerance_m: float,
     fresh: bool,
     workers: int | None,
-    quiet: bool,
-    as_json: bool,
     lookaheads: tuple[int | None, ...] = (None,),
     **described: Any,
 ) -> None:
@@ -473,24 +464,23 @@ def _measure(
         Scoring(policy, tolerance_m),
         **described,
     )
-    rows = _run(benchmark, out, workers=workers, fresh=fresh, quiet=quiet)
+    rows = _run(benchmark, out, workers=workers, fresh=fresh)
     measured = benchmark.measured(rows)
     write_benchmark(benchmark, measured, out)
-    if as_json:
+    if console.wants_json():
         console.say_json(benchmark_record(benchmark, measured))
         return
     click.echo("\n\n".join(map(text, tables(measured))))
     click.echo(f"\nreport  {out / PAGE}")
 
 
-def _run(benchmark: Benchmark, out: Path, *, workers: int | None, fresh: bool, quiet: bool) -> list[Row]:
+def _run(benchmark: Benchmark, out: Path, *, workers: int | None, fresh: bool) -> list[Row]:
     """Measure, with a progress bar for each drive."""
     from interloc.benchmark.run import run_benchmark
     from interloc.errors import InterLocError, is_interruption
     from interloc.processes import cores
 
-    console.set_up_log(quiet=quiet)
-    bars = _Bars(quiet=quiet)
+    bars = _Bars()
     try:
         return run_benchmark(benchmark, out, workers=workers or cores(), fresh=fresh, report=bars)
     except (KeyboardInterrupt, SystemError) as error:
@@ -517,8 +507,7 @@ def _named_config(preset: str, settings: tuple[str, ...], lookahead: int | None 
 class _Bars:
     """One progress bar per task, removed when the task ends."""
 
-    def __init__(self, *, quiet: bool) -> None:
-        self._quiet = quiet
+    def __init__(self) -> None:
         self._bars: dict[str, tuple[str, console.Bar]] = {}
 
     def __call__(self, task: str, what: str, done: int, total: int) -> None:
@@ -531,7 +520,7 @@ class _Bars:
             return
         if task not in self._bars:
             unit = "scan" if what == "simulate" else "keyframe"
-            self._bars[task] = (what, console.Bar(f"{task}: {what}", unit, quiet=self._quiet))
+            self._bars[task] = (what, console.Bar(f"{task}: {what}", unit))
         self._bars[task][1](done, total)
 
     def close(self) -> None:

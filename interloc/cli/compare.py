@@ -20,7 +20,7 @@ from interloc.wording import counted
     help="Also write a page (.html), or a picture of precision, recall and F1 of all runs over D (.svg, .png).",
 )
 @options.JSON
-def command(results: tuple[Path, ...], out: Path | None, as_json: bool) -> None:
+def command(results: tuple[Path, ...], out: Path | None) -> None:
     """Show in which inputs and settings RESULTS differ, their figures, and which intersections only one of them found.
 
     RESULTS are two or more result folders of `interloc run` over one drive.
@@ -46,7 +46,7 @@ def command(results: tuple[Path, ...], out: Path | None, as_json: bool) -> None:
     comparison = compare_reports(names, reports, runs)
     if out is not None:
         write_comparison(comparison, reports, out)
-    if as_json:
+    if console.wants_json():
         console.say_json(comparison)
         return
     for name, report in zip(names, reports, strict=True):

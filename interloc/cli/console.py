@@ -12,16 +12,44 @@ from typing import Any
 
 import click
 
+_QUIET, _JSON = "interloc.quiet", "interloc.json"  # of what click keeps beside the command that runs
 
-def set_up_log(*, quiet: bool) -> None:
-    """Show what the library logs on stderr, one line per message, warnings marked; only warnings with `quiet`."""
+
+def set_quiet(context: click.Context, _: click.Parameter, value: bool) -> None:
+    """Take the option --quiet: only warnings are logged, and neither progress nor the outcome is told."""
+    context.meta[_QUIET] = value
+    set_up_log()
+
+
+def set_json(context: click.Context, _: click.Parameter, value: bool) -> None:
+    """Take the option --json: the outcome is told as JSON."""
+    context.meta[_JSON] = value
+
+
+def is_quiet() -> bool:
+    """Return whether the command that runs has the option --quiet."""
+    return _has(_QUIET)
+
+
+def wants_json() -> bool:
+    """Return whether the command that runs has the option --json."""
+    return _has(_JSON)
+
+
+def _has(option: str) -> bool:
+    context = click.get_current_context(silent=True)
+    return context is not None and bool(context.meta.get(option))
+
+
+def set_up_log() -> None:
+    """Show what the library logs on stderr, one line per message, warnings marked; only warnings with --quiet."""
     logger = logging.getLogger("interloc")
     for handler in list(logger.handlers):
         logger.removeHandler(handler)
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(_Formatter("%(message)s"))
     logger.addHandler(handler)
-    logger.setLevel(logging.WARNING if quiet else logging.INFO)
+    logger.setLevel(logging.WARNING if is_quiet() else logging.INFO)
     logger.propagate = False
 
 
@@ -57,15 +85,16 @@ class Interruption:
 class Bar:
     """A progress bar on stderr: shown on a terminal only, created when there is something to count."""
 
-    def __init__(self, label: str, unit: str, *, quiet: bool) -> None:
-        self._label, self._unit, self._quiet = label, unit, quiet
+    def __init__(self, label: str, unit: str) -> None:
+        self._label, self._unit = label, unit
+        self._is_shown = sys.stderr.isatty() and not is_quiet()
         self._bar: Any = None
 
     def __call__(self, done: int, total: int, note: str = "") -> None:
         """Show how much of the total is done, followed by a note."""
         if Interruption.asked:
             raise KeyboardInterrupt
-        if self._quiet or not sys.stderr.isatty():
+        if not self._is_shown:
             return
         if self._bar is None or self._bar.n == 0 < done:  # what it took until the first tells nothing of the others
             from tqdm import tqdm
@@ -91,9 +120,9 @@ class Bar:
 
 
 @contextmanager
-def progress(label: str, unit: str, *, quiet: bool) -> Iterator[Bar]:
+def progress(label: str, unit: str) -> Iterator[Bar]:
     """Give a progress bar that is gone at the end."""
-    bar = Bar(label, unit, quiet=quiet)
+    bar = Bar(label, unit)
     try:
         yield bar
     finally:
@@ -104,6 +133,20 @@ def say_on_terminal(text: str) -> None:
     """Print a line on stderr for somebody who waits; nothing where stderr is a file or another program."""
     if sys.stderr.isatty():
         click.echo(text, err=True)
+
+
+def note(text: str) -> None:
+    """Print a line on stderr, unless with --quiet."""
+    if not is_quiet():
+        click.echo(text, err=True)
+
+
+def say(record: dict[str, Any], facts: Iterable[tuple[str, str]]) -> None:
+    """Print the outcome of a command: as JSON for programs (--json), else as facts for people, unless with --quiet."""
+    if wants_json():
+        say_json(record)
+    elif not is_quiet():
+        say_facts(facts)
 
 
 def say_facts(facts: Iterable[tuple[str, str]]) -> None:

@@ -17,7 +17,7 @@ from interloc.cli import console, options
 @options.drive_options
 @options.QUIET
 @options.JSON
-def convert(drive: Path, out: Path, quiet: bool, as_json: bool, **reading: Any) -> None:
+def convert(drive: Path, out: Path, **reading: Any) -> None:
     """Write DRIVE (a ROS bag, PCD, LAS or LAZ files, KITTI-360, ...) as a SemanticKITTI sequence.
 
     Poses become those of the LiDAR, the georeference becomes a geo.csv, the remission is scaled to 0 to 1. Labels come
@@ -31,20 +31,16 @@ def convert(drive: Path, out: Path, quiet: bool, as_json: bool, **reading: Any) 
     from interloc.drives.options import DriveOptions
     from interloc.reduction.convert import convert_drive
 
-    console.set_up_log(quiet=quiet)
-    with console.progress("convert", "scan", quiet=quiet) as bar:
+    with console.progress("convert", "scan") as bar:
         done = convert_drive(drive, out, DriveOptions.of(**reading), progress=bar)
-    if as_json:
-        console.say_json({"out": str(out), **vars(done)})
-    elif not quiet:
-        numbers = ", numbered anew from 0" if done.is_renumbered else ""
-        rows = [
-            ("drive", f"{done.name}: {done.scans:,} scans{numbers}"),
-            ("labels", done.labels or "none: make them with `interloc label`, or any semantic segmentation"),
-            ("georeference", "geo.csv" if done.has_georeference else "none"),
-            ("written to", str(out)),
-        ]
-        console.say_facts(rows)
+    numbers = ", numbered anew from 0" if done.is_renumbered else ""
+    facts = [
+        ("drive", f"{done.name}: {done.scans:,} scans{numbers}"),
+        ("labels", done.labels or "none: make them with `interloc label`, or any semantic segmentation"),
+        ("georeference", "geo.csv" if done.has_georeference else "none"),
+        ("written to", str(out)),
+    ]
+    console.say({"out": str(out), **vars(done)}, facts)
 
 
 @click.command(cls=options.Command, short_help="Label the scans of a drive by a network, or by geometry.")
@@ -61,9 +57,7 @@ def convert(drive: Path, out: Path, quiet: bool, as_json: bool, **reading: Any) 
 @options.reading_options
 @options.QUIET
 @options.JSON
-def label(
-    drive: Path, by: str | None, model: Path | None, out: Path | None, quiet: bool, as_json: bool, **reading: Any
-) -> None:
+def label(drive: Path, by: str | None, model: Path | None, out: Path | None, **reading: Any) -> None:
     """Write what a network says of every scan of DRIVE to predictions/NNNNNN.label, in ids of SemanticKITTI.
 
     The network is one of the RangeNet++ family, in the folder that it is published in. Without one, --by geometry finds
@@ -85,21 +79,17 @@ def label(
     if out is None and is_elsewhere(drive):
         raise click.UsageError("Give the folder that predictions/ is made in (-o): the drive is in object storage.")
     labels: LabelFolder = "geometry" if by == "geometry" else "labels"
-    console.set_up_log(quiet=quiet)
     began = time.perf_counter()
-    with console.progress("label", "scan", quiet=quiet) as bar:
+    with console.progress("label", "scan") as bar:
         folder, read = label_drive(drive, out, DriveOptions.of(labels=labels, model=model, **reading), progress=bar)
     seconds = time.perf_counter() - began
     assert read.scans is not None
     facts, road = read.scans.facts, read.labels.road_share
-    if as_json:
-        outcome = {"out": str(folder), "scans": facts.scans, "network": facts.label_folder, "seconds": seconds}
-        console.say_json({**outcome, "road_share": road})
-    elif not quiet:
-        rows = [
-            ("labels", f"{facts.scans:,} scans by {facts.label_folder}"),
-            ("road", "unknown" if road is None else f"{100 * road:.0f} % of the points of the scans looked into"),
-            ("time", f"{seconds:.1f} s, {1000 * seconds / max(1, facts.scans):.0f} ms per scan"),
-            ("written to", str(folder)),
-        ]
-        console.say_facts(rows)
+    outcome = {"out": str(folder), "scans": facts.scans, "network": facts.label_folder, "seconds": seconds}
+    rows = [
+        ("labels", f"{facts.scans:,} scans by {facts.label_folder}"),
+        ("road", "unknown" if road is None else f"{100 * road:.0f} % of the points of the scans looked into"),
+        ("time", f"{seconds:.1f} s, {1000 * seconds / max(1, facts.scans):.0f} ms per scan"),
+        ("written to", str(folder)),
+    ]
+    console.say({**outcome, "road_share": road}, rows)

@@ -31,8 +31,6 @@ def command(
     settings: tuple[str, ...],
     workers: int | None,
     reference: bool,
-    quiet: bool,
-    as_json: bool,
     **drive_: Any,
 ) -> None:
     """Find the intersections along DRIVE and write them to a result folder.
@@ -48,11 +46,10 @@ def command(
     preset_from = click.get_current_context().get_parameter_source("preset")
     if reference and (settings or preset_from is not ParameterSource.DEFAULT):
         raise click.UsageError("--reference has the settings of the paper; it takes neither --preset nor --set")
-    console.set_up_log(quiet=quiet)
     config = options.configure(preset, settings)
     source = options.open_drive(drive, drive_)
     with result_folder(out) as folder:
-        with console.progress("detect", "keyframe", quiet=quiet) as bar:
+        with console.progress("detect", "keyframe") as bar:
             if reference:
                 from interloc.reference import detect_by_reference
 
@@ -60,7 +57,4 @@ def command(
             else:
                 result = detect(source, config, workers=workers, progress=bar)
         write_results(result, folder)
-    if as_json:
-        console.say_json(summary.run_summary(result, out))
-    elif not quiet:
-        console.say_facts([*summary.run_facts(result, out), *summary.doubt_facts(result)])
+    console.say(summary.run_summary(result, out), [*summary.run_facts(result, out), *summary.doubt_facts(result)])

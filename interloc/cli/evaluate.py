@@ -18,9 +18,7 @@ if TYPE_CHECKING:
 @options.map_options
 @options.QUIET
 @options.JSON
-def command(
-    out: Path, osm: Path | None, overpass: bool, policy: Policy, tolerance_m: float, quiet: bool, as_json: bool
-) -> None:
+def command(out: Path, osm: Path | None, overpass: bool, policy: Policy, tolerance_m: float) -> None:
     """Score OUT, the result folder of `interloc detect`, against OpenStreetMap.
 
     \b
@@ -34,11 +32,10 @@ def command(
     from interloc.output.read import read_results
 
     options.check_map_choice(osm, overpass=overpass)
-    console.set_up_log(quiet=quiet)
     result = read_results(out)
     graph = options.read_map(osm, result.keyframes.lonlat)
     if graph is None:
-        graph = options.fetch_map(result, quiet=quiet)
+        graph = options.fetch_map(result)
     evaluation = evaluate(result, graph, policy=policy, tolerance_m=tolerance_m)
     with result_folder(out) as folder:  # the whole new report, or the folder as it was
         for name in filter(lambda name: (out / name).is_file(), RUN_NAMES):
@@ -46,7 +43,4 @@ def command(
                 file.write((out / name).read_bytes())
         write_report(evaluation, folder)
     report = report_record(evaluation)
-    if as_json:
-        console.say_json(report)
-    elif not quiet:
-        console.say_facts(summary.report_facts(report, out))
+    console.say(report, summary.report_facts(report, out))

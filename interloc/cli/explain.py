@@ -31,8 +31,6 @@ def command(
     policy: Policy,
     preset: str,
     settings: tuple[str, ...],
-    quiet: bool,
-    as_json: bool,
     **drive_: Any,
 ) -> None:
     """Draw the steps of the method for one keyframe of DRIVE, as PNGs.
@@ -43,12 +41,11 @@ def command(
     """
     from interloc.explain import explain
 
-    console.set_up_log(quiet=quiet)
     config = options.configure(preset, settings)
     source = options.open_drive(drive, drive_)
     paths = explain(source, frame, config, out, graph=options.read_map(osm), policy=policy)
-    if as_json:
+    if console.wants_json():
         console.say_json({"files": [str(path) for path in paths]})
-    elif not quiet:
+    elif not console.is_quiet():
         for path in paths:
             click.echo(path)

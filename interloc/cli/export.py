@@ -28,7 +28,7 @@ from interloc.cli import console, options
 )
 @options.QUIET
 @options.JSON
-def command(result: Path, out: Path, layer: str | None, quiet: bool, as_json: bool) -> None:
+def command(result: Path, out: Path, layer: str | None) -> None:
     """Write RESULT, the result folder of `interloc detect` or `run`, as one file for other programs.
 
     A .qgz is a project of QGIS with its data inside, a .kmz is for Google Earth; both, and QGIS with a .gpkg, draw the
@@ -54,7 +54,6 @@ def command(result: Path, out: Path, layer: str | None, quiet: bool, as_json: bo
     from interloc.output.road_files import road_ending, write_road_file
     from interloc.output.vector_files import PLACE_IT, is_local, write_vector_file
 
-    console.set_up_log(quiet=quiet)
     read_run(result)  # or say that it is no result
     if layer is None and road_ending(out) is not None:
         write_road_file(result, out)
@@ -66,10 +65,7 @@ def command(result: Path, out: Path, layer: str | None, quiet: bool, as_json: bo
         layers = [ROAD_LAYER]
     else:
         layers = write_vector_file(result, out, layer=layer)
-    if as_json:
-        console.say_json({"file": str(out), "layers": layers})
-    elif not quiet:
-        facts = [("file", str(out)), ("layers", ", ".join(layers))]
-        if is_local(result):
-            facts.append(("place", f"none: metres in the frame of the first scan. {PLACE_IT}"))
-        console.say_facts(facts)
+    facts = [("file", str(out)), ("layers", ", ".join(layers))]
+    if is_local(result):
+        facts.append(("place", f"none: metres in the frame of the first scan. {PLACE_IT}"))
+    console.say({"file": str(out), "layers": layers}, facts)

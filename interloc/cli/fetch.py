@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 @options.server_options
 @options.QUIET
 @options.JSON
-def command(job: str, out: Path, server: str, token: str | None, quiet: bool, as_json: bool) -> None:
+def command(job: str, out: Path, server: str, token: str | None) -> None:
     """Fetch the result folder of JOB from a server, exactly as the server has it; wait for the job if it still runs.
 
     \b
@@ -29,39 +29,35 @@ def command(job: str, out: Path, server: str, token: str | None, quiet: bool, as
     """
     from interloc.client.connection import Connection
 
-    console.set_up_log(quiet=quiet)
     with Connection(server, token) as connection:
-        done = wait_for(connection, job, quiet=quiet)
-        bring(connection, done, out, quiet=quiet)
-    if as_json:
-        console.say_json(result_summary(done, out))
-    elif not quiet:
-        console.say_facts(result_facts(done, out))
+        done = wait_for(connection, job)
+        bring(connection, done, out)
+    console.say(result_summary(done, out), result_facts(done, out))
 
 
-def wait_for(connection: Connection, job: str, *, quiet: bool) -> JobAnswer:
+def wait_for(connection: Connection, job: str) -> JobAnswer:
     """Follow a job to its end, with its progress."""
     from interloc.client.jobs import follow
 
     shown = ""
-    with console.progress("job", "keyframe", quiet=quiet) as bar:
+    with console.progress("job", "keyframe") as bar:
 
         def show(change: JobAnswer) -> None:
             nonlocal shown
-            if change.message and change.message != shown and not quiet:
+            if change.message and change.message != shown:
                 shown = change.message
-                click.echo(f"{change.stage}: {shown}", err=True)
+                console.note(f"{change.stage}: {shown}")
             if change.progress.total:
                 bar(change.progress.done, change.progress.total)
 
         return follow(connection, job, show)
 
 
-def bring(connection: Connection, job: JobAnswer, out: Path, *, quiet: bool) -> None:
+def bring(connection: Connection, job: JobAnswer, out: Path) -> None:
     """Write the result folder, with progress."""
     from interloc.client.fetch import fetch
 
-    with console.progress("fetch", "B", quiet=quiet) as bar:
+    with console.progress("fetch", "B") as bar:
         fetch(connection, job.id, out, on_bytes=bar)
 
 

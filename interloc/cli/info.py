@@ -21,7 +21,7 @@ _MARK = {"error": "ERROR", "warning": "warning", "note": "note"}
 @options.drive_options
 @click.option("--thorough", is_flag=True, help="Read every scan and label, not only some.")
 @options.JSON
-def command(drive: Path, thorough: bool, as_json: bool, **drive_: Any) -> None:
+def command(drive: Path, thorough: bool, **drive_: Any) -> None:
     """Report what is in DRIVE and what is wrong with it; the exit code is 1 if it cannot be used.
 
     \b
@@ -31,7 +31,7 @@ def command(drive: Path, thorough: bool, as_json: bool, **drive_: Any) -> None:
     from interloc.drives.inspect import inspect_drive
 
     report = inspect_drive(drive, thorough=thorough, **drive_)
-    if as_json:
+    if console.wants_json():
         console.say_json(report.to_dict())
     else:
         console.say_facts(_facts(report))

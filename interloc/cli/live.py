@@ -54,7 +54,6 @@ def command(
     lookahead: int | None,
     preset: str,
     settings: tuple[str, ...],
-    quiet: bool,
     **drive_: Any,
 ) -> None:
     """Play DRIVE, a folder or a bag, scan by scan, and follow what is found.
@@ -67,7 +66,6 @@ def command(
     """
     if not prints and server is None:
         raise click.UsageError("give --print, to detect right here, or --server URL, or both")
-    console.set_up_log(quiet=quiet)
     if lookahead is not None:
         settings = (*settings, f"keyframes.lookahead={lookahead}")
     config = options.configure(preset, settings)
@@ -75,9 +73,7 @@ def command(
     if server is None:
         _print_answers(source, config, speed)
     else:
-        _send_scans(
-            source, config, 1.0 if speed is None else speed, server, token, keep=keep, prints=prints, quiet=quiet
-        )
+        _send_scans(source, config, 1.0 if speed is None else speed, server, token, keep=keep, prints=prints)
 
 
 def _send_scans(
@@ -89,7 +85,6 @@ def _send_scans(
     *,
     keep: bool,
     prints: bool,
-    quiet: bool,
 ) -> None:
     from interloc.client.live import LiveSender
     from interloc.live.play import play
@@ -97,7 +92,7 @@ def _send_scans(
     def hear(said: dict[str, Any]) -> None:
         if prints:
             click.echo(json.dumps(said))
-        elif not quiet:
+        elif not console.is_quiet():
             for line in _in_words(said):
                 click.echo(line)
 

@@ -60,8 +60,6 @@ def command(
     preset: str,
     settings: tuple[str, ...],
     workers: int | None,
-    quiet: bool,
-    as_json: bool,
     **reading: Any,
 ) -> None:
     """Place DRIVE on a road map by its trajectory and its intersections; a georeference that it has is not used.
@@ -89,35 +87,34 @@ def command(
         raise click.UsageError("--near, --radius, --figure, --growth and --track-only belong to --osm")
     _check_out(out, overwrite=overwrite)
     search_near, radius_m = locating.search_area(near, radius_km)
-    console.set_up_log(quiet=quiet)
     config = options.configure(preset, settings)
     source = options.open_drive(drive, reading).without_georeference()
     if osm is None:
-        _place_by_anchor(source, at, at_frame, gpx, out, quiet=quiet, as_json=as_json)
+        _place_by_anchor(source, at, at_frame, gpx, out)
         return
     graph = options.read_map(osm)
     assert graph is not None
     result, location = locating.locate_drive(
-        source, graph, config, near=search_near, radius_m=radius_m, workers=workers, quiet=quiet, track_only=track_only
+        source, graph, config, near=search_near, radius_m=radius_m, workers=workers, track_only=track_only
     )
     record = {"drive": source.name, **location.record()}
     facts = []
     if growth:
         from interloc.localization.growth import growth_of, growth_text
 
-        with console.progress("growth", "length", quiet=quiet) as bar:
+        with console.progress("growth", "length") as bar:
             rows = growth_of(source, graph, result=result, near=search_near, radius_m=radius_m, progress=bar)
         record["growth"] = rows
         facts = [("growth", growth_text(rows))]
     if figure is not None and location.places:
         locating.write_figure(location, graph, source.name, figure)
-    if as_json:
+    if console.wants_json():
         console.say_json(record)
     georeference = require_found(location, source.name)
     if out is not None:
         write_geo_csv(out, source.frames, georeference)
         facts.append(("written to", str(out)))
-    if not as_json and not quiet:
+    if not console.wants_json() and not console.is_quiet():
         console.say_facts([*locating.location_facts(location), *facts])
 
 
@@ -138,9 +135,6 @@ def _place_by_anchor(
     at_frame: int | None,
     gpx: Path | None,
     out: Path | None,
-    *,
-    quiet: bool,
-    as_json: bool,
 ) -> None:
     from interloc.drives.georeference.geo_csv import write_geo_csv
     from interloc.gpx import read_gpx
@@ -165,13 +159,12 @@ def _place_by_anchor(
             "position_std_m": round(locating.median(placed.position_std_m), 1),
         }
         uncertainty = f"{facts['position_std_m']} m (one sigma, median; what all fixes of a phone share included)"
+        uncertainty += f"; {placed.untold}" if placed.untold else ""
     if out is not None:
         write_geo_csv(out, drive.frames, georeference)
-    if as_json:
-        console.say_json(
-            {"drive": drive.name, "georeference": georeference.source, "uncertainty": uncertainty, **facts}
-        )
-    elif not quiet:
-        fit = [("fit", f"{facts['rms_m']} m from the track before it was bent onto it")] if facts else []
-        written = [] if out is None else [("written to", str(out))]
-        console.say_facts([("placed by", georeference.source), *fit, ("uncertainty", uncertainty), *written])
+    fit = [("fit", f"{facts['rms_m']} m from the track before it was bent onto it")] if facts else []
+    written = [] if out is None else [("written to", str(out))]
+    console.say(
+        {"drive": drive.name, "georeference": georeference.source, "uncertainty": uncertainty, **facts},
+        [("placed by", georeference.source), *fit, ("uncertainty", uncertainty), *written],
+    )

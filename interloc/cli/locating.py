@@ -69,13 +69,13 @@ def search_area(
     return None, None
 
 
-def fetch_map_around(near: tuple[float, float] | None, radius_m: float | None, *, quiet: bool) -> RoadGraph:
+def fetch_map_around(near: tuple[float, float] | None, radius_m: float | None) -> RoadGraph:
     """Fetch the map to search from Overpass."""
     import numpy as np
 
     if near is None or radius_m is None:
         raise click.UsageError("the map of which place is to be fetched? Say it by --near LAT,LON, or give --osm FILE")
-    return options.fetch_roads(np.array([near[::-1]]), quiet=quiet, margin_m=radius_m)
+    return options.fetch_roads(np.array([near[::-1]]), margin_m=radius_m)
 
 
 def locate_drive(
@@ -86,7 +86,6 @@ def locate_drive(
     near: tuple[float, float] | None,
     radius_m: float | None,
     workers: int | None,
-    quiet: bool,
     track_only: bool,
 ) -> tuple[DriveResult | None, Location]:
     """Find the intersections along a drive without georeference, and place it on a map.
@@ -104,9 +103,9 @@ def locate_drive(
 
     result = None
     if not track_only and track_of(drive.T_world_lidar).length_m >= MIN_LENGTH_M:
-        with console.progress("detect", "keyframe", quiet=quiet) as bar:
+        with console.progress("detect", "keyframe") as bar:
             result = detect(drive, config, workers=workers, progress=bar)
-    with console.progress("locate", "place", quiet=quiet) as bar:
+    with console.progress("locate", "place") as bar:
         location = locate(drive, graph, result=result, near=near, radius_m=radius_m, progress=bar)
     return result, location
 

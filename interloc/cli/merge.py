@@ -18,9 +18,7 @@ from interloc.wording import counted
 @click.option("--remove", multiple=True, metavar="NAME", help="Take a drive out of the map; as often as needed.")
 @options.QUIET
 @options.JSON
-def command(
-    results: tuple[str, ...], out: Path, replace: bool, remove: tuple[str, ...], quiet: bool, as_json: bool
-) -> None:
+def command(results: tuple[str, ...], out: Path, replace: bool, remove: tuple[str, ...]) -> None:
     """Put RESULTS, result folders of `interloc detect` or `run`, together to one map: one point per intersection.
 
     Offsets between the drives are found where they overlap. A map that exists grows by the drives.
@@ -42,7 +40,6 @@ def command(
 
     if not results and not remove:
         raise click.UsageError("give one or more result folders, or --remove")
-    console.set_up_log(quiet=quiet)
     passes = []
     for given in results:
         name, _, folder = given.rpartition("=") if not Path(given).is_dir() else ("", "", given)
@@ -65,12 +62,10 @@ def command(
         if new or remove or not is_city(out):
             write_city(city, out)
         record = city_record(city)
-    if as_json:
-        console.say_json({"out": str(out), "added": [each.name for each in new], **record})
-    elif not quiet:
+    if not console.wants_json() and not console.is_quiet():
         for each in there:
             click.echo(f"{each.name} is on the map already, as {known[each.key]}")
-        console.say_facts(_facts(record, out))
+    console.say({"out": str(out), "added": [each.name for each in new], **record}, _facts(record, out))
 
 
 def _facts(record: dict[str, Any], out: Path) -> list[tuple[str, str]]:

@@ -24,7 +24,7 @@ from interloc.cli import console, options
 @options.odometry_options
 @options.QUIET
 @options.JSON
-def command(drive: Path, out: Path, quiet: bool, as_json: bool, **reading: Any) -> None:
+def command(drive: Path, out: Path, **reading: Any) -> None:
     """Write the poses of the LiDAR at every scan of DRIVE, from its points alone: no labels and no poses are needed.
 
     The scans must overlap: at most some metres from one to the next. Where the motion cannot be followed, the command
@@ -38,18 +38,14 @@ def command(drive: Path, out: Path, quiet: bool, as_json: bool, **reading: Any) 
     from interloc.drives.options import DriveOptions
     from interloc.reduction.poses import write_poses
 
-    console.set_up_log(quiet=quiet)
     began = time.perf_counter()
-    with console.progress("odometry", "scan", quiet=quiet) as bar:
+    with console.progress("odometry", "scan") as bar:
         done = write_poses(drive, out, DriveOptions.of(**reading), progress=bar)
     seconds = time.perf_counter() - began
-    if as_json:
-        console.say_json({"out": str(out), **vars(done), "seconds": seconds})
-    elif not quiet:
-        rows = [
-            ("drive", f"{done.name}: {done.scans:,} scans, {done.length_m:,.0f} m"),
-            ("poses", done.how),
-            ("time", f"{seconds:.1f} s, {1000 * seconds / done.scans:.0f} ms per scan"),
-            ("written to", str(out)),
-        ]
-        console.say_facts(rows)
+    facts = [
+        ("drive", f"{done.name}: {done.scans:,} scans, {done.length_m:,.0f} m"),
+        ("poses", done.how),
+        ("time", f"{seconds:.1f} s, {1000 * seconds / done.scans:.0f} ms per scan"),
+        ("written to", str(out)),
+    ]
+    console.say({"out": str(out), **vars(done), "seconds": seconds}, facts)

@@ -45,8 +45,22 @@ class Place(click.Path):
 PATH = Place(path_type=Path)
 DRIVE = click.argument("drive", type=PATH)
 OUT = click.option("-o", "--out", required=True, type=PATH, help="Result folder to write.")
-QUIET = click.option("--quiet", is_flag=True, help="Print warnings and errors only.")
-JSON = click.option("--json", "as_json", is_flag=True, help="Print the outcome as JSON.")
+QUIET = click.option(
+    "--quiet",
+    is_flag=True,
+    is_eager=True,
+    expose_value=False,
+    callback=console.set_quiet,
+    help="Print warnings and errors only.",
+)
+JSON = click.option(
+    "--json",
+    "as_json",
+    is_flag=True,
+    expose_value=False,
+    callback=console.set_json,
+    help="Print the outcome as JSON.",
+)
 POLICY = click.option(
     "--policy",
     default="drive",
@@ -83,7 +97,7 @@ class Command(click.Command):
 
     def invoke(self, ctx: click.Context) -> Any:
         """Say on a terminal what is being read: that, and the modules for it, may take some seconds."""
-        if ctx.params.get("drive") and not ctx.params.get("quiet"):
+        if ctx.params.get("drive") and not console.is_quiet():
             console.say_on_terminal(f"reading {ctx.params['drive']}")
         return super().invoke(ctx)
 
@@ -228,7 +242,6 @@ def open_for_evaluation(
     overpass: bool,
     preset: str,
     settings: tuple[str, ...],
-    quiet: bool,
     needs_georeference: bool = True,
     **reading: Any,
 ) -> tuple[FolderDrive, DetectorConfig, RoadGraph | None]:
@@ -240,7 +253,6 @@ def open_for_evaluation(
         The drive, which has a georeference where it needs one; the configuration; the map, None if it will come from
         Overpass.
     """
-    console.set_up_log(quiet=quiet)
     if osm is None and not overpass and needs_georeference:
         raise click.UsageError(_no_map(drive, reading))
     check_map_choice(osm, overpass=overpass)
@@ -322,19 +334,18 @@ def read_map(osm: Path | None, lonlat: FloatArray | None = None) -> RoadGraph | 
     return read_osm(osm, None if lonlat is None or not len(lonlat) else map_bounds(lonlat))
 
 
-def fetch_map(result: DriveResult, *, quiet: bool) -> RoadGraph:
+def fetch_map(result: DriveResult) -> RoadGraph:
     """Fetch the map around a run from Overpass."""
     assert result.keyframes.lonlat is not None
-    return fetch_roads(result.keyframes.lonlat, quiet=quiet)
+    return fetch_roads(result.keyframes.lonlat)
 
 
-def fetch_roads(lonlat: FloatArray, *, quiet: bool, margin_m: float = 200.0) -> RoadGraph:
+def fetch_roads(lonlat: FloatArray, *, margin_m: float = 200.0) -> RoadGraph:
     """Fetch the map around (N, 2) places from Overpass."""
     from interloc.evaluation.coverage import track_bounds
     from interloc.osm.overpass import download_roads
 
     def wait(reason: str, seconds: float) -> None:
-        if not quiet:
-            click.echo(f"{reason} ({seconds:.0f} s)", err=True)
+        console.note(f"{reason} ({seconds:.0f} s)")
 
     return download_roads(track_bounds(lonlat, margin_m=margin_m), on_wait=wait)

@@ -77,8 +77,6 @@ def command(
     near: tuple[float, float] | None,
     radius_km: float | None,
     notify: str | None,
-    quiet: bool,
-    as_json: bool,
     **reading: Any,
 ) -> None:
     """Send DRIVE to a server, reduced to what the method needs. After an interruption only what is missing is sent.
@@ -97,11 +95,10 @@ def command(
     if locate and overpass and near is None:
         raise click.UsageError("the map of which place is to be fetched? Say it by --near LAT,LON, or give --osm FILE")
     from interloc.client.connection import Connection
-    from interloc.client.jobs import finished, placing, submit
+    from interloc.client.jobs import JobRequest, finished, placing, submit
     from interloc.client.prepare import PushOptions, prepare
     from interloc.drives.options import ReadingOptions
 
-    console.set_up_log(quiet=quiet)
     config = options.configure(preset, settings)
     push_options = PushOptions(
         name=name,
@@ -123,31 +120,23 @@ def command(
             raise options.no_georeference(
                 prepared.name, "place it by its roads (--locate, --near), or leave the map out. Nothing was sent."
             )
-        pushed = _send(connection, drive, prepared, push_options, threads=jobs, quiet=quiet)
+        pushed = _send(connection, drive, prepared, push_options, threads=jobs)
         job: JobAnswer | None = None
         if run:
-            wanted: dict[str, Any] = {
-                "config": config,
-                "labels": "predictions" if model is not None else label_folders[0] if label_folders else None,
-                "osm": None if osm is None else osm.name,
-                "policy": policy,
-                "tolerance_m": tolerance_m,
-                "place": place,
-            }
+            labels = "predictions" if model is not None else label_folders[0] if label_folders else None
+            there = None if osm is None else osm.name
+            wanted = JobRequest(config, labels, there, overpass, policy, tolerance_m, place)
             if not pushed.files_sent and not overpass and not fresh:
-                job = finished(connection, pushed.drive_id, **wanted)
+                job = finished(connection, pushed.drive_id, wanted)
             if job is None:
                 told = None if notify is None else {"successUri": notify, "failedUri": notify}
-                job = submit(connection, pushed.drive_id, overpass=overpass, subscriber=told, **wanted)
-            elif not quiet:
-                click.echo(f"job {job.id} has done the same already: it is not repeated (--fresh repeats it)", err=True)
-            job = _finish(connection, job, out, quiet=quiet)
-    if as_json:
-        result = {} if job is None else {"job": job.id, "summary": job.summary}
-        result |= result_summary(job, out) if job is not None and out is not None else {}
-        console.say_json({**pushed.to_dict(), **result})
-    elif not quiet:
-        console.say_facts(_facts(pushed, job, out))
+                job = submit(connection, pushed.drive_id, wanted, subscriber=told)
+            else:
+                console.note(f"job {job.id} has done the same already: it is not repeated (--fresh repeats it)")
+            job = _finish(connection, job, out)
+    result = {} if job is None else {"job": job.id, "summary": job.summary}
+    result |= result_summary(job, out) if job is not None and out is not None else {}
+    console.say({**pushed.to_dict(), **result}, _facts(pushed, job, out))
 
 
 def _check_usage(
@@ -174,14 +163,13 @@ def _send(
     push_options: PushOptions,
     *,
     threads: int,
-    quiet: bool,
 ) -> Pushed:
     """Push the drive with a progress bar; report what an interruption leaves on the server."""
     from interloc.client.push import push
     from interloc.errors import InterLocError, is_interruption
 
     last: list[UploadProgress] = []
-    with console.progress("push", "file", quiet=quiet) as bar:
+    with console.progress("push", "file") as bar:
 
         def show(progress: UploadProgress) -> None:
             last[:] = [progress]
@@ -190,8 +178,8 @@ def _send(
 
         def show_stage(stage: str) -> None:
             bar.close()
-            if not quiet and os.isatty(2):
-                click.echo(stage, err=True)
+            if os.isatty(2):
+                console.note(stage)
 
         try:
             return push(
@@ -204,13 +192,13 @@ def _send(
             raise InterLocError(f"interrupted; {done}the same command sends the rest") from error
 
 
-def _finish(connection: Connection, job: JobAnswer, out: Path | None, *, quiet: bool) -> JobAnswer:
+def _finish(connection: Connection, job: JobAnswer, out: Path | None) -> JobAnswer:
     from interloc.errors import InterLocError, is_interruption
 
     try:
-        job = wait_for(connection, job.id, quiet=quiet)
+        job = wait_for(connection, job.id)
         if out is not None:
-            bring(connection, job, out, quiet=quiet)
+            bring(connection, job, out)
     except BaseException as error:
         if not is_interruption(error):
             raise

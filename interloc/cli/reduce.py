@@ -28,8 +28,6 @@ def command(
     out: Path,
     all_scans: bool,
     label_folders: tuple[Any, ...],
-    quiet: bool,
-    as_json: bool,
     **reading: Any,
 ) -> None:
     """Write a copy of DRIVE that holds only what the method needs: the ground points of its keyframes.
@@ -45,8 +43,7 @@ def command(
     from interloc.drives.options import DriveOptions
     from interloc.reduction.reduce import reduce_drive
 
-    console.set_up_log(quiet=quiet)
-    with console.progress("reduce", "scan", quiet=quiet) as bar:
+    with console.progress("reduce", "scan") as bar:
         manifest = reduce_drive(
             drive,
             out,
@@ -60,17 +57,13 @@ def command(
     scans, kept = len(manifest.frames), len(manifest.kept_frames)
     before = manifest.source.scan_bytes + sum(part.label_bytes or 0 for part in manifest.labels)
     after = sum(path.stat().st_size for path in out.rglob("*") if path.is_file())
-    if as_json:
-        outcome = {"out": str(out), "drive": manifest.name, "scans": scans, "kept_scans": kept, "labels": labels}
-        thinning = None if manifest.keyframes is None else manifest.keyframes.model_dump()
-        console.say_json({**outcome, "keyframes": thinning, "bytes_before": before, "bytes_after": after})
-    elif not quiet:
-        by = "all kept" if manifest.keyframes is None else f"{kept:,} kept, the {manifest.keyframes}"
-        console.say_facts(
-            [
-                ("drive", f"{manifest.name}: {scans:,} scans, {by}"),
-                ("labels", " and ".join(labels)),
-                ("size", f"{console.size(before)} before, {console.size(after)} now"),
-                ("written to", str(out)),
-            ]
-        )
+    outcome = {"out": str(out), "drive": manifest.name, "scans": scans, "kept_scans": kept, "labels": labels}
+    thinning = None if manifest.keyframes is None else manifest.keyframes.model_dump()
+    by = "all kept" if manifest.keyframes is None else f"{kept:,} kept, the {manifest.keyframes}"
+    facts = [
+        ("drive", f"{manifest.name}: {scans:,} scans, {by}"),
+        ("labels", " and ".join(labels)),
+        ("size", f"{console.size(before)} before, {console.size(after)} now"),
+        ("written to", str(out)),
+    ]
+    console.say({**outcome, "keyframes": thinning, "bytes_before": before, "bytes_after": after}, facts)

@@ -33,8 +33,6 @@ def command(
     levels: str,
     seed: int,
     workers: int | None,
-    quiet: bool,
-    as_json: bool,
     **given: Any,
 ) -> None:
     """Repeat the paper's experiment on errors of the road labels over DRIVE (Table IV, Fig. 8).
@@ -53,22 +51,21 @@ def command(
 
     names = [name.strip() for name in levels.split(",")]
     shares = [parse_level(name) for name in names]
-    source, config, graph = options.open_for_evaluation(drive, quiet=quiet, **given)
+    source, config, graph = options.open_for_evaluation(drive, **given)
     evaluations: list[tuple[str, Evaluation]] = []
     with atomic_folder(out, marker="robustness.json") as folder:
         for name, (r_fpr, r_fnr) in zip(names, shares, strict=True):
-            with console.progress(name, "keyframe", quiet=quiet) as bar:
+            with console.progress(name, "keyframe") as bar:
                 noisy = MislabelledDrive(source, r_fpr, r_fnr, seed)
                 result = detect(noisy, config, workers=workers, progress=bar)
             if graph is None:
-                graph = options.fetch_map(result, quiet=quiet)
+                graph = options.fetch_map(result)
             evaluation = evaluate(result, graph, policy=policy, tolerance_m=tolerance_m)
             evaluations.append((name, evaluation))
         write_label_errors(evaluations, folder)
-    if as_json:
+    if console.wants_json():
         console.say_json({"levels": [asdict(row) for row in label_error_table(evaluations)]})
-        return
-    if quiet:
+    if console.wants_json() or console.is_quiet():
         return
     click.echo("r-FPR/r-FNR   ACE [m]   Pre@5 [%]   Rec@5 [%]")
     for row in label_error_table(evaluations):

@@ -59,7 +59,7 @@ def command(
     from interloc.drives.labels import SEMANTICKITTI, named_scheme
     from interloc.errors import ConfigError, install
 
-    console.set_up_log(quiet=False)
+    console.set_up_log()
     try:
         from interloc.ros.node import NodeOptions, run
     except ImportError as error:

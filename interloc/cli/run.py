@@ -29,8 +29,6 @@ def command(
     locate: bool,
     near: tuple[float, float] | None,
     radius_km: float | None,
-    quiet: bool,
-    as_json: bool,
     **given: Any,
 ) -> None:
     """Detect, map and evaluate DRIVE in one go; the report is OUT/report.html.
@@ -49,32 +47,30 @@ def command(
 
     search = locating.search_area(near, radius_km)
     may_locate = locate or near is not None
-    source, config, graph = options.open_for_evaluation(drive, quiet=quiet, needs_georeference=not may_locate, **given)
+    source, config, graph = options.open_for_evaluation(drive, needs_georeference=not may_locate, **given)
     if near is not None and not locate:
         locate = source.georeference is None
-        if not locate and not quiet:
-            click.echo("--near is not used: the drive has a georeference (--locate leaves that out)", err=True)
+        if not locate:
+            console.note("--near is not used: the drive has a georeference (--locate leaves that out)")
     if locate and graph is None:
-        graph = locating.fetch_map_around(*search, quiet=quiet)
+        graph = locating.fetch_map_around(*search)
     with result_folder(out) as folder:
         if locate:
             source = source.without_georeference()
-        with console.progress("detect", "keyframe", quiet=quiet) as bar:
+        with console.progress("detect", "keyframe") as bar:
             result = scored = detect(source, config, workers=workers, progress=bar)
         if locate and graph is not None:
-            result, scored = _place(result, source, graph, policy, tolerance_m, search, folder, quiet=quiet)
+            result, scored = _place(result, source, graph, policy, tolerance_m, search, folder)
         network = write_results(result, folder)
         if graph is None:
-            graph = options.fetch_map(result, quiet=quiet)
+            graph = options.fetch_map(result)
         roads = network if scored is result else None
         evaluation = evaluate(scored, graph, policy=policy, tolerance_m=tolerance_m, network=roads)
         write_report(evaluation, folder, result=result)
     report = report_record(evaluation)
-    if as_json:
-        console.say_json({"run": summary.run_summary(result, out), "report": report})
-    elif not quiet:
-        facts = summary.report_facts(report, out)
-        console.say_facts([facts[0], *summary.run_facts(result, out)[:-1], *facts[1:]])
+    first, *others = summary.report_facts(report, out)
+    facts = [first, *summary.run_facts(result, out)[:-1], *others]
+    console.say({"run": summary.run_summary(result, out), "report": report}, facts)
 
 
 def _place(
@@ -85,14 +81,12 @@ def _place(
     tolerance_m: float,
     search: tuple[tuple[float, float] | None, float | None],
     folder: Path,
-    *,
-    quiet: bool,
 ) -> tuple[DriveResult, DriveResult]:
     """Return the run placed on the map, and the fair copy of it to score."""
     from interloc.localization.placing import place_run, write_places
 
     near, radius_m = search
-    with console.progress("locate", "place", quiet=quiet) as bar:
+    with console.progress("locate", "place") as bar:
         placed = place_run(
             result,
             drive,

@@ -6,7 +6,7 @@ import os
 import re
 import time
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from datetime import UTC, datetime
 from difflib import get_close_matches
 from pathlib import Path
@@ -18,6 +18,7 @@ from interloc.errors import ConfigError, InterLocError
 from interloc.wording import counted
 
 if TYPE_CHECKING:
+    from app.context import Context
     from app.settings import Settings
     from app.store.database import Database
 
@@ -172,8 +173,8 @@ def list_(data_dir: Path | None) -> None:
     """List who has a token, what it allows, and when it was last used."""
     from app.store.tokens import list_tokens
 
-    with _existing_database(data_dir) as database:
-        tokens = list_tokens(database)
+    with open_service(data_dir) as context:
+        tokens = list_tokens(context.database)
     for each in tokens:
         used = "no use noted yet" if each.last_used_at is None else f"used {_shown(each.last_used_at)}"
         parts = [f"{each.scope:<5} since {_shown(each.created_at)} UTC", used]
@@ -200,8 +201,8 @@ def revoke(name: str, data_dir: Path | None) -> None:
     """Refuse the token of NAME from now on."""
     from app.store.tokens import revoke_token
 
-    with _existing_database(data_dir) as database:
-        revoke_token(database, name)
+    with open_service(data_dir) as context:
+        revoke_token(context.database, name)
     click.echo(f"the token of {name} is revoked")
 
 
@@ -210,23 +211,18 @@ def _database(data_dir: Path | None) -> Iterator[Database]:
     settings = read_settings({"data_dir": data_dir})
     from app.context import open_database
 
-    database = open_database(settings)
-    try:
+    with closing(open_database(settings)) as database:
         yield database
-    finally:
-        database.close()
 
 
 @contextmanager
-def _existing_database(data_dir: Path | None) -> Iterator[Database]:
+def open_service(data_dir: Path | None, *, bound: bool = True) -> Iterator[Context]:
+    """Open the service that has a data folder, as its operator; `bound`: database and folder must belong together."""
     settings = read_settings({"data_dir": data_dir})
     from app.context import Context
 
-    context = Context.open_existing(settings)
-    try:
-        yield context.database
-    finally:
-        context.close()
+    with closing(Context.open_existing(settings, bound=bound)) as context:
+        yield context
 
 
 def read_settings(given: dict[str, Any]) -> Settings:

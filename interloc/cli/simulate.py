@@ -154,12 +154,10 @@ def town(drive: Path, part: Part, every_scan: bool, speed_mps: float, min_radius
     from interloc.simulate.drive import simulate
     from interloc.simulate.town import MAP_FILE, Town
 
-    quiet = common["quiet"]
-    console.set_up_log(quiet=quiet)
     options = _options(every_scan=every_scan, **common)
-    with console.progress("simulate", "scan", quiet=quiet) as bar:
+    with console.progress("simulate", "scan") as bar:
         trip = Town(part, seed=options.seed).trip(_track_config(speed_mps, min_radius_m=min_radius_m))
-        scans = simulate(trip, drive, options, progress=_Announced(bar, options, quiet=quiet))
+        scans = simulate(trip, drive, options, progress=_Announced(bar, options))
     _go_on(scans, drive, drive / MAP_FILE)
 
 
@@ -207,9 +205,7 @@ def track(
     from interloc.simulate.osm_map import read_map
     from interloc.simulate.track_files import open_track
 
-    quiet = common["quiet"]
-    console.set_up_log(quiet=quiet)
-    with console.progress("simulate", "scan", quiet=quiet) as bar:
+    with console.progress("simulate", "scan") as bar:
         line = open_track(track_file, _track_config(speed_mps, offset_m, min_radius_m))
         trip = Trip(line, read_map(osm, buildings), {"track": track_file.name})
         scans = simulate(trip, drive, _options(every_scan=every_scan, **common), progress=bar)
@@ -245,10 +241,8 @@ def twin(sequence: str, kitti: Path, drive: Path, poses: Poses, every_scan: bool
     from interloc.simulate.drive import simulate
     from interloc.simulate.twins import twin_trip
 
-    quiet = common["quiet"]
-    console.set_up_log(quiet=quiet)
     (case,) = twin_cases(kitti, [sequence], poses=poses)
-    with console.progress("simulate", "scan", quiet=quiet) as bar:
+    with console.progress("simulate", "scan") as bar:
         options = _options(every_scan=every_scan, **common)
         scans = simulate(twin_trip(kitti, sequence, poses=poses), drive, options, progress=bar)
     _go_on(scans, drive, case.osm)
@@ -268,7 +262,6 @@ def _options(
     worn: bool,
     service_roads: bool,
     private_drives: float,
-    quiet: bool,  # noqa: ARG001 - one of `scene_options`
 ) -> SimulationOptions:
     """Return the values of `scene_options` as the simulator takes them."""
     from interloc.simulate.config import (
@@ -305,8 +298,8 @@ def _options(
 class _Announced:
     """A progress bar that first says how much there will be, where it is much."""
 
-    def __init__(self, bar: console.Bar, options: SimulationOptions, *, quiet: bool) -> None:
-        self._bar, self._options, self._is_said = bar, options, quiet
+    def __init__(self, bar: console.Bar, options: SimulationOptions) -> None:
+        self._bar, self._options, self._is_said = bar, options, False
 
     def __call__(self, done: int, total: int) -> None:
         """Show how many scans are done."""
@@ -316,7 +309,7 @@ class _Announced:
             minutes = max(1, round(shots * _SHOT_S / 60))
             if size > _LARGE_BYTES:
                 long = f"{minutes} minute{'' if minutes == 1 else 's'}"
-                click.echo(f"{total:,} scans, about {console.size(size)} and {long} on one core", err=True)
+                console.note(f"{total:,} scans, about {console.size(size)} and {long} on one core")
             self._is_said = True
         self._bar(done, total)
 

@@ -3,23 +3,23 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from interloc.cli.console import progress, say_json, size
-from interloc.cli.service import DATA_DIR, read_settings
+from interloc.cli.console import progress, say_json, set_quiet, size
+from interloc.cli.service import DATA_DIR, open_service, read_settings
 from interloc.errors import ConfigError
 
 if TYPE_CHECKING:
-    from app.context import Context
     from app.upkeep.check import Discrepancy
 
 _SHOWN = 10  # findings of one kind in one folder
+
+QUIET = click.option("--quiet", "-q", is_flag=True, expose_value=False, callback=set_quiet, help="Show no progress.")
 
 
 @click.command(short_help="Compare the database of the service with its files.")
@@ -27,8 +27,8 @@ _SHOWN = 10  # findings of one kind in one folder
 @click.option("--repair", is_flag=True, help="Also do what is safe: nothing of a drive or of a result is removed.")
 @click.option("--quick", is_flag=True, help="Compare sizes and times only, without reading the files.")
 @click.option("--json", "as_json", is_flag=True, help="Print all findings as one JSON object.")
-@click.option("--quiet", "-q", is_flag=True, help="Show no progress.")
-def check(data_dir: Path | None, *, repair: bool, quick: bool, as_json: bool, quiet: bool) -> int:
+@QUIET
+def check(data_dir: Path | None, *, repair: bool, quick: bool, as_json: bool) -> int:
     """Compare all rows of the database with all files: presence, size, digest; results; what belongs to nobody.
 
     The server may go on meanwhile. Exit code 0: nothing was found; 1: something was.
@@ -45,7 +45,7 @@ def check(data_dir: Path | None, *, repair: bool, quick: bool, as_json: bool, qu
     from app.upkeep.check import check as check_all
 
     try:
-        with _closing(Context.open_existing(settings)) as context, progress("checking", " folders", quiet=quiet) as bar:
+        with closing(Context.open_existing(settings)) as context, progress("checking", " folders") as bar:
             found = check_all(context, repair=repair, quick=quick, progress=bar)
     except InstallationError as error:
         found = [Discrepancy("installation", ".", str(error))]
@@ -76,8 +76,8 @@ def _say_findings(found: list[Discrepancy]) -> None:
 @click.command(short_help="Make rows for drives and jobs whose rows are lost.")
 @DATA_DIR
 @click.option("--dry-run", is_flag=True, help="Only list what would be done.")
-@click.option("--quiet", "-q", is_flag=True, help="Show no progress.")
-def adopt(data_dir: Path | None, *, dry_run: bool, quiet: bool) -> None:
+@QUIET
+def adopt(data_dir: Path | None, *, dry_run: bool) -> None:
     """Make rows in the database for folders of drives and jobs that have none, and bind database and data folder.
 
     For a database that was lost, and for what the service has moved to lost+found. Tokens are not in the folder: make
@@ -87,14 +87,9 @@ def adopt(data_dir: Path | None, *, dry_run: bool, quiet: bool) -> None:
     Example:
       interloc adopt --dry-run
     """
-    settings = read_settings({"data_dir": data_dir})
-    from app.context import Context
-    from app.upkeep.adopt import adopt as adopt_all
+    with open_service(data_dir, bound=False) as context, progress("adopting", " folders") as bar:
+        from app.upkeep.adopt import adopt as adopt_all
 
-    with (
-        _closing(Context.open_existing(settings, bound=False)) as context,
-        progress("adopting", " folders", quiet=quiet) as bar,
-    ):
         outcomes = adopt_all(context, dry_run=dry_run, progress=bar)
     for each in outcomes:
         click.echo(f"{each.place}: {each.text}")
@@ -119,7 +114,7 @@ def list_(data_dir: Path | None) -> None:
     """List what can be restored, and until when."""
     from app.trash.deletion import list_trash
 
-    with _context(data_dir) as context:
+    with open_service(data_dir) as context:
         after, shown = None, 0
         while True:
             page = list_trash(context, after, 1000)
@@ -144,7 +139,7 @@ def restore(item: str, data_dir: Path | None) -> None:
     from app.http.problems import Problem
     from app.trash.deletion import restore as restore_item
 
-    with _context(data_dir) as context:
+    with open_service(data_dir) as context:
         try:
             restored = restore_item(context, "drives", item)
         except Problem:
@@ -163,25 +158,8 @@ def empty(older_than: float | None, data_dir: Path | None) -> None:
     """Delete what is in the trash for good."""
     from app.trash.deletion import empty_trash
 
-    with _context(data_dir) as context:
+    with open_service(data_dir) as context:
         purged = empty_trash(context, older_than_s=3600 * (older_than or 0.0))
     for each in purged:
         click.echo(f"{each.kind[:-1]} {each.id}: {size(each.size_bytes)}")
     click.echo(f"{len(purged)} deleted for good, {size(sum(each.size_bytes for each in purged))}")
-
-
-@contextmanager
-def _context(data_dir: Path | None) -> Iterator[Context]:
-    settings = read_settings({"data_dir": data_dir})
-    from app.context import Context
-
-    with _closing(Context.open_existing(settings)) as context:
-        yield context
-
-
-@contextmanager
-def _closing(context: Context) -> Iterator[Context]:
-    try:
-        yield context
-    finally:
-        context.close()

@@ -21,9 +21,7 @@ if TYPE_CHECKING:
 @click.option("--by", metavar="NAME", help="Who says so.", envvar="USER", default="unknown", show_envvar=True)
 @click.option("--note", help="Why.")
 @options.JSON
-def command(
-    city: Path, finding: str | None, verdict: Verdict | None, audit: Path, by: str, note: str | None, as_json: bool
-) -> None:
+def command(city: Path, finding: str | None, verdict: Verdict | None, audit: Path, by: str, note: str | None) -> None:
     """Keep what you saw of FINDING in verdicts.jsonl of CITY; without a finding, list those that nobody looked at.
 
     A place marked wrong never comes back, whatever is merged later. The precision of the findings, with an interval of
@@ -55,7 +53,7 @@ def command(
     last = latest(read_verdicts(city / VERDICTS_FILE))
     left = [each for name, each in features.items() if name not in last]
     found = Precision.of(each.verdict for each in last.values())
-    if as_json:
+    if console.wants_json():
         console.say_json({"precision": vars(found), "open": [each["id"] for each in left]})
         return
     if finding is None:

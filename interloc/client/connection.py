@@ -68,16 +68,16 @@ class Connection:
         self._patience_s = patience_s
         self._answered = False
         self._is_out = threading.Event()
-        local = _is_loopback(url.host)
+        local = is_loopback(url.host)
         if token and url.scheme == "http" and not local:
             _log.warning("%s: the token is sent without encryption; give an https address if there is one", self.server)
         self._client = httpx.Client(
             base_url=self.server + API,
-            headers={"User-Agent": f"interloc/{version('interloc')}", **_authorization(token)},
+            headers={"User-Agent": f"interloc/{version('interloc')}", **authorization(token)},
             timeout=httpx.Timeout(timeout_s, connect=10.0, pool=None),
             limits=httpx.Limits(max_connections=connections + 2, max_keepalive_connections=connections + 2),
             verify=ssl.create_default_context() if url.scheme == "https" else False,
-            trust_env=not local,  # a proxy of the environment cannot reach this machine's own ports
+            trust_env=not local,
         )
 
     def __enter__(self) -> Self:
@@ -231,8 +231,14 @@ def _address(server: str) -> httpx.URL:
     return url.copy_with(path=path or "/", query=None, fragment=None)
 
 
-def _authorization(token: str | None) -> dict[str, str]:
-    """Return the header of a token."""
+def authorization(token: str | None) -> dict[str, str]:
+    """Return the header of a token.
+
+    Raises
+    ------
+    ConfigError
+        It cannot be one.
+    """
     if not token:
         return {}
     if not (token.isascii() and token.isprintable() and " " not in token):
@@ -242,7 +248,8 @@ def _authorization(token: str | None) -> dict[str, str]:
     return {"Authorization": f"Bearer {token}"}
 
 
-def _is_loopback(host: str) -> bool:
+def is_loopback(host: str) -> bool:
+    """Tell whether a host is this machine, whose ports a proxy of the environment cannot reach."""
     try:
         return host == "localhost" or ipaddress.ip_address(host).is_loopback
     except ValueError:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import secrets
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
 from typing import Any
 from urllib.parse import quote
 
@@ -22,42 +23,45 @@ _MAX_EVENT_BYTES = 4 * 1024**2
 _SILENCE_S = 45.0  # a stream of events is never silent for so long: the service sends comments in between
 
 
+@dataclass(frozen=True)
+class JobRequest:
+    """What the service is to do with a drive: find its intersections, and score them where a map is given.
+
+    Attributes
+    ----------
+    config : DetectorConfig
+        Settings of the method.
+    labels : str or None
+        "labels" or "predictions"; None: the one that the drive has.
+    osm : str or None
+        Name of a map among the files of the drive.
+    overpass : bool
+        Let the service fetch the present map from OpenStreetMap instead.
+    policy : str
+    tolerance_m : float
+        Which OSM nodes count as intersections.
+    place : dict or None
+        Place the drive on the map by its roads, and where to search: the result of `placing`.
+    """
+
+    config: DetectorConfig
+    labels: str | None = None
+    osm: str | None = None
+    overpass: bool = False
+    policy: Policy = "drive"
+    tolerance_m: float = 15.0
+    place: dict[str, Any] | None = None
+
+
 def submit(
-    connection: Connection,
-    drive_id: str,
-    *,
-    config: DetectorConfig | None = None,
-    labels: str | None = None,
-    osm: str | None = None,
-    overpass: bool = False,
-    policy: Policy = "drive",
-    tolerance_m: float = 15.0,
-    place: dict[str, Any] | None = None,
-    subscriber: dict[str, str] | None = None,
-    name: str | None = None,
+    connection: Connection, drive_id: str, wanted: JobRequest, *, subscriber: dict[str, str] | None = None
 ) -> JobAnswer:
-    """Let the service find the intersections of a drive, and score them where a map is given.
+    """Let the service work on a drive that is ready or being checked.
 
     Parameters
     ----------
-    drive_id
-        A drive that is ready or being checked.
-    config
-        Settings of the method; by default those of preset `default`.
-    labels
-        "labels" or "predictions"; by default the one that the drive has.
-    osm
-        Name of a map among the files of the drive.
-    overpass
-        Let the service fetch the present map from OpenStreetMap instead.
-    policy, tolerance_m
-        Which OSM nodes count as intersections.
-    place
-        Place the drive on the map by its roads, and where to search: the members of `placing`.
     subscriber
         Addresses that the service calls when the job begins or ends, if it may.
-    name
-        Name of the job in lists.
 
     Raises
     ------
@@ -66,18 +70,15 @@ def submit(
     NetworkError
         The service cannot be reached.
     """
-    request: dict[str, Any] = {"drive_id": drive_id, "policy": policy, "tolerance_m": tolerance_m}
-    if config is not None:
-        request |= {"preset": config.preset, **_differences(config)}
-    if labels is not None:
-        request["labels"] = labels
-    if osm is not None or overpass:
-        request["osm"] = {"overpass": True} if osm is None else {"file": osm}
-    request |= place or {}
+    request: dict[str, Any] = {"drive_id": drive_id, "policy": wanted.policy, "tolerance_m": wanted.tolerance_m}
+    request |= {"preset": wanted.config.preset, **_differences(wanted.config)}
+    if wanted.labels is not None:
+        request["labels"] = wanted.labels
+    if wanted.osm is not None or wanted.overpass:
+        request["osm"] = {"overpass": True} if wanted.osm is None else {"file": wanted.osm}
+    request |= wanted.place or {}
     if subscriber is not None:
         request["subscriber"] = subscriber
-    if name is not None:
-        request["name"] = name
     # The key makes it safe to ask again when an answer is lost: there will be one job.
     return connection.ask("POST", "/jobs", JobAnswer, json=request, headers={"Idempotency-Key": secrets.token_hex(16)})
 
@@ -88,34 +89,22 @@ def placing(near: tuple[float, float] | None, radius_m: float | None = None) -> 
     return {"georeference": "map", "near": there}
 
 
-def finished(
-    connection: Connection,
-    drive_id: str,
-    *,
-    config: DetectorConfig,
-    labels: str | None,
-    osm: str | None,
-    policy: Policy,
-    tolerance_m: float,
-    place: dict[str, Any] | None = None,
-) -> JobAnswer | None:
-    """Return the newest job of a drive that has done what `submit` would ask for; None where there is none.
+def finished(connection: Connection, drive_id: str, wanted: JobRequest) -> JobAnswer | None:
+    """Return the newest job of a drive that has done what is wanted; None where there is none.
 
     It counts only if the files of the drive have not changed since; a map of Overpass is another one every day.
     """
-    wanted = {
-        "config": config.model_dump(mode="json"),
-        "labels": labels,
-        "osm": None if osm is None else {"file": osm},
-        "policy": policy,
-        "tolerance_m": tolerance_m,
-        **(placing(None) | {"georeference": "drive"} if place is None else place),
+    done = {
+        "config": wanted.config.model_dump(mode="json"),
+        "labels": wanted.labels,
+        "osm": None if wanted.osm is None else {"file": wanted.osm},
+        "policy": wanted.policy,
+        "tolerance_m": wanted.tolerance_m,
+        **(placing(None) | {"georeference": "drive"} if wanted.place is None else wanted.place),
     }
     address = f"/jobs?drive={quote(drive_id, safe='')}&state=successful&limit=1000"
-    for job in connection.ask("GET", address, JobsAnswer).jobs:
-        if {name: job.request.get(name) for name in wanted} == wanted:
-            return job
-    return None
+    jobs = connection.ask("GET", address, JobsAnswer).jobs
+    return next((job for job in jobs if {name: job.request.get(name) for name in done} == done), None)
 
 
 def follow(connection: Connection, job_id: str, on_change: OnChange | None = None) -> JobAnswer:

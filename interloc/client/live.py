@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Literal
 from urllib.parse import urlsplit
 
+from interloc.client.connection import authorization, is_loopback
 from interloc.errors import ConfigError, NetworkError, install
 from interloc.live.scan import LiveScan
 from interloc.live.wire import encode_scan
@@ -18,7 +19,6 @@ from interloc.live.wire import encode_scan
 if TYPE_CHECKING:
     from websockets.sync.client import ClientConnection
 
-_HERE = {"localhost", "127.0.0.1", "::1"}
 _UNANSWERED = 3  # scans under way where nothing may be dropped: fewer than the service lets wait
 _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.2, 5.0
 
@@ -56,9 +56,8 @@ class LiveSender:
         if not server.startswith(("http://", "https://")):
             raise ConfigError(f"--server {server}: expected an address such as http://127.0.0.1:8000")
         self._url = f"ws{server.removeprefix('http').rstrip('/')}/api/v1/live"
-        # A proxy of the environment cannot reach the own ports of this machine.
-        self._proxy: Literal[True] | None = None if urlsplit(server).hostname in _HERE else True
-        self._headers = {"Authorization": f"Bearer {token}"} if token else {}
+        self._proxy: Literal[True] | None = None if is_loopback(urlsplit(server).hostname or "") else True
+        self._headers = authorization(token)
         self._begin, self._hear = begin, hear
         self._keeps_all, self._patience_s = keeps_all, patience_s
         self._session: str | None = None

@@ -116,7 +116,7 @@ class SourceFile:
         return self._decoded(self._read(MAX_SMALL_BYTES))
 
     def lines(self) -> list[str]:
-        """Read the lines of a text file, or of its .gz, with one per frame.
+        """Read the lines of a text file, or of its .gz, with one per frame; without blank ones at its end.
 
         Raises
         ------
@@ -134,6 +134,8 @@ class SourceFile:
                 "Usual cause: a file without line breaks.",
                 longest + 1,
             )
+        while not lines[-1].strip():
+            lines.pop()
         return lines
 
     def head(self) -> bytes:

@@ -97,6 +97,12 @@ class Findings:
         path, message = (fault.path, fault.message) if isinstance(fault, _FileMessage) else ("", str(fault))
         self._add(Finding("error", path, message))
 
+    def refuse(
+        self, path: str, message: str, kind: type[DriveFileError | GeoreferenceFileError] = DriveFileError
+    ) -> None:
+        """Raise, or list, what makes the drive unusable."""
+        self.error(kind(path, message))
+
     def warning(self, path: str, message: str) -> None:
         """List something that may make the results poor."""
         if self._add(Finding("warning", path, message)) and self.stop_at_first:
@@ -106,6 +112,10 @@ class Findings:
         """List what was assumed."""
         if self._add(Finding("note", path, message)) and self.stop_at_first:
             _log.info("%s: %s", path, message)
+
+    def untold(self, path: str, message: str) -> None:
+        """List what no check could tell. It is not logged: most drives have something of the kind."""
+        self._add(Finding("note", path, message))
 
     @contextmanager
     def stage(self) -> Iterator[None]:

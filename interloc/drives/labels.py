@@ -1,15 +1,19 @@
-"""Label schemes: which ids are road, which are the ground most often confused with it, and which scheme ids are of."""
+"""Label schemes: which ids are road, which are the ground most often confused with it, and which scheme ids are of.
+
+What lies under the vehicle is road: labels whose scheme says otherwise are read by the wrong scheme.
+"""
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from interloc.arrays import UInt8Array
+from interloc.arrays import Float32Array, UInt8Array, UInt32Array
 from interloc.drives.files import listed
-from interloc.drives.findings import DriveFileError, Findings
+from interloc.drives.findings import Findings
 from interloc.errors import ConfigError
 
 ROAD, CONFUSABLE = 1, 2
@@ -19,6 +23,11 @@ MIN_ROAD_SHARE = 0.05
 MAX_UNKNOWN_SHARE = 0.05
 
 _LABEL_COUNT = 1 << 16
+_NEAREST_M, _FARTHEST_M = 2.5, 6.0
+_LOWEST, _ABOVE_M = 20.0, 0.3
+_HARDLY, _MOSTLY = 0.25, 0.5
+_ENOUGH = 50
+_NUSCENES_ROAD, _NUSCENES_IDS = 11, 16
 
 
 @dataclass(frozen=True)
@@ -224,13 +233,11 @@ def check_labels(folder: str, judgement: LabelJudgement, findings: Findings) -> 
         return
     ids = sorted(counts)
     if scheme.name not in {"custom", "learning", "las"} and _looks_like_learning(counts):
-        findings.error(
-            DriveFileError(
-                folder,
-                f"all ids are 19 or less ({listed(ids, 20)}), which looks like the learning scheme (0..19, road = 9), "
-                f"but they are read as {scheme.name}. Use label scheme 'learning' (--label-scheme learning). "
-                "Usual cause: predictions that were not mapped back to the ids of the labels.",
-            )
+        findings.refuse(
+            folder,
+            f"all ids are 19 or less ({listed(ids, 20)}), which looks like the learning scheme (0..19, road = 9), "
+            f"but they are read as {scheme.name}. Use label scheme 'learning' (--label-scheme learning). "
+            "Usual cause: predictions that were not mapped back to the ids of the labels.",
         )
         return
     unknown = sum(counts[label] for label in judgement.unknown_ids)
@@ -246,19 +253,74 @@ def check_labels(folder: str, judgement: LabelJudgement, findings: Findings) -> 
     road = sum(counts.get(label, 0) for label in scheme.road)
     wanted = listed(sorted(scheme.road), 12)
     if road == 0:
-        findings.error(
-            DriveFileError(
-                folder,
-                "no road was found by geometry in the scans looked at. Expected flat ground under the vehicle, and "
-                "poses of the sensor that saw it. Usual cause: poses of another drive, or in another frame."
-                if folder == "geometry"
-                else f"no point of the scans looked at is road: the ids are {listed(ids, 20)}; road would be {wanted} "
-                f"(scheme {scheme.name}). Usual cause: another label scheme; name it, or give the ids of road.",
-            )
+        findings.refuse(
+            folder,
+            "no road was found by geometry in the scans looked at. Expected flat ground under the vehicle, and "
+            "poses of the sensor that saw it. Usual cause: poses of another drive, or in another frame."
+            if folder == "geometry"
+            else f"no point of the scans looked at is road: the ids are {listed(ids, 20)}; road would be {wanted} "
+            f"(scheme {scheme.name}). Usual cause: another label scheme; name it, or give the ids of road.",
         )
     elif road < MIN_ROAD_SHARE * total:
         findings.warning(
             folder,
             f"only {road / total:.2%} of the points are road (ids {wanted}); 10 to 40 % are usual. "
             "Usual cause: another label scheme, or labels of other scans.",
+        )
+
+
+def ids_below(points: Float32Array, labels: UInt32Array) -> Counter[int]:
+    """Count the ids of the ground around the vehicle, of (N, 4) points in L and their (N,) labels."""
+    with np.errstate(invalid="ignore"):
+        distance = np.hypot(points[:, 0], points[:, 1])
+        near = (distance > _NEAREST_M) & (distance < _FARTHEST_M) & np.isfinite(points[:, 2])
+    if np.count_nonzero(near) < _ENOUGH:
+        return Counter()
+    height = points[near, 2]
+    lowest = height < np.percentile(height, _LOWEST) + _ABOVE_M
+    ids, counts = np.unique(labels[near][lowest] & 0xFFFF, return_counts=True)
+    return Counter(dict(zip(ids.tolist(), counts.tolist(), strict=True)))
+
+
+def check_below(folder: str, below: Counter[int], scheme: LabelScheme, ids: set[int], findings: Findings) -> None:
+    """Check that the ground around the vehicle is road.
+
+    Parameters
+    ----------
+    folder : str
+        Of the labels, in messages.
+    below : Counter
+        `ids_below` of some scans.
+    ids : set of int
+        All ids of these scans.
+    """
+    total = sum(below.values())
+    if not total or not ids & scheme.road:  # without any road, that is said already
+        return
+    usual, count = below.most_common(1)[0]
+    if sum(below[label] for label in scheme.road) > _HARDLY * total or count < _MOSTLY * total:
+        return
+    text = (
+        f"{count / total:.0%} of the ground around the vehicle has id {usual}, which is no road in scheme "
+        f"{scheme.name} (road: {', '.join(map(str, sorted(scheme.road)))}). "
+    )
+    if scheme.name == LEARNING.name and usual + 1 in scheme.road:
+        findings.refuse(
+            folder,
+            f"{text}Usual cause: ids that are one less, 0 to 18 with road = 8, as MMDetection3D writes them. Use "
+            f"--label-scheme {usual}, or add 1 to every id.",
+        )
+    elif scheme.name == LEARNING.name and usual == _NUSCENES_ROAD and max(ids) <= _NUSCENES_IDS:
+        findings.refuse(
+            folder,
+            f"{text}Usual cause: the 16 classes of nuScenes-lidarseg, whose driveable surface is 11. Use "
+            f"--label-scheme {usual}.",
+        )
+    elif usual in scheme.confusable | {0}:
+        findings.warning(folder, f"{text}Usual cause: a drive off the road, or another label scheme.")
+    else:
+        findings.refuse(
+            folder,
+            f"{text}Usual cause: another label scheme; name it, or give the ids of road, such as --label-scheme "
+            f"{usual}.",
         )

@@ -9,7 +9,7 @@ from functools import cache
 from pathlib import Path
 from typing import Unpack, cast
 
-from interloc.drives.checks import NEAR_M, check_flat_road, check_turns, sample_indices
+from interloc.drives.checks import NEAR_M, check_flat_road, sample_indices
 from interloc.drives.files import each_read_once
 from interloc.drives.findings import Findings
 from interloc.drives.folder import FolderDrive, Scans
@@ -22,7 +22,7 @@ from interloc.drives.plausibility import RoadSeen, check_motion, check_points
 from interloc.drives.scan_motion import check_scan_motion
 from interloc.drives.scans.deskewed import deskewed, is_to_deskew
 from interloc.drives.scans.raw import RawScans, trajectory_of
-from interloc.drives.scans.recorded import Recording
+from interloc.drives.scans.recorded import Recording, rows_within
 from interloc.drives.scans.reduced import ReducedScans, reduced_trajectory
 from interloc.drives.scans.reduced_format import ReducedManifest, is_reduced, read_manifest
 from interloc.drives.trajectory import Trajectory
@@ -159,7 +159,8 @@ def read_drive(
             if scans is None or scans.frames is None:
                 readings[folder] = DriveReading(scans)
                 continue
-            where = trajectory()
+            rows, where = trajectory().within_jumps(scans.frames, _pose_file(scans, trajectory()), findings)
+            scans = scans if rows is None else _within(scans, rows)
             sample = sample_indices(scans.usable, len(scans.usable) if thorough else SAMPLED_SCANS)
             labels = scans.judge_labels(sample, options, findings)
             reading = DriveReading(scans, where, sample, labels, _drive_of(scans, where, labels))
@@ -195,12 +196,12 @@ def _open(
                 options = options.model_copy(update={"poses": ODOMETRY})
                 opened = open_recording(root, options, findings)
             if options.poses == ODOMETRY:
-                from interloc.drives.odometry import how_made, track_file  # noqa: PLC0415 - slow to import
+                from interloc.drives.odometry import track_of  # noqa: PLC0415 - slow to import
 
-                track = track_file(opened, options, findings, progress)
-                computed = how_made(track)
+                track = track_of(opened, options, findings, progress)
+                computed = track.how
                 options = options.model_copy(update={"poses": str(track.path), "pose_frame": "lidar"})
-                opened = open_recording(root, options, findings)
+                opened = open_recording(root, options, findings).within(track.rows)
             if is_to_deskew(opened, options, findings):
                 opened = deskewed(opened, trajectory(), options, findings)
     return opened, trajectory
@@ -256,6 +257,22 @@ def _label_folder(
     return "geometry"
 
 
+def _within(scans: Scans, rows: slice) -> Scans:
+    """Return a piece of the scans."""
+    assert scans.frames is not None
+    usable = rows_within(scans.usable, rows)
+    if isinstance(scans, RawScans):
+        return replace(scans, recording=scans.recording.within(rows), usable=usable)
+    return replace(scans, frames=scans.frames[rows], usable=usable)
+
+
+def _pose_file(scans: Scans, trajectory: Trajectory) -> str:
+    if scans.parts.poses is not None:
+        return scans.parts.file(scans.parts.poses).name
+    is_oxts = trajectory.poses is not None and trajectory.poses.frame == "oxts"
+    return "oxts" if is_oxts else "poses"  # those of a bag are in no file
+
+
 def _drive_of(scans: Scans, trajectory: Trajectory, labels: LabelJudgement) -> FolderDrive | None:
     poses = trajectory.poses
     if scans.frames is None or poses is None or not scans.is_complete:
@@ -279,9 +296,7 @@ def _checked(reading: DriveReading, findings: Findings) -> DriveReading:
     drive, scans = reading.drive, reading.scans
     if drive is None or scans is None:
         return reading
-    pose_file = "oxts" if drive.pose_frame == "oxts" else "poses"  # those of a bag are in no file
-    if scans.parts.poses is not None:
-        pose_file = scans.parts.file(scans.parts.poses).name
+    pose_file = _pose_file(scans, reading.trajectory)
     seen = []
     for index in reading.sample:
         with findings.stage():
@@ -289,12 +304,10 @@ def _checked(reading: DriveReading, findings: Findings) -> DriveReading:
                 seen.append(RoadSeen.of(index, road, NEAR_M))
     errors = findings.errors
     check_points(drive.T_world_lidar, seen, scans.parts.file(scans.parts.scans).name, findings)
-    check_motion(drive.T_world_lidar, drive.frames, drive.times_s, pose_file, findings)
+    check_motion(drive.T_world_lidar, pose_file, findings)
     reading = replace(reading, flatness_m=check_flat_road(drive, scans.usable, pose_file, findings))
     if findings.errors == errors:  # else what follows is the same fault in other words
         check_scan_motion(drive, scans.usable, pose_file, findings)
-    if findings.errors == errors:
-        check_turns(drive, scans.usable, pose_file, findings, suspected=reading.trajectory.is_odd)
     if isinstance(scans, RawScans):
         scans.tell_doubts(findings)
     if drive.georeference is None or drive.pose_frame == "oxts":

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from interloc.arrays import Float32Array, FloatArray, UInt8Array
-from interloc.geometry import rotate_2d, wrap_angle
+from interloc.geometry import rotate_2d
 
 MAX_SHIFT_M = 40.0
 MAX_TURN_RAD = np.radians(75.0)
@@ -104,22 +104,11 @@ class PlanMatch:
         motion = np.array([(row - _REACH) * _CELL_M, (column - _REACH) * _CELL_M, self.turns_rad[number]])
         return float(self.shares[number, row, column]), motion
 
-    def at(self, motion: FloatArray) -> float:
-        """Return the largest share near a motion (x, y in metres, turn in radians); NaN beyond what was tried."""
-        turn = float(wrap_angle(float(motion[2])))
-        if abs(turn) > MAX_TURN_RAD or np.hypot(motion[0], motion[1]) > MAX_SHIFT_M:
-            return float("nan")
-        number = round((turn + MAX_TURN_RAD) / _TURN_STEP_RAD)
-        near = np.arange(-1, 2)
-        middle = np.rint(motion[:2] / _CELL_M).astype(np.int64) + _REACH
-        rows, columns = np.clip(middle[:, None] + near, 0, 2 * _REACH)
-        return float(self.shares[max(0, number - 1) : number + 2][:, rows[:, None], columns].max())
-
     @cached_property
     def _distance_m(self) -> Float32Array:
         """How far each place is from the nearest cell of the target, up to 2 m."""
         free: UInt8Array = np.ones((_FINE_SIZE, _FINE_SIZE), dtype=np.uint8)
-        at = np.floor(self.target / _FINE_M).astype(np.int64) + _FINE_SIZE // 2
+        at = np.rint(self.target / _FINE_M).astype(np.int64) + _FINE_SIZE // 2
         free[at[:, 0], at[:, 1]] = 0
         distance_m: Float32Array = (_FINE_M * cv2.distanceTransform(free, cv2.DIST_L2, 5)).astype(np.float32)
         distance_m[distance_m > _FAR_M] = _FAR_M
@@ -127,9 +116,14 @@ class PlanMatch:
 
     def off_m(self, motion: FloatArray) -> float:
         """Return how far the cells of the source, moved so, are from those of the target: the mean, each up to 2 m."""
-        at = np.floor((rotate_2d(self.source, motion[2]) + motion[:2]) / _FINE_M).astype(np.int64) + _FINE_SIZE // 2
+        at = np.rint((rotate_2d(self.source, motion[2]) + motion[:2]) / _FINE_M).astype(np.int64) + _FINE_SIZE // 2
         at = at[((at >= 0) & (at < _FINE_SIZE)).all(axis=1)]
         return float(self._distance_m[at[:, 0], at[:, 1]].mean()) if len(at) else _FAR_M
+
+    @cached_property
+    def best_off_m(self) -> float:
+        """The same for the motion with the largest share."""
+        return self.off_m(self.best[1])
 
 
 def _drawn(cells: FloatArray) -> Float32Array:

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from interloc.arrays import Float32Array, FloatArray, IntArray
+from interloc.arrays import Float32Array, FloatArray
 from interloc.drives.findings import DriveFileError, Findings
-from interloc.drives.poses.motion import jumps, named_jumps, rows_apart
+from interloc.drives.poses.motion import rows_apart
 from interloc.geometry import wrap_angle, yaw_of
 
 MAX_STEP_M = 120.0
@@ -119,17 +119,12 @@ def _follow_the_poses(T_world_lidar: FloatArray, seen: Sequence[RoadSeen]) -> bo
     return bool(shares) and _FOLLOWS < float(np.median(shares)) < 1 / _FOLLOWS
 
 
-def check_motion(
-    T_world_lidar: FloatArray, frames: IntArray, times_s: FloatArray | None, pose_file: str, findings: Findings
-) -> None:
-    """Check that poses are metres, do not jump, and that the body turns with the path that it takes.
+def check_motion(T_world_lidar: FloatArray, pose_file: str, findings: Findings) -> None:
+    """Check that poses are metres, and that the body turns with the path that it takes.
 
     Parameters
     ----------
     T_world_lidar : (N, 4, 4) float64
-    frames : (N,) int64
-        Scan numbers.
-    times_s : (N,) float64 or None
     pose_file : str
         Name of the pose file in messages.
     """
@@ -143,13 +138,6 @@ def check_motion(
             )
         )
         return
-    position = T_world_lidar[:, :3, 3]
-    if times_s is not None and len(after := jumps(position, times_s)):
-        findings.warning(
-            pose_file,
-            f"the poses jump: {named_jumps(after, position, frames)}. What lies beyond comes to another place of the "
-            "map: cut the drive there. Usual cause: an odometry that was reset or lost track, or an outage of GNSS.",
-        )
     turned, share = turning_with_path(T_world_lidar)
     if turned > _TURNED_RAD and share < _TURNS_ALONG:
         what = "the other way" if share < -_TURNS_ALONG else f"by {share:.0%} of that"

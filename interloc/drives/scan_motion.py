@@ -27,15 +27,12 @@ _TELLS_M = 0.3
 _MATCHED = {"upright": 0.45, "road": 0.5}
 """Share of a plan that must lie on the other: streets reach 0.5 to 0.9 up to 23 m apart."""
 
-_STRONG = {"upright": 0.62, "road": 0.7}
-"""Share from which a match says something by itself: scans of two places reach it in 1 of 100 pairs of real streets."""
-
 _FAR_M, _FAR_RAD = 25.0, np.radians(60.0)
 """Where the poses move as far between two scans, these hardly see the same, and what lies on the other is chance."""
 
-_CONTRADICTS = {"upright": 0.8, "road": 0.7}
-"""A motion that fits by less than this share of the best is another one. That of the right poses fits by 0.99 or more
-on real scans, by 0.86 or more where only the edges of a straight road are seen."""
+_CONTRADICTS_M, _STRONGLY_M, _UNKNOWN_M = 0.3, 0.6, 2.0
+"""Where scans lie so much farther off than by the best motion, theirs is another one: with the right poses 0.19 m at
+most, on real scans and where only the edges of the road are seen; with those of other drives 0.3 to 1 m."""
 
 _NO_MOTION_M, _NO_MOTION_RAD = 2.0, np.radians(6.0)
 _MAX_SHIFT = 30
@@ -44,6 +41,11 @@ _MAX_LATE, _LITTLE_M = 10, 3.0
 _CLOSER, _PLACES_CLOSER = 1.25, 3
 """So much closer must scans lie with the motion of a mistake: with their own they lie up to 1.04 times as far off on
 drives that turn hardly at all, and 0.7 to 0.4 times where they turn."""
+
+_SCALES = np.exp(np.arange(-0.9, 0.91, 0.02))
+_SCALE_APART_M, _SCALE_PLACES, _AGREE, _ALIKE = 3.0, 4, 0.75, 0.05
+_OFF_SCALE = 0.07
+"""Of the logarithm of a scale: on sound drives, real and simulated, it is 0.04 at most where places agree."""
 
 
 @dataclass(frozen=True)
@@ -54,34 +56,24 @@ class _Pair:
     ----------
     i, j : int
         Their rows among the scans that can be read.
+    kind : {"upright", "road"}
+        What was laid onto each other.
     match : PlanMatch
-    allowed : float
-        Share of the best fit that a motion must reach.
-    strong : float
-        Share of the plan from which the match says something by itself.
     """
 
     i: int
     j: int
+    kind: str
     match: PlanMatch
-    allowed: float
-    strong: float
-
-    @property
-    def is_strong(self) -> bool:
-        """Whether it says something by itself."""
-        return self.match.best[0] >= self.strong
 
     @property
     def motion(self) -> FloatArray:
         """That of the scans: x, y in metres and turn in radians."""
         return self.match.best[1]
 
-    def fit(self, motion: FloatArray | None) -> float:
-        """Return how well a motion fits, 1 for enough; 0 where it was not tried."""
-        if motion is None:
-            return 0.0
-        return min(1.0, float(np.nan_to_num(self.match.at(motion))) / (self.match.best[0] * self.allowed))
+    def lost_m(self, motion: FloatArray | None) -> float:
+        """Return how much farther off the scans lie with a motion than with their own; much, where it is not known."""
+        return self.match.off_m(motion) - self.match.best_off_m if motion is not None else _UNKNOWN_M
 
 
 @dataclass(frozen=True)
@@ -91,22 +83,22 @@ class _Explanation:
     Attributes
     ----------
     words : str
-    fits : (P,) float64
-        Of each pair: 1 where it explains it.
+    lost_m : (P,) float64
+        Of each pair: how much farther off its scans lie than by the best motion.
     """
 
     words: str
-    fits: FloatArray
+    lost_m: FloatArray
 
     @property
     def wrong(self) -> IntArray:
         """Pairs that it does not explain."""
-        return np.flatnonzero(self.fits < 1.0)
+        return np.flatnonzero(self.lost_m > _CONTRADICTS_M)
 
     @property
     def rank(self) -> tuple[int, float]:
         """The larger, the better."""
-        return -len(self.wrong), float(self.fits.mean())
+        return -len(self.wrong), -float(self.lost_m.mean())
 
 
 def check_scan_motion(drive: FolderDrive, usable: IntArray, pose_file: str, findings: Findings) -> None:
@@ -138,16 +130,23 @@ def check_scan_motion(drive: FolderDrive, usable: IntArray, pose_file: str, find
     mistake = max(mistakes, key=lambda each: each.ratio, default=_Mistake(""))
     fault = _unlike(near, poses, mistake) or _in_another_unit(pairs, near, poses)
     tells = pairs or any(each.ratio * _CLOSER < 1.0 for each in mistakes)
-    if not tells and float(np.linalg.norm(np.ptp(poses[:, :3, 3], axis=0))) > _MUCH_M:
-        findings.note(
-            pose_file, "the scans hold too little that stands upright or turns to tell whether they move as the poses."
-        )
+    scale = _scale_of(matcher.laid, poses) if matcher.kind == "upright" else None
+    is_off = scale is not None and abs(np.log(scale)) > _OFF_SCALE
+    untold = "" if tells else "too little that stands upright or turns to tell whether they move as the poses."
+    if tells and scale is None and fault is None:
+        untold = "too little that stands upright to be sure of the scale of the poses."
+    if untold and float(np.linalg.norm(np.ptp(poses[:, :3, 3], axis=0))) > _MUCH_M:
+        findings.untold(pose_file, f"the scans hold {untold}")
     if mistake.is_clear and (fault is None or fault[1] < _PLACES_WRONG):
         text = f"the scans do not move as the poses do ({mistake.closer} of {mistake.of} places). {mistake.words}."
         if mistake.metres < _LITTLE_M:
             findings.warning(pose_file, text)
         else:
             findings.error(DriveFileError(pose_file, text))
+    elif is_off and (fault is None or fault[3] == _ANOTHER):
+        assert scale is not None
+        text = f"the scans do not move as the poses do. {_scale_words(scale)}."
+        findings.error(DriveFileError(pose_file, text))
     elif fault is not None:
         pair, wrong, of, usual = fault
         x, y, turn = _planar(poses, pair.i, pair.j)
@@ -222,6 +221,27 @@ def _mistakes(pairs: list[_Pair], poses: FloatArray) -> list[_Mistake]:
     return found
 
 
+def _scale_of(laid: list[_Pair], poses: FloatArray) -> float | None:
+    """Return how many times as far as the poses the scans move; None where that cannot be told.
+
+    Places that do not overlap are looked at: the scale by which the scans of all lie closest together must be that of
+    most of them alone, and lay them as close as any other motion.
+    """
+    places: list[tuple[_Pair, FloatArray]] = []
+    for pair in sorted(laid, key=lambda each: each.j):
+        told = _planar(poses, pair.i, pair.j)
+        if np.hypot(told[0], told[1]) > _SCALE_APART_M and (not places or pair.i >= places[-1][0].j):
+            places.append((pair, told))
+    if len(places) < _SCALE_PLACES:
+        return None
+    lost_m = np.array([[pair.lost_m(told * (scale, scale, 1.0)) for scale in _SCALES] for pair, told in places])
+    best = int(np.argmin(lost_m.sum(axis=0)))
+    together, alone = np.log(_SCALES[best]), np.log(_SCALES[np.argmin(lost_m, axis=1)])
+    is_alike = (np.abs(alone - together) < max(_ALIKE, abs(together) / 4)) & (lost_m[:, best] < _CONTRADICTS_M)
+    enough = max(_SCALE_PLACES, _AGREE * len(places))
+    return float(_SCALES[best]) if np.count_nonzero(is_alike) >= enough else None
+
+
 def _is_near(told: FloatArray) -> bool:
     return bool(np.hypot(told[0], told[1]) < _FAR_M and abs(told[2]) < _FAR_RAD)
 
@@ -235,14 +255,14 @@ def _unlike(pairs: list[_Pair], poses: FloatArray, mistake: _Mistake) -> tuple[_
     wrong = as_told.wrong
     if not len(wrong):
         return None
-    worst = pairs[int(np.argmin(as_told.fits))]
-    strong = [row for row in wrong if pairs[row].is_strong]
+    worst = pairs[int(np.argmax(as_told.lost_m))]
+    strong = [row for row in wrong if as_told.lost_m[row] > _STRONGLY_M]
     best = max(_explanations(pairs, poses), key=lambda each: each.rank)
     if len(best.wrong) <= len(wrong) // 3 and len(wrong) - len(best.wrong) >= _PLACES_WRONG:
         return worst, len(wrong), len(pairs), best.words
     if not strong and len(wrong) <= _PLACES_WRONG:
         return None
-    worst = pairs[min(strong or wrong.tolist(), key=lambda row: as_told.fits[row])]
+    worst = pairs[max(strong or wrong.tolist(), key=lambda row: as_told.lost_m[row])]
     if len(wrong) >= _PLACES_WRONG:
         usual = mistake.words if mistake.is_clear else _ANOTHER
         return worst, len(wrong), len(pairs), usual
@@ -312,7 +332,7 @@ class _Matcher:
         if near is None:
             return None
         told = _planar(self.poses, i, i + 1)
-        if near.fit(told) >= 1.0 and np.hypot(*told[:2]) > _NO_MOTION_M:
+        if near.lost_m(told) < _CONTRADICTS_M and np.hypot(*told[:2]) > _NO_MOTION_M:
             return near
         gap = int(_APART_M / max(float(np.hypot(*near.match.best[1][:2])), 0.5))
         return (gap > 1 and self._laid(i, min(len(self.usable) - 1, i + gap))) or near
@@ -331,12 +351,13 @@ class _Matcher:
         target, source = self._plan(i), self._plan(j)
         if min(len(target), len(source)) < MIN_CELLS:
             return None
-        pair = _Pair(i, j, PlanMatch.of(target, source), _CONTRADICTS[self.kind], _STRONG[self.kind])
+        pair = _Pair(i, j, self.kind, PlanMatch.of(target, source))
         self.laid.append(pair)
         share, motion = pair.match.best
         if share < _MATCHED[self.kind]:
             return None
-        if self.kind == "road" and np.hypot(*motion[:2]) < _NO_MOTION_M and abs(motion[2]) < _NO_MOTION_RAD:
+        turns = max(abs(motion[2]), abs(_planar(self.poses, i, j)[2]) / 3) > _NO_MOTION_RAD
+        if self.kind == "road" and np.hypot(*motion[:2]) < _NO_MOTION_M and not turns:
             return None  # a straight road looks the same from everywhere, best of all where points end at one range
         return pair
 
@@ -358,7 +379,7 @@ def _planar(poses: FloatArray, i: int, j: int) -> FloatArray:
 
 
 def _explained(pairs: list[_Pair], motion: _Motion, words: str) -> _Explanation:
-    return _Explanation(words, np.array([pair.fit(motion(pair.i, pair.j)) for pair in pairs]))
+    return _Explanation(words, np.array([pair.lost_m(motion(pair.i, pair.j)) for pair in pairs]))
 
 
 _Motion = Callable[[int, int], FloatArray | None]
@@ -419,7 +440,7 @@ def _explanations(pairs: list[_Pair], poses: FloatArray) -> list[_Explanation]:
             if scans
         ),
     ]
-    if max(float(np.hypot(*pair.motion[:2])) for pair in pairs) <= _NO_MOTION_M:
+    if all(pair.kind == "upright" and np.hypot(*pair.motion[:2]) <= _NO_MOTION_M for pair in pairs):
         tried.append(
             _explained(
                 pairs,
@@ -436,8 +457,14 @@ def _scale_explanation(pairs: list[_Pair], poses: FloatArray) -> _Explanation:
     return _explained(
         pairs,
         lambda i, j: _planar(poses, i, j) * (scale, scale, 1.0),
-        f"They fit with {scale:.3g} times the distances. Usual cause: poses or points in another unit, or a monocular "
-        "SLAM, which has no scale",
+        _scale_words(scale),
+    )
+
+
+def _scale_words(scale: float) -> str:
+    return (
+        f"The poses move {1 / max(scale, 1e-3):.2f} times as far as the scans. Usual cause: the scale of a monocular "
+        "or visual odometry, the radius of a wheel, or poses or points in another unit"
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,14 +13,15 @@ from interloc.drives.findings import DriveFileError, Findings
 from interloc.drives.georeference.geodetic import poses_of
 from interloc.drives.georeference.kitti360 import georeference_of_kitti360, is_karlsruhe
 from interloc.drives.georeference.read import AS_PUBLISHED, read_georeference
-from interloc.drives.layouts import DriveParts, PoseOwner
+from interloc.drives.layouts import NUMBERED_ANYHOW, DriveParts, PoseOwner
 from interloc.drives.options import DriveOptions, PoseFrame
 from interloc.drives.poses.calibration import IMU_CALIBRATION
 from interloc.drives.poses.frame import to_lidar
 from interloc.drives.poses.lines import PoseLines, read_poses
+from interloc.drives.poses.motion import longest_piece
 from interloc.drives.poses.tum import is_tum, read_tum
 from interloc.errors import InterLocError
-from interloc.geometry import enu_from_lonlat, invert_transform
+from interloc.geometry import enu_from_lonlat, from_first
 
 _MAX_SPEED_MPS = 80.0
 
@@ -74,8 +75,6 @@ class Trajectory:
     georeference : Georeference or None
     georeference_reason : str or None
         Why there is none; None where it was not looked for.
-    is_odd : bool
-        Poses and times do not fit together, which was listed as a warning.
     """
 
     poses: LidarPoses | None = None
@@ -83,7 +82,36 @@ class Trajectory:
     times_s: FloatArray | None = None
     georeference: Georeference | None = None
     georeference_reason: str | None = None
-    is_odd: bool = False
+
+    def within_jumps(
+        self, frames: IntArray | None, pose_file: str, findings: Findings
+    ) -> tuple[slice | None, Trajectory]:
+        """Cut where the poses jump; a warning says what is left out.
+
+        Parameters
+        ----------
+        frames : (N,) int64 or None
+            Scan numbers; None: from 0 on.
+        pose_file : str
+            Name of the pose file in messages.
+
+        Returns
+        -------
+        rows : slice or None
+            The longest piece between two jumps; None where there are none.
+        Trajectory
+            Of these rows.
+        """
+        if self.poses is None or self.times_s is None:
+            return None, self
+        frames = np.arange(len(self.times_s)) if frames is None else frames
+        rows, jumps = longest_piece(self.poses.T_world_lidar[:, :3, 3], self.times_s, frames)
+        if not jumps:
+            return None, self
+        findings.warning(pose_file, f"the poses {jumps}")
+        poses = replace(self.poses, T_world_lidar=from_first(self.poses.T_world_lidar[rows]), T_file_world=None)
+        georeference = None if self.georeference is None else self.georeference.part(rows)
+        return rows, replace(self, poses=poses, times_s=self.times_s[rows], georeference=georeference)
 
 
 def read_trajectory(
@@ -109,7 +137,7 @@ def read_trajectory(
         The first fault, where `findings` stops at it.
     """
     georeference, reason = None, "the drive has neither oxts/ nor geo.csv"
-    poses, pose_count, is_odd = None, 0, False
+    poses, pose_count = None, 0
     with findings.stage():
         try:
             georeference = read_georeference(parts, frames, options.oxts, findings)
@@ -136,12 +164,12 @@ def read_trajectory(
             pose_count = len(lines.poses)
             poses = _poses_of_scans(lines, file, parts, frames, options.pose_frame, findings)
             if lines.frames is None and parts.times is not None:
-                is_odd = _differ_in_length(file, parts.file(parts.times), pose_count, findings)
+                _check_length(file, parts.file(parts.times), pose_count, findings)
         if poses is not None and times_s is not None:
-            is_odd |= _is_too_fast(poses, times_s, parts, findings)
+            _check_speed(poses, times_s, parts, findings)
     if options.oxts is None and parts.geo is None and parts.in_kitti360_world and poses is not None:
         georeference = _in_kitti360_world(poses, parts, georeference, findings)
-    return Trajectory(poses, pose_count, times_s, georeference, reason, is_odd)
+    return Trajectory(poses, pose_count, times_s, georeference, reason)
 
 
 def _in_kitti360_world(
@@ -182,7 +210,7 @@ def _read_timed(file: SourceFile, times_s: FloatArray | None, frames: IntArray, 
 def _poses_of_scans(
     lines: PoseLines, file: SourceFile, parts: DriveParts, frames: IntArray, declared: PoseFrame, findings: Findings
 ) -> LidarPoses:
-    if parts.layout in {"pcd", "las"} and lines.frames is None and len(lines.poses) == len(frames):
+    if parts.layout in NUMBERED_ANYHOW and lines.frames is None and len(lines.poses) == len(frames):
         lines = PoseLines(lines.poses, frames)  # the numbers in their names are whatever their maker chose
     missing = int(frames[-1] - frames[0]) + 1 - len(frames)
     if lines.frames is None and missing:
@@ -208,35 +236,33 @@ def _poses_of_scans(
     elif frames[0] > 0 and lines.frames is None:
         findings.note(file.name, f"the scans start at {frames[0]}, and there is one pose per scan: taken one to one.")
     lidar, frame, reason = to_lidar(lines.poses, parts, file, declared, findings)
-    return LidarPoses(_from_first(lidar[rows]), frame, reason, lidar[rows[0]])
+    return LidarPoses(from_first(lidar[rows]), frame, reason, lidar[rows[0]])
 
 
-def _differ_in_length(file: SourceFile, times: SourceFile, pose_count: int, findings: Findings) -> bool:
+def _check_length(file: SourceFile, times: SourceFile, pose_count: int, findings: Findings) -> None:
     """Warn where there are not as many times as poses: both have a line per frame of their sequence."""
-    count = len("\n".join(times.lines()).rstrip().split("\n"))
+    count = len(times.lines())
     if count == pose_count:
-        return False
+        return
     findings.warning(
         file.name,
         f"{pose_count:,} poses, but {times.name} has {count:,} lines: they are of two sequences, or one was cut. "
         "Usual cause: poses of another sequence.",
     )
-    return True
 
 
-def _is_too_fast(poses: LidarPoses, times_s: FloatArray, parts: DriveParts, findings: Findings) -> bool:
+def _check_speed(poses: LidarPoses, times_s: FloatArray, parts: DriveParts, findings: Findings) -> None:
     passed_s = np.diff(times_s)
     if not (passed_s > 0).any():
-        return False
+        return
     speed_mps = float(np.median((poses.steps_m / np.where(passed_s > 0, passed_s, np.nan))[passed_s > 0]))
     if speed_mps < _MAX_SPEED_MPS:
-        return False
+        return
     findings.warning(
         parts.file(parts.poses or parts.scans).name,
         f"with the times of the scans it moves at {speed_mps:,.0f} m/s (usual: under 40 m/s). Usual cause: times or "
         "poses of another drive, or poses that are not in metres.",
     )
-    return True
 
 
 def posed_frames(parts: DriveParts, frames: IntArray, findings: Findings) -> IntArray:
@@ -305,21 +331,12 @@ def _poses_from_georeference(georeference: Georeference | None, why_none: str, f
         )
     reason = "there is no poses.txt; the poses are those of the georeference"
     findings.note("oxts", reason)
-    return LidarPoses(_from_first(poses_of(georeference)), "oxts", reason)
-
-
-def _from_first(poses: FloatArray) -> FloatArray:
-    """Express poses in the LiDAR at the first scan."""
-    relative: FloatArray = invert_transform(poses[0]) @ poses
-    relative[0] = np.eye(4)
-    return relative
+    return LidarPoses(poses_of(georeference), "oxts", reason)
 
 
 def _read_times(file: SourceFile, frames: IntArray, findings: Findings) -> FloatArray | None:
     """Read the time of every scan, seconds; None where there is none that fits."""
     lines = [text.strip() for text in file.lines()]
-    while lines and not lines[-1]:
-        lines.pop()
     rows = rows_by_frame(frames, len(lines))
     if rows is None:
         findings.warning(

@@ -26,6 +26,7 @@ from interloc.drawing import (
     mark,
     new_figure,
     quiet,
+    scale_bar,
     series_style,
 )
 from interloc.evaluation.evaluate import Evaluation
@@ -72,7 +73,7 @@ def map_figure(evaluation: Evaluation, result: DriveResult) -> Figure:
     _draw_nodes(axes, evaluation, plane)
     fused = {"markerfacecolor": YELLOW, "markeredgecolor": INK, "markeredgewidth": 0.7, "label": "fused intersection"}
     mark(axes, plane(result.intersections.lonlat), "P", 10, zorder=4, **fused)
-    _draw_scale_bar(axes, low, high)
+    scale_bar(axes, low, high)
     handles, labels = axes.get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False, fontsize=9)
     credit_roads(axes, is_made_up=evaluation.graph.is_made_up)
@@ -114,28 +115,6 @@ def _draw_nodes(axes: Axes, evaluation: Evaluation, plane: Any) -> None:  # noqa
     ):
         style = {"color": colour, "fillstyle": "none", "markeredgewidth": width, "label": label}
         mark(axes, place[mask], sign, size, zorder=6, **style)
-
-
-def _draw_scale_bar(axes: Axes, low: FloatArray, high: FloatArray) -> None:
-    """Draw a round length of about a fifth of the map in its lower left corner."""
-    fifth = (high[0] - low[0]) / 5.0
-    power = 10.0 ** np.floor(np.log10(fifth))
-    length = max(step * power for step in (1.0, 2.0, 5.0) if step * power <= fifth)
-    x, y = low + 0.04 * (high - low)
-    box = {"facecolor": PAPER, "edgecolor": "none", "alpha": 0.8, "pad": 2.0}
-    axes.plot([x, x + length], [y, y], color=INK, linewidth=3, solid_capstyle="butt", zorder=9)
-    axes.annotate(
-        f"{length:g} m",
-        (x + length / 2.0, y),
-        xytext=(0, 5),
-        textcoords="offset points",
-        ha="center",
-        va="bottom",
-        fontsize=9,
-        color=INK,
-        bbox=box,
-        zorder=8,
-    )
 
 
 def error_figure(evaluation: Evaluation) -> Figure:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from interloc.drawing import BLUE, INK, MUTED, PURPLE, SKY, VERMILION, entitle, image, new_figure, quiet, write_image
+from interloc.drawing import entitle, image, new_figure, quiet, series_style, write_image
 from interloc.errors import ConfigError, OutputError
 from interloc.evaluation.evaluate import Evaluation
 from interloc.evaluation.metrics import NEAR_PAIR_M, STANDARD_THRESHOLD_M
@@ -117,7 +117,7 @@ def label_error_table(levels: Sequence[tuple[str, Evaluation]]) -> list[LabelErr
 
 def label_error_figure(levels: Sequence[tuple[str, Evaluation]]) -> Figure:
     """Draw the center errors as boxes and F1 over the threshold, per level (paper, Fig. 8)."""
-    from interloc.evaluation.figures import draw_boxes  # noqa: PLC0415 - matplotlib is slow to import
+    from interloc.evaluation.figures import draw_boxes, scale_to_thresholds  # noqa: PLC0415 - matplotlib is slow to import
 
     figure = new_figure(10.5, 4.4)
     boxes, curves = figure.subplots(1, 2, width_ratios=(1, 1.25))
@@ -129,26 +129,14 @@ def label_error_figure(levels: Sequence[tuple[str, Evaluation]]) -> Figure:
     entitle(boxes, "Center error (5th, 25th, 50th, 75th, 95th percentile)", 10.5)
     quiet(boxes)
 
-    colours, markers = (INK, BLUE, SKY, PURPLE, VERMILION), "os^Dv"
     for row, (name, evaluation) in enumerate(levels):
         scores = evaluation.scores
         shown = scores.threshold_m <= NEAR_PAIR_M
-        curves.plot(
-            scores.threshold_m[shown],
-            100.0 * scores.f1[shown],
-            color=colours[row % len(colours)],
-            marker=markers[row % len(markers)],
-            linestyle=("-", "--", "-.", ":")[row % 4],
-            markersize=4,
-            linewidth=1.6,
-            label=name,
-        )
-    curves.axvline(STANDARD_THRESHOLD_M, color=MUTED, linestyle=(0, (4, 3)), linewidth=1)
-    curves.set(xlim=(0.0, NEAR_PAIR_M + 0.2), ylim=(0.0, 102.0), xticks=range(0, 11, 2))
-    curves.set(xlabel="confidence threshold D [m]", ylabel="F1 [%]")
+        curves.plot(scores.threshold_m[shown], 100.0 * scores.f1[shown], label=name, **series_style(row))
+    scale_to_thresholds(curves)
+    curves.set_ylabel("F1 [%]")
     entitle(curves, "F1 over the distance that still counts as found", 10.5)
     curves.legend(title="r-FPR / r-FNR [%]", loc="lower right", frameon=False, fontsize=9, title_fontsize=9)
-    quiet(curves)
     return figure
 
 

@@ -13,7 +13,7 @@ from interloc.labelling.graph import Expected, GraphForm, match_graph
 from interloc.labelling.neighbours import KnnSettings
 from interloc.labelling.network import describe_graph
 from interloc.labelling.projection import CHANNELS
-from interloc.labelling.settings import SettingsFile, read_settings
+from interloc.labelling.settings import FLAG, WORDS, SettingsFile, number, numbers, read_settings, table, whole
 
 GRAPH, ARCH, DATA = "model.onnx", "arch_cfg.yaml", "data_cfg.yaml"
 
@@ -172,7 +172,7 @@ def read_model(folder: str | Path) -> Model:
         means=tuple(means[channel] for channel in form.channels),
         stds=tuple(stds[channel] for channel in form.channels),
         class_ids=class_ids,
-        first_class=1 if data.flag_of("learning_ignore", 0, default=True) else 0,
+        first_class=1 if data.read("learning_ignore.0", FLAG, default=True) else 0,
         knn=knn,
         form=form,
         notes=notes + form.notes,
@@ -253,13 +253,14 @@ def _graph_files(folder: Path) -> list[Path]:
 
 
 def _read_sensor(arch: SettingsFile) -> _Sensor:
-    height = arch.whole("dataset.sensor.img_prop.height", 1, MAX_HEIGHT)
-    width = arch.whole("dataset.sensor.img_prop.width", 1, MAX_WIDTH)
+    height = arch.read("dataset.sensor.img_prop.height", whole(1, MAX_HEIGHT))
+    width = arch.read("dataset.sensor.img_prop.width", whole(1, MAX_WIDTH))
     if height * width > MAX_PIXELS:
         raise arch.fault(
             "dataset.sensor.img_prop", f"{height} x {width} pixels are more than the {MAX_PIXELS:,} that are possible."
         )
-    up, down = (abs(arch.number(f"dataset.sensor.fov_{side}", -90.0, 90.0)) for side in ("up", "down"))
+    up, down = (arch.read(f"dataset.sensor.fov_{side}", number(-90, 90)) for side in ("up", "down"))
+    up, down = abs(up), abs(down)
     if up + down < 0.1:
         raise arch.fault(
             "dataset.sensor.fov_up",
@@ -269,27 +270,29 @@ def _read_sensor(arch: SettingsFile) -> _Sensor:
 
 
 def _read_knn(arch: SettingsFile, sensor: _Sensor) -> KnnSettings | None:
-    if not arch.flag("post.KNN.use", default=False):
+    if not arch.read("post.KNN.use", FLAG, default=False):
         return None
     params = "post.KNN.params"
-    search = arch.whole(f"{params}.search", 1, MAX_SEARCH)
+    search = arch.read(f"{params}.search", whole(1, MAX_SEARCH))
     if search % 2 == 0 or search > sensor.width:
         raise arch.fault(
             f"{params}.search", f"found {search}; expected an odd number of pixels, no wider than the image."
         )
     return KnnSettings(
-        neighbours=arch.whole(f"{params}.knn", 1, search * search),
+        neighbours=arch.read(f"{params}.knn", whole(1, search * search)),
         search=search,
-        sigma=arch.number(f"{params}.sigma", 1e-3, 1e3),
-        cutoff=arch.number(f"{params}.cutoff", 0.0, 1e6),
+        sigma=arch.read(f"{params}.sigma", number(1e-3, 1e3)),
+        cutoff=arch.read(f"{params}.cutoff", number(0.0, 1e6)),
     )
 
 
 def _listed_channels(arch: SettingsFile) -> tuple[str, ...]:
     """Return the channels that the settings list; nothing where they list none."""
     for field in _CHANNEL_FIELDS:
-        if arch.has(field) and not arch.is_whole(field):  # a number would be that of the laser beams
-            names = tuple(_SYNONYMS.get(word.lower(), word.lower()) for word in arch.words(field))
+        if arch.find(field) is not None and not isinstance(
+            arch.find(field), int
+        ):  # a number would be that of the laser beams
+            names = tuple(_SYNONYMS.get(word.lower(), word.lower()) for word in arch.read(field, WORDS))
             unknown = [name for name in names if name not in CHANNELS]
             if unknown or not names or len(set(names)) < len(names):
                 raise arch.fault(
@@ -309,7 +312,7 @@ def _usual_channels(arch: SettingsFile) -> tuple[tuple[str, ...], ...]:
     used = tuple(
         name
         for group, names in groups.items()
-        if arch.flag(f"backbone.input_depth.{group}", default=True)
+        if arch.read(f"backbone.input_depth.{group}", FLAG, default=True)
         for name in names
     )
     return (PUBLISHED,) if used in {PUBLISHED, ()} else (PUBLISHED, used)
@@ -317,7 +320,7 @@ def _usual_channels(arch: SettingsFile) -> tuple[tuple[str, ...], ...]:
 
 def _read_statistics(arch: SettingsFile, field: str, listed: tuple[str, ...], lowest: float) -> dict[str, float]:
     """Return the means or the standard deviations by channel."""
-    values = arch.numbers(field, lowest, 1e6)
+    values = arch.read(field, numbers(lowest, 1e6))
     neutral = {"mask": 0.0 if lowest < 0 else 1.0}
     measured = tuple(name for name in listed if name != "mask")
     for names in (listed, measured, PUBLISHED):
@@ -330,15 +333,15 @@ def _read_statistics(arch: SettingsFile, field: str, listed: tuple[str, ...], lo
 
 def _read_classes(data: SettingsFile) -> tuple[tuple[int, ...], tuple[str, ...]]:
     """Return the label id of every class, and what was assumed."""
-    forward = data.table("learning_map", _MAX_ID, MAX_CLASSES - 1) if data.has("learning_map") else {}
-    if forward and not data.has("learning_map_inv"):
+    forward = data.read("learning_map", table(_MAX_ID, MAX_CLASSES - 1), {})
+    if forward and data.find("learning_map_inv") is None:
         inverse: dict[int, int] = {}
         for label, class_ in sorted(forward.items()):
             inverse.setdefault(class_, label)
         note = f"{data.path}: no learning_map_inv; each class gets the lowest id that learning_map maps to it."
         notes: tuple[str, ...] = (note,)
     else:
-        inverse, notes = data.table("learning_map_inv", MAX_CLASSES - 1, _MAX_ID), ()
+        inverse, notes = data.read("learning_map_inv", table(MAX_CLASSES - 1, _MAX_ID)), ()
     missing = [class_ for class_ in range(max(inverse) + 1) if class_ not in inverse]
     if missing:
         raise data.fault(

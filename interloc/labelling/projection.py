@@ -5,12 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from interloc.arrays import BoolArray, Float32Array, Int32Array
 from interloc.kernels.projection import fill_image, normalise_image, project_points
 
 CHANNELS = ("range", "x", "y", "z", "remission", "mask")
 """What a network can be given, in the order of the range image; the mask is 1 where a pixel has a point."""
+
+_SCALES = (1.0, 255.0, 65535.0)
+_TOLERANCE = 1.5
 
 
 @dataclass(frozen=True)
@@ -36,16 +40,6 @@ class Projection:
         """(H, W) bool, true where a pixel has a point."""
         filled: BoolArray = self.index >= 0
         return filled
-
-    @property
-    def rows(self) -> Int32Array:
-        """(N,) int32, row of each point; -1 for points without a pixel."""
-        return np.where(self.pixel < 0, np.int32(-1), self.pixel // np.int32(self.index.shape[1]))
-
-    @property
-    def columns(self) -> Int32Array:
-        """(N,) int32, column of each point; -1 for points without a pixel."""
-        return np.where(self.pixel < 0, np.int32(-1), self.pixel % np.int32(self.index.shape[1]))
 
 
 def project(points: Float32Array, height: int, width: int, fov_up_rad: float, fov_down_rad: float) -> Projection:
@@ -98,3 +92,35 @@ def normalise(
     """
     rows = np.array([CHANNELS.index(name) for name in channels], np.int32)
     return normalise_image(image, projection.index, rows, np.array(means, np.float32), np.array(stds, np.float32))
+
+
+def remission_scale(values: ArrayLike) -> float:
+    """Guess what remission has to be divided by.
+
+    A network of the family that is given 0..255 instead of 0..1 finds no road at all. To be decided once per drive,
+    from some of its scans: a single scan may be dark.
+
+    Parameters
+    ----------
+    values : array of float
+        Remission (intensity, reflectivity) of some scans; what is not finite does not count.
+
+    Returns
+    -------
+    float
+        1.0, 255.0 or 65535.0: the smallest scale that holds all but the brightest 0.1 % of the values, which may be
+        single wrong ones. 1.0 too where there are no values, or only zeros (then remission is missing).
+
+    Notes
+    -----
+    The scales are [0, 1] (KITTI, SemanticKITTI, KITTI-360), 8 bits (Velodyne, Hesai, RoboSense, Livox, nuScenes) and
+    16 bits (Ouster's signal, LAS). Values of the first may exceed 1 by half: no sensor of 8 bits is that dark.
+    """
+    array = np.asarray(values, dtype=np.float64).ravel()
+    array = array[np.isfinite(array)]
+    if not array.size:
+        return _SCALES[0]
+    high = float(np.quantile(array, 0.999, method="lower"))
+    if high <= _TOLERANCE:
+        return _SCALES[0]
+    return _SCALES[1] if high <= _SCALES[1] else _SCALES[2]

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Generic, TypeVar
+
+from pydantic import BeforeValidator, Field, StrictBool, StrictStr, TypeAdapter, ValidationError
 
 from interloc.errors import ModelError, install
 from interloc.files import reason_of
@@ -16,7 +18,63 @@ MAX_BYTES = 64 * 1024
 
 MAX_DEPTH = 20
 
-_MISSING = object()
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Kind(Generic[T]):
+    """What a field must be.
+
+    Attributes
+    ----------
+    type
+        Of pydantic.
+    expected : str
+        How messages call it.
+    each : str
+        How they call a part of it, where it is a list or a table.
+    """
+
+    type: Any
+    expected: str
+    each: str = ""
+
+
+def _no_flag(value: Any) -> Any:  # noqa: ANN401 - whatever the file says
+    if isinstance(value, bool):
+        raise ValueError("a flag is no number")  # noqa: TRY004 - pydantic turns it into its own error
+    return value
+
+
+@cache
+def whole(lowest: int, highest: int) -> Kind[int]:
+    """Return the kind of whole numbers within bounds."""
+    bounded = Annotated[int, Field(ge=lowest, le=highest), BeforeValidator(_no_flag)]
+    return Kind(bounded, f"a whole number from {lowest:,} to {highest:,}")
+
+
+@cache
+def number(lowest: float, highest: float) -> Kind[float]:
+    """Return the kind of numbers within bounds; to YAML, 1e-3 is a word."""
+    bounded = Annotated[float, Field(ge=lowest, le=highest, allow_inf_nan=False), BeforeValidator(_no_flag)]
+    return Kind(bounded, f"a number from {lowest:g} to {highest:g}")
+
+
+def numbers(lowest: float, highest: float) -> Kind[list[float]]:
+    """Return the kind of lists of numbers within bounds."""
+    each = number(lowest, highest)
+    return Kind(list[each.type], "a list of numbers", each.expected)  # type: ignore[name-defined]
+
+
+def table(highest_key: int, highest_value: int) -> Kind[dict[int, int]]:
+    """Return the kind of tables from whole numbers to whole numbers, both from 0 on."""
+    key, value = whole(0, highest_key), whole(0, highest_value)
+    rows = Annotated[dict[key.type, value.type], Field(min_length=1)]  # type: ignore[name-defined]
+    return Kind(rows, "a table of ids (0: 0, 1: 10, ...)", value.expected)
+
+
+FLAG: Kind[bool] = Kind(StrictBool, "true or false")
+WORDS: Kind[list[str]] = Kind(list[StrictStr], "a list of words", "a word")
 
 
 @dataclass(frozen=True)
@@ -33,152 +91,43 @@ class SettingsFile:
     path: Path
     values: dict[Any, Any]
 
-    def has(self, field: str) -> bool:
-        """Return whether a field such as ``post.KNN.use`` is there and not empty."""
-        return self._find(field) not in (_MISSING, None)
+    def find(self, field: str) -> Any:  # noqa: ANN401 - whatever the file says
+        """Return what stands in a field such as ``post.KNN.use``; None where it is missing or empty."""
+        value: Any = self.values
+        for name in field.split("."):
+            value = value.get(int(name) if name.isdigit() else name) if isinstance(value, dict) else None
+        return value
 
-    def is_whole(self, field: str) -> bool:
-        """Return whether a field is a whole number."""
-        return isinstance(self._find(field), int)
-
-    def whole(self, field: str, lowest: int, highest: int) -> int:
-        """Return a whole number.
-
-        Raises
-        ------
-        ModelError
-            It is missing, something else, or out of bounds.
-        """
-        value = self._get(field, f"a whole number from {lowest:,} to {highest:,}")
-        return self._as_whole(field, value, lowest, highest)
-
-    def number(self, field: str, lowest: float, highest: float) -> float:
-        """Return a number.
+    def read(self, field: str, kind: Kind[T], default: T | None = None) -> T:
+        """Return a field of a kind.
 
         Raises
         ------
         ModelError
-            It is missing, something else, or out of bounds.
+            It is missing and has no default, is something else, or out of bounds.
         """
-        value = self._get(field, f"a number from {lowest:g} to {highest:g}")
-        return self._as_number(field, value, lowest, highest)
-
-    def numbers(self, field: str, lowest: float, highest: float) -> tuple[float, ...]:
-        """Return the numbers of a list.
-
-        Raises
-        ------
-        ModelError
-            It is missing, no list, or a number is out of bounds.
-        """
-        values = self._list(field, "a list of numbers")
-        return tuple(self._as_number(f"{field}[{i}]", value, lowest, highest) for i, value in enumerate(values))
-
-    def words(self, field: str) -> tuple[str, ...]:
-        """Return the words of a list.
-
-        Raises
-        ------
-        ModelError
-            It is missing, no list, or holds something else.
-        """
-        values = self._list(field, "a list of words")
-        for value in values:
-            if not isinstance(value, str):
-                raise self.fault(field, f"{_shown(value)} is no word.")
-        return tuple(values)
-
-    def flag(self, field: str, *, default: bool) -> bool:
-        """Return true or false.
-
-        Raises
-        ------
-        ModelError
-            It is something else.
-        """
-        value = self._find(field)
-        if value is _MISSING or value is None:
+        value = self.find(field)
+        if value is None and default is not None:
             return default
-        if not isinstance(value, bool):
-            raise self.fault(field, f"{_shown(value)}; expected true or false.")
-        return value
-
-    def flag_of(self, field: str, key: int, *, default: bool) -> bool:
-        """Return true or false for one row of a table of such.
-
-        Raises
-        ------
-        ModelError
-            It is something else.
-        """
-        rows = self._find(field)
-        value = rows.get(key, default) if isinstance(rows, dict) else default
-        if not isinstance(value, bool):
-            raise self.fault(f"{field}[{key}]", f"{_shown(value)}; expected true or false.")
-        return value
-
-    def table(self, field: str, highest_key: int, highest_value: int) -> dict[int, int]:
-        """Return a table from whole numbers to whole numbers, both from 0 on.
-
-        Raises
-        ------
-        ModelError
-            It is missing, something else, or a number is out of bounds.
-        """
-        value = self._get(field, "a table of ids")
-        if not isinstance(value, dict) or not value:
-            raise self.fault(field, f"{_shown(value)}; expected a table of ids (0: 0, 1: 10, ...).")
-        table = {}
-        for key, each in value.items():
-            row = self._as_whole(f"{field}, a key", key, 0, highest_key)
-            table[row] = self._as_whole(f"{field}[{row}]", each, 0, highest_value)
-        return table
+        if value is None:
+            raise self.fault(
+                field,
+                f"is missing; expected {kind.expected}. Usual cause: a file of another kind "
+                "(arch_cfg.yaml describes the sensor and the image, data_cfg.yaml the classes).",
+            )
+        try:
+            found: T = TypeAdapter(kind.type).validate_python(value)
+        except ValidationError as error:
+            wrong = error.errors(include_url=False)[0]
+            at, expected = wrong["loc"], kind.each if wrong["loc"] else kind.expected
+            if at:
+                field += ", a key" if at[-1] == "[key]" else f"[{at[0]}]"
+            raise self.fault(field, f"{_shown(wrong['input'])}; expected {expected}.") from None
+        return found
 
     def fault(self, field: str, message: str) -> ModelError:
         """Return the error to raise about a field: what was found, what was expected, the usual mistake."""
         return ModelError(f"{self.path}: {field}: {message}")
-
-    def _get(self, field: str, expected: str) -> Any:  # noqa: ANN401 - whatever the file says
-        value = self._find(field)
-        if value is _MISSING or value is None:
-            raise self.fault(
-                field,
-                f"is missing; expected {expected}. Usual cause: a file of another kind "
-                "(arch_cfg.yaml describes the sensor and the image, data_cfg.yaml the classes).",
-            )
-        return value
-
-    def _find(self, field: str) -> Any:  # noqa: ANN401 - whatever the file says
-        value: Any = self.values
-        for name in field.split("."):
-            if not isinstance(value, dict):
-                return _MISSING
-            value = value.get(name, _MISSING)
-        return value
-
-    def _list(self, field: str, expected: str) -> list[Any]:
-        value = self._get(field, expected)
-        if not isinstance(value, list):
-            raise self.fault(field, f"{_shown(value)}; expected {expected}.")
-        return value
-
-    def _as_whole(self, field: str, value: object, lowest: int, highest: int) -> int:
-        if isinstance(value, float) and value.is_integer():
-            value = int(value)
-        if isinstance(value, bool) or not isinstance(value, int) or not lowest <= value <= highest:
-            raise self.fault(field, f"{_shown(value)}; expected a whole number from {lowest:,} to {highest:,}.")
-        return value
-
-    def _as_number(self, field: str, value: object, lowest: float, highest: float) -> float:
-        number = math.nan
-        if isinstance(value, int | float | str) and not isinstance(value, bool):
-            try:
-                number = float(value)  # to YAML, 1e-3 is a word
-            except (ValueError, OverflowError):
-                number = math.nan
-        if not lowest <= number <= highest:  # NaN is not
-            raise self.fault(field, f"{_shown(value)}; expected a number from {lowest:g} to {highest:g}.")
-        return number
 
 
 def read_settings(path: Path) -> SettingsFile:

@@ -56,6 +56,8 @@ class GpxPlacement:
         One sigma of the position of each scan, what all fixes share included.
     late_s : float
         By how much the clock of the track was put right: so much its fixes are late, early where it is negative.
+    untold : str
+        Why its clock may be off without being seen to be, in words; "" where that is seen, or times were not used.
     """
 
     georeference: Georeference
@@ -63,6 +65,7 @@ class GpxPlacement:
     rms_m: float
     position_std_m: FloatArray
     late_s: float = 0.0
+    untold: str = ""
 
 
 def georeference_by_gpx(drive: Drive, gpx: GpxTrack) -> GpxPlacement:
@@ -82,14 +85,17 @@ def georeference_by_gpx(drive: Drive, gpx: GpxTrack) -> GpxPlacement:
     roads = _as_roads(gpx)
     xy = roads.xy(gpx.lonlat)
     chain = Chain.of(track, no_sightings())
-    matched_by, late_s = "shape", 0.0
+    matched_by, late_s, untold = "shape", 0.0, ""
     target = None
     if (times_s := _common_clock(drive, gpx)) is not None:
-        shift_s = _clock_shift(times_s, track, gpx, xy)
-        if shift_s is None or shift_s.is_sure:  # else the shape alone must tell where it is
-            late_s = 0.0 if shift_s is None else shift_s.late
+        assert gpx.time_s is not None
+        clock = fit_shift(times_s, track.xy, gpx.time_s, xy)
+        is_late = clock is not None and _is_believed(clock)
+        if clock is None or not is_late or clock.is_sure:  # else the shape alone must tell where it is
+            late_s = clock.late if clock is not None and is_late else 0.0
             target = _by_time(times_s + late_s, track, chain, gpx, xy)
             matched_by = "shape" if target is None else "time"
+            untold = "" if clock is None or target is None else clock.untold
     if target is None:
         late_s = 0.0
         target = _by_shape(drive.name, chain, xy[thin(xy, _STEP_M)], gpx.source)
@@ -107,7 +113,9 @@ def georeference_by_gpx(drive: Drive, gpx: GpxTrack) -> GpxPlacement:
     moved = f", whose clock is put right by {-late_s:+.1f} s" if late_s else ""
     georeference = georeference_by(chain, bent, track, roads, f"the track {gpx.source} (by {matched_by}{moved})")
     position_std_m = np.sqrt((covariance[rows, 0, 0] + covariance[rows, 1, 1]) / 2.0 + FIX_STD_M**2)
-    return GpxPlacement(replace(georeference, position_std_m=position_std_m), matched_by, rms_m, position_std_m, late_s)
+    return GpxPlacement(
+        replace(georeference, position_std_m=position_std_m), matched_by, rms_m, position_std_m, late_s, untold
+    )
 
 
 def _as_roads(gpx: GpxTrack) -> RoadMap:
@@ -136,13 +144,10 @@ def _common_clock(drive: Drive, gpx: GpxTrack) -> FloatArray | None:
     return times_s if during.mean() >= _SHARE else None
 
 
-def _clock_shift(times_s: FloatArray, track: Track, gpx: GpxTrack, xy: FloatArray) -> Shift | None:
-    """Find out whether the track is late against the drive, by more than the scatter of its fixes pretends."""
-    assert gpx.time_s is not None
-    shift = fit_shift(times_s, track.xy, gpx.time_s, xy)
-    if shift is None or shift.metres < FIX_STD_M or not (shift.is_sure or shift.before_m > _MUCH_SCATTER * FIX_STD_M):
-        return None
-    return shift
+def _is_believed(shift: Shift) -> bool:
+    """Tell whether a shift is more than the scatter of fixes pretends."""
+    is_much = shift.is_sure or shift.before_m > _MUCH_SCATTER * FIX_STD_M
+    return shift.is_there and shift.metres >= FIX_STD_M and is_much
 
 
 def _by_time(times_s: FloatArray, track: Track, chain: Chain, gpx: GpxTrack, xy: FloatArray) -> FloatArray | None:

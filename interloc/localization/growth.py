@@ -88,14 +88,6 @@ def _before(result: DriveResult, frame: int) -> DriveResult:
     count = int(np.searchsorted(keyframes.frame, frame, side="right"))
     return replace(
         result,
-        keyframes=replace(
-            keyframes,
-            frame=keyframes.frame[:count],
-            time_s=keyframes.time_s[:count],
-            world_xy=keyframes.world_xy[:count],
-            world_yaw_rad=keyframes.world_yaw_rad[:count],
-            lonlat=None,
-            enu_yaw_rad=None,
-        ),
+        keyframes=replace(keyframes.select(np.arange(count)), lonlat=None, enu_yaw_rad=None),
         detections=replace(table.select(np.flatnonzero(table.keyframe < count)), lonlat=None),
     )

@@ -25,7 +25,7 @@ from interloc.config import KeyframeConfig
 from interloc.detection.keyframes import select_keyframes
 from interloc.drives.checks import sample_indices
 from interloc.drives.files import EMPTY, NumberedFiles, SourceFile, each_read_once, list_numbered
-from interloc.drives.findings import DriveFileError, Finding, Findings, by_severity
+from interloc.drives.findings import Finding, Findings, by_severity
 from interloc.drives.georeference.geodetic import check_against_poses
 from interloc.drives.layouts import PCD_ENDINGS, POSE_FILES, DriveParts, find_layout
 from interloc.drives.open import NO_POSES, SAMPLED_SCANS
@@ -188,7 +188,7 @@ def look_into(
         look = _Look(chosen, listing, contents, Path(above) / "drive", ranges)
         if len(chosen.files) > max_files:
             text = f"{len(chosen.files):,} are too many; expected at most {max_files:,}. Cut the drive."
-            look.findings.error(DriveFileError("files", text))
+            look.findings.refuse("files", text)
         else:
             look.read(options(look.place, chosen.name), keyframes)
     return FolderLook(drives=names, drive=look.answer())
@@ -380,7 +380,7 @@ class _Look:
         self._found.whole = self._drive.scans
         for inside, path in self._drive.scans.items():
             if not self._listing[path]:
-                self.findings.error(DriveFileError(inside, EMPTY))
+                self.findings.refuse(inside, EMPTY)
 
     def _read_recording(self, options: DriveOptions, keyframes: KeyframeConfig) -> None:
         """Look into what only the service reads: a bag, or LAS files."""
@@ -412,7 +412,7 @@ class _Look:
             text = (
                 f"holds no points. Expected a topic of sensor_msgs/PointCloud2 or Livox's CustomMsg. It has: {topics}."
             )
-            self.findings.error(DriveFileError(inside, text))
+            self.findings.refuse(inside, text)
             return
         found.carries_labels = seen.has_labels
         if seen.has_labels is False and not found.labels:
@@ -435,12 +435,10 @@ class _Look:
             path.relative_to(place).as_posix() for path in dict.fromkeys([*poses, *find_tracks(folders)])
         ]
         if not found.pose_files and not found.wanted and options.poses is None:
-            self.findings.error(
-                DriveFileError(
-                    "trajectory",
-                    "is missing. Expected a file with where the LiDAR was, beside the points: a table with a header "
-                    "(time,x,y,z or time,lat,lon,alt; .csv or .txt), SBET (.sbet, .out) or TUM.",
-                )
+            self.findings.refuse(
+                "trajectory",
+                "is missing. Expected a file with where the LiDAR was, beside the points: a table with a header "
+                "(time,x,y,z or time,lat,lon,alt; .csv or .txt), SBET (.sbet, .out) or TUM.",
             )
         if not poses or found.wanted:
             return
@@ -470,6 +468,7 @@ class _Look:
         frames: IntArray | None = None,
     ) -> None:
         """Tell where the drive went, and how poses and georeference fit together."""
+        _, trajectory = trajectory.within_jumps(frames, pose_file, self.findings)
         found, poses, fixes = self._found, trajectory.poses, trajectory.georeference
         found.georeference = fixes.source if fixes else None
         found.georeference_reason = None if fixes else trajectory.georeference_reason
@@ -477,8 +476,7 @@ class _Look:
             return
         found.pose_frame = poses.frame
         found.keyframes = len(select_keyframes(poses.T_world_lidar, keyframes))
-        numbers = np.arange(len(poses.T_world_lidar)) if frames is None else frames
-        check_motion(poses.T_world_lidar, numbers, trajectory.times_s, pose_file, self.findings)
+        check_motion(poses.T_world_lidar, pose_file, self.findings)
         places, fitted, fit_m = poses.T_world_lidar[:, :2, 3], None, None
         if fixes is not None:
             places = np.stack([fixes.lon_deg, fixes.lat_deg], axis=1)

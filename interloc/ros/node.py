@@ -30,7 +30,7 @@ from interloc.drives.scans.rosbag.messages import ODOMETRY, read_pose, read_tran
 from interloc.drives.scans.rosbag.pointcloud2 import POINT_CLOUD, read_layout, read_points
 from interloc.drives.scans.rosbag.wire import WireError
 from interloc.errors import ConfigError
-from interloc.labelling.remission import remission_scale
+from interloc.labelling.projection import remission_scale
 from interloc.live.scan import Label, LiveScan
 from interloc.live.session import Answer, LiveSession
 from interloc.live.worker import LiveWorker

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from interloc.arrays import FloatArray, IntArray
+from interloc.arrays import FloatArray
+from interloc.drives.georeference.oxts import georeference_of_lidar
+from interloc.drives.poses.calibration import KITTI_T_VELO_IMU
 from interloc.errors import DriveError
-from interloc.geometry import enu_from_lonlat, invert_transform, lonlat_from_enu, rotation_from_rpy
+from interloc.geometry import enu_from_lonlat, invert_transform, lonlat_from_enu, rotation_from_rpy, rpy_from_rotation
 from interloc.simulate.config import TrackConfig
 from interloc.simulate.local_frame import LocalFrame
 
@@ -32,15 +34,6 @@ CALIB_TEXT = "".join(
 """A `calib.txt` for drives that have none: a camera that looks ahead, 0.27 m before and 0.08 m below the LiDAR."""
 
 
-def parse_imu_to_velo(text: str) -> FloatArray:
-    """Return T_velo_imu (4, 4) float64 of the text of a `calib_imu_to_velo.txt`."""
-    fields = dict(line.split(":", 1) for line in text.splitlines() if ":" in line)
-    transform = np.eye(4)
-    transform[:3, :3] = np.array(fields["R"].split(), dtype=np.float64).reshape(3, 3)
-    transform[:3, 3] = np.array(fields["T"].split(), dtype=np.float64)
-    return transform
-
-
 def parse_tr(text: str) -> FloatArray:
     """Return Tr = T_camera_velo (4, 4) float64 of the text of a `calib.txt`."""
     transform = np.eye(4)
@@ -49,42 +42,19 @@ def parse_tr(text: str) -> FloatArray:
     return transform
 
 
-def lidar_fixes(rows: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return the geodetic poses of the LiDAR.
-
-    Parameters
-    ----------
-    rows : (N, 6 or more) float64
-        Latitude, longitude (degrees), altitude (metres), roll, pitch, yaw (radians) of the IMU.
-
-    Returns
-    -------
-    lat_deg, lon_deg, alt_m : (N,) float64
-    R_enu_lidar : (N, 3, 3) float64
-    """
-    T_imu_velo = invert_transform(parse_imu_to_velo(IMU_TO_VELO_TEXT))
-    R_enu_imu = rotation_from_rpy(rows[:, 3], rows[:, 4], rows[:, 5])
-    offset = R_enu_imu @ T_imu_velo[:3, 3]
-    lonlat = lonlat_from_enu(rows[:, 0], rows[:, 1], offset[:, :2])
-    return lonlat[:, 1], lonlat[:, 0], rows[:, 2] + offset[:, 2], R_enu_imu @ T_imu_velo[:3, :3]
-
-
 def oxts_rows(
     lat_deg: FloatArray, lon_deg: FloatArray, alt_m: FloatArray, R_enu_lidar: FloatArray, times_s: FloatArray
 ) -> FloatArray:
-    """Return (N, 30) OXTS values of an IMU that is mounted as in KITTI: the inverse of `lidar_fixes`.
+    """Return (N, 30) OXTS values of an IMU that is mounted as in KITTI: the inverse of `georeference_of_lidar`.
 
     Velocities are differences; accelerations and rates that nothing here reads are zero.
     """
-    T_velo_imu = parse_imu_to_velo(IMU_TO_VELO_TEXT)
-    R = R_enu_lidar @ T_velo_imu[:3, :3]
-    offset = R_enu_lidar @ T_velo_imu[:3, 3]
+    R = R_enu_lidar @ KITTI_T_VELO_IMU[:3, :3]
+    offset = R_enu_lidar @ KITTI_T_VELO_IMU[:3, 3]
     lonlat = lonlat_from_enu(lat_deg, lon_deg, offset[:, :2])
     rows = np.zeros((len(lat_deg), 30))
     rows[:, 0], rows[:, 1], rows[:, 2] = lonlat[:, 1], lonlat[:, 0], alt_m + offset[:, 2]
-    rows[:, 3] = np.arctan2(R[:, 2, 1], R[:, 2, 2])
-    rows[:, 4] = np.arcsin(np.clip(-R[:, 2, 0], -1, 1))
-    rows[:, 5] = np.arctan2(R[:, 1, 0], R[:, 0, 0])
+    rows[:, 3:6] = rpy_from_rotation(R)
     if len(rows) > 1:
         enu = enu_from_lonlat(rows[0, 0], rows[0, 1], lonlat)
         velocity = np.gradient(np.column_stack([enu, rows[:, 2]]), times_s, axis=0)
@@ -151,15 +121,6 @@ class LidarTrack:
         poses[:, 2, 3] = self.alt_m
         return poses
 
-    def select(self, indices: IntArray) -> LidarTrack:
-        """Return the track of some of the scans."""
-        chosen = {
-            name: getattr(self, name)[indices]
-            for name in ("lat_deg", "lon_deg", "alt_m", "R_enu_lidar", "times_s", "oxts")
-        }
-        poses = None if self.poses_camera is None else self.poses_camera[indices]
-        return replace(self, **chosen, poses_camera=poses)
-
 
 def track_from_oxts(rows: FloatArray, times_s: FloatArray | None = None, *, rate_hz: float = 10.0) -> LidarTrack:
     """Take the track of a GNSS/INS.
@@ -189,7 +150,8 @@ def track_from_oxts(rows: FloatArray, times_s: FloatArray | None = None, *, rate
             f"OXTS rows: row {bad} is not a pose on the earth: {rows[bad, :6]}. Expected lat, lon, alt, r, p, y."
         )
     times = np.arange(len(rows)) / rate_hz if times_s is None else np.asarray(times_s, dtype=np.float64)
-    return LidarTrack(*lidar_fixes(rows), times_s=times, oxts=rows[:, :30])
+    fixes = georeference_of_lidar(rows, KITTI_T_VELO_IMU, "OXTS")
+    return LidarTrack(fixes.lat_deg, fixes.lon_deg, fixes.alt_m, fixes.R_enu_lidar, times, rows[:, :30])
 
 
 def track_from_line(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
@@ -14,13 +15,27 @@ from interloc.simulate.track_files import read_oxts
 from interloc.simulate.tracks import LidarTrack, track_from_oxts
 
 
+def twin_files(kitti_dir: Path, sequence: str, *, poses: Literal["suma", "gt"] = "suma") -> dict[str, Path]:
+    """Return the files that a twin is made of; `buildings` only where there are any: else houses are made up."""
+    files = {
+        "oxts": kitti_dir / "oxts" / f"{sequence}.txt.gz",
+        "poses": kitti_dir / f"poses_{poses}" / f"{sequence}.txt",
+        "calib": kitti_dir / "calib" / f"{sequence}.txt",
+        "times": kitti_dir / "times" / f"{sequence}.txt",
+        "osm": kitti_dir / "osm" / f"{sequence}.osm.gz",
+    }
+    buildings = kitti_dir / "osm_buildings" / f"{sequence}.osm.gz"
+    return files | ({"buildings": buildings} if buildings.is_file() else {})
+
+
 def twin_track(kitti_dir: Path, sequence: str, *, poses: Literal["suma", "gt"] = "suma") -> LidarTrack:
     """Return the track of a sequence: places from OXTS, and the given poses to be written with the drive.
 
     Parameters
     ----------
     kitti_dir
-        Folder with `oxts/NN.txt.gz`, `poses_suma/NN.txt`, `poses_gt/NN.txt`, `calib/NN.txt`, `times/NN.txt`.
+        Folder with `oxts/NN.txt.gz`, `poses_suma/NN.txt`, `poses_gt/NN.txt`, `calib/NN.txt`, `times/NN.txt`,
+        `osm/NN.osm.gz`.
     sequence
         Two digits.
     poses
@@ -31,39 +46,17 @@ def twin_track(kitti_dir: Path, sequence: str, *, poses: Literal["suma", "gt"] =
     DriveError
         A file is missing, or there is no such sequence.
     """
-    root = Path(kitti_dir)
-    names = {
-        "oxts": root / "oxts" / f"{sequence}.txt.gz",
-        "poses": root / f"poses_{poses}" / f"{sequence}.txt",
-        "calib": root / "calib" / f"{sequence}.txt",
-        "times": root / "times" / f"{sequence}.txt",
-    }
-    for path in names.values():
+    files = twin_files(kitti_dir, sequence, poses=poses)
+    for path in files.values():
         if not path.is_file():
-            raise DriveError(
-                f"{path}: no such file. A twin needs oxts/, poses_{poses}/, calib/ and times/ of sequence {sequence}."
-            )
-    rows = read_oxts(names["oxts"])
-    camera = np.loadtxt(names["poses"]).reshape(-1, 3, 4)
-    times = np.loadtxt(names["times"])
+            folders = f"oxts/, poses_{poses}/, calib/, times/ and osm/"
+            raise DriveError(f"{path}: no such file. A twin needs {folders} of sequence {sequence}.")
+    rows = read_oxts(files["oxts"])
+    camera = np.loadtxt(files["poses"]).reshape(-1, 3, 4)
+    times = np.loadtxt(files["times"])
     count = min(len(rows), len(camera), len(times))
     track = track_from_oxts(rows[:count], times[:count])
-    return LidarTrack(
-        track.lat_deg,
-        track.lon_deg,
-        track.alt_m,
-        track.R_enu_lidar,
-        track.times_s,
-        track.oxts,
-        poses_camera=camera[:count],
-        calib_text=names["calib"].read_text(),
-    )
-
-
-def twin_maps(kitti_dir: Path, sequence: str) -> tuple[Path, Path | None]:
-    """Return the OSM files of a sequence: streets, and buildings where there are any."""
-    buildings = Path(kitti_dir) / "osm_buildings" / f"{sequence}.osm.gz"
-    return Path(kitti_dir) / "osm" / f"{sequence}.osm.gz", buildings if buildings.is_file() else None
+    return replace(track, poses_camera=camera[:count], calib_text=files["calib"].read_text())
 
 
 def twin_trip(kitti_dir: Path, sequence: str, *, poses: Literal["suma", "gt"] = "suma") -> Trip:
@@ -72,7 +65,7 @@ def twin_trip(kitti_dir: Path, sequence: str, *, poses: Literal["suma", "gt"] = 
     Parameters
     ----------
     kitti_dir, sequence, poses
-        See `twin_track`; and `osm/NN.osm.gz`, `osm_buildings/NN.osm.gz` (optional: houses are made up without it).
+        See `twin_track`; and `osm_buildings/NN.osm.gz` (optional: houses are made up without it).
 
     Raises
     ------
@@ -80,4 +73,5 @@ def twin_trip(kitti_dir: Path, sequence: str, *, poses: Literal["suma", "gt"] = 
         Files are missing or damaged.
     """
     track = twin_track(kitti_dir, sequence, poses=poses)
-    return Trip(track, read_map(*twin_maps(kitti_dir, sequence)), {"twin": sequence, "poses": poses})
+    files = twin_files(kitti_dir, sequence, poses=poses)
+    return Trip(track, read_map(files["osm"], files.get("buildings")), {"twin": sequence, "poses": poses})

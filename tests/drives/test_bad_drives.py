@@ -160,7 +160,7 @@ def test_binary_poses(sequence: Path) -> None:
 
 
 def test_poses_of_another_drive(tmp_path: Path, make: ModuleType, caplog: pytest.LogCaptureFixture) -> None:
-    """The scans go straight on, the poses turn; where times are of another length too, it takes less to refuse them."""
+    """The scans go straight on, the poses turn."""
     root = make.write_semantickitti(tmp_path / "07", poses=make.lidar_poses(24, turn_rad=0.0))
     assert open_drive(root)
     turning = make.camera_poses(make.lidar_poses(30, turn_rad=0.2))
@@ -168,7 +168,6 @@ def test_poses_of_another_drive(tmp_path: Path, make: ModuleType, caplog: pytest
     (tmp_path / "07" / "times.txt").rename(tmp_path / "times.txt")
     text = refusal(root)
     assert text.startswith("poses.txt: the scans do not move as the poses do: from scan ")
-    assert "degrees, the road in the scans by " in text
     assert "Usual cause: poses of another sequence" in text
     (tmp_path / "times.txt").rename(root / "times.txt")
     (root / "poses.txt").write_text(make.pose_text(turning))

@@ -10,9 +10,11 @@ import pytest
 
 from interloc.arrays import FloatArray
 from interloc.drives.inspect import inspect_drive
+from interloc.drives.open import open_drive
 from interloc.drives.plausibility import turning_with_path
-from interloc.geometry import rotation_from_rpy
+from interloc.geometry import invert_transform, rotation_from_rpy
 from tests import streets
+from tests.small_drives import geo_csv
 
 HALF_TURN_ABOUT_X = np.diag([1.0, -1.0, -1.0, 1.0])
 
@@ -65,14 +67,40 @@ def test_poses_in_another_unit(street: Path, scale: float) -> None:
     assert "Expected positions in metres" in errors(street)
 
 
-def test_poses_that_jump(street: Path) -> None:
+def test_a_jump_of_the_poses_cuts_the_drive(street: Path) -> None:
     after = streets.poses().copy()
     after[60:, 0, 3] += 15.0
     write_poses(street, after)
-    (jump,) = (
-        p.message for p in inspect_drive(street).problems if p.severity == "warning" and "cut the drive" in p.message
-    )
-    assert "by 15 m after scan 59 (91 m on)" in jump
+    report = inspect_drive(street)
+    (jump,) = (problem for problem in report.problems if problem.severity == "warning")
+    assert jump.path == "poses.txt"
+    assert "by 15 m after scan 59 (91 m on)" in jump.message
+    assert "longest piece is used: scans 0 to 59, 60 of 100" in jump.message
+    assert (report.ok, report.scans, report.last_frame) == (True, 60, 59)
+
+
+def test_the_piece_after_a_jump_is_a_drive_of_its_own(street: Path) -> None:
+    after = streets.poses().copy()
+    after[30:, 0, 3] += 15.0
+    write_poses(street, after)
+    drive = open_drive(street)
+    assert drive.frames.tolist() == list(range(30, 100))
+    assert drive.times_s is not None
+    assert len(drive.times_s) == 70
+    expected = invert_transform(streets.poses()[30]) @ streets.poses()[99]
+    np.testing.assert_allclose(drive.T_world_lidar[-1], expected, atol=1e-4)
+    assert len(drive.ground_points(69).road)
+
+
+def test_a_georeference_that_jumps_against_the_poses(street: Path) -> None:
+    header, *rows = geo_csv(streets.poses()).splitlines()
+    for number in range(40, 60):
+        frame, lat, *rest = rows[number].split(",")
+        rows[number] = ",".join([frame, f"{float(lat) + 2e-4:.9f}", *rest])  # 22 m to the north
+    (street / "geo.csv").write_text("\n".join([header, *rows]) + "\n")
+    (jump,) = (problem for problem in inspect_drive(street).problems if problem.severity == "warning")
+    assert jump.path.startswith("geo.csv")
+    assert "2 times, first by 22 m after " in jump.message
 
 
 @pytest.mark.parametrize("yaw", [0.0, 1.0])

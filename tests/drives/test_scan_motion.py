@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -68,8 +69,8 @@ def turned(poses: FloatArray) -> FloatArray:
     ("change", "words"),
     [
         (mirrored, "with left and right exchanged"),
-        (scaled(0.3), "times the distances"),
-        (scaled(3.28), "0.3"),
+        (scaled(0.3), "The poses move 0.3"),
+        (scaled(3.28), "The poses move 3."),
         (late(5), "scans later"),
         (late(1), "1 scan later"),
         (turned, "with the points turned by 90 degrees"),
@@ -84,6 +85,18 @@ def test_poses_that_the_scans_contradict(
     assert "the scans do not move as the poses do" in text
     if kind == "written":
         assert words in text
+
+
+@pytest.mark.parametrize("factor", [0.7, 0.9, 1.1, 1.2, 1.5])
+def test_a_wrong_scale_is_told_by_its_number(tmp_path: Path, written: Path, factor: float) -> None:
+    text = with_poses(written, tmp_path / "street", scaled(factor)(streets.poses()))
+    (found,) = re.findall(r"The poses move (\d\.\d\d) times as far as the scans", text)
+    assert float(found) == pytest.approx(factor, rel=0.05)
+
+
+def test_where_nothing_stands_upright_the_scale_is_not_told(ground: Path) -> None:
+    notes = [problem.message for problem in inspect_drive(ground).problems]
+    assert any("to be sure of the scale of the poses" in note for note in notes)
 
 
 @pytest.mark.parametrize("kind", ["written", "ground"])

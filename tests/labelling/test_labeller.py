@@ -168,7 +168,7 @@ def test_network_that_averages_sees_empty_pixels_as_average_ground(tmp_path: Pat
     heights = np.where(projection.filled, points[projection.index, 2], MEANS[3])
     edges = np.pad(heights, 1, constant_values=MEANS[3])
     average = sum(edges[dy : dy + HEIGHT, dx : dx + WIDTH] for dy in range(3) for dx in range(3)) / 9
-    expected = np.where(average < -1.45, ROAD_ID, VEGETATION_ID)[projection.rows, projection.columns]
+    expected = np.where(average < -1.45, ROAD_ID, VEGETATION_ID).reshape(-1)[projection.pixel]
     np.testing.assert_array_equal(Labeller(model, threads=1).label(points), expected)
 
 

@@ -113,7 +113,7 @@ SENSOR = "dataset.sensor"
         (f"{SENSOR}.img_stds", [1, 1, 1, 0, 1], "img_stds[3]: found 0"),
         (f"{SENSOR}.channels", ["x", "height"], "found x, height; expected some of range, x, y, z, remission"),
         (f"{SENSOR}.channels", ["x", "x"], "each once"),
-        (f"{SENSOR}.channels", [1, 2], "found 1 is no word"),
+        (f"{SENSOR}.channels", [1, 2], "channels[0]: found 1; expected a word"),
         (f"{SENSOR}.channels", ["x", "y", "z"], "the settings give 3 (x, y, z), but input 'scan'"),
         ("post.KNN.use", "yes please", "found 'yes please'; expected true or false"),
         ("post.KNN.params.search", 4, "found 4; expected an odd number"),

@@ -28,7 +28,7 @@ from interloc.osm.intersections import DRIVABLE
 from interloc.simulate.config import LidarConfig, SceneConfig, SimulationOptions, StreetConfig
 from interloc.simulate.drive import simulate
 from interloc.simulate.scene import Scene
-from interloc.simulate.twins import twin_maps, twin_track, twin_trip
+from interloc.simulate.twins import twin_files, twin_track, twin_trip
 from tests.twins import twin_scene
 
 STARTS = {
@@ -255,7 +255,7 @@ def main() -> None:
     for sequence, service_roads in [(s, False) for s in given.sequences] + [(s, True) for s in given.service]:
         folder = twin_folder(given.kitti, sequence, given.twins, service_roads=service_roads, columns=given.columns)
         truth = Truth(twin_scene(given.kitti, sequence, twin_track(given.kitti, sequence)))
-        osm = str(twin_maps(given.kitti, sequence)[0])
+        osm = str(twin_files(given.kitti, sequence)["osm"])
         for preset in given.presets:
             out = given.twins / f"{folder.name}_{preset}"
             assert run(["run", str(folder), "-o", str(out), "--osm", osm, "--preset", preset, "--quiet"]) == 0

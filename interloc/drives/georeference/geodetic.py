@@ -12,7 +12,7 @@ from interloc.drives.files import SourceFile
 from interloc.drives.findings import Findings, GeoreferenceFileError
 from interloc.drives.georeference.shift import fit_shift
 from interloc.drives.poses.motion import body_steps, body_turns, rows_apart
-from interloc.geometry import ecef_from_geodetic, enu_from_lonlat, invert_transform
+from interloc.geometry import ecef_from_geodetic, enu_from_lonlat, from_first
 
 MAX_GEOREFERENCE_ERROR = 0.1
 """Of the distance between two scans; all KITTI drives stay under 0.02, and those of other drives are over 0.1."""
@@ -21,6 +21,7 @@ MIN_TURNED_RAD = np.radians(30.0)
 """Root of the sum of squared turns over which the turns of poses and georeference are compared."""
 
 _MIN_TURN_SHARE = 0.5
+_JUMP_M = 5.0
 _MIN_SHIFT_SCANS = 0.7
 _E7, _LEAST_E7 = 1e7, 2e7
 """Some receivers write multiples of 1e-7 degrees; beyond two degrees these are larger than any coordinate in metres."""
@@ -91,9 +92,7 @@ def checked_fixes(file: SourceFile, rows: FloatArray, frames: IntArray) -> Float
 
 def poses_of(georeference: Georeference) -> FloatArray:
     """Return (N, 4, 4) T_world_lidar of a georeference, exact on the ellipsoid; W is the LiDAR at the first fix."""
-    T_ecef_lidar = ecef_poses(georeference)
-    relative: FloatArray = invert_transform(T_ecef_lidar[0]) @ T_ecef_lidar
-    return relative
+    return from_first(ecef_poses(georeference))
 
 
 def ecef_poses(georeference: Georeference) -> FloatArray:
@@ -136,15 +135,26 @@ def check_georeference(poses: FloatArray, georeference: Georeference, findings: 
     rows = rows_apart(poses[:, :3, 3], 10.0)
     if len(rows) < 2:
         return None
-    ours = body_steps(poses[rows])
+    ours = body_steps(poses[rows])[:, :2]  # satellite heights settle by metres, and say nothing of the map
 
     def error_of(fixes: Georeference) -> float:
-        theirs = body_steps(ecef_poses(fixes)[rows])
+        theirs = body_steps(ecef_poses(fixes)[rows])[:, :2]
         return float(np.median(np.linalg.norm(theirs - ours, axis=1) / np.linalg.norm(ours, axis=1)))
 
     error = error_of(georeference)
     if error <= MAX_GEOREFERENCE_ERROR:
-        _check_turns(poses[rows], ecef_poses(georeference)[rows], georeference.source, findings)
+        theirs = ecef_poses(georeference)
+        _check_turns(poses[rows], theirs[rows], georeference.source, findings)
+        apart_m = np.linalg.norm((body_steps(theirs) - body_steps(poses))[:, :2], axis=1)
+        if (apart_m > _JUMP_M).any():
+            first = int(np.argmax(apart_m > _JUMP_M))
+            driven_m = float(np.linalg.norm(body_steps(poses[: first + 1]), axis=1).sum())
+            findings.warning(
+                georeference.source,
+                f"jumps against the poses, {np.count_nonzero(apart_m > _JUMP_M):,} times, first by "
+                f"{apart_m[first]:.0f} m after {driven_m:.0f} m: intersections are so far off there. Usual cause: a "
+                "receiver that lost its corrections (RTK), or an outage.",
+            )
     else:
         cause = (
             "Usual cause: the georeference of another drive, rows that start at another frame, or angles in another "
@@ -153,12 +163,11 @@ def check_georeference(poses: FloatArray, georeference: Georeference, findings: 
         swapped = replace(georeference, lat_deg=georeference.lon_deg, lon_deg=georeference.lat_deg)
         if np.abs(swapped.lat_deg).max() < 90.0 and error_of(swapped) < MAX_GEOREFERENCE_ERROR:
             cause = "Latitude and longitude are swapped: the other way round the motion is that of the poses."
-        findings.error(
-            GeoreferenceFileError(
-                georeference.source,
-                f"describes another motion than the poses: off by {error:.0%} of the distance, piece by piece "
-                f"(usual: under 2 %). {cause}",
-            )
+        findings.refuse(
+            georeference.source,
+            f"describes another motion than the poses: off by {error:.0%} of the distance, piece by piece "
+            f"(usual: under 2 %). {cause}",
+            GeoreferenceFileError,
         )
     return error
 
@@ -171,13 +180,12 @@ def _check_turns(ours: FloatArray, theirs: FloatArray, source: str, findings: Fi
     if np.sqrt(squares) < MIN_TURNED_RAD or share > _MIN_TURN_SHARE:
         return
     how = "to the other side" if share < -_MIN_TURN_SHARE else "otherwise"
-    findings.error(
-        GeoreferenceFileError(
-            source,
-            f"turns {how} than the poses ({share:.0%} of its turns are in them). Usual cause: one of the two has its z "
-            "axis down (NED, FRD), so that left and right are mirrored, or an attitude that is not filled in. "
-            "Expected x forward, y left, z up in both.",
-        )
+    findings.refuse(
+        source,
+        f"turns {how} than the poses ({share:.0%} of its turns are in them). Usual cause: one of the two has its z "
+        "axis down (NED, FRD), so that left and right are mirrored, or an attitude that is not filled in. "
+        "Expected x forward, y left, z up in both.",
+        GeoreferenceFileError,
     )
 
 
@@ -193,13 +201,14 @@ def check_shift(poses: FloatArray, georeference: Georeference, findings: Finding
     enu = enu_from_lonlat(lonlat[0, 1], lonlat[0, 0], lonlat)
     scans = np.arange(len(poses), dtype=np.float64)
     shift = fit_shift(scans, poses[:, :2, 3], scans, enu)
-    if shift is None or abs(shift.late) < _MIN_SHIFT_SCANS:
+    if shift is None or not shift.is_there or abs(shift.late) < _MIN_SHIFT_SCANS:
+        if shift is not None and shift.untold:
+            findings.untold(georeference.source, shift.untold)
         return
-    findings.error(
-        GeoreferenceFileError(
-            georeference.source,
-            f"is {abs(shift.late):.1f} scans {'late' if shift.late > 0 else 'early'} against the poses: so shifted it "
-            f"lies {shift.after_m:.1f} m off them, else {shift.before_m:.1f} m, and intersections would be about "
-            f"{shift.metres:.0f} m off along the road. Usual cause: rows that start at another frame, or two clocks.",
-        )
+    findings.refuse(
+        georeference.source,
+        f"is {abs(shift.late):.1f} scans {'late' if shift.late > 0 else 'early'} against the poses: so shifted it "
+        f"lies {shift.after_m:.1f} m off them, else {shift.before_m:.1f} m, and intersections would be about "
+        f"{shift.metres:.0f} m off along the road. Usual cause: rows that start at another frame, or two clocks.",
+        GeoreferenceFileError,
     )

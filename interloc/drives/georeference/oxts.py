@@ -9,7 +9,7 @@ import numpy as np
 
 from interloc.arrays import FloatArray, IntArray
 from interloc.drive import Georeference
-from interloc.drives.files import GeoreferenceFile, SourceFile, list_numbered, listed, missing_numbers, rows_by_frame
+from interloc.drives.files import SourceFile, list_numbered, listed, missing_numbers, rows_by_frame
 from interloc.drives.findings import GeoreferenceFileError
 from interloc.drives.georeference.geodetic import checked_fixes
 from interloc.geometry import invert_transform, lonlat_from_enu, rotation_from_rpy
@@ -70,7 +70,7 @@ def raw_offset(raw_drive: Path, sequence: str, frames: IntArray) -> int:
     return first
 
 
-def read_oxts_folder(folder: GeoreferenceFile, frames: IntArray) -> FloatArray:
+def read_oxts_folder(folder: SourceFile, frames: IntArray) -> FloatArray:
     """Read one OXTS file per frame.
 
     Returns
@@ -96,8 +96,8 @@ def read_oxts_folder(folder: GeoreferenceFile, frames: IntArray) -> FloatArray:
     return checked_fixes(folder, rows, frames)
 
 
-def read_oxts_rows(file: GeoreferenceFile, frames: IntArray) -> FloatArray:
-    """Read a file with one OXTS row per frame, plain or .gz.
+def read_oxts_rows(file: SourceFile, frames: IntArray | None = None) -> FloatArray:
+    """Read a file with one OXTS row per frame, plain or .gz: the rows of some frames, or all.
 
     Returns
     -------
@@ -109,8 +109,8 @@ def read_oxts_rows(file: GeoreferenceFile, frames: IntArray) -> FloatArray:
         It has fewer rows than the drive has frames, or a row is damaged.
     """
     lines = file.lines()
-    while not lines[-1].strip():
-        lines.pop()
+    if frames is None:
+        frames = np.arange(len(lines))
     wanted = rows_by_frame(frames, len(lines))
     if wanted is None:
         raise file.fault(

@@ -23,6 +23,8 @@ _MIN_SHIFT_M, _SURE_M = 1.5, 3.0
 _UNSURE_M, _MUCH_BETTER = 5.0, 0.5
 """A shift that is not sure is told only where it is so large, and explains so much."""
 
+_UNTOLD_M = 20.0
+
 
 @dataclass(frozen=True)
 class Shift:
@@ -34,6 +36,10 @@ class Shift:
         Fixes belong to poses that were so much earlier; in the unit of the times given.
     metres : float
         How far is driven meanwhile, the median.
+    unsure_m : float
+        To how many metres along the track it is known.
+    is_there : bool
+        Without it, the poses are clearly farther off the fixes.
     is_sure : bool
         It is known to 3 m along the track, or to a tenth of itself.
     before_m, after_m : float
@@ -42,13 +48,25 @@ class Shift:
 
     late: float
     metres: float
+    unsure_m: float
+    is_there: bool
     is_sure: bool
     before_m: float
     after_m: float
 
+    @property
+    def untold(self) -> str:
+        """Why fixes may be late or early without being seen to be, in words that follow; "" where that is seen."""
+        if self.is_there or self.unsure_m < _UNTOLD_M:
+            return ""
+        return (
+            f"whether it is late or early against the poses cannot be told: up to {self.unsure_m:.0f} m along the road "
+            "either way fit alike, as where the road neither bends nor the speed changes."
+        )
+
 
 def fit_shift(times: FloatArray, positions: FloatArray, fix_times: FloatArray, enu: FloatArray) -> Shift | None:
-    """Find the shift in time by which poses lie best on fixes, piece by piece; None where there is no clear one.
+    """Find the shift in time by which poses lie best on fixes, piece by piece; None where there is too little of both.
 
     Parameters
     ----------
@@ -88,16 +106,15 @@ def fit_shift(times: FloatArray, positions: FloatArray, fix_times: FloatArray, e
     unshifted = cost(0.0)[0]
     metres = abs(late) / unit * _USUAL_SPEED_MPS
     gain = unshifted - best
-    if not np.isfinite(unshifted) or metres < _MIN_SHIFT_M or gain < _GAIN_M**2 or best > _BETTER * unshifted:
+    if not np.isfinite(unshifted) or not count:
         return None
-    if count * gain < _SIGNIFICANT * max(best, 1e-6):
-        return None
+    is_there = metres >= _MIN_SHIFT_M and gain >= _GAIN_M**2 and best <= _BETTER * unshifted
+    is_there &= count * gain >= _SIGNIFICANT * max(best, 1e-6)
     likely = coarse[squares < best * (1 + 9.0 / count) + 1e-4]
     unsure_m = max(float(np.ptp(likely)) / 2 if len(likely) else 0.0, _FINE * unit) / unit * _USUAL_SPEED_MPS
     is_sure = unsure_m < max(_SURE_M, 0.1 * metres) and abs(late) < reach - _COARSE * unit  # at its end it is cut off
-    if not is_sure and (metres < _UNSURE_M or best > _MUCH_BETTER * unshifted):
-        return None
-    return Shift(late, metres, is_sure, float(np.sqrt(unshifted)), float(np.sqrt(best)))
+    is_there &= is_sure or (metres >= _UNSURE_M and best <= _MUCH_BETTER * unshifted)
+    return Shift(late, metres, unsure_m, is_there, is_sure, float(np.sqrt(unshifted)), float(np.sqrt(best)))
 
 
 def misfit_m(times: FloatArray, positions: FloatArray, fix_times: FloatArray, enu: FloatArray) -> float:

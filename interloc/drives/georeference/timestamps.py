@@ -8,8 +8,9 @@ import numpy as np
 
 from interloc.arrays import FloatArray, IntArray
 from interloc.drives.clocks import known_shift
-from interloc.drives.files import rows_by_frame, seconds_of
+from interloc.drives.files import SourceFile, rows_by_frame, seconds_of
 from interloc.drives.layouts import DriveParts
+from interloc.errors import InterLocError
 
 _TOGETHER = 0.5
 """Of the time from scan to scan: so far apart the two may be, and the row of the next scan is not nearer."""
@@ -69,12 +70,12 @@ def rows_in_time(oxts: Path, parts: DriveParts, frames: IntArray) -> tuple[IntAr
 
 def _times(path: Path | None) -> FloatArray | None:
     """Return the (K,) times of a file, seconds since 1970; None where it is not one of dates in ascending order."""
-    try:
-        lines = [] if path is None else path.read_text(encoding="utf-8").split("\n")
-    except (OSError, UnicodeDecodeError):
+    if path is None:
         return None
-    while lines and not lines[-1].strip():
-        lines.pop()
+    try:
+        lines = SourceFile(path, path.parent).lines()
+    except InterLocError:
+        return None
     times = np.array([seconds_of(line.strip()) for line in lines])
-    is_clock = len(times) and np.isfinite(times).all() and times[0] > _EPOCH_S and (np.diff(times) >= 0).all()
+    is_clock = np.isfinite(times).all() and times[0] > _EPOCH_S and (np.diff(times) >= 0).all()
     return times if is_clock else None

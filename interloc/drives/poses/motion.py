@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -141,35 +142,40 @@ def _rotation_vectors(rotation: FloatArray) -> FloatArray:
     return vectors
 
 
-def jumps(positions: FloatArray, times_s: FloatArray) -> IntArray:
-    """Return after which poses the next lies farther than any vehicle drives meanwhile.
+def longest_piece(positions: FloatArray, times_s: FloatArray, frames: IntArray) -> tuple[slice, str]:
+    """Cut a drive where its poses jump: what lies beyond a jump would come to another place of the map.
 
     Parameters
     ----------
     positions : (N, 3) float64
     times_s : (N,) float64
         Ascending.
+    frames : (N,) int64
+        Scan numbers.
 
     Returns
     -------
-    (K,) int64
-        Ascending; none where they jump so often that it is noise.
+    rows : slice
+        The longest piece between two jumps: steps longer than any vehicle drives meanwhile. All, where they jump so
+        often that it is noise.
+    words : str
+        Where and by how much they jump, and what is left out; "" where nothing is.
     """
-    if len(times_s) < 3:
-        return np.empty(0, np.int64)
     steps, passed_s = np.linalg.norm(np.diff(positions, axis=0), axis=1), np.diff(times_s)
+    if len(steps) < 2:
+        return slice(0, len(positions)), ""
     speeds_mps = np.pad(steps / np.maximum(passed_s, 1e-3), _AROUND // 2, mode="edge")
     usual_mps = np.median(sliding_window_view(speeds_mps, _AROUND), axis=1)
     allowed_m = usual_mps * passed_s + _JUMP_M + _ACCELERATION_MPS2 * passed_s**2
-    found = np.flatnonzero((steps > allowed_m) & (passed_s < _LONGEST_S)).astype(np.int64)
-    return found if len(found) <= max(2, _RARELY * len(steps)) else found[:0]
-
-
-def named_jumps(after: IntArray, positions: FloatArray, frames: IntArray) -> str:
-    """Return in words by how much poses jump, after which scans, and where; `after` is the answer of `jumps`."""
-    driven_m = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(positions, axis=0), axis=1))])
-    places = [
-        f"by {driven_m[row + 1] - driven_m[row]:.0f} m after scan {frames[row]} ({driven_m[row]:.0f} m on)"
-        for row in after[:3].tolist()
-    ]
-    return ", ".join([*places, "..."] if len(after) > len(places) else places)
+    after = np.flatnonzero((steps > allowed_m) & (passed_s < _LONGEST_S))
+    if not 0 < len(after) <= max(2, _RARELY * len(steps)):
+        return slice(0, len(positions)), ""
+    ends = [0, *(after + 1).tolist(), len(positions)]
+    first, last = max(pairwise(ends), key=lambda piece: piece[1] - piece[0])
+    driven_m = np.concatenate([[0.0], np.cumsum(steps)])
+    named = [f"by {steps[row]:.0f} m after scan {frames[row]} ({driven_m[row]:.0f} m on)" for row in after[:3].tolist()]
+    return slice(first, last), (
+        f"jump: {', '.join([*named, '...'] if len(after) > len(named) else named)}. The drive is cut there, and its "
+        f"longest piece is used: scans {frames[first]} to {frames[last - 1]}, {last - first:,} of {len(positions):,}. "
+        "Usual cause: an odometry that was reset or lost track, or an outage of GNSS."
+    )

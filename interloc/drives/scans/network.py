@@ -12,7 +12,7 @@ from interloc.drives.findings import Findings
 from interloc.drives.scans.recorded import Recording, ScanPoints
 from interloc.labelling.labeller import Labeller
 from interloc.labelling.model import read_model
-from interloc.labelling.remission import remission_scale
+from interloc.labelling.projection import remission_scale
 
 _REMEMBERED = 16  # scans: those that the checks look into come up again
 

@@ -25,8 +25,7 @@ from interloc.drives.files import (
     scan_once,
 )
 from interloc.drives.findings import DriveFileError, Findings
-from interloc.drives.labels import SEMANTICKITTI, LabelJudgement, LabelScheme, judge_labels
-from interloc.drives.labels_below import check_below, ids_below
+from interloc.drives.labels import SEMANTICKITTI, LabelJudgement, LabelScheme, check_below, ids_below, judge_labels
 from interloc.drives.layouts import DriveParts
 from interloc.drives.options import DriveOptions, LabelFolder
 from interloc.drives.scans.recorded import PointSource, Recording, ScanFacts, ScanPoints
@@ -313,8 +312,8 @@ def trajectory_of(recording: Recording, options: DriveOptions, findings: Finding
     """Read poses, times and georeference of a recording whose scans could be listed."""
     assert recording.frames is not None
     if recording.read_trajectory is not None:
-        return recording.read_trajectory(options, findings)
-    return read_trajectory(recording.parts, recording.frames, options, findings)
+        return recording.read_trajectory(recording.frames, options, findings)
+    return read_trajectory(recording.parts, recording.frames, options, findings, times_s=recording.times_s)
 
 
 _FLOAT_1 = 0x3F800000

@@ -29,7 +29,7 @@ from interloc.drives.scans.las.slices import (
 from interloc.drives.scans.las.tracks import SurveyTrack, find_tracks, read_track
 from interloc.drives.scans.recorded import Recording
 from interloc.drives.trajectory import LidarPoses, Trajectory
-from interloc.geometry import invert_transform, rotation_from_rpy, wrap_angle
+from interloc.geometry import from_first, rotation_from_rpy, wrap_angle
 
 SENSOR_HEIGHT_M = 2.0
 """Over the ground, where the heights of the trajectory are not those of the cloud (ellipsoid and geoid)."""
@@ -79,7 +79,7 @@ def open_mapping(
         carries_labels=index.has_road,
         scheme="las" if index.has_road else None,
         has_remission=has_intensity,
-        read_trajectory=lambda _options, _findings: trajectory,
+        read_trajectory=lambda _frames, _options, _findings: trajectory,
     )
 
 
@@ -340,7 +340,7 @@ def _trajectory(slices: Slices, origin: FloatArray, yaw: FloatArray, grid: Grid 
     if grid is None:
         poses = np.tile(np.eye(4), (len(origin), 1, 1))
         poses[:, :3, :3], poses[:, :3, 3] = rotation, origin
-        poses = invert_transform(poses[0]) @ poses
+        poses = from_first(poses)
     else:
         lonlat = grid.to_lonlat(origin[:, :2])
         georeference = Georeference(
@@ -351,6 +351,5 @@ def _trajectory(slices: Slices, origin: FloatArray, yaw: FloatArray, grid: Grid 
             source=f"{vehicle.reason}; {grid.name}",
         )
         poses, reason = poses_of(georeference), ""
-    poses[0] = np.eye(4)
     lidar = LidarPoses(poses, "lidar", f"cut out of the trajectory {vehicle.reason}")
     return Trajectory(lidar, len(vehicle.times_s), slices.times_s, georeference, reason)

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -26,7 +29,7 @@ _NAMES = {  # in lower case, without units
     "time": "time times t timestamp gps_time gpstime gps_seconds seconds sec sow gps_sow unix_time utc_time",
     "x": "x easting east e pos_x utm_x utm_easting",
     "y": "y northing north n pos_y utm_y utm_northing",
-    "z": "z height elevation h alt altitude up pos_z h_ell hell ellipsoidal_height ortho_height orthometric_height",
+    "z": "z height elevation ele h alt altitude up pos_z h_ell hell ellipsoidal_height ortho_height orthometric_height",
     "lat": "lat latitude",
     "lon": "lon lng long longitude",
     "yaw": "yaw heading azimuth",
@@ -143,25 +146,66 @@ def _columns(names: list[str]) -> dict[str, int]:
 
 
 def _read_table(file: SourceFile) -> SurveyTrack:
+    kinds = [("time", *place, "z", *yaw) for yaw in (["yaw"], []) for place in (("x", "y"), ("lon", "lat"))]
+    expected = "Expected a header such as time,x,y,z or time,lat,lon,alt, and optionally heading_deg."
+    table = read_table(file, kinds, expected)
+    geographic = "lon" in table.columns
+    kept = _ascending(table.values, file, table.at)
+    values = table.values[kept]
+    _check_place(values[:, 1:4], file, geographic=geographic)
+    headings = _meanings(values[:, 4], table.columns["yaw"]) if "yaw" in table.columns else {}
+    return SurveyTrack(file, values[:, 0].copy(), values[:, 1:4].copy(), geographic, headings)
+
+
+class Table(NamedTuple):
+    """The columns of a table that were asked for.
+
+    Attributes
+    ----------
+    columns : dict of str to str
+        Quantity -> what the header calls it.
+    values : (N, C) float64
+    at : list of int
+        Line of each row, from 1.
+    """
+
+    columns: dict[str, str]
+    values: FloatArray
+    at: list[int]
+
+
+def read_table(file: SourceFile, kinds: Sequence[Sequence[str]], expected: str, blank: str = "") -> Table:
+    """Read a table of numbers with a header; the columns may have any of the usual names, and units.
+
+    Parameters
+    ----------
+    file : SourceFile
+    kinds : sequence of sequence of str
+        Quantities (time, x, y, z, lat, lon, yaw): the first of which there are all are read.
+    expected : str
+        What messages say that the header should be.
+    blank : str
+        The quantity that may be missing in a row: NaN.
+
+    Raises
+    ------
+    DriveError
+        It has no header, none of the kinds of columns, no rows, or one that holds something else.
+    """
     lines = file.lines()
     start = next(row for row, text in enumerate(lines) if text.strip())
     names = _names(lines[start])
-    expected = "Expected a header such as time,x,y,z or time,lat,lon,alt, and optionally heading_deg."
     if names is None:
         raise file.fault(
             f"starts with {len(_split(lines[start]))} numbers, and nothing says what they are. {expected}",
             start + 1,
         )
     columns = _columns(names)
-    geographic = not {"x", "y"} <= set(columns)
-    place = ("lon", "lat") if geographic else ("x", "y")
-    missing = [quantity for quantity in ("time", *place, "z") if quantity not in columns]
-    if missing:
+    kind = min(kinds, key=lambda each: len(set(each) - set(columns)))
+    if missing := [quantity for quantity in kind if quantity not in columns]:
         raise file.fault(
             f"has no column for {', '.join(missing)} among {', '.join(names)[:200]}. {expected}", start + 1
         )
-    quantities = ["time", *place, "z", *(["yaw"] if "yaw" in columns else [])]
-    wanted = [columns[quantity] for quantity in quantities]
     values, at = [], []
     for number, text in enumerate(lines[start + 1 :], start=start + 2):
         if not text.strip() or text.lstrip().startswith(("#", "%")):
@@ -169,17 +213,13 @@ def _read_table(file: SourceFile) -> SurveyTrack:
         fields = _split(text)
         if len(fields) != len(names):
             raise file.fault(f"{len(fields)} fields; expected {len(names)} as in the header.", number)
-        values.append(file.numbers([fields[column] for column in wanted], number))
+        row = {quantity: fields[columns[quantity]] for quantity in kind}
+        gaps = [row.pop(blank)] if blank in row and not is_number(row[blank]) else []
+        values.append([*file.numbers(list(row.values()), number), *(math.nan for _ in gaps)])
         at.append(number)
     if not values:
         raise file.fault(f"holds a header only. {expected}")
-    table = np.array(values)
-    table = table[_ascending(table, file, at)]
-    _check_place(table[:, 1:4], file, geographic=geographic)
-    headings = {}
-    if "yaw" in columns:
-        headings = _meanings(table[:, 4], names[columns["yaw"]])
-    return SurveyTrack(file, table[:, 0].copy(), table[:, 1:4].copy(), geographic, headings)
+    return Table({quantity: names[columns[quantity]] for quantity in kind}, np.array(values), at)
 
 
 def _meanings(angle: FloatArray, name: str) -> dict[str, FloatArray]:

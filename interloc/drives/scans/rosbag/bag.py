@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -17,10 +17,12 @@ from interloc.drives.findings import DriveFileError, Findings
 from interloc.drives.scans.rosbag import db3, mcap, ros1
 from interloc.drives.scans.rosbag.chunks import MAX_MESSAGE_BYTES, ZSTD_MAGIC, unpacked
 from interloc.drives.scans.rosbag.index import CHUNK_START, OFFSET, BagIndex, reading
-from interloc.drives.scans.rosbag.wire import Encoding
+from interloc.drives.scans.rosbag.wire import Encoding, WireError
 from interloc.errors import install
 
 SUFFIXES = (".bag", ".db3", ".mcap")
+
+Decoded = TypeVar("Decoded")
 
 _INDEX: dict[str, Callable[[SourceFile], BagIndex]] = {
     ".bag": ros1.index_ros1,
@@ -92,6 +94,10 @@ class Bag:
         """Bytes of all files."""
         return sum(file.path.stat().st_size for file in self.files)
 
+    def fault(self, message: str) -> DriveFileError:
+        """Return the error to raise about it: what was found, what was expected, the usual cause."""
+        return DriveFileError(self.name, message)
+
     def messages(self, topic: BagTopic) -> Iterator[bytes]:
         """Read the messages of a topic, in the order in which they lie in the files.
 
@@ -113,6 +119,24 @@ class Bag:
                     yield next(read_messages(file, place[None]))
                 else:
                     yield head
+
+    def decoded(
+        self, topic: BagTopic, decode: Callable[[bytes, Encoding], Decoded], *, heads: bool = False
+    ) -> Iterator[Decoded]:
+        """Yield what a function makes of every message of a topic, or of its beginning.
+
+        Raises
+        ------
+        DriveError
+            A file or a message is damaged.
+        """
+        assert topic.encoding is not None
+        for number, message in enumerate((self.heads if heads else self.messages)(topic)):
+            try:
+                found = decode(message, topic.encoding)
+            except WireError as error:
+                raise self.fault(f"{topic.name}, message {number}: {error}.") from error
+            yield found
 
 
 def read_messages(file: SourceFile, places: IntArray, limit: int = MAX_MESSAGE_BYTES) -> Iterator[bytes]:

@@ -8,17 +8,16 @@ import numpy as np
 
 from interloc.arrays import BoolArray, FloatArray, IntArray
 from interloc.drive import Georeference
-from interloc.drives.findings import DriveFileError, Findings
+from interloc.drives.findings import Findings
 from interloc.drives.georeference.fixes import MIN_EXTENT_M, MIN_FIXES, Fixes, extent_m, georeference_from_fixes
 from interloc.drives.georeference.geodetic import check_georeference, in_degrees
 from interloc.drives.georeference.shift import Shift, fit_shift, misfit_m
 from interloc.drives.scans.rosbag.bag import Bag, BagTopic
 from interloc.drives.scans.rosbag.frames import FrameTree, latest_of_each
-from interloc.drives.scans.rosbag.messages import NO_FIX, Fix, read_fix
+from interloc.drives.scans.rosbag.messages import NO_FIX, read_fix
 from interloc.drives.scans.rosbag.motion import LidarMotion
 from interloc.drives.scans.rosbag.stamps import clock_lead_s, clock_shift
-from interloc.drives.scans.rosbag.wire import WireError
-from interloc.geometry import enu_from_lonlat, invert_transform
+from interloc.geometry import enu_from_lonlat, from_first
 
 _ARM_STD_M = 1.0
 """Along each axis, of a place on a car that is not known."""
@@ -79,24 +78,14 @@ class BagFixes:
     def _laid_on(self, fixes: Fixes, distance_m: FloatArray, world: FloatArray) -> tuple[Georeference | None, str]:
         source = f"{self.topic.name} (GNSS), heading from the motion"
         georeference, doubts = georeference_from_fixes(fixes, world, distance_m, source), Findings(stop_at_first=False)
-        check_georeference(invert_transform(world[0]) @ world, georeference, doubts)
+        check_georeference(from_first(world), georeference, doubts)
         return (None, f"{self.topic.name} {doubts.found[0].message}") if doubts.found else (georeference, "")
-
-    def _read(self) -> list[Fix]:
-        assert self.topic.encoding is not None
-        messages = []
-        for number, message in enumerate(self.bag.messages(self.topic)):
-            try:
-                messages.append(read_fix(message, self.topic.encoding))
-            except WireError as error:
-                raise DriveFileError(self.bag.name, f"{self.topic.name}, message {number}: {error}.") from error
-        return messages
 
     def _within(
         self, motion: LidarMotion, scan_times_s: FloatArray, world: FloatArray, findings: Findings
     ) -> tuple[tuple[Fixes, FloatArray] | None, str]:
         """Return the fixes within the poses, and the distance driven until every scan; or why there are none."""
-        name, messages = self.topic.name, self._read()
+        name, messages = self.topic.name, list(self.bag.decoded(self.topic, read_fix))
         stamps = np.array([fix.header.stamp_ns for fix in messages], dtype=np.int64)
         log_s = self.topic.log_ns / 1e9
         times_s = log_s if self.by_log or bool((stamps <= 0).any()) else stamps / 1e9
@@ -117,7 +106,7 @@ class BagFixes:
         if not sound.any():
             return None, f"{name}: none of {len(messages):,} fixes has a position{_why_unsound(positions, status)}"
         positions[~np.isfinite(positions[:, 2]), 2] = 0.0
-        late = self._late(motion, times_s[sound], positions[sound])
+        late = self._late(motion, times_s[sound], positions[sound], findings)
         if late is not None and not late.is_sure:
             return None, (
                 f"{name}: the fixes are late or early against the poses, by {abs(late.late):.0f} s or so (about "
@@ -176,7 +165,9 @@ class BagFixes:
             )
         return (fixes, distance_m[len(rows) :]), ""
 
-    def _late(self, motion: LidarMotion, times_s: FloatArray, positions: FloatArray) -> Shift | None:
+    def _late(
+        self, motion: LidarMotion, times_s: FloatArray, positions: FloatArray, findings: Findings
+    ) -> Shift | None:
         """Find out whether (K,) fixes are late against the motion."""
         first, last = motion.span_s
         rows = latest_of_each(times_s)
@@ -185,11 +176,13 @@ class BagFixes:
         grid = np.linspace(first, last, int(np.clip((last - first) / _GRID_S, 2, _MAX_GRID)))
         path, lonlat = motion.at(grid)[:, :2, 3], positions[rows][:, [1, 0]]
         shift = fit_shift(grid, path, times_s[rows], enu_from_lonlat(lonlat[0, 1], lonlat[0, 0], lonlat))
-        if shift is not None:  # exchanged, a path is mirrored, and a shift may seem to help
-            exchanged = enu_from_lonlat(lonlat[0, 0], lonlat[0, 1], lonlat[:, ::-1])
-            if misfit_m(grid, path, times_s[rows], exchanged) < shift.after_m:
-                return None
-        return shift
+        if shift is None or not shift.is_there:
+            if shift is not None and shift.untold:
+                findings.untold(self.bag.name, f"{self.topic.name}: {shift.untold}")
+            return None
+        exchanged = enu_from_lonlat(lonlat[0, 0], lonlat[0, 1], lonlat[:, ::-1])
+        is_mirrored = misfit_m(grid, path, times_s[rows], exchanged) < shift.after_m  # then a shift may seem to help
+        return None if is_mirrored else shift
 
 
 def _sound_fixes(positions: FloatArray, status: IntArray) -> BoolArray:

@@ -11,8 +11,8 @@ import numpy as np
 from interloc.arrays import BoolArray, FloatArray, IntArray
 from interloc.drives.files import MAX_NUMBER
 from interloc.drives.poses.timed import TimedPoses, rotations_from_quaternions
-from interloc.drives.scans.rosbag.bag import Bag, BagTopic
-from interloc.drives.scans.rosbag.messages import read_transforms
+from interloc.drives.scans.rosbag.bag import Bag
+from interloc.drives.scans.rosbag.messages import TRANSFORMS, read_transforms
 from interloc.geometry import invert_transform
 
 LONGEST_GAP_S = 2.0
@@ -146,23 +146,19 @@ class FrameTree:
         return above
 
 
-def read_tree(bag: Bag, topics: list[BagTopic]) -> FrameTree:
+def read_tree(bag: Bag) -> FrameTree:
     """Read all transforms of a bag, of all of its files, before anything is made of them.
 
     Raises
     ------
     DriveError
-        A file is damaged.
-    WireError
-        A message is damaged.
+        A file or a message is damaged.
     """
     found: dict[tuple[str, str], array[float]] = {}
     leads = array("d")
-    for topic in topics:
-        if topic.encoding is None:
-            continue
-        for message, log_ns in zip(bag.messages(topic), topic.log_ns, strict=True):
-            for transform in read_transforms(message, topic.encoding):
+    for topic in (each for each in bag.topics if each.type in TRANSFORMS and each.encoding is not None):
+        for transforms, log_ns in zip(bag.decoded(topic, read_transforms), topic.log_ns, strict=True):
+            for transform in transforms:
                 key = (transform.header.frame_id, transform.child_frame)
                 if key not in found and len(found) >= _MAX_FRAMES:
                     continue

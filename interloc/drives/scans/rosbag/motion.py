@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from array import array
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,9 +12,8 @@ from interloc.arrays import BoolArray, FloatArray
 from interloc.drives.findings import DriveFileError, Findings
 from interloc.drives.scans.rosbag.bag import Bag, BagTopic
 from interloc.drives.scans.rosbag.frames import ROW, Edge, FrameTree, timed_poses
-from interloc.drives.scans.rosbag.messages import TRANSFORMS, read_pose
+from interloc.drives.scans.rosbag.messages import TRANSFORMS, StampedPose, read_pose
 from interloc.drives.scans.rosbag.stamps import clock_lead_s
-from interloc.drives.scans.rosbag.wire import WireError
 
 TOLERANCE_S = 0.005
 """So far outside of the poses a scan may lie; it takes the nearest."""
@@ -120,28 +120,26 @@ def read_motion(
 
 def first_child_frame(bag: Bag, topic: BagTopic) -> str:
     """Return whose poses the first message of a topic of poses holds; "" where it does not say."""
-    assert topic.encoding is not None
     try:
-        return read_pose(next(bag.messages(topic)), topic.type, topic.encoding).child_frame
-    except WireError:
+        return next(_poses(bag, topic)).child_frame
+    except DriveFileError:
         return ""
+
+
+def _poses(bag: Bag, topic: BagTopic) -> Iterator[StampedPose]:
+    return bag.decoded(topic, lambda message, encoding: read_pose(message, topic.type, encoding))
 
 
 def _read_edge(bag: Bag, topic: BagTopic, findings: Findings, *, by_log: bool) -> tuple[Edge, int, float]:
     """Read the poses of a topic of Odometry or poses; how many there are, and how far their clock is ahead."""
-    assert topic.encoding is not None
     stamps, values, pairs = array("q"), array("d"), array("q")
     frames: dict[tuple[str, str], int] = {}
-    for number, message in enumerate(bag.messages(topic)):
-        try:
-            pose = read_pose(message, topic.type, topic.encoding)
-        except WireError as error:
-            raise DriveFileError(bag.name, f"{topic.name}, message {number}: {error}.") from error
+    for pose in _poses(bag, topic):
         pairs.append(frames.setdefault((pose.header.frame_id, pose.child_frame), len(frames)))
         stamps.append(pose.header.stamp_ns)
         values.extend(pose.values)
     if not stamps:
-        raise DriveFileError(bag.name, f"the topic {topic.name} holds no messages. Expected poses of the LiDAR.")
+        raise bag.fault(f"the topic {topic.name} holds no messages. Expected poses of the LiDAR.")
     usual = int(np.bincount(np.frombuffer(pairs, dtype=np.int64)).argmax())
     parent, child = list(frames)[usual]
     if len(frames) > 1:
@@ -156,8 +154,7 @@ def _read_edge(bag: Bag, topic: BagTopic, findings: Findings, *, by_log: bool) -
     times_s = (topic.log_ns[rows] if by_log else stamp_ns) / 1e9
     moves = timed_poses(times_s, np.frombuffer(values).reshape(-1, ROW - 1)[rows], topic.name)
     if moves is None:
-        raise DriveFileError(
-            bag.name,
+        raise bag.fault(
             f"{topic.name}: none of {len(stamps):,} poses is one. Expected finite positions, and unit quaternions. "
             "Usual cause: an odometry that never started.",
         )
@@ -183,8 +180,7 @@ def _from_tree(bag: Bag, topic: BagTopic, tree: FrameTree, points_frame: str, fi
         body = next(iter(moving)) if body is None and len(moving) == 1 else body
         if body is None:
             frames = ", ".join(f"{parent} -> {child}" for child, parent in list(tree.parents.items())[:10]) or "none"
-            raise DriveFileError(
-                bag.name,
+            raise bag.fault(
                 f"{topic.name} does not say how {points_frame or 'the points'} moves. Transforms in the bag: {frames}. "
                 "Expected a chain from the frame of the points to map or odom that changes over time. Usual cause: a "
                 "bag without odometry, or --poses is needed.",
@@ -211,8 +207,7 @@ def _from_tree(bag: Bag, topic: BagTopic, tree: FrameTree, points_frame: str, fi
 
 def _moved_already(bag: Bag, frame: str, topic: str) -> DriveFileError:
     """Return the error to raise about points that are not in the frame of the sensor."""
-    return DriveFileError(
-        bag.name,
+    return bag.fault(
         f"the points are in {frame}, the fixed frame of {topic}: they were moved there already. Expected points as the "
         "sensor saw them. Choose their topic with --points.",
     )

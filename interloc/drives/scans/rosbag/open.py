@@ -107,13 +107,11 @@ def _mounts(
     others = [frame for frame in times.frame_ids if frame != points.frame_id]
     mounts = {frame: found.tree.between(points.frame_id, frame) for frame in others}
     if lost := [frame or "no frame" for frame, mount in mounts.items() if mount is None]:
-        findings.error(
-            DriveFileError(
-                bag.name,
-                f"{points.topic.name} holds scans in {len(others) + 1} frames ({', '.join(times.frame_ids)}), and no "
-                f"transform leads from {', '.join(lost)} to {points.frame_id}. Usual cause: several sensors on one "
-                "topic; record /tf_static, or each sensor on a topic of its own.",
-            )
+        findings.refuse(
+            bag.name,
+            f"{points.topic.name} holds scans in {len(others) + 1} frames ({', '.join(times.frame_ids)}), and no "
+            f"transform leads from {', '.join(lost)} to {points.frame_id}. Usual cause: several sensors on one "
+            "topic; record /tf_static, or each sensor on a topic of its own.",
         )
     if others and not lost:
         findings.note(

@@ -9,10 +9,10 @@ import numpy as np
 
 from interloc.arrays import FloatArray, IntArray
 from interloc.drives.clocks import ClockShift, known_shift
-from interloc.drives.findings import DriveFileError, Findings
+from interloc.drives.findings import Findings
 from interloc.drives.scans.rosbag.bag import Bag, BagTopic
 from interloc.drives.scans.rosbag.pointcloud2 import first_points
-from interloc.drives.scans.rosbag.wire import Wire, WireError, read_header
+from interloc.drives.scans.rosbag.wire import Encoding, Header, Wire, read_header
 
 _MANY_BACKWARDS_S = 1.0
 _MANY_IDLE = 0.05
@@ -75,19 +75,17 @@ class ScanTimes:
 
 def read_scan_times(bag: Bag, topic: BagTopic, findings: Findings) -> ScanTimes:
     """Read the stamps of all scans, from the first bytes of each, and number the scans by them."""
-    assert topic.encoding is not None
+
+    def decode(head: bytes, encoding: Encoding) -> tuple[Header, bytes | None]:
+        return read_header(Wire(head, encoding)), first_points(head, topic.type, encoding)
+
     stamps = np.empty(len(topic), dtype=np.int64)
     frame_ids: Counter[str] = Counter()
     empty = repeated = 0
     before = b""
-    for row, head in enumerate(bag.heads(topic)):
-        try:
-            header = read_header(Wire(head, topic.encoding))
-        except WireError as error:
-            raise DriveFileError(bag.name, f"{topic.name}, message {row}: {error}.") from error
+    for row, (header, points) in enumerate(bag.decoded(topic, decode, heads=True)):
         stamps[row] = header.stamp_ns
         frame_ids[header.frame_id] += 1
-        points = first_points(head, topic.type, topic.encoding)
         empty += points == b""
         repeated += bool(points) and points == before
         before = points or b""

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from interloc.drives.findings import DriveFileError, Findings
 from interloc.drives.scans.rosbag.bag import Bag, BagTopic
 from interloc.drives.scans.rosbag.messages import FIX, ODOMETRY, POSE, POSE_WITH_COVARIANCE, POSES, TRANSFORMS
-from interloc.drives.scans.rosbag.pointcloud2 import LIVOX, POINT_CLOUD, read_layout
-from interloc.drives.scans.rosbag.wire import WireError
+from interloc.drives.scans.rosbag.pointcloud2 import LIVOX, POINT_CLOUD, CloudLayout, read_layout
+from interloc.drives.scans.rosbag.wire import Encoding
 
 POINTS = (POINT_CLOUD, *LIVOX)
 
@@ -66,7 +66,7 @@ def choose_points(bag: Bag, given: str | None, findings: Findings) -> PointsTopi
         return _judged(bag, named(bag, given, POINTS, "points"))[1]
     filled = [topic for topic in candidates if len(topic)]
     if not filled:
-        raise DriveFileError(bag.name, _no_points(bag, candidates))
+        raise bag.fault(_no_points(bag, candidates))
     judged = []
     for topic in filled:
         try:
@@ -76,12 +76,11 @@ def choose_points(bag: Bag, given: str | None, findings: Findings) -> PointsTopi
                 raise
             findings.warning(error.path, error.message)
     if not judged:
-        raise DriveFileError(bag.name, f"{len(filled)} topics of points, and the first message of each is damaged.")
+        raise bag.fault(f"{len(filled)} topics of points, and the first message of each is damaged.")
     judged.sort(key=lambda each: each[0], reverse=True)
     (rank, best), others = judged[0], judged[1:]
     if others and others[0][0][:2] == rank[:2] and others[0][0][2] > _SIMILAR * rank[2]:
-        raise DriveFileError(
-            bag.name,
+        raise bag.fault(
             f"both {best.topic.name} ({len(best.topic):,} messages) and {others[0][1].topic.name} "
             f"({len(others[0][1].topic):,} messages) could be the scans. Name one: "
             f"--points {best.topic.name} (points={best.topic.name!r}).",
@@ -98,17 +97,14 @@ def choose_points(bag: Bag, given: str | None, findings: Findings) -> PointsTopi
 def _judged(bag: Bag, topic: BagTopic) -> tuple[tuple[bool, bool, int], PointsTopic]:
     """Look into the first message that has points; return how good a topic is."""
     if not len(topic):
-        raise DriveFileError(bag.name, f"the topic {topic.name} holds no messages. Usual cause: a driver that was off.")
-    assert topic.encoding is not None
-    layout = None
-    for row, head in enumerate(bag.heads(topic)):
-        try:
-            layout = read_layout(head, topic.type, topic.encoding, complete=False)
-        except WireError as error:
-            raise DriveFileError(bag.name, f"{topic.name}, message {row}: {error}.") from error
+        raise bag.fault(f"the topic {topic.name} holds no messages. Usual cause: a driver that was off.")
+
+    def decode(head: bytes, encoding: Encoding) -> CloudLayout:
+        return read_layout(head, topic.type, encoding, complete=False)
+
+    for row, layout in enumerate(bag.decoded(topic, decode, heads=True)):
         if layout.count or row > 100:
             break
-    assert layout is not None
     rank = (layout.has_labels, layout.header.frame_id not in _FIXED_FRAMES, len(topic) * layout.count)
     return rank, PointsTopic(topic, layout.header.frame_id, layout.has_labels, layout.has_remission, layout.has_times)
 
@@ -180,8 +176,7 @@ def named(bag: Bag, name: str, kinds: Collection[str], option: str) -> BagTopic:
             return topic
     there = ", ".join(f"{topic.name} ({len(topic):,} messages)" for topic in fitting[:20]) or "none"
     found = f"is of type {same[0].type}" if same else "is not in the bag"
-    raise DriveFileError(
-        bag.name,
+    raise bag.fault(
         f"the topic {name!r} {found}. Topics that --{option} can name: {there}. All topics: {topic_list(bag)}.",
     )
 

@@ -13,7 +13,7 @@ from interloc.drives.findings import DriveFileError, Findings
 from interloc.drives.georeference.read import read_georeference
 from interloc.drives.layouts import DriveParts
 from interloc.drives.options import ODOMETRY, DriveOptions
-from interloc.drives.poses.motion import body_motion, jumps, named_jumps
+from interloc.drives.poses.motion import body_motion, longest_piece
 from interloc.drives.poses.timed import TimedPoses
 from interloc.drives.scans.rosbag.bag import Bag, BagTopic
 from interloc.drives.scans.rosbag.fixes import BagFixes
@@ -22,10 +22,9 @@ from interloc.drives.scans.rosbag.messages import TRANSFORMS
 from interloc.drives.scans.rosbag.motion import LidarMotion, first_child_frame, read_motion
 from interloc.drives.scans.rosbag.stamps import ScanTimes, clock_shift
 from interloc.drives.scans.rosbag.topics import PointsTopic, fix_topics, pose_topics, topic_list
-from interloc.drives.scans.rosbag.wire import WireError
 from interloc.drives.trajectory import LidarPoses, Trajectory, read_trajectory
 from interloc.errors import InterLocError
-from interloc.geometry import invert_transform
+from interloc.geometry import from_first
 
 _ALONG_Z = 0.65
 _MANY, _MOST = 0.2, 0.9
@@ -80,16 +79,16 @@ def find_motion(
     if given == ODOMETRY:
         if any(_same_name(topic.name, given) for topic in bag.topics):
             findings.note(bag.name, f"the poses are computed from the points; those of /{given} are --poses /{given}.")
-        return replace(found, fault=DriveFileError(bag.name, "its poses are still to be computed from the points."))
+        return replace(found, fault=bag.fault("its poses are still to be computed from the points."))
     if given and Path(given).is_file() and not any(_same_name(topic.name, given) for topic in bag.topics):
         with findings.stage():
             found = replace(found, fixes=fix_topics(bag, options.fix))
-            found = replace(found, tree=_read_tree(bag))
+            found = replace(found, tree=read_tree(bag))
         return replace(found, pose_file=Path(given))
     try:
         found = replace(found, fixes=fix_topics(bag, options.fix))
         candidates = _candidates(bag, options.poses, has_fixes=bool(found.fixes))
-        found = replace(found, tree=_read_tree(bag))
+        found = replace(found, tree=read_tree(bag))
         candidates = _owned_first(candidates, bag, points, found.tree) if options.poses is None else candidates
         topic, motion, by_log, times = _first_that_covers(candidates, bag, points, times, found.tree, findings)
     except InterLocError as fault:
@@ -104,40 +103,16 @@ def find_motion(
         )
         if left_out > _MOST * len(covered):
             gap = f"{text}, and poses more than {LONGEST_GAP_S:.0f} s apart tell nothing between."
-            return replace(
-                found, fault=DriveFileError(bag.name, f"{gap} Usual cause: poses that were kept too rarely.")
-            )
+            return replace(found, fault=bag.fault(f"{gap} Usual cause: poses that were kept too rarely."))
         (findings.warning if left_out > _MANY * len(covered) else findings.note)(bag.name, f"{text}.")
     found = replace(found, frames=every[covered], times_s=times_s[covered], motion=motion, poses=topic, by_log=by_log)
-    return _cut_at_jumps(found, topic, bag, findings)
-
-
-def _cut_at_jumps(found: BagMotion, topic: BagTopic, bag: Bag, findings: Findings) -> BagMotion:
-    """Keep the longest piece between two jumps of the poses: what lies beyond one lies at another place of the map."""
-    assert found.motion is not None
-    position = found.motion.at(found.times_s)[:, :3, 3]
-    after = jumps(position, found.times_s)
-    if not len(after):
+    rows, jumps = longest_piece(motion.at(found.times_s)[:, :3, 3], found.times_s, found.frames)
+    if not jumps:
         return found
-    ends = np.concatenate([[0], after + 1, [len(position)]])
-    longest = int(np.argmax(np.diff(ends)))
-    piece = slice(int(ends[longest]), int(ends[longest + 1]))
-    findings.warning(
-        bag.name,
-        f"the poses of {topic.name} jump: {named_jumps(after, position, found.frames)}. The drive is cut there, and "
-        f"its longest piece is used: scans {found.frames[piece][0]} to {found.frames[piece][-1]}, "
-        f"{piece.stop - piece.start:,} of {len(position):,}. Usual cause: an odometry that was reset or lost track.",
-    )
-    times_s = found.times_s[piece]
-    motion = replace(found.motion, within_s=(float(times_s[0]), float(times_s[-1])))
-    return replace(found, frames=found.frames[piece], times_s=times_s, motion=motion)
-
-
-def _read_tree(bag: Bag) -> FrameTree:
-    try:
-        return read_tree(bag, [topic for topic in bag.topics if topic.type in TRANSFORMS])
-    except WireError as error:
-        raise DriveFileError(bag.name, f"a message of /tf or /tf_static: {error}.") from error
+    findings.warning(bag.name, f"the poses of {topic.name} {jumps}")
+    times_s = found.times_s[rows]
+    motion = replace(motion, within_s=(float(times_s[0]), float(times_s[-1])))
+    return replace(found, frames=found.frames[rows], times_s=times_s, motion=motion)
 
 
 def _owned_first(candidates: list[BagTopic], bag: Bag, points: PointsTopic, tree: FrameTree) -> list[BagTopic]:
@@ -162,8 +137,7 @@ def _candidates(bag: Bag, given: str | None, *, has_fixes: bool) -> list[BagTopi
     candidates = pose_topics(bag, given)
     if not candidates:
         only = "It has GNSS fixes, but these tell no attitude, and are too far apart in time. " if has_fixes else ""
-        raise DriveFileError(
-            bag.name,
+        raise bag.fault(
             f"holds no poses. {only}Expected nav_msgs/Odometry, PoseStamped or /tf of an odometry or SLAM, or a "
             f"file of poses (--poses). It holds: {topic_list(bag)}.",
         )
@@ -222,8 +196,7 @@ def _cover(
         motion, by_log = read_motion(bag, topic, tree, frame, Findings(stop_at_first=False), by_log=True), True
         covered = motion.covers(times.log_s)
     if not covered.any():
-        raise DriveFileError(
-            bag.name,
+        raise bag.fault(
             f"no scan has a pose of {topic.name}: the scans last from {stamp_s.min():.3f} s to {stamp_s.max():.3f} "
             f"s, the poses from {first:.3f} s to {last:.3f} s. Expected poses at most 2 s apart while scans were "
             "taken. Usual cause: different clocks, or an odometry that did not run.",
@@ -241,15 +214,23 @@ def _cover(
 
 
 def read_bag_trajectory(
-    bag: Bag, points: PointsTopic, parts: DriveParts, found: BagMotion, options: DriveOptions, findings: Findings
+    bag: Bag,
+    points: PointsTopic,
+    parts: DriveParts,
+    found: BagMotion,
+    frames: IntArray,
+    options: DriveOptions,
+    findings: Findings,
 ) -> Trajectory:
-    """Return poses and times of the scans, and their georeference.
+    """Return poses and times of some scans, by their numbers, and their georeference.
 
     Raises
     ------
     DriveError, GeoreferenceError
         The first fault, where `findings` stops at it.
     """
+    rows = np.searchsorted(found.frames, frames)
+    found = replace(found, frames=frames, times_s=found.times_s[rows])
     if found.pose_file is not None:
         parts = replace(parts, poses=found.pose_file)
         trajectory = read_trajectory(parts, found.frames, options, findings, times_s=found.times_s)
@@ -266,8 +247,7 @@ def read_bag_trajectory(
             raise found.fault
         return Trajectory(times_s=found.times_s, georeference_reason="the poses could not be read")
     world = found.motion.at(found.times_s)
-    relative: FloatArray = invert_transform(world[0]) @ world
-    relative[0] = np.eye(4)
+    relative = from_first(world)
     georeference, reason = None, ""
     with findings.stage():
         try:
@@ -279,13 +259,11 @@ def read_bag_trajectory(
         georeference, reason = _georeference(bag, points, found, found.motion, world, findings)
     how = body_motion(relative)
     if how is not None and how.along[2] > _ALONG_Z:
-        findings.error(
-            DriveFileError(
-                bag.name,
-                f"{found.motion.reason}: {how.describe()}. Expected the axes of ROS, x forward and z up. Usual cause: "
-                "the axes of LOAM (x left, y up, z forward) or of a camera, whose transform to the points is not in "
-                "the bag. Choose other poses with --poses, or record that transform.",
-            )
+        findings.refuse(
+            bag.name,
+            f"{found.motion.reason}: {how.describe()}. Expected the axes of ROS, x forward and z up. Usual cause: "
+            "the axes of LOAM (x left, y up, z forward) or of a camera, whose transform to the points is not in "
+            "the bag. Choose other poses with --poses, or record that transform.",
         )
     poses = LidarPoses(relative, "lidar", found.motion.reason)
     return Trajectory(poses, found.motion.count, found.times_s, georeference, "" if georeference else reason)
