@@ -113,6 +113,11 @@ class Findings:
         if self._add(Finding("note", path, message)) and self.stop_at_first:
             _log.info("%s: %s", path, message)
 
+    def untold(self, path: str, message: str) -> None:
+        """List, for who inspects a drive, what nothing in it tells; who runs it need not hear that each time."""
+        if not self.stop_at_first:
+            self._add(Finding("note", path, message))
+
     @contextmanager
     def stage(self) -> Iterator[None]:
         """Run checks that end at their first error, which is raised or listed."""

@@ -136,7 +136,7 @@ def check_scan_motion(drive: FolderDrive, usable: IntArray, pose_file: str, find
     if tells and scale is None and fault is None:
         untold = "too little that stands upright to be sure of the scale of the poses."
     if untold and float(np.linalg.norm(np.ptp(poses[:, :3, 3], axis=0))) > _MUCH_M:
-        findings.note(pose_file, f"the scans hold {untold}")
+        findings.untold(pose_file, f"the scans hold {untold}")
     if mistake.is_clear and (fault is None or fault[1] < _PLACES_WRONG):
         text = f"the scans do not move as the poses do ({mistake.closer} of {mistake.of} places). {mistake.words}."
         if mistake.metres < _LITTLE_M:

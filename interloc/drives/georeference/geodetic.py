@@ -203,7 +203,7 @@ def check_shift(poses: FloatArray, georeference: Georeference, findings: Finding
     shift = fit_shift(scans, poses[:, :2, 3], scans, enu)
     if shift is None or not shift.is_there or abs(shift.late) < _MIN_SHIFT_SCANS:
         if shift is not None and shift.untold:
-            findings.note(georeference.source, shift.untold)
+            findings.untold(georeference.source, shift.untold)
         return
     findings.refuse(
         georeference.source,

@@ -178,7 +178,7 @@ class BagFixes:
         shift = fit_shift(grid, path, times_s[rows], enu_from_lonlat(lonlat[0, 1], lonlat[0, 0], lonlat))
         if shift is None or not shift.is_there:
             if shift is not None and shift.untold:
-                findings.note(self.bag.name, f"{self.topic.name}: {shift.untold}")
+                findings.untold(self.bag.name, f"{self.topic.name}: {shift.untold}")
             return None
         exchanged = enu_from_lonlat(lonlat[0, 0], lonlat[0, 1], lonlat[:, ::-1])
         is_mirrored = misfit_m(grid, path, times_s[rows], exchanged) < shift.after_m  # then a shift may seem to help
