@@ -27,15 +27,11 @@ class LocalFrame:
     def xy(self, lonlat: FloatArray) -> FloatArray:
         """Project (..., 2) longitudes, latitudes in degrees to (..., 2) metres."""
         lonlat = np.asarray(lonlat, dtype=np.float64)
-        if lonlat.size == 0:
-            return np.zeros(lonlat.shape)
         return np.stack(self._projection(lonlat[..., 0], lonlat[..., 1]), axis=-1)
 
     def lonlat(self, xy: FloatArray) -> FloatArray:
         """Return (..., 2) longitudes, latitudes in degrees of (..., 2) metres."""
         xy = np.asarray(xy, dtype=np.float64)
-        if xy.size == 0:
-            return np.zeros(xy.shape)
         return np.stack(self._projection(xy[..., 0], xy[..., 1], inverse=True), axis=-1)
 
     def R_map_enu(self, lat_deg: ArrayLike, lon_deg: ArrayLike) -> FloatArray:

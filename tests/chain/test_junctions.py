@@ -13,18 +13,21 @@ from interloc.pipeline import detect
 
 BRANCHES = {"X": 4, "T": 3, "Y": 3}
 BOUND_M = 0.3
+CASES = [  # every two of shape, angle and route meet
+    (shape, angle_deg, ("straight", "turning")[(i + j) % 2])
+    for i, shape in enumerate(BRANCHES)
+    for j, angle_deg in enumerate((45, 60, 90, 120))
+]
 
 
-@pytest.mark.parametrize("angle_deg", [45, 60, 90, 120])
-@pytest.mark.parametrize("route", ["straight", "turning"])
-@pytest.mark.parametrize("shape", ["X", "T", "Y"])
+@pytest.mark.parametrize(("shape", "angle_deg", "route"), CASES)
 def test_there_is_one_intersection_with_all_its_arms_where_the_streets_meet(
     junction_drive: Callable[..., Path],
     from_origin: Callable[[FloatArray], FloatArray],
     tmp_path: Path,
     shape: str,
-    route: str,
     angle_deg: float,
+    route: str,
 ) -> None:
     found = detect(open_drive(junction_drive(tmp_path / "drive", shape, angle_deg, route))).intersections
     assert [len(bearings) for bearings in found.bearings_deg] == [BRANCHES[shape]]

@@ -97,9 +97,7 @@ def test_poses_of_the_lidar(drive: Path, expected: DriveResult) -> None:
     assert_same(detect(changed), expected)
 
 
-@pytest.mark.parametrize(
-    "rpy_deg", [(0, 0, 137), (2, -3, 40), (0, -90, 180)], ids=["turned", "turned and tilted", "on its head"]
-)
+@pytest.mark.parametrize("rpy_deg", [(2, -3, 137), (0, -90, 180)], ids=["turned and tilted", "on its head"])
 def test_poses_in_another_world(drive: Path, expected: DriveResult, rpy_deg: tuple[float, float, float]) -> None:
     T_other_world = np.eye(4)
     T_other_world[:3, :3] = rotation_from_rpy(*np.radians(rpy_deg))
@@ -110,10 +108,9 @@ def test_poses_in_another_world(drive: Path, expected: DriveResult, rpy_deg: tup
     assert_same(detect(changed), expected, MOVED_DEG)
 
 
-@pytest.mark.parametrize("scheme", ["auto", "learning"])
-def test_ids_of_the_learning_scheme(drive: Path, expected: DriveResult, scheme: str) -> None:
+def test_ids_of_the_learning_scheme(drive: Path, expected: DriveResult) -> None:
     relabel(drive / "labels", LEARNING)
-    changed = open_drive(drive, label_scheme=scheme)
+    changed = open_drive(drive)
     assert changed.scheme.name == "learning"
     assert_same(detect(changed), expected)
 
@@ -136,13 +133,12 @@ def test_frame_numbers_and_ids_of_kitti_360(drive: Path, expected: DriveResult) 
     assert_same(detect(changed), expected)
 
 
-@pytest.mark.parametrize("suffix", [".txt", ".txt.gz"])
-def test_oxts_rows_in_one_file(drive: Path, tmp_path: Path, expected: DriveResult, suffix: str) -> None:
+def test_oxts_rows_in_one_file(drive: Path, tmp_path: Path, expected: DriveResult) -> None:
     text = "".join(path.read_text() for path in sorted((drive / "oxts" / "data").iterdir()))
     shutil.rmtree(drive / "oxts")
     assert open_drive(drive).georeference is None
-    rows = tmp_path / f"oxts{suffix}"
-    rows.write_bytes(gzip.compress(text.encode()) if suffix.endswith(".gz") else text.encode())
+    rows = tmp_path / "oxts.txt.gz"
+    rows.write_bytes(gzip.compress(text.encode()))
     assert_same(detect(open_drive(drive, oxts=rows)), expected)
 
 
