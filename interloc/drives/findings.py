@@ -114,9 +114,8 @@ class Findings:
             _log.info("%s: %s", path, message)
 
     def untold(self, path: str, message: str) -> None:
-        """List, for who inspects a drive, what nothing in it tells; who runs it need not hear that each time."""
-        if not self.stop_at_first:
-            self._add(Finding("note", path, message))
+        """List what no check could tell. It is not logged: most drives have something of the kind."""
+        self._add(Finding("note", path, message))
 
     @contextmanager
     def stage(self) -> Iterator[None]:

@@ -33,6 +33,9 @@ SCAN_FOLDERS: tuple[ScanFolder, ...] = ("velodyne", "velodyne_points/data")
 PCD_ENDINGS = (".pcd", ".pcd.bin")
 """Of scans in PCD files, and of nuScenes' (five float32 per point)."""
 
+NUMBERED_ANYHOW = ("pcd", "las")
+"""Layouts whose scans have numbers of any kind: their poses are one per scan."""
+
 KITTI360_SCANS = "data_3d_raw"
 """Folder of the drives in KITTI-360 as it is published."""
 

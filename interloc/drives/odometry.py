@@ -7,6 +7,7 @@ import os
 import tempfile
 import time
 from contextlib import suppress
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -14,11 +15,10 @@ from filelock import FileLock
 from platformdirs import user_cache_path
 
 from interloc.arrays import FloatArray, IntArray
-from interloc.drives.files import SourceFile
 from interloc.drives.findings import DriveFileError, Findings
 from interloc.drives.options import ODOMETRY, DriveOptions
+from interloc.drives.scans.raw import trajectory_of
 from interloc.drives.scans.recorded import PointSource, Recording
-from interloc.drives.trajectory import read_trajectory
 from interloc.errors import DriveError
 from interloc.files import atomic_write
 from interloc.odometry.deskew import Velocity, is_bent
@@ -27,19 +27,54 @@ from interloc.odometry.registration import MIN_INLIER_SHARE, register, require_s
 from interloc.processes import Progress
 from interloc.wording import counted
 
-_METHOD = "odometry 8"
+_METHOD = "odometry 9"
 """Tracks that another version of the method made are computed anew."""
+
+PARTLY = "the longest stretch that could be followed"
+"""What stands in `Track.how` where the drive is cut."""
 
 _BRIDGED = "it was taken to keep its speed"
 _NEXT_M = 5.0  # between stretches that are told as one
+_MAX_FAILED, _SOON = 8, 20  # so many stretches in a row that end within so many scans: the rest is not tried
+_LEAST_SHARE = 0.3  # of the scans: a shorter stretch does not stand for the drive
 _SAMPLED = 12  # pairs of scans, evenly spread
 _KEPT_DAYS = 60
 
 
-def track_file(
+@dataclass(frozen=True)
+class Track:
+    """The poses that the points of a drive tell.
+
+    Attributes
+    ----------
+    path : Path
+        Lines of poses of the LiDAR, each with its frame number; the first is a comment, how they were made.
+    how : str
+        The same without the sign of a comment.
+    rows : slice
+        The scans that have poses.
+    """
+
+    path: Path
+    how: str
+    rows: slice
+
+    @classmethod
+    def read(cls, path: Path, frames: IntArray) -> Track:
+        """Read which of the scans of a drive have poses in a file."""
+        with path.open() as file:
+            how = next(file).removeprefix("# ").strip()
+            numbers = np.loadtxt(file, dtype=np.int64, usecols=0, ndmin=1)
+        first = int(np.searchsorted(frames, numbers[0]))
+        return cls(path, how, slice(first, first + len(numbers)))
+
+
+def track_of(
     recording: Recording, options: DriveOptions, findings: Findings, progress: Progress | None = None
-) -> SourceFile:
-    """Return the file of the poses that the points of a drive tell, which are computed where that was not done before.
+) -> Track:
+    """Return the poses that the points of a drive tell, which are computed where that was not done before.
+
+    Where the scans cannot be followed from first to last, it is the longest stretch of them, with a warning.
 
     Parameters
     ----------
@@ -48,16 +83,11 @@ def track_file(
     progress
         Called with the scans done and the scans in all.
 
-    Returns
-    -------
-    SourceFile
-        Lines of poses of the LiDAR, each with its frame number; the first is a comment, `how_made`.
-
     Raises
     ------
     DriveError
-        The scans cannot be followed (it names the first that cannot, and how far the drive had come), a file is
-        damaged, or small_gicp is not installed.
+        The scans cannot be followed for long (it names the first that cannot, and how far the drive had come), a file
+        is damaged, or small_gicp is not installed.
     """
     source, frames = recording.points, recording.frames
     if source is None or frames is None:
@@ -71,23 +101,22 @@ def track_file(
             findings.note(ODOMETRY, f"the poses of {len(frames):,} scans are computed from their points, once.")
             is_timed = recording.has_times and has_times and options.deskew != "off"
             deskew = is_timed and (options.deskew == "on" or _are_bent(source, frames, clock))
-            poses, bridged = _follow(source, frames, clock, deskew, progress)
-            how = f"odometry over the points of {len(frames):,} scans{', deskewed' if deskew else ''}"
-            if bridged:
-                places = ", ".join(f"{start:,.0f} to {stop:,.0f} m" for start, stop in bridged)
+            stretch, lost = _follow(source, frames, clock, deskew, progress)
+            used = frames[stretch.first : stretch.stop]
+            how = f"odometry over the points of {len(used):,} scans{', deskewed' if deskew else ''}"
+            if lost is not None:
+                how += f", {used[0]} to {used[-1]} of {len(frames):,}, {PARTLY} ({str(lost).rstrip('.')})"
+            if stretch.bridged:
+                places = ", ".join(f"{start:,.0f} to {stop:,.0f} m" for start, stop in stretch.bridged)
                 how += f"; from {places} nothing told how fast the vehicle moved, and {_BRIDGED}"
             with atomic_write(path) as file:
                 file.write(f"# {how}\n".encode())
-                np.savetxt(file, np.column_stack([frames, poses[:, :3].reshape(-1, 12)]), fmt=["%d", *["%.9g"] * 12])
-    track = SourceFile(path, recording.parts.root)
-    if _BRIDGED in (made := how_made(track)):
-        findings.warning(ODOMETRY, f"{made}.")
+                lines = np.column_stack([used, np.array(stretch.poses)[:, :3].reshape(-1, 12)])
+                np.savetxt(file, lines, fmt=["%d", *["%.9g"] * 12])
+    track = Track.read(path, frames)
+    if _BRIDGED in track.how or PARTLY in track.how:
+        findings.warning(ODOMETRY, f"{track.how}.")
     return track
-
-
-def how_made(file: SourceFile) -> str:
-    """Return how a track was made, in words."""
-    return file.head().partition(b"\n")[0].decode().removeprefix("# ")
 
 
 def _sweep(folder: Path) -> None:
@@ -98,38 +127,64 @@ def _sweep(folder: Path) -> None:
                 path.unlink()
 
 
+@dataclass
+class _Stretch:
+    """Scans that could be followed one after the other; W is the LiDAR at the first."""
+
+    first: int
+    poses: list[FloatArray] = field(default_factory=list)
+    driven_m: float = 0.0
+    bridged: list[tuple[float, float]] = field(default_factory=list)
+
+    @property
+    def stop(self) -> int:
+        return self.first + len(self.poses)
+
+    def add(self, pose: FloatArray, *, is_bridged: bool) -> None:
+        before_m = self.driven_m
+        if self.poses:
+            self.driven_m += float(np.linalg.norm(pose[:3, 3] - self.poses[-1][:3, 3]))
+        self.poses.append(pose)
+        if is_bridged:
+            is_next = bool(self.bridged) and before_m - self.bridged[-1][1] < _NEXT_M
+            self.bridged.append((self.bridged.pop()[0] if is_next else before_m, self.driven_m))
+
+
 def _follow(
     source: PointSource, frames: IntArray, clock: FloatArray, deskew: bool, progress: Progress | None
-) -> tuple[FloatArray, list[tuple[float, float]]]:
-    """Return the (N, 4, 4) poses of the scans, W is the LiDAR at the first, and from where to where it was bridged."""
-    odometry, poses, driven_m = Odometry(deskew=deskew), np.tile(np.eye(4), (len(frames), 1, 1)), 0.0
-    bridged: list[tuple[float, float]] = []
-    for row, frame in enumerate(frames.tolist()):
-        points = source.read(frame)
-        try:
-            poses[row] = odometry.add(points.values[:, :3], float(clock[row]), points.times_s)
-        except DriveError as error:
-            raise DriveFileError(
-                source.name(frame),
-                f"the odometry lost track here, after {counted(row, 'scan')} and {driven_m:,.0f} m: {error}",
-            ) from error
-        before_m, driven_m = driven_m, driven_m + float(np.linalg.norm(poses[row, :3, 3] - poses[row - 1, :3, 3]))
-        if odometry.is_bridged:
-            is_next = bool(bridged) and before_m - bridged[-1][1] < _NEXT_M
-            bridged.append((bridged.pop()[0] if is_next else before_m, driven_m))
-        if progress is not None:
-            progress(row + 1, len(frames))
-    return poses, bridged
+) -> tuple[_Stretch, DriveError | None]:
+    """Return the longest stretch of scans that can be followed, and where track was lost first, if it was.
+
+    After that the odometry begins anew, and where it cannot, 1, 3, 7, ... scans farther on.
+    """
+    longest, lost, first, failed = _Stretch(0), None, 0, 0
+    while first < len(frames) and failed < _MAX_FAILED:
+        odometry, stretch = Odometry(deskew=deskew), _Stretch(first)
+        for row, frame in enumerate(frames[first:].tolist(), first):
+            points = source.read(frame)
+            try:
+                pose = odometry.add(points.values[:, :3], float(clock[row]), points.times_s)
+            except DriveError as error:
+                so_far = f"after {counted(len(stretch.poses), 'scan')} and {stretch.driven_m:,.0f} m"
+                words = f"the odometry lost track here, {so_far}: {error}"
+                lost = lost or DriveFileError(source.name(frame), words)
+                break
+            stretch.add(pose, is_bridged=odometry.is_bridged)
+            if progress is not None:
+                progress(row + 1, len(frames))
+        failed = failed + 1 if len(stretch.poses) < _SOON else 0
+        first = stretch.stop + 2 ** max(0, failed - 1) - 1
+        longest = max(longest, stretch, key=lambda each: len(each.poses))
+    if lost is not None and len(longest.poses) < max(_SOON, _LEAST_SHARE * len(frames)):
+        raise lost
+    return longest, lost
 
 
 def _clock(recording: Recording, options: DriveOptions) -> tuple[FloatArray, bool]:
     """Return the (N,) times of the scans, and True; their numbers, and False, where these are not known."""
     frames, unheard = recording.frames, Findings(stop_at_first=False)  # what is wrong is told when the drive is read
     assert frames is not None
-    if recording.read_trajectory is not None:
-        times_s = recording.read_trajectory(options, unheard).times_s
-    else:
-        times_s = read_trajectory(recording.parts, frames, options, unheard).times_s
+    times_s = trajectory_of(recording, options, unheard).times_s
     if times_s is None or (np.diff(times_s) <= 0).any():
         return frames.astype(np.float64), False
     return times_s - times_s[0], True

@@ -22,7 +22,7 @@ from interloc.drives.plausibility import RoadSeen, check_motion, check_points
 from interloc.drives.scan_motion import check_scan_motion
 from interloc.drives.scans.deskewed import deskewed, is_to_deskew
 from interloc.drives.scans.raw import RawScans, trajectory_of
-from interloc.drives.scans.recorded import Recording
+from interloc.drives.scans.recorded import Recording, rows_within
 from interloc.drives.scans.reduced import ReducedScans, reduced_trajectory
 from interloc.drives.scans.reduced_format import ReducedManifest, is_reduced, read_manifest
 from interloc.drives.trajectory import Trajectory
@@ -196,12 +196,12 @@ def _open(
                 options = options.model_copy(update={"poses": ODOMETRY})
                 opened = open_recording(root, options, findings)
             if options.poses == ODOMETRY:
-                from interloc.drives.odometry import how_made, track_file  # noqa: PLC0415 - slow to import
+                from interloc.drives.odometry import track_of  # noqa: PLC0415 - slow to import
 
-                track = track_file(opened, options, findings, progress)
-                computed = how_made(track)
+                track = track_of(opened, options, findings, progress)
+                computed = track.how
                 options = options.model_copy(update={"poses": str(track.path), "pose_frame": "lidar"})
-                opened = open_recording(root, options, findings)
+                opened = open_recording(root, options, findings).within(track.rows)
             if is_to_deskew(opened, options, findings):
                 opened = deskewed(opened, trajectory(), options, findings)
     return opened, trajectory
@@ -260,13 +260,10 @@ def _label_folder(
 def _within(scans: Scans, rows: slice) -> Scans:
     """Return a piece of the scans."""
     assert scans.frames is not None
-    usable = scans.usable[(scans.usable >= rows.start) & (scans.usable < rows.stop)] - rows.start
-    frames = scans.frames[rows]
+    usable = rows_within(scans.usable, rows)
     if isinstance(scans, RawScans):
-        counts = scans.recording.point_counts
-        recording = replace(scans.recording, frames=frames, point_counts=None if counts is None else counts[rows])
-        return replace(scans, recording=recording, usable=usable)
-    return replace(scans, frames=frames, usable=usable)
+        return replace(scans, recording=scans.recording.within(rows), usable=usable)
+    return replace(scans, frames=scans.frames[rows], usable=usable)
 
 
 def _pose_file(scans: Scans, trajectory: Trajectory) -> str:

@@ -13,7 +13,7 @@ from interloc.drives.findings import DriveFileError, Findings
 from interloc.drives.georeference.geodetic import poses_of
 from interloc.drives.georeference.kitti360 import georeference_of_kitti360, is_karlsruhe
 from interloc.drives.georeference.read import AS_PUBLISHED, read_georeference
-from interloc.drives.layouts import DriveParts, PoseOwner
+from interloc.drives.layouts import NUMBERED_ANYHOW, DriveParts, PoseOwner
 from interloc.drives.options import DriveOptions, PoseFrame
 from interloc.drives.poses.calibration import IMU_CALIBRATION
 from interloc.drives.poses.frame import to_lidar
@@ -210,7 +210,7 @@ def _read_timed(file: SourceFile, times_s: FloatArray | None, frames: IntArray, 
 def _poses_of_scans(
     lines: PoseLines, file: SourceFile, parts: DriveParts, frames: IntArray, declared: PoseFrame, findings: Findings
 ) -> LidarPoses:
-    if parts.layout in {"pcd", "las"} and lines.frames is None and len(lines.poses) == len(frames):
+    if parts.layout in NUMBERED_ANYHOW and lines.frames is None and len(lines.poses) == len(frames):
         lines = PoseLines(lines.poses, frames)  # the numbers in their names are whatever their maker chose
     missing = int(frames[-1] - frames[0]) + 1 - len(frames)
     if lines.frames is None and missing:

@@ -140,7 +140,8 @@ class Odometry:
                 if _is_far(step, searched):
                     raise DriveError(
                         f"laid onto the scan before it, it moved by {_length(searched):.1f} m, laid onto all before "
-                        f"it by {_length(step):.1f} m: one of them is wrong. Usual cause: missing scans."
+                        f"it by {_length(step):.1f} m: one of them is wrong. Usual cause: missing scans, or a "
+                        "place where nothing stands out (a tunnel, an open field)."
                     )
         _check(found, step)
         self._count(step)

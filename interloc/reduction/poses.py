@@ -9,16 +9,16 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from interloc.drives.layouts import NUMBERED_ANYHOW
+from interloc.drives.odometry import PARTLY
 from interloc.drives.options import ODOMETRY, DriveOptions
-from interloc.errors import ConfigError
+from interloc.errors import ConfigError, DriveError
 from interloc.files import atomic_write
 from interloc.processes import Progress
 from interloc.reduction.convert import read_unreduced
 from interloc.reduction.small_files import is_contiguous
 
 _TUM_ENDING = ".tum"
-_NUMBERED_ANYHOW = {"pcd", "las"}
-"""Layouts whose scans have numbers of any kind: their poses are one per scan."""
 
 
 @dataclass(frozen=True)
@@ -84,9 +84,11 @@ def write_poses(
     trajectory = reading.trajectory
     assert scans.frames is not None
     assert trajectory.poses is not None
+    if PARTLY in trajectory.poses.reason:
+        raise DriveError(f"{trajectory.poses.reason}.")
     poses, times_s = trajectory.poses.T_world_lidar, trajectory.times_s
     rows, form = poses[:, :3].reshape(-1, 12), ["%.9g"] * 12
-    if not is_contiguous(scans.frames) and scans.parts.layout not in _NUMBERED_ANYHOW:
+    if not is_contiguous(scans.frames) and scans.parts.layout not in NUMBERED_ANYHOW:
         rows, form = np.column_stack([scans.frames, rows]), ["%d", *form]
     if target.suffix.lower() == _TUM_ENDING:
         if times_s is None:

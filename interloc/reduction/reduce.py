@@ -140,7 +140,7 @@ def reduction_of(
         options,
         keyframes,
         findings,
-        poses_in_files=first.scans.recording.read_trajectory is None,
+        poses_in_files=first.scans.recording.has_pose_files,
     )
     assert plan.manifest is not None
     sizes = SourceScans.model_validate(first.scans.facts.model_dump(include=set(SourceScans.model_fields)))

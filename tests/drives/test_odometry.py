@@ -17,6 +17,7 @@ from interloc.drives.options import DriveOptions
 from interloc.drives.trajectory import Trajectory
 from interloc.errors import DriveError
 from interloc.geometry import invert_transform
+from interloc.reduction.poses import write_poses
 from tests.bags import BagWriter
 from tests.street_points import TURN_S, poses_along, seen, seen_driving, street, write_scans
 
@@ -73,6 +74,40 @@ def test_a_lost_track_is_told_with_its_place(tmp_path: Path) -> None:
     assert messages["velodyne/000003.bin"].startswith("the odometry lost track here, after 3 scans and 2 m: it ")
 
 
+@pytest.fixture
+def broken(tmp_path: Path) -> Path:
+    """Five scans in one street, 22 in another, as if those between were missing; labelled, and placed by geo.csv."""
+    ways = [(street(), poses_along(np.full(4, 1.0))), (street(1)[:, [1, 0, 2]], poses_along(np.full(21, 1.0)))]
+    ways[1][1][:, :3, :3] = [[0, -1, 0], [1, 0, 0], [0, 0, 1]]
+    ways[1][1][:, :2, 3] = ways[1][1][:, 1::-1, 3]
+    root = write_scans(tmp_path / "drive", [seen(world, pose) for world, poses in ways for pose in poses])
+    rows = "".join(f"{row},49.0,{8.0 + row * 1.36e-5:.7f},100,0,0,0\n" for row in range(27))
+    (root / "geo.csv").write_text(f"frame,lat_deg,lon_deg,alt_m,roll_rad,pitch_rad,yaw_rad\n{rows}")
+    return root
+
+
+@pytest.mark.parametrize("again", [False, True], ids=["computed", "kept"])
+def test_the_longest_stretch_stands_for_a_drive_that_cannot_be_followed_through(broken: Path, again: bool) -> None:
+    if again:
+        reading_of(broken)
+    findings = Findings(stop_at_first=True)
+    reading = reading_of(broken, findings)
+    assert reading.scans.frames.tolist() == list(range(5, 27))
+    np.testing.assert_allclose(reading.trajectory.poses.steps_m, 1.0, atol=0.1)
+    assert reading.trajectory.georeference.lon_deg[0] == pytest.approx(8.0 + 5 * 1.36e-5)
+    (told,) = (each.message for each in findings.found if each.severity == "warning" and each.path == "odometry")
+    assert told.startswith(
+        "odometry over the points of 22 scans, 5 to 26 of 27, the longest stretch that could be followed "
+        "(velodyne/000005.bin: the odometry lost track here, after 5 scans and 4 m: it "
+    )
+
+
+def test_poses_of_a_stretch_alone_are_not_written(broken: Path, tmp_path: Path) -> None:
+    with pytest.raises(DriveError, match=r"22 scans, 5 to 26 of 27, .*velodyne/000005\.bin: the odometry lost track"):
+        write_poses(broken, tmp_path / "poses.txt")
+    assert not (tmp_path / "poses.txt").exists()
+
+
 def write_bag_of(path: Path, *, speed_mps: float, scans: int = 6, is_bent: bool = True) -> Path:
     """A bag of points with times, without any poses."""
     poses = poses_along(np.full(scans - 1, speed_mps * TURN_S))
@@ -125,9 +160,12 @@ def test_a_real_drive_at_speed_has_no_slip_at_its_start(data: Callable[[str], Pa
     np.testing.assert_allclose(found.steps_m, np.linalg.norm(np.diff(given[:, :3, 3], axis=0), axis=1), atol=0.15)
 
 
-def test_real_scans_far_apart_are_refused(data: Callable[[str], Path]) -> None:
-    with pytest.raises(DriveError, match=r"velodyne/000001\.bin: the odometry lost track here, after 1 scan and 0 m"):
-        open_drive(data("kitti360_0009"), poses="odometry")
+def test_real_scans_far_apart_are_refused(data: Callable[[str], Path], tmp_path: Path) -> None:
+    (tmp_path / "velodyne").mkdir()
+    for scan in sorted((data("kitti360_0009") / "velodyne").iterdir())[:2]:
+        (tmp_path / "velodyne" / scan.name).symlink_to(scan)
+    with pytest.raises(DriveError, match=r"velodyne/\d+\.bin: the odometry lost track here, after 1 scan and 0 m"):
+        open_drive(tmp_path, poses="odometry")
 
 
 def test_without_a_home_tracks_are_kept_where_nobody_else_can_put_any(

@@ -13,7 +13,7 @@ from interloc.drives.findings import Findings
 from interloc.drives.layouts import DriveParts
 from interloc.drives.options import DriveOptions
 from interloc.drives.scans.recorded import Recording, ScanPoints
-from interloc.drives.trajectory import Trajectory, posed_frames, read_trajectory
+from interloc.drives.trajectory import posed_frames
 from interloc.storage import present
 
 POINT_BYTES = 16
@@ -96,20 +96,14 @@ def open_bin_files(parts: DriveParts, options: DriveOptions, findings: Findings)
         usable = usable[~wrong]
     if point_bytes == RING_POINT_BYTES:
         findings.note(scans.folder.name, "20 bytes per point: read as x y z intensity ring (nuScenes).")
-    frames = scans.numbers
-
-    def trajectory(chosen: DriveOptions, faults: Findings) -> Trajectory:
-        return read_trajectory(parts, frames, chosen, faults)
-
     return Recording(
         parts,
         BinScans(scans, point_bytes),
-        frames,
+        scans.numbers,
         scan_bytes=int(scans.sizes.sum()),
         usable=usable,
         point_counts=scans.sizes // point_bytes,
         carries_poses=parts.in_kitti360_world,
-        read_trajectory=trajectory if parts.in_kitti360_world else None,  # no files of the drive's folder
     )
 
 

@@ -27,7 +27,6 @@ from interloc.drives.scans.bin_files import RING_POINT_BYTES, read_points
 from interloc.drives.scans.point_times import TIME_FIELDS, point_times
 from interloc.drives.scans.recorded import Recording, ScanPoints
 from interloc.drives.scans.reduced_format import MAX_POINTS
-from interloc.drives.trajectory import Trajectory, read_trajectory
 from interloc.errors import InterLocError
 from interloc.storage import present
 from interloc.wording import counted
@@ -143,9 +142,6 @@ def open_pcd_files(parts: DriveParts, options: DriveOptions, findings: Findings)
     if header is not None and label is not None:
         findings.note(folder.name, f"the field {label!r} of the points is their label.")
 
-    def trajectory(chosen: DriveOptions, faults: Findings) -> Trajectory:
-        return read_trajectory(parts, frames, chosen, faults, times_s=times_s)
-
     return Recording(
         parts,
         scans,
@@ -156,7 +152,7 @@ def open_pcd_files(parts: DriveParts, options: DriveOptions, findings: Findings)
         has_remission=header is None or header.field_among(INTENSITY_FIELDS) is not None,
         has_times=header is not None and header.field_among(TIME_FIELDS) is not None,
         carries_poses=False,
-        read_trajectory=trajectory,
+        times_s=times_s,
     )
 
 

@@ -312,8 +312,8 @@ def trajectory_of(recording: Recording, options: DriveOptions, findings: Finding
     """Read poses, times and georeference of a recording whose scans could be listed."""
     assert recording.frames is not None
     if recording.read_trajectory is not None:
-        return recording.read_trajectory(options, findings)
-    return read_trajectory(recording.parts, recording.frames, options, findings)
+        return recording.read_trajectory(recording.frames, options, findings)
+    return read_trajectory(recording.parts, recording.frames, options, findings, times_s=recording.times_s)
 
 
 _FLOAT_1 = 0x3F800000

@@ -7,16 +7,16 @@ A format of scans is one module beside this one with a function ``open_...(root,
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, Protocol
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
-from interloc.arrays import Float32Array, IntArray, UInt32Array
+from interloc.arrays import Float32Array, FloatArray, IntArray, UInt32Array
 from interloc.drives.findings import Findings
-from interloc.drives.layouts import DriveParts
+from interloc.drives.layouts import NUMBERED_ANYHOW, DriveParts
 from interloc.drives.options import DriveOptions
 from interloc.drives.trajectory import Trajectory
 
@@ -119,8 +119,10 @@ class Recording:
         The points carry the time at which each was measured.
     carries_poses : bool
         The recording holds poses itself, damaged or not; False: they are in the files of `parts`, if anywhere.
+    times_s : (N,) float64 or None
+        Times of the scans, where they are known without a file of times.
     read_trajectory : callable or None
-        Reads poses, times and georeference where these are not files of `parts`.
+        Reads poses, times and georeference of scans, by their numbers, where these are not files of `parts`.
     topics : tuple of Topic
         What else a bag holds.
     """
@@ -136,13 +138,32 @@ class Recording:
     has_remission: bool = True
     has_times: bool = False
     carries_poses: bool = True
-    read_trajectory: Callable[[DriveOptions, Findings], Trajectory] | None = None
+    times_s: FloatArray | None = None
+    read_trajectory: Callable[[IntArray, DriveOptions, Findings], Trajectory] | None = None
     topics: tuple[Topic, ...] = ()
 
     @property
     def has_poses(self) -> bool:
         """Whether there are poses, damaged or not."""
         return self.carries_poses or self.parts.has_poses
+
+    @property
+    def has_pose_files(self) -> bool:
+        """Whether poses, times and georeference lie in files of the drive's own folder, a line for each number."""
+        is_own = not self.parts.in_kitti360_world and self.parts.layout not in NUMBERED_ANYHOW
+        return self.read_trajectory is None and is_own
+
+    def within(self, rows: slice) -> Recording:
+        """Return a piece of the recording, by its rows from one on up to another."""
+        frames, usable, counts, times_s = self.frames, self.usable, self.point_counts, self.times_s
+        assert frames is not None
+        return replace(
+            self,
+            frames=frames[rows],
+            usable=None if usable is None else rows_within(usable, rows),
+            point_counts=None if counts is None else counts[rows],
+            times_s=None if times_s is None else times_s[rows],
+        )
 
     def sampled_remission(self) -> Float32Array:
         """Return the remission of the points of some scans; empty where the format has none.
@@ -156,6 +177,12 @@ class Recording:
             return np.empty(0, np.float32)
         rows = np.unique(np.linspace(0, len(self.frames) - 1, _SAMPLED).round().astype(int))
         return np.concatenate([self.points.read(int(self.frames[row])).values[:, 3] for row in rows])
+
+
+def rows_within(chosen: IntArray, rows: slice) -> IntArray:
+    """Return which rows of a piece are those of a choice from the whole, ascending."""
+    inside: IntArray = chosen[(chosen >= rows.start) & (chosen < rows.stop)] - rows.start
+    return inside
 
 
 class ReducedReport(BaseModel):

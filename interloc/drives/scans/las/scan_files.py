@@ -18,7 +18,6 @@ from interloc.drives.scans.las.tracks import find_tracks, is_table
 from interloc.drives.scans.pcd import number_scans
 from interloc.drives.scans.point_times import point_times
 from interloc.drives.scans.recorded import Recording, ScanPoints
-from interloc.drives.trajectory import Trajectory, read_trajectory
 
 SENSOR_RANGE_M = 1000.0
 """No LiDAR of a vehicle sees further; coordinates beyond are those of a map."""
@@ -137,9 +136,6 @@ def open_scan_clouds(
     if has_road:
         findings.note(folder.name, f"the classification of the points is their label ({ROAD_SURFACE}: road surface).")
 
-    def trajectory(chosen: DriveOptions, faults: Findings) -> Trajectory:
-        return read_trajectory(parts, frames, chosen, faults, times_s=times_s)
-
     return Recording(
         parts,
         ScanClouds(clouds, frames, has_road),
@@ -152,7 +148,7 @@ def open_scan_clouds(
         has_remission=has_intensity,
         has_times=clouds[0].has_time,
         carries_poses=False,
-        read_trajectory=trajectory,
+        times_s=times_s,
     )
 
 

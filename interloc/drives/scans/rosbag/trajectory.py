@@ -214,15 +214,23 @@ def _cover(
 
 
 def read_bag_trajectory(
-    bag: Bag, points: PointsTopic, parts: DriveParts, found: BagMotion, options: DriveOptions, findings: Findings
+    bag: Bag,
+    points: PointsTopic,
+    parts: DriveParts,
+    found: BagMotion,
+    frames: IntArray,
+    options: DriveOptions,
+    findings: Findings,
 ) -> Trajectory:
-    """Return poses and times of the scans, and their georeference.
+    """Return poses and times of some scans, by their numbers, and their georeference.
 
     Raises
     ------
     DriveError, GeoreferenceError
         The first fault, where `findings` stops at it.
     """
+    rows = np.searchsorted(found.frames, frames)
+    found = replace(found, frames=frames, times_s=found.times_s[rows])
     if found.pose_file is not None:
         parts = replace(parts, poses=found.pose_file)
         trajectory = read_trajectory(parts, found.frames, options, findings, times_s=found.times_s)

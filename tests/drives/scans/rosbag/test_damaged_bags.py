@@ -43,7 +43,7 @@ def read_all(path: Path) -> tuple[int, Findings]:
     assert recording.points is not None
     assert recording.frames is not None
     assert recording.read_trajectory is not None
-    recording.read_trajectory(DriveOptions(), findings)
+    recording.read_trajectory(recording.frames, DriveOptions(), findings)
     for frame in recording.frames:
         recording.points.read(int(frame))
     return len(recording.frames), findings

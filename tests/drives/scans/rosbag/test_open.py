@@ -46,7 +46,7 @@ def opened(path: Path, **options: Any) -> tuple[Recording, Trajectory, Findings]
     recording = open_rosbag(path, chosen, findings)
     assert recording is not None
     assert recording.read_trajectory is not None
-    return recording, recording.read_trajectory(chosen, findings), findings
+    return recording, recording.read_trajectory(recording.frames, chosen, findings), findings
 
 
 def refused(path: Path, **options: Any) -> str:
@@ -499,7 +499,7 @@ def test_a_bag_without_poses_says_so_and_lists_its_topics(tmp_path: Path) -> Non
     recording = open_rosbag(path, DriveOptions(), findings)
     assert recording is not None
     assert recording.read_trajectory is not None
-    assert recording.read_trajectory(DriveOptions(), findings).poses is None
+    assert recording.read_trajectory(recording.frames, DriveOptions(), findings).poses is None
     assert {topic.name: topic.role for topic in recording.topics} == {"/points": "points", "/fix": "fix"}
     assert [each.severity for each in findings.found] == ["error"]
 
