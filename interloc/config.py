@@ -161,7 +161,10 @@ class CrossingCandidates(_Config):
 class BranchConfig(_Config):
     """Branches around a candidate, and the point where they meet (paper, section III-C)."""
 
-    of_older_versions = frozenset({"end_at_rejected"})
+    of_older_versions = frozenset(
+        {"end_at_rejected", "follow_deg", "fork_std_m", "full_fit_m", "min_fit_m", "straight_m", "trim_m"}
+        | {"unseen_share"}
+    )
 
     inner_radius_m: float = Field(
         10.0,
@@ -197,7 +200,13 @@ class BranchConfig(_Config):
         "candidate: what is short must be wide. In proportion less where fewer keyframes than a full window lie in the "
         "region of interest.",
     )
-    stop_m: float = Field(1.0, gt=0, le=50, description="A branch ends this far before another candidate.")
+    stop_m: float = Field(
+        1.0,
+        gt=0,
+        le=50,
+        description="A branch ends this far before another candidate; no line is fitted to what lies so near to a dead "
+        "end or to the border of the image.",
+    )
     line: Literal["start_and_mean", "least_squares"] = Field(
         "start_and_mean",
         description="The line of a branch: through its start and its mean (the paper), or fitted by least squares.",
@@ -206,49 +215,25 @@ class BranchConfig(_Config):
         30.0,
         gt=0,
         le=200,
-        description="Longest part of a branch that is used for the line fit; half as long a branch is surely a road.",
+        description="Longest part of a branch that is used for the line fit. Half of it makes a line that counts in "
+        "full, and is surely a road.",
     )
     fit_least_m: float = Field(
         8.0, gt=0, le=200, description="Shortest part of a branch at which the line fit stops where the branch bends."
-    )
-    straight_m: float = Field(
-        0.3,
-        gt=0,
-        le=10,
-        description="Root mean square distance between branch and line at which the branch counts as bent.",
-    )
-    min_fit_m: float = Field(
-        3.0, ge=0, le=200, description="Branches fitted over less than this have no line: it would point anywhere."
-    )
-    full_fit_m: float = Field(
-        15.0, gt=0, le=200, description="Length of the line fit beyond which a line gains no more weight."
-    )
-    trim_m: float = Field(
-        0.0,
-        ge=0,
-        le=20,
-        description="Centerline closer than this to a dead end or to the border of the image is not used for the fit.",
     )
     candidate_std_m: float | None = Field(
         None,
         gt=0,
         le=50,
-        description="Standard deviation of the candidate's own position, which then counts beside the lines. Without a "
-        "value only the lines count.",
+        description="Standard deviation of the candidate's own position; the place of a fork along its stem is known "
+        "hardly worse. Both count beside the lines. Without a value only the lines count.",
     )
-
-    unseen_share: float = Field(
-        0.0,
-        ge=0,
-        le=1,
-        description="Share of the half width of a branch that may be missing at an edge that was not seen; 0: none.",
-    )
-    follow_deg: float | None = Field(
-        None,
+    straight_deg: float = Field(
+        25.0,
         gt=0,
-        le=90,
-        description="The axis of a branch is followed inwards along the edge that lasts, until it has turned by this; "
-        "without a value it is not followed.",
+        le=60,
+        description="Two branches of a through road differ in direction by at most this angle; roads cross at a larger "
+        "one.",
     )
     square_std_deg: float | None = Field(
         None,
@@ -256,12 +241,6 @@ class BranchConfig(_Config):
         le=45,
         description="Standard deviation from the right angle of streets that end at others: a branch that ends at a "
         "through road is turned towards it, by how badly its direction is known. Without a value none is turned.",
-    )
-    fork_std_m: float | None = Field(
-        None,
-        gt=0,
-        le=50,
-        description="How well the place of a fork is known along its stem. Without a value forks are not looked for.",
     )
 
     @model_validator(mode="after")
@@ -276,7 +255,7 @@ class BranchConfig(_Config):
 class CompoundConfig(_Config):
     """Intersections side by side in one blob of road (beyond the paper: its section V-D)."""
 
-    of_older_versions = frozenset({"crossing_deg", "offset_m"})
+    of_older_versions = frozenset({"crossing_deg", "offset_m", "straight_deg"})
 
     separation_m: float = Field(
         7.0,
@@ -284,13 +263,6 @@ class CompoundConfig(_Config):
         le=50,
         description="Intersections closer together than this are one; branches of a through road pass each other by at "
         "most half of it.",
-    )
-    straight_deg: float = Field(
-        25.0,
-        gt=0,
-        le=60,
-        description="Two branches of a through road differ in direction by at most this angle; roads cross at a larger "
-        "one.",
     )
 
 
@@ -512,14 +484,9 @@ DEFAULT = DetectorConfig(
         stop_m=2.0,
         line="least_squares",
         fit_least_m=12.0,
-        straight_m=0.2,
-        trim_m=2.0,
         margin_m=15.0,
         candidate_std_m=0.7,
-        unseen_share=0.6,
-        follow_deg=60.0,
         square_std_deg=7.0,
-        fork_std_m=0.8,
     ),
     compound=CompoundConfig(),
     calibration=CalibrationConfig(),

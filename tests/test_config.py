@@ -175,13 +175,13 @@ def test_body_that_is_no_object_is_refused() -> None:
 
 
 def test_configuration_from_before_a_section_opens_with_its_defaults() -> None:
-    values = DEFAULT.model_dump(mode="json", exclude={"score": True, "fusion": True, "branches": {"full_fit_m"}})
+    values = DEFAULT.model_dump(mode="json", exclude={"score": True, "fusion": True, "branches": {"min_reach_m"}})
     assert parse_config(values) == DEFAULT
 
 
 def test_configuration_with_settings_that_have_gone_opens_without_them() -> None:
     values = DEFAULT.model_dump(mode="json")
-    values["branches"]["end_at_rejected"] = False
+    values["branches"] |= {"end_at_rejected": False, "fork_std_m": 0.8}
     values["candidates"]["merge_min_m"] = 4.0
     values["score"]["rated_branch"] = 3
     assert parse_config(values, strict=True) == DEFAULT

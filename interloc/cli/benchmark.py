@@ -345,7 +345,7 @@ def ablation(
 
     \b
     Example:
-      interloc benchmark ablation --kitti kitti --recorded drives --take-out branches.fork_std_m,compound -o out
+      interloc benchmark ablation --kitti kitti --recorded drives --take-out branches.square_std_deg,compound -o out
     """
     from dataclasses import asdict, replace
 

@@ -119,10 +119,11 @@ class Window:
         segmentation = segment_all(candidates, centerline, config.branches, bev.share, bev.against)  # III-C.1
         branches = [segmentation.branches[i] for i in segmentation.kept]
         if config.compound is not None:
-            branches = [part for b in branches for part in split_compound(b, config.compound)]
+            limits = config.compound.separation_m, config.branches.straight_deg
+            branches = [part for b in branches for part in split_compound(b, *limits)]
         road = occupancy if config.branches.line == "least_squares" else None
-        prior, fork = (_weight(std_m) for std_m in (config.branches.candidate_std_m, config.branches.fork_std_m))
-        junctions = [refine(b, prior, road, fork) for b in branches]  # III-C.2
+        prior = 0.0 if config.branches.candidate_std_m is None else config.branches.candidate_std_m**-2
+        junctions = [refine(b, prior, road) for b in branches]  # III-C.2
         lap("refinement")
         return Steps(bev.roi, bev.min_points, bev.image, occupancy, centerline, candidates, segmentation, junctions)
 
@@ -243,10 +244,6 @@ def locate(steps: Steps, keyframe: Keyframe, config: DetectorConfig) -> Keyframe
     widths = [branch_widths(j.position, j.branches.lines, steps.occupancy) for j in junctions]
     score = np.array([_score(j, config) for j in junctions], np.float64)
     return KeyframeDetections(keyframe, lidar_xy, world_xy, angles, score, widths)
-
-
-def _weight(std_m: float | None) -> float:
-    return 0.0 if std_m is None else std_m**-2
 
 
 def _score(junction: Junction, config: DetectorConfig) -> float:

@@ -15,7 +15,7 @@ import math
 import numpy as np
 
 from interloc.arrays import FloatArray, Record, StructuredArray, UInt64Array
-from interloc.detection.edges import to_edge
+from interloc.detection.edges import edges_across
 from interloc.kernels import compiled
 
 LEADS_ON_COS = math.cos(math.radians(135.0))  # of the angles between the stem of a fork and each of its arms
@@ -64,8 +64,7 @@ def find_fork(
         arms[k, 3] = arm.half_width if arm.half_width > 0.0 else half
     edges = np.empty((size, 2))
     for s in range(size):
-        for side, sense in enumerate((1.0, -1.0)):
-            edges[s, side] = to_edge(words, r - s * d_row, c - s * d_col, -sense * d_col, sense * d_row, REACH * half)
+        edges[s] = edges_across(words, r - s * d_row, c - s * d_col, d_row, d_col, REACH * half)
     at, least = 0, np.inf
     for place in range(size):
         misfit = _misfit(edges, place, half, arms)

@@ -6,7 +6,7 @@ import numpy as np
 
 from interloc.arrays import FloatArray, StructuredArray
 from interloc.detection.image import BinaryImage
-from interloc.detection.lines import SIDE_BY_SIDE_COS
+from interloc.detection.lines import SIDE_BY_SIDE_RAD
 from interloc.kernels.bits import median_runs_across
 
 NEAR_M, FAR_M = 8.0, 20.0
@@ -56,7 +56,7 @@ def _longest_m(directions: FloatArray) -> FloatArray:
     The bisector of two branches is the border between their roads; those that run side by side share none.
     """
     alike = directions @ directions.T
-    alike[alike > SIDE_BY_SIDE_COS] = -1.0  # itself too
+    alike[alike > np.cos(SIDE_BY_SIDE_RAD)] = -1.0  # itself too
     cosine = alike.max(axis=1, initial=-0.9)  # roads that lie so far apart bound nothing
     tangent = np.sqrt((1.0 - cosine) / (1.0 + cosine))  # of half the angle
     longest_m: FloatArray = np.minimum(2.0 * tangent[:, None] * _DISTANCES_M, MAX_WIDTH_M)

@@ -30,7 +30,7 @@ def test_each_setting_is_taken_out_alone() -> None:
     by_name = {each.name: each for each in others}
     assert by_name["compound"].config == DEFAULT.model_copy(update={"compound": None})
     assert by_name["candidates"].config.candidates == PAPER.candidates
-    assert by_name["branches.fork_std_m"].config.branches.fork_std_m is None
+    assert by_name["branches.square_std_deg"].config.branches.square_std_deg is None
     assert by_name["bev.vote"].arguments == ("--preset", "default", "--set", "bev.vote=false")
     assert not [name for name in by_name if name.startswith(("fusion", "calibration"))]
     assert taken_out("paper", PAPER) == [type(nothing)(NOTHING, PAPER, ("--preset", "paper"))]

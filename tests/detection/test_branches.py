@@ -75,7 +75,9 @@ def test_inner_circle_leaves_room_before_the_next_candidate() -> None:
 
 @pytest.mark.parametrize("line", ["start_and_mean", "least_squares"])
 def test_every_arm_is_a_branch_that_points_along_it(line: str) -> None:
-    found = branches_at_the_middle(arms(10, 100, 230), BranchConfig(line=line))
+    axes = arms(10, 100, 230)
+    roads = Centerline.of(axes.image, binary_image(cv2.dilate(axes.image.to_array(), np.ones((9, 9), np.uint8))))
+    found = branches_at_the_middle(roads, BranchConfig(line=line))
     np.testing.assert_allclose(angles_deg(found), [10, 100, 230], atol=1.5)
     assert found.count == 3
     assert found.inner == 10
@@ -153,7 +155,7 @@ def test_line_through_the_circle_that_misses_the_middle_is_two_branches() -> Non
 
 
 def test_branch_too_short_to_tell_its_direction_counts_but_has_no_weight() -> None:
-    config = BranchConfig(line="least_squares", trim_m=2)
+    config = BranchConfig(line="least_squares", stop_m=2)
     found = branches_at_the_middle(arms(0, 120, 240), config, (150.0, 162.0))
     assert found.count == 3
     assert found.lengths.min() == 1
@@ -163,7 +165,7 @@ def test_branch_too_short_to_tell_its_direction_counts_but_has_no_weight() -> No
 
 
 def test_branch_without_a_line_leads_from_the_candidate_through_its_mean() -> None:
-    config = BranchConfig(line="least_squares", trim_m=2)
+    config = BranchConfig(line="least_squares", stop_m=2)
     line, place = arms(0, 120, 240), candidates(MIDDLE, (150.0, 162.0))
     found, pieces = segment_branches(place, 0, line, config)
     assert np.count_nonzero(found.has_line) == 2

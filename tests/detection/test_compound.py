@@ -7,7 +7,6 @@ import math
 import numpy as np
 import pytest
 
-from interloc.config import CompoundConfig
 from interloc.detection.branches import Branches
 from interloc.detection.compound import LINK_STD_M, split_compound
 from interloc.detection.lines import LINE
@@ -16,7 +15,7 @@ from tests.images import binary_image
 
 Branch = tuple[tuple[float, float], float]
 
-CONFIG = CompoundConfig()
+SEPARATION_M, STRAIGHT_DEG = 7.0, 25.0
 
 
 def blob(
@@ -42,6 +41,10 @@ def blob(
     )
 
 
+def split(branches: Branches, straight_deg: float = STRAIGHT_DEG) -> list[Branches]:
+    return split_compound(branches, SEPARATION_M, straight_deg)
+
+
 def places(parts: list[Branches]) -> list[list[float]]:
     return sorted(np.round(part.candidate, 6).tolist() for part in parts)
 
@@ -60,37 +63,36 @@ def south(column: float) -> Branch:
 
 def test_plain_crossing_stays_one() -> None:
     crossing = blob(EAST, WEST, north(0), south(0), core=[(0, -3), (0, 3)])
-    assert split_compound(crossing, CONFIG) == [crossing]
+    assert split(crossing) == [crossing]
 
 
 def test_three_branches_without_two_carriageways_are_one_intersection() -> None:
     fork = blob(EAST, WEST, north(3), core=[(0, 3)])
-    assert split_compound(fork, CONFIG) == [fork]
+    assert split(fork) == [fork]
 
 
 def test_staggered_side_roads_are_two_intersections_on_the_through_road() -> None:
-    parts = split_compound(blob(EAST, WEST, north(-6), south(6), core=[(0, -6), (0, 6)]), CONFIG)
+    parts = split(blob(EAST, WEST, north(-6), south(6), core=[(0, -6), (0, 6)]))
     assert places(parts) == [[0, -6], [0, 6]]
     assert [part.count for part in parts] == [3, 3]
 
 
 @pytest.mark.parametrize(("half_m", "count"), [(3.0, 1), (4.0, 2)])
 def test_intersections_nearer_than_the_separation_are_one(half_m: float, count: int) -> None:
-    config = CompoundConfig(separation_m=7)
     core = [(0.0, -half_m), (0.0, half_m)]
-    assert len(split_compound(blob(EAST, WEST, north(-half_m), south(half_m), core=core), config)) == count
+    assert len(split(blob(EAST, WEST, north(-half_m), south(half_m), core=core))) == count
 
 
 def test_two_carriageways_cross_a_road_twice() -> None:
     crossing = blob(EAST, WEST, north(-6), south(-6), north(6), south(6), core=[(0, -6), (0, 6)])
-    parts = split_compound(crossing, CONFIG)
+    parts = split(crossing)
     assert places(parts) == [[0, -6], [0, 6]]
     assert [part.count for part in parts] == [4, 4]
 
 
 def test_two_carriageways_joined_across_are_two_intersections() -> None:
     joined = blob(north(-6), south(-6), north(6), south(6), core=[(0, -6), (0, 6)])
-    parts = split_compound(joined, CONFIG)
+    parts = split(joined)
     assert places(parts) == [[0, -6], [0, 6]]
     for part in parts:  # both ways along the carriageway, and the road to the other one, known to a metre
         assert part.count == 3
@@ -104,12 +106,12 @@ FAR_EAST: Branch = ((-12.0, 20.0), 0)
 def test_carriageway_of_which_one_half_is_not_seen_crosses_too() -> None:
     arms = north(3), south(-3)
     seen_from_the_east = blob(EAST, WEST, FAR_EAST, *arms, core=[(0, -3), (-12, 3)])
-    far, near = sorted(split_compound(seen_from_the_east, CONFIG), key=lambda part: part.candidate[0])
+    far, near = sorted(split(seen_from_the_east), key=lambda part: part.candidate[0])
     assert places([far, near]) == [[-12, 3], [0, -3]]
     assert far.lines["point"].tolist()[:2] == [[-12, 20], [-20, 3]]  # itself, and the arm that meets it first
     assert near.lines["point"].tolist()[:3] == [[0, 20], [0, -20], [20, -3]]
     beside = ((-6.0, 20.0), 0)  # nearer than roads that are told apart
-    assert len(split_compound(blob(EAST, WEST, beside, *arms, core=[(0, -3), (-6, 3)]), CONFIG)) == 1
+    assert len(split(blob(EAST, WEST, beside, *arms, core=[(0, -3), (-6, 3)]))) == 1
 
 
 def test_centerline_of_a_wide_blob_says_where_the_link_lies_not_where_on_it_the_roads_meet() -> None:
@@ -117,7 +119,7 @@ def test_centerline_of_a_wide_blob_says_where_the_link_lies_not_where_on_it_the_
     bulging = blob(EAST, WEST, FAR_EAST, north(4), south(-4), core=core)
     road = binary_image(np.ones((9, 9), np.uint8))
     rows = {}
-    for part in split_compound(bulging, CONFIG):
+    for part in split(bulging):
         assert part.is_part
         row, col = refine(part, prior_weight=4.0, occupancy=road).position
         rows[round(float(part.candidate[0]))] = row
@@ -128,18 +130,18 @@ def test_centerline_of_a_wide_blob_says_where_the_link_lies_not_where_on_it_the_
 
 def test_place_without_a_junction_of_the_centerline_does_not_split() -> None:
     bent = blob(EAST, WEST, north(-6), south(6), core=[(0, -6)])
-    assert split_compound(bent, CONFIG) == [bent]
+    assert split(bent) == [bent]
 
 
 def test_harris_corners_are_not_split() -> None:
     crossing = blob(EAST, WEST, north(-6), south(6), core=[])
-    assert split_compound(crossing, CONFIG) == [crossing]
+    assert split(crossing) == [crossing]
 
 
 def test_dual_carriageway_ends_at_the_road_across_it() -> None:
     # The northern carriageways end at a road that comes from the east and bends away to the south west.
     bend: Branch = ((12.0, -20.0), 215)
-    parts = split_compound(blob(EAST, north(-6), north(6), bend, core=[]), CONFIG)
+    parts = split(blob(EAST, north(-6), north(6), bend, core=[]))
     assert places(parts) == [[0, -6], [0, 6]]
     western, eastern = sorted(parts, key=lambda part: float(part.candidate[1]))
     assert [western.count, eastern.count] == [3, 3]  # the bend leaves at the western one, a short road joins both
@@ -149,34 +151,33 @@ def test_dual_carriageway_ends_at_the_road_across_it() -> None:
 
 
 def test_three_branches_are_two_intersections_where_a_dual_carriageway_ends() -> None:
-    assert places(split_compound(blob(EAST, north(-6), north(6), core=[]), CONFIG)) == [[0, -6], [0, 6]]
+    assert places(split(blob(EAST, north(-6), north(6), core=[]))) == [[0, -6], [0, 6]]
 
 
 def test_carriageways_nearer_than_the_separation_are_one_road_that_ends() -> None:
     end = blob(EAST, north(-1), north(1), core=[])
-    assert split_compound(end, CONFIG) == [end]
+    assert split(end) == [end]
 
 
 def test_carriageways_that_lead_on_as_one_road_do_not_end() -> None:
     leads_on: Branch = ((20.0, 12.0), 270)
     parting = blob(EAST, north(-6), north(6), leads_on, core=[])
-    assert split_compound(parting, CONFIG) == [parting]
+    assert split(parting) == [parting]
 
 
 def test_branches_of_which_none_continue_each_other_stay_one() -> None:
     star = blob(((0, 20), 0), ((-15, 10), 60), ((-15, -10), 120), ((10, -15), 210), core=[(0, -6), (0, 6)])
-    config = CompoundConfig(straight_deg=20)
-    assert split_compound(star, config) == [star]
+    assert split(star, 20.0) == [star]
 
 
 def test_distances_are_metres() -> None:
     for resolution_m, count in ((0.5, 1), (1.0, 2)):  # 12 pixels
         crossing = blob(EAST, WEST, north(-6), south(6), core=[(0, -6), (0, 6)], resolution_m=resolution_m)
-        assert len(split_compound(crossing, CONFIG)) == count
+        assert len(split(crossing)) == count
 
 
 def test_parts_lie_around_their_own_place_with_their_own_branches() -> None:
     crossing = blob(EAST, WEST, north(-6), south(6), core=[(0, -6), (0, 6)])
-    for part in split_compound(crossing, CONFIG):
+    for part in split(crossing):
         upwards = part.lines["direction"][:, 0].min() < -0.5
         assert math.copysign(1, part.candidate[1]) == (-1 if upwards else 1)

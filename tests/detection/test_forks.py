@@ -57,9 +57,9 @@ def test_arms_that_bend_on_their_way_part_where_the_road_widens() -> None:
     stem, place = found_at(lines, road)
     assert stem == 0
     assert math.dist(place, NODE) < 10.0
-    by_fork = refine(lines, 2.0, binary_image(road), 0.8**-2).position
+    by_fork = refine(lines, 2.0, binary_image(road)).position
     lines.lines["half_width"] = 0.0
-    by_lines = refine(lines, 2.0, binary_image(road), 0.8**-2).position
+    by_lines = refine(lines, 2.0, binary_image(road)).position
     assert math.dist(by_lines, NODE) > 50.0
     assert math.dist(by_fork, NODE) < 45.0  # it weighs one and a half lines
 
@@ -77,7 +77,7 @@ def test_parked_car_does_not_move_it() -> None:
 
 def test_near_parallel_lines_take_the_place_of_the_fork() -> None:
     lines, road = fork([(180.0, 350.0)], [(220.0, 350.0)])
-    found = refine(lines, 2.0, binary_image(road), 0.8**-2)
+    found = refine(lines, 2.0, binary_image(road))
     assert found.residual == math.inf
     np.testing.assert_allclose(found.position, found_at(lines, road)[1])
 

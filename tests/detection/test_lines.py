@@ -13,15 +13,15 @@ from hypothesis import strategies as st
 
 from interloc.arrays import StructuredArray, UInt8Array
 from interloc.detection.centerline import Centerline
+from interloc.detection.edges import RING_PX
 from interloc.detection.image import BinaryImage
-from interloc.detection.lines import FIT, INNER_RINGS, LINE, _square_stems, fit_lines
+from interloc.detection.lines import FIT, INNER_RINGS, LINE, _scatters, _square_stems, fit_lines
 from interloc.kernels.bits import NOWHERE
 from interloc.kernels.skeleton import trace_branches
 from interloc.kernels.thinning import thin
 from tests.images import binary_image
 
-RING_PX = 4.0
-SQUARE_RAD = math.radians(7.0)
+ANGLES_RAD = math.radians(25.0), math.radians(7.0)  # within which a road is straight; of square stems
 
 
 def fit(
@@ -32,7 +32,7 @@ def fit(
     inner: float = 10.0,
     length: float = 99.0,
     shortest: float = 99.0,
-    straight: float = 1.0,
+    bent: float = 1.0,
     trim: float = 0.0,
 ) -> StructuredArray:
     """Fit a line to each branch of a candidate, from its inner circle 60 pixels far; all lengths are pixels."""
@@ -40,9 +40,7 @@ def fit(
     traced, is_main, pieces = trace_branches(
         line.rows, line.cols, line.neighbours, place, np.empty((0, 2)), inner, 60.0, 5.0
     )
-    given = np.array(
-        (*place, width, inner, length, shortest, 20.0, straight, trim, 99.0, RING_PX, 1.5, 0.6, 0.5, SQUARE_RAD), FIT
-    )[()]
+    given = np.array((*place, width, inner, length, shortest, trim, bent, 99.0, *ANGLES_RAD), FIT)[()]
     no_surface = np.zeros_like(image.words)  # so there are no edges to follow
     return fit_lines(given, line.pixels, traced, is_main, pieces, no_surface, NOWHERE)
 
@@ -82,7 +80,7 @@ def test_line_is_fitted_as_far_as_the_branch_is_straight() -> None:
     image[np.arange(80, 100), np.arange(149, 129, -1)] = 1  # turns off by 45 degrees 30 pixels from the candidate
     packed = binary_image(image)
     (whole,) = fit(packed, (100, 100))
-    (straight,) = fit(packed, (100, 100), shortest=8.0, straight=0.3)
+    (straight,) = fit(packed, (100, 100), shortest=8.0, bent=0.3)
     assert abs(whole["direction"][0]) > 0.3
     assert abs(straight["direction"][0]) < 0.05
     assert straight["rms"] <= 0.3
@@ -95,7 +93,7 @@ def test_line_is_fitted_to_the_least_length_however_bent() -> None:
     image[np.round(60 + 40 * np.cos(angles)).astype(int), np.round(100 + 40 * np.sin(angles)).astype(int)] = 1
     packed = binary_image(image)
     thin(packed.words)
-    (row,) = fit(packed, (100, 100), shortest=24.0, straight=0.1)
+    (row,) = fit(packed, (100, 100), shortest=24.0, bent=0.1)
     assert row["rms"] > 0.1
     assert row["length"] == pytest.approx(24, abs=RING_PX)
 
@@ -189,7 +187,9 @@ def lines_at(*angles_deg: float, length: float | list[float] = 60.0, rms: float 
 
 def squared(lines: StructuredArray) -> list[float]:
     """Turn stems towards the right angle; return the angles of all lines."""
-    _square_stems(lines, SQUARE_RAD)
+    given = np.zeros((), FIT)
+    given["straight"], given["square"] = ANGLES_RAD
+    _square_stems(lines, _scatters(lines), given[()])
     row, col = lines["direction"].T
     np.testing.assert_allclose(np.hypot(row, col), 1.0)
     return [float(angle) for angle in np.degrees(np.arctan2(-row, col)) % 360.0]
@@ -276,9 +276,7 @@ def line_of_road(road: UInt8Array, other: UInt8Array | None) -> StructuredArray:
     traced, is_main, pieces = trace_branches(
         line.rows, line.cols, line.neighbours, place, np.empty((0, 2)), 10.0, 150.0, 5.0
     )
-    given = np.array((*place, 21.0, 10.0, 140.0, 75.0, 75.0, 1.25, 0.0, 99.0, RING_PX, 1.5, 0.6, 0.5, SQUARE_RAD), FIT)[
-        ()
-    ]
+    given = np.array((*place, 21.0, 10.0, 140.0, 75.0, 0.0, 1.25, 99.0, *ANGLES_RAD), FIT)[()]
     against = NOWHERE if other is None else binary_image(other).words
     (row,) = fit_lines(given, line.pixels, traced, is_main, pieces, surface.words, against)
     return row

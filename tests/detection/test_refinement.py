@@ -13,8 +13,8 @@ from scipy.optimize import least_squares, minimize
 
 from interloc.arrays import FloatArray
 from interloc.detection.branches import Branches
-from interloc.detection.lines import LINE
-from interloc.detection.refinement import MAX_SHIFTS, ROUNDS, SIDE_BY_SIDE_COS, TOLERANCE, refine
+from interloc.detection.lines import LINE, SIDE_BY_SIDE_RAD
+from interloc.detection.refinement import MAX_SHIFTS, ROUNDS, TOLERANCE, refine
 from tests.images import binary_image
 
 
@@ -196,7 +196,7 @@ def plain_reweighted(given_branches: Branches, prior_weight: float) -> FloatArra
     )
     normals = np.column_stack([directions[:, 1], -directions[:, 0]])
     offsets = np.sum(normals * (points - candidate), axis=1)
-    pairs = [(u @ v, u + v) for u, v in combinations(directions, 2) if u @ v < SIDE_BY_SIDE_COS]
+    pairs = [(u @ v, u + v) for u, v in combinations(directions, 2) if u @ v < math.cos(SIDE_BY_SIDE_RAD)]
     cosine, middle = max(pairs, key=lambda pair: pair[0])
     farther = max(1.0, math.sin(math.pi / 4) / math.sin(0.5 * math.acos(cosine)))
     along = np.outer(middle, middle) / (middle @ middle)
