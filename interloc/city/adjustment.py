@@ -111,7 +111,7 @@ def adjust(sightings: Sightings, prior: Prior, start: FloatArray, free: BoolArra
     ----------
     sightings, prior
     start : (K, 2) float64
-        Where to look first; the result does not depend on it but for some micrometres.
+        Where to look first; the result does not depend on it but for some tenths of a millimetre.
     free : (K,) bool
         Knots that may move.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,9 @@ from numpy.testing import assert_array_equal
 
 from interloc.city.citymap import merge
 from interloc.city.folder import CITY_FILE, city_features, read_city, write_city
+from interloc.city.passes import Pass
 from interloc.errors import DamagedResultError, OutputError
+from interloc.mapping.mosaic import Mosaic, Raster
 from tests.city.towns import drive, town
 
 NODES = town(np.random.default_rng(1), 12)
@@ -30,6 +33,29 @@ def test_a_map_goes_on_where_it_was_written(tmp_path: Path) -> None:
     write_city(again, tmp_path / "city")
     assert city_features(read_city(tmp_path / "city")) == city_features(city)
     assert len(list((tmp_path / "city" / "passes").iterdir())) == 3
+
+
+def test_the_ground_is_kept_and_that_of_an_older_version_opens(tmp_path: Path) -> None:
+    rng = np.random.default_rng(2)
+    road, other = Raster(0.5), Raster(0.5)
+    for raster in (road, other):
+        raster.add(-100, 300, rng.integers(0, 3, (700, 700)).astype(np.uint8))  # 16 tiles
+    own = replace(drive(NODES, "a"), road=Mosaic(road, 32632, other))
+    own.write(tmp_path / "new.npz")
+    with np.load(tmp_path / "new.npz") as archive:
+        older = {name: archive[name] for name in archive if not name.endswith(("_bytes", "_packed"))}
+    for name, raster in (("road", road), ("other", other)):
+        keys = [(row, column) for row, column in older[f"{name}_keys"].tolist()]
+        older[f"{name}_tiles"] = np.array([raster.tiles[key] for key in keys])
+    np.savez_compressed(tmp_path / "old.npz", **older)
+    for name in ("new", "old"):
+        found = Pass.read(tmp_path / f"{name}.npz").road
+        assert found is not None
+        assert (found.epsg, found.raster.cell_m) == (32632, 0.5)
+        for raster, kept in ((road, found.raster), (other, found.other)):
+            assert kept is not None
+            assert kept.tiles.keys() == raster.tiles.keys()
+            assert all(np.array_equal(kept.tiles[key], cells) for key, cells in raster.tiles.items())
 
 
 def test_intersections_and_tracks_are_layers(tmp_path: Path) -> None:
