@@ -9,8 +9,7 @@ from app.paths import ARCHIVE_ENDINGS, RECORDING_ENDINGS
 from app.settings import Settings
 from interloc.drives.georeference.oxts import ODOMETRY_OF_RAW
 from interloc.drives.labels import SCHEMES
-from interloc.drives.layouts import PCD_ENDINGS, SCAN_FOLDERS
-from interloc.drives.options import LABEL_FILES
+from interloc.drives.layouts import PCD_ENDINGS
 from interloc.osm.container import MAP_ENDINGS, SIMULATOR
 from interloc.osm.intersections import DRIVABLE_OR_SERVICE
 from interloc.osm.policies import POLICIES
@@ -39,30 +38,14 @@ class PolicyModel(BaseModel):
     description: str
 
 
-class FieldModel(BaseModel):
-    """A property of the features of a layer."""
-
-    model_config = ConfigDict(from_attributes=True)
-
-    name: str = Field(examples=["error_m"])
-    title: str = Field(examples=["Error"])
-    description: str
-    kind: str = Field(description="int, float, bool, text, time or list.")
-    unit: str | None = Field(description="m, s, rad or degree.")
-
-
 class LayerModel(BaseModel):
     """A layer of a result."""
 
     model_config = ConfigDict(from_attributes=True)
 
     name: str = Field(description="Name of the layer and of its GeoJSON file.", examples=["osm_nodes"])
-    title: str
     description: str
-    geometry: str = Field(description="Point or LineString.")
-    fields: list[FieldModel] = Field(validation_alias="attributes", description="Properties of a feature.")
     is_osm: bool = Field(description="Whether the layer holds data of OpenStreetMap.")
-    attribution: str = Field(description="Sources to name where the layer is shown.")
 
 
 class LabelSchemeModel(BaseModel):
@@ -71,8 +54,6 @@ class LabelSchemeModel(BaseModel):
     name: str = Field(examples=["semantickitti"])
     title: str = Field(examples=["SemanticKITTI"])
     road: list[int] = Field(description="Ids of road.")
-    confusable: list[int] = Field(description="Ids of sidewalk, parking and other ground.")
-    known: list[int] | None = Field(description="All ids of the scheme.")
 
 
 class FileKinds(BaseModel):
@@ -84,8 +65,6 @@ class FileKinds(BaseModel):
     scans: list[str] = Field(
         description="Endings of scans that only the service reads: they are sent as they are.", examples=[[".pcd"]]
     )
-    scan_folders: list[str] = Field(description="Folders of scans.", examples=[["velodyne"]])
-    label_folders: list[str] = Field(description="Folders of labels.", examples=[["labels", "predictions"]])
 
 
 class RangeModel(BaseModel):
@@ -159,13 +138,7 @@ _SCHEME_TITLES = {
     "las": "LAS classification",
 }
 _LABEL_SCHEMES = [
-    LabelSchemeModel(
-        name=scheme.name,
-        title=_SCHEME_TITLES[scheme.name],
-        road=sorted(scheme.road),
-        confusable=sorted(scheme.confusable),
-        known=None if scheme.known is None else sorted(scheme.known),
-    )
+    LabelSchemeModel(name=scheme.name, title=_SCHEME_TITLES[scheme.name], road=sorted(scheme.road))
     for scheme in SCHEMES.values()
 ]
 _FILE_KINDS = FileKinds(
@@ -173,6 +146,4 @@ _FILE_KINDS = FileKinds(
     archives=list(ARCHIVE_ENDINGS),
     recordings=list(RECORDING_ENDINGS),
     scans=list(PCD_ENDINGS),
-    scan_folders=list(SCAN_FOLDERS),
-    label_folders=list(LABEL_FILES),
 )

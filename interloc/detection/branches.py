@@ -15,7 +15,6 @@ from interloc.detection.lines import least_squares, through_start_and_mean
 from interloc.kernels.skeleton import trace_branches
 
 SAMPLE_PX = 4  # from one place of a branch at which its width is measured to the next
-NARROWEST_M = 2.0  # no road is narrower
 NEIGHBOUR_SHARE = 0.6  # of the distance to the next candidate, within which an inner circle stays
 CORE_PX = 3.0  # from the junctions of the centerline in a candidate to its inner circle
 
@@ -178,11 +177,9 @@ def segment_branches(
 
 def _have_surface(centerline: Centerline, traced: Int32Array, pieces: StructuredArray, least_m2: float) -> BoolArray:
     """Return which pieces of centerline have enough road around them, (P,) bool."""
-    lengths_m = (pieces["end"] - pieces["begin"]) * centerline.resolution_m
-    enough: BoolArray = lengths_m * NARROWEST_M >= least_m2
-    for i in np.flatnonzero(~enough).tolist():
-        some = traced[pieces["begin"][i] : pieces["end"][i] : SAMPLE_PX]
-        enough[i] = lengths_m[i] * centerline.widths(some).mean() * centerline.resolution_m >= least_m2
+    widths = [centerline.widths(traced[each["begin"] : each["end"] : SAMPLE_PX]).mean() for each in pieces]
+    pixels = (pieces["end"] - pieces["begin"]) * np.array(widths)
+    enough: BoolArray = pixels * centerline.resolution_m**2 >= least_m2
     return enough
 
 

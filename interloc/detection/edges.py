@@ -14,8 +14,8 @@ import numpy as np
 from interloc.arrays import FloatArray, Record, StructuredArray, UInt64Array
 from interloc.kernels import compiled
 
-RING_PX = 4.0  # from one place of an axis to the next
-SLACK_PX = 1.5  # what an edge, or the axis, may leave the place by where it belongs
+RING_M, RING_PX = 0.64, 4.0  # from one place of an axis to the next; and no less, however coarse the grid is
+SLACK_M, SLACK_PX = 0.24, 1.5  # what an edge may leave the place by where it belongs, and the axis in a ring
 SLACK_SHARE = 0.08  # of a half width: the same for wide roads
 ARM_QUANTILE, LINK_QUANTILE = 0.5, 0.25  # of the half widths along a branch: what its own half width is
 MIN_PARALLEL = 0.5  # a branch with less of it between parallel sides is taken as it is
@@ -31,7 +31,7 @@ products of what they lie off by, and the half width of the road."""
 
 
 @compiled
-def keep_parallel(axis: StructuredArray, is_link: bool) -> tuple[float, bool]:
+def keep_parallel(axis: StructuredArray, is_link: bool, slack: float) -> tuple[float, bool]:
     """Keep the places of an axis where the road is as wide as the branch is; all of them where these are too few.
 
     Returns
@@ -46,7 +46,7 @@ def keep_parallel(axis: StructuredArray, is_link: bool) -> tuple[float, bool]:
         return 0.0, False
     # Both ends of a road between two junctions open into mouths.
     half: float = known[int((LINK_QUANTILE if is_link else ARM_QUANTILE) * (known.size - 1))]
-    is_usual = (axis["half"] > 0.0) & (np.abs(axis["half"] - half) <= max(SLACK_PX, SLACK_SHARE * half))
+    is_usual = (axis["half"] > 0.0) & (np.abs(axis["half"] - half) <= max(slack, SLACK_SHARE * half))
     if is_usual.sum() < max(MIN_PARALLEL * known.size, SPAN):
         return half, False
     axis["n"][:] *= is_usual
@@ -71,7 +71,7 @@ def move_from_unseen_edges(axis: StructuredArray, words: UInt64Array, against: U
         return False
     half = np.median(0.5 * (edges[both, 0] + edges[both, 1]))
     missing = 2.0 * half - edges[:, 0] - edges[:, 1]
-    hidden = (seen[:, 0] != seen[:, 1]) & (missing > SLACK_PX) & (missing < UNSEEN_SHARE * half)
+    hidden = (seen[:, 0] != seen[:, 1]) & (missing > fit.slack) & (missing < UNSEEN_SHARE * half)
     for i in np.flatnonzero(hidden):
         shift = edges[i, 0] - half if seen[i, 0] else half - edges[i, 1]
         axis[i].row += shift * lefts[i, 0]
@@ -104,52 +104,54 @@ def follow_edge(
     line = lines[which]
     first: int = line.first
     (row, col), (d_row, d_col) = line.point, line.direction
-    toward = _lasting_side(lines, which)
+    toward, step, slack = _lasting_side(lines, which), fit.ring, fit.slack
     along = (axis[first].row - row) * d_row + (axis[first].col - col) * d_col
     trail = np.empty((first + SPAN + 1, 2))
     for i in range(first, first + SPAN + 1):
-        away = along + (i - first) * RING_PX
+        away = along + (i - first) * step
         trail[i] = row + away * d_row, col + away * d_col
-    half = _half_width_along(words, against, line, trail[first:])
+    half = _half_width_along(words, against, line, trail[first:], slack)
     misses, shift = 0, 0.0
     for i in range(first - 1, -1, -1):
         u_row, u_col = trail[i + 1] - trail[i + 1 + SPAN]
         norm = math.hypot(u_row, u_col)
         u_row, u_col = u_row / norm, u_col / norm
-        r, c = trail[i + 1, 0] + RING_PX * u_row, trail[i + 1, 1] + RING_PX * u_col
+        r, c = trail[i + 1, 0] + step * u_row, trail[i + 1, 1] + step * u_col
         if u_row * d_row + u_col * d_col > 0.0 or _is_on_other(r, c, lines, which, fit):
             break
-        left, right = edges_across(words, r, c, u_row, u_col, half + SLACK_PX + 1.0)
+        left, right = edges_across(words, r, c, u_row, u_col, half + slack + 1.0)
         misses += 1
-        if left + right <= 2.0 * half + SLACK_PX:
+        if left + right <= 2.0 * half + slack:
             shift, misses = 0.5 * (left - right), 0
         elif toward != 0.0:
             # An edge that comes nearer bends with its road; one that draws away opens into a mouth, or has a gap.
             shift = toward * ((left if toward > 0.0 else right) - half)
-            if toward * shift <= SLACK_PX:
+            if toward * shift <= slack:
                 misses = 0
         if misses > MAX_MISSES:
             break
-        shift = 0.0 if misses else min(max(shift, -SLACK_PX), SLACK_PX)
+        shift = 0.0 if misses else min(max(shift, -slack), slack)
         trail[i] = r - shift * u_col, c + shift * u_row
         axis[i].n = 0.0
         if misses == 0:
-            axis[i].row, axis[i].col, axis[i].n = trail[i, 0], trail[i, 1], RING_PX
+            axis[i].row, axis[i].col, axis[i].n = trail[i, 0], trail[i, 1], step
             axis[i].rr = axis[i].rc = axis[i].cc = 0.0
             first = i
     return first
 
 
 @compiled
-def _half_width_along(words: UInt64Array, against: UInt64Array, line: Record, places: FloatArray) -> float:
+def _half_width_along(
+    words: UInt64Array, against: UInt64Array, line: Record, places: FloatArray, slack: float
+) -> float:
     """Return the half width between the edges at some places of a line; its usual one where few of them were seen."""
     half, (d_row, d_col) = line.half_width, line.direction
-    slack = max(2.0 * SLACK_PX, SLACK_SHARE * half)
+    limit = max(2.0 * slack, SLACK_SHARE * half)
     total, count = 0.0, 0
     for r, c in places:
-        left, right = edges_across(words, r, c, d_row, d_col, half + slack + 1.0)
+        left, right = edges_across(words, r, c, d_row, d_col, half + limit + 1.0)
         is_left, is_right = _are_seen(against, r, c, d_row, d_col, left, right)
-        if is_left and is_right and abs(left + right - 2.0 * half) <= slack:
+        if is_left and is_right and abs(left + right - 2.0 * half) <= limit:
             total += 0.5 * (left + right)
             count += 1
     return total / count if count >= SPAN // 2 else half

@@ -30,7 +30,16 @@ import numpy as np
 from interloc.arrays import BoolArray, FloatArray, Int32Array, Record, StructuredArray, UInt64Array
 from interloc.config import BranchConfig
 from interloc.detection.centerline import Centerline, Pieces
-from interloc.detection.edges import PLACE, RING_PX, follow_edge, keep_parallel, move_from_unseen_edges
+from interloc.detection.edges import (
+    PLACE,
+    RING_M,
+    RING_PX,
+    SLACK_M,
+    SLACK_PX,
+    follow_edge,
+    keep_parallel,
+    move_from_unseen_edges,
+)
 from interloc.detection.image import BinaryImage
 from interloc.kernels import compiled
 from interloc.kernels.bits import NOWHERE, nearest_clear
@@ -82,10 +91,11 @@ is_parallel : bool
 """
 
 # Named tuples would stand in the files of compiled code by the name of their class, which may change; these do not.
-_FIT = "row col width inner length shortest trim bent max_half_width straight square"
+_FIT = "row col width inner length shortest trim bent max_half_width ring slack straight square"
 FIT = np.dtype([(name, np.float64) for name in _FIT.split()])
 """Row and column of a candidate, width and inner radius there, the settings `fit_length_m`, `fit_least_m` and `stop_m`,
-`STRAIGHT_M`, and half of the widest road that is measured; pixels. `straight_deg` and `square_std_deg`, radians."""
+`STRAIGHT_M`, half of the widest road that is measured, and lengths of `interloc.detection.edges`; pixels.
+`straight_deg` and `square_std_deg`, radians."""
 
 
 def through_start_and_mean(pieces: Pieces) -> StructuredArray:
@@ -125,7 +135,8 @@ def least_squares(
     lengths_m = config.fit_length_m, config.fit_least_m, config.stop_m, STRAIGHT_M
     lengths = (length_m / pixel_m for length_m in lengths_m)
     angles = (math.radians(angle_deg) for angle_deg in (config.straight_deg, config.square_std_deg or 0.0))
-    fit = np.array((*candidate, width, inner, *lengths, centerline.max_half_width, *angles), FIT)[()]
+    steps = max(RING_M / pixel_m, RING_PX), max(SLACK_M / pixel_m, SLACK_PX)
+    fit = np.array((*candidate, width, inner, *lengths, centerline.max_half_width, *steps, *angles), FIT)[()]
     road, other = centerline.occupancy.words, NOWHERE if against is None else against.words
     lines = fit_lines(fit, centerline.pixels, pieces.traced, pieces.is_main, pieces.table, road, other)
     is_short = lines["length"] * pixel_m < MIN_FIT_M
@@ -163,12 +174,12 @@ def fit_lines(
         Of the road, and of the other ground that was seen, or `NOWHERE`.
     """
     lines = np.zeros(pieces.size, LINE)
-    n_rings = max(1, int(fit.length / RING_PX))
+    n_rings = max(1, int(fit.length / fit.ring))
     axes = np.zeros((pieces.size, INNER_RINGS + n_rings), PLACE)
     for i in range(pieces.size):
         main = traced[pieces[i].begin : pieces[i].end][is_main[pieces[i].begin : pieces[i].end]]
         _sample(axes[i, INNER_RINGS:], pixels, main, words, fit)
-        parting = int(max(_parting(pieces, i, fit) - fit.inner, 0.0) / RING_PX)
+        parting = int(max(_parting(pieces, i, fit) - fit.inner, 0.0) / fit.ring)
         begin = INNER_RINGS + min(parting, n_rings - 1)
         moved, trial = axes[i].copy(), np.zeros(1, LINE)
         variance = _fit_between_edges(lines[i], axes[i], begin, pieces[i].at_candidate, fit)
@@ -198,7 +209,7 @@ def _sample(axis: StructuredArray, pixels: StructuredArray, piece: Int32Array, w
     tips = piece[pixels["is_tip"][piece]]
     for p in piece:
         pixel = pixels[p]
-        ring = int((math.hypot(pixel.row - fit.row, pixel.col - fit.col) - fit.inner) / RING_PX)
+        ring = int((math.hypot(pixel.row - fit.row, pixel.col - fit.col) - fit.inner) / fit.ring)
         usable = ring < axis.size and pixel.border_distance >= fit.trim
         for t in tips:
             usable &= math.hypot(pixel.row - pixels[t].row, pixel.col - pixels[t].col) >= fit.trim
@@ -243,7 +254,7 @@ def _angle(a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray) -> float:
 @compiled
 def _fit_between_edges(line: Record, axis: StructuredArray, begin: int, is_link: bool, fit: Record) -> float:
     """Fit a line to what of an axis lies between parallel edges; return its variance as `_fit_straight_part` does."""
-    line.half_width, line.is_parallel = keep_parallel(axis, is_link)
+    line.half_width, line.is_parallel = keep_parallel(axis, is_link, fit.slack)
     return _fit_straight_part(line, axis, begin, fit)
 
 
@@ -270,7 +281,7 @@ def _fit_straight_part(line: Record, axis: StructuredArray, begin: int, fit: Rec
         scc += place.n * c * c + place.cc
         if i == first:
             continue
-        row, col, length = sr / n, sc / n, (i + 1 - first) * RING_PX
+        row, col, length = sr / n, sc / n, (i + 1 - first) * fit.ring
         vrr, vrc, vcc = srr / n - row * row, src / n - row * col, scc / n - col * col
         angle = 0.5 * math.atan2(2.0 * vrc, vrr - vcc)
         d_row, d_col = math.cos(angle), math.sin(angle)

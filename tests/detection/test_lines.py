@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from interloc.arrays import StructuredArray, UInt8Array
 from interloc.detection.centerline import Centerline
-from interloc.detection.edges import RING_PX
+from interloc.detection.edges import RING_PX, SLACK_PX
 from interloc.detection.image import BinaryImage
 from interloc.detection.lines import FIT, INNER_RINGS, LINE, _scatters, _square_stems, fit_lines
 from interloc.kernels.bits import NOWHERE
@@ -21,6 +21,7 @@ from interloc.kernels.skeleton import trace_branches
 from interloc.kernels.thinning import thin
 from tests.images import binary_image
 
+STEPS_PX = RING_PX, SLACK_PX
 ANGLES_RAD = math.radians(25.0), math.radians(7.0)  # within which a road is straight; of square stems
 
 
@@ -40,7 +41,7 @@ def fit(
     traced, is_main, pieces = trace_branches(
         line.rows, line.cols, line.neighbours, place, np.empty((0, 2)), inner, 60.0, 5.0
     )
-    given = np.array((*place, width, inner, length, shortest, trim, bent, 99.0, *ANGLES_RAD), FIT)[()]
+    given = np.array((*place, width, inner, length, shortest, trim, bent, 99.0, *STEPS_PX, *ANGLES_RAD), FIT)[()]
     no_surface = np.zeros_like(image.words)  # so there are no edges to follow
     return fit_lines(given, line.pixels, traced, is_main, pieces, no_surface, NOWHERE)
 
@@ -276,7 +277,7 @@ def line_of_road(road: UInt8Array, other: UInt8Array | None) -> StructuredArray:
     traced, is_main, pieces = trace_branches(
         line.rows, line.cols, line.neighbours, place, np.empty((0, 2)), 10.0, 150.0, 5.0
     )
-    given = np.array((*place, 21.0, 10.0, 140.0, 75.0, 0.0, 1.25, 99.0, *ANGLES_RAD), FIT)[()]
+    given = np.array((*place, 21.0, 10.0, 140.0, 75.0, 0.0, 1.25, 99.0, *STEPS_PX, *ANGLES_RAD), FIT)[()]
     against = NOWHERE if other is None else binary_image(other).words
     (row,) = fit_lines(given, line.pixels, traced, is_main, pieces, surface.words, against)
     return row

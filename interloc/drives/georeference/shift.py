@@ -24,6 +24,8 @@ _UNSURE_M, _MUCH_BETTER = 5.0, 0.5
 """A shift that is not sure is told only where it is so large, and explains so much."""
 
 _UNTOLD_M = 20.0
+_ALIKE, _ALIKE_M = 1.5, 0.1
+"""Shifts at which no more than so much is left are as good as the best: the smallest is taken, and is not sure."""
 
 
 @dataclass(frozen=True)
@@ -36,8 +38,8 @@ class Shift:
         Fixes belong to poses that were so much earlier; in the unit of the times given.
     metres : float
         How far is driven meanwhile, the median.
-    unsure_m : float
-        To how many metres along the track it is known.
+    untold_m : float
+        So many metres along the track fixes may be off and fit as well.
     is_there : bool
         Without it, the poses are clearly farther off the fixes.
     is_sure : bool
@@ -48,7 +50,7 @@ class Shift:
 
     late: float
     metres: float
-    unsure_m: float
+    untold_m: float
     is_there: bool
     is_sure: bool
     before_m: float
@@ -57,11 +59,11 @@ class Shift:
     @property
     def untold(self) -> str:
         """Why fixes may be late or early without being seen to be, in words that follow; "" where that is seen."""
-        if self.is_there or self.unsure_m < _UNTOLD_M:
+        if self.is_there or self.untold_m < _UNTOLD_M:
             return ""
         return (
-            f"whether it is late or early against the poses cannot be told: up to {self.unsure_m:.0f} m along the road "
-            "either way fit alike, as where the road neither bends nor the speed changes."
+            f"whether it is late or early against the poses cannot be told: up to {self.untold_m:.0f} m along the road "
+            "fit alike, as where the road neither bends nor the speed changes."
         )
 
 
@@ -99,7 +101,9 @@ def fit_shift(times: FloatArray, positions: FloatArray, fix_times: FloatArray, e
     reach = min(_MAX_SHIFT_S * unit, 0.4 * duration)
     coarse = np.arange(-reach, reach + 1e-9, _COARSE * unit)
     squares = np.array([cost(late)[0] for late in coarse])
-    around = coarse[int(np.argmin(squares))]
+    lower = squares <= np.minimum(np.append(squares[1:], np.inf), np.insert(squares[:-1], 0, np.inf))
+    alike = coarse[lower & (squares <= _ALIKE * squares.min() + _ALIKE_M**2)]  # more than one, where speeds repeat
+    around = alike[int(np.argmin(np.abs(alike)))]
     fine = around + np.arange(-_COARSE, _COARSE + 1e-9, _FINE) * unit
     late = float(min(fine, key=lambda each: cost(each)[0]))
     best, count = cost(late)
@@ -112,9 +116,11 @@ def fit_shift(times: FloatArray, positions: FloatArray, fix_times: FloatArray, e
     is_there &= count * gain >= _SIGNIFICANT * max(best, 1e-6)
     likely = coarse[squares < best * (1 + 9.0 / count) + 1e-4]
     unsure_m = max(float(np.ptp(likely)) / 2 if len(likely) else 0.0, _FINE * unit) / unit * _USUAL_SPEED_MPS
+    untold_m = float(np.abs(likely).max(initial=0.0)) / unit * _USUAL_SPEED_MPS
     is_sure = unsure_m < max(_SURE_M, 0.1 * metres) and abs(late) < reach - _COARSE * unit  # at its end it is cut off
+    is_sure &= len(alike) == 1
     is_there &= is_sure or (metres >= _UNSURE_M and best <= _MUCH_BETTER * unshifted)
-    return Shift(late, metres, unsure_m, is_there, is_sure, float(np.sqrt(unshifted)), float(np.sqrt(best)))
+    return Shift(late, metres, untold_m, is_there, is_sure, float(np.sqrt(unshifted)), float(np.sqrt(best)))
 
 
 def misfit_m(times: FloatArray, positions: FloatArray, fix_times: FloatArray, enu: FloatArray) -> float:

@@ -142,7 +142,7 @@ function progress(job) {
       job.message && el("p.small", job.message),
       job.attempts > 1 && el("p.note.warning", retried),
     ]),
-    row(el("button.danger", { onClick: () => cancel(job).catch(showError) }, "Cancel the job")),
+    el("div.row", el("button.danger", { onClick: () => cancel(job).catch(showError) }, "Cancel the job")),
     el("p.small", "You may close this page: the server goes on, and the job is in the list of drives."),
   ];
 }
@@ -187,8 +187,9 @@ function outcome(job) {
       ],
     ]),
     !osm && el("p.note", el("strong", "Not scored"), unscored),
-    !osm && row(el("button.primary", { onClick: withMap }, "Run again with a map…")),
-    row(
+    !osm && el("div.row", el("button.primary", { onClick: withMap }, "Run again with a map…")),
+    el(
+      "div.row",
       el(
         "button.primary",
         { onClick: () => setState({ panel: "report" }) },
@@ -247,13 +248,13 @@ function failure(job) {
   return [
     failureNote(job),
     el("p.quiet", "Correct what is named above, then run it again. The drive is still there."),
-    row(runAgain(job), back, removal(job)),
+    el("div.row", runAgain(job), back, removal(job)),
   ];
 }
 
 /** @param {any} job */
 function dismissed(job) {
-  return [el("p.quiet", "This job was cancelled; it has no result."), row(runAgain(job), removal(job))];
+  return [el("p.quiet", "This job was cancelled; it has no result."), el("div.row", runAgain(job), removal(job))];
 }
 
 /** @param {any} job */
@@ -275,6 +276,3 @@ function runAgain(job, kind = "primary") {
   const open = () => openRunDialog(job.drive_id, { job }).catch(showError);
   return el("button", { class: kind, onClick: open }, "Run again…");
 }
-
-/** @param {...any} children */
-const row = (...children) => el("div.row", children);

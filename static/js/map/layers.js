@@ -5,54 +5,40 @@ import { kindOfCompared } from "../data/compared.js";
 /** @typedef {"Base"|"Drive"|"Intersections"|"OSM intersections"|"Detections"|"Compare"|"Keyframe"} Group */
 
 /**
- * @param {string} id In permalinks.
+ * @param {string} id In permalinks; the name of its sign, too.
  * @param {Group} group
  * @param {string} title
- * @param {string} look In the legend, see symbols.js.
  * @param {string} hint
  */
-const layer = (id, group, title, look, hint) => ({ id, group, title, look, hint });
+const layer = (id, group, title, hint) => ({ id, group, title, hint });
 
 export const LAYERS = [
-  layer("tiles", "Base", "Map tiles", "tiles", "Pictures from a tile server; needs the internet."),
-  layer("surface", "Base", "Road seen by LiDAR", "surface", "Where the drive's LiDAR saw road: a map of its own."),
-  layer("roads", "Base", "OSM roads", "road", "Roads of the map that the drive was scored against."),
-  layer("measured", "Base", "Roads measured", "centreline", "Centrelines and widths of the roads that the drive saw."),
-  layer("track", "Drive", "Trajectory", "track", "Where the vehicle drove."),
-  layer("places", "Drive", "Next best places", "place", "Where else the roads of the map fit the drive, worse."),
-  layer("keyframes", "Drive", "Keyframes", "keyframes", "Places at which the method looked for intersections."),
-  layer("right", "Intersections", "Right", "right", "An OSM intersection of its own lies within 10 m."),
-  layer("wrong", "Intersections", "Wrong", "wrong", "No OSM intersection of its own lies within 10 m."),
-  layer("unscored", "Intersections", "Not scored", "unscored", "Found, but not compared with OpenStreetMap."),
-  layer(
-    "uncertainty",
-    "Intersections",
-    "Uncertainty (95 %)",
-    "uncertainty",
-    "It lies in the ellipse with a chance of 95 %.",
-  ),
-  layer("branches", "Intersections", "Branches", "branch", "Bearings of the roads that leave an intersection."),
-  layer("found", "OSM intersections", "Found", "found", "An intersection of the map is assigned to it, within 10 m."),
-  layer("missed", "OSM intersections", "Missed", "missed", "Passed, and no intersection of the map is assigned to it."),
-  layer("outside", "OSM intersections", "Out of reach", "outside", "In no relevant zone; they do not count."),
-  layer("detections", "Detections", "Not scored", "detections", "Detections not compared with OpenStreetMap."),
-  layer("tp", "Detections", "True", "tp", "An OSM intersection lies within D (TP)."),
-  layer("fp", "Detections", "False", "fp", "No OSM intersection within D (FP)."),
-  layer("errors", "Detections", "Error lines", "error", "From a detection to the OSM intersection it is matched to."),
-  layer("shared", "Compare", "Found by all", "shared", "Intersections that all compared jobs found."),
-  layer("here", "Compare", "Not by all others", "here", "Intersections of this job that another one did not find."),
-  layer(
-    "elsewhere",
-    "Compare",
-    "Only by others",
-    "elsewhere",
-    "Intersections of other jobs that this one did not find.",
-  ),
+  layer("tiles", "Base", "Map tiles", "Pictures from a tile server; needs the internet."),
+  layer("surface", "Base", "Road seen by LiDAR", "Where the drive's LiDAR saw road: a map of its own."),
+  layer("roads", "Base", "OSM roads", "Roads of the map that the drive was scored against."),
+  layer("measured", "Base", "Roads measured", "Centrelines and widths of the roads that the drive saw."),
+  layer("track", "Drive", "Trajectory", "Where the vehicle drove."),
+  layer("places", "Drive", "Next best places", "Where else the roads of the map fit the drive, worse."),
+  layer("keyframes", "Drive", "Keyframes", "Places at which the method looked for intersections."),
+  layer("right", "Intersections", "Right", "An OSM intersection of its own lies within 10 m."),
+  layer("wrong", "Intersections", "Wrong", "No OSM intersection of its own lies within 10 m."),
+  layer("unscored", "Intersections", "Not scored", "Found, but not compared with OpenStreetMap."),
+  layer("uncertainty", "Intersections", "Uncertainty (95 %)", "It lies in the ellipse with a chance of 95 %."),
+  layer("branches", "Intersections", "Branches", "Bearings of the roads that leave an intersection."),
+  layer("found", "OSM intersections", "Found", "An intersection of the map is assigned to it, within 10 m."),
+  layer("missed", "OSM intersections", "Missed", "Passed, and no intersection of the map is assigned to it."),
+  layer("outside", "OSM intersections", "Out of reach", "In no relevant zone; they do not count."),
+  layer("detections", "Detections", "Not scored", "Detections not compared with OpenStreetMap."),
+  layer("tp", "Detections", "True", "An OSM intersection lies within D (TP)."),
+  layer("fp", "Detections", "False", "No OSM intersection within D (FP)."),
+  layer("errors", "Detections", "Error lines", "From a detection to the OSM intersection it is matched to."),
+  layer("shared", "Compare", "Found by all", "Intersections that all compared jobs found."),
+  layer("here", "Compare", "Not by all others", "Intersections of this job that another one did not find."),
+  layer("elsewhere", "Compare", "Only by others", "Intersections of other jobs that this one did not find."),
   layer(
     "zone",
     "Keyframe",
     "Seen area, zone in it",
-    "roi",
     "Dashed: what the chosen keyframe sees (S). Solid: the relevant zone, in which intersections count.",
   ),
 ];

@@ -58,12 +58,12 @@ export function addLegend(map) {
 }
 
 /** @param {typeof LAYERS[0]} layer @param {number|null} count @param {Set<string>} on */
-function row({ id, title, look, hint }, count, on) {
+function row({ id, title, hint }, count, on) {
   const onChange = () => switchLayer(id, box.checked);
   const box = el("input", { type: "checkbox", id: `layer-${id}`, checked: on.has(id), onChange });
   return el("label", { title: hint, htmlFor: box.id }, [
     box,
-    signIcon(look),
+    signIcon(id),
     el("span.grow", title),
     count !== null && el("span.number.quiet", formatCount(count)),
   ]);

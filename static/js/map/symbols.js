@@ -110,10 +110,10 @@ const RADII = /** @type {Partial<Record<Shape, number>>} */ ({ dot: 2.5, disc: 4
 const LOOKS = {
   tiles: [{ d: "M1.5 2.5h13v11h-13zM8 2.5v11M1.5 8h13", stroke: "var(--ink-3)" }],
   surface: [{ d: "M0 3h16v10H0z", fill: "var(--seen-road)" }],
-  road: [{ d: "M.5 4.5h15v7H.5z", fill: "var(--road-road)", stroke: "var(--road-road-casing)" }],
-  centreline: [{ d: "M1 5h14v6H1z", fill: "var(--measured-inside)", stroke: "var(--measured)", "stroke-width": 1.5 }],
+  roads: [{ d: "M.5 4.5h15v7H.5z", fill: "var(--road-road)", stroke: "var(--road-road-casing)" }],
+  measured: [{ d: "M1 5h14v6H1z", fill: "var(--measured-inside)", stroke: "var(--measured)", "stroke-width": 1.5 }],
   track: [{ d: "M0 8h16", stroke: "var(--track)", "stroke-width": 2 }],
-  place: [{ d: "M0 8h16", stroke: "var(--track)", "stroke-width": 1.5, opacity: 0.45 }],
+  places: [{ d: "M0 8h16", stroke: "var(--track)", "stroke-width": 1.5, opacity: 0.45 }],
   uncertainty: [
     {
       d: "M1.5 8a6.5 6.5 0 1 1 13 0a6.5 6.5 0 1 1-13 0",
@@ -122,9 +122,9 @@ const LOOKS = {
       stroke: "var(--right)",
     },
   ],
-  branch: [{ d: "M0 8h16", stroke: "var(--right)", "stroke-width": 2 }],
-  error: [{ d: "M1 12 15 4", stroke: "var(--tp)", "stroke-width": 1.5 }],
-  roi: [
+  branches: [{ d: "M0 8h16", stroke: "var(--right)", "stroke-width": 2 }],
+  errors: [{ d: "M1 12 15 4", stroke: "var(--tp)", "stroke-width": 1.5 }],
+  zone: [
     { d: "M1.75 1.75h12.5v12.5H1.75z", stroke: "var(--roi)", "stroke-width": 1.5, "stroke-dasharray": "3 2" },
     { d: "M5.25 5.25h5.5v5.5h-5.5z", stroke: "var(--roi)", "stroke-width": 1.5 },
   ],
