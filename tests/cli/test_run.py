@@ -93,11 +93,8 @@ def test_without_georeference_it_refuses_before_the_work(
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("labels", ["labels", "predictions"])
-def test_the_sparse_sample_of_kitti_360(
-    labels: str, interloc: Callable, data: Callable[[str], Path], tmp_path: Path
-) -> None:
-    arguments = ("-o", tmp_path / "out", "--osm", data("kitti/osm/00.osm.gz"), "--labels", labels, "--json")
+def test_the_sparse_sample_of_kitti_360(interloc: Callable, data: Callable[[str], Path], tmp_path: Path) -> None:
+    arguments = ("-o", tmp_path / "out", "--osm", data("kitti/osm/00.osm.gz"), "--labels", "predictions", "--json")
     report = interloc("run", data("kitti360_0009"), *arguments).json["report"]
     assert report["nodes_in_zone"] == 5
     assert report["nodes_found"] >= 4

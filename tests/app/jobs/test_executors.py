@@ -215,11 +215,14 @@ def test_a_stop_ends_what_runs(tmp_path: Path) -> None:
 
 def test_workers_end_with_their_server(tmp_path: Path) -> None:
     code = (
-        "import sys, pathlib, time\n"
-        "from app.jobs.processes import ProcessExecutor\n"
-        "from tests.app.jobs.test_executors import sleep_for_ever\n"
+        "import os, pathlib, sys, time\n"
+        "from app.jobs import processes\n"
+        "def sleep_for_ever(path):\n"
+        "    path.write_text(str(os.getpid()))\n"
+        "    time.sleep(3600)\n"
         "if __name__ == '__main__':\n"
-        "    executor = ProcessExecutor(1)\n"
+        "    processes.WARM = 'time'  # this work needs nothing\n"
+        "    executor = processes.ProcessExecutor(1)\n"
         "    executor.submit(sleep_for_ever, pathlib.Path(sys.argv[1]))\n"
         "    time.sleep(3600)\n"
     )
