@@ -27,7 +27,7 @@ STEPS = {
         "lint-imports",
         "mypy",
         "-m tests.preloaded",
-        "-m slipcover -m pytest ",
+        " -m pytest ",
     ],
 }
 INSTALLS_THE_PAGE = {"demo": ["ci --silent --omit=dev --prefix static"], "test": ["ci --silent --prefix static"]}

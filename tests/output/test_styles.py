@@ -49,7 +49,7 @@ def symbol(layer: str, value: str | None) -> Symbol:
 @pytest.mark.parametrize(("sign", "layer", "value"), [
     *((each, "intersections", each) for each in ("right", "wrong", "unscored")),
     *((each, "osm_nodes", each) for each in ("found", "missed", "outside")),
-    ("tp", "detections", "right"), ("fp", "detections", "wrong"), ("detection", "detections", "unscored"),
+    ("tp", "detections", "right"), ("fp", "detections", "wrong"), ("detections", "detections", "unscored"),
 ])  # fmt: skip
 def test_signs_are_those_of_the_page(sign: str, layer: str, value: str) -> None:
     colours, there, mark = page_colours(), page_signs()[sign], symbol(layer, value)
