@@ -306,7 +306,8 @@ def _checked(reading: DriveReading, findings: Findings) -> DriveReading:
     check_points(drive.T_world_lidar, seen, scans.parts.file(scans.parts.scans).name, findings)
     check_motion(drive.T_world_lidar, pose_file, findings)
     reading = replace(reading, flatness_m=check_flat_road(drive, scans.usable, pose_file, findings))
-    if findings.errors == errors:  # else what follows is the same fault in other words
+    is_cut = isinstance(scans, RawScans) and scans.recording.is_cut
+    if findings.errors == errors and not is_cut:  # else what follows is the same fault in other words
         check_scan_motion(drive, scans.usable, pose_file, findings)
     if isinstance(scans, RawScans):
         scans.tell_doubts(findings)

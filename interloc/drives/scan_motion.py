@@ -38,7 +38,7 @@ _NO_MOTION_M, _NO_MOTION_RAD = 2.0, np.radians(6.0)
 _MAX_SHIFT = 30
 _PLACES_WRONG = 2
 _MAX_LATE, _LITTLE_M = 10, 3.0
-_CLOSER, _PLACES_CLOSER = 1.25, 3
+_CLOSER, _CLOSER_M, _PLACES_CLOSER = 1.25, 0.15, 3
 """So much closer must scans lie with the motion of a mistake: with their own they lie up to 1.04 times as far off on
 drives that turn hardly at all, and 0.7 to 0.4 times where they turn."""
 
@@ -177,6 +177,8 @@ class _Mistake:
     words : str
     ratio : float
         How many times as far off the scans lie without it as with it.
+    closer_m : float
+        By how much less: 0.3 m and more where it is made, 0.1 m and less where poses are sound but scatter.
     closer, of : int
         Places at which they lie closer with it, of how many.
     metres : float
@@ -185,6 +187,7 @@ class _Mistake:
 
     words: str
     ratio: float = 1.0
+    closer_m: float = 0.0
     closer: int = 0
     of: int = 0
     metres: float = float("inf")
@@ -192,7 +195,7 @@ class _Mistake:
     @property
     def is_clear(self) -> bool:
         """Whether it is the better explanation."""
-        return self.ratio > _CLOSER and self.closer >= _PLACES_CLOSER
+        return self.ratio > _CLOSER and self.closer_m > _CLOSER_M and self.closer >= _PLACES_CLOSER
 
 
 def _mistakes(pairs: list[_Pair], poses: FloatArray) -> list[_Mistake]:
@@ -215,9 +218,10 @@ def _mistakes(pairs: list[_Pair], poses: FloatArray) -> list[_Mistake]:
         rows = [row for row, each in enumerate(moved) if each is not None]
         off_m = np.array([pairs[row].match.off_m(each) for row, each in enumerate(moved) if each is not None])
         if len(rows) >= _PLACES_CLOSER:
-            ratio = float(told_m[rows].mean() / max(off_m.mean(), 1e-3))
+            mean_m, with_it_m = float(told_m[rows].mean()), float(off_m.mean())
             closer = int(np.count_nonzero(off_m < told_m[rows]))
-            found.append(_Mistake(words, ratio, closer, len(rows), metres))
+            ratio = mean_m / max(with_it_m, 1e-3)
+            found.append(_Mistake(words, ratio, mean_m - with_it_m, closer, len(rows), metres))
     return found
 
 

@@ -123,6 +123,8 @@ class Recording:
         Times of the scans, where they are known without a file of times.
     read_trajectory : callable or None
         Reads poses, times and georeference of scans, by their numbers, where these are not files of `parts`.
+    is_cut : bool
+        The scans are pieces of one cloud, which lies where the poses say: nothing in them can tell of other poses.
     topics : tuple of Topic
         What else a bag holds.
     """
@@ -140,6 +142,7 @@ class Recording:
     carries_poses: bool = True
     times_s: FloatArray | None = None
     read_trajectory: Callable[[IntArray, DriveOptions, Findings], Trajectory] | None = None
+    is_cut: bool = False
     topics: tuple[Topic, ...] = ()
 
     @property

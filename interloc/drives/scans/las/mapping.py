@@ -79,6 +79,7 @@ def open_mapping(
         carries_labels=index.has_road,
         scheme="las" if index.has_road else None,
         has_remission=has_intensity,
+        is_cut=True,
         read_trajectory=lambda _frames, _options, _findings: trajectory,
     )
 
