@@ -112,9 +112,11 @@ export function verdictOf({ properties }) {
   return properties.outcome ?? "unscored";
 }
 
-/** @param {{outcome: "TP"|"FP"|"none"}} detection @returns {"tp"|"fp"|"detections"} */
+const DETECTION_LAYERS = /** @type {const} */ ({ TP: "tp", FP: "fp", none: "detections" });
+
+/** @param {{outcome: "TP"|"FP"|"none"}} detection */
 export function layerOfDetection({ outcome }) {
-  return outcome === "none" ? "detections" : /** @type {"tp"|"fp"} */ (outcome.toLowerCase());
+  return DETECTION_LAYERS[outcome];
 }
 
 /** @param {string[]|null} chosen @returns {Set<string>} Ids of the layers that are on. */
