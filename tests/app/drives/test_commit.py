@@ -19,6 +19,7 @@ from interloc.config import KeyframeConfig
 from interloc.drives.inspect import inspect_drive
 from interloc.reduction.reduce import reduce_drive
 from tests import streets
+from tests.app import processes
 from tests.app.conftest import running_server
 from tests.app.processes import NO_TLS, as_by_command, ended, suspended, wait_until, workers_of
 from tests.app.street import write_street
@@ -127,7 +128,7 @@ def expected(street: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str
 
 def files_below(home: Path, drive: str) -> list[str]:
     root = home / "data" / "drives" / drive.rsplit("/", maxsplit=1)[-1]
-    names = (path.relative_to(root).as_posix() for path in root.rglob("*") if path.is_file())
+    names = (path.relative_to(root).as_posix() for path in processes.files_below(root))
     return sorted(name for name in names if "drive.json" not in name)
 
 
