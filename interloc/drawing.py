@@ -127,21 +127,14 @@ def write_image(path: Path, content: bytes) -> None:
 
 @dataclass(frozen=True)
 class Sign:
-    """A point of a map sketch.
-
-    Attributes
-    ----------
-    xy : (2,) float64
-        Metres.
-    outcome : {"right", "wrong", "unscored", "missed"}
-        Decides shape and colour.
-    text : str
-        Shown under the pointer.
-    """
+    """A point of a map sketch."""
 
     xy: FloatArray
+    """(2,) float64: metres."""
     outcome: str
+    """{"right", "wrong", "unscored", "missed"}: decides shape and colour."""
     text: str
+    """Shown under the pointer."""
 
 
 _SIGNS = {  # paths around (0, 0), filled or stroked, and their colour

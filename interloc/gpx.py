@@ -18,24 +18,16 @@ MAX_BYTES = 100_000_000
 
 @dataclass(frozen=True)
 class GpxTrack:
-    """The track of a GPX file.
-
-    Attributes
-    ----------
-    lonlat : (P, 2) float64
-        Degrees.
-    time_s : (P,) float64 or None
-        Seconds since 1970, where every point has one.
-    source : str
-        Name of the file.
-    alt_m : (P,) float64 or None
-        Heights, where every point has one.
-    """
+    """The track of a GPX file."""
 
     lonlat: FloatArray
+    """(P, 2) float64: degrees."""
     time_s: FloatArray | None
+    """(P,) float64 or None: seconds since 1970, where every point has one."""
     source: str
+    """Name of the file."""
     alt_m: FloatArray | None = None
+    """(P,) float64 or None: heights, where every point has one."""
 
 
 def read_gpx(path: Path) -> GpxTrack:

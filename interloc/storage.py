@@ -93,23 +93,15 @@ def check_address(address: str) -> tuple[str, str]:
 
 @dataclass(frozen=True)
 class StoredObject:
-    """An object as it was listed.
-
-    Attributes
-    ----------
-    key : str
-        In its bucket.
-    size : int
-    etag : str or None
-        Another one where its content has changed; None where the store tells none.
-    modified_s : float
-        Seconds since 1970.
-    """
+    """An object as it was listed."""
 
     key: str
+    """In its bucket."""
     size: int
     etag: str | None
+    """Another one where its content has changed; None where the store tells none."""
     modified_s: float
+    """Seconds since 1970."""
 
     @classmethod
     def of(cls, meta: Any) -> StoredObject:  # noqa: ANN401 - of obstore, which is imported late
@@ -120,15 +112,10 @@ class StoredObject:
 
 @dataclass(frozen=True)
 class Bucket:
-    """The objects of a bucket, or of a host.
-
-    Attributes
-    ----------
-    url : str
-        s3://bucket, gs://bucket, az://container or https://host.
-    """
+    """The objects of a bucket, or of a host."""
 
     url: str
+    """s3://bucket, gs://bucket, az://container or https://host."""
 
     @classmethod
     def of(cls, address: str) -> tuple[Bucket, str]:

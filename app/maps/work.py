@@ -32,13 +32,7 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Source:
-    """A result that the map should hold.
-
-    Attributes
-    ----------
-    job : str
-    folder : Path
-    """
+    """A result that the map should hold."""
 
     job: str
     folder: Path
@@ -46,40 +40,26 @@ class Source:
 
 @dataclass(frozen=True)
 class Register:
-    """Names of places that were given, and where: they are never given to another place.
-
-    Attributes
-    ----------
-    epsg : int or None
-        Plane of the map; None: there was none.
-    places : dict
-        Name -> longitude, latitude.
-    """
+    """Names of places that were given, and where: they are never given to another place."""
 
     epsg: int | None = None
+    """Plane of the map; None: there was none."""
     places: dict[str, tuple[float, float]] = field(default_factory=dict)
+    """Name -> longitude, latitude."""
 
 
 @dataclass(frozen=True)
 class Merged:
-    """What came of bringing a map up to date.
-
-    Attributes
-    ----------
-    problems : dict
-        Name of a drive -> why the map does not hold it.
-    register : Register
-        Names that are new, and where all are that have moved.
-    record : dict
-        Of `city.json`, without its drives.
-    chunks : list of Chunk
-        Its features, for the index.
-    """
+    """What came of bringing a map up to date."""
 
     problems: dict[str, str]
+    """Name of a drive -> why the map does not hold it."""
     register: Register
+    """Names that are new, and where all are that have moved."""
     record: dict[str, Any]
+    """Of `city.json`, without its drives."""
     chunks: list[Chunk]
+    """Its features, for the index."""
 
 
 def merge(folder: Path, wanted: Mapping[str, Source], register: Register) -> Merged:
@@ -163,18 +143,12 @@ def _changes(city: CityMap, register: Register) -> Register:
 
 @dataclass(frozen=True)
 class Audited:
-    """What came of comparing a map with OpenStreetMap.
-
-    Attributes
-    ----------
-    record : dict
-        Of `audit.json`.
-    chunks : list of Chunk
-        The findings, for the index.
-    """
+    """What came of comparing a map with OpenStreetMap."""
 
     record: dict[str, Any]
+    """Of `audit.json`."""
     chunks: list[Chunk]
+    """The findings, for the index."""
 
 
 def audit(folder: Path, osm: Path, wrong: Sequence[dict[str, Any]]) -> Audited:

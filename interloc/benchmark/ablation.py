@@ -29,19 +29,13 @@ _OF_THE_MAP = ("fusion.", "calibration")  # have no effect on a detection
 
 @dataclass(frozen=True)
 class DriveSet:
-    """The drives of one part of the split, apart by place.
-
-    Attributes
-    ----------
-    sequences, seeds
-        Of the twins of KITTI.
-    recorded : tuple of str
-        Folders of recorded drives; their last two characters name the map, if none (`map.osm`) lies in them.
-    """
+    """The drives of one part of the split, apart by place."""
 
     sequences: tuple[str, ...]
     seeds: tuple[int, ...]
+    """Of the twins of KITTI."""
     recorded: tuple[str, ...]
+    """Folders of recorded drives; their last two characters name the map, if none (`map.osm`) lies in them."""
 
     def cases(self, kitti: Path, recorded: Path | None, *, keep: Path | None, max_scans: int | None) -> list[Case]:
         """Return the twins, and those of the recorded drives that are there.

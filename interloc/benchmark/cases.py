@@ -35,22 +35,15 @@ KITTI_SENSOR = "hdl-64e"
 
 @dataclass(frozen=True)
 class FolderCase:
-    """A drive on disk.
-
-    Attributes
-    ----------
-    name : str
-        Name in the tables.
-    path, osm : Path
-        Folder of the drive, and the map to score it against.
-    options : DriveOptions
-        How the drive is read.
-    """
+    """A drive on disk."""
 
     name: str
+    """Name in the tables."""
     path: Path
     osm: Path
+    """Folder of the drive, and the map to score it against."""
     options: DriveOptions = field(default_factory=DriveOptions)
+    """How the drive is read."""
     seed: None = None
 
     def axes(self) -> dict[int, tuple[float, float]]:
@@ -114,32 +107,23 @@ class FolderCase:
 
 @dataclass(frozen=True)
 class TwinCase:
-    """A KITTI twin: the real track of a sequence, simulated over its real map with a LiDAR.
-
-    Attributes
-    ----------
-    kitti : Path
-        Folder with `oxts/`, `poses_suma/`, `poses_gt/`, `calib/`, `times/`, `osm/` and, if known, `osm_buildings/`.
-    sequence : str
-        Two digits.
-    seed : int
-        Seed of everything random; with an odd one service roads are labelled as road, which the policy does not count.
-    poses : {"suma", "gt"}
-    keep : Path or None
-        Folder in which twins stay and are found again.
-    max_scans : int or None
-        Number of keyframes after which the drive ends.
-    sensor : str
-        One of `interloc.simulate.config.SENSORS`.
-    """
+    """A KITTI twin: the real track of a sequence, simulated over its real map with a LiDAR."""
 
     kitti: Path
+    """Folder with `oxts/`, `poses_suma/`, `poses_gt/`, `calib/`, `times/`, `osm/` and, if known, `osm_buildings/`."""
     sequence: str
+    """Two digits."""
     seed: int = 0
+    """Seed of everything random; with an odd one service roads are labelled as road, which the policy does not count.
+    """
     poses: Poses = "suma"
+    """{"suma", "gt"}."""
     keep: Path | None = None
+    """Folder in which twins stay and are found again."""
     max_scans: int | None = None
+    """Number of keyframes after which the drive ends."""
     sensor: str = KITTI_SENSOR
+    """One of `interloc.simulate.config.SENSORS`."""
 
     @property
     def name(self) -> str:

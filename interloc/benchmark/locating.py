@@ -52,75 +52,52 @@ PieceKind = Literal["whole", "piece", "intersection"]
 
 @dataclass(frozen=True)
 class Piece:
-    """A piece of a drive, with its truth.
-
-    Attributes
-    ----------
-    sequence : str
-    start_m, length_m : float
-        Where it begins along the drive.
-    what : {"whole", "piece", "intersection"}
-        All of the drive, a piece of it, or what is around a single intersection.
-    track : Track
-    sightings : Sightings
-    lonlat : (N, 2) float64
-        True position of the LiDAR, degrees.
-    yaw_rad : (N,) float64
-        Its true heading from east.
-    sequence_lonlat : (M, 2) float64
-        True positions of the whole sequence.
-    """
+    """A piece of a drive, with its truth."""
 
     sequence: str
     start_m: float
     length_m: float
+    """Where it begins along the drive."""
     what: PieceKind
+    """{"whole", "piece", "intersection"}: all of the drive, a piece of it, or what is around a single intersection."""
     track: Track
     sightings: Sightings
     lonlat: FloatArray
+    """(N, 2) float64: true position of the LiDAR, degrees."""
     yaw_rad: FloatArray
+    """(N,) float64: its true heading from east."""
     sequence_lonlat: FloatArray
+    """(M, 2) float64: true positions of the whole sequence."""
 
 
 @dataclass(frozen=True)
 class LocateRow:
-    """What became of one piece on one map.
-
-    Attributes
-    ----------
-    sequence : str
-    start_m, length_m : float
-    what : {"whole", "piece", "intersection"}
-    on : {"map", "mirrored", "without"}
-        The map; in a mirror; without the roads around the drive. Only on the first may anything be found.
-    outcome : {"found", "ambiguous", "not_found"}
-    score, runner_up, chance : float
-    right : bool
-        The best place is the true one, found or not.
-    median_m, p95_m, heading_deg : float or None
-        Errors of the scans at the best place; heading: median. None on maps that do not hold the drive.
-    seconds : float
-        For the search of the piece and of its mirror image.
-    errors_m, headings_deg : list of float
-        Errors every ten metres, to be pooled.
-    """
+    """What became of one piece on one map."""
 
     sequence: str
     start_m: float
     length_m: float
     what: PieceKind
+    """{"whole", "piece", "intersection"}."""
     on: MapKind
+    """{"map", "mirrored", "without"}: the map; in a mirror; without the roads around the drive. Only on the first may
+    anything be found."""
     outcome: str
+    """{"found", "ambiguous", "not_found"}."""
     score: float
     runner_up: float
     chance: float
     right: bool = False
+    """The best place is the true one, found or not."""
     median_m: float | None = None
     p95_m: float | None = None
     heading_deg: float | None = None
+    """Errors of the scans at the best place; heading: median. None on maps that do not hold the drive."""
     seconds: float = 0.0
+    """For the search of the piece and of its mirror image."""
     errors_m: list[float] = field(default_factory=list)
     headings_deg: list[float] = field(default_factory=list)
+    """Errors every ten metres, to be pooled."""
 
 
 def pieces_of(

@@ -34,17 +34,11 @@ _TRACK_STEP_M = 3.0
 
 @dataclass(frozen=True)
 class Scoring:
-    """How detections are scored.
-
-    Attributes
-    ----------
-    policy : Policy
-    tolerance_m : float
-        Of policy `consolidated`.
-    """
+    """How detections are scored."""
 
     policy: Policy = "drive"
     tolerance_m: float = 15.0
+    """Of policy `consolidated`."""
 
 
 def measure(

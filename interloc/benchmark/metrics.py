@@ -23,21 +23,14 @@ Metric = Callable[[Sequence[Row]], float | None]
 
 @dataclass(frozen=True)
 class Estimate:
-    """A figure over several seeds.
-
-    Attributes
-    ----------
-    mean : float or None
-        None where it is undefined for every seed.
-    spread : float or None
-        Sample standard deviation over the seeds; None for one seed.
-    seeds : int
-        Number of seeds.
-    """
+    """A figure over several seeds."""
 
     mean: float | None
+    """None where it is undefined for every seed."""
     spread: float | None = None
+    """Sample standard deviation over the seeds; None for one seed."""
     seeds: int = 1
+    """Number of seeds."""
 
 
 def pooled(rows: Sequence[Row], column: str) -> FloatArray:

@@ -20,24 +20,16 @@ class _Record(BaseModel):
 
 
 class Cell(_Record):
-    """Which measurement a row is.
-
-    Attributes
-    ----------
-    drive : str
-        Name in the tables.
-    preset : str
-        Name of the settings.
-    noise : str
-        Label errors, r-FPR / r-FNR in percent: "20/20".
-    seed : int
-        Of the label errors and, where it is simulated, of the drive.
-    """
+    """Which measurement a row is."""
 
     drive: str
+    """Name in the tables."""
     preset: str
+    """Name of the settings."""
     noise: str
+    """Label errors, r-FPR / r-FNR in percent: "20/20"."""
     seed: int
+    """Of the label errors and, where it is simulated, of the drive."""
 
     @property
     def file_name(self) -> str:
@@ -72,90 +64,61 @@ class Place(_Record):
 
 
 class MapPicture(_Record):
-    """What the map of a drive shows, in metres east and north of the middle of its track.
-
-    Attributes
-    ----------
-    roads : tuple of (x, y, x, y)
-        Pieces of the roads of the policy around the track.
-    track : tuple of (x, y)
-    true, false : tuple of (x, y)
-        Detections within 5 m of their node, and all others.
-    found, missed, beyond : tuple of (x, y)
-        Nodes of the map: in the zone and found, in the zone and not found, around but never in the zone.
-    is_made_up : bool
-        A simulator made the map up: it is not of OpenStreetMap.
-    """
+    """What the map of a drive shows, in metres east and north of the middle of its track."""
 
     roads: tuple[Segment, ...]
+    """tuple of (x, y, x, y): pieces of the roads of the policy around the track."""
     track: tuple[Point, ...]
+    """tuple of (x, y)."""
     true: tuple[Point, ...]
     false: tuple[Point, ...]
+    """tuple of (x, y): detections within 5 m of their node, and all others."""
     found: tuple[Point, ...]
     missed: tuple[Point, ...]
     beyond: tuple[Point, ...]
+    """tuple of (x, y): nodes of the map: in the zone and found, in the zone and not found, around but never in the
+    zone."""
     is_made_up: bool = False
+    """A simulator made the map up: it is not of OpenStreetMap."""
 
 
 class Row(_Record):
-    """A drive measured once.
-
-    Attributes
-    ----------
-    cell : Cell
-    fingerprint : str
-        Of everything that the figures depend on: settings, inputs, program.
-    policy : str
-    keyframes : int
-    errors_m : tuple of float
-        Center errors of all matched detections, metres.
-    places : tuple of Place
-        The same by the nodes of the map.
-    unmatched : int
-        Detections without any node in their ROI.
-    fn : int
-        Nodes in the relevant zone without a detection, summed over the keyframes.
-    nodes_found, nodes_in_zone : int
-    map_true, map_false, map_missed, map_nodes : int
-        Fused intersections in the zone with and without a node; nodes in the zone without one; nodes in the zone.
-    map_errors_m : tuple of float
-        Of the assigned pairs, metres.
-    map_squared : tuple of float
-        Of the assigned pairs: errors in units of their covariances, squared (`evaluation.reliability`).
-    map_confidence : tuple of float
-        Of the fused intersections in the zone.
-    map_right : tuple of bool
-        Whether these have a node.
-    compute_s : float
-        Processor time from files to intersections.
-    warnings : tuple of str
-    picture : MapPicture
-    failures : dict
-        See `interloc.benchmark.failures`.
-    """
+    """A drive measured once."""
 
     cell: Cell
     fingerprint: str
+    """Of everything that the figures depend on: settings, inputs, program."""
     policy: str
     keyframes: int
     errors_m: tuple[float, ...]
+    """Center errors of all matched detections, metres."""
     places: tuple[Place, ...]
+    """The same by the nodes of the map."""
     unmatched: int
+    """Detections without any node in their ROI."""
     fn: int
+    """Nodes in the relevant zone without a detection, summed over the keyframes."""
     nodes_found: int
     nodes_in_zone: int
     map_true: int
     map_false: int
     map_missed: int
     map_nodes: int
+    """Fused intersections in the zone with and without a node; nodes in the zone without one; nodes in the zone."""
     map_errors_m: tuple[float, ...]
+    """Of the assigned pairs, metres."""
     map_squared: tuple[float, ...]
+    """Of the assigned pairs: errors in units of their covariances, squared (`evaluation.reliability`)."""
     map_confidence: tuple[float, ...]
+    """Of the fused intersections in the zone."""
     map_right: tuple[bool, ...]
+    """Whether these have a node."""
     compute_s: float
+    """Processor time from files to intersections."""
     warnings: tuple[str, ...]
     picture: MapPicture
     failures: dict[str, Any]
+    """See `interloc.benchmark.failures`."""
 
 
 def write_row(row: Row, folder: Path) -> None:

@@ -42,53 +42,34 @@ def _no_report(task: str, what: str, done: int, total: int) -> None:
 
 @dataclass(frozen=True)
 class NamedConfig:
-    """A configuration of the method under a name.
-
-    Attributes
-    ----------
-    name : str
-        Name in the tables.
-    config : DetectorConfig
-    arguments : tuple of str
-        The same as options of the command line.
-    """
+    """A configuration of the method under a name."""
 
     name: str
+    """Name in the tables."""
     config: DetectorConfig
     arguments: tuple[str, ...] = ()
+    """The same as options of the command line."""
 
 
 @dataclass(frozen=True)
 class Benchmark:
-    """What is to be measured.
-
-    Attributes
-    ----------
-    cases : tuple of Case
-        Simulated drives once for each seed, recorded ones once.
-    configs : tuple of NamedConfig
-    noises : tuple of str
-        Levels of label errors, r-FPR / r-FNR in percent; "0/0": without.
-    seeds : int
-        Number of seeds of the label errors on recorded drives; a simulated drive has its own seed.
-    truth : Scoring
-    title, about : str
-        What is measured, for the head of the page.
-    labels : str
-        "labels" (by hand, or exact) or "predictions" (of a network).
-    sensors : dict of str to tuple of str
-        Drives by the sensor that they are simulated with, where several sensors are compared.
-    """
+    """What is to be measured."""
 
     cases: tuple[Case, ...]
+    """Simulated drives once for each seed, recorded ones once."""
     configs: tuple[NamedConfig, ...]
     noises: tuple[str, ...] = (NO_NOISE,)
+    """Levels of label errors, r-FPR / r-FNR in percent; "0/0": without."""
     seeds: int = 1
+    """Number of seeds of the label errors on recorded drives; a simulated drive has its own seed."""
     truth: Scoring = _DRIVE_POLICY
     title: str = ""
     about: str = ""
+    """What is measured, for the head of the page."""
     labels: str = "labels"
+    """"labels" (by hand, or exact) or "predictions" (of a network)."""
     sensors: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    """Drives by the sensor that they are simulated with, where several sensors are compared."""
 
     @property
     def drives(self) -> list[str]:

@@ -28,47 +28,30 @@ ALL = "all"
 
 @dataclass(frozen=True)
 class Table:
-    """A table as text.
-
-    Attributes
-    ----------
-    title : str
-    header : tuple of str
-    groups : tuple of tuple of tuple of str
-        Rows that belong together; a line is drawn between groups.
-    labels : int
-        The first columns are words, the others are figures.
-    notes : tuple of str
-    """
+    """A table as text."""
 
     title: str
     header: tuple[str, ...]
     groups: tuple[tuple[tuple[str, ...], ...], ...]
+    """Rows that belong together; a line is drawn between groups."""
     labels: int = 1
+    """The first columns are words, the others are figures."""
     notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
 class Measured:
-    """The rows of a benchmark, by what they are.
-
-    Attributes
-    ----------
-    rows : tuple of Row
-    drives, presets, noises : tuple of str
-        In the order of the tables.
-    labels : str
-        "labels" (by hand, or exact) or "predictions" (of a network).
-    sensors : dict of str to tuple of str
-        Drives by the sensor that they were simulated with, where several sensors are compared.
-    """
+    """The rows of a benchmark, by what they are."""
 
     rows: tuple[Row, ...]
     drives: tuple[str, ...]
     presets: tuple[str, ...]
     noises: tuple[str, ...]
+    """In the order of the tables."""
     labels: str = "labels"
+    """"labels" (by hand, or exact) or "predictions" (of a network)."""
     sensors: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    """Drives by the sensor that they were simulated with, where several sensors are compared."""
 
     def of(self, *, preset: str, noise: str, drive: str = ALL) -> list[Row]:
         """Return the rows of a preset at a level of label errors, of one drive or all."""
@@ -140,26 +123,17 @@ def _write(value: Estimate, write: Callable[[float], str]) -> str:
 
 
 class TableFigure(NamedTuple):
-    """A figure of the tables.
-
-    Attributes
-    ----------
-    title : str
-    metric : str
-        One of `METRICS`.
-    write
-        Writes its value.
-    published : str
-        The same figure among those of the paper.
-    total : str
-        Metric of the number that it is a count out of.
-    """
+    """A figure of the tables."""
 
     title: str
     metric: str
+    """One of `METRICS`."""
     write: Callable[[float], str]
+    """Writes its value."""
     published: str = ""
+    """The same figure among those of the paper."""
     total: str = ""
+    """Metric of the number that it is a count out of."""
 
     def cell(self, rows: Sequence[Row]) -> str:
         """Return the figure of some rows: pooled over the drives, mean and spread over the seeds."""

@@ -34,17 +34,12 @@ def knots_along(along_m: FloatArray, length_m: float, spacing_m: float) -> tuple
 
 @dataclass(frozen=True)
 class Prior:
-    """Inverse of the covariance of the knots of several drives, one after the other: its diagonal, and beside it.
-
-    Attributes
-    ----------
-    diagonal : (K,) float64
-    beside : (K,) float64
-        Between a knot and the next one; 0 behind the last one of a drive.
-    """
+    """Inverse of the covariance of the knots of several drives, one after the other: its diagonal, and beside it."""
 
     diagonal: FloatArray
+    """(K,) float64."""
     beside: FloatArray
+    """(K,) float64: between a knot and the next one; 0 behind the last one of a drive."""
 
     @classmethod
     def of(cls, std_m: float, spacing_m: float, count: int, drift_length_m: float) -> Prior:
@@ -72,25 +67,17 @@ class Prior:
 
 @dataclass(frozen=True)
 class Sightings:
-    """N sightings of P places by drives with K knots in all.
-
-    Attributes
-    ----------
-    xy : (N, 2) float64
-        Where the drive saw it, metres.
-    weight : (N,) float64
-        One over the variance of its noise along each axis.
-    place, knot : (N,) int64
-        Place; knot before it.
-    share : (N,) float64
-        Share of the knot behind it.
-    """
+    """N sightings of P places by drives with K knots in all."""
 
     xy: FloatArray
+    """(N, 2) float64: where the drive saw it, metres."""
     weight: FloatArray
+    """(N,) float64: one over the variance of its noise along each axis."""
     place: IntArray
     knot: IntArray
+    """(N,) int64: place; knot before it."""
     share: FloatArray
+    """(N,) float64: share of the knot behind it."""
 
     def offsets(self, knots: FloatArray) -> FloatArray:
         """Return the offset of the drive at each sighting, (N, 2)."""

@@ -86,23 +86,15 @@ class Finding:
 
 @dataclass(frozen=True)
 class Audit:
-    """Findings, and on how much of the map there could have been any.
-
-    Attributes
-    ----------
-    findings : list of Finding
-    junctions : int
-        Junctions of OpenStreetMap that enough passes came by.
-    offset_m : (2,) float64
-        Common offset of OpenStreetMap against the map, which was taken away.
-    held_back : dict of str to int
-        How many candidates were not claimed, by reason.
-    """
+    """Findings, and on how much of the map there could have been any."""
 
     findings: list[Finding]
     junctions: int
+    """Junctions of OpenStreetMap that enough passes came by."""
     offset_m: FloatArray
+    """(2,) float64: common offset of OpenStreetMap against the map, which was taken away."""
     held_back: dict[str, int]
+    """How many candidates were not claimed, by reason."""
 
 
 def audit(

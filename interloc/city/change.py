@@ -20,31 +20,21 @@ _ROAD, _OTHER = 0.8, 0.5  # shares of a branch seen as road where it is there, a
 
 @dataclass(frozen=True)
 class Change:
-    """A place, or a branch of it, that drives of one time saw and those of another did not.
-
-    Attributes
-    ----------
-    kind : str
-        new_junction, gone_junction, new_branch or gone_branch.
-    uid : str
-        The place.
-    xy : (2,) float64
-        In the plane of the map.
-    bearing_deg : float or None
-        Of the branch; None where it is the junction.
-    seen_by, not_seen_by : tuple of str
-        Drives, in the order of their times.
-    between_s : (float, float)
-        The last drive before the change and the first one behind it, seconds since 1970.
-    """
+    """A place, or a branch of it, that drives of one time saw and those of another did not."""
 
     kind: ChangeKind
+    """new_junction, gone_junction, new_branch or gone_branch."""
     uid: str
+    """The place."""
     xy: FloatArray
+    """(2,) float64: in the plane of the map."""
     bearing_deg: float | None
+    """Of the branch; None where it is the junction."""
     seen_by: tuple[str, ...]
     not_seen_by: tuple[str, ...]
+    """Drives, in the order of their times."""
     between_s: tuple[float, float]
+    """(float, float): the last drive before the change and the first one behind it, seconds since 1970."""
 
 
 def changes_of(city: CityMap) -> list[Change]:

@@ -20,34 +20,23 @@ if TYPE_CHECKING:
 
 @dataclass
 class DriveOnMap:
-    """A drive of M sightings on the map.
-
-    Attributes
-    ----------
-    data : Pass
-    xy, track_xy : (M, 2), (K, 2) float64
-        Sightings and keyframes in the plane of the map, as the drive has them.
-    knot, share : (M,) int64, float64
-        See `interloc.city.adjustment.Sightings`.
-    prior : Prior
-    knots : (k, 2) float64
-        Offset of the drive at each knot: what it says minus what is, metres.
-    shift : (2,) float64
-        Offset against the other drives by voting, rounded.
-    place, neighbourhood : (M,) int64
-        Which each sighting belongs to; -1: not yet known.
-    """
+    """A drive of M sightings on the map."""
 
     data: Pass
     xy: FloatArray
     track_xy: FloatArray
+    """(M, 2), (K, 2) float64: sightings and keyframes in the plane of the map, as the drive has them."""
     knot: IntArray
     share: FloatArray
+    """(M,) int64, float64: see `interloc.city.adjustment.Sightings`."""
     prior: Prior
     knots: FloatArray
+    """(k, 2) float64: offset of the drive at each knot: what it says minus what is, metres."""
     shift: FloatArray = field(default_factory=lambda: np.full(2, np.nan))
+    """(2,) float64: offset against the other drives by voting, rounded."""
     place: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     neighbourhood: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    """(M,) int64: which each sighting belongs to; -1: not yet known."""
 
     def __post_init__(self) -> None:
         if not len(self.place):

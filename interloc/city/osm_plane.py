@@ -24,20 +24,14 @@ _MINOR = ("driveway", "parking_aisle", "drive-through", "emergency_access")
 
 @dataclass(frozen=True)
 class OsmPlane:
-    """A road graph in the plane of a map of many drives.
-
-    Attributes
-    ----------
-    graph : RoadGraph
-    xy : (N, 2) float64
-        Its nodes, metres.
-    offset_m : (2,) float64
-        What OpenStreetMap says minus what the map says, median of the junctions that both have; taken from `xy`.
-    """
+    """A road graph in the plane of a map of many drives."""
 
     graph: RoadGraph
     xy: FloatArray
+    """(N, 2) float64: its nodes, metres."""
     offset_m: FloatArray
+    """(2,) float64: what OpenStreetMap says minus what the map says, median of the junctions that both have; taken from
+    `xy`."""
 
     @classmethod
     def of(cls, city: CityMap, graph: RoadGraph) -> OsmPlane:

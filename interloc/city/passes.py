@@ -29,61 +29,43 @@ _RAGGED = ("bearings_deg", "widths_m")
 
 @dataclass(frozen=True)
 class Pass:
-    """One drive on the map: M intersections, K keyframes.
-
-    Attributes
-    ----------
-    name : str
-        Of the drive; no two of a map have the same.
-    key : str
-        Of what it holds: the same drive, read again, has the same.
-    lonlat : (M, 2) float64
-        Intersections, degrees.
-    fix_std_m, shape_cov_m2, scatter_std_m : (M,), (M, 3), (M,) float64
-        As of `interloc.results.PositionParts`, all known.
-    confidence : (M,) float64
-    observations, number : (M,) int64
-        Detections fused; number of the intersection in the result of the drive.
-    along_m : (M,) float64
-        Distance driven where it was nearest.
-    bearings_deg, widths_m : tuple of M (B,) float64
-        Of the branches.
-    seen_s : (M, 2) float64
-        First and last time seen, seconds since 1970; NaN where the drive has no times of the day.
-    track_lonlat : (K, 2) float64
-        Keyframes, degrees.
-    track_along_m : (K,) float64
-        Distance driven up to each.
-    span_s : (2,) float64
-        First and last time of the drive, as `seen_s`.
-    road : Mosaic or None
-        The road that it saw, and other ground.
-    roads_lonlat : tuple of E (n, 2) float64
-        Centrelines of its roads, where its result has them.
-    road_width_m, road_driven : (E,) float64, bool
-        Their widths, NaN where not known; whether it went along them.
-    """
+    """One drive on the map: M intersections, K keyframes."""
 
     name: str
+    """Of the drive; no two of a map have the same."""
     key: str
+    """Of what it holds: the same drive, read again, has the same."""
     lonlat: FloatArray
+    """(M, 2) float64: intersections, degrees."""
     fix_std_m: FloatArray
     shape_cov_m2: FloatArray
     scatter_std_m: FloatArray
+    """(M,), (M, 3), (M,) float64: as of `interloc.results.PositionParts`, all known."""
     confidence: FloatArray
+    """(M,) float64."""
     observations: IntArray
     number: IntArray
+    """(M,) int64: detections fused; number of the intersection in the result of the drive."""
     along_m: FloatArray
+    """(M,) float64: distance driven where it was nearest."""
     bearings_deg: tuple[FloatArray, ...]
     widths_m: tuple[FloatArray, ...]
+    """tuple of M (B,) float64: of the branches."""
     seen_s: FloatArray
+    """(M, 2) float64: first and last time seen, seconds since 1970; NaN where the drive has no times of the day."""
     track_lonlat: FloatArray
+    """(K, 2) float64: keyframes, degrees."""
     track_along_m: FloatArray
+    """(K,) float64: distance driven up to each."""
     span_s: FloatArray
+    """(2,) float64: first and last time of the drive, as `seen_s`."""
     road: Mosaic | None = None
+    """The road that it saw, and other ground."""
     roads_lonlat: tuple[FloatArray, ...] = ()
+    """tuple of E (n, 2) float64: centrelines of its roads, where its result has them."""
     road_width_m: FloatArray = field(default_factory=lambda: np.zeros(0))
     road_driven: BoolArray = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
+    """(E,) float64, bool: their widths, NaN where not known; whether it went along them."""
 
     def __len__(self) -> int:
         return len(self.lonlat)

@@ -27,53 +27,36 @@ _SAME_DEG = 20.0  # a branch of a drive that lies within this of one of the plac
 
 @dataclass(frozen=True)
 class PlaceTable:
-    """The P physical intersections that several drives saw, from west to east.
-
-    Attributes
-    ----------
-    uid : list of P str
-        Name of the place: it stays when drives are added, and is never used again for another.
-    xy, lonlat : (P, 2) float64
-        In the plane of the map, metres; longitude, latitude, degrees.
-    position_cov_m2 : (P, 3) float64
-        Covariance on the Earth, as of `IntersectionTable`.
-    relative_cov_m2 : (P, 3) float64
-        The same against the places around: without what the fixes of all its drives leave.
-    observations : (P,) int64
-        Detections, of all drives.
-    drives : list of P tuples of str
-        Names of the drives that saw it.
-    passes : (P,) int64
-        How many times it was seen, sightings within ten minutes of each other counting as one.
-    near : list of P tuples of str
-        Drives that saw it, or came so near that they should have.
-    confidence : (P,) float64
-        0..1: mean over the drives that came near, 0 for those that did not see it.
-    is_shown : (P,) bool
-        Whether enough of the drives that came near saw it: 30 % and, of four or more, at least two.
-    bearings_deg, widths_m : list of P (B,) float64
-        Of the branches.
-    branch_drives : list of P (B,) int64
-        How many drives saw each branch.
-    seen_s : (P, 2) float64
-        First and last time seen, seconds since 1970; NaN where no drive has times of the day.
-    """
+    """The P physical intersections that several drives saw, from west to east."""
 
     uid: list[str]
+    """Name of the place: it stays when drives are added, and is never used again for another."""
     xy: FloatArray
     lonlat: FloatArray
+    """(P, 2) float64: in the plane of the map, metres; longitude, latitude, degrees."""
     position_cov_m2: FloatArray
+    """(P, 3) float64: covariance on the Earth, as of `IntersectionTable`."""
     relative_cov_m2: FloatArray
+    """(P, 3) float64: the same against the places around: without what the fixes of all its drives leave."""
     observations: IntArray
+    """(P,) int64: detections, of all drives."""
     drives: list[tuple[str, ...]]
+    """Names of the drives that saw it."""
     passes: IntArray
+    """(P,) int64: how many times it was seen, sightings within ten minutes of each other counting as one."""
     near: list[tuple[str, ...]]
+    """Drives that saw it, or came so near that they should have."""
     confidence: FloatArray
+    """(P,) float64: 0..1: mean over the drives that came near, 0 for those that did not see it."""
     is_shown: BoolArray
+    """(P,) bool: whether enough of the drives that came near saw it: 30 % and, of four or more, at least two."""
     bearings_deg: list[FloatArray]
     widths_m: list[FloatArray]
+    """list of P (B,) float64: of the branches."""
     branch_drives: list[IntArray]
+    """list of P (B,) int64: how many drives saw each branch."""
     seen_s: FloatArray
+    """(P, 2) float64: first and last time seen, seconds since 1970; NaN where no drive has times of the day."""
 
     def __len__(self) -> int:
         return len(self.uid)

@@ -20,31 +20,21 @@ _SHARES = np.linspace(0.0, 1.0, 33)
 
 @dataclass(frozen=True)
 class FusedRoad:
-    """A road from one place to another, or to where no drive saw farther.
-
-    Attributes
-    ----------
-    start : str
-        Name of the place where it begins.
-    end : str or None
-        Name of the place where it ends.
-    xy : (N, 2) float64
-        Centreline in the plane of the map.
-    width_m, width_std_m : float
-        Mean of the widths that drives say, of those that went along it if any did, and standard deviation between
-        them; NaN where none, or fewer than two, say one.
-    drives : tuple of str
-    is_driven : bool
-        Whether any drive went along it.
-    """
+    """A road from one place to another, or to where no drive saw farther."""
 
     start: str
+    """Name of the place where it begins."""
     end: str | None
+    """Name of the place where it ends."""
     xy: FloatArray
+    """(N, 2) float64: centreline in the plane of the map."""
     width_m: float
     width_std_m: float
+    """Mean of the widths that drives say, of those that went along it if any did, and standard deviation between them;
+    NaN where none, or fewer than two, say one."""
     drives: tuple[str, ...]
     is_driven: bool
+    """Whether any drive went along it."""
 
     @property
     def length_m(self) -> float:

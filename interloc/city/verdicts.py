@@ -46,22 +46,16 @@ class Judgement(BaseModel):
 
 @dataclass(frozen=True)
 class Precision:
-    """How many of the findings that people looked at are right, with an interval of 95 % (Wilson).
-
-    Attributes
-    ----------
-    right, wrong, cannot_tell : int
-        Findings; fixed ones are right ones.
-    share, low, high : float or None
-        Right ones among right and wrong ones; None without any.
-    """
+    """How many of the findings that people looked at are right, with an interval of 95 % (Wilson)."""
 
     right: int
     wrong: int
     cannot_tell: int
+    """Findings; fixed ones are right ones."""
     share: float | None
     low: float | None
     high: float | None
+    """Right ones among right and wrong ones; None without any."""
 
     @classmethod
     def of(cls, verdicts: Iterable[Verdict]) -> Precision:

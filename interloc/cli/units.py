@@ -40,24 +40,16 @@ _NO_WORKERS_S = 600.0  # how long a cluster may be without workers, or without i
 
 @dataclass(frozen=True)
 class Unit:
-    """A drive to work on.
-
-    Attributes
-    ----------
-    name : str
-        Of the drive in the batch, and of its result folder.
-    drive : str
-        Where it is.
-    command : str
-        run or detect.
-    arguments : tuple of str
-        Of the command, without the result folder.
-    """
+    """A drive to work on."""
 
     name: str
+    """Of the drive in the batch, and of its result folder."""
     drive: str
+    """Where it is."""
     command: str
+    """run or detect."""
     arguments: tuple[str, ...]
+    """Of the command, without the result folder."""
 
     @property
     def identity(self) -> dict[str, Any]:
@@ -69,22 +61,14 @@ class Unit:
 
 @dataclass(frozen=True)
 class Ended:
-    """What became of a unit.
-
-    Attributes
-    ----------
-    seconds : float
-    error : str or None
-        Why it failed; None if it did not.
-    warnings : tuple of str
-    content : bytes or None
-        The result folder as a tar, where the worker shares no folder with whoever asked.
-    """
+    """What became of a unit."""
 
     seconds: float
     error: str | None = None
+    """Why it failed; None if it did not."""
     warnings: tuple[str, ...] = ()
     content: bytes | None = None
+    """The result folder as a tar, where the worker shares no folder with whoever asked."""
 
 
 def work(unit: Unit, out: str | None) -> Ended:

@@ -25,32 +25,21 @@ _SILENCE_S = 45.0  # a stream of events is never silent for so long: the service
 
 @dataclass(frozen=True)
 class JobRequest:
-    """What the service is to do with a drive: find its intersections, and score them where a map is given.
-
-    Attributes
-    ----------
-    config : DetectorConfig
-        Settings of the method.
-    labels : str or None
-        "labels" or "predictions"; None: the one that the drive has.
-    osm : str or None
-        Name of a map among the files of the drive.
-    overpass : bool
-        Let the service fetch the present map from OpenStreetMap instead.
-    policy : str
-    tolerance_m : float
-        Which OSM nodes count as intersections.
-    place : dict or None
-        Place the drive on the map by its roads, and where to search: the result of `placing`.
-    """
+    """What the service is to do with a drive: find its intersections, and score them where a map is given."""
 
     config: DetectorConfig
+    """Settings of the method."""
     labels: str | None = None
+    """"labels" or "predictions"; None: the one that the drive has."""
     osm: str | None = None
+    """Name of a map among the files of the drive."""
     overpass: bool = False
+    """Let the service fetch the present map from OpenStreetMap instead."""
     policy: Policy = "drive"
     tolerance_m: float = 15.0
+    """Which OSM nodes count as intersections."""
     place: dict[str, Any] | None = None
+    """Place the drive on the map by its roads, and where to search: the result of `placing`."""
 
 
 def submit(

@@ -23,42 +23,28 @@ from interloc.reduction.reduce import Reduction, label_folders_in, prepare_reduc
 
 @dataclass(frozen=True)
 class PushOptions:
-    """How a drive is read and sent.
-
-    Attributes
-    ----------
-    name : str or None
-        Name of the drive on the server; that of its folder by default.
-    label_folders : tuple of str
-        "labels", "predictions" or both; empty: all that are there.
-    reading : ReadingOptions
-        How the drive is read.
-    keyframes : KeyframeConfig or None
-        Which scans to send; None: all of them.
-    raw : bool
-        Send scans and labels as they are; the server reduces them.
-    keep_raw : bool
-        Let the server keep them; needs `raw`.
-    maps : tuple of Path
-        OpenStreetMap files that go along.
-    model : Path or None
-        Folder of a network that labels the scans here; label files do not count.
-    provider : str
-        What the network runs on.
-    network : str or None
-        Name of a network of the server that labels the scans there; needs `raw`.
-    """
+    """How a drive is read and sent."""
 
     name: str | None = None
+    """Name of the drive on the server; that of its folder by default."""
     label_folders: tuple[LabelFolder, ...] = ()
+    """"labels", "predictions" or both; empty: all that are there."""
     reading: ReadingOptions = field(default_factory=ReadingOptions)
+    """How the drive is read."""
     keyframes: KeyframeConfig | None = DEFAULT.keyframes
+    """Which scans to send; None: all of them."""
     raw: bool = False
+    """Send scans and labels as they are; the server reduces them."""
     keep_raw: bool = False
+    """Let the server keep them; needs `raw`."""
     maps: tuple[Path, ...] = ()
+    """OpenStreetMap files that go along."""
     model: Path | None = None
+    """Folder of a network that labels the scans here; label files do not count."""
     provider: str = "cpu"
+    """What the network runs on."""
     network: str | None = None
+    """Name of a network of the server that labels the scans there; needs `raw`."""
 
     @property
     def for_drive(self) -> DriveOptions:
@@ -85,32 +71,21 @@ class PushOptions:
 
 @dataclass(frozen=True)
 class PreparedDrive:
-    """A drive that is ready to be sent.
-
-    Attributes
-    ----------
-    name : str
-    scans, scans_sent : int
-        In the drive, and how many of them go to the server.
-    source_bytes : int or None
-        Size of scans and labels of the drive.
-    is_georeferenced : bool
-    options : dict
-        How the server is to read what it gets.
-    files : list of UploadFile
-        The drive itself.
-    maps : list of UploadFile
-        OpenStreetMap files that go along.
-    """
+    """A drive that is ready to be sent."""
 
     name: str
     scans: int
     scans_sent: int
+    """In the drive, and how many of them go to the server."""
     source_bytes: int | None
+    """Size of scans and labels of the drive."""
     is_georeferenced: bool
     files: list[UploadFile]
+    """The drive itself."""
     options: dict[str, Any] = field(default_factory=dict)
+    """How the server is to read what it gets."""
     maps: list[UploadFile] = field(default_factory=list)
+    """OpenStreetMap files that go along."""
 
 
 def prepare(root: Path, options: PushOptions) -> PreparedDrive:

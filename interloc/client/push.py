@@ -27,43 +27,29 @@ _COMMIT_WAIT_S = 30
 
 @dataclass(frozen=True)
 class Pushed:
-    """A drive on the server.
-
-    Attributes
-    ----------
-    drive_id, name : str
-    server : str
-    scans, scans_sent : int
-        Scans of the drive, and how many of them the server has.
-    files : int
-        Files that the server has.
-    files_sent, bytes_sent : int
-        What this push has sent, not an earlier one.
-    bytes_there : int
-        Size of all files on the server, as sent.
-    source_bytes : int or None
-        Size of the scans and labels that they were made from.
-    seconds : float
-        Duration of the upload.
-    maps : tuple of str
-        Names of the maps that were sent too.
-    report : dict or None
-        What the server found in it (`DriveReport.to_dict`).
-    """
+    """A drive on the server."""
 
     drive_id: str
     name: str
     server: str
     scans: int
     scans_sent: int
+    """Scans of the drive, and how many of them the server has."""
     files: int
+    """Files that the server has."""
     files_sent: int
     bytes_sent: int
+    """What this push has sent, not an earlier one."""
     bytes_there: int
+    """Size of all files on the server, as sent."""
     source_bytes: int | None
+    """Size of the scans and labels that they were made from."""
     seconds: float
+    """Duration of the upload."""
     maps: tuple[str, ...]
+    """Names of the maps that were sent too."""
     report: dict[str, Any] | None
+    """What the server found in it (`DriveReport.to_dict`)."""
 
     def to_dict(self) -> dict[str, Any]:
         """Return the fields as plain values, for JSON."""

@@ -27,24 +27,16 @@ _REPORT_EVERY_S = 0.1
 
 @dataclass(frozen=True)
 class UploadFile:
-    """A file of the drive on the server, and where its content comes from.
-
-    Attributes
-    ----------
-    path : str
-        Its path in the drive.
-    content : Path or callable
-        A file to be sent as it is, or a function that makes the bytes (from the files `made_from`).
-    made_from : tuple of Path
-        Files that the bytes are made from.
-    made_by : str
-        What else the bytes depend on.
-    """
+    """A file of the drive on the server, and where its content comes from."""
 
     path: str
+    """Its path in the drive."""
     content: Path | Callable[[], bytes]
+    """A file to be sent as it is, or a function that makes the bytes (from the files `made_from`)."""
     made_from: tuple[Path, ...] = ()
+    """Files that the bytes are made from."""
     made_by: str = ""
+    """What else the bytes depend on."""
 
     @property
     def signature(self) -> str:
@@ -72,20 +64,13 @@ class UploadFile:
 
 @dataclass(frozen=True)
 class Payload:
-    """Bytes to be sent.
-
-    Attributes
-    ----------
-    size : int
-    digest : bytes
-        SHA-256.
-    body : callable
-        Returns the bytes, or an iterator over chunks of them, each time it is called.
-    """
+    """Bytes to be sent."""
 
     size: int
     digest: bytes
+    """SHA-256."""
     body: Callable[[], bytes | Iterator[bytes]]
+    """Returns the bytes, or an iterator over chunks of them, each time it is called."""
 
     @classmethod
     def of(cls, data: bytes) -> Payload:
@@ -131,25 +116,17 @@ def _unreadable(error: OSError) -> DriveError:
 
 @dataclass
 class UploadProgress:
-    """The progress of an upload.
-
-    Attributes
-    ----------
-    total : int
-        Number of files.
-    done : int
-        Files that the server has.
-    sent, bytes_sent : int
-        Files that this upload has sent, not an earlier one, and their size.
-    began_s : float
-        Start by the monotonic clock.
-    """
+    """The progress of an upload."""
 
     total: int
+    """Number of files."""
     done: int = 0
+    """Files that the server has."""
     sent: int = 0
     bytes_sent: int = 0
+    """Files that this upload has sent, not an earlier one, and their size."""
     began_s: float = field(default_factory=time.monotonic)
+    """Start by the monotonic clock."""
 
     @property
     def bytes_per_s(self) -> float:

@@ -34,18 +34,12 @@ _KEY_DIGITS = 32
 
 @dataclass(frozen=True)
 class Sent:
-    """A file that the service accepted.
-
-    Attributes
-    ----------
-    signature : str
-        See `interloc.client.upload.UploadFile.signature`.
-    sha256 : str
-        Digest of what was sent.
-    """
+    """A file that the service accepted."""
 
     signature: str
+    """See `interloc.client.upload.UploadFile.signature`."""
     sha256: str
+    """Digest of what was sent."""
 
 
 class UploadLog:

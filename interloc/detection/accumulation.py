@@ -66,27 +66,18 @@ class TileGrid:
 
 @dataclass(frozen=True)
 class BevImage:
-    """The binary image of the region of interest (paper, section III-B.3).
-
-    Attributes
-    ----------
-    image
-        Set where enough road points fell into the cell.
-    roi
-        Where it lies in W.
-    min_points : int
-        How many are enough.
-    share : float
-        Keyframes that lie in it, as a share of a full window.
-    against : BinaryImage or None
-        Set where votes against road outnumber those for it: there other ground was seen. None where nobody votes.
-    """
+    """The binary image of the region of interest (paper, section III-B.3)."""
 
     image: BinaryImage
+    """Set where enough road points fell into the cell."""
     roi: Roi
+    """Where it lies in W."""
     min_points: int
+    """How many are enough."""
     share: float = 1.0
+    """Keyframes that lie in it, as a share of a full window."""
     against: BinaryImage | None = None
+    """Set where votes against road outnumber those for it: there other ground was seen. None where nobody votes."""
 
 
 @dataclass(frozen=True)

@@ -21,39 +21,26 @@ CORE_PX = 3.0  # from the junctions of the centerline in a candidate to its inne
 
 @dataclass(frozen=True)
 class Branches:
-    """The branches of one candidate and the straight lines that stand for them.
-
-    Attributes
-    ----------
-    index : int
-        Position of the candidate among all of the image.
-    candidate : (2,) float64
-        Row and column, pixels.
-    inner : float
-        Radius of the inner circle, pixels.
-    lines : (B,) LINE
-        What is known of the line of each branch, see `interloc.detection.lines.LINE`.
-    lengths : (B,) float64
-        Pixels of centerline in each branch.
-    reaches : (B,) float64
-        Distance from the candidate at which each branch ends, pixels.
-    core : (C, 2) float64
-        Junction pixels of the centerline that the candidate stands for; empty for Harris corners.
-    resolution_m : float
-        Side of a pixel.
-    is_part : bool
-        Whether the candidate stands for one of several intersections in one blob of road.
-    """
+    """The branches of one candidate and the straight lines that stand for them."""
 
     index: int
+    """Position of the candidate among all of the image."""
     candidate: FloatArray
+    """(2,) float64: row and column, pixels."""
     inner: float
+    """Radius of the inner circle, pixels."""
     lines: StructuredArray
+    """(B,) LINE: what is known of the line of each branch, see `interloc.detection.lines.LINE`."""
     lengths: FloatArray
+    """(B,) float64: pixels of centerline in each branch."""
     reaches: FloatArray
+    """(B,) float64: distance from the candidate at which each branch ends, pixels."""
     core: FloatArray
+    """(C, 2) float64: junction pixels of the centerline that the candidate stands for; empty for Harris corners."""
     resolution_m: float
+    """Side of a pixel."""
     is_part: bool = False
+    """Whether the candidate stands for one of several intersections in one blob of road."""
 
     @property
     def count(self) -> int:
@@ -79,21 +66,14 @@ class Branches:
 
 @dataclass(frozen=True)
 class Segmentation:
-    """What became of the candidates of an image.
-
-    Attributes
-    ----------
-    branches : list of Branches
-        Of each candidate.
-    pieces : list of Pieces
-        Of each candidate: the pieces of centerline from which its branches were taken.
-    kept : list of int
-        The candidates that are intersections: enough branches, and far enough from the border of the image.
-    """
+    """What became of the candidates of an image."""
 
     branches: list[Branches]
+    """Of each candidate."""
     pieces: list[Pieces]
+    """Of each candidate: the pieces of centerline from which its branches were taken."""
     kept: list[int]
+    """The candidates that are intersections: enough branches, and far enough from the border of the image."""
 
 
 def segment_all(

@@ -15,24 +15,17 @@ from interloc.kernels.harris import harris_scores, local_maxima
 
 @dataclass(frozen=True)
 class Candidates:
-    """Where intersections may be.
-
-    Attributes
-    ----------
-    positions : (C, 2) float64
-        Row and column in the image, pixels.
-    widths : (C,) float64
-        Road width there, pixels.
-    merged : list of (M, 2) float64
-        Row and column of the Harris corners or junctions of the centerline that each one stands for.
-    are_junctions : bool
-        Whether these are junctions of the centerline.
-    """
+    """Where intersections may be."""
 
     positions: FloatArray
+    """(C, 2) float64: row and column in the image, pixels."""
     widths: FloatArray
+    """(C,) float64: road width there, pixels."""
     merged: list[FloatArray]
+    """list of (M, 2) float64: row and column of the Harris corners or junctions of the centerline that each one stands
+    for."""
     are_junctions: bool
+    """Whether these are junctions of the centerline."""
 
     def core(self, index: int) -> FloatArray:
         """Return row and column of the junctions of the centerline in a candidate, (J, 2); none for Harris corners."""

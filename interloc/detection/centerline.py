@@ -31,28 +31,19 @@ PIXEL = np.dtype(
 
 @dataclass(frozen=True)
 class Centerline:
-    """The one pixel wide axis of the road, as an image and as a graph of its pixels.
-
-    Attributes
-    ----------
-    image
-        The axis, packed.
-    rows, cols : (P,) int32
-        Its pixels in row-major order.
-    neighbours : (P, 4) int32
-        The pixels that each one is joined to, as positions in ``rows``; -1 for none.
-    occupancy
-        The road that it is the axis of; gives the local width.
-    spurs : (S, 2) int32
-        Row and column of the pixels of dead ends that were removed.
-    """
+    """The one pixel wide axis of the road, as an image and as a graph of its pixels."""
 
     image: BinaryImage
+    """The axis, packed."""
     rows: Int32Array
     cols: Int32Array
+    """(P,) int32: its pixels in row-major order."""
     neighbours: Int32Array
+    """(P, 4) int32: the pixels that each one is joined to, as positions in ``rows``; -1 for none."""
     occupancy: BinaryImage
+    """The road that it is the axis of; gives the local width."""
     spurs: Int32Array = field(default_factory=lambda: np.empty((0, 2), np.int32))
+    """(S, 2) int32: row and column of the pixels of dead ends that were removed."""
 
     @classmethod
     def of(cls, image: BinaryImage, occupancy: BinaryImage) -> Centerline:
@@ -99,41 +90,28 @@ class Centerline:
 
 
 class Piece(NamedTuple):
-    """A connected piece of centerline that starts at the inner circle of a candidate.
-
-    Attributes
-    ----------
-    pixels : (P,) int32
-        Positions among the pixels of the centerline.
-    reach : float
-        Greatest distance from the candidate, pixels.
-    at_candidate : bool
-        It ends before another candidate.
-    is_branch : bool
-        It counts as a branch; otherwise it is too short.
-    """
+    """A connected piece of centerline that starts at the inner circle of a candidate."""
 
     pixels: Int32Array
+    """(P,) int32: positions among the pixels of the centerline."""
     reach: float
+    """Greatest distance from the candidate, pixels."""
     at_candidate: bool
+    """It ends before another candidate."""
     is_branch: bool
+    """It counts as a branch; otherwise it is too short."""
 
 
 @dataclass(frozen=True)
 class Pieces:
-    """All pieces around one candidate; those that are branches are in the order of its `Branches`.
-
-    Attributes
-    ----------
-    traced, is_main, table
-        See `interloc.kernels.skeleton.trace_branches`.
-    is_branch : (P,) bool
-    """
+    """All pieces around one candidate; those that are branches are in the order of its `Branches`."""
 
     traced: Int32Array
     is_main: BoolArray
     table: StructuredArray
+    """See `interloc.kernels.skeleton.trace_branches`."""
     is_branch: BoolArray
+    """(P,) bool."""
 
     def __iter__(self) -> Iterator[Piece]:
         for row, is_branch in zip(self.table, self.is_branch.tolist(), strict=True):

@@ -12,22 +12,15 @@ from interloc.kernels import bits
 
 @dataclass(frozen=True)
 class Roi:
-    """Where the image of a keyframe lies in W: a square of cells, aligned with the axes of W (paper, section III-B.3).
-
-    Attributes
-    ----------
-    left, top : int
-        Cell index along x of the first column, along y of the first row; rows go down, against +y.
-    size : int
-        Cells per side.
-    resolution_m : float
-        Side of a cell.
-    """
+    """Where the image of a keyframe lies: a square of cells along the axes of W (paper, section III-B.3)."""
 
     left: int
     top: int
+    """Cell index along x of the first column, along y of the first row; rows go down, against +y."""
     size: int
+    """Cells per side."""
     resolution_m: float
+    """Side of a cell."""
 
     def world(self, rows: FloatArray, cols: FloatArray) -> FloatArray:
         """Return the x, y in W, metres, (..., 2), of image positions; pixel centres have whole numbers."""
@@ -44,21 +37,15 @@ class Roi:
 
 @dataclass(frozen=True)
 class BinaryImage:
-    """A binary image packed 64 columns per word (layout: `interloc.kernels.bits`).
-
-    Attributes
-    ----------
-    words : (H + 2, W) uint64
-    height, width : int
-        Pixels.
-    resolution_m : float
-        Side of a pixel.
-    """
+    """A binary image packed 64 columns per word (layout: `interloc.kernels.bits`)."""
 
     words: UInt64Array
+    """(H + 2, W) uint64."""
     height: int
     width: int
+    """Pixels."""
     resolution_m: float
+    """Side of a pixel."""
 
     @classmethod
     def empty(cls, height: int, width: int, resolution_m: float) -> BinaryImage:

@@ -14,22 +14,15 @@ from interloc.geometry import rotation_angle
 
 @dataclass(frozen=True)
 class Keyframe:
-    """A scan that was chosen, without its points.
-
-    Attributes
-    ----------
-    frame : int
-        Scan number.
-    T_world_lidar : (4, 4) float64
-    time_s : float or None
-    is_doubtful : bool
-        Its labels may be wrong.
-    """
+    """A scan that was chosen, without its points."""
 
     frame: int
+    """Scan number."""
     T_world_lidar: FloatArray
+    """(4, 4) float64."""
     time_s: float | None
     is_doubtful: bool = False
+    """Its labels may be wrong."""
 
 
 class KeyframeSelector:

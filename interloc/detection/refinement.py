@@ -28,21 +28,14 @@ MAX_SHIFTS = 2.5  # radii of the inner circle by which a point may be moved alon
 
 @dataclass(frozen=True)
 class Junction:
-    """A refined intersection in the image.
-
-    Attributes
-    ----------
-    position : (2,) float64
-        Row and column, pixels.
-    residual : float
-        Root mean square distance of the point from the lines, pixels; infinite where the lines do not fix it.
-    branches
-        What it was computed from.
-    """
+    """A refined intersection in the image."""
 
     position: FloatArray
+    """(2,) float64: row and column, pixels."""
     residual: float
+    """Root mean square distance of the point from the lines, pixels; infinite where the lines do not fix it."""
     branches: Branches
+    """What it was computed from."""
 
 
 def refine(branches: Branches, prior_weight: float = 0.0, occupancy: BinaryImage | None = None) -> Junction:

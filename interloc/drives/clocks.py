@@ -18,18 +18,12 @@ _QUARTER_S, _MAX_ZONE_S = 900.0, 14 * 3600.0
 
 @dataclass(frozen=True)
 class ClockShift:
-    """How far a clock is ahead of another.
-
-    Attributes
-    ----------
-    ahead_s : float
-        Seconds; negative where it is behind.
-    why : str
-        What that is, in words.
-    """
+    """How far a clock is ahead of another."""
 
     ahead_s: float
+    """Seconds; negative where it is behind."""
     why: str
+    """What that is, in words."""
 
 
 def known_shift(ahead_s: float) -> ClockShift | None:

@@ -75,17 +75,11 @@ def scan_once(key: Hashable, read: Callable[[], _Scan], size_of: Callable[[_Scan
 
 @dataclass(frozen=True)
 class SourceFile:
-    """A file or folder that a drive is read from, and the name by which messages call it.
-
-    Attributes
-    ----------
-    path : Path
-    root : Path
-        Folder of the drive.
-    """
+    """A file or folder that a drive is read from, and the name by which messages call it."""
 
     path: Path
     root: Path
+    """Folder of the drive."""
 
     _error: ClassVar[type[DriveFileError | GeoreferenceFileError]] = DriveFileError
 
@@ -246,26 +240,17 @@ def seconds_of(text: str) -> float:
 
 @dataclass(frozen=True)
 class NumberedFiles:
-    """The files ``000000.suffix``, ``000001.suffix``, ... of a folder.
-
-    Attributes
-    ----------
-    folder : SourceFile
-    suffix : str
-        With its dot.
-    digits : int
-        Width that the numbers are padded to with zeros.
-    numbers : (N,) int64
-        Ascending.
-    sizes : (N,) int64
-        Bytes.
-    """
+    """The files ``000000.suffix``, ``000001.suffix``, ... of a folder."""
 
     folder: SourceFile
     suffix: str
+    """With its dot."""
     digits: int
+    """Width that the numbers are padded to with zeros."""
     numbers: IntArray
+    """(N,) int64: ascending."""
     sizes: IntArray
+    """(N,) int64: bytes."""
 
     def path(self, number: int) -> Path:
         """Return the path of a number."""

@@ -68,16 +68,11 @@ def by_severity(found: Iterable[Finding]) -> list[Finding]:
 
 @dataclass
 class Findings:
-    """Collects what the checks find.
-
-    Attributes
-    ----------
-    stop_at_first : bool
-        True: the first error is raised (`open_drive`). False: it is listed, and the checks that do not depend on it go
-        on (`inspect_drive`).
-    """
+    """Collects what the checks find."""
 
     stop_at_first: bool
+    """True: the first error is raised (`open_drive`). False: it is listed, and the checks that do not depend on it go
+    on (`inspect_drive`)."""
     found: list[Finding] = field(default_factory=list)
 
     @property

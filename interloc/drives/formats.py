@@ -18,30 +18,20 @@ GROUP = "interloc.recordings"
 
 @dataclass(frozen=True)
 class ScanFormat:
-    """A format of scans, or a layout of folders with one file per scan.
-
-    Attributes
-    ----------
-    name : str
-        Name of the layout in options and reports.
-    expected : str
-        What messages say that such a drive looks like.
-    opener : str
-        Where its function is, "module:function"; that of a layout of folders takes `DriveParts` in place of a path.
-    endings : tuple of str
-        Endings of its scans.
-    is_folders : bool
-        `interloc.drives.layouts` knows its folders, and a scan is a file.
-    is_read_whole : bool
-        Its scans have names of any kind: no file beside them is called needless.
-    """
+    """A format of scans, or a layout of folders with one file per scan."""
 
     name: str
+    """Name of the layout in options and reports."""
     expected: str
+    """What messages say that such a drive looks like."""
     opener: str
+    """Where its function is, "module:function"; that of a layout of folders takes `DriveParts` in place of a path."""
     endings: tuple[str, ...] = ()
+    """Endings of its scans."""
     is_folders: bool = False
+    """`interloc.drives.layouts` knows its folders, and a scan is a file."""
     is_read_whole: bool = True
+    """Its scans have names of any kind: no file beside them is called needless."""
 
     def open(self, *arguments: Any) -> Any:  # noqa: ANN401 - loaded by its name
         """Call the function that opens a drive of this format.

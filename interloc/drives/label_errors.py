@@ -15,17 +15,6 @@ from interloc.errors import ConfigError
 class MislabelledDrive:
     """A drive whose labels err: a `Drive`.
 
-    Attributes
-    ----------
-    drive : Drive
-        The drive with the labels as they are.
-    r_fpr : float
-        Share of the confusable points (sidewalk, parking, other ground) that are taken for road, 0..1.
-    r_fnr : float
-        Share of the road points that are missed, 0..1.
-    seed : int
-        The same points err for the same seed and frame, whatever the process and the order of reading.
-
     Raises
     ------
     ConfigError
@@ -33,9 +22,13 @@ class MislabelledDrive:
     """
 
     drive: Drive
+    """The drive with the labels as they are."""
     r_fpr: float
+    """Share of the confusable points (sidewalk, parking, other ground) that are taken for road, 0..1."""
     r_fnr: float
+    """Share of the road points that are missed, 0..1."""
     seed: int = 0
+    """The same points err for the same seed and frame, whatever the process and the order of reading."""
 
     def __post_init__(self) -> None:
         for name, share in (("r_fpr", self.r_fpr), ("r_fnr", self.r_fnr)):

@@ -32,23 +32,15 @@ _NUSCENES_ROAD, _NUSCENES_IDS = 11, 16
 
 @dataclass(frozen=True)
 class LabelScheme:
-    """Meaning of the label ids.
-
-    Attributes
-    ----------
-    name : str
-    road : frozenset of int
-        Ids of road.
-    confusable : frozenset of int
-        Ids of sidewalk, parking and other ground: what label errors take for road (paper, section V-C).
-    known : frozenset of int or None
-        All ids of the scheme; None where they are not known (custom ids).
-    """
+    """Meaning of the label ids."""
 
     name: str
     road: frozenset[int]
+    """Ids of road."""
     confusable: frozenset[int] = field(default_factory=frozenset)
+    """Ids of sidewalk, parking and other ground: what label errors take for road (paper, section V-C)."""
     known: frozenset[int] | None = None
+    """All ids of the scheme; None where they are not known (custom ids)."""
 
     def means_the_same(self, other: LabelScheme) -> bool:
         """Return whether the same ids are road, and the same are confused with it."""
@@ -146,18 +138,12 @@ def _looks_like_learning(ids: Collection[int]) -> bool:
 
 @dataclass(frozen=True)
 class LabelJudgement:
-    """What the label ids of some scans mean.
-
-    Attributes
-    ----------
-    scheme : LabelScheme or None
-        None where nothing was counted, and no scheme was named.
-    counts : dict of int to int
-        How many points carry each id.
-    """
+    """What the label ids of some scans mean."""
 
     scheme: LabelScheme | None = None
+    """None where nothing was counted, and no scheme was named."""
     counts: dict[int, int] = field(default_factory=dict)
+    """How many points carry each id."""
 
     @property
     def road_share(self) -> float | None:

@@ -43,21 +43,14 @@ _KEPT_DAYS = 60
 
 @dataclass(frozen=True)
 class Track:
-    """The poses that the points of a drive tell.
-
-    Attributes
-    ----------
-    path : Path
-        Lines of poses of the LiDAR, each with its frame number; the first is a comment, how they were made.
-    how : str
-        The same without the sign of a comment.
-    rows : slice
-        The scans that have poses.
-    """
+    """The poses that the points of a drive tell."""
 
     path: Path
+    """Lines of poses of the LiDAR, each with its frame number; the first is a comment, how they were made."""
     how: str
+    """The same without the sign of a comment."""
     rows: slice
+    """The scans that have poses."""
 
     @classmethod
     def read(cls, path: Path, frames: IntArray) -> Track:

@@ -98,32 +98,21 @@ def open_drive(
 
 @dataclass(frozen=True)
 class DriveReading:
-    """What was found out about a drive by one of its label folders; a step that failed leaves its part None or empty.
-
-    Attributes
-    ----------
-    scans : RawScans or ReducedScans, or None
-    trajectory : Trajectory
-        Where the LiDAR was at each of them.
-    sample : list of int
-        Positions of the scans that were looked into.
-    labels : LabelJudgement
-        What their labels mean.
-    drive : FolderDrive or None
-        The drive, where all of these are there.
-    flatness_m : float or None
-        Median difference in height of the same piece of road seen from two scans.
-    georeference_error : float or None
-        Median error of the motion against the georeference, as a share of the distance.
-    """
+    """What was found out about a drive by one label folder; a step that failed leaves its part None or empty."""
 
     scans: Scans | None = None
     trajectory: Trajectory = field(default_factory=Trajectory)
+    """Where the LiDAR was at each of them."""
     sample: list[int] = field(default_factory=list)
+    """Positions of the scans that were looked into."""
     labels: LabelJudgement = field(default_factory=LabelJudgement)
+    """What their labels mean."""
     drive: FolderDrive | None = None
+    """The drive, where all of these are there."""
     flatness_m: float | None = None
+    """Median difference in height of the same piece of road seen from two scans."""
     georeference_error: float | None = None
+    """Median error of the motion against the georeference, as a share of the distance."""
 
 
 def read_drive(

@@ -63,22 +63,16 @@ def road_plan(road: Float32Array | FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class PlanMatch:
-    """How well one plan lies on another, for every turn and shift.
-
-    Attributes
-    ----------
-    shares : (K, S, S) float32
-        Share of the cells of the source that lie on cells of the target, or half so beside them; a metre per row and
-        column, the middle is no shift.
-    turns_rad : (K,) float64
-    target, source : (M, 2), (N, 2) float64
-        Cells of the two, metres.
-    """
+    """How well one plan lies on another, for every turn and shift."""
 
     shares: Float32Array
+    """(K, S, S) float32: share of the cells of the source that lie on cells of the target, or half so beside them; a
+    metre per row and column, the middle is no shift."""
     turns_rad: FloatArray
+    """(K,) float64."""
     target: FloatArray
     source: FloatArray
+    """(M, 2), (N, 2) float64: cells of the two, metres."""
 
     @classmethod
     def of(cls, target: FloatArray, source: FloatArray) -> PlanMatch:

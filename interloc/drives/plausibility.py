@@ -28,24 +28,16 @@ _TURNS_ALONG = 0.4
 
 @dataclass(frozen=True)
 class RoadSeen:
-    """Where the road points of one scan lie, as they were read.
-
-    Attributes
-    ----------
-    index : int
-        Position of the scan.
-    centre : (3,) float64
-        Median of the points, in their own frame.
-    range_m : float
-        Median horizontal distance from the origin.
-    height_m : float
-        Median height of the points around the origin over it; NaN where there are none.
-    """
+    """Where the road points of one scan lie, as they were read."""
 
     index: int
+    """Position of the scan."""
     centre: FloatArray
+    """(3,) float64: median of the points, in their own frame."""
     range_m: float
+    """Median horizontal distance from the origin."""
     height_m: float
+    """Median height of the points around the origin over it; NaN where there are none."""
 
     @classmethod
     def of(cls, index: int, road: Float32Array, near_m: float) -> RoadSeen:

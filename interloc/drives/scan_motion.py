@@ -50,20 +50,13 @@ _OFF_SCALE = 0.07
 
 @dataclass(frozen=True)
 class _Pair:
-    """Two scans laid onto each other.
-
-    Attributes
-    ----------
-    i, j : int
-        Their rows among the scans that can be read.
-    kind : {"upright", "road"}
-        What was laid onto each other.
-    match : PlanMatch
-    """
+    """Two scans laid onto each other."""
 
     i: int
     j: int
+    """Their rows among the scans that can be read."""
     kind: str
+    """{"upright", "road"}: what was laid onto each other."""
     match: PlanMatch
 
     @property
@@ -78,17 +71,11 @@ class _Pair:
 
 @dataclass(frozen=True)
 class _Explanation:
-    """A way in which poses may be wrong, and how well it explains the scans.
-
-    Attributes
-    ----------
-    words : str
-    lost_m : (P,) float64
-        Of each pair: how much farther off its scans lie than by the best motion.
-    """
+    """A way in which poses may be wrong, and how well it explains the scans."""
 
     words: str
     lost_m: FloatArray
+    """(P,) float64: of each pair: how much farther off its scans lie than by the best motion."""
 
     @property
     def wrong(self) -> IntArray:
@@ -170,27 +157,18 @@ def check_scan_motion(drive: FolderDrive, usable: IntArray, pose_file: str, find
 
 @dataclass(frozen=True)
 class _Mistake:
-    """A mistake in poses, against the poses as they are.
-
-    Attributes
-    ----------
-    words : str
-    ratio : float
-        How many times as far off the scans lie without it as with it.
-    closer_m : float
-        By how much less: 0.3 m and more where it is made, 0.1 m and less where poses are sound but scatter.
-    closer, of : int
-        Places at which they lie closer with it, of how many.
-    metres : float
-        How far off the road comes to lie by it.
-    """
+    """A mistake in poses, against the poses as they are."""
 
     words: str
     ratio: float = 1.0
+    """How many times as far off the scans lie without it as with it."""
     closer_m: float = 0.0
+    """By how much less: 0.3 m and more where it is made, 0.1 m and less where poses are sound but scatter."""
     closer: int = 0
     of: int = 0
+    """Places at which they lie closer with it, of how many."""
     metres: float = float("inf")
+    """How far off the road comes to lie by it."""
 
     @property
     def is_clear(self) -> bool:

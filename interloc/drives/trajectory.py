@@ -31,24 +31,16 @@ _FIX_ERROR_M = 50.0
 
 @dataclass(frozen=True)
 class LidarPoses:
-    """The pose of the LiDAR at every scan.
-
-    Attributes
-    ----------
-    T_world_lidar : (N, 4, 4) float64
-        W is the LiDAR at the first scan.
-    frame : {"camera", "lidar", "imu", "oxts"}
-        Whose poses the pose file holds.
-    reason : str
-        Why that is thought.
-    T_file_world : (4, 4) float64 or None
-        W in the world of the pose file.
-    """
+    """The pose of the LiDAR at every scan."""
 
     T_world_lidar: FloatArray
+    """(N, 4, 4) float64: w is the LiDAR at the first scan."""
     frame: PoseOwner
+    """{"camera", "lidar", "imu", "oxts"}: whose poses the pose file holds."""
     reason: str
+    """Why that is thought."""
     T_file_world: FloatArray | None = None
+    """(4, 4) float64 or None: w in the world of the pose file."""
 
     @property
     def steps_m(self) -> FloatArray:
@@ -64,24 +56,16 @@ class LidarPoses:
 
 @dataclass(frozen=True)
 class Trajectory:
-    """What the small files of a drive say of its motion; what could not be read is None.
-
-    Attributes
-    ----------
-    poses : LidarPoses or None
-    pose_count : int
-        Poses in the file (may be more than scans).
-    times_s : (N,) float64 or None
-    georeference : Georeference or None
-    georeference_reason : str or None
-        Why there is none; None where it was not looked for.
-    """
+    """What the small files of a drive say of its motion; what could not be read is None."""
 
     poses: LidarPoses | None = None
     pose_count: int = 0
+    """Poses in the file (may be more than scans)."""
     times_s: FloatArray | None = None
+    """(N,) float64 or None."""
     georeference: Georeference | None = None
     georeference_reason: str | None = None
+    """Why there is none; None where it was not looked for."""
 
     def within_jumps(
         self, frames: IntArray | None, pose_file: str, findings: Findings

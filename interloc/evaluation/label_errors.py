@@ -29,32 +29,21 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class LabelErrorRow:
-    """Figures at one level of label errors, and what the paper reports for it; None for levels it does not have.
-
-    Attributes
-    ----------
-    level : str
-        "5/20".
-    r_fpr, r_fnr : float
-        Shares, 0..1.
-    ace_m : float or None
-        Average over all matched pairs.
-    ace_under_10_m : float or None
-        Average over the pairs under 10 m.
-    precision, recall, f1 : float or None
-        At D = 5 m.
-    nodes_found, nodes_in_zone : int
-    paper_ace_m, paper_precision, paper_recall : float or None
-    """
+    """Figures at one level of label errors, and what the paper reports for it; None for levels it does not have."""
 
     level: str
+    """"5/20"."""
     r_fpr: float
     r_fnr: float
+    """Shares, 0..1."""
     ace_m: float | None
+    """Average over all matched pairs."""
     ace_under_10_m: float | None
+    """Average over the pairs under 10 m."""
     precision: float | None
     recall: float | None
     f1: float | None
+    """At D = 5 m."""
     nodes_found: int
     nodes_in_zone: int
     paper_ace_m: float | None

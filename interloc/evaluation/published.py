@@ -12,19 +12,13 @@ MMINSECTDET = "MMInsectDet"
 
 @dataclass(frozen=True)
 class Published:
-    """Published figures of one table cell.
-
-    Attributes
-    ----------
-    ace_m : float
-        Average center error over all matched pairs, metres.
-    precision, recall : float
-        Shares, 0..1.
-    """
+    """Published figures of one table cell."""
 
     ace_m: float
+    """Average center error over all matched pairs, metres."""
     precision: float
     recall: float
+    """Shares, 0..1."""
 
 
 PERFORMANCE: dict[str, Published] = {

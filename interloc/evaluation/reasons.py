@@ -146,17 +146,12 @@ def count_kinds(reasons: Iterable[Reason | None], family: Any) -> dict[str, int]
 
 @dataclass(frozen=True)
 class _Points:
-    """Places of a map in the plane, each with what it is.
-
-    Attributes
-    ----------
-    xy : (N, 2) float64
-    row : (N,) int64
-        Row of what it is: a node of the policy, or a way.
-    """
+    """Places of a map in the plane, each with what it is."""
 
     xy: FloatArray
+    """(N, 2) float64."""
     row: IntArray
+    """(N,) int64: row of what it is: a node of the policy, or a way."""
 
     @cached_property
     def _tree(self) -> Any:  # noqa: ANN401 - scipy has no types
@@ -576,31 +571,24 @@ def _near_node(
 
 @dataclass(frozen=True)
 class FoundByDrive:
-    """What a drive found, in the plane of a `MapEvidence`.
-
-    Attributes
-    ----------
-    keyframe_xy : (K, 2) float64
-    detection_xy : (D, 2) float64
-    detection_keyframe : (D,) int64
-    detection_intersection : (D,) int64
-        Row of the intersection that each belongs to, -1 for none.
-    intersection_xy : (M, 2) float64
-    intersection_id : (M,) int64
-    intersection_node : (M,) int64
-        Row of the node that each is assigned to, -1 for none.
-    gate_m : float
-        Largest distance of an intersection from its node.
-    """
+    """What a drive found, in the plane of a `MapEvidence`."""
 
     keyframe_xy: FloatArray
+    """(K, 2) float64."""
     detection_xy: FloatArray
+    """(D, 2) float64."""
     detection_keyframe: IntArray
+    """(D,) int64."""
     detection_intersection: IntArray
+    """(D,) int64: row of the intersection that each belongs to, -1 for none."""
     intersection_xy: FloatArray
+    """(M, 2) float64."""
     intersection_id: IntArray
+    """(M,) int64."""
     intersection_node: IntArray
+    """(M,) int64: row of the node that each is assigned to, -1 for none."""
     gate_m: float
+    """Largest distance of an intersection from its node."""
 
 
 def explain_missed(evidence: MapEvidence, seen: FoundByDrive, node: int, mosaic: Mosaic | None = None) -> Reason:

@@ -30,35 +30,23 @@ Statistic = Callable[..., float]
 
 @dataclass(frozen=True)
 class Interval:
-    """A figure with its bootstrap interval of 95 %.
-
-    Attributes
-    ----------
-    value, low, high : float or None
-        None where there is nothing to count.
-    count : int
-        Number of places behind it.
-    """
+    """A figure with its bootstrap interval of 95 %."""
 
     value: float | None
     low: float | None
     high: float | None
+    """None where there is nothing to count."""
     count: int
+    """Number of places behind it."""
 
 
 @dataclass(frozen=True)
 class Bin:
-    """Places of about the same confidence.
-
-    Attributes
-    ----------
-    confidence, right : float
-        Mean confidence; share that is right.
-    count : int
-    """
+    """Places of about the same confidence."""
 
     confidence: float
     right: float
+    """Mean confidence; share that is right."""
     count: int
 
 

@@ -36,45 +36,30 @@ OUTSIDE_ZONE = "in the relevant zone of no keyframe: too far from the track to b
 
 @dataclass(frozen=True)
 class RunVerdicts:
-    """What an evaluation says about all that a run found, and about all nodes.
-
-    Attributes
-    ----------
-    detections : Verdicts
-        Of all D detections of the run; those beyond the map are unscored.
-    intersections : Verdicts
-        Of the M fused intersections.
-    uids : list of M str
-        Names of their places, see `interloc.output.uids`.
-    names : list of M str or None
-        Names of the streets that meet there: "A / B".
-    node_names : list of N str or None
-        The same of the nodes.
-    node_outcome : list of N str
-        found, missed or outside.
-    node_intersection : (N,) int64
-        Row of the intersection assigned to each node, -1 for none.
-    node_reason : list of N str or None
-        Why a node was missed; of one that was found, what is odd about it on the map.
-    false_kind : list of E str or None
-        Kind of the reason, of `KINDS`, why each scored detection is wrong.
-    miss_kind : list of N str or None
-        The same of each missed node.
-    counts : dict
-        `detections`, `intersections` and `nodes`: kind of reason -> how many.
-    """
+    """What an evaluation says about all that a run found, and about all nodes."""
 
     detections: Verdicts
+    """Of all D detections of the run; those beyond the map are unscored."""
     intersections: Verdicts
+    """Of the M fused intersections."""
     uids: list[str]
+    """Names of their places, see `interloc.output.uids`."""
     names: list[str | None]
+    """Names of the streets that meet there: "A / B"."""
     node_names: list[str | None]
+    """The same of the nodes."""
     node_outcome: list[str]
+    """found, missed or outside."""
     node_intersection: IntArray
+    """(N,) int64: row of the intersection assigned to each node, -1 for none."""
     node_reason: list[str | None]
+    """Why a node was missed; of one that was found, what is odd about it on the map."""
     false_kind: list[str | None]
+    """Kind of the reason, of `KINDS`, why each scored detection is wrong."""
     miss_kind: list[str | None]
+    """The same of each missed node."""
     counts: dict[str, dict[str, int]]
+    """`detections`, `intersections` and `nodes`: kind of reason -> how many."""
 
 
 def give_verdicts(

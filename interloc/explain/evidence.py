@@ -26,35 +26,23 @@ from interloc.processes import cores
 
 @dataclass(frozen=True)
 class ExplainedCandidate:
-    """One candidate and what became of it.
-
-    Attributes
-    ----------
-    number : int
-        Its name in the pictures, from 1 on.
-    position : (2,) float64
-        Row and column, pixels.
-    width : float
-        Road width there, pixels.
-    merged : (M, 2) float64
-        The corners or junctions of the centerline that it stands for, row and column.
-    branches
-    pieces
-        Those that are branches are in the order of ``branches``.
-    detections : list of int
-        Positions among ``Steps.junctions``: none, one, or several where it was split.
-    why_not : str or None
-        Why it is no intersection.
-    """
+    """One candidate and what became of it."""
 
     number: int
+    """Its name in the pictures, from 1 on."""
     position: FloatArray
+    """(2,) float64: row and column, pixels."""
     width: float
+    """Road width there, pixels."""
     merged: FloatArray
+    """(M, 2) float64: the corners or junctions of the centerline that it stands for, row and column."""
     branches: Branches
     pieces: list[Piece]
+    """Those that are branches are in the order of ``branches``."""
     detections: list[int]
+    """Positions among ``Steps.junctions``: none, one, or several where it was split."""
     why_not: str | None
+    """Why it is no intersection."""
 
     @property
     def is_kept(self) -> bool:
@@ -102,63 +90,41 @@ def _why_not(branches: Branches, pieces: list[Piece], roi: Roi, config: BranchCo
 
 @dataclass(frozen=True)
 class WindowScan:
-    """One keyframe of the window.
-
-    Attributes
-    ----------
-    frame : int
-        Scan number.
-    age : int
-        Keyframes after (+) or before (-) the one explained.
-    world_xy : (2,) float64
-        Position of the LiDAR in W, metres.
-    cells : (N, 2) int32
-        Cell along x and y of W of each road point.
-    """
+    """One keyframe of the window."""
 
     frame: int
+    """Scan number."""
     age: int
+    """Keyframes after (+) or before (-) the one explained."""
     world_xy: FloatArray
+    """(2,) float64: position of the LiDAR in W, metres."""
     cells: Int32Array
+    """(N, 2) int32: cell along x and y of W of each road point."""
 
 
 @dataclass(frozen=True)
 class ExplainedKeyframe:
-    """One keyframe, explained.
-
-    Attributes
-    ----------
-    asked : int
-        Scan number that was asked for.
-    index : int
-        Position of the keyframe among the scans of the drive.
-    number, keyframe_count : int
-        Position of the keyframe among the keyframes of the drive, from 0 on; how many there are.
-    keyframe
-    config
-    points
-        Of the keyframe's own scan, in L.
-    window
-        All keyframes accumulated, in the order of the drive.
-    steps
-        What the detector did.
-    candidates
-        What became of each candidate, the nearest to the vehicle first.
-    detections
-        In the order of ``steps.junctions``.
-    """
+    """One keyframe, explained."""
 
     asked: int
+    """Scan number that was asked for."""
     index: int
+    """Position of the keyframe among the scans of the drive."""
     number: int
     keyframe_count: int
+    """Position of the keyframe among the keyframes of the drive, from 0 on; how many there are."""
     keyframe: Keyframe
     config: DetectorConfig
     points: GroundPoints
+    """Of the keyframe's own scan, in L."""
     window: list[WindowScan]
+    """All keyframes accumulated, in the order of the drive."""
     steps: Steps
+    """What the detector did."""
     candidates: list[ExplainedCandidate]
+    """What became of each candidate, the nearest to the vehicle first."""
     detections: KeyframeDetections
+    """In the order of ``steps.junctions``."""
 
     @property
     def roi(self) -> Roi:
@@ -243,22 +209,15 @@ _NEAR_DEG = 0.1  # the plane of a fix has an end
 
 @dataclass(frozen=True)
 class GroundTruth:
-    """What the map says about the region of interest.
-
-    Attributes
-    ----------
-    policy : Policy
-    roads : (R, 2, 2) float64
-        Ends of the road pieces; x, y along the axes of W from the vehicle, metres.
-    nodes : (N, 2) float64
-        Intersections in the region of interest, likewise.
-    osm_id : (N,) int64
-    """
+    """What the map says about the region of interest."""
 
     policy: Policy
     roads: FloatArray
+    """(R, 2, 2) float64: ends of the road pieces; x, y along the axes of W from the vehicle, metres."""
     nodes: FloatArray
+    """(N, 2) float64: intersections in the region of interest, likewise."""
     osm_id: IntArray
+    """(N,) int64."""
 
 
 def ground_truth(

@@ -15,15 +15,6 @@ _MIN_CONTRAST, _MAX_WIDTH_M = 5.0, 9.0
 class WindowQuality:
     """How sure the labels of a window of the track are.
 
-    Attributes
-    ----------
-    start_m, stop_m : float
-        Where it begins and ends along the track.
-    contrast : float
-        How much better the driven strip scores than the ground just outside of the road; 0 where nothing was seen.
-    width_m : float
-        Width of the road: its area within 8 m of the driven strip per metre of track.
-
     Notes
     -----
     On 222 windows of simulated streets, half of them with flush sidewalks as bright as the road, the width ranks those
@@ -33,8 +24,11 @@ class WindowQuality:
 
     start_m: float
     stop_m: float
+    """Where it begins and ends along the track."""
     contrast: float
+    """How much better the driven strip scores than the ground just outside of the road; 0 where nothing was seen."""
     width_m: float
+    """Width of the road: its area within 8 m of the driven strip per metre of track."""
 
     @property
     def is_doubtful(self) -> bool:

@@ -60,21 +60,13 @@ _KEPT_GROUNDS, _KEPT_WINDOWS = 80, 32
 
 @dataclass(frozen=True)
 class Window:
-    """The ground around a piece of the track.
-
-    Attributes
-    ----------
-    grid : Grid
-    surface : (H, W) float32
-        Heights; NaN where unknown.
-    classes : (H', W') uint8
-        Label ids.
-    quality : WindowQuality
-    """
+    """The ground around a piece of the track."""
 
     grid: Grid
     surface: Float32Array
+    """(H, W) float32: heights; NaN where unknown."""
     classes: UInt8Array
+    """(H', W') uint8: label ids."""
     quality: WindowQuality
 
 

@@ -20,20 +20,13 @@ MASK_TYPES = (*REAL_TYPES, "tensor(bool)", *WHOLE_TYPES)
 
 @dataclass(frozen=True)
 class Tensor:
-    """An input or an output.
-
-    Attributes
-    ----------
-    name : str
-    type : str
-        As onnxruntime calls it: ``tensor(float)``.
-    shape : tuple
-        Size of each axis; None where the graph leaves it open.
-    """
+    """An input or an output."""
 
     name: str
     type: str
+    """As onnxruntime calls it: ``tensor(float)``."""
     shape: tuple[int | None, ...]
+    """Size of each axis; None where the graph leaves it open."""
 
     def __str__(self) -> str:
         sizes = ", ".join("?" if size is None else str(size) for size in self.shape)
@@ -51,48 +44,32 @@ class GraphInput:
 
 @dataclass(frozen=True)
 class GraphForm:
-    """How to run a network.
-
-    Attributes
-    ----------
-    channels : tuple of str
-        Of the range image, in the order that the input wants.
-    image : GraphInput
-    mask : GraphInput or None
-        Which pixels have a point, where the network asks for it.
-    outputs : tuple of str
-        Names of the outputs that can be the classes; the first that has the size of the image is used.
-    notes : tuple of str
-        What was assumed.
-    """
+    """How to run a network."""
 
     channels: tuple[str, ...]
+    """Of the range image, in the order that the input wants."""
     image: GraphInput
     mask: GraphInput | None
+    """Which pixels have a point, where the network asks for it."""
     outputs: tuple[str, ...]
+    """Names of the outputs that can be the classes; the first that has the size of the image is used."""
     notes: tuple[str, ...] = ()
+    """What was assumed."""
 
 
 @dataclass(frozen=True)
 class Expected:
-    """What the settings say about the graph, and where they say it.
-
-    Attributes
-    ----------
-    arch, data, graph : str
-        The files, in messages.
-    height, width, classes : int
-    channels : tuple of tuple of str
-        The channels of the input; alternatives where the settings leave several.
-    """
+    """What the settings say about the graph, and where they say it."""
 
     arch: str
     data: str
     graph: str
+    """The files, in messages."""
     height: int
     width: int
     classes: int
     channels: tuple[tuple[str, ...], ...]
+    """The channels of the input; alternatives where the settings leave several."""
 
     def sizes(self, channels: int = 0) -> dict[str, int]:
         """Return the size of each axis."""

@@ -27,21 +27,14 @@ _STIFFNESS_M = 0.15
 
 @dataclass(frozen=True)
 class ScanGround:
-    """What may be ground in a scan.
-
-    Attributes
-    ----------
-    T_lidar_ground : (4, 4) float64
-        From the frame of its cells, whose z = 0 is the plane of the ground below the sensor.
-    height_m : float
-        Of the sensor over that plane.
-    cells : (M, 8) float32
-        Columns as of `interloc.kernels.ground.ground_cells`.
-    """
+    """What may be ground in a scan."""
 
     T_lidar_ground: FloatArray
+    """(4, 4) float64: from the frame of its cells, whose z = 0 is the plane of the ground below the sensor."""
     height_m: float
+    """Of the sensor over that plane."""
     cells: Float32Array
+    """(M, 8) float32: columns as of `interloc.kernels.ground.ground_cells`."""
 
 
 def find_ground(points: Float32Array) -> ScanGround | None:

@@ -31,33 +31,23 @@ _NEAR_STRIP_M = 8.0
 
 @dataclass(frozen=True)
 class Features:
-    """What is known of the ground in every cell.
-
-    Attributes
-    ----------
-    score : (H, W) float32
-        How much a cell looks like the driven strip, but for its height.
-    height : (H, W) float32
-        NaN where no ground was seen.
-    """
+    """What is known of the ground in every cell."""
 
     score: Float32Array
+    """(H, W) float32: how much a cell looks like the driven strip, but for its height."""
     height: Float32Array
+    """(H, W) float32: naN where no ground was seen."""
 
 
 @dataclass(frozen=True)
 class Road:
-    """The road of a window.
-
-    Attributes
-    ----------
-    cells : (H, W) bool
-    score : (H, W) float32
-        How much each cell looks like the driven strip and continues the road; NaN where no ground was seen.
-    """
+    """The road of a window."""
 
     cells: BoolArray
+    """(H, W) bool."""
     score: Float32Array
+    """(H, W) float32: how much each cell looks like the driven strip and continues the road; NaN where no ground was
+    seen."""
 
 
 def score_cells(sums: Float32Array, strip: BoolArray) -> Features:

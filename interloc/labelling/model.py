@@ -35,44 +35,30 @@ _SAMPLES, _SAMPLE_BYTES = 16, 64 * 1024
 
 @dataclass(frozen=True)
 class Model:
-    """A network with everything that is needed to label scans by it; small, and made to be sent to other processes.
-
-    Attributes
-    ----------
-    folder : Path
-    identity : str
-        The same for the same files, whatever their names and places.
-    height, width : int
-        Of the range image, pixels.
-    fov_up_rad, fov_down_rad : float
-        Its upper and lower edge, radians above and below the horizon, both >= 0.
-    means, stds : tuple of float
-        Of the channels in the order of `form.channels`.
-    class_ids : tuple of int
-        Label id of every class of the network.
-    first_class : int
-        Lower classes get no vote among neighbours: 1, or 0 where data_cfg.yaml says that class 0 is not ignored.
-    knn : KnnSettings or None
-        Of the post-processing; None where there is none.
-    form : GraphForm
-        How to run the network.
-    notes : tuple of str
-        What was assumed.
-    """
+    """A network with everything that is needed to label scans by it; small, and made to be sent to other processes."""
 
     folder: Path
     identity: str
+    """The same for the same files, whatever their names and places."""
     height: int
     width: int
+    """Of the range image, pixels."""
     fov_up_rad: float
     fov_down_rad: float
+    """Its upper and lower edge, radians above and below the horizon, both >= 0."""
     means: tuple[float, ...]
     stds: tuple[float, ...]
+    """Of the channels in the order of `form.channels`."""
     class_ids: tuple[int, ...]
+    """Label id of every class of the network."""
     first_class: int
+    """Lower classes get no vote among neighbours: 1, or 0 where data_cfg.yaml says that class 0 is not ignored."""
     knn: KnnSettings | None
+    """Of the post-processing; None where there is none."""
     form: GraphForm
+    """How to run the network."""
     notes: tuple[str, ...] = ()
+    """What was assumed."""
 
     @property
     def name(self) -> str:
@@ -87,29 +73,20 @@ class Model:
 
 @dataclass(frozen=True)
 class ModelDescription:
-    """A model in a list: what can be told without loading its network.
-
-    Attributes
-    ----------
-    name : str
-        Of the folder.
-    problem : str or None
-        Why it cannot be used; everything else is then as far as it is known.
-    bytes : int or None
-        Size of the network on disk.
-    height, width, classes : int or None
-        Of the range image, and how many classes there are.
-    identity : str or None
-        As `Model.identity`.
-    """
+    """A model in a list: what can be told without loading its network."""
 
     name: str
+    """Of the folder."""
     problem: str | None = None
+    """Why it cannot be used; everything else is then as far as it is known."""
     bytes: int | None = None
+    """Size of the network on disk."""
     height: int | None = None
     width: int | None = None
     classes: int | None = None
+    """Of the range image, and how many classes there are."""
     identity: str | None = None
+    """As `Model.identity`."""
 
 
 @dataclass(frozen=True)

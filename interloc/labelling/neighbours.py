@@ -13,24 +13,16 @@ from interloc.labelling.projection import Projection
 
 @dataclass(frozen=True)
 class KnnSettings:
-    """How neighbours vote (``post.KNN.params`` of arch_cfg.yaml).
-
-    Attributes
-    ----------
-    neighbours : int
-        How many vote (`knn`).
-    search : int
-        Side of the window in which they are looked for, pixels, odd.
-    sigma : float
-        Standard deviation of the Gaussian that prefers pixels close by, pixels.
-    cutoff : float
-        Neighbours whose weighted difference of range is larger do not vote, metres; 0 for no limit.
-    """
+    """How neighbours vote (``post.KNN.params`` of arch_cfg.yaml)."""
 
     neighbours: int = 5
+    """How many vote (`knn`)."""
     search: int = 5
+    """Side of the window in which they are looked for, pixels, odd."""
     sigma: float = 1.0
+    """Standard deviation of the Gaussian that prefers pixels close by, pixels."""
     cutoff: float = 1.0
+    """Neighbours whose weighted difference of range is larger do not vote, metres; 0 for no limit."""
 
 
 def window_weights(search: int, sigma: float) -> Float32Array:

@@ -19,21 +19,14 @@ _TOLERANCE = 1.5
 
 @dataclass(frozen=True)
 class Projection:
-    """Which point is seen in which pixel.
-
-    Attributes
-    ----------
-    index : (H, W) int32
-        Row of the nearest point of each pixel; -1 in empty pixels.
-    pixel : (N,) int32
-        Pixel of each point, row * W + column; -1 for points without one.
-    depth : (N,) float32
-        Distance of each point from the sensor, metres; -1 for points without a pixel.
-    """
+    """Which point is seen in which pixel."""
 
     index: Int32Array
+    """(H, W) int32: row of the nearest point of each pixel; -1 in empty pixels."""
     pixel: Int32Array
+    """(N,) int32: pixel of each point, row * W + column; -1 for points without one."""
     depth: Float32Array
+    """(N,) float32: distance of each point from the sensor, metres; -1 for points without a pixel."""
 
     @property
     def filled(self) -> BoolArray:

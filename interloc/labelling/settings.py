@@ -23,21 +23,14 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Kind(Generic[T]):
-    """What a field must be.
-
-    Attributes
-    ----------
-    type
-        Of pydantic.
-    expected : str
-        How messages call it.
-    each : str
-        How they call a part of it, where it is a list or a table.
-    """
+    """What a field must be."""
 
     type: Any
+    """Of pydantic."""
     expected: str
+    """How messages call it."""
     each: str = ""
+    """How they call a part of it, where it is a list or a table."""
 
 
 def _no_flag(value: Any) -> Any:  # noqa: ANN401 - whatever the file says
@@ -79,17 +72,11 @@ WORDS: Kind[list[str]] = Kind(list[StrictStr], "a list of words", "a word")
 
 @dataclass(frozen=True)
 class SettingsFile:
-    """What stands in a YAML file, asked for field by field.
-
-    Attributes
-    ----------
-    path : Path
-    values : dict
-        As parsed.
-    """
+    """What stands in a YAML file, asked for field by field."""
 
     path: Path
     values: dict[Any, Any]
+    """As parsed."""
 
     def find(self, field: str) -> Any:  # noqa: ANN401 - whatever the file says
         """Return what stands in a field such as ``post.KNN.use``; None where it is missing or empty."""

@@ -34,23 +34,16 @@ _ROUNDS = 2
 
 @dataclass(frozen=True)
 class Grid:
-    """Cells around the scans of a window, in a level frame of its own.
-
-    Attributes
-    ----------
-    T_grid_world : (4, 4) float64
-        z up from the ground, x as that of W.
-    x0, y0 : float
-        Corner of cell (0, 0), metres.
-    rows, columns : int
-        Cells of `CELL_M`.
-    """
+    """Cells around the scans of a window, in a level frame of its own."""
 
     T_grid_world: FloatArray
+    """(4, 4) float64: z up from the ground, x as that of W."""
     x0: float
     y0: float
+    """Corner of cell (0, 0), metres."""
     rows: int
     columns: int
+    """Cells of `CELL_M`."""
 
     @classmethod
     def around(cls, position: FloatArray, up: FloatArray) -> Grid:
@@ -85,17 +78,11 @@ class Grid:
 
 @dataclass(frozen=True)
 class PlacedScan:
-    """The ground of a scan on a grid.
-
-    Attributes
-    ----------
-    ground : ScanGround
-    T : (3, 4) float64
-        From its frame into that of the grid.
-    """
+    """The ground of a scan on a grid."""
 
     ground: ScanGround
     T: FloatArray
+    """(3, 4) float64: from its frame into that of the grid."""
 
     def laid_on(self, surface: Float32Array, grid: Grid) -> PlacedScan:
         """Raise and tilt it so that it lies on a surface."""

@@ -26,25 +26,17 @@ _BEYOND_M = 4.0
 
 @dataclass(frozen=True)
 class Track:
-    """The track of a drive, known from its poses alone: everybody who knows them cuts it in the same way.
-
-    Attributes
-    ----------
-    T_world_lidar : (N, 4, 4) float64
-        Pose of the LiDAR at every scan.
-    usable : (M,) int64
-        Rows of the scans that can be read, ascending.
-    distance_m : (N,) float64
-        Distance driven until each scan; a vehicle that stands or trembles does not move on.
-    line : (P, 4) float64
-        Points of the track, at most 0.5 m apart: x, y, z in W and the distance driven. Between scans it is a Hermite
-        curve whose ends point where the vehicle heads; where poses jump there are none.
-    """
+    """The track of a drive, known from its poses alone: everybody who knows them cuts it in the same way."""
 
     T_world_lidar: FloatArray
+    """(N, 4, 4) float64: pose of the LiDAR at every scan."""
     usable: IntArray
+    """(M,) int64: rows of the scans that can be read, ascending."""
     distance_m: FloatArray
+    """(N,) float64: distance driven until each scan; a vehicle that stands or trembles does not move on."""
     line: FloatArray
+    """(P, 4) float64: points of the track, at most 0.5 m apart: x, y, z in W and the distance driven. Between scans it
+    is a Hermite curve whose ends point where the vehicle heads; where poses jump there are none."""
 
     @classmethod
     def of(cls, T_world_lidar: FloatArray, usable: IntArray) -> Track:

@@ -28,51 +28,34 @@ Kind = Literal["new", "confirmed", "moved", "seen", "gone"]
 
 @dataclass(frozen=True)
 class MapIntersection:
-    """An intersection of the growing map, as it is known now.
-
-    Attributes
-    ----------
-    id : int
-        It keeps it as long as the session lasts.
-    world_xy, lonlat : (2,) float64
-        Metres in W; longitude and latitude, or None without fixes.
-    position_std_m : float
-    position_cov_m2 : (3,) float64
-        As `IntersectionTable.position_cov_m2`.
-    confidence : float
-        0..1
-    observations : int
-    bearings_deg, widths_m : (B,) float64
-        Of its branches.
-    is_confirmed : bool
-        Whether it was ever sure enough to be reported as such.
-    """
+    """An intersection of the growing map, as it is known now."""
 
     id: int
+    """It keeps it as long as the session lasts."""
     world_xy: FloatArray
     lonlat: FloatArray | None
+    """(2,) float64: metres in W; longitude and latitude, or None without fixes."""
     position_std_m: float
     position_cov_m2: FloatArray
+    """(3,) float64: as `IntersectionTable.position_cov_m2`."""
     confidence: float
+    """0..1"""
     observations: int
     bearings_deg: FloatArray
     widths_m: FloatArray
+    """(B,) float64: of its branches."""
     is_confirmed: bool = False
+    """Whether it was ever sure enough to be reported as such."""
 
 
 @dataclass(frozen=True)
 class Event:
-    """What became of an intersection by the sightings of one keyframe.
-
-    Attributes
-    ----------
-    kind : {"new", "confirmed", "moved", "seen", "gone"}
-        Confirmed: sure enough for the first time. Moved: more than 0.5 m from where it was last said to be. Seen: once
-        more, with all else as it was, or less sure. Gone: what was seen later leaves no intersection there.
-    intersection
-    """
+    """What became of an intersection by the sightings of one keyframe."""
 
     kind: Kind
+    """{"new", "confirmed", "moved", "seen", "gone"}: confirmed: sure enough for the first time. Moved: more than 0.5 m
+    from where it was last said to be. Seen: once more, with all else as it was, or less sure. Gone: what was seen
+    later leaves no intersection there."""
     intersection: MapIntersection
 
 

@@ -24,23 +24,16 @@ Label = Callable[[Float32Array], UInt32Array]
 
 @dataclass(frozen=True)
 class Fix:
-    """Geodetic pose of the LiDAR at one scan.
-
-    Attributes
-    ----------
-    lat_deg, lon_deg, alt_m : float
-        On WGS84.
-    R_enu_lidar : (3, 3) float64
-        Axes of L in east, north, up.
-    position_std_m : float or None
-        One-sigma uncertainty along each horizontal axis, where the receiver states it.
-    """
+    """Geodetic pose of the LiDAR at one scan."""
 
     lat_deg: float
     lon_deg: float
     alt_m: float
+    """On WGS84."""
     R_enu_lidar: FloatArray
+    """(3, 3) float64: axes of L in east, north, up."""
     position_std_m: float | None = None
+    """One-sigma uncertainty along each horizontal axis, where the receiver states it."""
 
     @classmethod
     def of(cls, georeference: Georeference, row: int) -> Fix:
@@ -83,39 +76,26 @@ def georeference_of(fixes: list[Fix]) -> Georeference:
 
 @dataclass(frozen=True)
 class LiveScan:
-    """One scan as it comes from a sensor; its points are sorted only if it becomes a keyframe.
-
-    Attributes
-    ----------
-    frame : int
-        Scan number; ascending.
-    T_world_lidar : (4, 4) float64
-        Pose of the LiDAR in W.
-    points : (N, 4) or (N, 3) float32
-        x y z in L, metres, and remission from 0 to 1, which only a labeller needs.
-    labels : (N,) uint32 or None
-        Label ids; None where `road_count` is given, or where `label` gives them.
-    road_count : int or None
-        Where the points are sorted already: so many are road, those behind them sidewalk, parking and other ground.
-    time_s : float or None
-        Seconds.
-    fix : Fix or None
-        Where it was on Earth, if that is known; then it is of every scan of a session.
-    scheme : LabelScheme
-        Which labels are road.
-    label : callable or None
-        Gives the points their labels.
-    """
+    """One scan as it comes from a sensor; its points are sorted only if it becomes a keyframe."""
 
     frame: int
+    """Scan number; ascending."""
     T_world_lidar: FloatArray
+    """(4, 4) float64: pose of the LiDAR in W."""
     points: Float32Array
+    """(N, 4) or (N, 3) float32: x y z in L, metres, and remission from 0 to 1, which only a labeller needs."""
     labels: UInt32Array | None = None
+    """(N,) uint32 or None: label ids; None where `road_count` is given, or where `label` gives them."""
     road_count: int | None = None
+    """Where the points are sorted already: so many are road, those behind them sidewalk, parking and other ground."""
     time_s: float | None = None
+    """Seconds."""
     fix: Fix | None = None
+    """Where it was on Earth, if that is known; then it is of every scan of a session."""
     scheme: LabelScheme = SEMANTICKITTI
+    """Which labels are road."""
     label: Label | None = None
+    """Gives the points their labels."""
 
     @cached_property
     def ground(self) -> GroundPoints:

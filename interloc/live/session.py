@@ -23,33 +23,22 @@ from interloc.results import DetectionTable, IntersectionTable, KeyframeTable, R
 
 @dataclass(frozen=True)
 class Answer:
-    """What a session says to one scan, or at its end to one of the last keyframes.
-
-    Attributes
-    ----------
-    frame : int
-        Scan number.
-    is_keyframe : bool
-        Whether the scan was looked at.
-    keyframes : KeyframeTable or None
-        The keyframe that it completed, one row: an earlier one, unless the look-ahead is 0.
-    detections : DetectionTable or None
-        What was found around that keyframe.
-    events : list of Event
-        What became of the map by it.
-    seconds : float
-        Time that this took.
-    road : RoadPatch or None
-        The road around that keyframe, once every 10 m; its own `keyframe` counts from the beginning of the session.
-    """
+    """What a session says to one scan, or at its end to one of the last keyframes."""
 
     frame: int
+    """Scan number."""
     is_keyframe: bool = False
+    """Whether the scan was looked at."""
     keyframes: KeyframeTable | None = None
+    """The keyframe that it completed, one row: an earlier one, unless the look-ahead is 0."""
     detections: DetectionTable | None = None
+    """What was found around that keyframe."""
     events: list[Event] = field(default_factory=list)
+    """What became of the map by it."""
     seconds: float = 0.0
+    """Time that this took."""
     road: RoadPatch | None = None
+    """The road around that keyframe, once every 10 m; its own `keyframe` counts from the beginning of the session."""
 
 
 class LiveSession:

@@ -44,28 +44,19 @@ _STEP_M = 5.0  # points of the track that are closer are scatter, above all wher
 
 @dataclass(frozen=True)
 class GpxPlacement:
-    """A drive placed by a GPX track.
-
-    Attributes
-    ----------
-    georeference : Georeference
-    matched_by : {"time", "shape"}
-    rms_m : float
-        Of the distances of the drive from the track, before it was bent onto it.
-    position_std_m : (N,) float64
-        One sigma of the position of each scan, what all fixes share included.
-    late_s : float
-        By how much the clock of the track was put right: so much its fixes are late, early where it is negative.
-    untold : str
-        Why its clock may be off without being seen to be, in words; "" where that is seen, or times were not used.
-    """
+    """A drive placed by a GPX track."""
 
     georeference: Georeference
     matched_by: str
+    """{"time", "shape"}."""
     rms_m: float
+    """Of the distances of the drive from the track, before it was bent onto it."""
     position_std_m: FloatArray
+    """(N,) float64: one sigma of the position of each scan, what all fixes share included."""
     late_s: float = 0.0
+    """By how much the clock of the track was put right: so much its fixes are late, early where it is negative."""
     untold: str = ""
+    """Why its clock may be off without being seen to be, in words; "" where that is seen, or times were not used."""
 
 
 def georeference_by_gpx(drive: Drive, gpx: GpxTrack) -> GpxPlacement:

@@ -34,19 +34,12 @@ FAIR = (
 
 @dataclass(frozen=True)
 class PlacedRun:
-    """A run that was placed on a map.
-
-    Attributes
-    ----------
-    result : DriveResult
-        On the earth.
-    scored : DriveResult
-        The same with nothing near a node owing its position to that node; see `fair_result`.
-    location : Location
-    """
+    """A run that was placed on a map."""
 
     result: DriveResult
+    """On the earth."""
     scored: DriveResult
+    """The same with nothing near a node owing its position to that node; see `fair_result`."""
     location: Location
 
 

@@ -37,27 +37,18 @@ _WINDOW, _GROW = 40, 30  # poses to either side of an anchor at first, and more 
 
 @dataclass(frozen=True)
 class Chain:
-    """A track as a chain of poses, with what was seen from them.
-
-    Attributes
-    ----------
-    at_m : (n,) float64
-        Distance driven.
-    pose : (n, 3) float64
-        x, y, direction of motion in V.
-    seen_from : (J,) int64
-        Pose from which each intersection was seen.
-    seen_xy : (J, 2) float64
-        Where, in the frame of that pose.
-    seen_angles_rad : (J, B) float64
-        Its branches in that frame; NaN: no more.
-    """
+    """A track as a chain of poses, with what was seen from them."""
 
     at_m: FloatArray
+    """(n,) float64: distance driven."""
     pose: FloatArray
+    """(n, 3) float64: x, y, direction of motion in V."""
     seen_from: IntArray
+    """(J,) int64: pose from which each intersection was seen."""
     seen_xy: FloatArray
+    """(J, 2) float64: where, in the frame of that pose."""
     seen_angles_rad: FloatArray
+    """(J, B) float64: its branches in that frame; NaN: no more."""
 
     def __len__(self) -> int:
         return len(self.at_m)
@@ -85,27 +76,18 @@ class Chain:
 
 @dataclass(frozen=True)
 class Fit:
-    """A chain bent onto the roads.
-
-    Attributes
-    ----------
-    pose : (n, 3) float64
-        x, y, direction of motion in M.
-    offset_m : float
-        Lane offset: how far left of the middle of the ways the drive ran.
-    scale : float
-        By how much the map is larger than the odometry says.
-    lateral_m : (n,) float64
-        Distance from the middle of the way less the lane offset; NaN where no way runs along.
-    strain : float
-        How far the odometry had to be bent: mean of its squared normalised errors.
-    """
+    """A chain bent onto the roads."""
 
     pose: FloatArray
+    """(n, 3) float64: x, y, direction of motion in M."""
     offset_m: float
+    """Lane offset: how far left of the middle of the ways the drive ran."""
     scale: float
+    """By how much the map is larger than the odometry says."""
     lateral_m: FloatArray
+    """(n,) float64: distance from the middle of the way less the lane offset; NaN where no way runs along."""
     strain: float
+    """How far the odometry had to be bent: mean of its squared normalised errors."""
 
 
 @dataclass(frozen=True)

@@ -32,48 +32,33 @@ _TURN_COST_M = 20.0
 
 @dataclass(frozen=True)
 class RoadRaster:
-    """Distance to the roads and their directions, cell by cell; see `interloc.kernels.roads`.
-
-    Attributes
-    ----------
-    distance : (H, W) uint8
-        0.1 m; 255 where no road is within `REACH_M`.
-    directions : (H, W) uint16
-        A bit per sector of undirected bearing.
-    origin : (2,) float64
-        East, north of the corner of cell (0, 0), metres.
-    cell_m : float
-    """
+    """Distance to the roads and their directions, cell by cell; see `interloc.kernels.roads`."""
 
     distance: UInt8Array
+    """(H, W) uint8: 0.1 m; 255 where no road is within `REACH_M`."""
     directions: UInt16Array
+    """(H, W) uint16: a bit per sector of undirected bearing."""
     origin: FloatArray
+    """(2,) float64: east, north of the corner of cell (0, 0), metres."""
     cell_m: float
 
 
 @dataclass(frozen=True)
 class RoadMap:
-    """Roads in the plane M: east and north of the middle of the map on the ellipsoid, metres.
-
-    Attributes
-    ----------
-    lat_deg, lon_deg : float
-        Origin of M.
-    segments : (S, 4) float64
-        x, y of both ends of every piece of road.
-    node_xy : (K, 2) float64
-        Intersections of policy `drive`.
-    node_angles_rad : (K, MAX_BRANCHES) float64
-        Directions in which their roads leave, counter-clockwise from east; NaN where there are no more.
-    node_osm_id : (K,) int64
-    """
+    """Roads in the plane M: east and north of the middle of the map on the ellipsoid, metres."""
 
     lat_deg: float
     lon_deg: float
+    """Origin of M."""
     segments: FloatArray
+    """(S, 4) float64: x, y of both ends of every piece of road."""
     node_xy: FloatArray
+    """(K, 2) float64: intersections of policy `drive`."""
     node_angles_rad: FloatArray
+    """(K, MAX_BRANCHES) float64: directions in which their roads leave, counter-clockwise from east; NaN where there
+    are no more."""
     node_osm_id: IntArray
+    """(K,) int64."""
 
     @property
     def length_m(self) -> float:
@@ -187,22 +172,15 @@ def _branches(rows: IntArray, edges: IntArray, xy: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class WayIndex:
-    """The pieces of road of a map in buckets, to find the nearest one to a point.
-
-    Attributes
-    ----------
-    segments : (S, 4) float64
-        x, y of both ends.
-    origin : (2,) float64
-        Corner of the grid of buckets.
-    starts, items : int64
-        See `interloc.kernels.roads.nearest_ways`.
-    """
+    """The pieces of road of a map in buckets, to find the nearest one to a point."""
 
     segments: FloatArray
+    """(S, 4) float64: x, y of both ends."""
     origin: FloatArray
+    """(2,) float64: corner of the grid of buckets."""
     starts: IntArray
     items: IntArray
+    """int64: see `interloc.kernels.roads.nearest_ways`."""
 
     @classmethod
     def of(cls, roads: RoadMap) -> WayIndex:

@@ -48,20 +48,14 @@ _SAME_PLACE_M, _SAME_TURN_RAD = 12.0, np.radians(9.0)
 
 @dataclass(frozen=True)
 class Guesses:
-    """Places where a track may have been, best first.
-
-    Attributes
-    ----------
-    at_m : float
-        Distance driven at the anchor.
-    pose : (C, 3) float64
-        Place and direction of motion of the anchor in M.
-    score : (C,) float64
-    """
+    """Places where a track may have been, best first."""
 
     at_m: float
+    """Distance driven at the anchor."""
     pose: FloatArray
+    """(C, 3) float64: place and direction of motion of the anchor in M."""
     score: FloatArray
+    """(C,) float64."""
 
 
 def anchors(points: TrackPoints) -> list[int]:

@@ -20,21 +20,14 @@ MAX_BRANCHES = 8
 
 @dataclass(frozen=True)
 class Sightings:
-    """J passages of intersections.
-
-    Attributes
-    ----------
-    at_m : (J,) float64
-        Distance driven where it was seen best.
-    xy : (J, 2) float64
-        Position in V (see `Track`) as of that moment.
-    angles_rad : (J, MAX_BRANCHES) float64
-        Directions of its branches in V, leaving it; NaN where there are no more.
-    """
+    """J passages of intersections."""
 
     at_m: FloatArray
+    """(J,) float64: distance driven where it was seen best."""
     xy: FloatArray
+    """(J, 2) float64: position in V (see `Track`) as of that moment."""
     angles_rad: FloatArray
+    """(J, MAX_BRANCHES) float64: directions of its branches in V, leaving it; NaN where there are no more."""
 
     def __len__(self) -> int:
         return len(self.at_m)

@@ -14,24 +14,16 @@ _CHORD_M = 4.0  # of driving, by whose ends the direction of motion is known
 
 @dataclass(frozen=True)
 class Track:
-    """Where a drive went, in its own horizontal plane V: origin at the first scan, x axis ahead of it.
-
-    Attributes
-    ----------
-    xy : (N, 2) float64
-        Position of the LiDAR at every scan, metres.
-    z_m : (N,) float64
-        Its height over the first scan.
-    R_level_lidar : (N, 3, 3) float64
-        Its attitude in V.
-    at_m : (N,) float64
-        Distance driven up to every scan.
-    """
+    """Where a drive went, in its own horizontal plane V: origin at the first scan, x axis ahead of it."""
 
     xy: FloatArray
+    """(N, 2) float64: position of the LiDAR at every scan, metres."""
     z_m: FloatArray
+    """(N,) float64: its height over the first scan."""
     R_level_lidar: FloatArray
+    """(N, 3, 3) float64: its attitude in V."""
     at_m: FloatArray
+    """(N,) float64: distance driven up to every scan."""
 
     @property
     def length_m(self) -> float:
@@ -64,21 +56,14 @@ def track_of(T_world_lidar: FloatArray) -> Track:
 
 @dataclass(frozen=True)
 class TrackPoints:
-    """A track resampled by distance driven.
-
-    Attributes
-    ----------
-    at_m : (P,) float64
-        Distance driven, equally spaced.
-    xy : (P, 2) float64
-        Positions in V, metres.
-    heading_rad : (P,) float64
-        Direction of motion in V; continuous, not wrapped.
-    """
+    """A track resampled by distance driven."""
 
     at_m: FloatArray
+    """(P,) float64: distance driven, equally spaced."""
     xy: FloatArray
+    """(P, 2) float64: positions in V, metres."""
     heading_rad: FloatArray
+    """(P,) float64: direction of motion in V; continuous, not wrapped."""
 
     def __len__(self) -> int:
         return len(self.at_m)

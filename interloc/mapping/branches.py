@@ -16,24 +16,17 @@ _SURE = 1e-9  # so far a sum may be off by rounding
 
 @dataclass(frozen=True)
 class SeenBranches:
-    """E branches that N sightings of P intersections saw.
-
-    Attributes
-    ----------
-    bearing_deg, width_m : (E,) float64
-        In [0, 360]; NaN is no width.
-    sighting : (E,) int64
-        Which saw it, 0..N-1.
-    place : (N,) int64
-        Of each sighting, 0..P-1, all seen.
-    weight : (N,) float64
-    """
+    """E branches that N sightings of P intersections saw."""
 
     bearing_deg: FloatArray
     width_m: FloatArray
+    """(E,) float64: in [0, 360]; NaN is no width."""
     sighting: IntArray
+    """(E,) int64: which saw it, 0..N-1."""
     place: IntArray
+    """(N,) int64: of each sighting, 0..P-1, all seen."""
     weight: FloatArray
+    """(N,) float64."""
 
     @classmethod
     def of(
@@ -48,22 +41,15 @@ class SeenBranches:
 
 @dataclass(frozen=True)
 class FusedBranches:
-    """The branches of P intersections, at most B each, and which of them each of E seen ones is.
-
-    Attributes
-    ----------
-    bearing_deg, width_m : (P, B) float64
-        Bearings in [0, 360), ascending, then NaN; NaN where no width is known.
-    nearest : (E,) int64
-        Which branch of its place lies nearest, 0..B-1.
-    apart_deg : (E,) float64
-        How far from it; NaN where its place has none.
-    """
+    """The branches of P intersections, at most B each, and which of them each of E seen ones is."""
 
     bearing_deg: FloatArray
     width_m: FloatArray
+    """(P, B) float64: bearings in [0, 360), ascending, then NaN; NaN where no width is known."""
     nearest: IntArray
+    """(E,) int64: which branch of its place lies nearest, 0..B-1."""
     apart_deg: FloatArray
+    """(E,) float64: how far from it; NaN where its place has none."""
 
     def lists(self, *values: Any) -> list[list[Any]]:  # noqa: ANN401 - arrays
         """Return bearings, widths, and other (P, B) values, each as (B,) of every intersection without the NaN."""

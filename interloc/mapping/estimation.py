@@ -85,19 +85,6 @@ def densest_parts(xy: FloatArray, weight: FloatArray, labels: IntArray, count: i
 class SightingStats:
     """What the sightings of each of M intersections say about it together.
 
-    Attributes
-    ----------
-    independent : (M,) float64
-        n_eff: number of independent sightings that they are worth, 0 without any.
-    scatter_m2 : (M,) float64
-        s^2: weighted mean of the squared distances from the centre, half of it: the variance along each axis.
-    score : (M,) float64
-        Weighted mean of their scores, 0..1.
-    fix_var_m2 : (M,) float64
-        Weighted mean variance of the fixes that placed them along each axis, NaN where any is unknown.
-    usual_score : float
-        Median score of all detections of the drive: it is low where its labels are coarse. 1 without any.
-
     Notes
     -----
     Neighbouring keyframes see the intersection through nearly the same scans, so their errors agree, and 40 sightings
@@ -107,10 +94,16 @@ class SightingStats:
     """
 
     independent: FloatArray
+    """(M,) float64: n_eff: number of independent sightings that they are worth, 0 without any."""
     scatter_m2: FloatArray
+    """(M,) float64: s^2: weighted mean of the squared distances from the centre, half of it: the variance along each
+    axis."""
     score: FloatArray
+    """(M,) float64: weighted mean of their scores, 0..1."""
     fix_var_m2: FloatArray
+    """(M,) float64: weighted mean variance of the fixes that placed them along each axis, NaN where any is unknown."""
     usual_score: float
+    """Median score of all detections of the drive: it is low where its labels are coarse. 1 without any."""
 
 
 def summarize_sightings(

@@ -116,27 +116,21 @@ def evidence(
 
 @dataclass(frozen=True)
 class _Scene:
-    """Detections and keyframes in one metric plane: east and north of the middle of the drive, or W.
-
-    Attributes
-    ----------
-    xy : (D, 2) float64
-    weight, score : (D,) float64
-    keyframe : (D,) int64
-    keyframe_xy : (K, 2) float64
-    travelled_m : (K,) float64
-        Distance driven up to each keyframe.
-    origin_lonlat : (2,) float64 or None
-        Origin of the plane, degrees; None in W.
-    """
+    """Detections and keyframes in one metric plane: east and north of the middle of the drive, or W."""
 
     xy: FloatArray
+    """(D, 2) float64."""
     weight: FloatArray
     score: FloatArray
+    """(D,) float64."""
     keyframe: IntArray
+    """(D,) int64."""
     keyframe_xy: FloatArray
+    """(K, 2) float64."""
     travelled_m: FloatArray
+    """(K,) float64: distance driven up to each keyframe."""
     origin_lonlat: FloatArray | None
+    """(2,) float64 or None: origin of the plane, degrees; None in W."""
 
     @classmethod
     def of(cls, keyframes: KeyframeTable, detections: DetectionTable, config: FusionConfig) -> _Scene:

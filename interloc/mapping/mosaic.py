@@ -70,18 +70,12 @@ class Tiles(MutableMapping[tuple[int, int], UInt8Array]):
 
 @dataclass
 class Raster:
-    """A raster whose tiles exist only where it holds something, so that its memory grows with the road, not the area.
-
-    Attributes
-    ----------
-    cell_m : float
-        Side of a cell. The cell in row r and column c has its upper left corner at x = c cell_m, y = -r cell_m.
-    tiles : mapping of (int, int) to (TILE, TILE) uint8
-        By row and column of the tile. 0: nothing is known.
-    """
+    """A raster whose tiles exist only where it holds something: its memory grows with the road, not the area."""
 
     cell_m: float
+    """Side of a cell. The cell in row r and column c has its upper left corner at x = c cell_m, y = -r cell_m."""
     tiles: Tiles = field(default_factory=Tiles)
+    """mapping of (int, int) to (TILE, TILE) uint8: by row and column of the tile. 0: nothing is known."""
 
     def add(self, row: int, col: int, cells: UInt8Array) -> None:
         """Add cells to those that are there; sums end at 255."""
@@ -132,21 +126,14 @@ class Raster:
 
 @dataclass(frozen=True)
 class Mosaic:
-    """The road seen on a drive.
-
-    Attributes
-    ----------
-    raster : Raster
-        How many of the patches, which lie 10 m apart along the drive, hold road in the cell; 255 for more.
-    epsg : int or None
-        The raster is in metres of this coordinate system, x to the east, y to the north; None: in metres of W.
-    other : Raster or None
-        The same of other ground, such as a sidewalk: what is 0 in both was not seen. None where nobody can tell.
-    """
+    """The road seen on a drive."""
 
     raster: Raster
+    """How many of the patches, which lie 10 m apart along the drive, hold road in the cell; 255 for more."""
     epsg: int | None
+    """The raster is in metres of this coordinate system, x to the east, y to the north; None: in metres of W."""
     other: Raster | None = None
+    """The same of other ground, such as a sidewalk: what is 0 in both was not seen. None where nobody can tell."""
 
     def seen_at(self, lonlat: FloatArray) -> tuple[BoolArray, BoolArray]:
         """Return whether road, and else other ground, was seen at (N, 2) degrees, (N,) each; it is georeferenced."""

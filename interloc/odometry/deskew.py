@@ -21,18 +21,12 @@ _TELLING_RAD = np.radians(0.25)
 
 @dataclass(frozen=True)
 class Velocity:
-    """How the LiDAR moves, constant for a while, in its own axes.
-
-    Attributes
-    ----------
-    linear_mps : (3,) float64
-        Metres per unit of time (seconds, or scans where no times are known).
-    angular_radps : (3,) float64
-        Rotation vector per unit of time.
-    """
+    """How the LiDAR moves, constant for a while, in its own axes."""
 
     linear_mps: FloatArray
+    """(3,) float64: metres per unit of time (seconds, or scans where no times are known)."""
     angular_radps: FloatArray
+    """(3,) float64: rotation vector per unit of time."""
 
     @classmethod
     def between(cls, T_before_after: FloatArray, passed: float) -> Velocity:

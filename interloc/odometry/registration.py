@@ -43,41 +43,26 @@ _ITERATIONS = 30
 
 @dataclass(frozen=True)
 class Registration:
-    """How a scan lies on another one, or on a map.
-
-    Attributes
-    ----------
-    T_target_source : (4, 4) float64
-        Pose of the source in the target, metres.
-    inlier_share : float
-        Share of the points of the source, one per 0.5 m, with a point of the target within 0.5 m; on a map, with a
-        cell of 1 m of the map around them.
-    information : float
-        How firmly the least certain direction of the motion is held, as the curvature of GICP's cost per inlier: 1.5
-        to 90 in streets, 0.5 where nothing stands beside a plain road.
-    weak : (3, K) float64
-        Directions in the source, of length 1, along which little holds it: there the pattern of the lasers on the road
-        counts, which moves along with them.
-    is_unheld : bool
-        Nothing holds it along one of them.
-    """
+    """How a scan lies on another one, or on a map."""
 
     T_target_source: FloatArray
+    """(4, 4) float64: pose of the source in the target, metres."""
     inlier_share: float
+    """Share of the points of the source, one per 0.5 m, with a point of the target within 0.5 m; on a map, with a cell
+    of 1 m of the map around them."""
     information: float
+    """How firmly the least certain direction of the motion is held, as the curvature of GICP's cost per inlier: 1.5 to
+    90 in streets, 0.5 where nothing stands beside a plain road."""
     weak: FloatArray
+    """(3, K) float64: directions in the source, of length 1, along which little holds it: there the pattern of the
+    lasers on the road counts, which moves along with them."""
     is_unheld: bool
+    """Nothing holds it along one of them."""
 
 
 @dataclass(frozen=True)
 class Cloud:
-    """A scan that is ready to be laid onto others: one point per 0.5 m, each with the shape of the surface around it.
-
-    Attributes
-    ----------
-    points : small_gicp.PointCloud
-    tree : small_gicp.KdTree
-    """
+    """A scan ready to be laid onto others: one point per 0.5 m, each with the shape of the surface around it."""
 
     points: Any
     tree: Any
@@ -147,17 +132,11 @@ def register_clouds(source: Cloud, target: Cloud, guess: FloatArray) -> Registra
 
 @dataclass(frozen=True)
 class Found:
-    """What a search for an unknown motion ends with.
-
-    Attributes
-    ----------
-    best : Registration
-    lead : float
-        By how much its share of inliers is larger than that of any result more than 0.5 m from it.
-    """
+    """What a search for an unknown motion ends with."""
 
     best: Registration
     lead: float
+    """By how much its share of inliers is larger than that of any result more than 0.5 m from it."""
 
     @property
     def is_certain(self) -> bool:

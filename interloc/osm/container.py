@@ -50,29 +50,19 @@ def is_map(path: str) -> bool:
 
 @dataclass(frozen=True)
 class Prolog:
-    """What stands before the first object of an OSM file.
-
-    Attributes
-    ----------
-    container : Container
-    date : str or None
-        Declared state of the data, ISO 8601.
-    areas : tuple of Bounds
-        Declared boxes; several where a file was put together.
-    is_made_up : bool
-        Whether the map says that the simulator made it up.
-    has_deleted : bool
-        Whether an editor has marked objects as deleted that are still in the file.
-    is_lanelet : bool
-        Whether the file looks like a map of lanes (Lanelet2), which has the form of OSM and other content.
-    """
+    """What stands before the first object of an OSM file."""
 
     container: Container
     date: str | None
+    """Declared state of the data, ISO 8601."""
     areas: tuple[Bounds, ...]
+    """Declared boxes; several where a file was put together."""
     is_made_up: bool = False
+    """Whether the map says that the simulator made it up."""
     has_deleted: bool = False
+    """Whether an editor has marked objects as deleted that are still in the file."""
     is_lanelet: bool = False
+    """Whether the file looks like a map of lanes (Lanelet2), which has the form of OSM and other content."""
 
 
 def read_prolog(path: Path, *, max_unpacked_bytes: int = MAX_UNPACKED_BYTES) -> Prolog:

@@ -19,19 +19,13 @@ MAX_WAYS = 500
 
 @dataclass(frozen=True)
 class Multipolygon:
-    """A relation that is an area.
-
-    Attributes
-    ----------
-    id : int
-        OSM relation id.
-    outer, inner : tuple of int
-        OSM ids of the ways around it, and of those around its holes; each once.
-    """
+    """A relation that is an area."""
 
     id: int
+    """OSM relation id."""
     outer: tuple[int, ...]
     inner: tuple[int, ...]
+    """OSM ids of the ways around it, and of those around its holes; each once."""
 
     @property
     def ways(self) -> tuple[int, ...]:

@@ -14,18 +14,12 @@ Policy = Literal["drive", "drive+service", "all", "consolidated"]
 
 
 class PolicyWording(NamedTuple):
-    """A policy in words.
-
-    Attributes
-    ----------
-    title : str
-        Short, for a list to choose from.
-    meaning : str
-        What counts, a whole sentence.
-    """
+    """A policy in words."""
 
     title: str
+    """Short, for a list to choose from."""
     meaning: str
+    """What counts, a whole sentence."""
 
 
 POLICIES: dict[Policy, PolicyWording] = {

@@ -164,25 +164,18 @@ def _common(declared: Sequence[Bounds], bounds: Bounds | None) -> tuple[Bounds, 
 
 @dataclass(frozen=True)
 class _Nodes:
-    """Nodes of a file.
-
-    Attributes
-    ----------
-    id : (N,) int64
-        Ascending.
-    version : (N,) int64
-    lonlat : (N, 2) float64
-    beyond : int
-        How many others the file holds.
-    extent : Bounds or None
-        Of all nodes of the file.
-    """
+    """Nodes of a file."""
 
     id: IntArray
+    """(N,) int64: ascending."""
     version: IntArray
+    """(N,) int64."""
     lonlat: FloatArray
+    """(N, 2) float64."""
     beyond: int
+    """How many others the file holds."""
     extent: Bounds | None
+    """Of all nodes of the file."""
 
     @classmethod
     def of(cls, ids: IntArray, version: IntArray, lonlat: FloatArray, beyond: int, extent: Bounds | None) -> _Nodes:
@@ -222,19 +215,12 @@ class _OddValueError(Exception):
 
 @dataclass(frozen=True)
 class _OsmStream:
-    """Passes over one file; whatever libosmium objects to becomes a `MapError`.
-
-    Attributes
-    ----------
-    path : Path
-        The map as its user knows it.
-    source : Path
-        What is read: the map, or a copy of it in a plainer form.
-    prolog : Prolog
-    """
+    """Passes over one file; whatever libosmium objects to becomes a `MapError`."""
 
     path: Path
+    """The map as its user knows it."""
     source: Path
+    """What is read: the map, or a copy of it in a plainer form."""
     prolog: Prolog
 
     def objects(self, kind: str, *filters: object) -> Iterator[Any]:

@@ -14,18 +14,12 @@ ODBL = "https://opendatacommons.org/licenses/odbl/1-0/"
 
 @dataclass(frozen=True)
 class Credit:
-    """What is to be said of a file.
-
-    Attributes
-    ----------
-    attribution : str
-        Whose data it holds.
-    license : str or None
-        Address of the licence of OpenStreetMap where the file holds data of it.
-    """
+    """What is to be said of a file."""
 
     attribution: str = ATTRIBUTION
+    """Whose data it holds."""
     license: str | None = None
+    """Address of the licence of OpenStreetMap where the file holds data of it."""
 
     @property
     def members(self) -> dict[str, str]:

@@ -32,21 +32,13 @@ _CURVE = 8  # pieces of a curve
 
 @dataclass(frozen=True)
 class LaneRoad:
-    """A road between the mouths of its junctions.
-
-    Attributes
-    ----------
-    edge : RoadEdge
-    xy : (N, 2) float64
-        Centreline, metres.
-    normal : (N, 2) float64
-        Unit vectors to the left of it.
-    width_m : float
-    """
+    """A road between the mouths of its junctions."""
 
     edge: RoadEdge
     xy: FloatArray
+    """(N, 2) float64: centreline, metres."""
     normal: FloatArray
+    """(N, 2) float64: unit vectors to the left of it."""
     width_m: float
 
     @property

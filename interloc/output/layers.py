@@ -67,32 +67,21 @@ _IN_PARTS = re.compile(rb'"type"\s*:\s*"Multi')
 
 @dataclass(frozen=True)
 class Layer:
-    """A layer of a result.
-
-    Attributes
-    ----------
-    name : str
-        Of the layer, and of its GeoJSON file.
-    title : str
-    geometry : str
-        Of all its features.
-    properties : type
-        Model of the properties of a feature; its docstring says what a feature is.
-    label : str
-        Name of a feature in a KML file, a format string over its properties.
-    is_osm : bool
-        Whether it holds data of OpenStreetMap.
-    key : str or None
-        Property that becomes the `id` of a feature; None where the layer is one feature.
-    """
+    """A layer of a result."""
 
     name: str
+    """Of the layer, and of its GeoJSON file."""
     title: str
     geometry: Geometry
+    """Of all its features."""
     properties: type[Properties]
+    """Model of the properties of a feature; its docstring says what a feature is."""
     label: str
+    """Name of a feature in a KML file, a format string over its properties."""
     is_osm: bool = False
+    """Whether it holds data of OpenStreetMap."""
     key: str | None = None
+    """Property that becomes the `id` of a feature; None where the layer is one feature."""
 
     @property
     def address(self) -> str:
@@ -317,19 +306,12 @@ CITY_LAYERS = {
 
 @dataclass(frozen=True)
 class Rows:
-    """The features of a layer that was read, as columns.
-
-    Attributes
-    ----------
-    path : Path
-        The file.
-    features : list
-        Features, with `geometry`, `properties` (a model of the layer) and `world_xy_m`.
-    credit : Credit
-    """
+    """The features of a layer that was read, as columns."""
 
     path: Path
+    """The file."""
     features: list[Any]
+    """Features, with `geometry`, `properties` (a model of the layer) and `world_xy_m`."""
     credit: Credit
 
     def column(self, name: str) -> list[Any]:

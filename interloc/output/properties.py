@@ -644,25 +644,17 @@ class FindingProperties(Properties):
 
 @dataclass(frozen=True)
 class Attribute:
-    """A property of a layer, as files and documents describe it.
-
-    Attributes
-    ----------
-    name, title, description : str
-    kind : str
-        int, float, bool, text, time or list.
-    unit : str or None
-        m, m2, s, rad or degree.
-    decimals : int or None
-        How many are printed.
-    """
+    """A property of a layer, as files and documents describe it."""
 
     name: str
     title: str
     description: str
     kind: str
+    """int, float, bool, text, time or list."""
     unit: str | None
+    """m, m2, s, rad or degree."""
     decimals: int | None
+    """How many are printed."""
 
 
 def attributes_of(properties: type[Properties]) -> list[Attribute]:

@@ -35,18 +35,12 @@ Layers = Sequence[tuple[Layer, Rows]]
 
 @dataclass(frozen=True)
 class Source:
-    """Where the data of a layer is.
-
-    Attributes
-    ----------
-    provider : str
-        The part of QGIS that reads it: ``ogr`` for files, ``OAPIF`` for OGC API - Features.
-    place : str
-        In the words of the provider.
-    """
+    """Where the data of a layer is."""
 
     provider: str
+    """The part of QGIS that reads it: ``ogr`` for files, ``OAPIF`` for OGC API - Features."""
     place: str
+    """In the words of the provider."""
 
 
 _ROAD = Source("gdal", f"attachment:{ROAD_FILE}")

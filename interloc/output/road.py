@@ -179,24 +179,16 @@ def export_road(result: Path, out: Path) -> None:
 
 @dataclass(frozen=True)
 class Picture:
-    """A picture of the road for a web map.
-
-    Attributes
-    ----------
-    png : bytes
-        Transparent where no road was seen.
-    bounds : tuple of float
-        West, south, east, north: degrees, of a picture in Web Mercator; or metres of W.
-    size : tuple of int
-        Width and height, pixels.
-    cell_m : float
-        Side of the cells that it is drawn of.
-    """
+    """A picture of the road for a web map."""
 
     png: bytes
+    """Transparent where no road was seen."""
     bounds: tuple[float, float, float, float]
+    """West, south, east, north: degrees, of a picture in Web Mercator; or metres of W."""
     size: tuple[int, int]
+    """Width and height, pixels."""
     cell_m: float
+    """Side of the cells that it is drawn of."""
 
 
 def draw_road(mosaic: Mosaic) -> Picture:

@@ -41,32 +41,20 @@ GLYPH_PX = 1.8
 
 @dataclass(frozen=True)
 class Mark:
-    """Sign of a point.
-
-    Attributes
-    ----------
-    shape : str
-    colour : str
-        Of what is filled, or of the line of what is not.
-    radius_px : float
-        Half its size.
-    is_filled : bool
-    width_px : float
-        Of its line; 0: none.
-    edge : str or None
-        Colour of the line of what is filled.
-    glyph : str or None
-        Drawn in it in white: the verdict is read without its colour.
-    opacity : float
-    """
+    """Sign of a point."""
 
     shape: Shape
     colour: str
+    """Of what is filled, or of the line of what is not."""
     radius_px: float
+    """Half its size."""
     is_filled: bool = True
     width_px: float = 0.0
+    """Of its line; 0: none."""
     edge: str | None = None
+    """Colour of the line of what is filled."""
     glyph: Glyph | None = None
+    """Drawn in it in white: the verdict is read without its colour."""
     opacity: float = 1.0
 
 
@@ -122,27 +110,17 @@ class Times:
 
 @dataclass(frozen=True)
 class Style:
-    """How a layer is drawn.
-
-    Attributes
-    ----------
-    title : str
-        Short name for a list of layers.
-    rules : tuple of Rule
-    field : str or None
-        Property that chooses the rule; None where there is but one.
-    label : Label or None
-    times : Times or None
-    is_shown : bool
-        Whether it is on where layers can be switched.
-    """
+    """How a layer is drawn."""
 
     title: str
+    """Short name for a list of layers."""
     rules: tuple[Rule, ...]
     field: str | None = None
+    """Property that chooses the rule; None where there is but one."""
     label: Label | None = None
     times: Times | None = None
     is_shown: bool = True
+    """Whether it is on where layers can be switched."""
 
 
 def _single(title: str, symbol: Symbol, *, times: Times | None = None, is_shown: bool = True) -> Style:

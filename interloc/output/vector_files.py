@@ -393,21 +393,14 @@ def _table_of_texts(layer: Layer, rows: Rows) -> Any:  # noqa: ANN401 - geopanda
 
 
 class Format(NamedTuple):
-    """How a file of a format is written, and what it holds.
-
-    Attributes
-    ----------
-    write
-        Writes it, whole or not at all.
-    layers : {"one", "any", "all"}
-        One layer; all, unless one is named; or always all that belong into it.
-    only_on_earth : str
-        Its name, where it knows longitude and latitude only.
-    """
+    """How a file of a format is written, and what it holds."""
 
     write: Callable[[_Export], None]
+    """Writes it, whole or not at all."""
     layers: Literal["one", "any", "all"] = "one"
+    """{"one", "any", "all"}: one layer; all, unless one is named; or always all that belong into it."""
     only_on_earth: str = ""
+    """Its name, where it knows longitude and latitude only."""
 
 
 FORMATS = {

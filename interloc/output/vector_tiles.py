@@ -25,19 +25,12 @@ _TYPES = {"int": "Number", "float": "Number", "bool": "Boolean"}
 
 @dataclass(frozen=True)
 class TiledLayer:
-    """A layer to be tiled.
-
-    Attributes
-    ----------
-    layer : Layer
-    credit : Credit
-    table : GeoDataFrame
-        Its features in EPSG:4326.
-    """
+    """A layer to be tiled."""
 
     layer: Layer
     credit: Credit
     table: Any
+    """Its features in EPSG:4326."""
 
     @property
     def min_zoom(self) -> int:

@@ -29,23 +29,14 @@ _READING_THREADS = 4
 
 @dataclass(frozen=True)
 class Converted:
-    """A drive in SemanticKITTI's layout.
-
-    Attributes
-    ----------
-    name : str
-    scans : int
-    labels : str or None
-        Its label folder; None where the drive has no labels.
-    is_renumbered : bool
-        Whether its scans have other numbers than those of the original: 0, 1, 2, ...
-    has_georeference : bool
-    """
+    """A drive in SemanticKITTI's layout."""
 
     name: str
     scans: int
     labels: LabelFolder | None
+    """Its label folder; None where the drive has no labels."""
     is_renumbered: bool
+    """Whether its scans have other numbers than those of the original: 0, 1, 2, ..."""
     has_georeference: bool
 
 

@@ -44,29 +44,19 @@ _GROUND = re.compile(r"ground/[^/]+/\d+\.ground")
 
 @dataclass
 class ListedDrive:
-    """A drive in a listing; its files by their paths in the drive, each with its path in the folder.
-
-    Attributes
-    ----------
-    root : str
-        Its folder; "" where it is the folder that was listed.
-    name : str
-    kind : str
-    scans, labels : dict of str to str
-        Files of scans (of ground points, of a reduced drive) and of labels.
-    small : dict of str to str
-        Poses, times, calibration and georeference; or what may be such.
-    borrowed : list of str
-        What was taken from beside the drive, in words.
-    """
+    """A drive in a listing; its files by their paths in the drive, each with its path in the folder."""
 
     root: str
+    """Its folder; "" where it is the folder that was listed."""
     name: str
     kind: Kind
     scans: dict[str, str] = field(default_factory=dict)
     labels: dict[str, str] = field(default_factory=dict)
+    """Files of scans (of ground points, of a reduced drive) and of labels."""
     small: dict[str, str] = field(default_factory=dict)
+    """Poses, times, calibration and georeference; or what may be such."""
     borrowed: list[str] = field(default_factory=list)
+    """What was taken from beside the drive, in words."""
 
     @property
     def files(self) -> dict[str, str]:

@@ -32,45 +32,30 @@ from interloc.reduction.small_files import SmallFileCopies, gather_small_files, 
 
 @dataclass(frozen=True)
 class ReductionPlan:
-    """Which scans of a drive to keep, and all that is known without them.
-
-    Attributes
-    ----------
-    options : DriveOptions
-        How the drive is read.
-    frames : (N,) int64
-        Numbers of all scans, ascending.
-    frames_to_send : (K,) int64
-        Numbers of the scans to keep; empty where the poses cannot be read.
-    frames_to_look_into : (M,) int64
-        Numbers of the scans whose label ids are counted to find the label scheme (see `judge_counts`).
-    layout : str or None
-    pose_frame, pose_frame_reason : str or None
-        Whose poses the pose file holds, and why that is thought.
-    georeference, georeference_reason : str or None
-        Where it comes from; why there is none.
-    length_m : float or None
-        Distance driven over the scans.
-    problems : list of Finding
-    manifest : ReducedManifest or None
-        To be completed with `ReducedManifest.with_labels`; None where the poses cannot be read.
-    copies : SmallFileCopies
-        Which files go where in the reduced drive.
-    """
+    """Which scans of a drive to keep, and all that is known without them."""
 
     options: DriveOptions
+    """How the drive is read."""
     frames: IntArray
+    """(N,) int64: numbers of all scans, ascending."""
     frames_to_send: IntArray
+    """(K,) int64: numbers of the scans to keep; empty where the poses cannot be read."""
     frames_to_look_into: IntArray
+    """(M,) int64: numbers of the scans whose label ids are counted to find the label scheme (see `judge_counts`)."""
     layout: str | None
     pose_frame: str | None
     pose_frame_reason: str | None
+    """Whose poses the pose file holds, and why that is thought."""
     georeference: str | None
     georeference_reason: str | None
+    """Where it comes from; why there is none."""
     length_m: float | None
+    """Distance driven over the scans."""
     problems: list[Finding]
     manifest: ReducedManifest | None
+    """To be completed with `ReducedManifest.with_labels`; None where the poses cannot be read."""
     copies: SmallFileCopies
+    """Which files go where in the reduced drive."""
 
     @property
     def scans(self) -> int:

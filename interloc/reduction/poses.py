@@ -23,26 +23,17 @@ _TUM_ENDING = ".tum"
 
 @dataclass(frozen=True)
 class WrittenPoses:
-    """What was written.
-
-    Attributes
-    ----------
-    name : str
-        Name of the drive.
-    scans : int
-    length_m : float
-        Distance driven.
-    how : str
-        How the poses were made, in words.
-    has_times : bool
-        Whether the times of the scans are known.
-    """
+    """What was written."""
 
     name: str
+    """Name of the drive."""
     scans: int
     length_m: float
+    """Distance driven."""
     how: str
+    """How the poses were made, in words."""
     has_times: bool
+    """Whether the times of the scans are known."""
 
 
 def write_poses(

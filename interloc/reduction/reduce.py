@@ -32,20 +32,13 @@ _THREADS = 4  # more than reading and deflating of one drive can use
 
 @dataclass(frozen=True)
 class Reduction:
-    """A drive that is ready to be reduced, scan by scan, in any order and by any process.
-
-    Attributes
-    ----------
-    plan : ReductionPlan
-    manifest : ReducedManifest
-        Complete; to be written last.
-    scans : dict of str to RawScans
-        Where the points are read from, for every label folder.
-    """
+    """A drive that is ready to be reduced, scan by scan, in any order and by any process."""
 
     plan: ReductionPlan
     manifest: ReducedManifest
+    """Complete; to be written last."""
     scans: dict[LabelFolder, RawScans]
+    """Where the points are read from, for every label folder."""
 
     def write_ground(self, frame: int, folder: Path) -> None:
         """Write the ground points of a scan into a reduced drive, by every label folder."""

@@ -30,18 +30,12 @@ GEOREFERENCE_FOLDER = "georeference"
 
 @dataclass
 class SmallFileCopies:
-    """Which files go where.
-
-    Attributes
-    ----------
-    files : dict
-        Their part of the manifest (`SmallFiles`).
-    sources : dict of str to Path or bytes
-        Path in the reduced drive -> the file as it lies now, or what is to be written.
-    """
+    """Which files go where."""
 
     files: dict[str, Any] = field(default_factory=dict)
+    """Their part of the manifest (`SmallFiles`)."""
     sources: dict[str, Path | bytes] = field(default_factory=dict)
+    """Path in the reduced drive -> the file as it lies now, or what is to be written."""
 
     def write_to(self, folder: Path) -> int:
         """Copy them to a reduced drive; those that lie there already stay.

@@ -44,42 +44,29 @@ _PIECE = 400  # stations whose counts are looked up at once
 
 @dataclass
 class Street:
-    """One edge or several that go straight on, as stations every half metre.
-
-    Attributes
-    ----------
-    nodes : list of int
-        That it passes, in its direction.
-    rows : list of int
-        The station at each of them.
-    xy : (N, 2) float64
-        The centreline.
-    is_seen : (N,) bool
-    is_free : (N,) bool
-        Away from the mouths of other streets.
-    track : (N, 2) float64
-        The vehicle where it went beside the line; else NaN.
-    is_used : (N,) bool
-        Both edges of the road were measured there.
-    left_m, right_m : (N,) float64
-        From the centreline to the edges.
-    level : (N,) float64
-        Count in the middle.
-    scatter_m : float
-        One sigma of a single station's middle around the line.
-    """
+    """One edge or several that go straight on, as stations every half metre."""
 
     nodes: list[int]
+    """That it passes, in its direction."""
     rows: list[int]
+    """The station at each of them."""
     xy: FloatArray
+    """(N, 2) float64: the centreline."""
     is_seen: BoolArray
+    """(N,) bool."""
     is_free: BoolArray
+    """(N,) bool: away from the mouths of other streets."""
     track: FloatArray
+    """(N, 2) float64: the vehicle where it went beside the line; else NaN."""
     is_used: BoolArray
+    """(N,) bool: both edges of the road were measured there."""
     left_m: FloatArray
     right_m: FloatArray
+    """(N,) float64: from the centreline to the edges."""
     level: FloatArray
+    """(N,) float64: count in the middle."""
     scatter_m: float = float("nan")
+    """One sigma of a single station's middle around the line."""
 
 
 def fit(raster: Raster, graph: Graph, chains: Sequence[Sequence[tuple[int, Edge]]], track: cKDTree) -> list[Street]:

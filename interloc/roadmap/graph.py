@@ -17,25 +17,17 @@ _DIAGONALS = ((-1, 1), (1, 1), (1, -1), (-1, -1))  # each between a side and the
 
 @dataclass
 class Edge:
-    """A line between two nodes.
-
-    Attributes
-    ----------
-    start, end : int
-        Nodes.
-    xy : (N, 2) float64
-        Metres of the mosaic, from node to node.
-    half_m : (N,) float64
-        Distance from the line to the edge of the road.
-    is_seen : (N,) bool
-        False where a gap was bridged.
-    """
+    """A line between two nodes."""
 
     start: int
     end: int
+    """Nodes."""
     xy: FloatArray
+    """(N, 2) float64: metres of the mosaic, from node to node."""
     half_m: FloatArray
+    """(N,) float64: distance from the line to the edge of the road."""
     is_seen: BoolArray
+    """(N,) bool: false where a gap was bridged."""
 
     @property
     def length_m(self) -> float:
@@ -78,23 +70,16 @@ class Edge:
 
 @dataclass
 class Node:
-    """Where lines meet or end.
-
-    Attributes
-    ----------
-    xy : (2,) float64
-    half_m : float
-        Distance to the edge of the road.
-    intersections : list of int
-        Rows of the fused intersections that it is.
-    place : int or None
-        Number of the open place that it is.
-    """
+    """Where lines meet or end."""
 
     xy: FloatArray
+    """(2,) float64."""
     half_m: float
+    """Distance to the edge of the road."""
     intersections: list[int] = field(default_factory=list)
+    """Rows of the fused intersections that it is."""
     place: int | None = None
+    """Number of the open place that it is."""
 
     @property
     def is_free(self) -> bool:

@@ -38,27 +38,18 @@ _SIMPLIFIED_M = 0.25
 
 @dataclass
 class Ground:
-    """What all blocks found.
-
-    Attributes
-    ----------
-    cell_m : float
-    rows, cols : (P,) int64
-        Cells of the skeleton, in row-major order.
-    half_m : (P,) float64
-        Distance from each to the edge of the road, metres.
-    places : list of shapely.Polygon
-        Open places, metres of the mosaic.
-    surface : list of shapely.Polygon
-        The road, cut at the blocks.
-    """
+    """What all blocks found."""
 
     cell_m: float
     rows: IntArray = field(default_factory=lambda: np.zeros(0, np.int64))
     cols: IntArray = field(default_factory=lambda: np.zeros(0, np.int64))
+    """(P,) int64: cells of the skeleton, in row-major order."""
     half_m: FloatArray = field(default_factory=lambda: np.zeros(0))
+    """(P,) float64: distance from each to the edge of the road, metres."""
     places: list[shapely.Polygon] = field(default_factory=list)
+    """Open places, metres of the mosaic."""
     surface: list[shapely.Polygon] = field(default_factory=list)
+    """The road, cut at the blocks."""
 
     @property
     def xy(self) -> FloatArray:

@@ -47,29 +47,19 @@ _STATIC = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 @dataclass(frozen=True)
 class NodeOptions:
-    """What the node is told.
-
-    Attributes
-    ----------
-    points : str
-        Topic of the clouds.
-    odometry : str or None
-        Topic of the poses; None: /tf.
-    world_frame : str or None
-        Frame of the map; None: the topmost frame of the poses.
-    config : DetectorConfig
-    scheme : LabelScheme
-        Of the labels of the points.
-    label : callable or None
-        Gives labels to points that have none; their remission is brought to 0..1 before.
-    """
+    """What the node is told."""
 
     points: str
+    """Topic of the clouds."""
     odometry: str | None
+    """Topic of the poses; None: /tf."""
     world_frame: str | None
+    """Frame of the map; None: the topmost frame of the poses."""
     config: DetectorConfig
     scheme: LabelScheme
+    """Of the labels of the points."""
     label: Label | None = None
+    """Gives labels to points that have none; their remission is brought to 0..1 before."""
 
 
 class InterlocNode(Node):  # type: ignore[misc]  # rclpy has no types

@@ -134,24 +134,16 @@ def _pcd_bytes(points: Float32Array, labels: UInt32Array, times_s: Float32Array)
 
 @dataclass(frozen=True)
 class Trip:
-    """Where to drive.
-
-    Attributes
-    ----------
-    track : LidarTrack
-        From `open_track` (GPX, CSV, OXTS), `track_from_line` or `track_from_oxts`.
-    map : MapData
-        From `read_map`.
-    about : dict
-        Facts to keep in `simulation.json`.
-    extra_files : dict
-        More files to put beside the scans: name and content.
-    """
+    """Where to drive."""
 
     track: LidarTrack
+    """From `open_track` (GPX, CSV, OXTS), `track_from_line` or `track_from_oxts`."""
     map: MapData
+    """From `read_map`."""
     about: dict[str, object] = field(default_factory=dict)
+    """Facts to keep in `simulation.json`."""
     extra_files: dict[str, bytes] = field(default_factory=dict)
+    """More files to put beside the scans: name and content."""
 
 
 def simulate(

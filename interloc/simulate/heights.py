@@ -18,16 +18,10 @@ _PIECE_M, _OFF_PITCH = 5.0, 0.1
 
 @dataclass(frozen=True)
 class HeightField:
-    """Heights on a coarse grid.
-
-    Attributes
-    ----------
-    grid : (rows, columns) float32
-        Height in M, metres; sample (r, c) lies at (x0_m + c * cell_m, y0_m + r * cell_m).
-    x0_m, y0_m, cell_m : float
-    """
+    """Heights on a coarse grid."""
 
     grid: Float32Array
+    """(rows, columns) float32: height in M, metres; sample (r, c) lies at (x0_m + c * cell_m, y0_m + r * cell_m)."""
     x0_m: float
     y0_m: float
     cell_m: float

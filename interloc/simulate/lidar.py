@@ -20,21 +20,15 @@ _LABELS = MATERIAL_TABLE[:, 0].astype(np.uint32)
 
 @dataclass(frozen=True)
 class SimulatedScan:
-    """What one turn sees.
-
-    Attributes
-    ----------
-    points : (N, 4) float32
-        x, y, z in L (metres) and remission, ring by ring from the top.
-    labels : (N,) uint32
-        SemanticKITTI ids.
-    times_s : (N,) float32 or None
-        When each was measured, seconds after the beginning of the turn; None where it takes no time.
-    """
+    """What one turn sees."""
 
     points: Float32Array
+    """(N, 4) float32: x, y, z in L (metres) and remission, ring by ring from the top."""
     labels: UInt32Array
+    """(N,) uint32: semanticKITTI ids."""
     times_s: Float32Array | None = None
+    """(N,) float32 or None: when each was measured, seconds after the beginning of the turn; None where it takes no
+    time."""
 
     def of(self, kept: BoolArray) -> SimulatedScan:
         """Return some of the points, by a (N,) mask."""

@@ -20,28 +20,19 @@ from interloc.simulate.local_frame import LocalFrame
 
 
 class StreetClass(NamedTuple):
-    """Defaults of a highway class.
-
-    Attributes
-    ----------
-    width_m
-        Road surface of a two-way street, kerb to kerb.
-    oneway_lanes
-        Lanes of a one-way carriageway without `lanes`.
-    corner_radius_m
-        Radius of the kerb where such a street joins a larger one.
-    sidewalk, parking
-        Whether sidewalks and cars at the kerb are usual in a town.
-    marked
-        Whether the lanes are marked.
-    """
+    """Defaults of a highway class."""
 
     width_m: float
+    """Road surface of a two-way street, kerb to kerb."""
     oneway_lanes: int
+    """Lanes of a one-way carriageway without `lanes`."""
     corner_radius_m: float
+    """Radius of the kerb where such a street joins a larger one."""
     sidewalk: bool
     parking: bool
+    """Whether sidewalks and cars at the kerb are usual in a town."""
     marked: bool
+    """Whether the lanes are marked."""
 
 
 STREET_CLASSES: dict[str, StreetClass] = {
@@ -132,25 +123,16 @@ FOOTWAYS = {"footway", "cycleway", "pedestrian", "path"}
 
 @dataclass(frozen=True)
 class Street:
-    """A piece of a way from one junction (or end) to the next.
-
-    Attributes
-    ----------
-    way_id : int
-        OSM id of the way.
-    part : int
-        Which piece of the way.
-    nodes : tuple of int
-        Node ids.
-    xy : (N, 2) float64
-        Their places in M, metres.
-    tags : dict
-    """
+    """A piece of a way from one junction (or end) to the next."""
 
     way_id: int
+    """OSM id of the way."""
     part: int
+    """Which piece of the way."""
     nodes: tuple[int, ...]
+    """Node ids."""
     xy: FloatArray
+    """(N, 2) float64: their places in M, metres."""
     tags: dict[str, str]
 
     @property
@@ -161,29 +143,20 @@ class Street:
 
 @dataclass
 class StreetMap:
-    """The world as the map knows it, in the plane M of `frame`.
-
-    Attributes
-    ----------
-    frame : LocalFrame
-    streets : list of Street
-        Everything a car drives on.
-    footways : list of (tags, (N, 2) float64)
-    parking, buildings : list of (tags, (N, 2) float64)
-        Closed outlines.
-    turning_circles : list of int
-        Nodes where a dead end widens.
-    node_xy : dict
-        Place of every node of a street.
-    """
+    """The world as the map knows it, in the plane M of `frame`."""
 
     frame: LocalFrame
     streets: list[Street] = field(default_factory=list)
+    """Everything a car drives on."""
     footways: list[tuple[dict[str, str], FloatArray]] = field(default_factory=list)
+    """list of (tags, (N, 2) float64)."""
     parking: list[tuple[dict[str, str], FloatArray]] = field(default_factory=list)
     buildings: list[tuple[dict[str, str], FloatArray]] = field(default_factory=list)
+    """list of (tags, (N, 2) float64): closed outlines."""
     turning_circles: list[int] = field(default_factory=list)
+    """Nodes where a dead end widens."""
     node_xy: dict[int, FloatArray] = field(default_factory=dict)
+    """Place of every node of a street."""
 
     def arms(self) -> dict[int, list[tuple[Street, bool]]]:
         """Return for every end of a street the streets there, with True where the street starts at it."""
@@ -206,24 +179,16 @@ class MapWay:
 
 @dataclass(frozen=True)
 class MapData:
-    """What the simulator reads of a map, wherever the track will lie.
-
-    Attributes
-    ----------
-    path : Path
-        OSM file with the streets.
-    ways : list of MapWay
-        Those with one of the tags `highway`, `building` and `amenity`.
-    node_tags : dict
-        Tags of the nodes of these ways, by id of the node.
-    areas : list of MapWay or None
-        Buildings and car parks of another file; None: they are among `ways`.
-    """
+    """What the simulator reads of a map, wherever the track will lie."""
 
     path: Path
+    """OSM file with the streets."""
     ways: list[MapWay]
+    """Those with one of the tags `highway`, `building` and `amenity`."""
     node_tags: dict[int, dict[str, str]] = field(default_factory=dict)
+    """Tags of the nodes of these ways, by id of the node."""
     areas: list[MapWay] | None = None
+    """Buildings and car parks of another file; None: they are among `ways`."""
 
 
 def read_map(roads: Path, buildings: Path | None = None) -> MapData:

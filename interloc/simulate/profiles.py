@@ -30,31 +30,21 @@ CLEARANCE_M = 25.0
 
 @dataclass(frozen=True)
 class Profile:
-    """Cross-section of a street, metres; left and right of the direction of its way.
-
-    Attributes
-    ----------
-    line : LineString
-        Centre line in M.
-    half_m : float
-        Half the width of the road surface.
-    bay_left_m, bay_right_m : float
-        Marked parking at the kerb; 0 where there is none.
-    walk_left_m, walk_right_m : float
-        Sidewalks beyond; 0 where there is none.
-    median_left : bool
-        The left side belongs to the other carriageway or to the island of a roundabout.
-    oneway, urban : bool
-    """
+    """Cross-section of a street, metres; left and right of the direction of its way."""
 
     street: Street
     line: LineString
+    """Centre line in M."""
     half_m: float
+    """Half the width of the road surface."""
     bay_left_m: float
     bay_right_m: float
+    """Marked parking at the kerb; 0 where there is none."""
     walk_left_m: float
     walk_right_m: float
+    """Sidewalks beyond; 0 where there is none."""
     median_left: bool
+    """The left side belongs to the other carriageway or to the island of a roundabout."""
     oneway: bool
     urban: bool
 
@@ -82,19 +72,13 @@ class Profile:
 
 @dataclass(frozen=True)
 class Crossing:
-    """A place where one street passes over another.
-
-    Attributes
-    ----------
-    x_m, y_m : float
-    shown, hidden : int
-        Indices of the streets; a vehicle on the ground sees `shown`: the lower of two, unless that is a tunnel.
-    """
+    """A place where one street passes over another."""
 
     x_m: float
     y_m: float
     shown: int
     hidden: int
+    """Indices of the streets; a vehicle on the ground sees `shown`: the lower of two, unless that is a tunnel."""
 
     @property
     def clearing(self) -> BaseGeometry:

@@ -38,28 +38,19 @@ class Surface(IntEnum):
 
 
 class Material(NamedTuple):
-    """Properties of a surface.
-
-    Attributes
-    ----------
-    label
-        SemanticKITTI id.
-    raise_m
-        Height above the road.
-    roughness_m
-        Standard deviation of the height (ground) or of the range (obstacles).
-    remission, remission_std
-        Mean and spread, as measured on sequence 07 of SemanticKITTI.
-    reflectance
-        How well it is seen from afar, relative to a wall.
-    """
+    """Properties of a surface."""
 
     label: int
+    """SemanticKITTI id."""
     raise_m: float
+    """Height above the road."""
     roughness_m: float
+    """Standard deviation of the height (ground) or of the range (obstacles)."""
     remission: float
     remission_std: float
+    """Mean and spread, as measured on sequence 07 of SemanticKITTI."""
     reflectance: float
+    """How well it is seen from afar, relative to a wall."""
 
 
 MATERIALS: dict[Surface, Material] = {

@@ -49,30 +49,21 @@ _OWN_TAGS = "town:"  # explained in town.osm
 
 @dataclass(frozen=True)
 class TownJunction:
-    """The truth about a junction of the town.
-
-    Attributes
-    ----------
-    name, kind : str
-        Its `town:name`; T, X, Y, staggered, roundabout, dual or compound.
-    node_id : int
-        Id in the .osm file.
-    lon_deg, lat_deg : float
-        As written to the .osm file.
-    x_m, y_m : float
-        Metres east and north in `Town.frame`.
-    bearings_deg : tuple of float
-        Directions of its arms, clockwise from north, ascending.
-    """
+    """The truth about a junction of the town."""
 
     name: str
     kind: str
+    """Its `town:name`; T, X, Y, staggered, roundabout, dual or compound."""
     node_id: int
+    """Id in the .osm file."""
     lon_deg: float
     lat_deg: float
+    """As written to the .osm file."""
     x_m: float
     y_m: float
+    """Metres east and north in `Town.frame`."""
     bearings_deg: tuple[float, ...]
+    """Directions of its arms, clockwise from north, ascending."""
 
 
 class Town:

@@ -77,34 +77,24 @@ _MAX_ROUNDS = 500
 
 @dataclass(frozen=True)
 class LidarTrack:
-    """The poses of a drive to be.
-
-    Attributes
-    ----------
-    lat_deg, lon_deg, alt_m : (N,) float64
-        Position of the LiDAR on WGS84.
-    R_enu_lidar : (N, 3, 3) float64
-        Its attitude in the east-north-up frame at the fix.
-    times_s : (N,) float64
-    oxts : (N, 30) float64
-        OXTS values of the IMU, written with the drive.
-    poses_camera : (N, 3, 4) float64 or None
-        Camera-frame poses to be written; None: those of the track itself.
-    calib_text : str
-        The `calib.txt` that goes with them.
-    altitude_known : bool
-        False where `alt_m` says nothing about the ground.
-    """
+    """The poses of a drive to be."""
 
     lat_deg: FloatArray
     lon_deg: FloatArray
     alt_m: FloatArray
+    """(N,) float64: position of the LiDAR on WGS84."""
     R_enu_lidar: FloatArray
+    """(N, 3, 3) float64: its attitude in the east-north-up frame at the fix."""
     times_s: FloatArray
+    """(N,) float64."""
     oxts: FloatArray
+    """(N, 30) float64: OXTS values of the IMU, written with the drive."""
     poses_camera: FloatArray | None = None
+    """(N, 3, 4) float64 or None: camera-frame poses to be written; None: those of the track itself."""
     calib_text: str = CALIB_TEXT
+    """The `calib.txt` that goes with them."""
     altitude_known: bool = True
+    """False where `alt_m` says nothing about the ground."""
 
     def __len__(self) -> int:
         return len(self.lat_deg)

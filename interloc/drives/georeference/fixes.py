@@ -28,29 +28,21 @@ _BEST_STD_M = 0.3
 
 @dataclass(frozen=True)
 class Fixes:
-    """Positions of a GNSS antenna.
-
-    Attributes
-    ----------
-    lat_deg, lon_deg, alt_m : (K,) float64
-        On WGS84.
-    position : (K, 3) float64
-        Where the antenna was in the world of the poses, metres.
-    distance_m : (K,) float64
-        Distance driven until then, ascending.
-    std_m : (K,) float64 or None
-        One-sigma uncertainty along each horizontal axis, as the receiver states it; None where it states none.
-    arm_std_m : float
-        One-sigma uncertainty that all fixes share: that of the place of the antenna on the vehicle.
-    """
+    """Positions of a GNSS antenna."""
 
     lat_deg: FloatArray
     lon_deg: FloatArray
     alt_m: FloatArray
+    """(K,) float64: on WGS84."""
     position: FloatArray
+    """(K, 3) float64: where the antenna was in the world of the poses, metres."""
     distance_m: FloatArray
+    """(K,) float64: distance driven until then, ascending."""
     std_m: FloatArray | None = None
+    """(K,) float64 or None: one-sigma uncertainty along each horizontal axis, as the receiver states it; None where it
+    states none."""
     arm_std_m: float = 0.0
+    """One-sigma uncertainty that all fixes share: that of the place of the antenna on the vehicle."""
 
     @property
     def swapped(self) -> Fixes | None:

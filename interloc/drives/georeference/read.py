@@ -34,26 +34,18 @@ AS_PUBLISHED = "lever arm as published by KITTI"
 
 @dataclass(frozen=True)
 class GeoreferenceFiles:
-    """Where a georeference lies on disk.
-
-    Attributes
-    ----------
-    kind : {"geo", "folder", "rows"}
-        A geo.csv, a folder with one OXTS file per frame, or a file with one OXTS row per frame.
-    path : Path
-    rows : (N,) int64 or None
-        Number of the OXTS file of each scan, where there is a folder of them.
-    odd : str
-        What is odd about the times of these files, in words.
-    imu_calibration : Path or None
-        The calib_imu_to_velo.txt that goes with OXTS.
-    """
+    """Where a georeference lies on disk."""
 
     kind: Literal["geo", "folder", "rows"]
+    """{"geo", "folder", "rows"}: a geo.csv, a folder with one OXTS file per frame, or a file with one OXTS row per
+    frame."""
     path: Path
     rows: IntArray | None = None
+    """(N,) int64 or None: number of the OXTS file of each scan, where there is a folder of them."""
     odd: str = ""
+    """What is odd about the times of these files, in words."""
     imu_calibration: Path | None = None
+    """The calib_imu_to_velo.txt that goes with OXTS."""
 
 
 def locate_georeference(parts: DriveParts, frames: IntArray, given: Path | None) -> GeoreferenceFiles | None:

@@ -30,31 +30,21 @@ _ALIKE, _ALIKE_M = 1.5, 0.1
 
 @dataclass(frozen=True)
 class Shift:
-    """By how much fixes are late or early.
-
-    Attributes
-    ----------
-    late : float
-        Fixes belong to poses that were so much earlier; in the unit of the times given.
-    metres : float
-        How far is driven meanwhile, the median.
-    untold_m : float
-        So many metres along the track fixes may be off and fit as well.
-    is_there : bool
-        Without it, the poses are clearly farther off the fixes.
-    is_sure : bool
-        It is known to 3 m along the track, or to a tenth of itself.
-    before_m, after_m : float
-        Root mean square of what the poses are off the fixes, piece by piece, without and with it.
-    """
+    """By how much fixes are late or early."""
 
     late: float
+    """Fixes belong to poses that were so much earlier; in the unit of the times given."""
     metres: float
+    """How far is driven meanwhile, the median."""
     untold_m: float
+    """So many metres along the track fixes may be off and fit as well."""
     is_there: bool
+    """Without it, the poses are clearly farther off the fixes."""
     is_sure: bool
+    """It is known to 3 m along the track, or to a tenth of itself."""
     before_m: float
     after_m: float
+    """Root mean square of what the poses are off the fixes, piece by piece, without and with it."""
 
     @property
     def untold(self) -> str:

@@ -23,18 +23,12 @@ _MAX_FRAME = 10**15
 
 @dataclass(frozen=True)
 class PoseLines:
-    """The poses of a file.
-
-    Attributes
-    ----------
-    poses : (P, 4, 4) float64
-        Rigid transforms from the frame of the file (camera, LiDAR or IMU) into its world, metres.
-    frames : (P,) int64 or None
-        Frame number of each, ascending, where the lines carry it; else line i belongs to frame i.
-    """
+    """The poses of a file."""
 
     poses: FloatArray
+    """(P, 4, 4) float64: rigid transforms from the frame of the file (camera, LiDAR or IMU) into its world, metres."""
     frames: IntArray | None
+    """(P,) int64 or None: frame number of each, ascending, where the lines carry it; else line i belongs to frame i."""
 
 
 def read_poses(file: SourceFile) -> PoseLines:

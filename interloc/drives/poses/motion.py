@@ -24,30 +24,20 @@ _AXES = "xyz"
 
 @dataclass(frozen=True)
 class BodyMotion:
-    """How a body moves in its own frame.
-
-    Attributes
-    ----------
-    distance_m : float
-        Sum of the steps looked at, each some metres long.
-    along : (3,) float64
-        Share of the motion along x, y, z; sums to 1.
-    forward : float
-        Mean of the steps along the main axis, -1 (backwards) to 1.
-    about : (3,) float64
-        Share of the turning about x, y, z; sums to 1 (zeros without turning).
-    turned_rad : float
-        Root of the sum of squared turns.
-    steadiness : float
-        Share of the motion along its main direction, whichever that is; near 1 for a vehicle.
-    """
+    """How a body moves in its own frame."""
 
     distance_m: float
+    """Sum of the steps looked at, each some metres long."""
     along: FloatArray
+    """(3,) float64: share of the motion along x, y, z; sums to 1."""
     forward: float
+    """Mean of the steps along the main axis, -1 (backwards) to 1."""
     about: FloatArray
+    """(3,) float64: share of the turning about x, y, z; sums to 1 (zeros without turning)."""
     turned_rad: float
+    """Root of the sum of squared turns."""
     steadiness: float
+    """Share of the motion along its main direction, whichever that is; near 1 for a vehicle."""
 
     @property
     def axis(self) -> str:

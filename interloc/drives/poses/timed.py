@@ -16,21 +16,14 @@ _NEARLY_PARALLEL = 1e-9
 
 @dataclass(frozen=True)
 class TimedPoses:
-    """Poses of a body at times.
-
-    Attributes
-    ----------
-    times_s : (P,) float64
-        Seconds, strictly ascending, at least one.
-    poses : (P, 4, 4) float64
-        Rigid T_world_body at each.
-    source : str
-        Where they come from, for messages.
-    """
+    """Poses of a body at times."""
 
     times_s: FloatArray
+    """(P,) float64: seconds, strictly ascending, at least one."""
     poses: FloatArray
+    """(P, 4, 4) float64: rigid T_world_body at each."""
     source: str = "poses"
+    """Where they come from, for messages."""
 
     @property
     def span_s(self) -> tuple[float, float]:

@@ -29,17 +29,11 @@ _BARE_POINT_BYTES = 12
 
 @dataclass(frozen=True)
 class BinScans:
-    """The .bin files of a drive; a `PointSource`.
-
-    Attributes
-    ----------
-    scan_files : NumberedFiles
-    point_bytes : int
-        Bytes per point: 16, or 20 where the ring is the fifth value.
-    """
+    """The .bin files of a drive; a `PointSource`."""
 
     scan_files: NumberedFiles
     point_bytes: int = POINT_BYTES
+    """Bytes per point: 16, or 20 where the ring is the fifth value."""
 
     def name(self, frame: int) -> str:
         """Return the name of the file of a scan, for messages."""

@@ -23,21 +23,15 @@ _SAMPLED = 12  # scans, evenly spread
 
 @dataclass(frozen=True)
 class DeskewedScans:
-    """Scans without the motion within them; a `PointSource`.
-
-    Attributes
-    ----------
-    source : PointSource
-        The scans as they were recorded.
-    frames : (N,) int64
-        Scan numbers, ascending.
-    velocities : tuple of (Velocity or None, Velocity or None)
-        Before and after the time of each scan; None where it is not known: then its points stay as they are.
-    """
+    """Scans without the motion within them; a `PointSource`."""
 
     source: PointSource
+    """The scans as they were recorded."""
     frames: IntArray
+    """(N,) int64: scan numbers, ascending."""
     velocities: tuple[tuple[Velocity | None, Velocity | None], ...]
+    """tuple of (Velocity or None, Velocity or None): before and after the time of each scan; None where it is not
+    known: then its points stay as they are."""
 
     def name(self, frame: int) -> str:
         """Return how messages call a scan."""

@@ -24,18 +24,11 @@ _MIN_VIEW_DEG = 200.0
 
 @dataclass(frozen=True)
 class GeometryLabels:
-    """What geometry and brightness say of the scans, in ids of SemanticKITTI.
-
-    Attributes
-    ----------
-    points : PointSource
-    frames : (N,) int64
-        Scan numbers, ascending.
-    labeller : GeometryLabeller
-    """
+    """What geometry and brightness say of the scans, in ids of SemanticKITTI."""
 
     points: PointSource
     frames: IntArray
+    """(N,) int64: scan numbers, ascending."""
     labeller: GeometryLabeller
     name = GEOMETRY
     scheme = "semantickitti"

@@ -19,17 +19,11 @@ _REMEMBERED = 16  # scans: those that the checks look into come up again
 
 @dataclass(frozen=True)
 class NetworkLabels:
-    """What a network makes of the scans, in ids of SemanticKITTI.
-
-    Attributes
-    ----------
-    labeller : Labeller
-    remission_scale : float
-        What the remission of the drive is divided by to lie between 0 and 1.
-    """
+    """What a network makes of the scans, in ids of SemanticKITTI."""
 
     labeller: Labeller
     remission_scale: float
+    """What the remission of the drive is divided by to lie between 0 and 1."""
     scheme = "semantickitti"
     is_slow = True
     _recent: OrderedDict[int, UInt32Array] = field(default_factory=OrderedDict, compare=False, repr=False)

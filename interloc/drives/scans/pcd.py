@@ -52,20 +52,13 @@ _TOO_LARGE = 10**18  # for a scan number, as in `list_numbered`
 
 @dataclass(frozen=True)
 class PcdScans:
-    """The .pcd files of a drive; a `PointSource`.
-
-    Attributes
-    ----------
-    folder : SourceFile
-    names : tuple of str
-        Of the files, in the order of the scans.
-    frames : (N,) int64
-        Their scan numbers, ascending.
-    """
+    """The .pcd files of a drive; a `PointSource`."""
 
     folder: SourceFile
     names: tuple[str, ...]
+    """Of the files, in the order of the scans."""
     frames: IntArray
+    """(N,) int64: their scan numbers, ascending."""
 
     def _file(self, frame: int) -> SourceFile:
         return replace(self.folder, path=self.folder.path / self.names[int(np.searchsorted(self.frames, frame))])
@@ -94,22 +87,15 @@ class PcdScans:
 
 @dataclass(frozen=True)
 class PcdHeader:
-    """What a PCD file says of itself.
-
-    Attributes
-    ----------
-    dtype : numpy.dtype
-        Of one point.
-    points : int
-    encoding : {"ascii", "binary", "binary_compressed"}
-    data_at : int
-        Where the points begin, in bytes.
-    """
+    """What a PCD file says of itself."""
 
     dtype: np.dtype[Any]
+    """Of one point."""
     points: int
     encoding: str
+    """{"ascii", "binary", "binary_compressed"}."""
     data_at: int
+    """Where the points begin, in bytes."""
 
     def field_among(self, names: Sequence[str]) -> str | None:
         """Return the first field with one of these names, in capitals or not."""

@@ -97,23 +97,15 @@ if TYPE_CHECKING:  # most drives need neither
 
 @dataclass(frozen=True)
 class RawScans:
-    """The scans of a drive as it was recorded, with the labels of a folder, of the points, a network, or geometry.
-
-    Attributes
-    ----------
-    recording : Recording
-    labels : LabelFiles, PointLabels, NetworkLabels, GeometryLabels or None
-        None where there are none, which was raised or listed.
-    usable : (M,) int64
-        Positions of the scans that have labels, of the size that fits.
-    scheme : LabelScheme
-        Which label ids are road; known once they were judged.
-    """
+    """The scans of a drive as it was recorded, with the labels of a folder, of the points, a network, or geometry."""
 
     recording: Recording
     labels: LabelSource | None
+    """None where there are none, which was raised or listed."""
     usable: IntArray
+    """(M,) int64: positions of the scans that have labels, of the size that fits."""
     scheme: LabelScheme = SEMANTICKITTI
+    """Which label ids are road; known once they were judged."""
 
     def __getstate__(self) -> dict[str, object]:
         """Leave the selection table behind: it is made anew from the scheme."""

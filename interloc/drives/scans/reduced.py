@@ -49,31 +49,20 @@ def read_ground(root: Path, folder: LabelFolder, frame: int) -> GroundPoints:
 
 @dataclass(frozen=True)
 class ReducedScans:
-    """The scans of a reduced drive, by one of its label folders.
-
-    Attributes
-    ----------
-    manifest : ReducedManifest
-    parts : DriveParts
-    frames : (N,) int64
-        Numbers of all scans, also of those that were not kept.
-    kept : (K,) int64
-        Numbers of the scans that are here.
-    usable : (M,) int64
-        Positions of those whose files are there, and of a size that can be.
-    labels : ReducedLabels or None
-        Of the label folder; None where the drive has none of it.
-    ground_bytes : int or None
-        Size of its ground files; None where they could not be listed.
-    """
+    """The scans of a reduced drive, by one of its label folders."""
 
     manifest: ReducedManifest
     parts: DriveParts
     frames: IntArray
+    """(N,) int64: numbers of all scans, also of those that were not kept."""
     kept: IntArray
+    """(K,) int64: numbers of the scans that are here."""
     usable: IntArray
+    """(M,) int64: positions of those whose files are there, and of a size that can be."""
     labels: ReducedLabels | None = None
+    """Of the label folder; None where the drive has none of it."""
     ground_bytes: int | None = None
+    """Size of its ground files; None where they could not be listed."""
 
     is_slow = False
 

@@ -34,40 +34,26 @@ _COVERED = 0.5
 
 @dataclass(frozen=True)
 class Sample:
-    """Some points of a cloud.
-
-    Attributes
-    ----------
-    times_s : (N,) float64
-        In the clock of the cloud.
-    xyz : (N, 3) float64
-        Easting, northing, height.
-    time_offset_s : float
-        What was subtracted from adjusted standard time.
-    """
+    """Some points of a cloud."""
 
     times_s: FloatArray
+    """(N,) float64: in the clock of the cloud."""
     xyz: FloatArray
+    """(N, 3) float64: easting, northing, height."""
     time_offset_s: float = ADJUSTED_OFFSET_S
+    """What was subtracted from adjusted standard time."""
 
 
 @dataclass(frozen=True)
 class ClockMatch:
-    """How the clock of a trajectory is turned into that of the cloud.
-
-    Attributes
-    ----------
-    offset_s : float
-        To be added to the times of the trajectory.
-    reason : str
-        Which clocks these are.
-    distance_m : float
-        Median horizontal distance of the points from the vehicle.
-    """
+    """How the clock of a trajectory is turned into that of the cloud."""
 
     offset_s: float
+    """To be added to the times of the trajectory."""
     reason: str
+    """Which clocks these are."""
     distance_m: float
+    """Median horizontal distance of the points from the vehicle."""
 
 
 def match_clocks(sample: Sample, times_s: FloatArray, xy: FloatArray, file: SourceFile, cloud: str) -> ClockMatch:

@@ -50,37 +50,25 @@ Field = Literal["xyz", "labels", "intensity", "time"]
 
 @dataclass(frozen=True)
 class CloudFile:
-    """A LAS or LAZ file whose header was checked; its points are read when they are asked for.
-
-    Attributes
-    ----------
-    file : SourceFile
-    size : int
-        Bytes.
-    points : int
-    point_format : int
-        0 to 10 (ASPRS).
-    minimum, maximum : tuple of float
-        Bounds of x, y, z that the header states.
-    compressed : bool
-    standard_time : bool
-        The header states that times are adjusted standard GPS time, not seconds of the GPS week. Not all do so rightly.
-    time_offset_s : float
-        What was subtracted from adjusted standard time.
-    read_evlrs : bool
-        There are records after the points that are worth reading (they may hold the coordinate system).
-    """
+    """A LAS or LAZ file whose header was checked; its points are read when they are asked for."""
 
     file: SourceFile
     size: int
+    """Bytes."""
     points: int
     point_format: int
+    """0 to 10 (ASPRS)."""
     minimum: tuple[float, float, float]
     maximum: tuple[float, float, float]
+    """Bounds of x, y, z that the header states."""
     compressed: bool
     standard_time: bool
+    """The header states that times are adjusted standard GPS time, not seconds of the GPS week. Not all do so rightly.
+    """
     time_offset_s: float = ADJUSTED_OFFSET_S
+    """What was subtracted from adjusted standard time."""
     read_evlrs: bool = False
+    """There are records after the points that are worth reading (they may hold the coordinate system)."""
 
     @property
     def has_time(self) -> bool:
@@ -132,26 +120,18 @@ class CloudFile:
 
 @dataclass(frozen=True)
 class Block:
-    """Some points of a cloud, one after the other in the file; what was not asked for is empty.
-
-    Attributes
-    ----------
-    xyz : (N, 3) float64
-        In the coordinate system of the file.
-    labels : (N,) uint8
-        Classification (ASPRS).
-    intensity : (N,) uint16
-    times_s : (N,) float64
-        gps_time, in whichever clock.
-    withheld : (N,) bool
-        Points that were deleted by their maker, who only marked them.
-    """
+    """Some points of a cloud, one after the other in the file; what was not asked for is empty."""
 
     xyz: FloatArray
+    """(N, 3) float64: in the coordinate system of the file."""
     labels: UInt8Array
+    """(N,) uint8: classification (ASPRS)."""
     intensity: UInt16Array
+    """(N,) uint16."""
     times_s: FloatArray
+    """(N,) float64: gps_time, in whichever clock."""
     withheld: BoolArray
+    """(N,) bool: points that were deleted by their maker, who only marked them."""
 
     @classmethod
     def of(cls, points: Any, fields: frozenset[Field], *, with_time: bool) -> Block:  # noqa: ANN401 - a laspy record

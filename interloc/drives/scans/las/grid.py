@@ -18,18 +18,12 @@ _STEP_M = 10.0
 
 @dataclass(frozen=True)
 class Grid:
-    """A projected coordinate system in metres.
-
-    Attributes
-    ----------
-    crs : pyproj.CRS
-        Its horizontal part.
-    source : str
-        Where it is stated.
-    """
+    """A projected coordinate system in metres."""
 
     crs: Any
+    """Its horizontal part."""
     source: str
+    """Where it is stated."""
 
     @property
     def name(self) -> str:

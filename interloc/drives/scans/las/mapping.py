@@ -86,22 +86,16 @@ def open_mapping(
 
 @dataclass(frozen=True)
 class Vehicle:
-    """Where the vehicle was, in the clock and the coordinates of the cloud.
-
-    Attributes
-    ----------
-    times_s : (P,) float64
-    position : (P, 3) float64
-    heading : (P,) float64 or None
-        Radians counter-clockwise from the easting axis, without jumps; None: as it moves.
-    reason : str
-        Where they come from, in words.
-    """
+    """Where the vehicle was, in the clock and the coordinates of the cloud."""
 
     times_s: FloatArray
+    """(P,) float64."""
     position: FloatArray
+    """(P, 3) float64."""
     heading: FloatArray | None
+    """(P,) float64 or None: radians counter-clockwise from the easting axis, without jumps; None: as it moves."""
     reason: str
+    """Where they come from, in words."""
 
     def headings_at(self, times_s: FloatArray) -> FloatArray:
         """Return the (N,) headings at some times."""

@@ -28,19 +28,12 @@ _SAMPLED = 5
 
 @dataclass(frozen=True)
 class ScanClouds:
-    """One LAS file per scan; a `PointSource`.
-
-    Attributes
-    ----------
-    clouds : tuple of CloudFile
-        In the order of the scans.
-    frames : (N,) int64
-        Their scan numbers, ascending.
-    carries_labels : bool
-    """
+    """One LAS file per scan; a `PointSource`."""
 
     clouds: tuple[CloudFile, ...]
+    """In the order of the scans."""
     frames: IntArray
+    """(N,) int64: their scan numbers, ascending."""
     carries_labels: bool
 
     def _cloud(self, frame: int) -> CloudFile:

@@ -37,19 +37,13 @@ _INDEX_FIELDS: frozenset[Field] = frozenset({"labels", "time"})
 
 @dataclass(frozen=True)
 class Slices:
-    """The scans that a drive is cut into: intervals of time, and where the vehicle was in each.
-
-    Attributes
-    ----------
-    times_s : (S,) float64
-        Of the poses, in the clock of the cloud, ascending.
-    start_s, end_s : (S,) float64
-        Points from the start on and before the end belong to it; the intervals do not overlap.
-    """
+    """The scans that a drive is cut into: intervals of time, and where the vehicle was in each."""
 
     times_s: FloatArray
+    """(S,) float64: of the poses, in the clock of the cloud, ascending."""
     start_s: FloatArray
     end_s: FloatArray
+    """(S,) float64: points from the start on and before the end belong to it; the intervals do not overlap."""
 
     def of(self, times_s: FloatArray) -> IntArray:
         """Return the slice of (N,) times, -1 where there is none."""
@@ -93,27 +87,18 @@ def cut(times_s: FloatArray, position: FloatArray) -> Slices:
 
 @dataclass(frozen=True)
 class SliceIndex:
-    """Which blocks of which files hold the points of every slice.
-
-    Attributes
-    ----------
-    counts : (S,) int64
-        Points of every slice.
-    first : (S + 1,) int64
-        Where the blocks of every slice begin in `blocks`.
-    blocks : (P,) int64
-        Numbers of blocks, those of all files one after the other; ascending in every slice.
-    classes : (256,) int64
-        Points of every classification.
-    outside : int
-        Points that belong to no slice.
-    """
+    """Which blocks of which files hold the points of every slice."""
 
     counts: IntArray
+    """(S,) int64: points of every slice."""
     first: IntArray
+    """(S + 1,) int64: where the blocks of every slice begin in `blocks`."""
     blocks: IntArray
+    """(P,) int64: numbers of blocks, those of all files one after the other; ascending in every slice."""
     classes: IntArray
+    """(256,) int64: points of every classification."""
     outside: int
+    """Points that belong to no slice."""
 
     @property
     def steps(self) -> IntArray:
@@ -192,25 +177,15 @@ def _order_complaint(pieces: int, slices: int) -> str:
 
 @dataclass(frozen=True)
 class SlicedClouds:
-    """The scans of a cloud; a `PointSource`. The scans are numbered from 0.
-
-    Attributes
-    ----------
-    clouds : tuple of CloudFile
-    slices : Slices
-    index : SliceIndex
-    origin : (S, 3) float64
-        Where the vehicle was, in the coordinates of the cloud.
-    to_lidar : (S, 2, 2) float64
-        ``xy in L = to_lidar @ (easting, northing from the origin)``.
-    carries_labels : bool
-    """
+    """The scans of a cloud; a `PointSource`. The scans are numbered from 0."""
 
     clouds: tuple[CloudFile, ...]
     slices: Slices
     index: SliceIndex
     origin: FloatArray
+    """(S, 3) float64: where the vehicle was, in the coordinates of the cloud."""
     to_lidar: FloatArray
+    """(S, 2, 2) float64: ``xy in L = to_lidar @ (easting, northing from the origin)``."""
     carries_labels: bool
 
     def name(self, frame: int) -> str:

@@ -39,26 +39,18 @@ _UNIT = re.compile(r"_(s|sec|seconds|m|deg|degrees|rad|radians)$")
 
 @dataclass(frozen=True)
 class SurveyTrack:
-    """Where the vehicle was, and when.
-
-    Attributes
-    ----------
-    file : SourceFile
-    times_s : (P,) float64
-        Strictly ascending, in whichever clock.
-    position : (P, 3) float64
-        Easting, northing and height; or longitude, latitude in degrees and altitude where `geographic`.
-    geographic : bool
-    headings : dict of str to (P,) float64
-        Directions of the vehicle, radians counter-clockwise from the east, by what would have been meant by the
-        numbers of the file; the motion shows which it is. Empty where it states none.
-    """
+    """Where the vehicle was, and when."""
 
     file: SourceFile
     times_s: FloatArray
+    """(P,) float64: strictly ascending, in whichever clock."""
     position: FloatArray
+    """(P, 3) float64: easting, northing and height; or longitude, latitude in degrees and altitude where `geographic`.
+    """
     geographic: bool
     headings: dict[str, FloatArray] = field(default_factory=dict)
+    """dict of str to (P,) float64: directions of the vehicle, radians counter-clockwise from the east, by what would
+    have been meant by the numbers of the file; the motion shows which it is. Empty where it states none."""
 
 
 def find_tracks(folders: list[Path]) -> list[Path]:
@@ -158,20 +150,14 @@ def _read_table(file: SourceFile) -> SurveyTrack:
 
 
 class Table(NamedTuple):
-    """The columns of a table that were asked for.
-
-    Attributes
-    ----------
-    columns : dict of str to str
-        Quantity -> what the header calls it.
-    values : (N, C) float64
-    at : list of int
-        Line of each row, from 1.
-    """
+    """The columns of a table that were asked for."""
 
     columns: dict[str, str]
+    """Quantity -> what the header calls it."""
     values: FloatArray
+    """(N, C) float64."""
     at: list[int]
+    """Line of each row, from 1."""
 
 
 def read_table(file: SourceFile, kinds: Sequence[Sequence[str]], expected: str, blank: str = "") -> Table:

@@ -44,27 +44,18 @@ _HEAD_BYTES = 4096
 
 @dataclass(frozen=True)
 class BagTopic:
-    """All messages of a topic, in the order in which they lie in the files.
-
-    Attributes
-    ----------
-    name, type : str
-    encoding : {"ros1", "cdr"} or None
-        None where it is not known.
-    log_ns : (N,) int64
-        When each was recorded.
-    files : (N,) int64
-        Which file of the bag each lies in.
-    places : (N, 4) int64
-        Where it lies there.
-    """
+    """All messages of a topic, in the order in which they lie in the files."""
 
     name: str
     type: str
     encoding: Encoding | None
+    """{"ros1", "cdr"} or None: none where it is not known."""
     log_ns: IntArray
+    """(N,) int64: when each was recorded."""
     files: IntArray
+    """(N,) int64: which file of the bag each lies in."""
     places: IntArray
+    """(N, 4) int64: where it lies there."""
 
     def __len__(self) -> int:
         return len(self.log_ns)
@@ -72,17 +63,11 @@ class BagTopic:
 
 @dataclass(frozen=True)
 class Bag:
-    """The files of a bag, and what is in them.
-
-    Attributes
-    ----------
-    files : tuple of SourceFile
-    topics : list of BagTopic
-        By name.
-    """
+    """The files of a bag, and what is in them."""
 
     files: tuple[SourceFile, ...]
     topics: list[BagTopic]
+    """By name."""
 
     @property
     def name(self) -> str:

@@ -27,24 +27,15 @@ _GRID_S, _MAX_GRID = 0.2, 20_000
 
 @dataclass(frozen=True)
 class BagFixes:
-    """The fixes of one topic.
-
-    Attributes
-    ----------
-    bag : Bag
-    topic : BagTopic
-    points_frame : str
-        Frame of the points.
-    tree : FrameTree
-    by_log : bool
-        Times are those of recording, not those of the headers.
-    """
+    """The fixes of one topic."""
 
     bag: Bag
     topic: BagTopic
     points_frame: str
+    """Frame of the points."""
     tree: FrameTree
     by_log: bool = False
+    """Times are those of recording, not those of the headers."""
 
     def georeference(
         self, motion: LidarMotion, times_s: FloatArray, world: FloatArray, findings: Findings

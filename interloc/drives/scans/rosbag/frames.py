@@ -32,21 +32,14 @@ _OFF_UNIT = 0.05
 
 @dataclass(frozen=True)
 class Edge:
-    """How one frame lies in another, over time.
-
-    Attributes
-    ----------
-    parent, child : str
-    moves : TimedPoses
-        T_parent_child.
-    holds : bool
-        Each holds until the next, as a localiser means it that publishes its corrections when they change.
-    """
+    """How one frame lies in another, over time."""
 
     parent: str
     child: str
     moves: TimedPoses
+    """T_parent_child."""
     holds: bool = False
+    """Each holds until the next, as a localiser means it that publishes its corrections when they change."""
 
     @cached_property
     def fixed(self) -> bool:
@@ -75,21 +68,14 @@ class Edge:
 
 @dataclass(frozen=True)
 class FrameTree:
-    """All transforms of a bag.
-
-    Attributes
-    ----------
-    lead_s : float
-        By how much the stamps of /tf are ahead of the times at which they were recorded, the median.
-    parents : dict of str to str
-        The parent of each frame.
-    rows : dict of str to array
-        Time in seconds, x y z in metres and quaternion x y z w of all transforms of each frame, one after the other.
-    """
+    """All transforms of a bag."""
 
     lead_s: float = float("nan")
+    """By how much the stamps of /tf are ahead of the times at which they were recorded, the median."""
     parents: dict[str, str] = field(default_factory=dict)
+    """The parent of each frame."""
     rows: dict[str, array[float]] = field(default_factory=dict)
+    """Time in seconds, x y z in metres and quaternion x y z w of all transforms of each frame, one after the other."""
     _edges: dict[str, Edge | None] = field(default_factory=dict)
 
     def edge(self, child: str) -> Edge | None:

@@ -42,43 +42,28 @@ _DAMAGE = (
 
 @dataclass(frozen=True)
 class Channel:
-    """The messages of one topic in one file.
-
-    Attributes
-    ----------
-    topic, type : str
-        The type is spelt as in ROS 2: "sensor_msgs/msg/PointCloud2".
-    encoding : {"ros1", "cdr"} or None
-        None where it is another.
-    log_ns : (N,) int64
-        When each message was recorded, nanoseconds.
-    places : (N, 4) int64
-        Where it lies: `CHUNK_START`, `CHUNK_BYTES`, `CODEC`, `OFFSET`.
-    defined : bool
-        The file holds the definition of the type.
-    """
+    """The messages of one topic in one file."""
 
     topic: str
     type: str
+    """The type is spelt as in ROS 2: "sensor_msgs/msg/PointCloud2"."""
     encoding: Encoding | None
+    """{"ros1", "cdr"} or None: none where it is another."""
     log_ns: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
+    """(N,) int64: when each message was recorded, nanoseconds."""
     places: IntArray = field(default_factory=lambda: np.empty((0, 4), np.int64))
+    """(N, 4) int64: where it lies: `CHUNK_START`, `CHUNK_BYTES`, `CODEC`, `OFFSET`."""
     defined: bool = True
+    """The file holds the definition of the type."""
 
 
 @dataclass(frozen=True)
 class BagIndex:
-    """What is in one file of a bag.
-
-    Attributes
-    ----------
-    channels : list of Channel
-    damage : str
-        What was found where the file could not be read to its end; empty where all is well.
-    """
+    """What is in one file of a bag."""
 
     channels: list[Channel]
     damage: str = ""
+    """What was found where the file could not be read to its end; empty where all is well."""
 
 
 _AHEAD = 64

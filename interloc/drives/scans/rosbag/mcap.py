@@ -42,24 +42,16 @@ ENCODINGS: dict[str, Encoding] = {"cdr": "cdr", "ros1": "ros1"}
 
 @dataclass
 class Contents:
-    """What was found so far.
-
-    Attributes
-    ----------
-    schemas : dict of int to (str, bool)
-        Name of each type, and whether its definition is there.
-    channels : dict of int to (str, int, str)
-        Topic, number of the schema, encoding.
-    found : dict of int to list of (N, 5) int64
-        Log time and place of the messages of each channel.
-    count : int
-        Messages found.
-    """
+    """What was found so far."""
 
     schemas: dict[int, tuple[str, bool]] = field(default_factory=dict)
+    """dict of int to (str, bool): name of each type, and whether its definition is there."""
     channels: dict[int, tuple[str, int, str]] = field(default_factory=dict)
+    """dict of int to (str, int, str): topic, number of the schema, encoding."""
     found: dict[int, list[IntArray]] = field(default_factory=dict)
+    """dict of int to list of (N, 5) int64: log time and place of the messages of each channel."""
     count: int = 0
+    """Messages found."""
 
     def add_record(self, kind: int, content: bytes) -> None:
         """Take in a schema or a channel."""

@@ -23,43 +23,28 @@ _UNKNOWN_COVARIANCE = 0
 
 @dataclass(frozen=True)
 class StampedPose:
-    """A pose, or a transform between two frames.
-
-    Attributes
-    ----------
-    header : Header
-        Time, and the frame that the pose is in.
-    child_frame : str
-        The frame whose pose this is; empty where the message does not name it.
-    values : tuple of 7 float
-        x y z in metres, quaternion x y z w.
-    """
+    """A pose, or a transform between two frames."""
 
     header: Header
+    """Time, and the frame that the pose is in."""
     child_frame: str
+    """The frame whose pose this is; empty where the message does not name it."""
     values: tuple[float, ...]
+    """x y z in metres, quaternion x y z w."""
 
 
 @dataclass(frozen=True)
 class Fix:
-    """A position of a GNSS receiver.
-
-    Attributes
-    ----------
-    header : Header
-        Time, and the frame of the antenna.
-    status : int
-        `NO_FIX`, or better.
-    position : tuple of 3 float
-        Latitude and longitude in degrees, altitude over the ellipsoid in metres.
-    std_m : float
-        One-sigma uncertainty of the position along each horizontal axis, metres; NaN where it is not known.
-    """
+    """A position of a GNSS receiver."""
 
     header: Header
+    """Time, and the frame of the antenna."""
     status: int
+    """`NO_FIX`, or better."""
     position: tuple[float, ...]
+    """Latitude and longitude in degrees, altitude over the ellipsoid in metres."""
     std_m: float = float("nan")
+    """One-sigma uncertainty of the position along each horizontal axis, metres; NaN where it is not known."""
 
 
 def read_pose(data: bytes, kind: str, encoding: Encoding) -> StampedPose:

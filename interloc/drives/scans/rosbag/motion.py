@@ -23,29 +23,20 @@ _BODIES = ("base_link", "base_footprint", "base", "body", "vehicle", "ego_vehicl
 
 @dataclass(frozen=True)
 class LidarMotion:
-    """Poses of the LiDAR over time.
-
-    Attributes
-    ----------
-    edges : tuple of Edge
-        From the frame that carries the LiDAR up to the fixed one.
-    T_body_lidar : (4, 4) float64
-    count : int
-        Poses that were read.
-    reason : str
-        Which poses these are, in words.
-    lead_s : float
-        By how much their stamps are ahead of the times at which they were recorded; NaN where that is not known.
-    within_s : tuple of two float
-        Only between these times it is used.
-    """
+    """Poses of the LiDAR over time."""
 
     edges: tuple[Edge, ...]
+    """From the frame that carries the LiDAR up to the fixed one."""
     T_body_lidar: FloatArray
+    """(4, 4) float64."""
     count: int
+    """Poses that were read."""
     reason: str
+    """Which poses these are, in words."""
     lead_s: float = float("nan")
+    """By how much their stamps are ahead of the times at which they were recorded; NaN where that is not known."""
     within_s: tuple[float, float] = (-np.inf, np.inf)
+    """Only between these times it is used."""
 
     @property
     def span_s(self) -> tuple[float, float]:

@@ -31,30 +31,22 @@ class BagScans:
 
     It opens the bag for every scan that it reads, which takes less than the reading itself; so it may be used from
     several threads and sent to other processes.
-
-    Attributes
-    ----------
-    bag_files : tuple of SourceFile
-    topic, type : str
-    encoding : {"ros1", "cdr"}
-    frames : (N,) int64
-        Scan numbers, ascending.
-    file_numbers : (N,) int64
-        Which file each scan lies in.
-    places : (N, 4) int64
-        Where it lies there.
-    mounts : dict of str to (4, 4) float64
-        How other frames lie in that of the points, where the scans come from several sensors.
     """
 
     bag_files: tuple[SourceFile, ...]
     topic: str
     type: str
     encoding: Encoding
+    """{"ros1", "cdr"}."""
     frames: IntArray
+    """(N,) int64: scan numbers, ascending."""
     file_numbers: IntArray
+    """(N,) int64: which file each scan lies in."""
     places: IntArray
+    """(N, 4) int64: where it lies there."""
     mounts: dict[str, FloatArray] = field(default_factory=dict)
+    """dict of str to (4, 4) float64: how other frames lie in that of the points, where the scans come from several
+    sensors."""
 
     def _row(self, frame: int) -> int:
         row = int(np.searchsorted(self.frames, frame))

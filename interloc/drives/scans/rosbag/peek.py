@@ -39,17 +39,11 @@ class MissingRangeError(Exception):
 
 @dataclass(frozen=True)
 class Pieces:
-    """A file of which some ranges are known.
-
-    Attributes
-    ----------
-    size : int
-    known : mapping of int to bytes
-        By where they begin.
-    """
+    """A file of which some ranges are known."""
 
     size: int
     known: Mapping[int, bytes]
+    """By where they begin."""
 
     def read(self, start: int, count: int, *, ahead: int = 0) -> bytes:
         """Return bytes, at most some megabytes; `ahead`: ask for more of them where they are missing.
@@ -67,18 +61,12 @@ class Pieces:
 
 @dataclass
 class BagPeek:
-    """What was found.
-
-    Attributes
-    ----------
-    topics : dict of str to str
-        Name -> type, of those with messages.
-    has_labels : bool or None
-        Whether the points of the first scan carry labels; None: that could not be told.
-    """
+    """What was found."""
 
     topics: dict[str, str] = field(default_factory=dict)
+    """Name -> type, of those with messages."""
     has_labels: bool | None = None
+    """Whether the points of the first scan carry labels; None: that could not be told."""
 
     def of(self, kind: Literal["points", "poses", "fixes"]) -> list[str]:
         """Return the names of the topics of a kind."""

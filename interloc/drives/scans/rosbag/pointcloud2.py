@@ -41,28 +41,19 @@ _LIVOX_BYTES = 19  # offset_time, x y z, reflectivity, tag, line
 
 @dataclass(frozen=True)
 class CloudLayout:
-    """What a message says of its points, before they are looked at.
-
-    Attributes
-    ----------
-    header : Header
-    height, width : int
-        Rows and points per row.
-    dtype : numpy.dtype
-        Fields x, y, z, and remission, label and time where the points have them.
-    point_step, row_step : int
-        Bytes from point to point, and from row to row.
-    data : memoryview
-        The points; of the beginning of a message, what there is of them.
-    """
+    """What a message says of its points, before they are looked at."""
 
     header: Header
     height: int
     width: int
+    """Rows and points per row."""
     dtype: np.dtype[np.void]
+    """Fields x, y, z, and remission, label and time where the points have them."""
     point_step: int
     row_step: int
+    """Bytes from point to point, and from row to row."""
     data: memoryview
+    """The points; of the beginning of a message, what there is of them."""
 
     @property
     def count(self) -> int:

@@ -50,22 +50,15 @@ def clock_shift(lead_s: float, other_lead_s: float) -> ClockShift | None:
 
 @dataclass(frozen=True)
 class ScanTimes:
-    """When the scans of a bag were taken.
-
-    Attributes
-    ----------
-    order : (N,) int64
-        Rows of the topic in the order of time: scan number to row.
-    stamp_s, log_s : (N,) float64
-        Time in the header, and time of recording, of each scan.
-    frame_ids : tuple of str
-        The coordinate frames of the points, those of the most scans first.
-    """
+    """When the scans of a bag were taken."""
 
     order: IntArray
+    """(N,) int64: rows of the topic in the order of time: scan number to row."""
     stamp_s: FloatArray
     log_s: FloatArray
+    """(N,) float64: time in the header, and time of recording, of each scan."""
     frame_ids: tuple[str, ...] = ()
+    """The coordinate frames of the points, those of the most scans first."""
 
     @property
     def lead_s(self) -> float:

@@ -32,22 +32,15 @@ _USUAL_ORDER = {kind: place for place, kind in enumerate((ODOMETRY, POSE, POSE_W
 
 @dataclass(frozen=True)
 class PointsTopic:
-    """The scans of a bag.
-
-    Attributes
-    ----------
-    topic : BagTopic
-    frame_id : str
-        Coordinate frame of the points.
-    has_labels, has_remission, has_times : bool
-        What each point carries.
-    """
+    """The scans of a bag."""
 
     topic: BagTopic
     frame_id: str
+    """Coordinate frame of the points."""
     has_labels: bool
     has_remission: bool
     has_times: bool = False
+    """What each point carries."""
 
 
 def choose_points(bag: Bag, given: str | None, findings: Findings) -> PointsTopic:

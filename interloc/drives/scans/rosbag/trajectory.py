@@ -33,37 +33,24 @@ _MANY, _MOST = 0.2, 0.9
 
 @dataclass(frozen=True)
 class BagMotion:
-    """What a bag tells of the motion of its LiDAR.
-
-    Attributes
-    ----------
-    frames : (N,) int64
-        Numbers of the scans that are used: those whose pose is known.
-    times_s : (N,) float64
-        Their times, seconds.
-    motion : LidarMotion or None
-        None where a file of poses is used instead, or the bag has a fault.
-    poses : BagTopic or None
-    fixes : tuple of BagTopic
-        The topics of GNSS fixes, the best first.
-    tree : FrameTree
-    by_log : bool
-        Times are those of recording, not those of the headers.
-    pose_file : Path or None
-        The file of poses that was given instead of a topic.
-    fault : InterLocError or None
-        Why there is no motion.
-    """
+    """What a bag tells of the motion of its LiDAR."""
 
     frames: IntArray
+    """(N,) int64: numbers of the scans that are used: those whose pose is known."""
     times_s: FloatArray
+    """(N,) float64: their times, seconds."""
     motion: LidarMotion | None = None
+    """None where a file of poses is used instead, or the bag has a fault."""
     poses: BagTopic | None = None
     fixes: tuple[BagTopic, ...] = ()
+    """The topics of GNSS fixes, the best first."""
     tree: FrameTree = field(default_factory=FrameTree)
     by_log: bool = False
+    """Times are those of recording, not those of the headers."""
     pose_file: Path | None = None
+    """The file of poses that was given instead of a topic."""
     fault: InterLocError | None = None
+    """Why there is no motion."""
 
 
 def find_motion(

@@ -99,18 +99,12 @@ class Wire:
 
 @dataclass(frozen=True)
 class Header:
-    """A std_msgs/Header.
-
-    Attributes
-    ----------
-    stamp_ns : int
-        0 where it was not set.
-    frame_id : str
-        Without the slash in front of it that old drivers write.
-    """
+    """A std_msgs/Header."""
 
     stamp_ns: int
+    """0 where it was not set."""
     frame_id: str
+    """Without the slash in front of it that old drivers write."""
 
 
 def read_header(wire: Wire) -> Header:
