@@ -239,9 +239,10 @@ def _unlike(pairs: list[_Pair], poses: FloatArray, mistake: _Mistake) -> tuple[_
         return None
     worst = pairs[int(np.argmax(as_told.lost_m))]
     strong = [row for row in wrong if as_told.lost_m[row] > _STRONGLY_M]
-    best = max(_explanations(pairs, poses), key=lambda each: each.rank)
-    if len(best.wrong) <= len(wrong) // 3 and len(wrong) - len(best.wrong) >= _PLACES_WRONG:
-        return worst, len(wrong), len(pairs), best.words
+    if strong or worst.kind == "upright":  # edges of a straight road hardly tell how far along it
+        best = max(_explanations(pairs, poses), key=lambda each: each.rank)
+        if len(best.wrong) <= len(wrong) // 3 and len(wrong) - len(best.wrong) >= _PLACES_WRONG:
+            return worst, len(wrong), len(pairs), best.words
     if not strong and len(wrong) <= _PLACES_WRONG:
         return None
     worst = pairs[max(strong or wrong.tolist(), key=lambda row: as_told.lost_m[row])]
@@ -436,11 +437,8 @@ def _explanations(pairs: list[_Pair], poses: FloatArray) -> list[_Explanation]:
 
 def _scale_explanation(pairs: list[_Pair], poses: FloatArray) -> _Explanation:
     scale = _scale(pairs, poses)
-    return _explained(
-        pairs,
-        lambda i, j: _planar(poses, i, j) * (scale, scale, 1.0),
-        _scale_words(scale),
-    )
+    scale = scale if abs(np.log(max(scale, 1e-3))) > _OFF_SCALE else 1.0
+    return _explained(pairs, lambda i, j: _planar(poses, i, j) * (scale, scale, 1.0), _scale_words(scale))
 
 
 def _scale_words(scale: float) -> str:
