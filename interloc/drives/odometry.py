@@ -102,6 +102,7 @@ def track_of(
             if stretch.bridged:
                 places = ", ".join(f"{start:,.0f} to {stop:,.0f} m" for start, stop in stretch.bridged)
                 how += f"; from {places} nothing told how fast the vehicle moved, and {_BRIDGED}"
+            how = " ".join(how.split())  # of one line, whatever the names of files hold
             with atomic_write(path) as file:
                 file.write(f"# {how}\n".encode())
                 lines = np.column_stack([used, np.array(stretch.poses)[:, :3].reshape(-1, 12)])
