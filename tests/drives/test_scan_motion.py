@@ -117,7 +117,8 @@ def test_two_plans_are_laid_onto_each_other_from_far_away() -> None:
     first, second = (streets.poses()[row] for row in (24, 34))
     expected = invert_transform(first) @ second
     (target, _), (source, _) = streets.scan_at(first, 1), streets.scan_at(second, 2)
-    share, motion = PlanMatch.of(upright_plan(target), upright_plan(source)).best
+    match = PlanMatch.of(upright_plan(target), upright_plan(source))
+    share, motion = match.share, match.motion
     assert share > 0.5
     assert np.abs(motion[:2] - expected[:2, 3]).max() < 1.0
     assert abs(motion[2] - np.arctan2(expected[1, 0], expected[0, 0])) < np.radians(3.5)
