@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from interloc.arrays import FloatArray, IntArray
-from interloc.drives.findings import DriveFileError, Findings
+from interloc.drives.findings import Findings
 from interloc.drives.folder import FolderDrive
 from interloc.drives.plans import MAX_TURN_RAD, MIN_CELLS, PlanMatch, road_plan, upright_plan
 from interloc.drives.poses.motion import rows_apart
@@ -130,11 +130,11 @@ def check_scan_motion(drive: FolderDrive, usable: IntArray, pose_file: str, find
         if mistake.metres < _LITTLE_M:
             findings.warning(pose_file, text)
         else:
-            findings.error(DriveFileError(pose_file, text))
+            findings.refuse(pose_file, text)
     elif is_off and (fault is None or fault[3] == _ANOTHER):
         assert scale is not None
         text = f"the scans do not move as the poses do. {_scale_words(scale)}."
-        findings.error(DriveFileError(pose_file, text))
+        findings.refuse(pose_file, text)
     elif fault is not None:
         pair, wrong, of, usual = fault
         x, y, turn = _told(poses, pair)
@@ -147,12 +147,9 @@ def check_scan_motion(drive: FolderDrive, usable: IntArray, pose_file: str, find
         if wrong < _PLACES_WRONG:
             findings.warning(pose_file, f"the poses jump: {text}. {usual}.")
             return
-        findings.error(
-            DriveFileError(
-                pose_file,
-                f"the scans do not move as the poses do: {text} ({wrong} of {of} places looked at are like that). "
-                f"{usual}.",
-            )
+        findings.refuse(
+            pose_file,
+            f"the scans do not move as the poses do: {text} ({wrong} of {of} places looked at are like that). {usual}.",
         )
 
 
