@@ -43,7 +43,7 @@ from interloc.labelling.growth import classes_of, contrast_of, evenness_of, grow
 from interloc.labelling.surface import SURFACE_CELL_M, Grid, PlacedScan, find_surface, lay_on, place, up_of
 from interloc.labelling.track import WINDOW_M, Track
 
-METHOD = "geometry 2"
+METHOD = "geometry 1"
 """Name and version of the method: another version may give other labels."""
 
 ROAD, BESIDE, OTHER_GROUND = 40, 48, 72

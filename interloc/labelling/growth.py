@@ -23,7 +23,6 @@ _RIDGE_SIDE_M = 3.8
 _SURE_WEIGHT = 4.0  # of a square of 0.6 m; a cell that a ring touched once looks rough by chance
 
 _HEIGHT_UNIT_M = 0.03
-_SURE_HEIGHT_WEIGHT = 12.0  # of a square of 1.4 m: some twenty points seen 20 m away
 _PLANE_M, _PLANE_STIFFNESS_M = 2.4, 2.0
 _SMOOTHNESS = 1.5
 _STEP_M, _ROUNDS = 1.6, 36
@@ -38,8 +37,6 @@ class Features:
     """(H, W) float32: how much a cell looks like the driven strip, but for its height."""
     height: Float32Array
     """(H, W) float32: NaN where no ground was seen."""
-    max_off: Float32Array
-    """(H, W) float32: how much a height may count at most: little where the ground was seen once and from afar."""
 
 
 @dataclass(frozen=True)
@@ -83,9 +80,7 @@ def score_cells(sums: Float32Array, strip: BoolArray) -> Features:
         - _STEEP_AROUND * excess(mean(STEEP, ROUGH_WEIGHT, _SIDES_M[-1:]))
         - sure * _RIDGE * np.clip(ridge, 0, _MAX_RIDGE)
     )
-    seen = cv2.boxFilter(sums[..., WEIGHT].copy(), -1, (_cells(_SIDES_M[-1]),) * 2, normalize=False)
-    max_off = np.float32(_MAX_EXCESS) * seen / (seen + np.float32(_SURE_HEIGHT_WEIGHT))
-    return Features(score, mean(HEIGHT, WEIGHT, _SIDES_M), max_off)
+    return Features(score, mean(HEIGHT, WEIGHT, _SIDES_M))
 
 
 def grow_road(features: Features, strip: BoolArray) -> Road:
@@ -94,7 +89,7 @@ def grow_road(features: Features, strip: BoolArray) -> Road:
     road = strip
     for _ in range(_ROUNDS):
         off = (height - _plane(height, road & known)) / _HEIGHT_UNIT_M
-        score = _with_height(features.score, off, features.max_off)
+        score = features.score - _HIGHER * np.clip(off, 0, _MAX_EXCESS) - _OFF * np.clip(np.abs(off), 0, _MAX_EXCESS)
         share = cv2.boxFilter(road.astype(np.float32), -1, (_cells(_SIDES_M[1]),) * 2)
         is_like = (score + _SMOOTHNESS * (2 * share - 1) > 0) & _widened(road, _REACH)
         passable = _opened(_closed(is_like | strip, _GAPS), _VEHICLE)
@@ -102,14 +97,7 @@ def grow_road(features: Features, strip: BoolArray) -> Road:
         if (grown == road).all():
             break
         road = grown
-    score = _with_height(features.score, off, _MAX_EXCESS)
     return Road(_closed(_widened(road, _TO_KERB), _HOLES), score)
-
-
-def _with_height(score: Float32Array, off: Float32Array, max_off: Float32Array | float) -> Float32Array:
-    off = np.clip(off, -max_off, max_off)
-    lowered: Float32Array = score - _HIGHER * np.maximum(off, 0) - _OFF * np.abs(off)
-    return lowered
 
 
 def classes_of(road: BoolArray, road_id: int, beside_id: int, other_id: int) -> UInt8Array:
