@@ -2,8 +2,8 @@
 
 From the project's folder, with PYTHONPATH=. there. Prints the settings `calibration.*` of the preset, and how true they
 are on drives that they were not fitted to. What is true is the map: a node of policy `drive` assigned to an
-intersection, one to one, within 10 m. Where it was read at which point the axes of its roads meet, that point is true
-instead of the node. What other nodes of a map are off is a term of its own, one number per drive. For twins (`interloc
+intersection, one to one, within 10 m; in drives over drawn maps (drawn_NN) the point where the axes of the roads meet,
+where that was read. What nodes are off themselves is a term of its own, one number per drive. For twins (`interloc
 benchmark twins --keep`) the nodes are true by construction.
 
 Drives go together by their maps (00.osm.gz): those of one sequence share their junctions, so a sequence is either
@@ -175,7 +175,7 @@ def places_of(result: DriveResult, case: Case, kind: str, config: DetectorConfig
     rows = np.flatnonzero(node >= 0)
     if len(rows) and table.lonlat is not None:
         lonlat = table.lonlat[rows]
-        axes = case.axes() or {}
+        axes = (case.axes() or {}) if kind == "drawn" else {}
         ids = evaluation.nodes.osm_id[node[rows]].tolist()
         from_axes[rows] = [number in axes for number in ids]
         true = [axes.get(number, place) for number, place in zip(ids, nodes[node[rows]].tolist(), strict=True)]
