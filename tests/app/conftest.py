@@ -14,6 +14,7 @@ import httpx
 import pytest
 from starlette.types import ASGIApp, Receive, Scope, Send
 
+import app.jobs.executors
 import app.jobs.processes
 from app.main import create_app
 from app.server import Server
@@ -25,8 +26,10 @@ from tests.app.processes import NO_TLS
 API = "/api/v1"
 
 
-# Workers of servers in this process start at once; servers in processes of their own start theirs as they really do.
+# Workers of servers in this process start at once, and only when there is work for them: most servers need none.
+# Servers in processes of their own start theirs as they really do.
 app.jobs.processes._context = forks.context
+app.jobs.executors.compile_kernels = None  # type: ignore[assignment]
 
 
 @contextmanager

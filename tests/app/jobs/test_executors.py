@@ -98,7 +98,8 @@ def keep_memory(size: int) -> int:
 
 @pytest.fixture
 def executor() -> Iterator[ProcessExecutor]:
-    executor = ProcessExecutor(2)
+    """An executor whose processes all start at once."""
+    executor = ProcessExecutor(2, ahead=int)
     yield executor
     executor.stop()
 
@@ -148,7 +149,6 @@ def test_a_killed_worker_takes_only_its_own_work_with_it(tmp_path: Path) -> None
 
 
 def test_an_idle_worker_that_was_killed_is_replaced(executor: ProcessExecutor) -> None:
-    executor.submit(pid_of).result(60)
     before = wait_until(lambda: len(pids_of(executor)) == executor.alive and pids_of(executor), "all workers to run")
     for pid in before:
         os.kill(pid, signal.SIGKILL)
@@ -435,7 +435,7 @@ class NothingStarts:
 def test_work_waits_while_no_worker_can_be_started(monkeypatch: pytest.MonkeyPatch) -> None:
     with monkeypatch.context() as patched:
         patched.setattr(processes, "_context", NothingStarts)
-        executor = ProcessExecutor(1)
+        executor = ProcessExecutor(1, ahead=int)
         try:
             waiting = executor.submit(pid_of)
             hopeless = executor.submit(pid_of, client="other", seconds=0.0)

@@ -47,8 +47,8 @@ def client(tmp_path_factory: pytest.TempPathFactory, models: Path) -> Iterator[h
 
 @pytest.fixture(scope="module")
 def unlabelled(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A street of 60 scans without labels, to be read only."""
-    root = write_street(tmp_path_factory.mktemp("unlabelled") / "07", 60)
+    """A street of 24 scans without labels, to be read only."""
+    root = write_street(tmp_path_factory.mktemp("unlabelled") / "07", 24)
     shutil.rmtree(root / "labels")
     return root
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -10,6 +11,7 @@ from typing import Any
 
 import httpx
 import pytest
+from filelock import FileLock
 
 from app.store.database import Database
 from app.store.models import Drive, Job
@@ -25,7 +27,7 @@ from tests.app.conftest import running_server
 from tests.app.street import write_street
 
 API = "/api/v1"
-SCANS = 62
+SCANS = 40
 
 
 def work(root: Path, out: Path, *, preset_name: str = "default", scored: bool = True) -> None:
@@ -82,8 +84,22 @@ def add_job(database: Database, data_dir: Path, name: str, drive: str, result: P
 
 @pytest.fixture(scope="session")
 def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Result folders: default and paper of a street with its map, plain without, local without georeference."""
-    root = tmp_path_factory.mktemp("results")
+    """Result folders: default and paper of a street with its map, plain without, local without georeference.
+
+    The first process of the tests that needs them makes them for all.
+    """
+    place = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        place = place.parent
+    root = place / "results"
+    with FileLock(place / "results.lock"):
+        if not (root / "made").exists():
+            make_results(root)
+            (root / "made").touch()
+    return root
+
+
+def make_results(root: Path) -> None:
     street = write_street(root / "street", SCANS)
     local = root / "unplaced"
     shutil.copytree(street, local, ignore=shutil.ignore_patterns("geo.csv", "map.osm"))
@@ -91,7 +107,6 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     work(street, root / "paper", preset_name="paper")
     work(street, root / "plain", scored=False)
     work(local, root / "local", scored=False)
-    return root
 
 
 @pytest.fixture(scope="module")

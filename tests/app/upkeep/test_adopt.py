@@ -31,7 +31,7 @@ Serve = Callable[..., httpx.Client]
 def lost(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
     """A data folder whose database is gone, and what the service said before. Shared: work on a copy."""
     root = tmp_path_factory.mktemp("lost")
-    street = write_street(root / "street", 40)
+    street = write_street(root / "street", 24)
     with running_server(root / "data") as address, httpx.Client(base_url=address, timeout=120, verify=NO_TLS) as client:
         ready, raw = upload(client, street), upload(client, street, keep_raw=True)
         job = submit(client, ready, osm={"file": "map.osm"}, name="mine")
