@@ -180,6 +180,14 @@ def test_kitti_raw_layout(client: httpx.Client, street: Path, tmp_path: Path) ->
     assert results(client, drive) == by_command_line(root, tmp_path / "out")
 
 
+def test_a_part_of_a_drive(client: httpx.Client, street: Path, tmp_path: Path) -> None:
+    drive = upload(client, street)
+    shown = commit(client, drive, options={"frames": "10:35"})
+    report = shown["report"]
+    assert (report["scans"], report["first_frame"], report["last_frame"]) == (25, 10, 34)
+    assert results(client, drive) == by_command_line(street, tmp_path / "out", "--frames", "10:35")
+
+
 def test_an_upload_that_is_reduced(
     client: httpx.Client, street: Path, expected: dict[str, dict[str, str]], home: Path, tmp_path: Path
 ) -> None:
