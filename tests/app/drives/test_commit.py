@@ -21,8 +21,8 @@ from interloc.drives.inspect import inspect_drive
 from interloc.reduction.reduce import reduce_drive
 from tests import streets
 from tests.app import processes
-from tests.app.conftest import running_server
-from tests.app.processes import NO_TLS, as_by_command, ended, suspended, wait_until, workers_of
+from tests.app.conftest import client_of
+from tests.app.processes import as_by_command, ended, suspended, wait_until, workers_of
 from tests.app.street import write_street
 
 RESULTS = ("detections", "keyframes", "intersections", "trajectory")
@@ -39,8 +39,7 @@ def client(home: Path) -> Iterator[httpx.Client]:
     """One server for all tests of this module; all its workers run from the start, so that tests can suspend them."""
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(executors, "compile_kernels", int)
-        server = running_server(home / "data", workers=2)
-        with server as address, httpx.Client(base_url=address, timeout=300, verify=NO_TLS) as client:
+        with client_of(home / "data", workers=2) as client:
             yield client
 
 

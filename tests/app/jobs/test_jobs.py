@@ -21,7 +21,7 @@ from app.store.database import Database
 from app.store.models import Drive, Job
 from app.store.tokens import add_token
 from interloc.cli.main import run
-from tests.app.conftest import running_server
+from tests.app.conftest import client_of
 from tests.app.jobs.test_executors import NothingStarts
 from tests.app.processes import (
     API,
@@ -57,7 +57,7 @@ def data_dir(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def client(data_dir: Path) -> Iterator[httpx.Client]:
-    with running_server(data_dir, workers=2) as address, httpx.Client(base_url=address, timeout=120) as client:
+    with client_of(data_dir, workers=2) as client:
         yield client
 
 

@@ -23,7 +23,7 @@ from interloc.osm.reader import read_osm
 from interloc.output.write import write_results
 from interloc.pipeline import detect
 from interloc.reduction.reduce import reduce_drive
-from tests.app.conftest import running_server
+from tests.app.conftest import client_of
 from tests.app.street import write_street
 
 API = "/api/v1"
@@ -113,7 +113,7 @@ def make_results(root: Path) -> None:
 def finished(results: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Finished]:
     """A server with those jobs, and some that are not successful. Shared by a module."""
     data_dir = tmp_path_factory.mktemp("data")
-    with running_server(data_dir) as address, httpx.Client(base_url=address, timeout=120) as client:
+    with client_of(data_dir) as client:
         database = Database(f"sqlite:///{data_dir}/interloc.sqlite3")
         for drive, folder in (("street", "street"), ("local", "unplaced"), ("other", "street")):
             add_drive(database, data_dir, drive, results / folder)

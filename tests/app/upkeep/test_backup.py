@@ -36,7 +36,7 @@ from app.upkeep.content import DRIVE_TABLES, SHARED_TABLES
 from app.upkeep.restore import RestoreReport, restore
 from interloc.errors import ConfigError, InterLocError, OutputError
 from tests import forks
-from tests.app.conftest import running_server
+from tests.app.conftest import client_of, running_server
 from tests.app.processes import API, NO_TLS, archive_of, ended, files_below, submit, upload, wait_until
 from tests.app.store.first_version import go_back
 from tests.app.street import write_street
@@ -54,7 +54,7 @@ def street(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def used(street: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Data folder of a service with a scored job, a drive that keeps its scans, and an upload. Shared."""
     data = tmp_path_factory.mktemp("used") / "data"
-    with running_server(data) as address, httpx.Client(base_url=address, timeout=120, verify=NO_TLS) as client:
+    with client_of(data) as client:
         ready = upload(client, street)
         for osm in ({"file": "map.osm"}, None):
             assert ended(client, submit(client, ready, osm=osm))["state"] == "successful"
@@ -137,10 +137,7 @@ def rows(data: Path) -> dict[str, list[dict[str, Any]]]:
 def answers(data: Path, **settings: Any) -> dict[str, Any]:
     """All that the API tells of drives, files, jobs and results."""
     told: dict[str, Any] = {}
-    with (
-        running_server(data, **settings) as address,
-        httpx.Client(base_url=address, timeout=120, verify=NO_TLS) as client,
-    ):
+    with client_of(data, **settings) as client:
 
         def get(path: str) -> Any:
             answer = client.get(f"{API}{path}")
@@ -200,7 +197,7 @@ def test_the_next_backup_brings_what_has_changed(data: Path, street: Path, tmp_p
     assert first.brought_files == first.record.files == len(contents(out))
     second = make_backup(data, out)
     assert (second.brought_files, second.removed_files, second.record.files) == (0, 0, first.record.files)
-    with running_server(data) as address, httpx.Client(base_url=address, timeout=120, verify=NO_TLS) as client:
+    with client_of(data) as client:
         by_state = {drive["state"]: drive["id"] for drive in client.get(f"{API}/drives").json()["drives"]}
         begun = by_state["uploading"]
         put(client, begun, "poses.txt", b"1 0 0 0 0 1 0 0 0 0 1 0\n")  # replaced
@@ -245,7 +242,7 @@ def test_a_backup_on_the_same_disk_takes_no_space_and_stays_as_it_is(data: Path,
     make_backup(data, out)
     before = contents(out)
     assert all(path.stat().st_nlink > 1 for path in files_below(out / "drives"))
-    with running_server(data) as address, httpx.Client(base_url=address, timeout=120, verify=NO_TLS) as client:
+    with client_of(data) as client:
         for drive in client.get(f"{API}/drives").json()["drives"]:
             put(client, drive["id"], "map.osm", b"another map")  # a file that the service replaces
             client.delete(f"{API}/drives/{drive['id']}").raise_for_status()
@@ -255,7 +252,7 @@ def test_a_backup_on_the_same_disk_takes_no_space_and_stays_as_it_is(data: Path,
 def test_what_was_going_on_goes_on_where_it_is_restored(tmp_path: Path) -> None:
     """A commit, an unpacking and a job, each leased to a server that is lost with the machine."""
     data, out, street = tmp_path / "data", tmp_path / "backup", write_street(tmp_path / "street", 30)
-    with running_server(data) as address, httpx.Client(base_url=address, timeout=120, verify=NO_TLS) as client:
+    with client_of(data) as client:
         ready = upload(client, street)
         request = ended(client, submit(client, ready, osm={"file": "map.osm"}))["request"]
         checking, unpacking = new_drive(client), new_drive(client)
@@ -277,10 +274,7 @@ def test_what_was_going_on_goes_on_where_it_is_restored(tmp_path: Path) -> None:
     with service(tmp_path / "restored") as context, context.database.reading() as session:
         rows = session.scalars(select(Job).where(Job.owner == "me")).all()
         assert [(row.state, row.lease_owner, row.attempts) for row in rows] == [("accepted", None, 0)] * 3
-    with (
-        running_server(tmp_path / "restored") as address,
-        httpx.Client(base_url=address, timeout=120, verify=NO_TLS) as client,
-    ):
+    with client_of(tmp_path / "restored") as client:
         for row in rows:
             assert ended(client, row.id)["state"] == "successful"
             if row.kind == "intersections":
