@@ -50,7 +50,7 @@ def test_no_points_fit_nothing() -> None:
     assert register(np.zeros((0, 3), np.float32), np.full((9, 3), np.nan, np.float32)).inlier_share == 0
 
 
-@pytest.mark.parametrize("speed", [0.0, 0.7, 2.5, 4.0])
+@pytest.mark.parametrize("speed", [-1.2, 0.0, 0.7, 4.0])
 def test_it_starts_at_any_speed(speed: float) -> None:
     poses = poses_along(np.full(4, speed))
     assert error_m(follow(poses), poses) < 0.1
@@ -58,11 +58,6 @@ def test_it_starts_at_any_speed(speed: float) -> None:
 
 def test_it_follows_turns_and_brakes() -> None:
     poses = poses_along(np.linspace(2.0, 0.0, 11), turn_rad=0.05)
-    assert error_m(follow(poses), poses) < 0.1
-
-
-def test_it_starts_backwards() -> None:
-    poses = poses_along(np.full(4, -1.2))
     assert error_m(follow(poses), poses) < 0.1
 
 
