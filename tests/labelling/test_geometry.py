@@ -134,6 +134,24 @@ def test_quality_tells_a_street_with_kerbs_from_a_plain() -> None:
     assert [window.start_m for window in flat.known_quality()] == [0.0, 25.0]
 
 
+ODD = {
+    "snow: all as bright, kerbs filled": replace(STREET, kerb_m=0.03, shades=(0.8, 0.8, 0.8)),
+    "unpaved: no kerbs, hardly brighter beside": replace(STREET, kerb_m=0.0, shades=(0.3, 0.33, 0.4)),
+    "no remission, low kerbs": replace(STREET, kerb_m=0.04, shades=(0.0, 0.0, 0.0)),
+    "low kerbs": replace(STREET, kerb_m=0.05, shades=(0.3, 0.33, 0.4)),
+}
+
+
+@pytest.mark.parametrize("street", ODD.values(), ids=ODD.keys())
+def test_odd_streets_are_right_or_told(street: Street) -> None:
+    poses = street.poses(ALONG)
+    labeller = labeller_of(street, poses)
+    points, aside = street.scan(poses[14], 14)
+    found = labeller.label(14, points) == ROAD
+    precision = (found & (aside < ROAD_M)).sum() / found.sum()
+    assert precision > 0.95 or labeller.quality_of(14).is_doubtful
+
+
 def test_brightness_is_relative_to_what_the_same_laser_saw_of_the_strip() -> None:
     table = np.zeros((8, 3))
     table[2], table[3], table[6] = (100, 20, 4 + 1), (10, 3, 0.9 + 0.1), (9, 9, 9)

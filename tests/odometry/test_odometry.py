@@ -98,6 +98,30 @@ def test_nothing_that_stands_out_is_told() -> None:
         odometry.add(plane + np.float32([0.5, 0, 0]), 1.0)
 
 
+def through_tunnel(length_m: float) -> float:
+    """Drive into a tunnel of smooth walls 25 m ahead, and out of it; return how far off that ends, metres."""
+    rng, world = np.random.default_rng(0), street()
+    world = np.concatenate([world[world[:, 0] < 25], world[world[:, 0] > 25] + [length_m, 0, 0]])
+    poses = poses_along(np.full(round((length_m + 25) / 1.5), 1.5))
+    odometry, found = Odometry(), []
+    for row, pose in enumerate(poses):
+        along = pose[0, 3] + rng.uniform(-30, 30, 6_000)
+        along = along[(along > 25) & (along < 25 + length_m)]
+        around = rng.uniform(-10, 10, len(along))
+        walls = np.column_stack([along, np.clip(around, -5, 5), np.clip(10 - np.abs(around), 0, 5)])
+        found.append(odometry.add(np.concatenate([seen(world, pose), seen(walls, pose)]), float(row)))
+    return error_m(np.array(found), poses)
+
+
+def test_a_short_tunnel_is_followed() -> None:
+    assert through_tunnel(15.0) < 0.5
+
+
+def test_a_long_tunnel_is_told() -> None:
+    with pytest.raises(DriveError, match=r"nothing has told how far|little in it"):
+        through_tunnel(90.0)
+
+
 def test_the_map_forgets(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(registration, "_FORGET_AFTER", 10)
     world, poses = street(), poses_along(np.full(40, 1.0))
