@@ -14,13 +14,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from interloc.arrays import IntArray
 from interloc.cli.main import run
-from interloc.drives.findings import Finding, Findings
-from interloc.drives.folder import FolderDrive
-from interloc.drives.scan_motion import check_scan_motion
 from interloc.geometry import lonlat_from_enu
-from tests.once import once
+from tests.once import motion_looked_at_once, once
 
 LAT_DEG, LON_DEG = 49.0, 8.4
 SPACING_M = 0.6  # between scans; every fourth one is a keyframe
@@ -74,22 +70,7 @@ def interloc(capfd: pytest.CaptureFixture[str]) -> Interloc:
 
 @pytest.fixture(scope="session", autouse=True)
 def _motion_looked_at_once(drive: Path, local_drive: Path) -> Iterator[None]:
-    """Lay the scans of the shared drives onto each other once: it takes half of the time to open them."""
-    noted: dict[tuple[str, bytes, bytes], list[Finding]] = {}
-
-    def check(opened: FolderDrive, usable: IntArray, pose_file: str, findings: Findings) -> None:
-        key = str(opened.root), opened.T_world_lidar.tobytes(), usable.tobytes()
-        if opened.root not in {drive, local_drive} or key not in noted:
-            before = list(findings.found)
-            check_scan_motion(opened, usable, pose_file, findings)
-            noted[key] = [each for each in findings.found if each not in before]
-            if any(each.severity != "note" for each in noted[key]):
-                del noted[key]  # they are logged, too
-        else:
-            findings.found += [each for each in noted[key] if each not in findings.found]
-
-    with pytest.MonkeyPatch.context() as monkeypatch:
-        monkeypatch.setattr("interloc.drives.open.check_scan_motion", check)
+    with motion_looked_at_once(drive, local_drive):
         yield
 
 
