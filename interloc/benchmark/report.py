@@ -19,7 +19,7 @@ from interloc.evaluation.published import AVERAGE, COMPARISON, LABEL_ERRORS, PER
 from interloc.evaluation.reasons import KINDS
 from interloc.evaluation.reliability import bins_of
 from interloc.evaluation.report import data_address, make_folder, template
-from interloc.files import atomic_write, write_file
+from interloc.files import write_file
 from interloc.output.credits import Credit, joint_credit, map_credit
 from interloc.output.geojson import encode, rounded, write_record
 from interloc.pipeline import versions
@@ -128,12 +128,11 @@ def write_benchmark(benchmark: Benchmark, measured: Measured, out: Path) -> None
     pictures, maps = _write_figures(measured, out / "figures")
     make_folder(out / "failures")
     for row in measured.rows:
-        with atomic_write(out / "failures" / f"{row.cell.file_name}.json") as handle:
-            record = {**row.cell.model_dump(), "policy": row.policy}
-            if row.cell.noise != NO_NOISE:
-                record["note"] = "`see` draws the frame without the label errors"
-            record |= {**row.failures, **map_credit(is_made_up=row.picture.is_made_up).members}
-            handle.write(encode(record, indent=1).encode() + b"\n")
+        record = {**row.cell.model_dump(), "policy": row.policy}
+        if row.cell.noise != NO_NOISE:
+            record["note"] = "`see` draws the frame without the label errors"
+        record |= {**row.failures, **map_credit(is_made_up=row.picture.is_made_up).members}
+        write_file(out / "failures" / f"{row.cell.file_name}.json", encode(record, indent=1) + "\n")
     record = benchmark_record(benchmark, measured)
     *results, reliability = tables(measured)
     page = template("benchmark.html", "interloc.benchmark").render(
