@@ -12,7 +12,6 @@ import inspect
 import io
 import re
 import shlex
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,7 +24,6 @@ from interloc.cli.main import cli, run
 from interloc.evaluation.evaluate import Evaluation
 from interloc.results import DriveResult
 from tests.crossing import write_drive
-from tests.once import motion_looked_at_once
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = ["README.md", *sorted(f"docs/{page.name}" for page in (ROOT / "docs").glob("*.md"))]
@@ -56,13 +54,12 @@ def blocks(page: str) -> list[Block]:
 
 
 @pytest.fixture(scope="module")
-def place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a drive and a map of the names that the pages use."""
     folder = tmp_path_factory.mktemp("snippets")
     with contextlib.chdir(folder):
         write_drive(Path("sequences/07"), Path("2011_09_30_drive_0027_sync"))
-    with motion_looked_at_once(folder / "sequences/07"):
-        yield folder
+    return folder
 
 
 def console(code: str, capsys: pytest.CaptureFixture[str]) -> None:

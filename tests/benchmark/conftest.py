@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import pytest
 
 from interloc.benchmark.row import Cell, MapPicture, Place, Row
-from tests.once import motion_looked_at_once
 from tests.towns import town_drive
 
 NOTHING = MapPicture(roads=(), track=((0.0, 0.0), (9.0, 0.0)), true=(), false=(), found=(), missed=(), beyond=())
@@ -70,12 +69,6 @@ def row() -> Callable[..., Row]:
 def town(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The first 130 m of the plain part of the made-up town, with map.osm. Shared: do not change it."""
     return town_drive(tmp_path_factory)
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _motion_looked_at_once(town: Path) -> Iterator[None]:
-    with motion_looked_at_once(town):
-        yield
 
 
 @pytest.fixture

@@ -6,7 +6,7 @@ import json
 import os
 import shutil
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ import pytest
 
 from interloc.cli.main import run
 from interloc.geometry import lonlat_from_enu
-from tests.once import motion_looked_at_once, once
+from tests.once import once
 
 LAT_DEG, LON_DEG = 49.0, 8.4
 SPACING_M = 0.6  # between scans; every fourth one is a keyframe
@@ -66,12 +66,6 @@ def interloc(capfd: pytest.CaptureFixture[str]) -> Interloc:
         return Outcome(code, out, err)
 
     return call
-
-
-@pytest.fixture(scope="session", autouse=True)
-def _motion_looked_at_once(drive: Path, local_drive: Path) -> Iterator[None]:
-    with motion_looked_at_once(drive, local_drive):
-        yield
 
 
 @pytest.fixture(scope="session")
