@@ -32,8 +32,8 @@ def scored(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def page_colours() -> dict[str, str]:
     """The colours of the page on a light ground."""
-    light = (STATIC / "css/tokens.css").read_text().split("@media")[0]
-    return dict(re.findall(r"(--[\w-]+): (#[0-9a-f]{6});", light))
+    tokens = (STATIC / "css/tokens.css").read_text()
+    return dict(re.findall(r"(--[\w-]+): (?:light-dark\()?(#[0-9a-f]{6})", tokens))
 
 
 def page_signs() -> dict[str, dict[str, str]]:
