@@ -22,12 +22,9 @@ from tests.page.results import SHORT as SCANS
 from tests.page.results import address_of
 from tests.page.uploads import Upload, check_reduced_drive, drive_of, files_of, newest
 
-SAMPLE = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "kitti360_0009"
-
 pytestmark = needs_page
 
 MANY_SCANS = 40  # more than the page has in hand at once
-REAL_SCANS = 12
 LAYERS = ("detections", "intersections", "keyframes", "trajectory")
 
 
@@ -76,18 +73,15 @@ def test_a_folder_is_reduced_in_the_browser_and_gives_the_same_results(
     assert drive["report"]["label_scheme"] == "semantickitti"
 
 
-@pytest.mark.skipif(not SAMPLE.is_dir(), reason="the KITTI-360 sample is not there: ../shared/data/kitti360_0009")
-def test_real_scans_with_two_kinds_of_labels_give_the_same_results(
-    upload: Upload, uploads: ServerProcess, tmp_path: Path
+def test_labels_of_two_kinds_are_sent_and_one_is_chosen(
+    upload: Upload, uploads: ServerProcess, street: Path, tmp_path: Path
 ) -> None:
-    root = tmp_path / "real"
-    for folder, suffix in (("velodyne", "bin"), ("labels", "label"), ("predictions", "label")):
-        (root / folder).mkdir(parents=True)
-        for frame in range(REAL_SCANS):
-            shutil.copy(SAMPLE / folder / f"{frame:06d}.{suffix}", root / folder)
-    for name in ("poses.txt", "times.txt", "geo.csv"):
-        lines = (SAMPLE / name).read_text().splitlines(keepends=True)
-        (root / name).write_text("".join(lines[: REAL_SCANS + name.endswith(".csv")]))
+    root = Path(shutil.copytree(street, tmp_path / "both"))
+    shutil.copytree(root / "labels", root / "predictions")
+    (root / "map.osm").unlink()
+    for path in (root / "labels").iterdir():  # with them the roads would be wider
+        labels = np.fromfile(path, "<u4")
+        np.where(labels == 48, 40, labels).astype("<u4").tofile(path)
     upload.pick(root)
     upload.page.get_by_label("Labels to find intersections with").select_option("predictions")
     assert "Choose the map to score against" in upload.text()
