@@ -28,7 +28,7 @@ from tests.page.results import SCANS, Done, Scored, address_of, show, visit
 
 pytestmark = needs_page
 
-MANY = 2_940
+MANY = 3_000
 WIDE = {"width": 3000, "height": 480}  # the whole street at a scale at which its features lie apart
 NEAR_PX = 1.5
 
@@ -202,8 +202,8 @@ def test_each_error_line_goes_from_detection_to_node(sheet: Any, scored: Scored)
 
 def many_detections(result: DriveResult) -> DriveResult:
     """The result with a detection at every metre of a field beside the street."""
-    columns = MANY // 70
-    east, north = np.meshgrid(np.arange(columns) + 20.0, np.arange(70) - 35.0)
+    columns = MANY // 24
+    east, north = np.meshgrid(np.arange(columns) + 20.0, np.arange(24) - 12.0)
     enu = np.stack([east.ravel(), north.ravel()], axis=1)
     rows = np.arange(MANY)
     detections = replace(

@@ -161,7 +161,7 @@ function filterOf() {
   const choose = (/** @type {string} */ value) => setCityFilter({ change: /** @type {any} */ (value) || null });
   return el("details.filter", { open: drives !== null || confidence !== null || change !== null }, [
     el("summary", "Filter the map"),
-    el("div.thirds", [
+    el("div.tiles-row.thirds", [
       number("Drives ≥", drives, { min: 1, step: 1 }, (value) => setCityFilter({ drives: value })),
       number("Conf. ≥ %", confidence === null ? null : Math.round(100 * confidence), { min: 0, max: 100 }, (value) =>
         setCityFilter({ confidence: value === null ? null : value / 100 }),
