@@ -29,7 +29,7 @@ def city(done: Done, scored: Scored) -> dict[str, Any]:
         found = done.server.client.get(f"{API}/maps/default").json()
         return found if found["findings"] and found["drives"] > 1 and not found["is_waiting"] else None
 
-    found: dict[str, Any] = wait_until(look, "the map of the server")
+    found: dict[str, Any] = wait_until(look, "the map of the server", every_s=0.2)
     return found
 
 

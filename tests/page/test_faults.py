@@ -131,7 +131,18 @@ def test_a_job_that_fails_or_is_none_is_told_in_the_words_of_the_server(page: An
     page.locator("#tab-job").click()
     page.locator("#panel-job .note.error", has_text=error["detail"]).wait_for()
     assert page.locator("#panel-job .badge.error").inner_text() == "Failed"
-    assert page.get_by_role("button", name="Run again…").is_enabled()
+    page.get_by_role("button", name="Run again…").click()
+    dialog = page.locator("dialog[open]")
+    near = dialog.get_by_label("Roughly where: latitude, longitude")
+    assert near.input_value() == "0, 0"
+    near.fill("somewhere")
+    assert dialog.get_by_text("give latitude and longitude, or nothing").is_visible()
+    near.fill("49.01, 8.43")
+    with page.expect_response("**/api/v1/jobs") as made:
+        dialog.get_by_role("button", name="Run", exact=True).click()
+    again = made.value.json()
+    assert again["request"]["near"] == {"lat_deg": 49.01, "lon_deg": 8.43, "radius_km": 3.0}
+    client.delete(f"{API}/jobs/{again['id']}").raise_for_status()
 
     watch.expect("404 .*jobs/0123456789abcdef")
     detail = client.get(f"{API}/jobs/0123456789abcdef").json()["detail"]
@@ -152,8 +163,8 @@ def test_what_goes_on_survives_a_restart_of_the_server(
         welcome.get_by_role("button", name="Try the demo").wait_for()
         sending.locator(".empty").wait_for()
         welcome.get_by_role("button", name="Upload a drive").click()
-        drive = upload(first.client, write_street(tmp_path / "street", 60))
-        gate = Gate(tmp_path / "data", drive, 45)
+        drive = upload(first.client, write_street(tmp_path / "street", 40))
+        gate = Gate(tmp_path / "data", drive, 24)
         job = submit(first.client, drive)
         half_way(first.client, job)
         page.goto(f"{first.address}/#panel=job&job={job}")
@@ -181,7 +192,7 @@ def test_what_goes_on_survives_a_restart_of_the_server(
             check_reduced_drive(second.client, newest(second.client)["id"], SHORT)
 
             page.route("**/events", lambda route: route.abort())
-            gate = Gate(tmp_path / "data", drive, 45)
+            gate = Gate(tmp_path / "data", drive, 24)
             job = submit(second.client, drive)
             half_way(second.client, job)
             visit(page, second.address, f"panel=job&job={job}")

@@ -39,7 +39,7 @@ def at_stage(uploads: ServerProcess, stage: str) -> Iterator[None]:
         jobs = uploads.client.get(f"{API}/jobs", params={"kind": "commit", "limit": 1}).json()["jobs"]
         return bool(jobs) and jobs[0]["stage"] == stage
 
-    wait_until(look, f"a commit at the stage {stage}")
+    wait_until(look, f"a commit at the stage {stage}", every_s=0.05)
     with suspended(uploads.workers()):
         yield
 
