@@ -119,13 +119,13 @@ def _run(
         warnings.simplefilter("error")
     if max_file_bytes is not None:
         resource.setrlimit(resource.RLIMIT_FSIZE, (max_file_bytes, max_file_bytes))
-    if "serve" in arguments:
+    if {"serve", "batch"} & set(arguments):
         _prepare_workers()
     main()
 
 
 def _prepare_workers() -> None:
-    """Fork the process from which a server forks its workers, too: a new one would import everything again."""
+    """Fork the process from which a command forks its workers, too: a new one would import everything again."""
     before = _open_files()
 
     def fork(_: object, arguments: Sequence[str], passed: Sequence[int]) -> int:

@@ -27,8 +27,8 @@ ROOT = Path(__file__).resolve().parents[1]
 DRIVE = "demo/drive/simulation.json"
 RECIPE = (ROOT / "Makefile").read_text().split(f"\n{DRIVE}:")[1].split("\nendif")[0]
 ON_THE_COMMAND_LINE, IN_THE_SERVICE = RECIPE.split("\nifneq ($(SERVE),)\n")
-BEGINNING = ["--max-scans", "150"]
-NODES = 2  # there
+BEGINNING = ["--max-scans", "60"]
+NODES = 1  # there
 
 
 def work(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -4,11 +4,18 @@ from __future__ import annotations
 
 import ast
 import json
+import shutil
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
+from zlib import crc32
 
 import matplotlib.pyplot as plt
 import pytest
+
+from interloc.simulate.config import SimulationOptions
+from interloc.simulate.drive import Trip, simulate
+from tests.once import once
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 
@@ -29,7 +36,17 @@ def run(notebook: Path) -> tuple[dict[str, Any], list[Any]]:
 
 
 @pytest.fixture(autouse=True)
-def _no_windows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
+def _no_windows(
+    tmp_path: Path, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[None]:
+    """Draw without a screen, and make the town that both simulate once."""
+
+    def simulate_once(trip: Trip, out: Path, options: SimulationOptions) -> None:
+        name = f"example-{crc32(options.model_dump_json().encode())}"
+        made = once(tmp_path_factory, name, lambda place: simulate(trip, place, options))
+        shutil.copytree(made, out)
+
+    monkeypatch.setattr("interloc.simulate.drive.simulate", simulate_once)
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     with plt.rc_context({"backend": "agg"}):
         yield

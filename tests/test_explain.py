@@ -20,6 +20,7 @@ from interloc.drives.open import open_drive
 from interloc.errors import ConfigError, DriveError, OutputError
 from interloc.explain import explain
 from interloc.explain.evidence import ExplainedKeyframe, gather
+from interloc.explain.record import record
 from interloc.geometry import lonlat_from_enu, rotate_2d
 from interloc.osm.graph import RoadGraph, Ways
 
@@ -152,16 +153,16 @@ def test_a_cell_of_the_bev_image_is_a_pixel_of_the_picture(
 
 
 def test_the_record_tells_what_was_done(explained: tuple[Path, list[Path]]) -> None:
-    record = json.loads((explained[0] / "explain.json").read_text())
-    assert (record["frame_asked"], record["frame"], record["keyframe"]) == (125, 124, 12)
-    assert record["keyframes_in_drive"] == 30
-    assert record["window"]["frames"] == list(range(112, 137, 2))
-    assert record["min_points"] == 1
-    assert record["cells"]["bev"] > record["cells"]["centerline"] > 0
-    (candidate,) = [c for c in record["candidates"] if c["kept"]]
+    told = json.loads((explained[0] / "explain.json").read_text())
+    assert (told["frame_asked"], told["frame"], told["keyframe"]) == (125, 124, 12)
+    assert told["keyframes_in_drive"] == 30
+    assert told["window"]["frames"] == list(range(112, 137, 2))
+    assert told["min_points"] == 1
+    assert told["cells"]["bev"] > told["cells"]["centerline"] > 0
+    (candidate,) = [c for c in told["candidates"] if c["kept"]]
     assert candidate["branches"] == 4
     assert candidate["why_not"] is None
-    (detection,) = record["detections"]
+    (detection,) = told["detections"]
     assert detection["candidate"] == candidate["number"]
     assert math.dist((detection["world_x_m"], detection["world_y_m"]), CROSSING) < 0.5
     assert detection["x_m"] == pytest.approx(detection["world_x_m"] - 12 * STEP_M)  # the vehicle looks along x
@@ -238,9 +239,9 @@ def test_a_road_without_intersection_or_georeference_has_all_pictures_in_the_pla
         files = explain(RoadDrive(scans=8, crossing=False), 106, small("paper"), tmp_path / "out", graph=two_roads())
     assert "without georeference" in caplog.text
     assert all(path.stat().st_size > 100 for path in files)
-    record = json.loads((tmp_path / "out" / "explain.json").read_text())
-    assert (record["frame"], record["ground_truth"], record["detections"]) == (106, None, [])
-    assert all(candidate["why_not"] for candidate in record["candidates"])
+    told = json.loads((tmp_path / "out" / "explain.json").read_text())
+    assert (told["frame"], told["ground_truth"], told["detections"]) == (106, None, [])
+    assert all(candidate["why_not"] for candidate in told["candidates"])
 
 
 def test_other_folders_stay(tmp_path: Path) -> None:
@@ -251,11 +252,10 @@ def test_other_folders_stay(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(not SAMPLE.is_dir(), reason="the KITTI-360 sample is not there: ../shared/data/kitti360_0009")
-def test_the_kitti360_sample_is_explained(tmp_path: Path) -> None:
+def test_the_kitti360_sample_is_explained() -> None:
     drive: Drive = open_drive(SAMPLE, check=False)
-    explain(drive, 33, PRESETS["default"], tmp_path / "out")
-    record = json.loads((tmp_path / "out" / "explain.json").read_text())
-    assert record["min_points"] < 5  # sparse: one keyframe every 17 m
-    (detection,) = record["detections"]
+    told = record(gather(drive, 33, PRESETS["default"]), drive.name, None)
+    assert told["min_points"] < 5  # sparse: one keyframe every 17 m
+    (detection,) = told["detections"]
     assert math.hypot(detection["x_m"], detection["y_m"]) < 8.0
     assert detection["branch_count"] == 3

@@ -18,9 +18,7 @@ from interloc.explain.evidence import ExplainedKeyframe, gather
 from interloc.explain.overlays import OVERLAYS, describe_overlays, draw_overlay
 from interloc.geometry import enu_from_lonlat
 from interloc.pipeline import detect
-from interloc.simulate.config import LidarConfig, SimulationOptions
-from interloc.simulate.drive import simulate
-from interloc.simulate.town import Town
+from tests.towns import town_drive
 
 FRAME = 30
 
@@ -28,14 +26,7 @@ FRAME = 30
 @pytest.fixture(scope="module")
 def drive(tmp_path_factory: pytest.TempPathFactory) -> Drive:
     """The beginning of the small town, as far as behind its first two junctions."""
-    root = tmp_path_factory.mktemp("drives") / "town"
-    sensor = LidarConfig(columns=512)
-    simulate(
-        Town("plain").trip(),
-        root,
-        SimulationOptions(max_scans=60, keyframes_only=True, ground_only=True, sensor=sensor),
-    )
-    return open_drive(root)
+    return open_drive(town_drive(tmp_path_factory))
 
 
 @pytest.fixture(scope="module", params=["default", "paper"])

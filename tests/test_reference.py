@@ -19,9 +19,7 @@ from interloc.drives.open import open_drive
 from interloc.pipeline import detect
 from interloc.reference import REFERENCE, detect_by_reference
 from interloc.results import DriveResult
-from interloc.simulate.config import LidarConfig, SimulationOptions
-from interloc.simulate.drive import simulate
-from interloc.simulate.town import Town
+from tests.towns import town_drive
 
 
 @dataclass(frozen=True)
@@ -58,14 +56,7 @@ class Crossing:
 @pytest.fixture(scope="module")
 def town(tmp_path_factory: pytest.TempPathFactory) -> Drive:
     """The beginning of the small town, as far as behind its first two junctions."""
-    root = tmp_path_factory.mktemp("drives") / "town"
-    sensor = LidarConfig(columns=512)
-    simulate(
-        Town("plain").trip(),
-        root,
-        SimulationOptions(max_scans=45, keyframes_only=True, ground_only=True, sensor=sensor),
-    )
-    return open_drive(root)
+    return open_drive(town_drive(tmp_path_factory, 45))
 
 
 def gaps_m(ones: DriveResult, others: DriveResult) -> FloatArray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from interloc.drives.options import CRS_PATTERN
+from interloc.drives.options import CRS_PATTERN, PART_PATTERN
 
 _PRINTED = r"[^\x00-\x1f\x7f]*"
 _NUMBER = r"-?[0-9]{1,3}(\.[0-9]{1,15})?"
@@ -21,6 +21,7 @@ EXPECTED = {
     NOTE: "text without control characters other than tabs and line ends",
     NETWORK: "the name of a network as GET /api/v1/models lists it",
     ID: "an id: 1 to 64 letters, digits, hyphens and underscores",
+    PART_PATTERN: "a part of the drive by scan numbers, as 200:1400",
     CRS_PATTERN: "a coordinate system by authority and code, as EPSG:25832",
     BOX: "west,south,east,north in degrees: longitudes from -180 to 180, latitudes from -90 to 90, south not above "
     "north. Usual mistake: latitude first",

@@ -153,10 +153,12 @@ def _of_model(*fields: str) -> Callable[[Function], Function]:
     return click.option(f"--{fields[0]}", cls=_OfModel, fields=fields)
 
 
-reading_options = _of_model("label_scheme", "pose_frame", "layout", "oxts", "poses", "points", "fix", "crs", "deskew")
+reading_options = _of_model(
+    "label_scheme", "pose_frame", "layout", "oxts", "poses", "points", "fix", "crs", "frames", "deskew"
+)
 """How a drive is to be read, whatever its labels."""
 
-odometry_options = _of_model("layout", "points", "deskew")
+odometry_options = _of_model("layout", "points", "frames", "deskew")
 """How the scans of a drive are to be read where only they count."""
 
 model_options = _of_model("model", "provider")

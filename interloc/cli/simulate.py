@@ -85,6 +85,14 @@ scene_options = options.together(
         metavar="PER_KM",
         help="Drives labelled road that the map does not have, along each kilometre of street.",
     ),
+    click.option(
+        "--posts",
+        type=click.FloatRange(0, 500),
+        default=0.0,
+        metavar="PER_KM",
+        help="Lamp posts and trees along each kilometre of a street's sides: they hold an odometry where nothing else "
+        "stands.",
+    ),
     click.option("--max-scans", type=click.IntRange(min=1), help="Number of scans after which the drive ends."),
     click.option(
         "--sensor",
@@ -262,6 +270,7 @@ def _options(
     worn: bool,
     service_roads: bool,
     private_drives: float,
+    posts: float,
 ) -> SimulationOptions:
     """Return the values of `scene_options` as the simulator takes them."""
     from interloc.simulate.config import (
@@ -275,22 +284,21 @@ def _options(
 
     changed: dict[str, Any] = {"turn_s": turn_s, **({} if columns is None else {"columns": columns})}
     no_noise = {"range_noise_m": 0.0, "surface_noise": 0.0, "dropout": 0.0, "road_half_range_m": None} if exact else {}
-    empty: dict[str, Any] = (
-        {"roadside": RoadsideConfig(parked_car_density=0.0, hedge_share=0.0, buildings="none")} if bare else {}
-    )
+    nothing: dict[str, Any] = {"parked_car_density": 0.0, "hedge_share": 0.0, "buildings": "none"} if bare else {}
+    scene: dict[str, Any] = {"roadside": RoadsideConfig(**nothing, posts_per_km=posts)}
     streets: dict[str, Any] = {"private_drives_per_km": private_drives}
     if service_roads:
         streets["service_roads"] = "road"
     if worn:
         changed["gain"] = 0.1
-        empty |= {"wear": 0.2}
+        scene["wear"] = 0.2
         streets |= {"flush_sidewalk_share": 0.2, "lowered_kerb_share": 0.15}
     return SimulationOptions(
         seed=seed,
         keyframes_only=not every_scan,
         ground_only=ground_only,
         max_scans=max_scans,
-        scene=SceneConfig(**empty, streets=StreetConfig(**streets)),
+        scene=SceneConfig(**scene, streets=StreetConfig(**streets)),
         sensor=LidarConfig(**{**SENSORS[sensor].model_dump(), **changed, **no_noise}),
     )
 

@@ -49,7 +49,8 @@ class PushOptions:
     @property
     def for_drive(self) -> DriveOptions:
         """How the drive is read."""
-        return DriveOptions.of(self.reading, name=self.name, model=self.model, provider=self.provider)
+        frames = None if self.raw else self.reading.frames  # the server takes the part of what is sent as it is
+        return DriveOptions.of(self.reading, name=self.name, model=self.model, provider=self.provider, frames=frames)
 
     def __post_init__(self) -> None:
         if self.model is not None and (self.raw or self.label_folders):
@@ -176,10 +177,11 @@ def _as_it_is(root: Path, reduction: Reduction, options: PushOptions, maps: list
 def _as_reduced(root: Path, options: PushOptions, maps: list[UploadFile]) -> PreparedDrive:
     manifest = read_manifest(root)
     thins_otherwise = options.keyframes is None and manifest.keyframes is not None
-    if options.reading.oxts is not None or options.model is not None or options.keep_raw or thins_otherwise:
+    is_other = options.reading.oxts is not None or options.reading.frames is not None
+    if is_other or options.model is not None or options.keep_raw or thins_otherwise:
         raise ConfigError(
-            f"{root} is a reduced drive: --oxts, --model, --raw, --keep-raw and --all-scans belong to the drive that "
-            "it was made from. Give that drive, or leave these options out."
+            f"{root} is a reduced drive: --oxts, --frames, --model, --raw, --keep-raw and --all-scans belong to the "
+            "drive that it was made from. Give that drive, or leave these options out."
         )
     chosen = options.label_folders or tuple(labels.folder for labels in manifest.labels)
     opened = read_drive(root, DriveOptions.of(options.reading), Findings(stop_at_first=True), label_folders=chosen)

@@ -17,7 +17,7 @@ from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 
-from interloc.arrays import IntArray
+from interloc.arrays import BoolArray, IntArray
 from interloc.drives.findings import DriveFileError, GeoreferenceFileError
 from interloc.errors import InterLocError
 from interloc.files import reason_of
@@ -370,6 +370,31 @@ def rows_by_frame(frames: IntArray, rows: int) -> IntArray | None:
     if rows == len(frames) and frames[-1] - frames[0] == rows - 1:
         return np.arange(rows, dtype=np.int64)
     return None
+
+
+def in_part(part: str | None, frames: IntArray) -> BoolArray:
+    """Return which of (N,) ascending scan numbers are in a part FROM:TO of a drive; None: all."""
+    start, stop = (part or ":").split(":")
+    inside: BoolArray = (frames >= int(start or 0)) & (frames < int(stop or frames[-1] + 1))
+    return inside
+
+
+def rows_of_part(part: str, frames: IntArray, name: str) -> slice:
+    """Return which scans are in a part of a drive, as `in_part`.
+
+    Raises
+    ------
+    DriveError
+        None is; `name` is what holds the scans.
+    """
+    rows = np.flatnonzero(in_part(part, frames))
+    if not len(rows):
+        raise DriveFileError(
+            name,
+            f"has no scan in the part {part} (--frames): its scans are {frames[0]} to {frames[-1]}. Expected FROM:TO, "
+            "where FROM is the first that is used and TO the first that is not.",
+        )
+    return slice(int(rows[0]), int(rows[-1]) + 1)
 
 
 def gaps(frames: IntArray) -> IntArray:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Unpack, cast
 
 from interloc.drives.checks import NEAR_M, check_flat_road, sample_indices
-from interloc.drives.files import each_read_once
+from interloc.drives.files import each_read_once, rows_of_part
 from interloc.drives.findings import Findings
 from interloc.drives.folder import FolderDrive, Scans
 from interloc.drives.formats import FORMATS, ScanFormat, find_format, installed_formats
@@ -24,7 +24,7 @@ from interloc.drives.scans.deskewed import deskewed, is_to_deskew
 from interloc.drives.scans.raw import RawScans, trajectory_of
 from interloc.drives.scans.recorded import Recording, rows_within
 from interloc.drives.scans.reduced import ReducedScans, reduced_trajectory
-from interloc.drives.scans.reduced_format import ReducedManifest, is_reduced, read_manifest
+from interloc.drives.scans.reduced_format import MANIFEST, ReducedManifest, is_reduced, read_manifest
 from interloc.drives.trajectory import Trajectory
 from interloc.processes import Progress
 
@@ -59,6 +59,8 @@ def open_drive(
     poses, points, fix, crs : str or None
         Where poses, scans and fixes are, and the coordinate system of LAS files: see `ReadingOptions`. The poses
         "odometry" are computed from the points.
+    frames : str or None
+        Part of the drive to use, "FROM:TO" by the numbers of its scans; either may be left out.
     deskew : {"auto", "on", "off"}
         Whether the motion within scans is taken out of points that carry times.
     model
@@ -137,12 +139,13 @@ def read_drive(
     """
     readings: dict[LabelFolder, DriveReading] = {}
     with each_read_once():
-        opened, trajectory = _open(root, options, findings, progress)
+        opened, part, trajectory = _open(root, options, findings, progress)
         for folder in dict.fromkeys(label_folders or (_label_folder(opened, options, findings, needs_labels),)):
             scans: Scans | None = None
             with findings.stage():
                 if isinstance(opened, ReducedManifest):
                     scans = ReducedScans.of(opened, root, folder, options, findings)
+                    scans = scans if part is None else _within(scans, part)
                 elif opened is not None:
                     scans = RawScans.of(opened, folder, options, findings, trajectory, needs_labels=needs_labels)
             if scans is None or scans.frames is None:
@@ -159,41 +162,52 @@ def read_drive(
 
 def _open(
     root: Path, options: DriveOptions, findings: Findings, progress: Progress | None
-) -> tuple[Recording | ReducedManifest | None, Callable[[], Trajectory]]:
-    """Open the scans of a drive, and return with them what reads, once, where they were taken."""
+) -> tuple[Recording | ReducedManifest | None, slice | None, Callable[[], Trajectory]]:
+    """Open the scans of a drive, and return with them the part asked for, and what reads, once, where they were."""
     opened: Recording | ReducedManifest | None = None
+    part: slice | None = None  # of all scans; a recording is cut to it, the trajectory is read of all
     computed: str | None = None  # how, where the poses are not given
 
     @cache
     def trajectory() -> Trajectory:
-        assert opened is not None
-        if isinstance(opened, ReducedManifest):
-            return reduced_trajectory(opened, root, options, findings)
         if options.poses == ODOMETRY:
             return Trajectory(georeference_reason="the poses could not be computed")
-        found = trajectory_of(opened, options, findings)
+        if isinstance(whole, ReducedManifest):
+            found = reduced_trajectory(whole, root, options, findings)
+        else:
+            found = trajectory_of(whole, options, findings)
+        found = found if part is None else found.part(part)
         if computed is not None and found.poses is not None:
             return replace(found, poses=replace(found.poses, reason=computed))
         return found
 
     with findings.stage():
-        opened = read_manifest(root) if is_reduced(root) else open_recording(root, options, findings)
+        whole = read_manifest(root) if is_reduced(root) else open_recording(root, options, findings)
+        if options.frames is not None and whole.frames is not None:
+            name = whole.parts.file(whole.parts.scans).name if isinstance(whole, Recording) else MANIFEST
+            part = rows_of_part(options.frames, whole.frames, name)
+        opened = _cut(whole, part) if isinstance(whole, Recording) else whole
     if isinstance(opened, Recording) and opened.frames is not None:
         with findings.stage():
             if options.poses is None and not opened.has_poses:
                 findings.warning("poses", NO_POSES)
                 options = options.model_copy(update={"poses": ODOMETRY})
-                opened = open_recording(root, options, findings)
+                opened = _cut(open_recording(root, options, findings), part)
             if options.poses == ODOMETRY:
                 from interloc.drives.odometry import track_of  # noqa: PLC0415 - slow to import
 
                 track = track_of(opened, options, findings, progress)
                 computed = track.how
                 options = options.model_copy(update={"poses": str(track.path), "pose_frame": "lidar"})
-                opened = open_recording(root, options, findings).within(track.rows)
+                whole = opened = _cut(open_recording(root, options, findings), part).within(track.rows)
+                part = None
             if is_to_deskew(opened, options, findings):
                 opened = deskewed(opened, trajectory(), options, findings)
-    return opened, trajectory
+    return opened, part, trajectory
+
+
+def _cut(recording: Recording, part: slice | None) -> Recording:
+    return recording if part is None else recording.within(part)
 
 
 def open_recording(root: Path, options: DriveOptions, findings: Findings) -> Recording:

@@ -40,6 +40,7 @@ LABELS = (
     "driven; auto takes the first that there is, labels of the points themselves before geometry."
 )
 CRS_PATTERN = r"^[A-Za-z]+:[0-9]+$"
+PART_PATTERN = r"^[0-9]{0,18}:[0-9]{0,18}$"
 
 
 @dataclass(frozen=True)
@@ -107,6 +108,14 @@ class ReadingOptions(BaseModel):
         pattern=CRS_PATTERN,
         description="Coordinate system of LAS files that do not name theirs.",
         examples=["EPSG:25832"],
+    )
+    frames: str | None = Field(
+        None,
+        max_length=40,
+        pattern=PART_PATTERN,
+        description="Part of the drive to use, FROM:TO by the numbers of its scans: TO is the first that is left out; "
+        "without FROM it begins with the first scan, without TO it ends with the last.",
+        examples=["200:1400"],
     )
     deskew: Deskew = Field(
         "auto",
@@ -179,6 +188,7 @@ class DriveArguments(TypedDict, total=False):
     points: str | None
     fix: str | None
     crs: str | None
+    frames: str | None
     deskew: Deskew
     model: str | os.PathLike[str] | None
     provider: str

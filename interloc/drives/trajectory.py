@@ -93,9 +93,19 @@ class Trajectory:
         if not jumps:
             return None, self
         findings.warning(pose_file, f"the poses {jumps}")
-        poses = replace(self.poses, T_world_lidar=from_first(self.poses.T_world_lidar[rows]), T_file_world=None)
-        georeference = None if self.georeference is None else self.georeference.part(rows)
-        return rows, replace(self, poses=poses, times_s=self.times_s[rows], georeference=georeference)
+        return rows, self.part(rows)
+
+    def part(self, rows: slice) -> Trajectory:
+        """Return that of some of the scans; W is the LiDAR at the first of them."""
+        poses, times_s, georeference = self.poses, self.times_s, self.georeference
+        if poses is not None:
+            poses = replace(poses, T_world_lidar=from_first(poses.T_world_lidar[rows]), T_file_world=None)
+        return replace(
+            self,
+            poses=poses,
+            times_s=None if times_s is None else times_s[rows],
+            georeference=None if georeference is None else georeference.part(rows),
+        )
 
 
 def read_trajectory(

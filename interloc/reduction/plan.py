@@ -12,6 +12,7 @@ from interloc.arrays import IntArray
 from interloc.config import KeyframeConfig
 from interloc.detection.keyframes import select_keyframes
 from interloc.drives.checks import sample_indices
+from interloc.drives.files import rows_of_part
 from interloc.drives.findings import DriveFileError, Finding, Findings
 from interloc.drives.labels import LabelJudgement, judge_labels
 from interloc.drives.layouts import DriveParts, ScanFolder, find_layout
@@ -110,6 +111,9 @@ def plan_reduction(
         parts = find_layout(root, chosen, announced=scan_folder or _likely_scan_folder(root, chosen.layout))
         numbers = posed_frames(parts, numbers, findings)
         trajectory = read_trajectory(parts, numbers, chosen, findings)
+        if chosen.frames is not None:
+            rows = rows_of_part(chosen.frames, numbers, parts.file(parts.scans).name)
+            numbers, trajectory = numbers[rows], trajectory.part(rows)
     return plan_of(parts, numbers, trajectory, chosen, keyframes, findings)
 
 

@@ -133,7 +133,7 @@ def reduction_of(
         options,
         keyframes,
         findings,
-        poses_in_files=first.scans.recording.has_pose_files,
+        poses_in_files=first.scans.recording.has_pose_files and options.frames is None,
     )
     assert plan.manifest is not None
     sizes = SourceScans.model_validate(first.scans.facts.model_dump(include=set(SourceScans.model_fields)))

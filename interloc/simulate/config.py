@@ -116,6 +116,9 @@ class RoadsideConfig(_Config):
         0.35, ge=0, le=1, description="Share of the places at the kerb of a residential street that are taken."
     )
     hedge_share: float = Field(0.35, ge=0, le=1, description="Share of the back edge of sidewalks with hedge or fence.")
+    posts_per_km: float = Field(
+        0.0, ge=0, le=500, description="Number of lamp posts and trees along each kilometre of a street's sides."
+    )
     buildings: Literal["auto", "map", "made_up", "none"] = Field(
         "auto",
         description="Buildings of the map (map), made up along the streets (made_up), made up only if the map has "

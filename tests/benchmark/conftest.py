@@ -8,9 +8,7 @@ from pathlib import Path
 import pytest
 
 from interloc.benchmark.row import Cell, MapPicture, Place, Row
-from interloc.simulate.config import LidarConfig, SimulationOptions
-from interloc.simulate.drive import simulate
-from interloc.simulate.town import Town
+from tests.towns import town_drive
 
 NOTHING = MapPicture(roads=(), track=((0.0, 0.0), (9.0, 0.0)), true=(), false=(), found=(), missed=(), beyond=())
 
@@ -68,14 +66,7 @@ def row() -> Callable[..., Row]:
 @pytest.fixture(scope="session")
 def town(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The first 150 m of the plain part of the made-up town, with map.osm. Shared: do not change it."""
-    path = tmp_path_factory.mktemp("drives") / "town"
-    sensor = LidarConfig(columns=450)
-    simulate(
-        Town("plain").trip(),
-        path,
-        SimulationOptions(keyframes_only=True, ground_only=True, max_scans=70, sensor=sensor),
-    )
-    return path
+    return town_drive(tmp_path_factory)
 
 
 @pytest.fixture

@@ -16,6 +16,7 @@ import pytest
 
 from interloc.cli.main import run
 from interloc.geometry import lonlat_from_enu
+from tests.once import once
 
 LAT_DEG, LON_DEG = 49.0, 8.4
 SPACING_M = 0.6  # between scans; every fourth one is a keyframe
@@ -77,6 +78,11 @@ def command() -> tuple[str, ...]:
 def environment() -> dict[str, str]:
     """Variables of a process that shows its own faults and no others."""
     return {**os.environ, "PYTHONWARNINGS": "error", "INTERLOC_DEBUG": ""}
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    """Every file below a folder."""
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
 def camera_pose(x_m: float) -> np.ndarray:
@@ -144,32 +150,47 @@ def osm_text() -> str:
 @pytest.fixture(scope="session")
 def local_drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The drive without a georeference. Shared: do not change it."""
-    return write_drive(tmp_path_factory.mktemp("drives") / "local")
+    return once(tmp_path_factory, "local", write_drive)
 
 
 @pytest.fixture(scope="session")
-def drive(local_drive: Path) -> Path:
+def drive(local_drive: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The drive with a geo.csv. Shared: do not change it."""
-    root = local_drive.parent / "crossing"
-    shutil.copytree(local_drive, root, copy_function=os.link)
-    write_geo_csv(root / "geo.csv")
-    return root
+
+    def make(root: Path) -> None:
+        shutil.copytree(local_drive, root, copy_function=os.link)
+        write_geo_csv(root / "geo.csv")
+
+    return once(tmp_path_factory, "crossing", make)
 
 
 @pytest.fixture(scope="session")
-def osm(drive: Path) -> Path:
+def osm(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Map of the drive. Shared: do not change it."""
-    path = drive.parent / "map.osm"
-    path.write_text(osm_text())
-    return path
+    return once(tmp_path_factory, "map.osm", lambda path: path.write_text(osm_text()))
 
 
 @pytest.fixture(scope="session")
 def finished(drive: Path, osm: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The result folder of a run over the drive, with its report. Shared: do not change it."""
-    out = tmp_path_factory.mktemp("finished") / "out"
-    assert run(["run", str(drive), "-o", str(out), "--osm", str(osm), "--quiet"]) == 0
-    return out
+    return once(tmp_path_factory, "finished", lambda out: succeed("run", drive, "-o", out, "--osm", osm))
+
+
+@pytest.fixture(scope="session")
+def detected(drive: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The result folder of the drive before any evaluation. Shared: do not change it."""
+    return once(tmp_path_factory, "detected", lambda out: succeed("detect", drive, "-o", out))
+
+
+@pytest.fixture(scope="session")
+def local_result(local_drive: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The result folder of the drive without a georeference. Shared: do not change it."""
+    return once(tmp_path_factory, "local_result", lambda out: succeed("detect", local_drive, "-o", out))
+
+
+def succeed(*arguments: object) -> None:
+    """Run a command of which nobody reads what it says."""
+    assert run([*map(str, arguments), "--quiet"]) == 0
 
 
 @pytest.fixture

@@ -6,27 +6,22 @@ Each refusal in detail: tests/drives, tests/osm.
 from __future__ import annotations
 
 import re
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from interloc.cli.main import run
+from tests.cli.conftest import contents
 
 Refuse = Callable[..., str]
 
 
-def contents(folder: Path) -> dict[str, bytes]:
-    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
-
-
 @pytest.fixture(scope="module")
-def older(drive: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def older(detected: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """An older result."""
-    out = tmp_path_factory.mktemp("older") / "out"
-    assert run(["detect", str(drive), "-o", str(out), "--quiet"]) == 0
-    return out
+    return Path(shutil.copytree(detected, tmp_path_factory.mktemp("older") / "out"))
 
 
 @pytest.fixture
@@ -108,10 +103,10 @@ def test_a_map_that_is_damaged_or_missing(refuse: Refuse, tmp_path: Path) -> Non
     assert "none.osm: no such file" in refuse(osm=tmp_path / "none.osm")
 
 
-def test_a_clipped_map_works_with_a_note(interloc: Callable, drive: Path, osm: Path, tmp_path: Path) -> None:
+def test_a_clipped_map_works_with_a_note(interloc: Callable, detected: Path, osm: Path, tmp_path: Path) -> None:
     clipped = tmp_path / "clipped.osm"
     clipped.write_text("\n".join(line for line in osm.read_text().splitlines() if '<node id="5"' not in line))
-    outcome = interloc("run", drive, "-o", tmp_path / "out", "--osm", clipped)
+    outcome = interloc("evaluate", shutil.copytree(detected, tmp_path / "out"), "--osm", clipped)
     assert outcome.code == 0
     assert "clipped.osm: 1 highways refer to nodes outside the extract and were cut" in outcome.err
     assert "1 of 1" in outcome.out

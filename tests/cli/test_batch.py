@@ -35,13 +35,13 @@ def contents(folder: Path) -> dict[str, object]:
 
 
 @pytest.fixture
-def drives(drive: Path, short_drive: Path, tmp_path: Path) -> Path:
+def drives(drive: Path, short_drive: Path, osm: Path, tmp_path: Path) -> Path:
     """A list: the drive with a map, the drive without one, and one that is damaged."""
     (short_drive / "labels/000003.label").rename(tmp_path / "good.label")
     (short_drive / "labels/000003.label").write_bytes(b"x")
     rows = [
         ["drive", "name", "osm", "preset"],
-        [drive, "", drive.parent / "map.osm", ""],
+        [drive, "", osm, ""],
         [drive, "plain", "", "paper"],
     ]
     with (tmp_path / "list.csv").open("w", newline="") as file:

@@ -2,54 +2,56 @@
 
 from __future__ import annotations
 
+import io
 import json
 from collections.abc import Callable
+from contextlib import redirect_stdout
 from pathlib import Path
 
 import pytest
 
 from interloc.benchmark import run as running
+from interloc.cli.main import run
+
+SET = ("--set", "bev.resolution_m=0.4")
 
 
 @pytest.fixture(scope="module")
-def finished(drive: Path, osm: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A benchmark over the drive of these tests. Shared: do not change it."""
-    from interloc.cli.main import run  # noqa: PLC0415
-
+def measured(drive: Path, osm: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """A benchmark over the drive of these tests, and what was printed."""
     out = tmp_path_factory.mktemp("benchmark") / "out"
-    assert run(["benchmark", "drives", str(drive), "--osm", str(osm), "-o", str(out), "--quiet"]) == 0
-    return out
+    with redirect_stdout(io.StringIO()) as printed:
+        assert run(["benchmark", "drives", str(drive), "--osm", str(osm), "-o", str(out), *SET]) == 0
+    return out, printed.getvalue()
 
 
-def test_tables_and_files(finished: Path, drive: Path, osm: Path, interloc: Callable) -> None:
-    outcome = interloc("benchmark", "drives", drive, "--osm", osm, "-o", finished)
-    assert outcome.code == 0
+def test_tables_and_files(measured: tuple[Path, str]) -> None:
+    out, printed = measured
     for words in ("II. Performance per drive", "III. Comparison with MMInsectDet", "IV. Errors of the labels"):
-        assert words in outcome.out
-    assert outcome.out.endswith(f"report  {finished / 'benchmark.html'}\n")
-    assert "2 of the rows are kept from before" in outcome.err
-    assert (finished / "benchmark.txt").read_text() in outcome.out
-    assert {path.name for path in finished.iterdir()} == {
+        assert words in printed
+    assert printed.endswith(f"report  {out / 'benchmark.html'}\n")
+    assert (out / "benchmark.txt").read_text() in printed
+    assert {path.name for path in out.iterdir()} == {
         *("benchmark.html", "benchmark.json", "benchmark.txt", "failures", "figures", "rows")
     }
-
-
-def test_the_crossing_is_found(finished: Path) -> None:
-    record = json.loads((finished / "benchmark.json").read_text())
+    record = json.loads((out / "benchmark.json").read_text())
     for preset in ("default", "paper"):
-        (figures,) = (e for e in record["results"] if (e["preset"], e["drive"]) == (preset, "all"))
+        (figures,) = (
+            e for e in record["results"] if (e["preset"], e["drive"]) == (f"{preset} bev.resolution_m=0.4", "all")
+        )
         assert figures["nodes_found"]["mean"] == figures["nodes_in_zone"]["mean"] == 1
         assert figures["ace_m"]["mean"] < 1.5
 
 
-def test_presets_levels_and_seeds(drive: Path, osm: Path, tmp_path: Path, interloc: Callable) -> None:
+def test_presets_levels_and_seeds(measured: tuple[Path, str], drive: Path, osm: Path, interloc: Callable) -> None:
+    out, _ = measured
     outcome = interloc(
-        *("benchmark", "drives", drive, "--osm", osm, "-o", tmp_path / "out", "--preset", "default"),
-        *("--set", "bev.resolution_m=0.4", "--noise", "20/20,5/5", "--noise", "5/5", "--seeds", 2, "--json", "--quiet"),
+        *("benchmark", "drives", drive, "--osm", osm, "-o", out, "--preset", "default", *SET),
+        *("--noise", "20/20,5/5", "--noise", "5/5", "--seeds", 2, "--json"),
     )
-    assert not outcome.err
+    assert "1 of the rows are kept from before" in outcome.err
     record = outcome.json
-    assert record == json.loads((tmp_path / "out/benchmark.json").read_text())
+    assert record == json.loads((out / "benchmark.json").read_text())
     assert record["presets"] == ["default bev.resolution_m=0.4"]
     assert record["noises"] == ["0/0", "20/20", "5/5"]
     assert record["config"]["default bev.resolution_m=0.4"]["bev"]["resolution_m"] == 0.4

@@ -9,15 +9,22 @@ from pathlib import Path
 
 import pytest
 
-from interloc.cli.main import run
+from interloc.config import PAPER
+
+
+def with_run(finished: Path, out: Path, **changed: object) -> Path:
+    """Copy a result folder as if the run had been another one."""
+    shutil.copytree(finished, out)
+    run = json.loads((out / "run.json").read_text()) | changed
+    (out / "run.json").write_text(json.dumps(run))
+    return out
 
 
 @pytest.fixture(scope="module")
-def outs(drive: Path, osm: Path, finished: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+def outs(finished: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     """Result folders of two presets. Shared: do not change them."""
-    paper = tmp_path_factory.mktemp("outs") / "paper"
-    assert run(["run", str(drive), "-o", str(paper), "--osm", str(osm), "--preset", "paper", "--quiet"]) == 0
-    return finished, paper
+    place = tmp_path_factory.mktemp("outs") / "paper"
+    return finished, with_run(finished, place, config=PAPER.model_dump(mode="json"))
 
 
 def test_figures_and_settings_side_by_side(outs: tuple[Path, Path], interloc: Callable) -> None:
@@ -33,10 +40,7 @@ def test_figures_and_settings_side_by_side(outs: tuple[Path, Path], interloc: Ca
 
 
 def test_curves_of_all_runs_in_one_figure(outs: tuple[Path, Path], tmp_path: Path, interloc: Callable) -> None:
-    third = tmp_path / "a $b$ 高速"
-    shutil.copytree(outs[0], third)
-    run_file = third / "run.json"
-    run_file.write_text(json.dumps(json.loads(run_file.read_text()) | {"labels": "predictions"}))
+    third = with_run(outs[0], tmp_path / "a $b$ 高速", labels="predictions")
     lines = interloc("compare", outs[0], third).out.splitlines()
     assert [line.split()[0] for line in lines if line.endswith(" predictions")] == ["labels"]
     assert "the same settings" in lines
@@ -56,10 +60,9 @@ def test_curves_of_all_runs_in_one_figure(outs: tuple[Path, Path], tmp_path: Pat
     assert (third / "report.html").read_bytes() == report
 
 
-def test_what_cannot_be_compared(outs: tuple[Path, Path], drive: Path, tmp_path: Path, interloc: Callable) -> None:
+def test_what_cannot_be_compared(outs: tuple[Path, Path], detected: Path, tmp_path: Path, interloc: Callable) -> None:
     assert "two runs or more" in interloc("compare", outs[0]).complaint
     assert "is not an InterLoc result: it has no run.json" in interloc("compare", outs[0], tmp_path).complaint
-    assert interloc("detect", drive, "-o", tmp_path / "plain", "--quiet").code == 0
-    outcome = interloc("compare", outs[0], tmp_path / "plain")
+    outcome = interloc("compare", outs[0], detected)
     assert outcome.code == 2
     assert "interloc evaluate" in outcome.complaint

@@ -8,17 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from interloc.cli.main import run
+from tests.cli.conftest import contents
 
 REPORT = {"report.json", "report.html", "osm_nodes.geojson", "matches.geojson", "osm_roads.geojson", "figures"}
-
-
-@pytest.fixture(scope="module")
-def detected(drive: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A result folder, to be copied."""
-    out = tmp_path_factory.mktemp("detected") / "out"
-    assert run(["detect", str(drive), "-o", str(out), "--quiet"]) == 0
-    return out
 
 
 @pytest.fixture
@@ -27,11 +19,7 @@ def out(detected: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(detected, tmp_path / "out"))
 
 
-def contents(folder: Path) -> dict[str, bytes]:
-    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
-
-
-def test_the_report_joins_the_result(interloc: Callable, out: Path, osm: Path) -> None:
+def test_the_report_joins_the_result_as_that_of_a_run(interloc: Callable, out: Path, finished: Path, osm: Path) -> None:
     before = contents(out)
     outcome = interloc("evaluate", out, "--osm", osm)
     assert outcome.code == 0
@@ -39,6 +27,8 @@ def test_the_report_joins_the_result(interloc: Callable, out: Path, osm: Path) -
     judged = {"detections.geojson", "intersections.geojson"}
     after = contents(out)
     assert {name for name in before if after[name] != before[name]} == judged  # the same, with verdicts
+    for name in ("report.json", "osm_roads.geojson"):
+        assert after[name] == (finished / name).read_bytes()
     for name in judged:
         assert b'"outcome":"right"' in after[name]
         assert b'"outcome":"right"' not in before[name]
@@ -49,17 +39,13 @@ def test_the_report_joins_the_result(interloc: Callable, out: Path, osm: Path) -
     assert facts["policy"].strip() == "drive: 1 OSM node in the relevant zone"
 
 
-def test_policy_and_tolerance_are_saved(interloc: Callable, out: Path, osm: Path, strict_json: Callable) -> None:
-    assert interloc("evaluate", out, "--osm", osm, "--policy", "consolidated", "--tolerance", 12).code == 0
-    report = strict_json(out / "report.json")
-    assert (report["policy"], report["tolerance_m"], report["nodes_found"]) == ("consolidated", 12, 1)
-
-
 def test_a_second_evaluation_replaces_the_first(
     interloc: Callable, out: Path, osm: Path, strict_json: Callable
 ) -> None:
-    quiet = interloc("evaluate", out, "--osm", osm, "--policy", "all", "--quiet")
+    quiet = interloc("evaluate", out, "--osm", osm, "--policy", "consolidated", "--tolerance", 12, "--quiet")
     assert (quiet.code, quiet.out, quiet.err) == (0, "", "")
+    report = strict_json(out / "report.json")
+    assert (report["policy"], report["tolerance_m"], report["nodes_found"]) == ("consolidated", 12, 1)
     (out / "notes.txt").write_text("mine")
     outcome = interloc("evaluate", out, "--osm", osm, "--json")
     assert outcome.json == strict_json(out / "report.json")
@@ -81,17 +67,13 @@ def test_a_damaged_result_is_refused(interloc: Callable, out: Path, osm: Path) -
     assert contents(out) == before
 
 
-def test_local_coordinates_are_refused_in_words(
-    interloc: Callable, local_drive: Path, tmp_path: Path, osm: Path
-) -> None:
-    out = tmp_path / "out"
-    interloc("detect", local_drive, "-o", out)
-    before = contents(out)
-    outcome = interloc("evaluate", out, "--osm", osm)
+def test_local_coordinates_are_refused_in_words(interloc: Callable, local_result: Path, osm: Path) -> None:
+    before = contents(local_result)
+    outcome = interloc("evaluate", local_result, "--osm", osm)
     assert outcome.code == 1
     assert "the run has no georeference" in outcome.complaint
     assert "--oxts" in outcome.complaint
-    assert contents(out) == before
+    assert contents(local_result) == before
 
 
 def test_a_map_of_another_place_is_refused(interloc: Callable, out: Path, osm: Path) -> None:

@@ -11,11 +11,13 @@ import struct
 import subprocess
 import sys
 import termios
-import time
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+
+from tests.app.processes import wait_until
+from tests.forks import Command
 
 COMMANDS = [
     "info",
@@ -117,12 +119,13 @@ def test_no_slow_import_before_a_command_needs_it(environment: dict[str, str]) -
     assert process.stderr == "slow imports: []\n"
 
 
-def test_exit_code_of_the_process(command: tuple[str, ...], environment: dict[str, str], tmp_path: Path) -> None:
+def test_exit_code_of_the_process(environment: dict[str, str], tmp_path: Path) -> None:
     missing = ["export", str(tmp_path / "none"), "-o", str(tmp_path / "out.kml")]  # it imports little
     for arguments, code in ((["--version"], 0), (missing, 1), (["export"], 2)):
-        process = subprocess.run([*command, *arguments], capture_output=True, text=True, env=environment, check=False)
+        process = Command(arguments, environment, tmp_path / "out", tmp_path / "err")
+        _, err = process.communicate(60)
         assert process.returncode == code
-        assert "Traceback" not in process.stderr
+        assert "Traceback" not in err
 
 
 def test_the_console_script(tmp_path: Path) -> None:
@@ -159,62 +162,48 @@ def test_output_that_cannot_be_written(command: tuple[str, ...], environment: di
 @pytest.mark.skipif(sys.platform == "win32", reason="signals and terminals of Unix")
 @pytest.mark.parametrize("stop", [signal.SIGINT, signal.SIGTERM])
 def test_a_run_that_is_stopped_leaves_nothing(
-    stop: signal.Signals, command: tuple[str, ...], environment: dict[str, str], drive: Path, tmp_path: Path
+    stop: signal.Signals, environment: dict[str, str], drive: Path, tmp_path: Path
 ) -> None:
-    arguments = ["detect", str(drive), "-o", "out", "--workers", "1", "--set", "keyframes.distance_m=0.1"]
-    with subprocess.Popen(
-        [*command, *arguments], cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment
-    ) as process:
-        deadline = time.monotonic() + 60
-        while not list(tmp_path.iterdir()):  # its temporary folder: detection has begun
-            assert time.monotonic() < deadline
-            assert process.poll() is None
-            time.sleep(0.005)
-        process.send_signal(stop)
-        out, err = process.communicate(timeout=60)
+    place = tmp_path / "place"
+    place.mkdir()
+    arguments = ["detect", drive, "-o", "out", "--workers", "1", "--set", "keyframes.distance_m=0.1"]
+    process = Command(arguments, environment, tmp_path / "said", tmp_path / "err", place)
+    # Its temporary folder is there: detection has begun.
+    wait_until(lambda: bool(list(place.iterdir())) or process.poll() is not None, "the temporary folder")
+    process.send_signal(stop)
+    out, err = process.communicate(60)
     assert process.returncode == 1, err
     assert err.strip() == "interloc: interrupted; nothing was written"
     assert not out
-    assert not list(tmp_path.iterdir())
+    assert not list(place.iterdir())
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals and terminals of Unix")
 def test_progress_is_shown_on_a_terminal_only(
     interloc: Callable, environment: dict[str, str], short_drive: Path, tmp_path: Path
 ) -> None:
-    detect = ["detect", str(short_drive), "--workers", "1", "-o"]
-    both = (
-        "import sys; from interloc.cli.main import run;"
-        f"first = run({[*detect, str(tmp_path / 'a')]}); print('DONE', file=sys.stderr, flush=True);"
-        f"sys.exit(first or run({[*detect, str(tmp_path / 'b'), '--quiet']}))"
-    )
-    shown, quiet = stderr_on_terminal([sys.executable, "-c", both], environment).split("DONE")
-    assert shown.startswith(f"reading {short_drive}")  # before the modules that take a second are imported
+    detect = ["detect", str(short_drive), "--workers", "1", "-o", str(tmp_path / "a")]
+    shown = stderr_on_terminal(detect, environment, tmp_path / "out")
+    assert shown.startswith(f"reading {short_drive}")
     assert "detect" in shown
     assert "keyframe" in shown
-    assert not quiet.strip()
+    assert not stderr_on_terminal([*detect, "--quiet"], environment, tmp_path / "out").strip()
     piped = interloc("detect", short_drive, "-o", tmp_path / "c")
     assert (piped.code, piped.err) == (0, "")
 
 
-def stderr_on_terminal(arguments: list[str], environment: dict[str, str]) -> str:
+def stderr_on_terminal(arguments: list[str], environment: dict[str, str], out: Path) -> str:
     """Run a command whose stderr is a terminal, and return what it shows there."""
     ours, theirs = pty.openpty()
     fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 30, 100, 0, 0))
+    shown = b""
     try:
-        with subprocess.Popen(arguments, stdout=subprocess.DEVNULL, stderr=theirs, env=environment) as process:
-            os.close(theirs)
-            shown = b""
-            while True:
-                select.select([ours], [], [], 60)
-                try:
-                    piece = os.read(ours, 65536)
-                except OSError:  # the other end was closed
-                    break
-                if not piece:
-                    break
-                shown += piece
-        assert process.returncode == 0
+        process = Command(arguments, environment, out, Path(os.ttyname(theirs)))
+        while process.poll() is None or select.select([ours], [], [], 0)[0]:
+            if select.select([ours], [], [], 0.1)[0]:
+                shown += os.read(ours, 65536)
     finally:
+        os.close(theirs)
         os.close(ours)
+    assert process.returncode == 0
     return shown.decode()

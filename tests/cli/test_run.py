@@ -7,7 +7,10 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
+
+from tests.cli.conftest import CROSSING_M
 
 FILES = {
     *("detections.geojson", "keyframes.geojson", "trajectory.geojson", "intersections.geojson", "run.json"),
@@ -55,32 +58,23 @@ def test_matches_lead_to_the_node(finished: Path, strict_json: Callable) -> None
         assert match["properties"]["error_m"] < 5.0
 
 
-def test_evaluate_repeats_the_evaluation_of_run(interloc: Callable, finished: Path, osm: Path, tmp_path: Path) -> None:
-    copy = shutil.copytree(finished, tmp_path / "out")
-    assert interloc("evaluate", copy, "--osm", osm).code == 0
-    for name in ("report.json", "osm_roads.geojson"):
-        assert (copy / name).read_bytes() == (finished / name).read_bytes()
-
-
-def test_json_is_one_object(interloc: Callable, drive: Path, osm: Path, tmp_path: Path, strict_json: Callable) -> None:
-    outcome = interloc("run", drive, "-o", tmp_path / "out", "--osm", osm, "--json")
-    assert outcome.json["report"] == strict_json(tmp_path / "out" / "report.json")
-    assert outcome.json["run"]["keyframes"] == 53
-    assert not outcome.err
-
-
-def test_a_second_run_replaces_the_first(
-    interloc: Callable, drive: Path, osm: Path, tmp_path: Path, strict_json: Callable
+def test_a_run_replaces_an_older_one_and_is_replaced(
+    interloc: Callable, drive: Path, short_drive: Path, osm: Path, detected: Path, tmp_path: Path, strict_json: Callable
 ) -> None:
     out = tmp_path / "out"
-    interloc("detect", drive, "-o", out)
-    outcome = interloc("run", drive, "-o", out, "--osm", osm, "--preset", "paper", "--quiet")
-    assert (outcome.code, outcome.out, outcome.err) == (0, "", "")
+    shutil.copytree(detected, out)
+    outcome = interloc("run", drive, "-o", out, "--osm", osm, "--preset", "paper", "--json")
+    assert not outcome.err
+    assert outcome.json["report"] == strict_json(out / "report.json")
+    assert outcome.json["run"]["keyframes"] == 53
     assert strict_json(out / "run.json")["config"]["preset"] == "paper"
+    (intersection,) = strict_json(out / "intersections.geojson")["features"]
+    facts = intersection["properties"]
+    assert np.hypot(facts["world_x_m"] - CROSSING_M[0], facts["world_y_m"] - CROSSING_M[1]) < 1.0
     assert {path.name for path in out.iterdir()} == FILES
-    interloc("detect", drive, "-o", out)
+    quiet = interloc("detect", short_drive, "-o", out, "--quiet")
+    assert (quiet.code, quiet.out, quiet.err) == (0, "", "")
     assert not (out / "report.json").exists()  # it was about another run
-    assert [path.name for path in tmp_path.iterdir()] == ["out"]
 
 
 def test_without_georeference_it_refuses_before_the_work(
@@ -91,13 +85,6 @@ def test_without_georeference_it_refuses_before_the_work(
     assert "the drive has no georeference" in outcome.complaint
     assert "--oxts" in outcome.complaint
     assert not list(tmp_path.iterdir())
-
-
-def test_the_sparse_sample_of_kitti_360(interloc: Callable, data: Callable[[str], Path], tmp_path: Path) -> None:
-    arguments = ("-o", tmp_path / "out", "--osm", data("kitti/osm/00.osm.gz"), "--labels", "predictions", "--json")
-    report = interloc("run", data("kitti360_0009"), *arguments).json["report"]
-    assert report["nodes_in_zone"] == 5
-    assert report["nodes_found"] >= 4
 
 
 def test_the_false_detections_of_kitti_360_are_a_junction_with_a_service_road(

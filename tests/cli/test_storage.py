@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
 import re
-import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
@@ -17,6 +16,7 @@ from app.context import Context
 from app.settings import Settings
 from interloc import storage
 from tests.cli.test_batch import contents
+from tests.forks import Command
 from tests.stores import BUCKET, content_of, keys_below, put, s3  # noqa: F401 - a fixture
 
 pytestmark = pytest.mark.usefixtures("s3")
@@ -43,10 +43,10 @@ def fetched(monkeypatch: pytest.MonkeyPatch) -> list[int]:
 
 
 def test_a_drive_in_a_bucket_is_as_the_drive_in_a_folder_and_only_keyframes_are_fetched(
-    drive: Path, finished: Path, tmp_path: Path, interloc: Callable, monkeypatch: pytest.MonkeyPatch
+    drive: Path, osm: Path, finished: Path, tmp_path: Path, interloc: Callable, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     put(drive, "drives/crossing")
-    put(drive.parent / "map.osm", "drives/map.osm")
+    put(osm, "drives/map.osm")
     counts = fetched(monkeypatch)
     told = interloc("info", f"s3://{BUCKET}/drives/crossing", "--json")
     assert told.json["path"] == f"s3://{BUCKET}/drives/crossing"
@@ -137,10 +137,10 @@ def test_drives_of_a_prefix_are_a_batch_whose_results_are_as_by_themselves(
         put(short_drive, f"many/{name}/short")
     command = (f"s3://{BUCKET}/many", "-o", f"s3://{BUCKET}/batch", "--workers", "2")
     # By itself: the workers of this process may have been forked before the environment knew the server.
-    told = subprocess.run(
-        [sys.executable, "-m", "interloc", "batch", *command, "--json"], capture_output=True, check=True
-    )
-    assert [row["drive"] for row in json.loads(told.stdout)["drives"]] == [
+    process = Command(("batch", *command, "--json"), os.environ, tmp_path / "told", tmp_path / "err")
+    told, err = process.communicate(60)
+    assert not process.returncode, err
+    assert [row["drive"] for row in json.loads(told)["drives"]] == [
         f"s3://{BUCKET}/many/{name}/short" for name in ("one", "two")
     ]
     storage.clear()

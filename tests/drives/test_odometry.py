@@ -86,6 +86,17 @@ def broken(tmp_path: Path) -> Path:
     return root
 
 
+def test_of_a_part_only_that_is_followed(broken: Path) -> None:
+    findings = Findings(stop_at_first=True)
+    options = DriveOptions.of(poses="odometry", frames="5:")
+    (reading,) = read_drive(broken, options, findings, needs_labels=False).values()
+    assert reading.drive is None  # it has no labels
+    assert reading.trajectory.poses.reason == "odometry over the points of 22 scans"
+    assert reading.scans.frames.tolist() == list(range(5, 27))
+    assert [each for each in findings.found if each.severity == "warning"] == []
+    np.testing.assert_allclose(reading.trajectory.georeference.lon_deg, 8.0 + np.arange(5, 27) * 1.36e-5, atol=1e-7)
+
+
 @pytest.mark.parametrize("again", [False, True], ids=["computed", "kept"])
 def test_the_longest_stretch_stands_for_a_drive_that_cannot_be_followed_through(broken: Path, again: bool) -> None:
     if again:

@@ -186,14 +186,19 @@ def test_a_file_in_the_way_is_named(scored: Scored, tmp_path: Path) -> None:
         write_report(scored[0], tmp_path)
 
 
-def test_a_full_disk_leaves_no_half_of_a_file(scored: Scored, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_disk_leaves_no_half_of_a_file_and_what_was_there(
+    scored: Scored, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "intersections.geojson").write_text("older verdicts")
+
     def full(_: int) -> None:
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(files.os, "fsync", full)
     with pytest.raises(OutputError, match="no space left"):
         write_report(scored[0], tmp_path)
-    assert written(tmp_path) == []
+    assert written(tmp_path) == ["intersections.geojson"]
+    assert (tmp_path / "intersections.geojson").read_text() == "older verdicts"
 
 
 def test_figures_carry_units_and_every_detection(scored: Scored) -> None:

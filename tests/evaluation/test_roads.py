@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 import shapely
 
+from interloc.evaluation.evaluate import evaluate
+from interloc.evaluation.report import LAYER_FEATURES, report_record
 from interloc.evaluation.roads import score_roads
 from interloc.osm.reader import read_osm
 from interloc.roadmap.network import RoadEdge, RoadNetwork, RoadNode
@@ -58,7 +60,6 @@ def test_the_report_and_the_ways_tell_what_was_seen(tmp_path: Path) -> None:
     assert report["roads"]["completeness"] > 0.9
     ways = [each["properties"] for each in json.loads((out / "osm_roads.geojson").read_text())["features"]]
     assert [each["width_m"] for each in ways] == [pytest.approx(7, abs=0.3), None]  # no road runs along the second
-    bare = write_folder(tmp_path / "bare", small_result(), scored=True)
-    assert json.loads((bare / "report.json").read_text())["roads"] is None
-    ways = [each["properties"] for each in json.loads((bare / "osm_roads.geojson").read_text())["features"]]
-    assert {each["seen_m"] for each in ways} == {None}
+    bare = evaluate(small_result(), read_osm(tmp_path / "map.osm"))
+    assert report_record(bare)["roads"] is None
+    assert {each["properties"]["seen_m"] for each in LAYER_FEATURES["osm_roads"](bare, bare.result)} == {None}

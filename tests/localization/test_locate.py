@@ -76,7 +76,7 @@ def test_a_straight_drive_is_ambiguous_on_streets_that_are_all_straight() -> Non
         require_found(location, "straight")
 
 
-@pytest.mark.parametrize(("scale", "drift"), [(1.02, 0.0), (0.98, 0.0), (1.0, 5.0), (1.0, -5.0)])
+@pytest.mark.parametrize(("scale", "drift"), [(1.02, 0.0), (1.0, -5.0)])
 def test_poses_that_drift_are_right_or_refused(town: RoadGraph, scale: float, drift: float) -> None:
     drive = drive_along(route_xy(), scale=scale, drift_deg_per_km=drift)
     location = locate(drive, town)

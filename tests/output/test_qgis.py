@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sqlite3
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,7 @@ from interloc.output.credits import ODBL, OSM_ATTRIBUTION
 from interloc.output.qml import qml
 from interloc.output.styles import FOUND, FUSED, RIGHT, ROAD, STYLES
 from interloc.output.vector_files import EXPORTS, write_vector_file
-from tests.output.small import TIME_S, small_result, with_roads, write_folder
+from tests.output.small import small_result, with_roads, write_folder
 from tests.qgis import ask_qgis, pixels_of, require_qgis
 
 NAMES = [name for name in EXPORTS if name not in {"places", "osm_buildings"}]
@@ -38,13 +37,10 @@ draw_project(f"{folder}/map.png")
 
 
 @pytest.fixture(scope="module")
-def exported(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def exported(scored: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The exports of a scored result, and a picture of its project."""
     require_qgis()
     folder = tmp_path_factory.mktemp("qgis")
-    result = replace(with_roads(small_result()), drive="straße & <b>Co</b>")
-    result = replace(result, keyframes=replace(result.keyframes, time_s=TIME_S))
-    scored = write_folder(folder / "scored", result, scored=True)
     local = write_folder(folder / "local", with_roads(small_result(local=True)), scored=False)
     for path, source in (("a.gpkg", scored), ("project.qgz", scored), ("local.qgz", local)):
         write_vector_file(source, folder / path)

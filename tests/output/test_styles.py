@@ -18,16 +18,10 @@ from interloc.output.qml import qml
 from interloc.output.sld import sld
 from interloc.output.styles import GROUPS, OUTLINES, STYLES, Mark, Symbol
 from interloc.output.vector_files import EXPORTS, write_vector_file
-from tests.output.small import small_result, with_roads, write_folder
+from tests.output.small import small_result, write_folder
 
 STATIC = Path(__file__).resolve().parents[2] / "static"
 KML = "{http://www.opengis.net/kml/2.2}"
-
-
-@pytest.fixture(scope="module")
-def scored(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A result folder with an evaluation. Shared: do not change it."""
-    return write_folder(tmp_path_factory.mktemp("scored") / "out", with_roads(small_result()), scored=True)
 
 
 def page_colours() -> dict[str, str]:

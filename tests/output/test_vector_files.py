@@ -41,14 +41,6 @@ FILES += ["osm_nodes", "matches", "osm_roads"]
 DERIVED = ["branches", "uncertainty"]
 
 
-@pytest.fixture(scope="module")
-def scored(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A result folder with an evaluation. Shared: do not change it."""
-    result = with_roads(small_result())
-    result = replace(result, drive="straße & Co", keyframes=replace(result.keyframes, time_s=TIME_S))
-    return write_folder(tmp_path_factory.mktemp("scored") / "out", result, scored=True)
-
-
 def features(result: Path, layer: str, tmp_path: Path) -> list[dict[str, Any]]:
     """Return the features of a layer of a result, or of one that is made of it."""
     write_vector_file(result, tmp_path / "a.geojson", layer=layer)
@@ -226,21 +218,6 @@ def qgz_of(folder: Path, tmp_path: Path) -> bytes:
     return (tmp_path / "a.qgz").read_bytes()
 
 
-def test_every_row_says_of_which_result_it_is_also_of_older_results(tmp_path: Path) -> None:
-    made = replace(small_result(), run=small_result().run | {"job": "9b1e", "labels": "predictions"})
-    folder = write_folder(tmp_path / "out", made, scored=True)
-    own = {"drive": made.drive, "job": "9b1e", "preset": "paper", "labels": "predictions"}
-    for path in folder.glob("*.geojson"):  # as an older version left it
-        content = json.loads(path.read_text())
-        for each in content["features"]:
-            assert {name: each["properties"].pop(name) for name in own} == own, path
-        path.write_text(json.dumps(content))
-    write_vector_file(folder, tmp_path / "all.gpkg")
-    for name in EXPORTS.keys() & set(pyogrio.list_layers(tmp_path / "all.gpkg")[:, 0]):
-        for row in pyogrio.read_dataframe(tmp_path / "all.gpkg", layer=name).to_dict("records"):
-            assert {column: row[column] for column in own} == own, name
-
-
 def test_csv_is_safe_to_open_in_a_spreadsheet(tmp_path: Path) -> None:
     folder = write_folder(tmp_path / "out", replace(small_result(), drive="=1+cmd|'x'!A1"), scored=False)
     write_vector_file(folder, tmp_path / "a.csv")
@@ -269,7 +246,7 @@ def test_pmtiles_hold_all_layers_for_web_maps(scored: Path, tmp_path: Path) -> N
         header, told = reader.header(), reader.metadata()
         assert (header["version"], header["clustered"], header["min_zoom"], header["max_zoom"]) == (3, True, 0, 15)
         assert header["min_lon_e7"] < 84205000 < header["max_lon_e7"]
-        assert (told["name"], told["license"]) == ("straße & Co", ODBL)
+        assert (told["name"], told["license"]) == ("straße & <b>Co</b>", ODBL)
         assert OSM_ATTRIBUTION in told["attribution"]
         assert {each["id"]: each["minzoom"] for each in told["vector_layers"]}["detections"] == 13
         assert reader.get(0, 0, 0) is not None
@@ -306,7 +283,7 @@ def test_gpx_is_the_track_with_times_and_the_intersections(scored: Path, tmp_pat
     path = tmp_path / "a.gpx"
     assert write_vector_file(scored, path) == ["trajectory", "intersections"]
     gpx = gpxpy.parse(path.read_text())
-    assert (gpx.name, gpx.copyright_license) == ("straße & Co", ODBL)
+    assert (gpx.name, gpx.copyright_license) == ("straße & <b>Co</b>", ODBL)
     assert OSM_ATTRIBUTION in gpx.description
     (mark,), (track,) = gpx.waypoints, gpx.tracks
     assert (mark.longitude, mark.latitude, mark.name) == (8.4205, 49.011, "Intersection 1")
@@ -366,27 +343,46 @@ def test_a_layer_of_an_older_version_says_whose_data_it_is(scored: Path, tmp_pat
         assert (credit.license is None) == own
 
 
-def test_a_made_up_map_is_not_of_openstreetmap(tmp_path: Path) -> None:
-    made_up = MAP.replace('version="0.6"', 'version="0.6" generator="interloc simulate"')
-    folder = write_folder(tmp_path / "out", small_result(), scored=True, osm=made_up)
-    report = json.loads((folder / "report.json").read_text())
+@pytest.fixture(scope="module")
+def made_up(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A result of a job that was scored against a made-up map. Shared: do not change it."""
+    text = MAP.replace('version="0.6"', 'version="0.6" generator="interloc simulate"')
+    made = replace(small_result(), run=small_result().run | {"job": "9b1e", "labels": "predictions"})
+    return write_folder(tmp_path_factory.mktemp("made_up") / "out", made, scored=True, osm=text)
+
+
+def test_a_made_up_map_is_not_of_openstreetmap(made_up: Path, tmp_path: Path) -> None:
+    report = json.loads((made_up / "report.json").read_text())
     assert report["osm"]["made_up"] is True
     assert "license" not in report
-    page = (folder / "report.html").read_text()
+    page = (made_up / "report.html").read_text()
     assert "openstreetmap.org" not in page
     assert "made up by a simulator" in page
-    for path in folder.glob("*.geojson"):
+    for path in made_up.glob("*.geojson"):
         assert "contributors" not in path.read_text()
         assert ("made up" in path.read_text()) == (
             path.stem not in {"trajectory", "keyframes", "roads", "junctions", "road_surface"}
         )
-    write_vector_file(folder, tmp_path / "a.gpkg")
-    assert b"contributors" not in (tmp_path / "a.gpkg").read_bytes()
-    write_vector_file(folder, tmp_path / "a.qgz")
-    with zipfile.ZipFile(tmp_path / "a.qgz") as archive:
+    with zipfile.ZipFile(io.BytesIO(qgz_of(made_up, tmp_path))) as archive:
         project = archive.read("project.qgs")
+        assert b"contributors" not in archive.read("result.gpkg")
     assert b"made up by a simulator" in project
     assert b"contributors" not in project
+
+
+def test_every_row_says_of_which_result_it_is_also_of_older_results(made_up: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "out"
+    shutil.copytree(made_up, folder)
+    own = {"drive": "07", "job": "9b1e", "preset": "paper", "labels": "predictions"}
+    for path in folder.glob("*.geojson"):  # as an older version left it
+        content = json.loads(path.read_text())
+        for each in content["features"]:
+            assert {name: each["properties"].pop(name) for name in own} == own, path
+        path.write_text(json.dumps(content))
+    write_vector_file(folder, tmp_path / "all.gpkg")
+    for name in EXPORTS.keys() & set(pyogrio.list_layers(tmp_path / "all.gpkg")[:, 0]):
+        for row in pyogrio.read_dataframe(tmp_path / "all.gpkg", layer=name).to_dict("records"):
+            assert {column: row[column] for column in own} == own, name
 
 
 # other programs ------------------------------------------------------------------------------------------------------

@@ -337,7 +337,7 @@ def results(draw: st.DrawFn) -> DriveResult:
     )
 
 
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(results())
 def test_what_is_written_is_read_back(result: DriveResult) -> None:
     with tempfile.TemporaryDirectory() as name:

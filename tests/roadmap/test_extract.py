@@ -39,9 +39,9 @@ def test_two_streets_meet_at_the_intersection_of_the_result() -> None:
 
 
 def test_the_seams_of_blocks_do_not_show() -> None:
-    bend = [(-300.0, -250.0), (-20.0, -30.0), (0.0, 0.0), (120.0, 300.0)]
-    side = [(-200.0, 200.0), (0.0, 0.0), (250.0, -30.0)]
-    yard = shapely.box(100.0, 80.0, 150.0, 140.0)
+    bend = [(-170.0, -140.0), (-20.0, -30.0), (0.0, 0.0), (65.0, 160.0)]
+    side = [(-110.0, 110.0), (0.0, 0.0), (150.0, -20.0)]
+    yard = shapely.box(60.0, 50.0, 100.0, 100.0)
     mosaic, result = draw(street(*bend) | street(*side) | yard), drive(bend, [(0.0, 0.0)])
     whole, cut = (extract_roads(result, mosaic, block=block) for block in (8 * TILE, TILE))
     assert len(whole.surface) < len(cut.surface)

@@ -73,6 +73,27 @@ def test_drives_that_the_map_does_not_have_are_road(
     assert beside(0, private_drives_per_km=40.0) == beside(1, private_drives_per_km=40.0)
 
 
+def test_posts_and_trees_stand_beside_the_road_and_off_the_track(
+    straight_track: LidarTrack, write_map: WriteMap
+) -> None:
+    path = write_map(([(-150.0, 0.0), (150.0, 0.0)], {"highway": "residential"}))
+
+    def walls(posts_per_km: float, seed: int = 0) -> np.ndarray:
+        roadside = BARE.roadside.model_copy(update={"posts_per_km": posts_per_km})
+        scene = build_scene(
+            straight_track, read_map(path), config=BARE.model_copy(update={"roadside": roadside}), seed=seed
+        )
+        return scene.obstacles.near(0.0, 0.0, 150.0)[0]
+
+    found = walls(100.0)
+    assert len(walls(0.0)) == 0
+    np.testing.assert_array_equal(walls(100.0), found)
+    assert not np.array_equal(walls(100.0, seed=1), found)
+    assert 4 * 30 < len(found) < 8 * 80  # four sides of some 60 posts, as many of crowns
+    posts = found[found[:, 4] < 0]  # bottoms
+    assert np.abs(posts[:, [1, 3]]).min() > 3.0
+
+
 def test_kerbs_are_round_at_a_junction(straight_track: LidarTrack, frame: LocalFrame, write_map: WriteMap) -> None:
     path = write_map(
         ([(-150.0, 0.0), (0.0, 0.0), (150.0, 0.0)], {"highway": "residential", "sidewalk": "no"}),

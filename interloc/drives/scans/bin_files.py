@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from interloc.arrays import Float32Array
-from interloc.drives.files import EMPTY, MAX_NAMED, NumberedFiles, SourceFile, list_numbered, others_like_it
+from interloc.drives.files import EMPTY, MAX_NAMED, NumberedFiles, SourceFile, in_part, list_numbered, others_like_it
 from interloc.drives.findings import Findings
 from interloc.drives.layouts import DriveParts
 from interloc.drives.options import DriveOptions
@@ -72,7 +72,7 @@ def open_bin_files(parts: DriveParts, options: DriveOptions, findings: Findings)
     scans = replace(scans, numbers=scans.numbers[posed], sizes=scans.sizes[posed])
     usable = np.arange(len(scans.numbers), dtype=np.int64)
     if options.check:
-        wrong = (scans.sizes % point_bytes != 0) | (scans.sizes == 0)
+        wrong = ((scans.sizes % point_bytes != 0) | (scans.sizes == 0)) & in_part(options.frames, scans.numbers)
         if wrong.any() and len(wrong) > 1 and (scans.sizes % _BARE_POINT_BYTES == 0).all() and scans.sizes.all():
             findings.error(
                 scans.folder.fault(

@@ -18,6 +18,7 @@ from interloc.drives.files import (
     MAX_NAMED,
     NumberedFiles,
     SourceFile,
+    in_part,
     list_numbered,
     listed,
     missing_numbers,
@@ -145,7 +146,10 @@ class RawScans:
         elif usable is None:
             usable = np.arange(len(recording.frames), dtype=np.int64)
         if isinstance(labels, LabelFiles) and recording.frames is not None:
-            usable = _check_label_files(recording, usable, labels.label_files, findings, sizes=options.check)
+            files = labels.label_files
+            within = in_part(options.frames, files.numbers)
+            files = replace(files, numbers=files.numbers[within], sizes=files.sizes[within])
+            usable = _check_label_files(recording, usable, files, findings, sizes=options.check)
         return cls(recording, labels, usable)
 
     @property

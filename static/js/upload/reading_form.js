@@ -38,6 +38,7 @@ export function readingForm(drive, before, onChange) {
     fix: text(before?.options.fix, FOUND),
   };
   const crs = text(before?.options.crs, "As the files name it");
+  const part = text(before?.options.frames, "All of it");
   const poseFile = el("select", { onChange });
   const poseFileField = field("Poses are in", poseFile);
   const more = [
@@ -48,6 +49,7 @@ export function readingForm(drive, before, onChange) {
     ],
     mayBe("las") && field("Coordinate system of LAS files", crs, "As EPSG:25832, where the files do not name it."),
     poseFileField,
+    field("Part of the drive", part, "As 200:1400, by the numbers of its scans: 1400 is the first that is left out."),
   ];
 
   /** Offer the files that may hold the poses: they may come and go. */
@@ -67,6 +69,9 @@ export function readingForm(drive, before, onChange) {
     if (crs.value.trim() && !/^[A-Za-z]+:\d+$/.test(crs.value.trim())) {
       return "Write the coordinate system as EPSG:25832, or leave it empty.";
     }
+    if (part.value.trim() && !/^\d{0,18}:\d{0,18}$/.test(part.value.trim())) {
+      return "Write the part of the drive as 200:1400, or leave it empty.";
+    }
     return georeference.complaint();
   }
 
@@ -80,6 +85,7 @@ export function readingForm(drive, before, onChange) {
       poses: textOf(topics.poses) ?? (poseFile.value || null),
       fix: textOf(topics.fix),
       crs: textOf(crs),
+      frames: textOf(part),
     }),
     georeference: georeference.file,
     complaint,

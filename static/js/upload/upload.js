@@ -32,6 +32,7 @@ import { Transfer } from "./transfer.js";
  * @property {string | null} points Topic of the scans in a bag.
  * @property {string | null} fix Topic of the GNSS fixes in a bag.
  * @property {string | null} crs Coordinate system of LAS files.
+ * @property {string | null} frames Part of the drive, as FROM:TO.
  * @property {"geometry"} [labels] Labels that the service makes of the points.
  * @property {string} [model] Network of the service that labels the scans.
  */

@@ -200,6 +200,14 @@ def test_real_scans_with_a_georeference_from_elsewhere(
     assert results(client, drive) == by_command_line(root, tmp_path / "out", "--oxts", oxts)
 
 
+def test_a_part_of_a_drive(client: httpx.Client, street: Path, tmp_path: Path) -> None:
+    drive = upload(client, street)
+    shown = commit(client, drive, options={"frames": "20:50"})
+    report = shown["report"]
+    assert (report["scans"], report["first_frame"], report["last_frame"]) == (30, 20, 49)
+    assert results(client, drive) == by_command_line(street, tmp_path / "out", "--frames", "20:50")
+
+
 def test_an_upload_that_is_reduced(
     client: httpx.Client, street: Path, expected: dict[str, dict[str, str]], home: Path, tmp_path: Path
 ) -> None:
