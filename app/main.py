@@ -10,7 +10,6 @@ from fastapi import APIRouter, Depends, FastAPI
 from fastapi.concurrency import run_in_threadpool
 
 from app import system
-from app.background import Background
 from app.context import Context
 from app.demo import routes as demo
 from app.drives.finish import finish_drive
@@ -110,7 +109,7 @@ def create_app(settings: Settings | None = None, context: Context | None = None)
         except Exception as error:
             parts.start_fault = error  # uvicorn reports it as text only
             raise
-        helpers = (Sweeper(opened), Background(opened), Merger(opened, runner), Deliverer(opened))
+        helpers = (Sweeper(opened), Merger(opened, runner), Deliverer(opened))
         for helper in helpers:
             helper.start()
         try:

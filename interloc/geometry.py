@@ -112,6 +112,13 @@ def thin(xy: FloatArray, step_m: float) -> IntArray:
     return np.array(kept, dtype=np.int64)
 
 
+def rigid_transforms(rotations: FloatArray, shifts: FloatArray) -> FloatArray:
+    """Return the (N, 4, 4) transforms of (N, 3, 3) rotations and (N, 3) shifts."""
+    transforms = np.tile(np.eye(4), (len(shifts), 1, 1))
+    transforms[:, :3, :3], transforms[:, :3, 3] = rotations, shifts
+    return transforms
+
+
 def invert_transform(transform: FloatArray) -> FloatArray:
     """Invert rigid (..., 4, 4) transforms."""
     inverse = np.zeros_like(transform)

@@ -6,11 +6,14 @@ import os
 import socket
 from collections import Counter
 from collections.abc import Callable, Iterator
+from functools import lru_cache
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import settings
 
+from interloc.drives.plans import PlanMatch
 from interloc.processes import GARBAGE_THRESHOLD
 
 # No test measures time. CI draws the same examples each time; everyone else helps to find new ones.
@@ -79,6 +82,20 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
         terminalreporter.section(f"skipped: {reasons.total()} tests were not run", yellow=True, bold=True)
         for reason, count in reasons.most_common():
             terminalreporter.line(f"skipped: {count:3d} because of: {reason}", yellow=True)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _plans_are_laid_once() -> Iterator[None]:
+    """Remember how scans lie on each other: hundreds of tests open the same few drives, and that is most of it."""
+    lay = PlanMatch.of
+
+    @lru_cache(maxsize=500)
+    def laid(target: bytes, source: bytes) -> PlanMatch:
+        return lay(np.frombuffer(target).reshape(-1, 2), np.frombuffer(source).reshape(-1, 2))
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(PlanMatch, "of", lambda target, source: laid(target.tobytes(), source.tobytes()))
+        yield
 
 
 @pytest.fixture(autouse=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ TURN_S = 0.1
 SENSOR_HEIGHT_M = 1.7
 
 
+@cache
 def street(seed: int = 0) -> FloatArray:
     """Ground, and fronts of houses that stand back by ever other depths: (N, 3) points, metres, the street along x."""
     rng = np.random.default_rng(seed)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import shutil
 from functools import cache
 from pathlib import Path
 
@@ -63,14 +65,19 @@ def scan_at(pose: FloatArray, seed: int = 0) -> tuple[FloatArray, UInt32Array]:
     return local + rng.normal(0, 0.02, local.shape), labels[near]
 
 
+@cache
+def _scan(row: int, seed: int) -> tuple[FloatArray, UInt32Array]:
+    return scan_at(poses()[row], seed)
+
+
 def write_street(path: Path, *, written: FloatArray | None = None, rows: slice = slice(None)) -> Path:
     """Write the drive, or some of its scans, with LiDAR poses (other ones where they are given) and a times.txt."""
     true = poses()[rows]
     written = true if written is None else written
     (path / "velodyne").mkdir(parents=True)
     (path / "labels").mkdir()
-    for frame, pose in enumerate(true):
-        points, labels = scan_at(pose, frame)
+    for frame, row in enumerate(range(COUNT)[rows]):
+        points, labels = _scan(row, frame)
         np.column_stack([points, np.full(len(points), 0.3)]).astype(np.float32).tofile(
             path / "velodyne" / f"{frame:06d}.bin"
         )
@@ -80,10 +87,16 @@ def write_street(path: Path, *, written: FloatArray | None = None, rows: slice =
     return path
 
 
+def linked(source: Path, path: Path) -> Path:
+    """Copy a drive whose poses are written anew: its scans are those of the original, and must not be changed."""
+    return Path(shutil.copytree(source, path, copy_function=os.link, ignore=shutil.ignore_patterns("poses.txt")))
+
+
 def change_points(path: Path, change: FloatArray | None = None, *, poses_applied: FloatArray | None = None) -> None:
     """Apply a (3, 3) matrix to the points of all scans of a drive, or the pose of each."""
     for row, file in enumerate(sorted((path / "velodyne").iterdir())):
         values = np.fromfile(file, np.float32).reshape(-1, 4)
+        file.unlink()  # it may be a link
         if change is not None:
             values[:, :3] = values[:, :3] @ change.T
         if poses_applied is not None:

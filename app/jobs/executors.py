@@ -11,6 +11,7 @@ from typing import Any, Protocol, TypeVar, TypeVarTuple
 
 from app.jobs.processes import ProcessExecutor, WorkerLostError
 from app.settings import Settings
+from app.work.kinds import compile_kernels
 from interloc.errors import ConfigError, install
 from interloc.processes import cores
 
@@ -83,7 +84,7 @@ def open_executor(settings: Settings, count_loss: Callable[[], None]) -> WorkExe
     """
     if settings.dask is not None:
         return DaskExecutor(settings.dask, count_loss)
-    return ProcessExecutor(settings.workers or cores(), count_loss, settings.worker_memory_bytes)
+    return ProcessExecutor(settings.workers or cores(), count_loss, settings.worker_memory_bytes, compile_kernels)
 
 
 class DaskExecutor:

@@ -139,15 +139,21 @@ class ProcessExecutor:
     ----------
     slots
         Number of pieces of work that are done at a time. There are `EXTRA_SLOTS` more processes; `HandOut` says what
-        for. All start in the background; one that dies or is killed is replaced.
+        for. One that dies or is killed is replaced.
     count_loss
         Called when a process died.
     memory_bytes
         Resident memory that a process may use; by default an equal share of that of the machine. Known on Linux only.
+    ahead
+        Done once, before all work, while all processes start; None: each starts when there is work for it.
     """
 
     def __init__(
-        self, slots: int, count_loss: Callable[[], None] = lambda: None, memory_bytes: int | None = None
+        self,
+        slots: int,
+        count_loss: Callable[[], None] = lambda: None,
+        memory_bytes: int | None = None,
+        ahead: Callable[[], object] | None = None,
     ) -> None:
         self.slots = slots
         self.count_loss = count_loss
@@ -157,10 +163,13 @@ class ProcessExecutor:
         self._lock = threading.Lock()
         self._hand_out = HandOut(slots)
         self.stopping = threading.Event()
+        self.starts_ahead = ahead is not None
         self._slots = [_Slot(self, number) for number in range(slots + EXTRA_SLOTS)]
         self._idle = list(self._slots)
         for slot in self._slots:
             slot.thread.start()
+        if ahead is not None:
+            self.submit(ahead)
 
     def submit(
         self,
@@ -245,8 +254,9 @@ class _Slot:
                 _kill(*self._worker)
 
     def _serve(self) -> None:
-        with suppress(WorkerLostError):  # ahead of the first work: importing everything takes some seconds
-            self._start(self.inbox.empty)
+        with suppress(WorkerLostError):
+            if self._executor.starts_ahead:  # importing everything takes some seconds
+                self._start(self.inbox.empty)
         while (work := self.inbox.get()) is not None:
             with self._lock:
                 self._work = work

@@ -25,7 +25,7 @@ from app.jobs.processes import WorkerLimitError, WorkerLostError
 from app.jobs.queue import URGENT_AT_ONCE, JobQueue
 from app.states import FINAL, JobState
 from app.store.models import Job
-from app.work.kinds import URGENT, compile_kernels
+from app.work.kinds import URGENT
 
 _POLL_S = 0.5
 _log = logging.getLogger(__name__)
@@ -62,8 +62,6 @@ class Runner:
             The Dask cluster of the settings cannot be used.
         """
         self._executor = open_executor(self._context.settings, self._context.metrics.worker_restarts.inc)
-        if self._context.settings.dask is None:
-            self._executor.submit(compile_kernels)
         for target in (self._claim_jobs, self._keep_leases):
             thread = threading.Thread(target=target, name=target.__name__, daemon=True)
             thread.start()

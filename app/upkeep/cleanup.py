@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import logging
 import threading
+import time
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import suppress
@@ -35,6 +36,7 @@ from app.work.places import TRAJECTORY
 from interloc.errors import InterLocError
 
 PERIOD_S = 3600.0
+_KEEP_UP_S = 120.0
 _STEADY_S = 3500.0  # one period, for which the clock must not have jumped before anything goes for its age
 _JUMP_S = 600.0
 
@@ -239,37 +241,48 @@ def _write_sidecars(context: Context) -> None:
 
 
 class Sweeper:
-    """Cleans up once per hour, from `start` to `stop`.
+    """What a server does on the side, from `start` to `stop`: it cleans up once per hour.
 
-    Nothing is removed for its age within the first hour, and after the clock of the database has jumped: it may have
-    been set wrongly, before the start too, and an hour is time to notice that.
+    Every two minutes it makes the reserve of disk space again, and writes when tokens were last used. Nothing is
+    removed for its age within the first hour, and after the clock of the database has jumped: it may have been set
+    wrongly, before the start too, and an hour is time to notice that.
     """
 
     def __init__(self, context: Context) -> None:
         self._context = context
         self._watch = ClockWatch(_JUMP_S)
         self._stopping = threading.Event()
-        self._thread: threading.Thread | None = None
+        self._thread = threading.Thread(target=self._run, name="sweeper", daemon=True)
 
     def start(self) -> None:
         """Begin, in the background."""
-        self._thread = threading.Thread(target=self._run, name="sweeper", daemon=True)
         self._thread.start()
 
     def stop(self) -> None:
-        """End."""
+        """End, having done what is done every two minutes once more."""
         self._stopping.set()
-        if self._thread is not None:
-            self._thread.join(5)
+        self._thread.join(5)
 
     def _run(self) -> None:
+        sweep_at = time.monotonic()
         while True:
-            try:
-                sweep(self._context, by_age=self._clock_is_steady())
-            except (SQLAlchemyError, OSError, InterLocError) as error:
-                _log.warning("clean-up: %s", error)
-            if self._stopping.wait(PERIOD_S):
+            self._keep_up()
+            if self._stopping.is_set():
                 return
+            if time.monotonic() >= sweep_at:
+                sweep_at += PERIOD_S
+                try:
+                    sweep(self._context, by_age=self._clock_is_steady())
+                except (SQLAlchemyError, OSError, InterLocError) as error:
+                    _log.warning("clean-up: %s", error)
+            self._stopping.wait(_KEEP_UP_S)
+
+    def _keep_up(self) -> None:
+        self._context.reserve.fill()
+        try:
+            self._context.tokens.write_uses()
+        except SQLAlchemyError as error:
+            _log.warning("when tokens were last used could not be written: %s", error)
 
     def _clock_is_steady(self) -> bool:
         with self._context.database.reading() as session:

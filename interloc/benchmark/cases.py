@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import re
 import shlex
@@ -12,8 +13,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
-
-import numpy as np
 
 from interloc.benchmark.fingerprint import file_facts, fingerprint, simulating_program
 from interloc.drive import Drive
@@ -29,6 +28,9 @@ from interloc.processes import Progress
 Poses = Literal["suma", "gt"]
 
 AXES = "axes.csv"
+KNOWN_AXES = Path(__file__).parent / "axes"
+"""Where the axes of roads meet, a file per map: read by eye off road maps that people drew from satellite images, to
+about 0.5 m (docs/accuracy.md says how). Places that could not be told have no coordinates, and a note why."""
 TWIN_FACTS = "twin.json"
 KITTI_SENSOR = "hdl-64e"
 
@@ -47,29 +49,34 @@ class FolderCase:
     seed: None = None
 
     def axes(self) -> dict[int, tuple[float, float]]:
-        """Return longitude and latitude of where the axes of the roads meet, by the id of the node of the map.
+        """Return longitude and latitude of where the axes of the roads meet, by the id of the node of OpenStreetMap.
 
-        They stand in `axes.csv` of the drive (osm_id, lon, lat), where somebody read them.
+        They stand in `axes.csv` of the drive (osm_id, lon, lat), or are those of `KNOWN_AXES`.
 
         Raises
         ------
         DriveError
-            The file is damaged.
+            A file is damaged.
         """
-        path = self.path / AXES
-        if not path.is_file():
-            return {}
-        try:
-            rows = np.loadtxt(path, delimiter=",", skiprows=1, ndmin=2)
-            return {int(node): (lon, lat) for node, lon, lat in rows.tolist()}
-        except (OSError, ValueError) as error:
-            raise DriveError(f"{path}: expected a line osm_id,lon,lat and such numbers below it ({error}).") from error
+        own = self.path / AXES
+        found: dict[int, tuple[float, float]] = {}
+        for path in [own] if own.is_file() else sorted(KNOWN_AXES.glob("*.csv")):
+            try:
+                with path.open(newline="") as lines:
+                    rows = [row for row in csv.DictReader(lines) if row["lon"]]
+                found |= {int(row["osm_id"]): (float(row["lon"]), float(row["lat"])) for row in rows}
+            except (OSError, ValueError, KeyError, TypeError) as error:
+                raise DriveError(
+                    f"{path}: expected a line osm_id,lon,lat and such numbers below it ({error})."
+                ) from error
+        return found
 
     def facts(self) -> dict[str, Any]:
         """Return what the drive depends on: names, sizes and times of all files."""
         given = [] if self.options.oxts is None else [self.options.oxts]
         return {
             "files": file_facts([self.path, self.osm, *given]),
+            "axes": self.axes(),
             "options": self.options.model_dump(mode="json", exclude={"oxts"}),
         }
 

@@ -99,6 +99,7 @@ def measure(
         map_missed=int(level.missed.sum()),
         map_nodes=int(level.node_in_zone.sum()),
         map_errors_m=_rounded(level.errors_m),
+        map_axes_errors_m=_from_axes(evaluation, axes or {}),
         map_squared=_rounded(squared[np.isfinite(squared)]),
         map_confidence=_rounded(evaluation.intersections.confidence[level.counts]),
         map_right=tuple(level.right[level.counts].tolist()),
@@ -133,6 +134,19 @@ def _places(evaluation: Evaluation, axes: Mapping[int, tuple[float, float]] | No
             )
         )
     return tuple(places)
+
+
+def _from_axes(evaluation: Evaluation, axes: Mapping[int, tuple[float, float]]) -> tuple[tuple[float, float], ...]:
+    level, lonlat, nodes = evaluation.map_level, evaluation.intersections.lonlat, evaluation.nodes
+    assert lonlat is not None
+    found = []
+    for row in np.flatnonzero(level.node != UNMATCHED).tolist():
+        node = level.node[row]
+        if (place := axes.get(int(nodes.osm_id[node]))) is not None:
+            origins = np.array([nodes.lonlat[node], place])
+            errors = np.hypot(*enu_from_lonlat(origins[:, 1], origins[:, 0], np.broadcast_to(lonlat[row], (2, 2))).T)
+            found.append((round(float(errors[0]), 4), round(float(errors[1]), 4)))
+    return tuple(found)
 
 
 def _warm_up(drive: Drive, config: DetectorConfig) -> None:

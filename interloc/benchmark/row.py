@@ -107,6 +107,8 @@ class Row(_Record):
     """Fused intersections in the zone with and without a node; nodes in the zone without one; nodes in the zone."""
     map_errors_m: tuple[float, ...]
     """Of the assigned pairs, metres."""
+    map_axes_errors_m: tuple[tuple[float, float], ...]
+    """Of those pairs at whose node somebody read where the axes of the roads meet: from the node, and from there."""
     map_squared: tuple[float, ...]
     """Of the assigned pairs: errors in units of their covariances, squared (`evaluation.reliability`)."""
     map_confidence: tuple[float, ...]

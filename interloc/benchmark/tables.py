@@ -8,6 +8,8 @@ from functools import cached_property
 from itertools import product
 from typing import NamedTuple
 
+import numpy as np
+
 from interloc.benchmark.metrics import METRICS, Estimate, estimate, map_outcomes, pooled
 from interloc.benchmark.row import Row
 from interloc.evaluation.published import AVERAGE, COMPARISON, LABEL_ERRORS, PERFORMANCE, RANGENET, SEQUENCES, Published
@@ -274,6 +276,36 @@ def noise_table(measured: Measured) -> Table:
     )
 
 
+def axes_table(measured: Measured) -> Table:
+    """Return how far fused intersections are from where the axes of the roads meet, where somebody read that."""
+
+    def group(drive: str) -> tuple[tuple[str, ...], ...]:
+        def cells(preset: str) -> list[str]:
+            errors = pooled(measured.of(preset=preset, noise=measured.noises[0], drive=drive), "map_axes_errors_m")
+            if not len(errors):
+                return ["0", *[MISSING] * 6]
+            figures = [function(column) for column in errors.T for function in (np.mean, np.median, np.max)]
+            return [str(len(errors)), *(metres(float(figure)) for figure in figures)]
+
+        return _group(measured, drive, cells)
+
+    return Table(
+        title="Errors from where the axes of the roads meet",
+        header=(
+            "",
+            "",
+            "places",
+            *(f"from {what}: {x}" for what in ("nodes", "axes") for x in ("mean", "median", "worst")),
+        ),
+        groups=tuple(map(group, measured.drives)),
+        labels=2,
+        notes=(
+            "Metres, of the intersections of the map at nodes whose axes were read: from the node of OpenStreetMap,",
+            "and from the point where the axes of the roads meet.",
+        ),
+    )
+
+
 def reliability_table(measured: Measured) -> Table:
     """Return whether the uncertainty of the intersections and their confidence are true, per level of label errors."""
 
@@ -307,12 +339,14 @@ def reliability_table(measured: Measured) -> Table:
 
 
 def tables(measured: Measured) -> list[Table]:
-    """Return the tables of a benchmark: performance, comparison and label errors, or sensors; and reliability."""
+    """Return the tables of a benchmark: performance, comparison and label errors, or sensors; axes; and reliability."""
     if measured.sensors:
         shown = [*(sensor_table(measured, noise) for noise in measured.noises), performance_table(measured, NO_NOISE)]
     else:
         noise = measured.noises[0]
         shown = [performance_table(measured, noise), comparison_table(measured), noise_table(measured)]
+    if any(row.map_axes_errors_m for row in measured.rows):
+        shown.append(axes_table(measured))
     return [*shown, reliability_table(measured)]
 
 

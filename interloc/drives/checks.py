@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from interloc.arrays import Float32Array, FloatArray, IntArray
-from interloc.drives.findings import DriveFileError, Findings
+from interloc.drives.findings import Findings
 from interloc.drives.folder import FolderDrive
 from interloc.drives.poses.motion import rows_apart
 from interloc.geometry import invert_transform, rotation_angle
@@ -74,18 +74,16 @@ def check_flat_road(
             f"see the same road {step:.2f} m apart in height (usual: under 0.1 m). "
         )
         if np.median([pair[1] for pair in steps]) > 1:  # one bad place is a jump of the poses, most are a wrong frame
-            findings.error(DriveFileError(pose_file, f"the road is not flat: {text}{_pose_frame_complaint(drive)}"))
+            findings.refuse(pose_file, f"the road is not flat: {text}{_pose_frame_complaint(drive)}")
         elif share > 1:
             findings.warning(pose_file, f"the poses jump: {text}Usual cause: an outage of GNSS or odometry there.")
     if tilts and min(tilts)[0] > MAX_TILT_RAD:
         tilt, i = min(tilts)
-        findings.error(
-            DriveFileError(
-                drive.scans.name(int(drive.frames[i])),
-                f"its road is tilted by {np.degrees(tilt):.0f} degrees against the sensor. Expected points "
-                "of a LiDAR with x forward, y left, z up. Usual cause: points in the frame of the camera, or labels of "
-                "another scan.",
-            )
+        findings.refuse(
+            drive.scans.name(int(drive.frames[i])),
+            f"its road is tilted by {np.degrees(tilt):.0f} degrees against the sensor. Expected points "
+            "of a LiDAR with x forward, y left, z up. Usual cause: points in the frame of the camera, or labels of "
+            "another scan.",
         )
     return max(step for step, *_ in steps) if steps else None
 

@@ -327,11 +327,6 @@ def _others_in(folder: Path) -> str:
     return f", but {' and '.join(f'{count:,} {ending}' for ending, count in endings.most_common(3))}" if endings else ""
 
 
-def missing_numbers(numbers: IntArray, wanted: IntArray) -> IntArray:
-    """Return the wanted numbers that are not there."""
-    return np.setdiff1d(wanted, numbers)
-
-
 def listed(numbers: Sequence[int] | IntArray, most: int = 5) -> str:
     """Write some of many numbers: "3, 4, 5 and 12 more"."""
     head = ", ".join(str(int(number)) for number in numbers[:most])

@@ -84,6 +84,12 @@ class DriveParts:
     name: str = ""
     pose_frame: tuple[PoseOwner, str] | None = None
 
+    @classmethod
+    def inside(cls, layout: str, root: Path, scans: Path, poses: Path | None) -> DriveParts:
+        """Return the parts of a drive whose other files lie in its folder: times.txt, calib.txt, oxts/, geo.csv."""
+        times, oxts, geo = (_existing(root / name) for name in ("times.txt", "oxts", "geo.csv"))
+        return cls(layout, root, scans, poses, times, (root,), oxts, geo)
+
     @property
     def has_poses(self) -> bool:
         """Whether there is a file of poses, or one of fixes that tell them."""
@@ -112,32 +118,16 @@ def _semantickitti(root: Path, scan_folders: Collection[str]) -> DriveParts | No
     """SemanticKITTI and KITTI odometry: velodyne/, labels/ or predictions/, poses.txt, calib.txt."""
     if "velodyne" not in scan_folders:
         return None
-    return DriveParts(
-        layout="semantickitti",
-        root=root,
-        scans=root / "velodyne",
-        poses=root / "poses.txt",
-        times=_existing(root / "times.txt"),
-        calibration=(root,),
-        oxts=_existing(root / "oxts"),
-        geo=_existing(root / "geo.csv"),
-    )
+    return DriveParts.inside("semantickitti", root, root / "velodyne", root / "poses.txt")
 
 
 def _kitti_raw(root: Path, scan_folders: Collection[str]) -> DriveParts | None:
     """KITTI raw: velodyne_points/data/, oxts/data/, calibration beside or one folder above."""
     if "velodyne_points/data" not in scan_folders:
         return None
-    return DriveParts(
-        layout="kitti_raw",
-        root=root,
-        scans=root / "velodyne_points" / "data",
-        poses=_existing(root / "poses.txt"),
-        times=_existing(root / "velodyne_points" / "timestamps.txt", root / "oxts" / "timestamps.txt"),
-        calibration=(root, root.absolute().parent),
-        oxts=_existing(root / "oxts"),
-        geo=_existing(root / "geo.csv"),
-    )
+    parts = DriveParts.inside("kitti_raw", root, root / "velodyne_points" / "data", _existing(root / "poses.txt"))
+    times = _existing(root / "velodyne_points" / "timestamps.txt", root / "oxts" / "timestamps.txt")
+    return replace(parts, times=times, calibration=(root, root.absolute().parent))
 
 
 def _kitti360(root: Path, scan_folders: Collection[str]) -> DriveParts | None:
@@ -208,16 +198,8 @@ def _pcd(root: Path, scan_folders: Collection[str]) -> DriveParts | None:  # noq
     scans = next((folder for folder in folders if folder.is_dir() and _holds_pcd(folder)), None)
     if scans is None:
         return None
-    return DriveParts(
-        layout="pcd",
-        root=root,
-        scans=scans,
-        poses=_existing(*(root / name for name in POSE_FILES)) or root / POSE_FILES[0],
-        times=_existing(root / "times.txt"),
-        calibration=(root,),
-        oxts=_existing(root / "oxts"),
-        geo=_existing(root / "geo.csv"),
-    )
+    poses = _existing(*(root / name for name in POSE_FILES)) or root / POSE_FILES[0]
+    return DriveParts.inside("pcd", root, scans, poses)
 
 
 def pcd_ending(name: str) -> str:

@@ -63,40 +63,36 @@ def road_plan(road: Float32Array | FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class PlanMatch:
-    """How well one plan lies on another, for every turn and shift."""
+    """A plan laid onto another: by all turns and shifts, of which the best is kept."""
 
-    shares: Float32Array
-    """(K, S, S) float32: share of the cells of the source that lie on cells of the target, or half so beside them; a
-    metre per row and column, the middle is no shift."""
-    turns_rad: FloatArray
-    """(K,) float64."""
     target: FloatArray
     source: FloatArray
     """(M, 2), (N, 2) float64: cells of the two, metres."""
+    share: float
+    """The largest share of the cells of the source that lie on cells of the target, or half so beside them."""
+    motion: FloatArray
+    """(3,) float64: by which motion it is reached, x, y in metres and turn in radians."""
 
     @classmethod
     def of(cls, target: FloatArray, source: FloatArray) -> PlanMatch:
         """Lay (M, 2) cells of a source onto those of a target."""
-        turns = np.arange(-MAX_TURN_RAD, MAX_TURN_RAD + 1e-6, _TURN_STEP_RAD)
         image = _drawn(target)
-        beside = cv2.dilate(image, np.ones((3, 3), np.uint8))
-        spectrum = np.fft.rfft2(np.maximum(image, 0.5 * beside))
+        image = np.maximum(image, np.float32(0.5) * cv2.dilate(image, np.ones((3, 3), np.uint8)))
+        spectrum = cv2.dft(np.roll(image, (_REACH, _REACH), axis=(0, 1)))  # the first shift is that of -40 m
         shifts = np.arange(-_REACH, _REACH + 1)
-        shares = np.empty((len(turns), len(shifts), len(shifts)), dtype=np.float32)
-        for number, turn in enumerate(turns):
-            turned = np.fft.rfft2(_drawn(rotate_2d(source, turn)))
-            count = max(1.0, float(turned[0, 0].real))
-            found = np.fft.irfft2(spectrum * np.conj(turned), s=(_SIZE, _SIZE))
-            shares[number] = found[np.ix_(shifts, shifts)] / count
-        shares[:, np.hypot(shifts[:, None], shifts[None]) > _REACH] = 0.0
-        return cls(shares, turns, target, source)
-
-    @cached_property
-    def best(self) -> tuple[float, FloatArray]:
-        """The largest share, and the motion of it: x, y in metres and turn in radians."""
-        number, row, column = np.unravel_index(int(np.argmax(self.shares)), self.shares.shape)
-        motion = np.array([(row - _REACH) * _CELL_M, (column - _REACH) * _CELL_M, self.turns_rad[number]])
-        return float(self.shares[number, row, column]), motion
+        is_far = np.hypot(shifts[:, None], shifts[None]) > _REACH
+        found: list[tuple[float, int, float]] = []
+        for turn in np.arange(-MAX_TURN_RAD, MAX_TURN_RAD + 1e-6, _TURN_STEP_RAD).tolist():
+            turned = _drawn(rotate_2d(source, turn))
+            product = cv2.mulSpectrums(spectrum, cv2.dft(turned), 0, conjB=True)
+            laid = cv2.idft(product, flags=cv2.DFT_SCALE)
+            halves = np.rint(2.0 * laid[: len(shifts), : len(shifts)])  # a sum of halves: the transform is nearly exact
+            halves[is_far] = 0.0
+            best = int(np.argmax(halves))
+            found.append((float(halves.flat[best]) / max(1.0, 2.0 * float(turned.sum())), best, turn))
+        share, best, turn = max(found, key=lambda each: each[0])
+        row, column = divmod(best, len(shifts))
+        return cls(target, source, share, np.array([shifts[row] * _CELL_M, shifts[column] * _CELL_M, turn]))
 
     @cached_property
     def _distance_m(self) -> Float32Array:
@@ -108,16 +104,34 @@ class PlanMatch:
         distance_m[distance_m > _FAR_M] = _FAR_M
         return distance_m
 
-    def off_m(self, motion: FloatArray) -> float:
-        """Return how far the cells of the source, moved so, are from those of the target: the mean, each up to 2 m."""
-        at = np.rint((rotate_2d(self.source, motion[2]) + motion[:2]) / _FINE_M).astype(np.int64) + _FINE_SIZE // 2
-        at = at[((at >= 0) & (at < _FINE_SIZE)).all(axis=1)]
-        return float(self._distance_m[at[:, 0], at[:, 1]].mean()) if len(at) else _FAR_M
+    def off_m(self, motions: FloatArray) -> FloatArray:
+        """Return how far the cells of the source are from those of the target: the mean, each up to 2 m.
+
+        Parameters
+        ----------
+        motions : (K, 3) float64
+            By which the source is moved; NaN where it is not known.
+
+        Returns
+        -------
+        (K,) float64
+            NaN of a motion that is not known.
+        """
+        known = np.isfinite(motions).all(axis=1)
+        moved = rotate_2d(self.source, motions[known, 2:]) + motions[known, None, :2]
+        at = np.rint(moved / _FINE_M).astype(np.int64) + _FINE_SIZE // 2
+        inside = ((at >= 0) & (at < _FINE_SIZE)).all(axis=2)
+        at[~inside] = 0
+        sums = np.where(inside, self._distance_m[at[..., 0], at[..., 1]], 0.0).sum(axis=1)
+        counts = np.count_nonzero(inside, axis=1)
+        off_m: FloatArray = np.full(len(motions), np.nan)
+        off_m[known] = np.where(counts > 0, sums / np.maximum(counts, 1), _FAR_M)
+        return off_m
 
     @cached_property
     def best_off_m(self) -> float:
         """The same for the motion with the largest share."""
-        return self.off_m(self.best[1])
+        return float(self.off_m(self.motion[None])[0])
 
 
 def _drawn(cells: FloatArray) -> Float32Array:

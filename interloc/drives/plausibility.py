@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from interloc.arrays import Float32Array, FloatArray
-from interloc.drives.findings import DriveFileError, Findings
+from interloc.drives.findings import Findings
 from interloc.drives.poses.motion import rows_apart
 from interloc.geometry import wrap_angle, yaw_of
 
@@ -62,37 +62,31 @@ def check_points(T_world_lidar: FloatArray, seen: Sequence[RoadSeen], folder: st
     if not seen:
         return
     if _follow_the_poses(T_world_lidar, seen):
-        findings.error(
-            DriveFileError(
-                folder,
-                "the points move along with the poses: they are in the frame of the world already. Expected points as "
-                "the sensor saw them, x y z from the sensor. Usual cause: registered clouds of an odometry or SLAM "
-                "(cloud_registered, poses applied); write them in the frame of the sensor, or apply the inverse of "
-                "each pose.",
-            )
+        findings.refuse(
+            folder,
+            "the points move along with the poses: they are in the frame of the world already. Expected points as "
+            "the sensor saw them, x y z from the sensor. Usual cause: registered clouds of an odometry or SLAM "
+            "(cloud_registered, poses applied); write them in the frame of the sensor, or apply the inverse of "
+            "each pose.",
         )
         return
     range_m = float(np.median([scan.range_m for scan in seen]))
     if not _MIN_ROAD_RANGE_M < range_m < _MAX_ROAD_RANGE_M:
-        findings.error(
-            DriveFileError(
-                folder,
-                f"half of the road points are {'over' if range_m > 1 else 'under'} {range_m:,.3g} m from the sensor "
-                "(usual: 8 to 25 m). Expected x y z in metres. Usual cause: points in millimetres or centimetres, or "
-                "divided by their range.",
-            )
+        findings.refuse(
+            folder,
+            f"half of the road points are {'over' if range_m > 1 else 'under'} {range_m:,.3g} m from the sensor "
+            "(usual: 8 to 25 m). Expected x y z in metres. Usual cause: points in millimetres or centimetres, or "
+            "divided by their range.",
         )
         return
     height_m = float(np.nanmedian([scan.height_m for scan in seen])) if _any_height(seen) else 0.0
     if height_m > _ABOVE_M:
-        findings.error(
-            DriveFileError(
-                folder,
-                f"the road lies {height_m:.1f} m above the sensor: its z axis points down, and the map would be "
-                "mirrored. Expected x forward, y left, z up. Usual cause: a sensor that is mounted upside down, or "
-                "axes of NED or FRD. Turn points and poses by half a turn about x: y and z of the points change their "
-                "signs, and each pose is multiplied by diag(1, -1, -1, 1) from the right.",
-            )
+        findings.refuse(
+            folder,
+            f"the road lies {height_m:.1f} m above the sensor: its z axis points down, and the map would be "
+            "mirrored. Expected x forward, y left, z up. Usual cause: a sensor that is mounted upside down, or "
+            "axes of NED or FRD. Turn points and poses by half a turn about x: y and z of the points change their "
+            "signs, and each pose is multiplied by diag(1, -1, -1, 1) from the right.",
         )
 
 
@@ -122,25 +116,21 @@ def check_motion(T_world_lidar: FloatArray, pose_file: str, findings: Findings) 
     """
     steps = np.linalg.norm(np.diff(T_world_lidar[:, :3, 3], axis=0), axis=1)
     if len(steps) and (step_m := float(np.median(steps))) > MAX_STEP_M:
-        findings.error(
-            DriveFileError(
-                pose_file,
-                f"from scan to scan it moves by {step_m:,.0f} m (usual: under 20 m). Expected positions in metres. "
-                "Usual cause: poses in millimetres or centimetres, or degrees of latitude and longitude.",
-            )
+        findings.refuse(
+            pose_file,
+            f"from scan to scan it moves by {step_m:,.0f} m (usual: under 20 m). Expected positions in metres. "
+            "Usual cause: poses in millimetres or centimetres, or degrees of latitude and longitude.",
         )
         return
     turned, share = turning_with_path(T_world_lidar)
     if turned > _TURNED_RAD and share < _TURNS_ALONG:
         what = "the other way" if share < -_TURNS_ALONG else f"by {share:.0%} of that"
-        findings.error(
-            DriveFileError(
-                pose_file,
-                f"the path turns by {np.degrees(turned):.0f} degrees in all, the orientation {what}: these are "
-                "positions, not poses. Expected the orientation of the sensor in every pose. Usual cause: an "
-                "orientation that nobody fills in (0 0 0 1, as of navsat_transform's /odometry/gps), quaternions in "
-                "the order w x y z, or angles of another convention.",
-            )
+        findings.refuse(
+            pose_file,
+            f"the path turns by {np.degrees(turned):.0f} degrees in all, the orientation {what}: these are "
+            "positions, not poses. Expected the orientation of the sensor in every pose. Usual cause: an "
+            "orientation that nobody fills in (0 0 0 1, as of navsat_transform's /odometry/gps), quaternions in "
+            "the order w x y z, or angles of another convention.",
         )
 
 

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from interloc.arrays import FloatArray, IntArray
-from interloc.drives.findings import DriveFileError, Findings
+from interloc.drives.findings import Findings
 from interloc.drives.folder import FolderDrive
 from interloc.drives.plans import MAX_TURN_RAD, MIN_CELLS, PlanMatch, road_plan, upright_plan
 from interloc.drives.poses.motion import rows_apart
@@ -43,6 +42,8 @@ _CLOSER, _CLOSER_M, _PLACES_CLOSER = 1.25, 0.15, 3
 drives that turn hardly at all, and 0.7 to 0.4 times where they turn."""
 
 _SCALES = np.exp(np.arange(-0.9, 0.91, 0.02))
+_SCALINGS = np.stack([_SCALES, _SCALES, np.ones(len(_SCALES))], axis=1)
+_MIRROR = (1.0, -1.0, -1.0)
 _SCALE_APART_M, _SCALE_PLACES, _AGREE, _ALIKE = 3.0, 4, 0.75, 0.05
 _OFF_SCALE = 0.07
 """Of the logarithm of a scale: on sound drives, real and simulated, it is 0.04 at most where places agree."""
@@ -62,11 +63,11 @@ class _Pair:
     @property
     def motion(self) -> FloatArray:
         """That of the scans: x, y in metres and turn in radians."""
-        return self.match.best[1]
+        return self.match.motion
 
-    def lost_m(self, motion: FloatArray | None) -> float:
-        """Return how much farther off the scans lie with a motion than with their own; much, where it is not known."""
-        return self.match.off_m(motion) - self.match.best_off_m if motion is not None else _UNKNOWN_M
+    def lost_m(self, motions: FloatArray) -> FloatArray:
+        """Return how much farther off the scans lie with (K, 3) motions than with their own; NaN as of `off_m`."""
+        return self.match.off_m(motions) - self.match.best_off_m
 
 
 @dataclass(frozen=True)
@@ -112,7 +113,7 @@ def check_scan_motion(drive: FolderDrive, usable: IntArray, pose_file: str, find
     matcher, pairs = _Matcher(drive, usable), []
     with findings.stage():
         pairs = matcher.pairs()
-    near, laid = ([pair for pair in each if _is_near(_planar(poses, pair.i, pair.j))] for each in (pairs, matcher.laid))
+    near, laid = ([pair for pair in each if _is_near(_told(poses, pair))] for each in (pairs, matcher.laid))
     mistakes = _mistakes(laid, poses)
     mistake = max(mistakes, key=lambda each: each.ratio, default=_Mistake(""))
     fault = _unlike(near, poses, mistake) or _in_another_unit(pairs, near, poses)
@@ -129,14 +130,14 @@ def check_scan_motion(drive: FolderDrive, usable: IntArray, pose_file: str, find
         if mistake.metres < _LITTLE_M:
             findings.warning(pose_file, text)
         else:
-            findings.error(DriveFileError(pose_file, text))
+            findings.refuse(pose_file, text)
     elif is_off and (fault is None or fault[3] == _ANOTHER):
         assert scale is not None
         text = f"the scans do not move as the poses do. {_scale_words(scale)}."
-        findings.error(DriveFileError(pose_file, text))
+        findings.refuse(pose_file, text)
     elif fault is not None:
         pair, wrong, of, usual = fault
-        x, y, turn = _planar(poses, pair.i, pair.j)
+        x, y, turn = _told(poses, pair)
         seen_x, seen_y, seen_turn = pair.motion
         text = (
             f"from scan {drive.frames[usable[pair.i]]} to {drive.frames[usable[pair.j]]} the poses move by "
@@ -146,12 +147,9 @@ def check_scan_motion(drive: FolderDrive, usable: IntArray, pose_file: str, find
         if wrong < _PLACES_WRONG:
             findings.warning(pose_file, f"the poses jump: {text}. {usual}.")
             return
-        findings.error(
-            DriveFileError(
-                pose_file,
-                f"the scans do not move as the poses do: {text} ({wrong} of {of} places looked at are like that). "
-                f"{usual}.",
-            )
+        findings.refuse(
+            pose_file,
+            f"the scans do not move as the poses do: {text} ({wrong} of {of} places looked at are like that). {usual}.",
         )
 
 
@@ -181,25 +179,23 @@ def _mistakes(pairs: list[_Pair], poses: FloatArray) -> list[_Mistake]:
 
     A few scans show where the motion changes from scan to scan; nowhere else can they be told.
     """
-    told_m = np.array([pair.match.off_m(_planar(poses, pair.i, pair.j)) for pair in pairs])
-    step_m = float(np.median(np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1))) if len(poses) > 1 else 0.0
+    if len(pairs) < _PLACES_CLOSER:
+        return []
+    step_m = float(np.median(np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)))
+    told = _motions(poses, pairs)
+    tried = [("", told, 0.0), (_MIRRORED, told * _MIRROR, float("inf"))]
+    shifts = (late for late in range(-_MAX_LATE, _MAX_LATE + 1) if late)
+    tried += [(_late_words(late), _motions(poses, pairs, late), abs(late) * step_m) for late in shifts]
+    motions = np.stack([motion for _, motion, _ in tried], axis=1)
+    told_m, *others_m = np.stack([pair.match.off_m(of_pair) for pair, of_pair in zip(pairs, motions, strict=True)]).T
     found = []
-    for words, motion, metres in [
-        (_MIRRORED, _mirrored(poses), float("inf")),
-        *(
-            (_late_words(late), _shifted(poses, late), abs(late) * step_m)
-            for late in range(-_MAX_LATE, _MAX_LATE + 1)
-            if late
-        ),
-    ]:
-        moved = [motion(pair.i, pair.j) for pair in pairs]
-        rows = [row for row, each in enumerate(moved) if each is not None]
-        off_m = np.array([pairs[row].match.off_m(each) for row, each in enumerate(moved) if each is not None])
-        if len(rows) >= _PLACES_CLOSER:
-            mean_m, with_it_m = float(told_m[rows].mean()), float(off_m.mean())
-            closer = int(np.count_nonzero(off_m < told_m[rows]))
+    for (words, _, metres), off_m in zip(tried[1:], others_m, strict=True):
+        known = np.isfinite(off_m)
+        if np.count_nonzero(known) >= _PLACES_CLOSER:
+            mean_m, with_it_m = float(told_m[known].mean()), float(off_m[known].mean())
+            closer = int(np.count_nonzero(off_m[known] < told_m[known]))
             ratio = mean_m / max(with_it_m, 1e-3)
-            found.append(_Mistake(words, ratio, mean_m - with_it_m, closer, len(rows), metres))
+            found.append(_Mistake(words, ratio, mean_m - with_it_m, closer, int(np.count_nonzero(known)), metres))
     return found
 
 
@@ -211,12 +207,12 @@ def _scale_of(laid: list[_Pair], poses: FloatArray) -> float | None:
     """
     places: list[tuple[_Pair, FloatArray]] = []
     for pair in sorted(laid, key=lambda each: each.j):
-        told = _planar(poses, pair.i, pair.j)
+        told = _told(poses, pair)
         if np.hypot(told[0], told[1]) > _SCALE_APART_M and (not places or pair.i >= places[-1][0].j):
             places.append((pair, told))
     if len(places) < _SCALE_PLACES:
         return None
-    lost_m = np.array([[pair.lost_m(told * (scale, scale, 1.0)) for scale in _SCALES] for pair, told in places])
+    lost_m = np.array([pair.lost_m(told * _SCALINGS) for pair, told in places])
     best = int(np.argmin(lost_m.sum(axis=0)))
     together, alone = np.log(_SCALES[best]), np.log(_SCALES[np.argmin(lost_m, axis=1)])
     is_alike = (np.abs(alone - together) < max(_ALIKE, abs(together) / 4)) & (lost_m[:, best] < _CONTRADICTS_M)
@@ -233,7 +229,7 @@ def _unlike(pairs: list[_Pair], poses: FloatArray, mistake: _Mistake) -> tuple[_
 
     Matches that are weak count only beside strong ones, where one mistake explains them, or where there are three.
     """
-    as_told = _explained(pairs, lambda i, j: _planar(poses, i, j), "")
+    as_told = _explained(pairs, _motions(poses, pairs), "")
     wrong = as_told.wrong
     if not len(wrong):
         return None
@@ -255,7 +251,7 @@ def _unlike(pairs: list[_Pair], poses: FloatArray, mistake: _Mistake) -> tuple[_
 
 def _in_another_unit(pairs: list[_Pair], near: list[_Pair], poses: FloatArray) -> tuple[_Pair, int, int, str] | None:
     """Return the same for poses that are far apart everywhere, while the scans move by a fixed share of that."""
-    as_told = _explained(pairs, lambda i, j: _planar(poses, i, j), "")
+    as_told = _explained(pairs, _motions(poses, pairs), "")
     if len(near) > len(pairs) // 3 or len(pairs) < 3 or len(as_told.wrong) < len(pairs):
         return None
     scaled = _scale_explanation(pairs, poses)
@@ -314,10 +310,10 @@ class _Matcher:
         near = self._laid(i, i + 1)  # the poses may be in another unit
         if near is None:
             return None
-        told = _planar(self.poses, i, i + 1)
-        if near.lost_m(told) < _CONTRADICTS_M and np.hypot(*told[:2]) > _NO_MOTION_M:
+        told = _told(self.poses, near)
+        if near.lost_m(told[None])[0] < _CONTRADICTS_M and np.hypot(*told[:2]) > _NO_MOTION_M:
             return near
-        gap = int(_APART_M / max(float(np.hypot(*near.match.best[1][:2])), 0.5))
+        gap = int(_APART_M / max(float(np.hypot(*near.motion[:2])), 0.5))
         return (gap > 1 and self._laid(i, min(len(self.usable) - 1, i + gap))) or near
 
     def _some_metres_on(self, i: int) -> int:
@@ -329,18 +325,18 @@ class _Matcher:
         return i + 1 + int(np.argmax(beyond)) if beyond.any() else last - 1
 
     def _laid(self, i: int, j: int) -> _Pair | None:
-        if abs(_planar(self.poses, i, j)[2]) > MAX_TURN_RAD:
+        told = _planar(self.poses[i], self.poses[j])
+        if abs(told[2]) > MAX_TURN_RAD:
             return None
         target, source = self._plan(i), self._plan(j)
         if min(len(target), len(source)) < MIN_CELLS:
             return None
         pair = _Pair(i, j, self.kind, PlanMatch.of(target, source))
         self.laid.append(pair)
-        share, motion = pair.match.best
-        if share < _MATCHED[self.kind]:
+        if pair.match.share < _MATCHED[self.kind]:
             return None
-        turns = max(abs(motion[2]), abs(_planar(self.poses, i, j)[2]) / 3) > _NO_MOTION_RAD
-        if self.kind == "road" and np.hypot(*motion[:2]) < _NO_MOTION_M and not turns:
+        turns = max(abs(pair.motion[2]), abs(told[2]) / 3) > _NO_MOTION_RAD
+        if self.kind == "road" and np.hypot(*pair.motion[:2]) < _NO_MOTION_M and not turns:
             return None  # a straight road looks the same from everywhere, best of all where points end at one range
         return pair
 
@@ -355,17 +351,31 @@ class _Matcher:
         return self._plans[row]
 
 
-def _planar(poses: FloatArray, i: int, j: int) -> FloatArray:
-    """Return x, y in metres and turn in radians of pose j in pose i."""
-    relative = invert_transform(poses[i]) @ poses[j]
-    return np.array([*relative[:2, 3], float(yaw_of(relative[:3, :3]))])
+def _planar(first: FloatArray, second: FloatArray) -> FloatArray:
+    """Return (..., 3) x, y in metres and turn in radians of (..., 4, 4) poses in others."""
+    relative = invert_transform(first) @ second
+    return np.concatenate([relative[..., :2, 3], yaw_of(relative[..., :3, :3])[..., None]], axis=-1)
 
 
-def _explained(pairs: list[_Pair], motion: _Motion, words: str) -> _Explanation:
-    return _Explanation(words, np.array([pair.lost_m(motion(pair.i, pair.j)) for pair in pairs]))
+def _told(poses: FloatArray, pair: _Pair) -> FloatArray:
+    """Return the motion of a pair by the poses."""
+    return _planar(poses[pair.i], poses[pair.j])
 
 
-_Motion = Callable[[int, int], FloatArray | None]
+def _motions(poses: FloatArray, pairs: list[_Pair], late: int = 0) -> FloatArray:
+    """Return the (P, 3) motions of pairs by the poses of so many scans later; NaN where there are none."""
+    rows = np.array([(pair.i, pair.j) for pair in pairs], dtype=np.int64).reshape(-1, 2) + late
+    known = (rows[:, 0] >= 0) & (rows[:, 1] < len(poses))
+    motions = np.full((len(pairs), 3), np.nan)
+    motions[known] = _planar(poses[rows[known, 0]], poses[rows[known, 1]])
+    return motions
+
+
+def _explained(pairs: list[_Pair], motions: FloatArray, words: str) -> _Explanation:
+    lost_m = np.array([pair.lost_m(motion[None])[0] for pair, motion in zip(pairs, motions, strict=True)])
+    return _Explanation(words, np.nan_to_num(lost_m, nan=_UNKNOWN_M))
+
+
 _ANOTHER = "Usual cause: poses of another sequence, or scans and poses of two clocks"
 _MIRRORED = "They fit with left and right exchanged. Usual cause: poses in a frame with z down (NED, FRD)"
 
@@ -378,67 +388,41 @@ def _late_words(scans: int) -> str:
     )
 
 
-def _mirrored(poses: FloatArray) -> _Motion:
-    return lambda i, j: _planar(poses, i, j) * (1.0, -1.0, -1.0)
-
-
-def _shifted(poses: FloatArray, scans: int) -> _Motion:
-    def motion(i: int, j: int) -> FloatArray | None:
-        return _planar(poses, i + scans, j + scans) if i + scans >= 0 and j + scans < len(poses) else None
-
-    return motion
-
-
 def _explanations(pairs: list[_Pair], poses: FloatArray) -> list[_Explanation]:
     """Try the usual mistakes."""
-
-    def turned(angle: float) -> Callable[[int, int], FloatArray]:
-        def motion(i: int, j: int) -> FloatArray:
-            told = _planar(poses, i, j)
-            return np.append(rotate_2d(told[:2], angle), told[2])
-
-        return motion
-
+    told = _motions(poses, pairs)
+    inverted = np.array([_planar(poses[pair.j], poses[pair.i]) for pair in pairs])
     tried = [
         _scale_explanation(pairs, poses),
-        _explained(pairs, _mirrored(poses), _MIRRORED),
-        _explained(
-            pairs,
-            lambda i, j: _planar(poses, j, i),
-            "They fit inverted. Usual cause: transforms from the world to the sensor",
-        ),
-        *(
-            _explained(
-                pairs,
-                turned(np.radians(degrees)),
-                f"They fit with the points turned by {degrees} degrees. Usual cause: poses of another sensor (IMU, "
-                "camera) without the transform between the two",
-            )
-            for degrees in (180, 90, -90, *range(-165, 180, 15))
-            if degrees
-        ),
-        *(
-            _explained(pairs, _shifted(poses, scans), _late_words(scans))
-            for scans in sorted(range(-_MAX_SHIFT, _MAX_SHIFT + 1), key=abs)
-            if scans
-        ),
+        _explained(pairs, told * _MIRROR, _MIRRORED),
+        _explained(pairs, inverted, "They fit inverted. Usual cause: transforms from the world to the sensor"),
     ]
-    if all(pair.kind == "upright" and np.hypot(*pair.motion[:2]) <= _NO_MOTION_M for pair in pairs):
-        tried.append(
-            _explained(
-                pairs,
-                lambda _i, _j: np.zeros(3),
-                "The scans stand still. Usual cause: a driver that repeats a scan, or points that were moved into the "
-                "frame of the world already",
+    for degrees in (180, 90, -90, *range(-165, 180, 15)):
+        if degrees:
+            turned = np.column_stack([rotate_2d(told[:, :2], np.radians(degrees)), told[:, 2]])
+            words = (
+                f"They fit with the points turned by {degrees} degrees. Usual cause: poses of another sensor (IMU, "
+                "camera) without the transform between the two"
             )
+            tried.append(_explained(pairs, turned, words))
+    shifts = sorted((late for late in range(-_MAX_SHIFT, _MAX_SHIFT + 1) if late), key=abs)
+    tried += [_explained(pairs, _motions(poses, pairs, late), _late_words(late)) for late in shifts]
+    if all(pair.kind == "upright" and np.hypot(*pair.motion[:2]) <= _NO_MOTION_M for pair in pairs):
+        words = (
+            "The scans stand still. Usual cause: a driver that repeats a scan, or points that were moved into the "
+            "frame of the world already"
         )
+        tried.append(_explained(pairs, np.zeros((len(pairs), 3)), words))
     return tried
 
 
 def _scale_explanation(pairs: list[_Pair], poses: FloatArray) -> _Explanation:
-    scale = _scale(pairs, poses)
+    """Try the scale by which the scans move, the median where they hardly turn or turn alike."""
+    told = _motions(poses, pairs)
+    seen = np.array([pair.motion for pair in pairs])
+    scale = float(np.median(np.hypot(*seen[:, :2].T) / np.maximum(np.hypot(*told[:, :2].T), 1e-6)))
     scale = scale if abs(np.log(max(scale, 1e-3))) > _OFF_SCALE else 1.0
-    return _explained(pairs, lambda i, j: _planar(poses, i, j) * (scale, scale, 1.0), _scale_words(scale))
+    return _explained(pairs, told * (scale, scale, 1.0), _scale_words(scale))
 
 
 def _scale_words(scale: float) -> str:
@@ -446,11 +430,3 @@ def _scale_words(scale: float) -> str:
         f"The poses move {1 / max(scale, 1e-3):.2f} times as far as the scans. Usual cause: the scale of a monocular "
         "or visual odometry, the radius of a wheel, or poses or points in another unit"
     )
-
-
-def _scale(pairs: list[_Pair], poses: FloatArray) -> float:
-    """Return how many times as far as the poses the scans move, where they hardly turn or turn alike."""
-    ratios = [
-        float(np.hypot(*pair.motion[:2]) / max(np.hypot(*_planar(poses, pair.i, pair.j)[:2]), 1e-6)) for pair in pairs
-    ]
-    return float(np.median(ratios))

@@ -8,7 +8,7 @@ import numpy as np
 
 from interloc.arrays import FloatArray, IntArray
 from interloc.drive import Georeference
-from interloc.drives.files import SourceFile, gaps, listed, missing_numbers, rows_by_frame, seconds_of
+from interloc.drives.files import SourceFile, gaps, listed, rows_by_frame, seconds_of
 from interloc.drives.findings import DriveFileError, Findings
 from interloc.drives.georeference.geodetic import poses_of
 from interloc.drives.georeference.kitti360 import georeference_of_kitti360, is_karlsruhe
@@ -297,7 +297,7 @@ def posed_frames(parts: DriveParts, frames: IntArray, findings: Findings) -> Int
         )
         return frames
     if len(posed) < len(frames):
-        missing = missing_numbers(numbers, frames)
+        missing = np.setdiff1d(frames, numbers)
         findings.note(
             file.name,
             f"{len(missing):,} of {len(frames):,} scans have no pose (frames {listed(missing)}) and are left out: "
@@ -307,7 +307,7 @@ def posed_frames(parts: DriveParts, frames: IntArray, findings: Findings) -> Int
 
 
 def _rows_of(numbers: IntArray, frames: IntArray, file: SourceFile) -> IntArray:
-    missing = missing_numbers(numbers, frames)
+    missing = np.setdiff1d(frames, numbers)
     if len(missing):
         raise file.fault(
             f"{len(missing):,} of {len(frames):,} scans have no pose (frames {listed(missing)}). "

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 Stretch = tuple[float, float]
 """From where to where along the track, metres."""
 
-_MIN_CONTRAST, _MAX_WIDTH_M = 5.0, 9.0
+_MIN_CONTRAST, _MAX_WIDTH_M, _MIN_EVENNESS = 5.0, 9.0, 1.0
 
 
 @dataclass(frozen=True)
@@ -29,11 +29,13 @@ class WindowQuality:
     """How much better the driven strip scores than the ground just outside of the road; 0 where nothing was seen."""
     width_m: float
     """Width of the road: its area within 8 m of the driven strip per metre of track."""
+    evenness: float
+    """What four fifths of the driven strip score at least: little where it does not look like itself."""
 
     @property
     def is_doubtful(self) -> bool:
-        """Whether what lies beside the road looks like road, or was taken for it."""
-        return self.contrast < _MIN_CONTRAST or self.width_m > _MAX_WIDTH_M
+        """Whether what lies beside the road looks like road, or was taken for it, or the strip is a bad example."""
+        return self.contrast < _MIN_CONTRAST or self.width_m > _MAX_WIDTH_M or self.evenness < _MIN_EVENNESS
 
 
 def joined(stretches: Iterable[Stretch]) -> list[Stretch]:

@@ -39,7 +39,7 @@ from interloc.kernels.ground import BEAMS
 from interloc.kernels.surface import FEATURES, add_brightness, add_features, label_points
 from interloc.labelling.doubts import WindowQuality
 from interloc.labelling.ground import CELL_M, RANGE_M, ScanGround, find_ground
-from interloc.labelling.growth import classes_of, contrast_of, grow_road, score_cells, width_of
+from interloc.labelling.growth import classes_of, contrast_of, evenness_of, grow_road, score_cells, width_of
 from interloc.labelling.surface import SURFACE_CELL_M, Grid, PlacedScan, find_surface, lay_on, place, up_of
 from interloc.labelling.track import WINDOW_M, Track
 
@@ -149,7 +149,7 @@ class GeometryLabeller:
     def _make_window(self, number: int) -> Window | None:
         track, start_m = self.track, number * WINDOW_M
         found = [(row, ground) for row in track.context(number).tolist() if (ground := self._ground(row)) is not None]
-        self._quality[number] = WindowQuality(start_m, start_m + WINDOW_M, 0.0, 0.0)
+        self._quality[number] = WindowQuality(start_m, start_m + WINDOW_M, 0.0, 0.0, 0.0)
         if not found:
             return None
         rows, grounds = [row for row, _ in found], [ground for _, ground in found]
@@ -161,8 +161,8 @@ class GeometryLabeller:
         surface, placed = find_surface(placed, grid, under_track)
         features = score_cells(gather(placed, grid, surface, strip), strip)
         road = grow_road(features, strip)
-        contrast, width_m = contrast_of(road, strip), width_of(road, strip)
-        self._quality[number] = WindowQuality(start_m, start_m + WINDOW_M, contrast, width_m)
+        quality = (measure(road, strip) for measure in (contrast_of, width_of, evenness_of))
+        self._quality[number] = WindowQuality(start_m, start_m + WINDOW_M, *quality)
         return Window(grid, surface, classes_of(road.cells, ROAD, BESIDE, OTHER_GROUND), self._quality[number])
 
     def _ground(self, row: int) -> ScanGround | None:

@@ -36,7 +36,7 @@ class Features:
     score: Float32Array
     """(H, W) float32: how much a cell looks like the driven strip, but for its height."""
     height: Float32Array
-    """(H, W) float32: naN where no ground was seen."""
+    """(H, W) float32: NaN where no ground was seen."""
 
 
 @dataclass(frozen=True)
@@ -120,6 +120,12 @@ def contrast_of(road: Road, strip: BoolArray) -> float:
     if not (strip & seen).any() or not border.any():
         return 0.0
     return float(np.median(road.score[strip & seen]) - np.median(road.score[border]))
+
+
+def evenness_of(road: Road, strip: BoolArray) -> float:
+    """Return what four fifths of the strip score at least; 0 where it was not seen."""
+    scores = road.score[strip & ~np.isnan(road.score)]
+    return float(np.percentile(scores, 20)) if len(scores) else 0.0
 
 
 def width_of(road: Road, strip: BoolArray) -> float:

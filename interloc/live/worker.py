@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import logging
 import threading
+from collections import deque
 from collections.abc import Callable
 from typing import Any
 
 from interloc.errors import InterLocError
 from interloc.live.documents import answer_document, intersection_document
-from interloc.live.queue import ScanQueue
 from interloc.live.scan import LiveScan
 from interloc.live.session import Answer, LiveSession
 
@@ -30,7 +30,12 @@ class LiveWorker:
     keep : callable or None
         Called with each scan that was a keyframe, before it is answered.
     queue_size : int
-        How many scans may wait.
+        How many scans may wait: a map of roads needs no scan in particular, and one that waits makes all after it late.
+
+    Attributes
+    ----------
+    dropped : int
+        Number of scans dropped so far.
     """
 
     def __init__(
@@ -44,30 +49,37 @@ class LiveWorker:
         self.session = session
         self._say = say
         self._keep = keep
-        self._queue: ScanQueue[LiveScan] = ScanQueue(queue_size)
+        self._queue_size = queue_size
+        self._waiting: deque[LiveScan] = deque()
+        self._changed = threading.Condition()
+        self._is_complete = False
         self._goes_on = True
+        self.dropped = 0
         self._thread = threading.Thread(target=self._work, name="live", daemon=True)
         self._thread.start()
 
-    @property
-    def dropped(self) -> int:
-        """Number of scans dropped so far."""
-        return self._queue.dropped
-
     def put(self, scan: LiveScan) -> None:
         """Hand in the next scan; never waits."""
-        oldest = self._queue.put(scan)
+        oldest = None
+        with self._changed:
+            if len(self._waiting) >= self._queue_size:
+                oldest = self._waiting.popleft()
+                self.dropped += 1
+            self._waiting.append(scan)
+            self._changed.notify()
         if oldest is not None:
             self._say({"type": "dropped", "frame": oldest.frame, "dropped": self.dropped}, None)
 
     def finish(self) -> None:
         """Let it answer what waits, the last keyframes too, and end; `join` waits for that."""
-        self._queue.close()
+        with self._changed:
+            self._is_complete = True
+            self._changed.notify()
 
     def abandon(self) -> None:
         """End it without the last keyframes."""
         self._goes_on = False
-        self._queue.close()
+        self.finish()
 
     def join(self) -> None:
         """Wait for the thread to end."""
@@ -75,7 +87,7 @@ class LiveWorker:
 
     def _work(self) -> None:
         try:
-            while (scan := self._queue.get()) is not None and self._goes_on:
+            while (scan := self._next()) is not None and self._goes_on:
                 self._take(scan)
             if self._goes_on:
                 for answer in self.session.finish():
@@ -84,6 +96,12 @@ class LiveWorker:
         except Exception:  # noqa: BLE001 - whatever it is, the client gets a line
             _log.exception("a live session has failed")
             self._say({"type": "failed", "reason": "a fault of InterLoc itself; its log has the details."}, None)
+
+    def _next(self) -> LiveScan | None:
+        """Wait for the next scan; None where there are no more."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._waiting or self._is_complete)
+            return self._waiting.popleft() if self._waiting else None
 
     def _take(self, scan: LiveScan) -> None:
         try:

@@ -15,12 +15,7 @@ from interloc.drives.findings import DriveFileError
 from interloc.drives.georeference.geo_csv import geo_csv_text
 from interloc.drives.georeference.read import locate_georeference
 from interloc.drives.layouts import DriveParts
-from interloc.drives.poses.calibration import (
-    IMU_CALIBRATION,
-    locate_camera_calibration,
-    locate_camera_to_pose,
-    locate_imu_calibration,
-)
+from interloc.drives.poses.calibration import CAMERA_CALIBRATIONS, CAMERA_TO_POSE, IMU_CALIBRATION, locate_calibration
 from interloc.drives.trajectory import Trajectory
 from interloc.files import reason_of
 
@@ -128,12 +123,13 @@ def gather_small_files(parts: DriveParts, frames: IntArray, given: Path | None) 
         return name
 
     found = locate_georeference(parts, frames, given)
-    imu = locate_imu_calibration(parts) if found is None else found.imu_calibration
+    own_imu = locate_calibration(parts, IMU_CALIBRATION)
+    imu = own_imu if found is None else found.imu_calibration
     calibrations = []
     if imu is not None:
-        beside_given = given is not None and imu != locate_imu_calibration(parts)
+        beside_given = given is not None and imu != own_imu
         calibrations.append(take(imu, f"{GEOREFERENCE_FOLDER}/{IMU_CALIBRATION}" if beside_given else ""))
-    cameras = (locate_camera_calibration(parts), locate_camera_to_pose(parts))
+    cameras = (locate_calibration(parts, *CAMERA_CALIBRATIONS), locate_calibration(parts, CAMERA_TO_POSE))
     calibrations += [take(path) for path in cameras if path is not None]
 
     oxts = geo = None

@@ -15,6 +15,7 @@ import numpy as np
 from interloc.arrays import FloatArray
 from interloc.errors import MapError
 from interloc.osm.container import read_prolog
+from interloc.osm.graph import layer_of
 from interloc.simulate.config import StreetConfig
 from interloc.simulate.local_frame import LocalFrame
 
@@ -94,16 +95,6 @@ def is_oneway(tags: Mapping[str, str]) -> bool:
     return value in {"yes", "true", "1", "-1"}
 
 
-def level_of(tags: Mapping[str, str]) -> int:
-    """Return the vertical order of a way: `layer`, else 1 for a bridge and -1 for a tunnel."""
-    layer = _number(tags.get("layer"))
-    if layer is not None:
-        return int(layer)
-    if tags.get("bridge", "no") != "no":
-        return 1
-    return -1 if tags.get("tunnel", "no") not in {"no", "building_passage"} else 0
-
-
 def sidewalk_sides(tags: Mapping[str, str]) -> tuple[bool, bool]:
     """Return whether a street has a sidewalk to the left and to the right of its direction."""
     value = tags.get("sidewalk")
@@ -138,7 +129,7 @@ class Street:
     @property
     def level(self) -> int:
         """Vertical order: 0 on the ground, above on bridges, below in tunnels."""
-        return level_of(self.tags)
+        return layer_of(self.tags)
 
 
 @dataclass

@@ -11,7 +11,14 @@ from interloc.arrays import FloatArray
 from interloc.drives.georeference.oxts import georeference_of_lidar
 from interloc.drives.poses.calibration import KITTI_T_VELO_IMU
 from interloc.errors import DriveError
-from interloc.geometry import enu_from_lonlat, invert_transform, lonlat_from_enu, rotation_from_rpy, rpy_from_rotation
+from interloc.geometry import (
+    enu_from_lonlat,
+    invert_transform,
+    lonlat_from_enu,
+    rigid_transforms,
+    rotation_from_rpy,
+    rpy_from_rotation,
+)
 from interloc.simulate.config import TrackConfig
 from interloc.simulate.local_frame import LocalFrame
 
@@ -105,11 +112,9 @@ class LidarTrack:
 
     def T_map_lidar(self, frame: LocalFrame) -> FloatArray:
         """Return (N, 4, 4) poses in the plane of a scene, with the altitude as height."""
-        poses = np.tile(np.eye(4), (len(self), 1, 1))
-        poses[:, :3, :3] = frame.R_map_enu(self.lat_deg, self.lon_deg) @ self.R_enu_lidar
-        poses[:, :2, 3] = frame.xy(np.column_stack([self.lon_deg, self.lat_deg]))
-        poses[:, 2, 3] = self.alt_m
-        return poses
+        xy = frame.xy(np.column_stack([self.lon_deg, self.lat_deg]))
+        R_map_lidar = frame.R_map_enu(self.lat_deg, self.lon_deg) @ self.R_enu_lidar
+        return rigid_transforms(R_map_lidar, np.column_stack([xy, self.alt_m]))
 
 
 def track_from_oxts(rows: FloatArray, times_s: FloatArray | None = None, *, rate_hz: float = 10.0) -> LidarTrack:

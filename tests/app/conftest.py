@@ -14,6 +14,7 @@ import httpx
 import pytest
 from starlette.types import ASGIApp, Receive, Scope, Send
 
+import app.jobs.executors
 import app.jobs.processes
 from app.main import create_app
 from app.server import Server
@@ -25,8 +26,10 @@ from tests.app.processes import NO_TLS
 API = "/api/v1"
 
 
-# Workers of servers in this process start at once; servers in processes of their own start theirs as they really do.
+# Workers of servers in this process start at once, and only when there is work for them: most servers need none.
+# Servers in processes of their own start theirs as they really do.
 app.jobs.processes._context = forks.context
+app.jobs.executors.compile_kernels = None  # type: ignore[assignment]
 
 
 @contextmanager
@@ -58,6 +61,16 @@ def running_server(data_dir: Path, *, asked: list[str] | None = None, **settings
         assert not thread.is_alive(), "the server did not stop"
 
 
+@contextmanager
+def client_of(data_dir: Path, **settings: Any) -> Iterator[httpx.Client]:
+    """Serve as `running_server`; yields a client whose base address is the server's."""
+    with (
+        running_server(data_dir, **settings) as address,
+        httpx.Client(base_url=address, timeout=300, verify=NO_TLS) as client,
+    ):
+        yield client
+
+
 class Notes:
     """Notes path and query of each request."""
 
@@ -77,8 +90,7 @@ def serve(tmp_path: Path) -> Iterator[Callable[..., httpx.Client]]:
     with ExitStack() as stack:
 
         def start(data_dir: Path | None = None, **settings: Any) -> httpx.Client:
-            address = stack.enter_context(running_server(data_dir or tmp_path / "data", **settings))
-            return stack.enter_context(httpx.Client(base_url=address, timeout=120, verify=NO_TLS))
+            return stack.enter_context(client_of(data_dir or tmp_path / "data", **settings))
 
         yield start
 
@@ -90,8 +102,7 @@ def serve_all(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[...
 
         def start(**settings: Any) -> httpx.Client:
             data_dir = settings.pop("data_dir", None) or tmp_path_factory.mktemp("shared")
-            address = stack.enter_context(running_server(data_dir, **settings))
-            return stack.enter_context(httpx.Client(base_url=address, timeout=120, verify=NO_TLS))
+            return stack.enter_context(client_of(data_dir, **settings))
 
         yield start
 
@@ -105,10 +116,7 @@ def shared_data(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="session")
 def client(shared_data: Path) -> Iterator[httpx.Client]:
     """A client of a server with default settings, for all tests that do not mind what others left there."""
-    with (
-        running_server(shared_data) as address,
-        httpx.Client(base_url=address, timeout=120, verify=NO_TLS) as client,
-    ):
+    with client_of(shared_data) as client:
         yield client
 
 

@@ -42,8 +42,8 @@ from tests.app.processes import (
 from tests.app.street import write_street
 
 LAYERS = ("detections", "intersections", "keyframes", "trajectory")
-SCANS = 70
-MIDDLE = 45
+SCANS = 40
+MIDDLE = 25
 
 Start = Callable[..., ServerProcess]
 

@@ -5,14 +5,20 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from interloc.benchmark import cases
 from interloc.benchmark.ablation import NOTHING, SETS, ablation_table, taken_out
-from interloc.benchmark.cases import folder_cases
+from interloc.benchmark.cases import FolderCase, folder_cases
 from interloc.benchmark.row import Place, Row
 from interloc.benchmark.run import Benchmark, run_benchmark
 from interloc.config import DEFAULT, PAPER
 from interloc.errors import ConfigError, DriveError
+from interloc.evaluation.matching import UNMATCHED
+from interloc.geometry import enu_from_lonlat
+from interloc.osm.intersections import intersection_nodes
+from interloc.osm.reader import read_osm
 
 Rows = Callable[..., Row]
 CONFIGS = taken_out("default", DEFAULT, ["compound"])
@@ -76,13 +82,25 @@ def test_detections_without_a_node_are_false_but_have_no_error(row: Rows) -> Non
     assert ablation_table(rows, CONFIGS[:1], "choosing").groups[0] == ((NOTHING, "1.00", "–", "66.7"),)  # noqa: RUF001
 
 
-def test_a_drive_with_known_axes(town: Path, tmp_path: Path) -> None:
+def test_errors_from_the_axes_are_those_from_the_nodes_where_axes_meet_there(
+    town: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(cases, "KNOWN_AXES", tmp_path / "axes")
+    nodes = intersection_nodes(read_osm(town / "map.osm"))
+    lines = [
+        f"{number},{lon!r},{lat!r}" for number, (lon, lat) in zip(nodes.osm_id, nodes.lonlat.tolist(), strict=True)
+    ]
+    (tmp_path / "axes").mkdir()
+    (tmp_path / "axes/town.csv").write_text("\n".join(["osm_id,lon,lat", *lines]))
     (case,) = folder_cases([town], [town / "map.osm"])
     rows = run_benchmark(Benchmark((case,), tuple(CONFIGS)), tmp_path / "out")
     assert sum(each.detections for each in rows[0].places) == len(rows[0].errors_m) + rows[0].unmatched
     assert sum(each.missed for each in rows[0].places) == rows[0].fn
     assert sum(each.error_m for each in rows[0].places) == pytest.approx(sum(rows[0].errors_m), abs=1e-2)
-    assert {each.axes_error_m for each in rows[0].places} == {None}
+    known = [each for each in rows[0].places if each.node != UNMATCHED]
+    assert [each.axes_error_m for each in known] == pytest.approx([each.error_m for each in known], abs=1e-3)
+    assert rows[0].map_axes_errors_m == tuple((each, pytest.approx(each, abs=1e-3)) for each in rows[0].map_errors_m)
+    assert rows[0].map_axes_errors_m
     assert len(ablation_table(rows, CONFIGS, "town").groups[1]) == 1
 
 
@@ -90,9 +108,17 @@ def test_axes_of_a_recorded_drive_are_read(tmp_path: Path) -> None:
     (tmp_path / "drive").mkdir()
     (tmp_path / "map.osm").write_text("<osm/>")
     (case,) = folder_cases([tmp_path / "drive"], [tmp_path / "map.osm"])
-    assert case.axes() == {}
-    (tmp_path / "drive/axes.csv").write_text("osm_id,lon,lat\n7,8.4,49.0\n")
+    (tmp_path / "drive/axes.csv").write_text("osm_id,lon,lat,note\n7,8.4,49.0,\n8,,,a yard\n")
     assert case.axes() == {7: (8.4, 49.0)}
     (tmp_path / "drive/axes.csv").write_text("osm_id,lon,lat\n7,east,north\n")
     with pytest.raises(DriveError, match=r"axes\.csv: expected a line osm_id,lon,lat"):
         case.axes()
+
+
+def test_axes_of_the_drawn_maps_are_known_by_their_nodes(tmp_path: Path) -> None:
+    axes = FolderCase("any", tmp_path, tmp_path / "map.osm").axes()
+    lonlat = np.array(list(axes.values()))
+    assert len(axes) == 32
+    assert np.abs(enu_from_lonlat(48.9842, 8.3922, lonlat)).max() < 7000.0  # all in one town
+    twins = enu_from_lonlat(48.9832, 8.3941, np.array([axes[1702371750], axes[1702371766]]))  # one crossing, two nodes
+    assert np.hypot(*(twins[0] - twins[1])) < 1.0

@@ -8,6 +8,7 @@ from interloc.benchmark.row import Row
 from interloc.benchmark.tables import (
     Measured,
     Table,
+    axes_table,
     comparison_table,
     noise_table,
     performance_table,
@@ -145,3 +146,14 @@ def test_sensors_side_by_side(row: Rows) -> None:
     first, second, _ = tables(measured)
     assert first.title == "Performance per sensor"
     assert second.header == ("", "", *drives)  # pooling over sensors would mean nothing
+
+
+def test_errors_from_the_axes_stand_beside_those_from_the_nodes(row: Rows) -> None:
+    known = row("real", map_axes_errors_m=[(2.0, 0.5), (1.0, 0.2), (3.0, 2.0)])
+    measured = Measured((known, row("town")), ("real", "town"), ("default",), ("0/0",))
+    lines = lines_of(axes_table(measured))
+    assert lines["real", "preset default"] == ("3", "2.00", "2.00", "3.00", "0.90", "0.50", "2.00")
+    assert lines["town", "preset default"][:2] == ("0", "–")  # noqa: RUF001
+    assert axes_table(measured) in tables(measured)
+    unknown = Measured((row("town"),), ("town",), ("default",), ("0/0",))
+    assert not [table for table in tables(unknown) if table.title.startswith("Errors from")]

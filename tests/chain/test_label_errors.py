@@ -19,7 +19,7 @@ from interloc.simulate.town import MAP_FILE
 @pytest.fixture(scope="module")
 def noisy_drive(town_drive: Path) -> MislabelledDrive:
     """20 % of the sidewalk, parking and other ground taken for road, 20 % of the road missed."""
-    return MislabelledDrive(open_drive(town_drive), 0.2, 0.2, seed=1)
+    return MislabelledDrive(open_drive(town_drive, check=False), 0.2, 0.2, seed=1)
 
 
 @pytest.fixture(scope="module")

@@ -46,7 +46,7 @@ def test_map_has_each_intersection_once(evaluation: Evaluation) -> None:
 
 
 def test_a_place_has_the_same_name_under_both_presets(evaluation: Evaluation, town_drive: Path) -> None:
-    literal = detect(open_drive(town_drive), preset("paper"))
+    literal = detect(open_drive(town_drive, check=False), preset("paper"))
     of_paper = evaluate(literal, evaluation.graph).verdicts.uids
     assert set(of_paper) == set(evaluation.verdicts.uids) == {f"n{each.node_id}" for each in JUNCTIONS.values()}
 

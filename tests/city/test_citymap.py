@@ -94,7 +94,7 @@ def test_errors_shrink_with_the_passes_as_they_should_and_the_ellipses_hold(pass
         error = xy - NODES[np.argmin(np.hypot(*(xy[:, None] - NODES[None]).transpose(2, 0, 1)), axis=1)]
         squares.append(np.mean(error**2))
         held.append(np.mean(np.sum(error**2, axis=1) < 5.991 * city.places.position_std_m**2))
-    assert np.sqrt(np.mean(squares)) < 1.3 * np.sqrt((1.0 + 0.25) / passes)  # few seeds: see docs/accuracy.md for many
+    assert np.sqrt(np.mean(squares)) < 1.3 * np.sqrt((1.0 + 0.25) / passes)  # few seeds; many: docs/city-accuracy.md
     assert np.mean(held) > 0.85
 
 

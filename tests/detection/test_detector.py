@@ -47,7 +47,7 @@ SHAPES = {"X": (x_shape, 4), "T": (t_shape, 3), "Y": (y_shape, 3)}
 # --- junctions on ideal roads ----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("angle_deg", [45, 60, 75, 90, 105, 120])
+@pytest.mark.parametrize("angle_deg", [45, 60, 90, 120])
 @pytest.mark.parametrize("shape", SHAPES)
 def test_roads_meet_at_one_point(draw_roads: Draw, detect: Detect, shape: str, angle_deg: int) -> None:
     roads_of, branch_count = SHAPES[shape]

@@ -9,9 +9,10 @@ from typing import Any
 
 import pytest
 
+from tests.samples import sample, sample_result
 from tests.small_drives import drive, make, reduced, write_semantickitti
 
-__all__ = ["drive", "make", "reduced"]
+__all__ = ["drive", "make", "reduced", "sample", "sample_result"]
 
 
 @pytest.fixture

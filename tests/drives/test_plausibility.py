@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +25,9 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def street(tmp_path: Path, written: Path) -> Path:
-    return Path(shutil.copytree(written, tmp_path / "street"))
+    path = streets.linked(written, tmp_path / "street")
+    write_poses(path, streets.poses())
+    return path
 
 
 def errors(path: Path) -> str:

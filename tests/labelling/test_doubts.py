@@ -5,10 +5,11 @@ from __future__ import annotations
 from interloc.labelling.doubts import WindowQuality, doubts_in_words, joined
 
 
-def test_little_contrast_and_a_wide_road_are_doubtful() -> None:
-    assert not WindowQuality(0.0, 25.0, contrast=9.0, width_m=7.0).is_doubtful
-    assert WindowQuality(0.0, 25.0, contrast=3.0, width_m=7.0).is_doubtful
-    assert WindowQuality(0.0, 25.0, contrast=9.0, width_m=12.0).is_doubtful
+def test_little_contrast_a_wide_road_and_a_patched_strip_are_doubtful() -> None:
+    assert not WindowQuality(0.0, 25.0, contrast=9.0, width_m=7.0, evenness=2.5).is_doubtful
+    assert WindowQuality(0.0, 25.0, contrast=3.0, width_m=7.0, evenness=2.5).is_doubtful
+    assert WindowQuality(0.0, 25.0, contrast=9.0, width_m=12.0, evenness=2.5).is_doubtful
+    assert WindowQuality(0.0, 25.0, contrast=9.0, width_m=7.0, evenness=0.5).is_doubtful
 
 
 def test_stretches_that_follow_each_other_are_one() -> None:

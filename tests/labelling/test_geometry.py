@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pickle
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -18,8 +19,14 @@ STREET = Street()
 KERB_M = 0.5
 
 
+@cache
+def scans_along(street: Street) -> list[Float32Array]:
+    return [street.scan(pose, seed)[0] for seed, pose in enumerate(street.poses(ALONG))]
+
+
 def labeller_of(street: Street, poses: FloatArray) -> GeometryLabeller:
-    scans = [street.scan(pose, seed)[0] for seed, pose in enumerate(poses)]
+    is_usual = len(poses) == len(ALONG) and np.array_equal(poses, street.poses(ALONG))
+    scans = scans_along(street) if is_usual else [street.scan(pose, seed)[0] for seed, pose in enumerate(poses)]
     return GeometryLabeller(poses, np.arange(len(poses)), scans.__getitem__)
 
 
@@ -39,7 +46,6 @@ CASES = {
     "on a bus, tilted": replace(STREET, height_m=3.0, tilt_rad=(0.1, 0.25)),
     "remission up to 255": replace(STREET, shades=(51.0, 76.0, 128.0)),
     "no remission": replace(STREET, shades=(0.0, 0.0, 0.0)),
-    "one remission": replace(STREET, shades=(0.3, 0.3, 0.3)),
 }
 
 
@@ -63,7 +69,7 @@ def test_ground_beside_the_road_and_other_things_are_told_apart() -> None:
     assert set(np.unique(labels[aside < ROAD_M])) <= {0, ROAD, BESIDE, OTHER_GROUND}
 
 
-@pytest.mark.parametrize("spacing_m", [0.5, 8.0, 16.0])
+@pytest.mark.parametrize("spacing_m", [0.5, 16.0])
 def test_scans_may_be_near_each_other_or_far_apart(spacing_m: float) -> None:
     poses = STREET.poses(np.arange(-40.0, 25.0, spacing_m))
     precision, recall = agreement(STREET, poses, int(30 / spacing_m))
@@ -88,7 +94,7 @@ def test_a_vehicle_that_stands_sees_the_road_ahead() -> None:
 def test_labels_depend_on_the_drive_alone() -> None:
     poses = STREET.poses(ALONG)
     labeller = labeller_of(STREET, poses)
-    points = [STREET.scan(pose, row)[0] for row, pose in enumerate(poses)]
+    points = scans_along(STREET)
     in_order = [labeller.label(row, points[row]) for row in range(14)]  # beyond the 25 m of the first part
     sent = pickle.loads(pickle.dumps(GeometryLabeller(poses, np.arange(len(poses)), _Scans(points))))  # noqa: S301 - own
     for row in (13, 3, 11):
@@ -126,6 +132,24 @@ def test_quality_tells_a_street_with_kerbs_from_a_plain() -> None:
         assert not street.quality_of(row).is_doubtful
         assert flat.quality_of(row).is_doubtful
     assert [window.start_m for window in flat.known_quality()] == [0.0, 25.0]
+
+
+ODD = {
+    "snow: all as bright, kerbs filled": replace(STREET, kerb_m=0.03, shades=(0.8, 0.8, 0.8)),
+    "unpaved: no kerbs, hardly brighter beside": replace(STREET, kerb_m=0.0, shades=(0.3, 0.33, 0.4)),
+    "no remission, low kerbs": replace(STREET, kerb_m=0.04, shades=(0.0, 0.0, 0.0)),
+    "low kerbs": replace(STREET, kerb_m=0.05, shades=(0.3, 0.33, 0.4)),
+}
+
+
+@pytest.mark.parametrize("street", ODD.values(), ids=ODD.keys())
+def test_odd_streets_are_right_or_told(street: Street) -> None:
+    poses = street.poses(ALONG)
+    labeller = labeller_of(street, poses)
+    points, aside = street.scan(poses[14], 14)
+    found = labeller.label(14, points) == ROAD
+    precision = (found & (aside < ROAD_M)).sum() / found.sum()
+    assert precision > 0.95 or labeller.quality_of(14).is_doubtful
 
 
 def test_brightness_is_relative_to_what_the_same_laser_saw_of_the_strip() -> None:

@@ -2,8 +2,9 @@
 
 From the project's folder, with PYTHONPATH=. there. Prints the settings `calibration.*` of the preset, and how true they
 are on drives that they were not fitted to. What is true is the map: a node of policy `drive` assigned to an
-intersection, one to one, within 10 m. What the nodes of a map are off themselves is a term of its own, one number per
-drive. For twins (`interloc benchmark twins --keep`) the nodes are true by construction.
+intersection, one to one, within 10 m; in drives over drawn maps (drawn_NN) the point where the axes of the roads meet,
+where that was read. What nodes are off themselves is a term of its own, one number per drive. For twins (`interloc
+benchmark twins --keep`) the nodes are true by construction.
 
 Drives go together by their maps (00.osm.gz): those of one sequence share their junctions, so a sequence is either
 fitted to or held out, in all its seeds. Simulated and recorded drives have the same weight in all. Three fits are made:
@@ -27,7 +28,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 import interloc
-from interloc.arrays import FloatArray
+from interloc.arrays import BoolArray, FloatArray
 from interloc.benchmark.cases import FolderCase, TwinCase
 from interloc.benchmark.fingerprint import file_facts, fingerprint, imported_by
 from interloc.config import PRESETS, CalibrationConfig, DetectorConfig
@@ -74,11 +75,13 @@ class Places:
     seen : (N,) float64
     bearings_deg : list of N (B,) float64
     error : (N, 2) float64
-        East and north of the intersection to its node, NaN for none.
+        East and north of the intersection to what is true of it, NaN for none.
+    from_axes : (N,) bool
+        That is where the axes of its roads meet; otherwise it is its node.
     counts, kept : (N,) bool
         In the relevant zone of a keyframe; part of the map.
     map_std_m : float
-        What the nodes of the map are off, along each axis.
+        What the nodes of the map are off, east and north.
     """
 
     sequence: str
@@ -87,19 +90,20 @@ class Places:
     seen: FloatArray
     bearings_deg: list[FloatArray]
     error: FloatArray
-    counts: FloatArray
-    kept: FloatArray
+    from_axes: BoolArray
+    counts: BoolArray
+    kept: BoolArray
     map_std_m: float = 0.0
 
     @property
-    def right(self) -> FloatArray:
-        """(N,) bool, whether a node is assigned."""
+    def right(self) -> BoolArray:
+        """(N,) bool, whether it has a node."""
         return np.isfinite(self.error[:, 0])
 
     def covariances(self, calibration: CalibrationConfig) -> FloatArray:
         """Return the (N, 2, 2) covariances of the errors, those of the map among them."""
         covariance = position_covariance(self.sightings, self.bearings_deg, calibration)
-        variance = fix_variance(self.sightings, calibration) + self.map_std_m**2
+        variance = fix_variance(self.sightings, calibration) + np.where(self.from_axes, 0.0, self.map_std_m**2)
         return covariance + variance[:, None, None] * np.eye(2)
 
     def misfit(self, calibration: CalibrationConfig) -> float:
@@ -107,10 +111,16 @@ class Places:
         determinants = np.linalg.det(self.covariances(calibration)[self.right])
         return 0.5 * float(np.sum(np.log(determinants)) + np.sum(self.squared(calibration)))
 
+    def by_axes(self) -> Places:
+        """Leave out what is known of the nodes."""
+        error = np.where(self.from_axes[:, None], self.error, np.nan)
+        return replace(self, kind=f"{self.kind}, axes", error=error, counts=np.zeros_like(self.counts))
+
     def with_map_std(self) -> Places:
         """Tell the error of the map from that of the intersections, by largest likelihood with the present settings."""
         trials = [replace(self, map_std_m=float(std_m)) for std_m in np.arange(0.0, 10.0, 0.1)]
-        return min(trials, key=lambda trial: trial.misfit(START)) if self.right.sum() >= MIN_PLACES else self
+        by_nodes = self.right & ~self.from_axes
+        return min(trials, key=lambda trial: trial.misfit(START)) if by_nodes.sum() >= MIN_PLACES else self
 
     def squared(self, calibration: CalibrationConfig) -> FloatArray:
         """Return the normalised squared errors of the right ones."""
@@ -161,15 +171,20 @@ def places_of(result: DriveResult, case: Case, kind: str, config: DetectorConfig
     detections = replace(result.detections, intersection=labels)
     evaluation = evaluate(replace(result, detections=detections, intersections=table), read_osm(case.osm))
     node, nodes = evaluation.map_level.node, evaluation.nodes.lonlat
-    error = np.full((len(table), 2), np.nan)
+    error, from_axes = np.full((len(table), 2), np.nan), np.zeros(len(table), np.bool_)
     rows = np.flatnonzero(node >= 0)
     if len(rows) and table.lonlat is not None:
         lonlat = table.lonlat[rows]
-        error[rows] = enu_from_lonlat(lonlat[:, 1], lonlat[:, 0], nodes[node[rows]])
+        axes = (case.axes() or {}) if kind == "drawn" else {}
+        ids = evaluation.nodes.osm_id[node[rows]].tolist()
+        from_axes[rows] = [number in axes for number in ids]
+        true = [axes.get(number, place) for number, place in zip(ids, nodes[node[rows]].tolist(), strict=True)]
+        error[rows] = enu_from_lonlat(lonlat[:, 1], lonlat[:, 0], np.array(true))
     sightings, seen = evidence(result.keyframes, detections, table, config.fusion)
     kept = (table.confidence >= config.fusion.min_confidence) & (table.observations >= config.fusion.min_observations)
     counts = evaluation.map_level.counts
-    return Places(case.osm.name[:2], kind, sightings, seen, table.bearings_deg, error, counts, kept).with_map_std()
+    name, bearings = case.osm.name[:2], table.bearings_deg
+    return Places(name, kind, sightings, seen, bearings, error, from_axes, counts, kept).with_map_std()
 
 
 def weights_of(drives: list[Places]) -> FloatArray:
@@ -239,6 +254,7 @@ def reliability(drives: Iterable[tuple[Places, CalibrationConfig]]) -> tuple[Int
 def say(title: str, drives: list[tuple[Places, CalibrationConfig]]) -> None:
     """Print how true the settings are on some drives, by their kinds."""
     heads = "places  within 95 %          squared per dimension  calibration error      by chance"
+    drives = [*drives, *((each.by_axes(), calibration) for each, calibration in drives if each.from_axes.any())]
     click.echo(f"\n{title}\n  {'':28s} {heads}")
     for kind in sorted({each.kind for each, _ in drives}):
         within, squared, wrong, chance = reliability(pair for pair in drives if pair[0].kind == kind)
@@ -248,7 +264,7 @@ def say(title: str, drives: list[tuple[Places, CalibrationConfig]]) -> None:
             else "-"
             for v, scale, n in ((within, 100, 0), (squared, 1, 2), (wrong, 100, 1), (chance, 100, 1))
         ]
-        click.echo(f"  {kind:28s} {wrong.count:6d}  {cells[0]:20s} {cells[1]:22s} {cells[2]:22s} {cells[3]}")
+        click.echo(f"  {kind:28s} {within.count:6d}  {cells[0]:20s} {cells[1]:22s} {cells[2]:22s} {cells[3]}")
 
 
 def main() -> None:
@@ -261,7 +277,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--levels", nargs="*", default=["0/0"], help="Label errors of simulated drives, as 20/20.")
     parser.add_argument("--drive", nargs=2, type=Path, action="append", default=[], metavar=("DRIVE", "MAP"))
-    parser.add_argument("--fit", nargs="*", default=["00", "05", "07", "08"], help="Sequences to fit to.")
+    parser.add_argument("--fit", nargs="*", default=["00", "05", "06", "09"], help="Sequences to fit to.")
     parser.add_argument("--preset", default="default")
     given = parser.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
@@ -277,9 +293,12 @@ def main() -> None:
     for name, case in cases:
         simulated = isinstance(case, TwinCase) or (case.path / "simulation.json").exists()
         for level in given.levels if simulated else ["0/0"]:
-            kind = "recorded" if not simulated else f"simulated {level}" if level != "0/0" else "simulated"
+            told = "drawn" if case.name.startswith("drawn") else "recorded"
+            kind = told if not simulated else f"simulated {level}" if level != "0/0" else "simulated"
             drives.append(places_of(detected(case, name, level, config, given.out), case, kind, config))
 
+    for part, are_fitted in (("fitted to", True), ("the others", False)):
+        say(f"as it is: sequences {part}", [(d, START) for d in drives if (d.sequence in given.fit) == are_fitted])
     chosen = fit([each for each in drives if each.sequence in given.fit])
     say(f"fitted to {' '.join(given.fit)}: the same", [(d, chosen) for d in drives if d.sequence in given.fit])
     say("  the others", [(d, chosen) for d in drives if d.sequence not in given.fit])

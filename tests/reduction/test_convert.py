@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from interloc.drives.files import SourceFile
+from interloc.drives.folder import FolderDrive
 from interloc.drives.georeference.geodetic import ecef_poses
 from interloc.drives.open import open_drive
 from interloc.drives.options import DriveOptions
@@ -18,6 +18,7 @@ from interloc.errors import ConfigError, DriveError, OutputError
 from interloc.pipeline import detect
 from interloc.reduction.convert import convert_drive, label_drive
 from interloc.reduction.reduce import reduce_drive
+from interloc.results import DriveResult
 from tests.drives.scans.test_pcd import as_pcd
 from tests.networks import write_model
 from tests.pcd_files import write_pcd
@@ -155,10 +156,9 @@ def test_other_folders_are_not_replaced(sequence: Path, tmp_path: Path) -> None:
         convert_drive(tmp_path / "reduced", tmp_path / "out")
 
 
-def test_the_real_sample_by_hand_labels(data: Callable[[str], Path], tmp_path: Path) -> None:
-    sample = data("kitti360_0009")
-    convert_drive(sample, tmp_path / "out")
-    before, after = detect(open_drive(sample)), detect(open_drive(tmp_path / "out"))
+def test_the_real_sample_by_hand_labels(sample: FolderDrive, sample_result: DriveResult, tmp_path: Path) -> None:
+    convert_drive(sample.root, tmp_path / "out")
+    before, after = sample_result, detect(open_drive(tmp_path / "out"))
     np.testing.assert_allclose(after.detections.world_xy, before.detections.world_xy, atol=1e-6)
     assert after.intersections.lonlat is not None
     np.testing.assert_allclose(after.intersections.lonlat, before.intersections.lonlat, atol=1e-7)

@@ -48,14 +48,15 @@ def test_road_points_lie_on_the_streets_of_the_map(kitti_dir: Path, tmp_path: Pa
 
 
 def test_the_poses_written_are_the_given_ones(kitti_dir: Path, tmp_path: Path) -> None:
-    for poses in ("suma", "gt"):
-        out = tmp_path / poses
-        options = SimulationOptions(keyframes_only=True, max_scans=5, sensor=LidarConfig(columns=36))
-        simulate(twin_trip(kitti_dir, "07", poses=poses), out, options)  # type: ignore[arg-type]
-        given = np.loadtxt(kitti_dir / f"poses_{poses}" / "07.txt")
-        written = np.loadtxt(out / "poses.txt")
-        assert all((np.abs(given - row).max(axis=1) < 1e-6).any() for row in written)
-        assert (out / "calib.txt").read_text() == (kitti_dir / "calib" / "07.txt").read_text()
+    suma, gt = (np.loadtxt(kitti_dir / f"poses_{poses}" / "07.txt") for poses in ("suma", "gt"))
+    poses_camera = twin_track(kitti_dir, "07").poses_camera
+    assert poses_camera is not None
+    np.testing.assert_array_equal(poses_camera.reshape(-1, 12), suma[: len(poses_camera)])
+    options = SimulationOptions(keyframes_only=True, max_scans=5, sensor=LidarConfig(columns=36))
+    simulate(twin_trip(kitti_dir, "07", poses="gt"), tmp_path / "gt", options)
+    written = np.loadtxt(tmp_path / "gt/poses.txt")
+    assert all((np.abs(gt - row).max(axis=1) < 1e-6).any() for row in written)
+    assert (tmp_path / "gt/calib.txt").read_text() == (kitti_dir / "calib" / "07.txt").read_text()
 
 
 def test_a_missing_sequence_is_named(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 
 from interloc.arrays import IntArray
 from interloc.drive import Georeference
-from interloc.drives.files import GeoreferenceFile, listed, missing_numbers
+from interloc.drives.files import GeoreferenceFile, listed
 from interloc.drives.georeference.geodetic import checked_fixes
 from interloc.files import atomic_write
 from interloc.geometry import rotation_from_rpy, rpy_from_rotation
@@ -60,7 +60,7 @@ def read_geo_csv(file: GeoreferenceFile, frames: IntArray) -> Georeference:
         raise file.fault("holds a header only. Expected one row per scan.")
     values = np.frombuffer(rows).reshape(-1, len(columns))
     numbers, first = np.unique(values[:, 0].astype(np.int64), return_index=True)
-    missing = missing_numbers(numbers, frames)
+    missing = np.setdiff1d(frames, numbers)
     if len(missing):
         raise file.fault(
             f"{len(missing):,} of {len(frames):,} scans have no row: frames {listed(missing)}. Expected one per scan."

@@ -12,7 +12,7 @@ from interloc.drives.files import SourceFile
 from interloc.drives.findings import Findings, GeoreferenceFileError
 from interloc.drives.georeference.shift import fit_shift
 from interloc.drives.poses.motion import body_steps, body_turns, rows_apart
-from interloc.geometry import ecef_from_geodetic, enu_from_lonlat, from_first
+from interloc.geometry import ecef_from_geodetic, enu_from_lonlat, from_first, rigid_transforms
 
 MAX_GEOREFERENCE_ERROR = 0.1
 """Of the distance between two scans; all KITTI drives stay under 0.02, and those of other drives are over 0.1."""
@@ -99,15 +99,12 @@ def ecef_poses(georeference: Georeference) -> FloatArray:
     """Return (N, 4, 4) poses of the LiDAR in the earth-centred, earth-fixed frame of WGS84, metres."""
     lat, lon = np.radians(georeference.lat_deg), np.radians(georeference.lon_deg)
     sin_lat, cos_lat, sin_lon, cos_lon = np.sin(lat), np.cos(lat), np.sin(lon), np.cos(lon)
-    poses = np.zeros((len(lat), 4, 4))
-    poses[:, :3, 3] = ecef_from_geodetic(georeference.lat_deg, georeference.lon_deg, georeference.alt_m)
-    poses[:, 3, 3] = 1
     zero = np.zeros_like(lat)
     east = np.stack([-sin_lon, cos_lon, zero], axis=1)
     north = np.stack([-sin_lat * cos_lon, -sin_lat * sin_lon, cos_lat], axis=1)
     up = np.stack([cos_lat * cos_lon, cos_lat * sin_lon, sin_lat], axis=1)
-    poses[:, :3, :3] = np.stack([east, north, up], axis=2) @ georeference.R_enu_lidar
-    return poses
+    positions = ecef_from_geodetic(georeference.lat_deg, georeference.lon_deg, georeference.alt_m)
+    return rigid_transforms(np.stack([east, north, up], axis=2) @ georeference.R_enu_lidar, positions)
 
 
 def check_against_poses(poses: FloatArray, georeference: Georeference, findings: Findings) -> float | None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from interloc.arrays import FloatArray, IntArray
 from interloc.drive import Georeference
-from interloc.drives.files import SourceFile, list_numbered, listed, missing_numbers, rows_by_frame
+from interloc.drives.files import SourceFile, list_numbered, listed, rows_by_frame
 from interloc.drives.findings import GeoreferenceFileError
 from interloc.drives.georeference.geodetic import checked_fixes
 from interloc.geometry import invert_transform, lonlat_from_enu, rotation_from_rpy
@@ -83,7 +83,7 @@ def read_oxts_folder(folder: SourceFile, frames: IntArray) -> FloatArray:
         A frame has no file, or a file is damaged.
     """
     files = list_numbered(folder, ".txt")
-    missing = missing_numbers(files.numbers, frames)
+    missing = np.setdiff1d(frames, files.numbers)
     if len(missing):
         raise folder.fault(
             f"{len(missing):,} of {len(frames):,} scans have no fix: frames {listed(missing)}. "

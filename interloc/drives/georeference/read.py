@@ -24,7 +24,7 @@ from interloc.drives.poses.calibration import (
     IMU_CALIBRATION,
     KITTI_T_VELO_IMU,
     find_kitti360_imu,
-    locate_imu_calibration,
+    locate_calibration,
     read_rt,
 )
 
@@ -75,7 +75,7 @@ def locate_georeference(parts: DriveParts, frames: IntArray, given: Path | None)
         return GeoreferenceFiles("geo", parts.geo)
     if parts.oxts is None:
         return None
-    imu = locate_imu_calibration(parts)
+    imu = locate_calibration(parts, IMU_CALIBRATION)
     if parts.oxts.is_file():
         return GeoreferenceFiles("rows", parts.oxts, imu_calibration=imu)
     folder = _data_folder(parts.oxts)
@@ -153,7 +153,7 @@ def _raw_drive_in(given: Path, parts: DriveParts) -> Path:
 def _imu_calibration_near(folder: Path, parts: DriveParts) -> Path | None:
     """Return the calibration beside a georeference from elsewhere, or else that of the drive."""
     beside = (folder / IMU_CALIBRATION, folder.absolute().parent / IMU_CALIBRATION)
-    return next((path for path in beside if path.is_file()), None) or locate_imu_calibration(parts)
+    return next((path for path in beside if path.is_file()), None) or locate_calibration(parts, IMU_CALIBRATION)
 
 
 def _data_folder(folder: Path) -> Path:

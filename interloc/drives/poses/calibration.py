@@ -13,6 +13,13 @@ from interloc.drives.poses.lines import orthonormalised, rotation_complaint
 from interloc.geometry import invert_transform
 
 IMU_CALIBRATION = "calib_imu_to_velo.txt"
+"""From the IMU to the LiDAR."""
+
+CAMERA_CALIBRATIONS = ("calib.txt", "calib_velo_to_cam.txt", "calib_cam_to_velo.txt")
+"""From the LiDAR to the camera."""
+
+CAMERA_TO_POSE = "calib_cam_to_pose.txt"
+"""KITTI-360's, from the camera to the IMU."""
 
 _TR_KEYS = ("Tr", "Tr_velo_to_cam", "Tr_velo_cam")
 
@@ -27,22 +34,8 @@ KITTI_T_VELO_IMU: FloatArray = np.array(
 """T_lidar_imu of the KITTI car, as KITTI publishes it in calib_imu_to_velo.txt of every day of recording."""
 
 
-def locate_camera_calibration(parts: DriveParts) -> Path | None:
-    """Return the file that leads from the LiDAR to the camera."""
-    return _locate(parts, "calib.txt", "calib_velo_to_cam.txt", "calib_cam_to_velo.txt")
-
-
-def locate_imu_calibration(parts: DriveParts) -> Path | None:
-    """Return the file that leads from the IMU to the LiDAR."""
-    return _locate(parts, IMU_CALIBRATION)
-
-
-def locate_camera_to_pose(parts: DriveParts) -> Path | None:
-    """Return KITTI-360's file that leads from the camera to the IMU."""
-    return _locate(parts, "calib_cam_to_pose.txt")
-
-
-def _locate(parts: DriveParts, *names: str) -> Path | None:
+def locate_calibration(parts: DriveParts, *names: str) -> Path | None:
+    """Return the calibration file of one of some names that lies nearest to a drive, or None."""
     for place in parts.calibration:
         for name in names:
             path = place if place.name == name else place / name
@@ -59,7 +52,7 @@ def find_camera_calibration(parts: DriveParts) -> tuple[SourceFile, FloatArray] 
     DriveError
         The file is damaged, or its transform is not rigid.
     """
-    path = locate_camera_calibration(parts)
+    path = locate_calibration(parts, *CAMERA_CALIBRATIONS)
     if path is None:
         return None
     file = parts.file(path)
@@ -72,7 +65,7 @@ def find_camera_calibration(parts: DriveParts) -> tuple[SourceFile, FloatArray] 
 
 def find_camera_to_pose(parts: DriveParts) -> tuple[SourceFile, FloatArray] | None:
     """Return the file and T_imu_cam of KITTI-360's calib_cam_to_pose.txt, or None where it has none."""
-    path = locate_camera_to_pose(parts)
+    path = locate_calibration(parts, CAMERA_TO_POSE)
     return None if path is None else (parts.file(path), _read_keyed(parts.file(path), ("image_00",)))
 
 

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from interloc.arrays import BoolArray, FloatArray
 from interloc.drives.findings import DriveFileError
+from interloc.geometry import rigid_transforms
 
 _NEARLY_PARALLEL = 1e-9
 """Square of the sine of the half angle under which the great arc is the straight line."""
@@ -84,12 +85,10 @@ class TimedPoses:
         after = np.clip(np.searchsorted(self.times_s, times), 1, len(self.times_s) - 1)
         before = after - 1
         share = (times - self.times_s[before]) / (self.times_s[after] - self.times_s[before])
-        poses = np.tile(np.eye(4), (len(times), 1, 1))
         start, end = self.poses[before], self.poses[after]
-        poses[:, :3, 3] = start[:, :3, 3] + share[:, None] * (end[:, :3, 3] - start[:, :3, 3])
         first_q, second_q = quaternions_from_rotations(start[:, :3, :3]), quaternions_from_rotations(end[:, :3, :3])
-        poses[:, :3, :3] = rotations_from_quaternions(_slerp(first_q, second_q, share))
-        return poses
+        rotations = rotations_from_quaternions(_slerp(first_q, second_q, share))
+        return rigid_transforms(rotations, start[:, :3, 3] + share[:, None] * (end[:, :3, 3] - start[:, :3, 3]))
 
 
 def rotations_from_quaternions(quaternions: FloatArray) -> FloatArray:

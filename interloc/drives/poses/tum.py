@@ -14,6 +14,7 @@ from interloc.arrays import FloatArray, IntArray
 from interloc.drives.files import SourceFile, is_number
 from interloc.drives.poses.lines import CUT_OFF, read_rows, refuse_far
 from interloc.drives.poses.timed import TimedPoses, rotations_from_quaternions
+from interloc.geometry import rigid_transforms
 
 TUM_FIELDS = 8
 """Numbers of a line: time x y z qx qy qz qw."""
@@ -91,9 +92,7 @@ def read_tum(file: SourceFile) -> TimedPoses:
             "Usual cause: another order of the columns, or angles instead of a quaternion.",
             lines[row],
         )
-    poses = np.tile(np.eye(4), (len(values), 1, 1))
-    poses[:, :3, :3] = rotations_from_quaternions(values[:, 4:])
-    poses[:, :3, 3] = values[:, 1:4]
+    poses = rigid_transforms(rotations_from_quaternions(values[:, 4:]), values[:, 1:4])
     return TimedPoses(values[:, 0].copy(), poses, file.name)
 
 

@@ -21,7 +21,6 @@ from interloc.drives.files import (
     in_part,
     list_numbered,
     listed,
-    missing_numbers,
     others_like_it,
     scan_once,
 )
@@ -399,7 +398,7 @@ def _check_label_files(
     frames, points = recording.frames, recording.points
     assert frames is not None
     assert points is not None
-    missing = missing_numbers(labels.numbers, frames)
+    missing = np.setdiff1d(frames, labels.numbers)
     if len(missing):
         findings.error(
             labels.file(int(missing[0])).fault(
@@ -407,7 +406,7 @@ def _check_label_files(
                 "Expected one .label file per scan. Usual cause: an archive that was not unpacked to the end."
             )
         )
-    extra = missing_numbers(frames, labels.numbers)
+    extra = np.setdiff1d(labels.numbers, frames)
     if len(extra):
         findings.note(labels.folder.name, f"labels of {len(extra):,} scans that are not there are not used.")
     common, at_scan, at_label = np.intersect1d(frames, labels.numbers, assume_unique=True, return_indices=True)

@@ -9,7 +9,7 @@ import numpy as np
 
 from interloc.arrays import IntArray
 from interloc.drive import GroundPoints
-from interloc.drives.files import SourceFile, list_numbered, listed, missing_numbers
+from interloc.drives.files import SourceFile, list_numbered, listed
 from interloc.drives.findings import DriveFileError, Findings
 from interloc.drives.labels import LabelJudgement, LabelScheme, check_labels, named_scheme
 from interloc.drives.layouts import DriveParts
@@ -206,7 +206,7 @@ def _choose_labels(manifest: ReducedManifest, folder: LabelFolder, options: Driv
 def _list_ground(kept: IntArray, parts: DriveParts, findings: Findings, *, sizes: bool) -> tuple[IntArray, int]:
     """Return the numbers of the kept scans whose files are there, and the size of all of these."""
     files = list_numbered(parts.file(parts.scans), ".ground")
-    missing = missing_numbers(files.numbers, kept)
+    missing = np.setdiff1d(kept, files.numbers)
     if len(missing):
         findings.error(
             files.file(int(missing[0])).fault(

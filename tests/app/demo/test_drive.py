@@ -24,7 +24,7 @@ def until(client: httpx.Client, address: str, state: str) -> dict[str, Any]:
 
 
 def test_the_demo_runs_from_one_click_to_a_report(serve: Callable[..., httpx.Client]) -> None:
-    client = serve(max_demo_scans=200)
+    client = serve(max_demo_scans=50)
     impatient = {"prefer": "wait=0"}
     with ThreadPoolExecutor(4) as threads:
         answers = list(threads.map(lambda _: client.post(f"{API}/demo", headers=impatient), range(4)))
@@ -40,10 +40,11 @@ def test_the_demo_runs_from_one_click_to_a_report(serve: Callable[..., httpx.Cli
     request = {"drive_id": drive_id, "osm": {"file": "map.osm"}}
     job = client.post(f"{API}/jobs", json=request).json()
     summary = until(client, f"/jobs/{job['id']}", "successful")["summary"]
-    assert summary["report"]["nodes_found"] == summary["report"]["nodes_in_zone"] == 3
-    assert client.get(f"{API}/jobs/{job['id']}/report").json()["nodes_found"] == 3
+    found = summary["report"]["nodes_found"]
+    assert 0 < found == summary["report"]["nodes_in_zone"]
+    assert client.get(f"{API}/jobs/{job['id']}/report").json()["nodes_found"] == found
     assert client.get(f"{API}/jobs/{job['id']}/osm-roads").status_code == 200
-    assert client.get(f"{API}/jobs/{job['id']}/keyframes/100/bev.png?layer=all").status_code == 200
+    assert client.get(f"{API}/jobs/{job['id']}/keyframes/20/bev.png?layer=all").status_code == 200
 
     assert client.delete(f"{API}/drives/{drive_id}").status_code == 204
     new = client.post(f"{API}/demo", headers=impatient).json()

@@ -23,8 +23,8 @@ from app.jobs.failures import too_slow
 from app.jobs.processes import WorkerLimitError
 from app.work import kinds
 from app.work.task import Part
-from tests.app.conftest import running_server
-from tests.app.processes import NO_TLS, ended, files_below, wait_until
+from tests.app.conftest import client_of
+from tests.app.processes import ended, files_below, wait_until
 
 FILES = {
     "poses.txt": b"1 0 0 0 0 1 0 0 0 0 1 0\n",
@@ -43,7 +43,7 @@ def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def client(home: Path) -> Iterator[httpx.Client]:
     """One server for all tests of this module: its workers start only once."""
-    with running_server(home / "data") as address, httpx.Client(base_url=address, timeout=120, verify=NO_TLS) as client:
+    with client_of(home / "data") as client:
         yield client
 
 

@@ -20,7 +20,7 @@ from app.settings import Settings
 from tests.app.street import write_street
 
 NAME = "generated_interloc_client"
-SCANS = 62
+SCANS = 40
 
 
 @pytest.fixture(scope="module")

@@ -56,7 +56,7 @@ def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
 
 @pytest.fixture(scope="module")
 def street(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_street(tmp_path_factory.mktemp("drives") / "street", scans=100)
+    return write_street(tmp_path_factory.mktemp("drives") / "street", scans=40)
 
 
 def die() -> None:
@@ -71,7 +71,7 @@ def test_a_cluster_finds_what_the_command_line_finds(
     assert run(["run", str(street), "-o", str(out), "--osm", str(osm), "--quiet"]) == 0
     client = serve(dask=cluster)
     drive_id = upload(client, street)
-    gate = Gate(tmp_path / "data", drive_id, frame=60)
+    gate = Gate(tmp_path / "data", drive_id, frame=25)
     job_id = submit(client, drive_id, osm={"file": "map.osm"})
     half_way(client, job_id)
     gate.open()

@@ -98,7 +98,16 @@ def keep_memory(size: int) -> int:
 
 @pytest.fixture
 def executor() -> Iterator[ProcessExecutor]:
-    executor = ProcessExecutor(2)
+    """An executor whose processes all start at once."""
+    executor = ProcessExecutor(2, ahead=int)
+    yield executor
+    executor.stop()
+
+
+@pytest.fixture
+def one() -> Iterator[ProcessExecutor]:
+    """An executor that does one piece of work at a time."""
+    executor = ProcessExecutor(1)
     yield executor
     executor.stop()
 
@@ -148,7 +157,6 @@ def test_a_killed_worker_takes_only_its_own_work_with_it(tmp_path: Path) -> None
 
 
 def test_an_idle_worker_that_was_killed_is_replaced(executor: ProcessExecutor) -> None:
-    executor.submit(pid_of).result(60)
     before = wait_until(lambda: len(pids_of(executor)) == executor.alive and pids_of(executor), "all workers to run")
     for pid in before:
         os.kill(pid, signal.SIGKILL)
@@ -169,35 +177,27 @@ def test_errors_come_back_with_their_words(executor: ProcessExecutor) -> None:
     assert executor.submit(pid_of).result(60) in pids_of(executor)
 
 
-def test_urgent_work_goes_before_what_waits(tmp_path: Path) -> None:
-    executor = ProcessExecutor(1)
-    try:
-        gate, patient = tmp_path / "gate", tmp_path / "patient"
-        running = executor.submit(wait_for_file, gate)
-        waiting = executor.submit(wait_for_file, patient)
-        urgent = executor.submit(begun, patient, urgent=True)
-        gate.touch()
-        running.result(60)
-        assert not urgent.result(60)
-        patient.touch()
-        waiting.result(60)
-    finally:
-        executor.stop()
+def test_urgent_work_goes_before_what_waits(one: ProcessExecutor, tmp_path: Path) -> None:
+    gate, patient = tmp_path / "gate", tmp_path / "patient"
+    running = one.submit(wait_for_file, gate)
+    waiting = one.submit(wait_for_file, patient)
+    urgent = one.submit(begun, patient, urgent=True)
+    gate.touch()
+    running.result(60)
+    assert not urgent.result(60)
+    patient.touch()
+    waiting.result(60)
 
 
-def test_cancelled_work_is_never_begun(tmp_path: Path) -> None:
-    executor = ProcessExecutor(1)
-    try:
-        gate, never = tmp_path / "gate", tmp_path / "never"
-        running = executor.submit(wait_for_file, gate)
-        waiting = executor.submit(wait_for_file, never)
-        assert waiting.cancel()
-        gate.touch()
-        running.result(60)
-        executor.submit(pid_of).result(60)
-        assert not begun(never)
-    finally:
-        executor.stop()
+def test_cancelled_work_is_never_begun(one: ProcessExecutor, tmp_path: Path) -> None:
+    gate, never = tmp_path / "gate", tmp_path / "never"
+    running = one.submit(wait_for_file, gate)
+    waiting = one.submit(wait_for_file, never)
+    assert waiting.cancel()
+    gate.touch()
+    running.result(60)
+    one.submit(pid_of).result(60)
+    assert not begun(never)
 
 
 def test_a_stop_ends_what_runs(tmp_path: Path) -> None:
@@ -259,34 +259,26 @@ def test_work_in_a_compiled_loop_is_killed_and_its_place_goes_on(tmp_path: Path)
         executor.stop()
 
 
-def test_what_waits_is_given_up_and_what_has_ended_is_left_alone(tmp_path: Path) -> None:
-    executor = ProcessExecutor(1)
-    try:
-        done = executor.submit(pid_of)
-        pid = done.result(60)
-        running = executor.submit(wait_for_file, tmp_path / "gate")
-        waiting = executor.submit(wait_for_file, tmp_path / "never")
-        executor.kill(done)
-        executor.kill(waiting)
-        (tmp_path / "gate").touch()
-        assert running.result(60) == pid
-        assert waiting.cancelled()
-    finally:
-        executor.stop()
+def test_what_waits_is_given_up_and_what_has_ended_is_left_alone(one: ProcessExecutor, tmp_path: Path) -> None:
+    done = one.submit(pid_of)
+    pid = done.result(60)
+    running = one.submit(wait_for_file, tmp_path / "gate")
+    waiting = one.submit(wait_for_file, tmp_path / "never")
+    one.kill(done)
+    one.kill(waiting)
+    (tmp_path / "gate").touch()
+    assert running.result(60) == pid
+    assert waiting.cancelled()
 
 
-def test_work_that_takes_too_long_is_ended_and_its_place_goes_on(tmp_path: Path) -> None:
-    executor = ProcessExecutor(1)
-    try:
-        executor.submit(pid_of).result(60)
-        endless = executor.submit(compute_for_ever, tmp_path / "pid", seconds=0.5)
-        with pytest.raises(WorkerLimitError) as caught:
-            endless.result(60)
-        assert (caught.value.limit, caught.value.bound) == ("time", 0.5)
-        assert caught.value.used > 0.5
-        assert executor.submit(pid_of).result(60) != int((tmp_path / "pid").read_text())
-    finally:
-        executor.stop()
+def test_work_that_takes_too_long_is_ended_and_its_place_goes_on(one: ProcessExecutor, tmp_path: Path) -> None:
+    one.submit(pid_of).result(60)
+    endless = one.submit(compute_for_ever, tmp_path / "pid", seconds=0.5)
+    with pytest.raises(WorkerLimitError) as caught:
+        endless.result(60)
+    assert (caught.value.limit, caught.value.bound) == ("time", 0.5)
+    assert caught.value.used > 0.5
+    assert one.submit(pid_of).result(60) != int((tmp_path / "pid").read_text())
 
 
 @pytest.mark.skipif(not memory_of(os.getpid()), reason="this system does not tell the memory of processes")
@@ -435,7 +427,7 @@ class NothingStarts:
 def test_work_waits_while_no_worker_can_be_started(monkeypatch: pytest.MonkeyPatch) -> None:
     with monkeypatch.context() as patched:
         patched.setattr(processes, "_context", NothingStarts)
-        executor = ProcessExecutor(1)
+        executor = ProcessExecutor(1, ahead=int)
         try:
             waiting = executor.submit(pid_of)
             hopeless = executor.submit(pid_of, client="other", seconds=0.0)

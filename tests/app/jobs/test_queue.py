@@ -6,6 +6,7 @@ import time
 from collections import Counter
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -18,7 +19,10 @@ from tests import forks
 
 
 @pytest.fixture
-def database(url: str) -> Iterator[Database]:
+def database(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Database]:
+    """Of either kind for tests that ask for its `url`: of order, locks and clients at the same time; else SQLite."""
+    has_url = "url" in request.fixturenames
+    url = request.getfixturevalue("url") if has_url else f"sqlite:///{tmp_path / 'db.sqlite3'}"
     database = Database(url)
     database.upgrade()
     yield database
@@ -84,6 +88,7 @@ def test_the_oldest_job_is_first(database: Database, drive: str) -> None:
     assert [taken(queue) for _ in range(4)] == [*jobs, None]
 
 
+@pytest.mark.usefixtures("url")
 def test_the_client_with_the_fewest_running_jobs_is_next(database: Database, drive: str) -> None:
     first, second, third = (add_job(database, drive, "ann") for _ in range(3))
     bob = add_job(database, drive, "bob")
@@ -99,6 +104,7 @@ def test_uploads_go_before_long_work(database: Database, drive: str) -> None:
     assert [taken(queue) for _ in range(3)] == [commit, unpack, long]
 
 
+@pytest.mark.usefixtures("url")
 def test_where_enough_jobs_run_only_quick_ones_are_taken_and_those_of_clients_that_have_none(
     database: Database, drive: str
 ) -> None:
@@ -144,6 +150,7 @@ def test_processes_never_get_the_same_job(url: str, database: Database, drive: s
     assert Counter(found) == Counter(jobs)
 
 
+@pytest.mark.usefixtures("url")
 def test_a_silent_server_loses_its_job_and_changes_nothing_more(database: Database, drive: str) -> None:
     job_id = add_job(database, drive)
     silent, other = JobQueue(database, 0.05), JobQueue(database, 60)
@@ -256,6 +263,7 @@ def test_every_change_counts(database: Database, drive: str) -> None:
     assert versions == [1, 2, 3, 4]
 
 
+@pytest.mark.usefixtures("url")
 def test_a_waiting_job_is_dismissed_at_once_and_a_running_one_is_told(database: Database, drive: str) -> None:
     waiting, running = add_job(database, drive), add_job(database, drive)
     queue = JobQueue(database, 60)
@@ -273,6 +281,7 @@ def test_a_waiting_job_is_dismissed_at_once_and_a_running_one_is_told(database: 
     assert queue.claim() is None
 
 
+@pytest.mark.usefixtures("url")
 def test_a_deleted_job_is_lost(database: Database, drive: str) -> None:
     job_id = add_job(database, drive)
     queue = JobQueue(database, 60)
@@ -284,6 +293,7 @@ def test_a_deleted_job_is_lost(database: Database, drive: str) -> None:
     assert not finish(database, queue, claim)
 
 
+@pytest.mark.usefixtures("url")
 def test_the_same_key_is_the_same_job(database: Database, drive: str) -> None:
     job_id = add_job(database, drive, key="k")
     with database.writing() as session:

@@ -13,7 +13,7 @@ import pytest
 from interloc.drives.open import open_drive
 from interloc.drives.options import DriveOptions
 from interloc.reduction.reduce import reduce_drive
-from tests.app.conftest import running_server
+from tests.app.conftest import client_of
 from tests.app.drives.test_commit import commit, refused, upload
 from tests.app.processes import ended
 from tests.app.street import write_street
@@ -38,17 +38,14 @@ def models(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def client(tmp_path_factory: pytest.TempPathFactory, models: Path) -> Iterator[httpx.Client]:
     """One server for all tests of this module."""
     home = tmp_path_factory.mktemp("models-server")
-    with (
-        running_server(home / "data", workers=2, models=models) as address,
-        httpx.Client(base_url=address, timeout=300) as client,
-    ):
+    with client_of(home / "data", workers=2, models=models) as client:
         yield client
 
 
 @pytest.fixture(scope="module")
 def unlabelled(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A street of 60 scans without labels, to be read only."""
-    root = write_street(tmp_path_factory.mktemp("unlabelled") / "07", 60)
+    """A street of 24 scans without labels, to be read only."""
+    root = write_street(tmp_path_factory.mktemp("unlabelled") / "07", 24)
     shutil.rmtree(root / "labels")
     return root
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -10,6 +11,7 @@ from typing import Any
 
 import httpx
 import pytest
+from filelock import FileLock
 
 from app.store.database import Database
 from app.store.models import Drive, Job
@@ -21,11 +23,11 @@ from interloc.osm.reader import read_osm
 from interloc.output.write import write_results
 from interloc.pipeline import detect
 from interloc.reduction.reduce import reduce_drive
-from tests.app.conftest import running_server
+from tests.app.conftest import client_of
 from tests.app.street import write_street
 
 API = "/api/v1"
-SCANS = 62
+SCANS = 40
 
 
 def work(root: Path, out: Path, *, preset_name: str = "default", scored: bool = True) -> None:
@@ -82,8 +84,22 @@ def add_job(database: Database, data_dir: Path, name: str, drive: str, result: P
 
 @pytest.fixture(scope="session")
 def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Result folders: default and paper of a street with its map, plain without, local without georeference."""
-    root = tmp_path_factory.mktemp("results")
+    """Result folders: default and paper of a street with its map, plain without, local without georeference.
+
+    The first process of the tests that needs them makes them for all.
+    """
+    place = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        place = place.parent
+    root = place / "results"
+    with FileLock(place / "results.lock"):
+        if not (root / "made").exists():
+            make_results(root)
+            (root / "made").touch()
+    return root
+
+
+def make_results(root: Path) -> None:
     street = write_street(root / "street", SCANS)
     local = root / "unplaced"
     shutil.copytree(street, local, ignore=shutil.ignore_patterns("geo.csv", "map.osm"))
@@ -91,14 +107,13 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     work(street, root / "paper", preset_name="paper")
     work(street, root / "plain", scored=False)
     work(local, root / "local", scored=False)
-    return root
 
 
 @pytest.fixture(scope="module")
 def finished(results: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Finished]:
     """A server with those jobs, and some that are not successful. Shared by a module."""
     data_dir = tmp_path_factory.mktemp("data")
-    with running_server(data_dir) as address, httpx.Client(base_url=address, timeout=120) as client:
+    with client_of(data_dir) as client:
         database = Database(f"sqlite:///{data_dir}/interloc.sqlite3")
         for drive, folder in (("street", "street"), ("local", "unplaced"), ("other", "street")):
             add_drive(database, data_dir, drive, results / folder)

@@ -79,7 +79,7 @@ def test_many_at_once_are_drawn_once_each(finished: Finished) -> None:
 
 
 @pytest.mark.parametrize(("address", "status", "said"), [
-    ("/jobs/default/keyframes/4711/bev.png", 404, "the nearest one is 61"),
+    ("/jobs/default/keyframes/4711/bev.png", 404, "the nearest one is 39"),
     ("/jobs/default/keyframes/4711/bev", 404, "not a keyframe"),
     ("/jobs/nobody/keyframes/1/bev.png", 404, "no job nobody"),
     ("/jobs/failed/keyframes/1/bev", 409, "failed"),
@@ -95,24 +95,24 @@ def test_what_cannot_be_drawn(address: str, status: int, said: str, finished: Fi
 
 
 def test_a_drive_that_is_damaged_is_no_fault_of_the_service(finished: Finished) -> None:
-    scan = finished.data_dir / "drives/other/reduced/ground/labels/000040.ground"
+    scan = finished.data_dir / "drives/other/reduced/ground/labels/000030.ground"
     content = scan.read_bytes()
     scan.write_bytes(content[:-3])
     try:
-        answer = finished.get("/jobs/elsewhere/keyframes/40/bev")
+        answer = finished.get("/jobs/elsewhere/keyframes/30/bev")
     finally:
         scan.write_bytes(content)
     assert answer.status_code == 422
-    assert "ground/labels/000040.ground" in answer.json()["detail"]
+    assert "ground/labels/000030.ground" in answer.json()["detail"]
     assert not (finished.data_dir / "jobs/elsewhere/cache/bev").exists()
-    assert finished.get("/jobs/elsewhere/keyframes/40/bev").status_code == 200
+    assert finished.get("/jobs/elsewhere/keyframes/30/bev").status_code == 200
 
 
 def test_a_drive_whose_files_were_removed_is_gone(finished: Finished) -> None:
     reduced = finished.data_dir / "drives/other/reduced"
     reduced.rename(reduced.with_name("away"))
     try:
-        answer = finished.get("/jobs/elsewhere/keyframes/42/bev")
+        answer = finished.get("/jobs/elsewhere/keyframes/32/bev")
     finally:
         reduced.with_name("away").rename(reduced)
     assert (answer.status_code, answer.json()["title"]) == (410, "Drive not whole")

@@ -26,12 +26,12 @@ from tests.app.processes import Gate, ended, job_of, submit, upload, wait_until
 from tests.app.street import write_street
 
 API = "/api/v1"
-MIDDLE = 20
+MIDDLE = 14
 
 
 @pytest.fixture(scope="module")
 def street(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_street(tmp_path_factory.mktemp("drives") / "street", 40)
+    return write_street(tmp_path_factory.mktemp("drives") / "street", 24)
 
 
 def items(client: httpx.Client, id_: str) -> list[dict[str, Any]]:

@@ -18,8 +18,8 @@ from app.upkeep.adopt import Adoption, adopt
 from app.upkeep.check import check
 from app.upkeep.cleanup import sweep
 from interloc.errors import ConfigError
-from tests.app.conftest import running_server
-from tests.app.processes import NO_TLS, ended, submit, upload
+from tests.app.conftest import client_of, running_server
+from tests.app.processes import ended, submit, upload
 from tests.app.street import write_street
 
 API = "/api/v1"
@@ -31,8 +31,8 @@ Serve = Callable[..., httpx.Client]
 def lost(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
     """A data folder whose database is gone, and what the service said before. Shared: work on a copy."""
     root = tmp_path_factory.mktemp("lost")
-    street = write_street(root / "street", 40)
-    with running_server(root / "data") as address, httpx.Client(base_url=address, timeout=120, verify=NO_TLS) as client:
+    street = write_street(root / "street", 24)
+    with client_of(root / "data") as client:
         ready, raw = upload(client, street), upload(client, street, keep_raw=True)
         job = submit(client, ready, osm={"file": "map.osm"}, name="mine")
         assert ended(client, job)["state"] == "successful"

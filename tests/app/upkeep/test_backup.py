@@ -19,9 +19,7 @@ from typing import Any, Self
 
 import httpx
 import pytest
-from alembic import command
-from alembic.config import Config
-from sqlalchemy import inspect, select, text
+from sqlalchemy import select, text
 
 from app.context import RESTORING, Context
 from app.drives.archive import queue_archive
@@ -30,7 +28,6 @@ from app.drives.models import CommitRequest
 from app.http.intake import Arrival
 from app.jobs import queue
 from app.settings import Settings
-from app.store import database as database_module
 from app.store.database import Database
 from app.store.models import Base, Delivery, Drive, FeatureChunk, FeatureColumn, Job
 from app.trash.deletion import empty_trash, list_trash
@@ -39,8 +36,9 @@ from app.upkeep.content import DRIVE_TABLES, SHARED_TABLES
 from app.upkeep.restore import RestoreReport, restore
 from interloc.errors import ConfigError, InterLocError, OutputError
 from tests import forks
-from tests.app.conftest import running_server
+from tests.app.conftest import client_of, running_server
 from tests.app.processes import API, NO_TLS, archive_of, ended, files_below, submit, upload, wait_until
+from tests.app.store.first_version import go_back
 from tests.app.street import write_street
 
 SCANS = 40
@@ -56,7 +54,7 @@ def street(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def used(street: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Data folder of a service with a scored job, a drive that keeps its scans, and an upload. Shared."""
     data = tmp_path_factory.mktemp("used") / "data"
-    with running_server(data) as address, httpx.Client(base_url=address, timeout=120, verify=NO_TLS) as client:
+    with client_of(data) as client:
         ready = upload(client, street)
         for osm in ({"file": "map.osm"}, None):
             assert ended(client, submit(client, ready, osm=osm))["state"] == "successful"
@@ -139,10 +137,7 @@ def rows(data: Path) -> dict[str, list[dict[str, Any]]]:
 def answers(data: Path, **settings: Any) -> dict[str, Any]:
     """All that the API tells of drives, files, jobs and results."""
     told: dict[str, Any] = {}
-    with (
-        running_server(data, **settings) as address,
-        httpx.Client(base_url=address, timeout=120, verify=NO_TLS) as client,
-    ):
+    with client_of(data, **settings) as client:
 
         def get(path: str) -> Any:
             answer = client.get(f"{API}{path}")
@@ -202,7 +197,7 @@ def test_the_next_backup_brings_what_has_changed(data: Path, street: Path, tmp_p
     assert first.brought_files == first.record.files == len(contents(out))
     second = make_backup(data, out)
     assert (second.brought_files, second.removed_files, second.record.files) == (0, 0, first.record.files)
-    with running_server(data) as address, httpx.Client(base_url=address, timeout=120, verify=NO_TLS) as client:
+    with client_of(data) as client:
         by_state = {drive["state"]: drive["id"] for drive in client.get(f"{API}/drives").json()["drives"]}
         begun = by_state["uploading"]
         put(client, begun, "poses.txt", b"1 0 0 0 0 1 0 0 0 0 1 0\n")  # replaced
@@ -247,17 +242,17 @@ def test_a_backup_on_the_same_disk_takes_no_space_and_stays_as_it_is(data: Path,
     make_backup(data, out)
     before = contents(out)
     assert all(path.stat().st_nlink > 1 for path in files_below(out / "drives"))
-    with running_server(data) as address, httpx.Client(base_url=address, timeout=120, verify=NO_TLS) as client:
+    with client_of(data) as client:
         for drive in client.get(f"{API}/drives").json()["drives"]:
             put(client, drive["id"], "map.osm", b"another map")  # a file that the service replaces
             client.delete(f"{API}/drives/{drive['id']}").raise_for_status()
     assert contents(out) == before
 
 
-def test_what_was_going_on_goes_on_where_it_is_restored(street: Path, tmp_path: Path) -> None:
+def test_what_was_going_on_goes_on_where_it_is_restored(tmp_path: Path) -> None:
     """A commit, an unpacking and a job, each leased to a server that is lost with the machine."""
-    data, out = tmp_path / "data", tmp_path / "backup"
-    with running_server(data) as address, httpx.Client(base_url=address, timeout=120, verify=NO_TLS) as client:
+    data, out, street = tmp_path / "data", tmp_path / "backup", write_street(tmp_path / "street", 30)
+    with client_of(data) as client:
         ready = upload(client, street)
         request = ended(client, submit(client, ready, osm={"file": "map.osm"}))["request"]
         checking, unpacking = new_drive(client), new_drive(client)
@@ -279,10 +274,7 @@ def test_what_was_going_on_goes_on_where_it_is_restored(street: Path, tmp_path: 
     with service(tmp_path / "restored") as context, context.database.reading() as session:
         rows = session.scalars(select(Job).where(Job.owner == "me")).all()
         assert [(row.state, row.lease_owner, row.attempts) for row in rows] == [("accepted", None, 0)] * 3
-    with (
-        running_server(tmp_path / "restored") as address,
-        httpx.Client(base_url=address, timeout=120, verify=NO_TLS) as client,
-    ):
+    with client_of(tmp_path / "restored") as client:
         for row in rows:
             assert ended(client, row.id)["state"] == "successful"
             if row.kind == "intersections":
@@ -338,15 +330,15 @@ class Load:
             put(client, drive, path, content)
             self._acknowledged.setdefault(drive, {})[path] = hashlib.sha256(content).hexdigest()
         client.post(f"{API}/drives/{drive}/commit", headers={"Prefer": "wait=60"}).raise_for_status()
-        submit(client, drive, osm={"file": "map.osm"})
+        submit(client, drive)
 
 
-def test_backups_under_load_hold_all_that_was_acknowledged_before(street: Path, tmp_path: Path) -> None:
-    data = tmp_path / "data"
+def test_backups_under_load_hold_all_that_was_acknowledged_before(tmp_path: Path) -> None:
+    data, street = tmp_path / "data", write_street(tmp_path / "street", 20)
     known = []
     with running_server(data) as address, Load(address, street) as load:
         for number in range(3):
-            known.append(load.wait_for(100 * (number + 1)))
+            known.append(load.wait_for(50 * (number + 1)))
             assert make_backup(data, tmp_path / f"backup{number}").faults == []
     files = DRIVE_TABLES[1].c
     for number, acknowledged in enumerate(known):
@@ -479,16 +471,10 @@ def test_a_database_that_is_refused_keeps_its_tables(data: Path, tmp_path: Path)
     make_backup(data, tmp_path / "backup")
     url = f"sqlite:///{tmp_path / 'older.sqlite3'}"
     older = Database(url)
-    with older.engine.connect().execution_options(writes=True) as connection, connection.begin():
-        config = Config()
-        config.set_main_option("script_location", str(database_module._MIGRATIONS))
-        config.attributes["connection"] = connection
-        command.upgrade(config, "0001")
-        row = {"id": "d", "name": "d", "owner": "o", "state": "uploading", "created_at": 1, "touched_at": 1}
-        columns = {each["name"] for each in inspect(connection).get_columns("drives") if not each["nullable"]}
-        row |= dict.fromkeys(columns - row.keys(), 0)
-        names, places = ", ".join(row), ", ".join(f":{name}" for name in row)
-        connection.execute(text(f"INSERT INTO drives ({names}) VALUES ({places})"), row)  # noqa: S608
+    older.upgrade()
+    with older.writing() as session:
+        session.add(Drive(id="d", name="d", owner="o", created_at=1.0, touched_at=1.0))
+    go_back(older)
     older.close()
     before = tables_of(tmp_path / "older.sqlite3")
     with pytest.raises(ConfigError, match="is not empty: it holds 1 drives"):
@@ -538,11 +524,7 @@ def test_the_backup_of_an_earlier_version_is_restored(data: Path, tmp_path: Path
     out = tmp_path / "backup"
     make_backup(data, out)
     database = Database(f"sqlite:///{out / DATABASE}")
-    with database.engine.connect().execution_options(writes=True) as connection, connection.begin():
-        config = Config()
-        config.set_main_option("script_location", str(Path(database_module.__file__).parent / "migrations"))
-        config.attributes["connection"] = connection
-        command.downgrade(config, "0001")
+    go_back(database)
     database.close()
     before = (out / DATABASE).read_bytes()
     restored = restore_to(tmp_path / "restored", out)

@@ -1,6 +1,5 @@
 """TUM poses, and the poses between them."""
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +7,7 @@ import pytest
 
 from interloc import open_drive
 from interloc.drives.files import SourceFile
+from interloc.drives.folder import FolderDrive
 from interloc.drives.poses.timed import TimedPoses, quaternions_from_rotations, rotations_from_quaternions
 from interloc.drives.poses.tum import looks_like_tum, read_tum
 from interloc.errors import DriveError
@@ -140,18 +140,17 @@ def test_one_pose_covers_its_own_time() -> None:
     np.testing.assert_array_equal(timed.at([0, 0]), np.concatenate([timed.poses, timed.poses]))
 
 
-def test_a_real_drive_with_its_poses_as_tum_is_the_same_drive(tmp_path: Path, data: Callable[[str], Path]) -> None:
-    source = open_drive(data("kitti360_0009"))
+def test_a_real_drive_with_its_poses_as_tum_is_the_same_drive(tmp_path: Path, sample: FolderDrive) -> None:
     for folder in ("velodyne", "labels"):
-        (tmp_path / folder).symlink_to(data(f"kitti360_0009/{folder}"))
-    assert source.times_s is not None
-    np.savetxt(tmp_path / "times.txt", source.times_s)
-    quaternions = quaternions_from_rotations(source.T_world_lidar[:, :3, :3])
-    lines = np.column_stack([source.times_s, source.T_world_lidar[:, :3, 3], quaternions])
+        (tmp_path / folder).symlink_to(sample.root / folder)
+    assert sample.times_s is not None
+    np.savetxt(tmp_path / "times.txt", sample.times_s)
+    quaternions = quaternions_from_rotations(sample.T_world_lidar[:, :3, :3])
+    lines = np.column_stack([sample.times_s, sample.T_world_lidar[:, :3, 3], quaternions])
     np.savetxt(tmp_path / "poses.txt", lines, fmt="%.9f", header="time x y z qx qy qz qw")
     drive = open_drive(tmp_path)
     assert drive.pose_frame == "lidar"
-    np.testing.assert_allclose(drive.T_world_lidar, source.T_world_lidar, atol=1e-6)  # 9 digits
+    np.testing.assert_allclose(drive.T_world_lidar, sample.T_world_lidar, atol=1e-6)  # 9 digits
 
 
 def test_rotations_and_quaternions_are_inverse() -> None:

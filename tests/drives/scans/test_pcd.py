@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from interloc.drives.files import SourceFile
+from interloc.drives.folder import FolderDrive
 from interloc.drives.inspect import inspect_drive
 from interloc.drives.open import open_drive
 from interloc.drives.scans.bin_files import read_points
@@ -17,6 +18,7 @@ from interloc.drives.scans.pcd import number_scans, read_pcd
 from interloc.drives.scans.raw import read_labels
 from interloc.errors import DriveError
 from interloc.pipeline import detect
+from interloc.results import DriveResult
 from tests import small_drives
 from tests.pcd_files import labelled_points, pcd_bytes, write_pcd
 
@@ -49,12 +51,12 @@ def test_the_same_drive_in_pcd_files(sequence: Path, tmp_path: Path, folder: str
         assert ours.road_count == theirs.road_count
 
 
-def test_the_real_sample_gives_the_same_detections(data: Callable[[str], Path], tmp_path: Path) -> None:
-    sample = data("kitti360_0009")
-    converted = as_pcd(sample, tmp_path / "sample", ".")
-    before, after = detect(open_drive(sample)), detect(open_drive(converted))
-    np.testing.assert_array_equal(after.detections.world_xy, before.detections.world_xy)
-    np.testing.assert_array_equal(after.intersections.lonlat, before.intersections.lonlat)
+def test_the_real_sample_gives_the_same_detections(
+    sample: FolderDrive, sample_result: DriveResult, tmp_path: Path
+) -> None:
+    after = detect(open_drive(as_pcd(sample.root, tmp_path / "sample", ".")))
+    np.testing.assert_array_equal(after.detections.world_xy, sample_result.detections.world_xy)
+    np.testing.assert_array_equal(after.intersections.lonlat, sample_result.intersections.lonlat)
 
 
 def test_real_frames_of_a_street(data: Callable[[str], Path]) -> None:

@@ -29,7 +29,7 @@ from interloc.drives.scans.las.slices import (
 from interloc.drives.scans.las.tracks import SurveyTrack, find_tracks, read_track
 from interloc.drives.scans.recorded import Recording
 from interloc.drives.trajectory import LidarPoses, Trajectory
-from interloc.geometry import from_first, rotation_from_rpy, wrap_angle
+from interloc.geometry import from_first, rigid_transforms, rotation_from_rpy, wrap_angle
 
 SENSOR_HEIGHT_M = 2.0
 """Over the ground, where the heights of the trajectory are not those of the cloud (ellipsoid and geoid)."""
@@ -333,9 +333,7 @@ def _trajectory(slices: Slices, origin: FloatArray, yaw: FloatArray, grid: Grid 
     rotation = rotation_from_rpy(0.0, 0.0, yaw)
     georeference, reason = None, "the cloud states no coordinate system"
     if grid is None:
-        poses = np.tile(np.eye(4), (len(origin), 1, 1))
-        poses[:, :3, :3], poses[:, :3, 3] = rotation, origin
-        poses = from_first(poses)
+        poses = from_first(rigid_transforms(rotation, origin))
     else:
         lonlat = grid.to_lonlat(origin[:, :2])
         georeference = Georeference(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from pathlib import Path
 
 from interloc.drives.files import SourceFile
@@ -47,17 +48,7 @@ def open_las(root: Path, options: DriveOptions, findings: Findings) -> Recording
     folder, paths = found
     home = root.absolute().parent if root.is_file() else root
     name = options.name or (root.stem if root.is_file() else "")
-    parts = DriveParts(
-        layout="las",
-        root=home,
-        scans=folder,
-        poses=None,
-        times=_existing(home / "times.txt"),
-        calibration=(home,),
-        oxts=_existing(home / "oxts"),
-        geo=_existing(home / "geo.csv"),
-        name=name,
-    )
+    parts = replace(DriveParts.inside("las", home, folder, None), name=name)
     require_laspy(parts.file(paths[0]).name)
     clouds = tuple(_not_empty(read_cloud_header(SourceFile(path, home))) for path in paths)
     if is_one_per_scan(clouds, parts, options):
@@ -83,10 +74,6 @@ def _find(root: Path) -> tuple[Path, list[Path]] | None:
         if names:
             return folder, [folder / name for name in names]
     return None
-
-
-def _existing(path: Path) -> Path | None:
-    return path if path.exists() else None
 
 
 def _not_empty(cloud: CloudFile) -> CloudFile:

@@ -13,7 +13,7 @@ from interloc.drives.files import MAX_NUMBER
 from interloc.drives.poses.timed import TimedPoses, rotations_from_quaternions
 from interloc.drives.scans.rosbag.bag import Bag
 from interloc.drives.scans.rosbag.messages import TRANSFORMS, read_transforms
-from interloc.geometry import invert_transform
+from interloc.geometry import invert_transform, rigid_transforms
 
 LONGEST_GAP_S = 2.0
 """Between two poses; in a longer one nobody knows where the vehicle was."""
@@ -172,9 +172,7 @@ def timed_poses(times: FloatArray, numbers: FloatArray, source: str) -> TimedPos
     if not len(times):
         return None
     rows = latest_of_each(times)
-    poses = np.tile(np.eye(4), (len(rows), 1, 1))
-    poses[:, :3, :3] = rotations_from_quaternions(numbers[rows, 3:])
-    poses[:, :3, 3] = numbers[rows, :3]
+    poses = rigid_transforms(rotations_from_quaternions(numbers[rows, 3:]), numbers[rows, :3])
     return TimedPoses(times[rows], poses, source)
 
 

@@ -10,7 +10,7 @@ import struct
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, NamedTuple
 
 import numpy as np
 
@@ -37,6 +37,20 @@ _CHUNK_HEAD = struct.Struct("<QQQI")  # first and last time, unpacked size, chec
 FOOTER_BYTES = PREFIX.size + 20 + len(MAGIC)
 _SMALL_RECORD = 64 * 1024 * 1024
 _Place = tuple[int, int, int]  # where the bytes of a chunk start, their size, their compression
+
+
+class ChunkEntry(NamedTuple):
+    """What a summary says of a chunk."""
+
+    start: int
+    length: int
+    """Of the whole record; the index of its messages follows it."""
+    index_length: int
+    place: _Place
+    channels: frozenset[int]
+    """Those that it holds messages of."""
+
+
 ENCODINGS: dict[str, Encoding] = {"cdr": "cdr", "ros1": "ros1"}
 
 
@@ -133,27 +147,17 @@ def _by_summary(raw: BinaryIO, size: int) -> Contents | None:
     end = size - FOOTER_BYTES
     if not 0 < start <= end:
         return None
-    contents = Contents()
-    chunks: list[tuple[_Place, int, int]] = []
     raw.seek(start)
-    for kind, content in _records_of(raw.read(end - start)):
-        contents.add_record(kind, content)
-        if kind == _CHUNK_INDEX:
-            chunk_start, chunk_length = struct.unpack_from("<QQ", content, 16)
-            (offsets,) = struct.unpack_from("<I", content, 32)
-            (index_length,) = struct.unpack_from("<Q", content, 36 + offsets)
-            compression, at = _text(content, 44 + offsets)
-            (packed,) = struct.unpack_from("<Q", content, at)
-            if chunk_start + chunk_length + index_length > size:
-                raise DamagedChunkError("the index of a chunk lies outside of the file")
-            data_start = chunk_start + PREFIX.size + _CHUNK_HEAD.size + 4 + len(compression) + 8
-            place = (data_start, packed, codec_number(compression))
-            chunks.append((place, chunk_start + chunk_length, index_length))
-    if not contents.channels or not chunks or not all(length for *_, length in chunks):
+    contents, chunks = read_summary(raw.read(end - start))
+    indexes = [(each.start + each.length, each.start + each.length + each.index_length) for each in chunks]
+    if any(index_end > size for _, index_end in indexes):
+        raise DamagedChunkError("the index of a chunk lies outside of the file")
+    if not contents.channels or not chunks or not all(each.index_length for each in chunks):
         return None
-    storage.want(raw, [(index_start, index_start + index_length) for _, index_start, index_length in chunks])
-    for place, index_start, index_length in chunks:
-        _read_message_index(raw, place, index_start, index_length, contents)
+    storage.want(raw, indexes)
+    for each, (index_start, _) in zip(chunks, indexes, strict=True):
+        raw.seek(index_start)
+        _read_message_index(raw.read(each.index_length), each.place, contents)
     return contents
 
 
@@ -168,8 +172,8 @@ def _records_of(summary: bytes) -> Iterator[tuple[int, bytes]]:
         at += length
 
 
-def read_summary(summary: bytes) -> tuple[Contents, list[tuple[int, int, frozenset[int]]]]:
-    """Return the channels that a summary names, and where each chunk begins, its length, and its channels.
+def read_summary(summary: bytes) -> tuple[Contents, list[ChunkEntry]]:
+    """Return the channels that a summary names, and what it says of each chunk.
 
     Raises
     ------
@@ -183,25 +187,24 @@ def read_summary(summary: bytes) -> tuple[Contents, list[tuple[int, int, frozens
             start, length = struct.unpack_from("<QQ", content, 16)
             (offsets,) = struct.unpack_from("<I", content, 32)
             pairs = struct.iter_unpack("<HQ", content[36 : 36 + offsets])
-            chunks.append((start, length, frozenset(channel for channel, _ in pairs)))
+            (index_length,) = struct.unpack_from("<Q", content, 36 + offsets)
+            compression, at = _text(content, 44 + offsets)
+            (packed,) = struct.unpack_from("<Q", content, at)
+            data_start = start + PREFIX.size + _CHUNK_HEAD.size + 4 + len(compression) + 8
+            place = (data_start, packed, codec_number(compression))
+            chunks.append(ChunkEntry(start, length, index_length, place, frozenset(channel for channel, _ in pairs)))
     return contents, chunks
 
 
-def _read_message_index(raw: BinaryIO, place: _Place, start: int, length: int, contents: Contents) -> None:
+def _read_message_index(records: bytes, place: _Place, contents: Contents) -> None:
     """Read which messages a chunk holds, from the records that follow it."""
-    raw.seek(start)
-    records = raw.read(length)
-    at = 0
-    while at < len(records):
-        kind, size = PREFIX.unpack_from(records, at)
-        at += PREFIX.size
+    for kind, content in _records_of(records):
         if kind == _MESSAGE_INDEX:
-            channel, entries = struct.unpack_from("<HI", records, at)
-            pairs = np.frombuffer(records, "<u8", entries // 16 * 2, at + 6).reshape(-1, 2).astype(np.int64)
+            channel, entries = struct.unpack_from("<HI", content)
+            pairs = np.frombuffer(content, "<u8", entries // 16 * 2, 6).reshape(-1, 2).astype(np.int64)
             rows = np.empty((len(pairs), 5), dtype=np.int64)
             rows[:, 0], rows[:, 1:4], rows[:, 4] = pairs[:, 0], place, pairs[:, 1]
             contents.add_messages(channel, rows)
-        at += size
 
 
 def chunk_place(raw: BinaryIO) -> tuple[_Place, int]:

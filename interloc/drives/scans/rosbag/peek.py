@@ -129,7 +129,7 @@ def _peek_mcap(pieces: Pieces) -> tuple[BagPeek, list[_Scan]]:
     found = BagPeek()
     scans = []
     for number, (topic, schema, encoding) in contents.channels.items():
-        first = next(((at, at + length) for at, length, channels in chunks if number in channels), None)
+        first = next(((each.start, each.start + each.length) for each in chunks if number in each.channels), None)
         if first is None:
             continue
         type_ = ros2_spelling(contents.schemas.get(schema, ("", False))[0])
@@ -164,7 +164,7 @@ def _peek_ros1(pieces: Pieces, head: bytes) -> tuple[BagPeek, list[_Scan]]:
     chunks: dict[int, set[int]] = {}
     for fields, data, _ in _records(pieces.read(index, pieces.size - index, ahead=_TAIL_BYTES)):
         if fields["op"] == b"\x07":
-            about = dict(_fields(data))
+            about = ros1.fields_of(data)
             (number,) = struct.unpack("<I", fields["conn"])
             types[number] = fields["topic"].decode(), ros2_spelling(about["type"].decode())
         elif fields["op"] == b"\x06":
@@ -191,7 +191,7 @@ def _messages_of_ros1(chunk: bytes, channel: int) -> Iterator[bytes]:
     (unpacked,) = struct.unpack("<I", fields["size"])
     while stream.position < unpacked:
         (length,) = struct.unpack("<I", stream.exactly(4))
-        own = dict(_fields(stream.exactly(length)))
+        own = ros1.fields_of(stream.exactly(length))
         (size,) = struct.unpack("<I", stream.exactly(4))
         end = stream.position + size
         if own["op"] == b"\x02" and struct.unpack("<I", own["conn"])[0] == channel:
@@ -230,16 +230,7 @@ def _records(data: bytes) -> Iterator[tuple[dict[str, bytes], bytes, int]]:
     while at + 4 <= len(data):
         (length,) = struct.unpack_from("<I", data, at)
         start = at + 4 + length + 4
-        fields = dict(_fields(data[at + 4 : at + 4 + length]))
+        fields = ros1.fields_of(data[at + 4 : at + 4 + length])
         (size,) = struct.unpack_from("<I", data, start - 4)
         yield fields, data[start : start + size], start
         at = start + size
-
-
-def _fields(header: bytes) -> Iterator[tuple[str, bytes]]:
-    at = 0
-    while at + 4 <= len(header):
-        (size,) = struct.unpack_from("<I", header, at)
-        name, _, value = header[at + 4 : at + 4 + size].partition(b"=")
-        yield name.decode(), value
-        at += 4 + size

@@ -16,7 +16,7 @@ from interloc.drives.scans.rosbag.index import MAX_MESSAGES, BagIndex, Channel, 
 
 MAGIC = b"#ROSBAG V2.0\n"
 
-_MESSAGE, _CONNECTION = 2, 7
+_MESSAGE, _CONNECTION = b"\x02", b"\x07"
 
 
 def index_ros1(file: SourceFile) -> BagIndex:
@@ -98,7 +98,7 @@ def _message(stream: ChunkStream, limit: int) -> bytes:
     # Records of connections may stand before the message.
     for _ in range(1000):
         header = stream.exactly(_uint32(stream))
-        kind = _operation(header)
+        kind = fields_of(header).get("op")
         size = _uint32(stream)
         if kind == _MESSAGE:
             return stream.message(size, limit)
@@ -112,13 +112,12 @@ def _uint32(stream: ChunkStream) -> int:
     return int(struct.unpack("<I", stream.exactly(4))[0])
 
 
-def _operation(header: bytes) -> int:
-    """Return the kind of a record from its header, a list of name=value with their sizes."""
-    at = 0
+def fields_of(header: bytes) -> dict[str, bytes]:
+    """Return the fields of a record from its header, a list of name=value with their sizes."""
+    fields, at = {}, 0
     while at + 4 <= len(header):
         (size,) = struct.unpack_from("<I", header, at)
-        field = header[at + 4 : at + 4 + size]
-        if field.startswith(b"op=") and len(field) == 4:
-            return field[3]
+        name, _, value = header[at + 4 : at + 4 + size].partition(b"=")
+        fields[name.decode(errors="replace")] = value
         at += 4 + size
-    return -1
+    return fields
