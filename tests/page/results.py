@@ -102,10 +102,14 @@ def run_street(server: ServerProcess, folder: Path, **request: Any) -> str:
     return str(job)
 
 
-_GO = """(hash) => location.hash.slice(1) === hash || new Promise((done) => {
-  addEventListener("popstate", () => done(), { once: true });  // after what the page does then
-  location.hash = hash;
-})"""
+_GO = """(hash) => {
+  for (const dialog of document.querySelectorAll("dialog")) dialog.close();  // of the test before
+  if (location.hash.slice(1) === hash) return null;
+  return new Promise((done) => {
+    addEventListener("popstate", () => done(), { once: true });  // after what the page does then
+    location.hash = hash;
+  });
+}"""
 
 
 def visit(page: Any, address: str, fields: str = "") -> None:
