@@ -122,20 +122,20 @@ def _ends(
 ) -> list[_Node]:
     """Return where a dual carriageway ends: at the best-known road that crosses all of its carriageways near by."""
     reach = branches.inner + separation
-    crossed: list[tuple[float, int, list[FloatArray]]] = []
-    for number, stem in enumerate(stems):
+    crossed: list[tuple[_Axis, list[FloatArray]]] = []
+    for stem in stems:
         met = [half.meets(stem, angle_rad) for half in halves]
         places = [place for place in met if place is not None and math.dist(place, branches.candidate) < reach]
         if len(places) == len(halves):
-            (branch,) = stem.branches
-            crossed.append((branches.lines["weight"][branch], -number, places))
+            crossed.append((stem, places))
     if not crossed:
         return []
-    _, across, places = max(crossed, key=lambda each: each[:2])
-    members = [half.branches | stems[-across].branches for half in halves]
-    for stem in stems[:-across] + stems[1 - across :]:
-        nearest = min(range(len(places)), key=lambda number: math.dist(places[number], stem.point))
-        members[nearest] |= stem.branches
+    across, places = max(crossed, key=lambda each: branches.lines["weight"][min(each[0].branches)])
+    members = [half.branches | across.branches for half in halves]
+    for stem in stems:
+        if stem is not across:
+            nearest = min(range(len(places)), key=lambda number: math.dist(places[number], stem.point))
+            members[nearest] |= stem.branches
     return list(zip(places, members, strict=True))
 
 

@@ -15,13 +15,12 @@ from interloc.arrays import FloatArray, Record, StructuredArray, UInt64Array
 from interloc.kernels import compiled
 
 RING_M, RING_PX = 0.64, 4.0  # from one place of an axis to the next; and no less, however coarse the grid is
-SLACK_M, SLACK_PX = 0.24, 1.5  # what an edge may leave the place by where it belongs, and the axis in a ring
+SLACK_M, SLACK_PX = 0.24, 1.5  # what an edge, an axis in a ring, or a straight branch (root mean square) may lie off by
 SLACK_SHARE = 0.08  # of a half width: the same for wide roads
 ARM_QUANTILE, LINK_QUANTILE = 0.5, 0.25  # of the half widths along a branch: what its own half width is
 MIN_PARALLEL = 0.5  # a branch with less of it between parallel sides is taken as it is
 SPAN = 6  # rings that tell a direction or a width
-REACH = 4  # rings before and behind one that show the direction of its road
-MAX_MISSES = 4  # rings without an edge that it crosses straight on
+GAP = 4  # rings over which a road is taken for straight: before and behind one, and where no edge is found
 UNSEEN_SHARE = 0.6  # of a half width that may be missing at an edge that was not seen
 LASTING_RAD = math.radians(110.0)  # a corner between two roads at this angle is short
 
@@ -84,7 +83,7 @@ def move_from_unseen_edges(axis: StructuredArray, words: UInt64Array, against: U
 def _direction_at(axis: StructuredArray, i: int) -> tuple[float, float]:
     """Return the direction of an axis at one of its places, outwards, by those around it."""
     first, last = i, i
-    for k in range(max(i - REACH, 0), min(i + REACH + 1, axis.size)):
+    for k in range(max(i - GAP, 0), min(i + GAP + 1, axis.size)):
         if axis[k].n > 0.0:
             first, last = min(first, k), k
     row, col = axis[last].row - axis[first].row, axis[last].col - axis[first].col
@@ -128,7 +127,7 @@ def follow_edge(
             shift = toward * ((left if toward > 0.0 else right) - half)
             if toward * shift <= slack:
                 misses = 0
-        if misses > MAX_MISSES:
+        if misses > GAP:
             break
         shift = 0.0 if misses else min(max(shift, -slack), slack)
         trail[i] = r - shift * u_col, c + shift * u_row

@@ -16,13 +16,12 @@ import numpy as np
 
 from interloc.arrays import FloatArray, Record, StructuredArray, UInt64Array
 from interloc.detection.edges import edges_across
+from interloc.detection.lines import LEADS_ON_COS
 from interloc.kernels import compiled
 
-LEADS_ON_COS = math.cos(math.radians(135.0))  # of the angles between the stem of a fork and each of its arms
 ARM_BEGIN = 0.5  # radii of the inner circle from the candidate outwards: from there on the line of an arm is its axis
 BEHIND = 2.0  # half widths by which the stem is looked at beyond the inner circle
 REACH = 4.0  # half widths within which an edge is looked for
-MAX_MISFIT = 0.5  # of a half width: what an edge in the wrong place counts at most, as where a car is parked
 
 
 @compiled
@@ -98,7 +97,7 @@ def _on_line(line: Record, candidate: FloatArray, away: float) -> tuple[float, f
 
 @compiled
 def _misfit(edges: FloatArray, place: int, half: float, arms: FloatArray) -> float:
-    """Return by how much the edges lie off if the road parts at a place, summed along the stem.
+    """Return by how much the edges lie off if the road parts at a place, each by a half width at most, along the stem.
 
     ``edges`` are the distances from the axis of the stem to the left and the right edge, inwards pixel by pixel. A row
     of ``arms`` holds where its line begins, along that axis and to the left of it, its slope, and its half width.
@@ -117,5 +116,5 @@ def _misfit(edges: FloatArray, place: int, half: float, arms: FloatArray) -> flo
             if s > place or tangent < 0.0:
                 right = max(right, across - axis)
         left, right = min(left, REACH * half), min(right, REACH * half)
-        total += min(abs(edges[s, 0] - left), MAX_MISFIT * half) + min(abs(edges[s, 1] - right), MAX_MISFIT * half)
+        total += min(abs(edges[s, 0] - left), half) + min(abs(edges[s, 1] - right), half)
     return total

@@ -46,13 +46,11 @@ from interloc.kernels.bits import NOWHERE, nearest_clear
 
 GRID_PX = 0.4  # scatter that the grid gives to the centerline of an ideal road
 PIXEL_PX = 0.1  # how well the line of an ideal road is known
-STRAIGHT_M = 0.2  # root mean square distance between branch and line at which the branch counts as bent
 MIN_FIT_M = 3.0  # a line fitted to less would point anywhere
-INNER_RINGS = 40  # rings that an axis is followed inwards at most, within the inner circle
 SIDE_BY_SIDE_RAD = math.radians(10.0)  # between two roads that do not meet there: two carriageways
 PARTING_SIN = 0.25  # of half an angle between roads: below 29 degrees they part no farther out
 LEAN = 4.0  # by how much a line errs in direction more than its scatter tells
-THROUGH_COS = math.cos(math.radians(140.0))  # between branches of a through road that may bend
+LEADS_ON_COS = math.cos(math.radians(135.0))  # between branches that lead on from each other, though the road bends
 
 
 LINE = np.dtype(
@@ -91,11 +89,11 @@ is_parallel : bool
 """
 
 # Named tuples would stand in the files of compiled code by the name of their class, which may change; these do not.
-_FIT = "row col width inner length shortest trim bent max_half_width ring slack straight square"
+_FIT = "row col width inner length shortest trim max_half_width ring slack straight square"
 FIT = np.dtype([(name, np.float64) for name in _FIT.split()])
 """Row and column of a candidate, width and inner radius there, the settings `fit_length_m`, `fit_least_m` and `stop_m`,
-`STRAIGHT_M`, half of the widest road that is measured, and lengths of `interloc.detection.edges`; pixels.
-`straight_deg` and `square_std_deg`, radians."""
+half of the widest road that is measured, and lengths of `interloc.detection.edges`; pixels. `straight_deg` and
+`square_std_deg`, radians."""
 
 
 def through_start_and_mean(pieces: Pieces) -> StructuredArray:
@@ -132,7 +130,7 @@ def least_squares(
         Set where other ground was seen; None where that is not known: then every edge counts as seen.
     """
     pixel_m = centerline.resolution_m
-    lengths_m = config.fit_length_m, config.fit_least_m, config.stop_m, STRAIGHT_M
+    lengths_m = config.fit_length_m, config.fit_least_m, config.stop_m
     lengths = (length_m / pixel_m for length_m in lengths_m)
     angles = (math.radians(angle_deg) for angle_deg in (config.straight_deg, config.square_std_deg or 0.0))
     steps = max(RING_M / pixel_m, RING_PX), max(SLACK_M / pixel_m, SLACK_PX)
@@ -174,13 +172,13 @@ def fit_lines(
         Of the road, and of the other ground that was seen, or `NOWHERE`.
     """
     lines = np.zeros(pieces.size, LINE)
-    n_rings = max(1, int(fit.length / fit.ring))
-    axes = np.zeros((pieces.size, INNER_RINGS + n_rings), PLACE)
+    inside, n_rings = int(fit.inner / fit.ring) + 1, max(1, int(fit.length / fit.ring))
+    axes = np.zeros((pieces.size, inside + n_rings), PLACE)
     for i in range(pieces.size):
         main = traced[pieces[i].begin : pieces[i].end][is_main[pieces[i].begin : pieces[i].end]]
-        _sample(axes[i, INNER_RINGS:], pixels, main, words, fit)
+        _sample(axes[i, inside:], pixels, main, words, fit)
         parting = int(max(_parting(pieces, i, fit) - fit.inner, 0.0) / fit.ring)
-        begin = INNER_RINGS + min(parting, n_rings - 1)
+        begin = inside + min(parting, n_rings - 1)
         moved, trial = axes[i].copy(), np.zeros(1, LINE)
         variance = _fit_between_edges(lines[i], axes[i], begin, pieces[i].at_candidate, fit)
         if move_from_unseen_edges(moved, words, against, fit):
@@ -286,7 +284,7 @@ def _fit_straight_part(line: Record, axis: StructuredArray, begin: int, fit: Rec
         angle = 0.5 * math.atan2(2.0 * vrc, vrr - vcc)
         d_row, d_col = math.cos(angle), math.sin(angle)
         rms = math.sqrt(max(vrr * d_col * d_col - 2.0 * vrc * d_row * d_col + vcc * d_row * d_row, 0.0))
-        if rms > fit.bent and length > fit.shortest:
+        if rms > fit.slack and length > fit.shortest:
             break
         variance = _variance(_scatter(rms), row * d_row + col * d_col, length) / min(length, 0.5 * fit.length)
         if length > fit.shortest and variance > least:
@@ -356,7 +354,7 @@ def _square_stems(lines: StructuredArray, scatters: FloatArray, fit: Record) -> 
             alike = lines[i].direction[0] * lines[j].direction[0] + lines[i].direction[1] * lines[j].direction[1]
             if variances[i] + variances[j] < np.inf and alike < -math.cos(fit.straight):
                 leads_on[i] = leads_on[j] = True
-            if variances[i] + variances[j] < least and alike < THROUGH_COS:
+            if variances[i] + variances[j] < least and alike < LEADS_ON_COS:
                 one, other, least = i, j, variances[i] + variances[j]
     row, col = lines[one].direction
     if other >= 0:
@@ -367,7 +365,7 @@ def _square_stems(lines: StructuredArray, scatters: FloatArray, fit: Record) -> 
             continue
         angle = math.atan2(lines[i].direction[0], lines[i].direction[1])
         off = (angle - road) % np.pi - 0.5 * np.pi  # from the right angle
-        if abs(off) < 0.25 * np.pi:
+        if math.cos(off) > -LEADS_ON_COS:
             prior = fit.square**2 * (1.0 + (off / fit.straight) ** 2) ** 2
             angle -= off * variances[i] / (variances[i] + prior)
             lines[i].direction[0], lines[i].direction[1] = math.sin(angle), math.cos(angle)

@@ -19,7 +19,6 @@ from interloc.kernels.bits import NOWHERE
 # less than this share of their number: a fan of lines within about 10 degrees.
 PARALLEL = math.sin(math.radians(10.0)) ** 2 / 2
 
-ACUTE_SIN = 0.1  # of half an angle between roads: below 12 degrees the candidate is known no worse
 FORK_SHARE = 0.75  # of the weight of the candidate: what the place of a fork has along its stem
 ROUNDS = 4  # the weights of the lines are those at the point of the round before
 TOLERANCE = 1.6  # radii of the inner circle that a line may pass the point at before it counts a quarter
@@ -174,5 +173,5 @@ def _acute_angle(lines: StructuredArray) -> tuple[tuple[float, float], float]:
                     cosine = alike
                     row, col = d_row + o_row, d_col + o_col
     half, norm = 0.5 * math.acos(min(cosine, 1.0)), math.hypot(row, col)
-    spread = max(1.0, math.sin(math.pi / 4) / max(math.sin(half), ACUTE_SIN))
+    spread = max(1.0, math.sin(math.pi / 4) / math.sin(half))
     return (row / norm, col / norm), spread**-4

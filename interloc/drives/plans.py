@@ -20,14 +20,14 @@ MAX_TURN_RAD = np.radians(75.0)
 MIN_CELLS = 60
 """Of a plan that can be laid onto another."""
 
-_CELL_M, _SIZE = 1.0, 160
+_CELL_M = 1.0
 _REACH = int(MAX_SHIFT_M / _CELL_M)
 _TURN_STEP_RAD = np.radians(3.0)
 _PLAN_M, _NEAREST_M = 0.5, 2.5
 _UPRIGHT_M = 0.4
 _UPRIGHT_RANGE_M, _EDGE_RANGE_M = 55.0, 26.0
 _KEY = 1 << 12
-_FINE_M, _FINE_SIZE, _FAR_M = 0.25, 480, 2.0
+_FINE_M, _WINDOW_M, _FAR_M = 0.25, 60.0, 2.0
 
 
 def upright_plan(xyz: Float32Array | FloatArray) -> FloatArray:
@@ -76,29 +76,32 @@ class PlanMatch:
     @classmethod
     def of(cls, target: FloatArray, source: FloatArray) -> PlanMatch:
         """Lay (M, 2) cells of a source onto those of a target."""
-        image = _drawn(target)
+        turns = np.arange(-MAX_TURN_RAD, MAX_TURN_RAD + 1e-6, _TURN_STEP_RAD)
+        shifts = np.arange(-_REACH, _REACH + 1)
+        is_near = np.hypot(shifts[:, None], shifts[None]) <= _REACH
+        size = _size_for(target, source)
+        (image,) = _drawn(target[None], size)
         image = np.maximum(image, np.float32(0.5) * cv2.dilate(image, np.ones((3, 3), np.uint8)))
         spectrum = cv2.dft(np.roll(image, (_REACH, _REACH), axis=(0, 1)))  # the first shift is that of -40 m
-        shifts = np.arange(-_REACH, _REACH + 1)
-        is_far = np.hypot(shifts[:, None], shifts[None]) > _REACH
         found: list[tuple[float, int, float]] = []
-        for turn in np.arange(-MAX_TURN_RAD, MAX_TURN_RAD + 1e-6, _TURN_STEP_RAD).tolist():
-            turned = _drawn(rotate_2d(source, turn))
-            product = cv2.mulSpectrums(spectrum, cv2.dft(turned), 0, conjB=True)
-            laid = cv2.idft(product, flags=cv2.DFT_SCALE)
-            halves = np.rint(2.0 * laid[: len(shifts), : len(shifts)])  # a sum of halves: the transform is nearly exact
-            halves[is_far] = 0.0
+        turned = _drawn(rotate_2d(source, turns[:, None]), size)
+        counts = np.maximum(np.count_nonzero(turned, axis=(1, 2)), 1)
+        for turn, each, count in zip(turns.tolist(), turned, counts.tolist(), strict=True):
+            product = cv2.mulSpectrums(spectrum, cv2.dft(each), 0, conjB=True)
+            laid = cv2.idft(product, flags=cv2.DFT_SCALE)[: len(shifts), : len(shifts)]
+            halves = np.rint(2.0 * laid) * is_near  # a sum of halves, which the transform gives nearly exactly
             best = int(np.argmax(halves))
-            found.append((float(halves.flat[best]) / max(1.0, 2.0 * float(turned.sum())), best, turn))
+            found.append((float(halves.flat[best]) / (2 * count), best, turn))
         share, best, turn = max(found, key=lambda each: each[0])
         row, column = divmod(best, len(shifts))
         return cls(target, source, share, np.array([shifts[row] * _CELL_M, shifts[column] * _CELL_M, turn]))
 
     @cached_property
     def _distance_m(self) -> Float32Array:
-        """How far each place is from the nearest cell of the target, up to 2 m."""
-        free: UInt8Array = np.ones((_FINE_SIZE, _FINE_SIZE), dtype=np.uint8)
-        at = np.rint(self.target / _FINE_M).astype(np.int64) + _FINE_SIZE // 2
+        """How far each place is from the nearest cell of the target, up to 2 m, which it is at the border."""
+        half = int((np.abs(self.target).max(initial=0.0) + _FAR_M) / _FINE_M) + 2
+        free: UInt8Array = np.ones((2 * half + 1, 2 * half + 1), dtype=np.uint8)
+        at = np.rint(self.target / _FINE_M).astype(np.int64) + half
         free[at[:, 0], at[:, 1]] = 0
         distance_m: Float32Array = (_FINE_M * cv2.distanceTransform(free, cv2.DIST_L2, 5)).astype(np.float32)
         distance_m[distance_m > _FAR_M] = _FAR_M
@@ -119,9 +122,10 @@ class PlanMatch:
         """
         known = np.isfinite(motions).all(axis=1)
         moved = rotate_2d(self.source, motions[known, 2:]) + motions[known, None, :2]
-        at = np.rint(moved / _FINE_M).astype(np.int64) + _FINE_SIZE // 2
-        inside = ((at >= 0) & (at < _FINE_SIZE)).all(axis=2)
-        at[~inside] = 0
+        at = np.rint(moved / _FINE_M).astype(np.int64)
+        inside = ((at >= -_WINDOW_M / _FINE_M) & (at < _WINDOW_M / _FINE_M)).all(axis=2)
+        half = len(self._distance_m) // 2
+        at = np.clip(at, -half, half) + half
         sums = np.where(inside, self._distance_m[at[..., 0], at[..., 1]], 0.0).sum(axis=1)
         counts = np.count_nonzero(inside, axis=1)
         off_m: FloatArray = np.full(len(motions), np.nan)
@@ -134,10 +138,15 @@ class PlanMatch:
         return float(self.off_m(self.motion[None])[0])
 
 
-def _drawn(cells: FloatArray) -> Float32Array:
-    """Draw (M, 2) cells, metres, around the middle of an image."""
-    image: Float32Array = np.zeros((_SIZE, _SIZE), dtype=np.float32)
-    at = np.floor(cells / _CELL_M).astype(np.int64) + _SIZE // 2
-    at = at[((at >= 0) & (at < _SIZE)).all(axis=1)]
-    image[at[:, 0], at[:, 1]] = 1.0
-    return image
+def _size_for(target: FloatArray, source: FloatArray) -> int:
+    """Return the side of images that hold both, however they are turned, and in which no shift wraps around."""
+    far, near = sorted(int(np.hypot(*each.T).max(initial=0.0) / _CELL_M) + 1 for each in (target, source))[::-1]
+    return cv2.getOptimalDFTSize(max(far + near + _REACH, 2 * max(far, _REACH)) + 2)
+
+
+def _drawn(cells: FloatArray, size: int) -> Float32Array:
+    """Draw (K, M, 2) cells, metres, each M around the middle of an image of so many cells: (K, size, size)."""
+    images: Float32Array = np.zeros((len(cells), size, size), dtype=np.float32)
+    at = np.floor(cells / _CELL_M).astype(np.int64) + size // 2
+    images[np.arange(len(cells))[:, None], at[..., 0], at[..., 1]] = 1.0
+    return images

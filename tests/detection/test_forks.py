@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from interloc.arrays import FloatArray, UInt8Array
 from interloc.detection.branches import Branches
-from interloc.detection.forks import MAX_MISFIT, REACH, _misfit, find_fork
+from interloc.detection.forks import REACH, _misfit, find_fork
 from interloc.detection.refinement import refine
 from tests.detection.test_refinement import branches
 from tests.images import binary_image
@@ -125,7 +125,7 @@ def plain_misfit(edges: FloatArray, place: int, half: float, arms: FloatArray) -
         )
         reached.append(np.column_stack([left, right]))
     off = np.abs(edges - np.minimum(np.max(reached, axis=0), REACH * half))
-    return float(np.minimum(off, MAX_MISFIT * half).sum())
+    return float(np.minimum(off, half).sum())
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(0, 79), st.integers(2, 4))

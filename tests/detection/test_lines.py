@@ -15,13 +15,12 @@ from interloc.arrays import StructuredArray, UInt8Array
 from interloc.detection.centerline import Centerline
 from interloc.detection.edges import RING_PX, SLACK_PX
 from interloc.detection.image import BinaryImage
-from interloc.detection.lines import FIT, INNER_RINGS, LINE, _scatters, _square_stems, fit_lines
+from interloc.detection.lines import FIT, LINE, _scatters, _square_stems, fit_lines
 from interloc.kernels.bits import NOWHERE
 from interloc.kernels.skeleton import trace_branches
 from interloc.kernels.thinning import thin
 from tests.images import binary_image
 
-STEPS_PX = RING_PX, SLACK_PX
 ANGLES_RAD = math.radians(25.0), math.radians(7.0)  # within which a road is straight; of square stems
 
 
@@ -33,7 +32,7 @@ def fit(
     inner: float = 10.0,
     length: float = 99.0,
     shortest: float = 99.0,
-    bent: float = 1.0,
+    slack: float = SLACK_PX,
     trim: float = 0.0,
 ) -> StructuredArray:
     """Fit a line to each branch of a candidate, from its inner circle 60 pixels far; all lengths are pixels."""
@@ -41,7 +40,7 @@ def fit(
     traced, is_main, pieces = trace_branches(
         line.rows, line.cols, line.neighbours, place, np.empty((0, 2)), inner, 60.0, 5.0
     )
-    given = np.array((*place, width, inner, length, shortest, trim, bent, 99.0, *STEPS_PX, *ANGLES_RAD), FIT)[()]
+    given = np.array((*place, width, inner, length, shortest, trim, 99.0, RING_PX, slack, *ANGLES_RAD), FIT)[()]
     no_surface = np.zeros_like(image.words)  # so there are no edges to follow
     return fit_lines(given, line.pixels, traced, is_main, pieces, no_surface, NOWHERE)
 
@@ -81,7 +80,7 @@ def test_line_is_fitted_as_far_as_the_branch_is_straight() -> None:
     image[np.arange(80, 100), np.arange(149, 129, -1)] = 1  # turns off by 45 degrees 30 pixels from the candidate
     packed = binary_image(image)
     (whole,) = fit(packed, (100, 100))
-    (straight,) = fit(packed, (100, 100), shortest=8.0, bent=0.3)
+    (straight,) = fit(packed, (100, 100), shortest=8.0, slack=0.3)
     assert abs(whole["direction"][0]) > 0.3
     assert abs(straight["direction"][0]) < 0.05
     assert straight["rms"] <= 0.3
@@ -94,7 +93,7 @@ def test_line_is_fitted_to_the_least_length_however_bent() -> None:
     image[np.round(60 + 40 * np.cos(angles)).astype(int), np.round(100 + 40 * np.sin(angles)).astype(int)] = 1
     packed = binary_image(image)
     thin(packed.words)
-    (row,) = fit(packed, (100, 100), shortest=24.0, bent=0.1)
+    (row,) = fit(packed, (100, 100), shortest=24.0, slack=0.1)
     assert row["rms"] > 0.1
     assert row["length"] == pytest.approx(24, abs=RING_PX)
 
@@ -120,12 +119,13 @@ def test_roads_side_by_side_begin_at_the_inner_circle() -> None:
         image[100 + sense * diagonal, 100 + diagonal] = 1
         image[row, 115:190] = 1
     carriageways = fit(binary_image(image), (100, 100), inner=25.0, width=40.0)
-    assert carriageways["first"].tolist() == [INNER_RINGS] * 2
+    at_inner_circle = int(25.0 / RING_PX) + 1
+    assert carriageways["first"].tolist() == [at_inner_circle] * 2
     for row in range(115, 190):  # the lower one turns away by 20 degrees, so that they come from one place
         image[115, row] = 0
         image[115 + round(0.36 * (row - 115)), row] = 1
     fork = fit(binary_image(image), (100, 100), inner=25.0, width=40.0)
-    assert fork["first"].min() > INNER_RINGS + 2
+    assert fork["first"].min() > at_inner_circle + 2
 
 
 def test_longer_line_weighs_more() -> None:
@@ -277,7 +277,7 @@ def line_of_road(road: UInt8Array, other: UInt8Array | None) -> StructuredArray:
     traced, is_main, pieces = trace_branches(
         line.rows, line.cols, line.neighbours, place, np.empty((0, 2)), 10.0, 150.0, 5.0
     )
-    given = np.array((*place, 21.0, 10.0, 140.0, 75.0, 0.0, 1.25, 99.0, *STEPS_PX, *ANGLES_RAD), FIT)[()]
+    given = np.array((*place, 21.0, 10.0, 140.0, 75.0, 0.0, 99.0, RING_PX, SLACK_PX, *ANGLES_RAD), FIT)[()]
     against = NOWHERE if other is None else binary_image(other).words
     (row,) = fit_lines(given, line.pixels, traced, is_main, pieces, surface.words, against)
     return row
