@@ -8,20 +8,22 @@ from typing import Any
 import pytest
 
 from tests.app.processes import API, wait_until
+from tests.app.street import write_street
 from tests.page.browsers import SIZE, Watch, needs_page
-from tests.page.results import Done, Scored, address_of, visit
+from tests.page.results import Done, address_of, run_street, visit
 from tests.page.test_accessibility import check_widths, tab
 
 __all__ = ["tab"]
 
 pytestmark = needs_page
 
-AGAIN = "other map"
+AGAIN = "street again"
 
 
 @pytest.fixture(scope="module")
-def city(done: Done, scored: Scored) -> dict[str, Any]:
+def city(done: Done, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     """The map of the server: the street twice, compared with a map that has one of its crossings 10 m to the east."""
+    run_street(done.server, write_street(tmp_path_factory.mktemp("city") / AGAIN, 62))
     osm = re.sub(r'(<node id="[789]" .*lon=)"([^"]*)"', _move, (done.short / "map.osm").read_text())
     done.server.client.put(f"{API}/maps/default/osm/town.osm", content=osm).raise_for_status()
 
