@@ -6,13 +6,11 @@ import html
 import io
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from interloc.arrays import FloatArray
-from interloc.files import atomic_write
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -117,12 +115,6 @@ def image(figure: Figure, kind: ImageFormat, *, dpi: int = 150) -> bytes:
             canvas.print_png(buffer, metadata={"Software": None})
     figure.set_layout_engine("none")  # it stays as it was laid out: a second format takes half the time
     return buffer.getvalue()
-
-
-def write_image(path: Path, content: bytes) -> None:
-    """Write an image file, whole or not at all."""
-    with atomic_write(path) as handle:
-        handle.write(content)
 
 
 @dataclass(frozen=True)

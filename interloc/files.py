@@ -62,6 +62,12 @@ def atomic_write(path: Path) -> Iterator[BinaryIO]:
         raise
 
 
+def write_file(path: Path, content: bytes | str) -> None:
+    """Write a file, whole or not at all: `atomic_write` of all that is in it."""
+    with atomic_write(path) as handle:
+        handle.write(content.encode() if isinstance(content, str) else content)
+
+
 @contextmanager
 def atomic_folder(out: Path, *, marker: str, names: Collection[str] = ()) -> Iterator[Path]:
     """Build a folder that takes its name only once it is complete.

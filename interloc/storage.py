@@ -31,7 +31,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, TypeVar, cast
 
 from interloc.errors import ConfigError, DriveError, NetworkError, OutputError, install
-from interloc.files import atomic_write
+from interloc.files import write_file
 
 SCHEMES = ("s3", "gs", "az", "https")
 MAX_OBJECTS = 1_000_000
@@ -315,8 +315,7 @@ class LaidOut:
                 raise DriveError(f"{bucket.url} holds {path!r} as an object and as the prefix of others.") from None
         root.mkdir(parents=True, exist_ok=True)
         noted = {"bucket": bucket.url, "objects": {path: asdict(each) for path, each in objects.items()}}
-        with atomic_write(root / _LAID_OUT) as file:
-            file.write(json.dumps(noted).encode())
+        write_file(root / _LAID_OUT, json.dumps(noted))
         return _laid_out(str(root))
 
     def _object(self, path: Path) -> StoredObject | None:

@@ -13,8 +13,8 @@ from interloc.simulate.drive import simulate
 from interloc.simulate.town import Town
 from tests.once import once
 
-SCANS = 70
-"""Keyframes, 150 m: as far as behind the first two junctions, after 45 of them."""
+SCANS = 60
+"""Keyframes, 130 m: as far as behind the first two junctions, after 45 of them."""
 
 
 def write_town(root: Path) -> None:

@@ -11,14 +11,18 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from sqlalchemy import URL, Connection, ExceptionContext, create_engine, event, make_url, text
+from alembic import command
+from alembic.config import Config
+from alembic.util.exc import CommandError
+from sqlalchemy import URL, Connection, ExceptionContext, create_engine, event, inspect, make_url, text
 from sqlalchemy.exc import ArgumentError, DBAPIError, OperationalError
 from sqlalchemy.exc import TimeoutError as WaitedTooLong
 from sqlalchemy.orm import Session, sessionmaker
 
-from app.store.tables import bring_up_to_date
+from app.store.models import Base
 from interloc.errors import ConfigError, InterLocError
 
+_MIGRATIONS = Path(__file__).parent / "migrations"
 _UPGRADE_LOCK = 0x1E7E210C  # any number: PostgreSQL's advisory lock of servers that start together
 _UPGRADE_PATIENCE_S = 60  # of a server that starts while another one still brings the tables up to date
 _CONNECT_TIMEOUT_S = 10
@@ -152,7 +156,7 @@ class Database:
             session.execute(text("SELECT pg_advisory_xact_lock(hashtext(:owner))"), {"owner": owner})
 
     def upgrade(self, then: Callable[[Session], None] | None = None) -> None:
-        """Bring the tables up to date; servers that start together do it one after the other.
+        """Bring the tables up to date (Alembic); servers that start together do it one after the other.
 
         Parameters
         ----------
@@ -166,18 +170,33 @@ class Database:
         """
         shown = self.url.render_as_string(hide_password=True)
         try:
-            with self.engine.connect().execution_options(writes=True) as connection, connection.begin():
-                if not self.is_sqlite:
-                    connection.execute(text(f"SET LOCAL lock_timeout = '{_UPGRADE_PATIENCE_S}s'"))
-                    connection.execute(text(f"SELECT pg_advisory_xact_lock({_UPGRADE_LOCK})"))
-                bring_up_to_date(connection, shown)
-                if then is not None:
-                    with Session(connection) as session:
-                        then(session)
-                        session.flush()
+            self._upgrade(then)
+        except CommandError as error:
+            raise InterLocError(
+                f"the database {shown} was made by a newer version of InterLoc ({error}); "
+                "install that version, or use another data folder"
+            ) from error
         except DBAPIError as error:
             reason = " ".join(str(error.orig).split())
             raise InterLocError(f"the database {shown} cannot be reached or brought up to date: {reason}") from error
+
+    def _upgrade(self, then: Callable[[Session], None] | None) -> None:
+        with self.engine.connect().execution_options(writes=True) as connection, connection.begin():
+            if not self.is_sqlite:
+                connection.execute(text(f"SET LOCAL lock_timeout = '{_UPGRADE_PATIENCE_S}s'"))
+                connection.execute(text(f"SELECT pg_advisory_xact_lock({_UPGRADE_LOCK})"))
+            config = Config()
+            config.set_main_option("script_location", str(_MIGRATIONS))
+            config.attributes["connection"] = connection
+            if set(inspect(connection).get_table_names()).isdisjoint(Base.metadata.tables):
+                Base.metadata.create_all(connection)  # what the migrations end at, in a quarter of the time
+                command.stamp(config, "head")
+            else:
+                command.upgrade(config, "head")
+            if then is not None:
+                with Session(connection) as session:
+                    then(session)
+                    session.flush()
 
     def close(self) -> None:
         """Close the connections."""

@@ -21,7 +21,7 @@ from interloc.drives.open import open_drive
 from interloc.drives.options import DriveOptions, LabelFolder
 from interloc.errors import ConfigError, DriveError, GeoreferenceError, MapError
 from interloc.evaluation.published import SEQUENCES
-from interloc.files import atomic_write
+from interloc.files import write_file
 from interloc.osm.container import MAP_ENDINGS
 from interloc.processes import Progress
 
@@ -213,8 +213,7 @@ class TwinCase:
         if known != now:
             (path / TWIN_FACTS).unlink(missing_ok=True)
             self._simulate(path, progress)
-            with atomic_write(path / TWIN_FACTS) as handle:  # last: a folder that has it is complete
-                handle.write(json.dumps({"fingerprint": now}).encode())
+            write_file(path / TWIN_FACTS, json.dumps({"fingerprint": now}))  # last: a folder that has it is complete
         return path
 
     def _simulate(self, path: Path, progress: Progress | None) -> None:

@@ -14,10 +14,10 @@ import numpy as np
 
 from interloc.arrays import FloatArray
 from interloc.benchmark.cases import TwinCase
-from interloc.drawing import BLUE, FAINT, MUTED, VERMILION, image, new_figure, write_image
+from interloc.drawing import BLUE, FAINT, MUTED, VERMILION, image, new_figure
 from interloc.drive import Drive
 from interloc.errors import GeoreferenceError
-from interloc.files import atomic_write
+from interloc.files import write_file
 from interloc.geometry import enu_from_lonlat, wrap_angle, yaw_of
 from interloc.localization.locate import Found, SearchedMap, decide_by, find_places, georeference_by
 from interloc.localization.roads import road_map
@@ -273,12 +273,10 @@ def locating_figure(rows: list[LocateRow]) -> Figure:
 def write_locating(rows: list[LocateRow], out: Path) -> None:
     """Write OUT/locate.json, OUT/locate.md and, where there are pieces, OUT/locate.svg."""
     out.mkdir(parents=True, exist_ok=True)
-    with atomic_write(out / "locate.json") as file:
-        file.write(json.dumps([asdict(row) for row in rows], indent=1).encode())
-    with atomic_write(out / "locate.md") as file:
-        file.write(table_of(rows).encode() + b"\n")
+    write_file(out / "locate.json", json.dumps([asdict(row) for row in rows], indent=1))
+    write_file(out / "locate.md", table_of(rows) + "\n")
     if any(row.what == "piece" for row in rows):
-        write_image(out / "locate.svg", image(locating_figure(rows), "svg"))
+        write_file(out / "locate.svg", image(locating_figure(rows), "svg"))
 
 
 def _by_length(rows: list[LocateRow]) -> Iterator[tuple[str, list[LocateRow]]]:

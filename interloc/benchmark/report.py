@@ -14,14 +14,14 @@ from interloc.benchmark.metrics import METRICS, Estimate, map_outcomes
 from interloc.benchmark.row import Row
 from interloc.benchmark.run import Benchmark
 from interloc.benchmark.tables import ALL, NO_NOISE, Measured, Table, ours, performance_table, tables, text
-from interloc.drawing import image, write_image
+from interloc.drawing import image
 from interloc.evaluation.published import AVERAGE, COMPARISON, LABEL_ERRORS, PERFORMANCE
 from interloc.evaluation.reasons import KINDS
 from interloc.evaluation.reliability import bins_of
 from interloc.evaluation.report import data_address, make_folder, template
-from interloc.files import atomic_write
+from interloc.files import write_file
 from interloc.output.credits import Credit, joint_credit, map_credit
-from interloc.output.geojson import encode, rounded
+from interloc.output.geojson import encode, rounded, write_record
 from interloc.pipeline import versions
 
 _MEANINGS = {str(kind): meaning for kind, meaning in KINDS.items()}
@@ -128,12 +128,11 @@ def write_benchmark(benchmark: Benchmark, measured: Measured, out: Path) -> None
     pictures, maps = _write_figures(measured, out / "figures")
     make_folder(out / "failures")
     for row in measured.rows:
-        with atomic_write(out / "failures" / f"{row.cell.file_name}.json") as handle:
-            record = {**row.cell.model_dump(), "policy": row.policy}
-            if row.cell.noise != NO_NOISE:
-                record["note"] = "`see` draws the frame without the label errors"
-            record |= {**row.failures, **map_credit(is_made_up=row.picture.is_made_up).members}
-            handle.write(encode(record, indent=1).encode() + b"\n")
+        record = {**row.cell.model_dump(), "policy": row.policy}
+        if row.cell.noise != NO_NOISE:
+            record["note"] = "`see` draws the frame without the label errors"
+        record |= {**row.failures, **map_credit(is_made_up=row.picture.is_made_up).members}
+        write_file(out / "failures" / f"{row.cell.file_name}.json", encode(record, indent=1) + "\n")
     record = benchmark_record(benchmark, measured)
     *results, reliability = tables(measured)
     page = template("benchmark.html", "interloc.benchmark").render(
@@ -152,12 +151,9 @@ def write_benchmark(benchmark: Benchmark, measured: Measured, out: Path) -> None
         configs=[(name, json.dumps(config, indent=2)) for name, config in record["config"].items()],
         versions=", ".join(f"{name} {version}" for name, version in record["versions"].items()),
     )
-    with atomic_write(out / PAGE) as handle:
-        handle.write(page.encode())
-    with atomic_write(out / "benchmark.txt") as handle:
-        handle.write(("\n\n".join(map(text, tables(measured))) + "\n").encode())
-    with atomic_write(out / "benchmark.json") as handle:  # last: whoever waits for it finds the rest
-        handle.write(encode(record, indent=2).encode() + b"\n")
+    write_file(out / PAGE, page)
+    write_file(out / "benchmark.txt", "\n\n".join(map(text, tables(measured))) + "\n")
+    write_record(out / "benchmark.json", record)  # last: whoever waits for it finds the rest
 
 
 def kinds_table(measured: Measured) -> Table:
@@ -235,8 +231,8 @@ def _write_figures(measured: Measured, folder: Path) -> tuple[dict[str, str], li
         figures["noise"] = noise_figure(measured)
     for name, figure in figures.items():
         svg = image(figure, "svg")
-        write_image(folder / f"{name}.svg", svg)
-        write_image(folder / f"{name}.png", image(figure, "png"))
+        write_file(folder / f"{name}.svg", svg)
+        write_file(folder / f"{name}.png", image(figure, "png"))
         pictures[name] = data_address(svg, "image/svg+xml")
     maps = []
     for drive in measured.drives:
@@ -244,7 +240,7 @@ def _write_figures(measured: Measured, folder: Path) -> tuple[dict[str, str], li
         for preset in measured.presets:
             row = measured.of(preset=preset, noise=measured.noises[0], drive=drive)[0]
             png = image(map_figure(row.picture), "png", dpi=120)
-            write_image(folder / f"map_{row.cell.file_name}.png", png)
+            write_file(folder / f"map_{row.cell.file_name}.png", png)
             shown.append({"preset": ours(preset), "picture": data_address(png, "image/png")})
         maps.append({"name": drive, "maps": shown})
     return pictures, maps

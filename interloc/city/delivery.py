@@ -19,7 +19,7 @@ from interloc.city.audit import Audit, Finding, subclass_of
 from interloc.city.citymap import CityMap
 from interloc.city.picture import picture_of
 from interloc.city.settings import AuditConfig, Kind
-from interloc.files import atomic_folder, atomic_write
+from interloc.files import atomic_folder, write_file
 from interloc.output.credits import Credit, map_credit
 from interloc.output.geojson import encode, positions, read_json, write_collection
 from interloc.output.layers import CITY_LAYERS
@@ -92,12 +92,12 @@ def write_audit(
             AUDIT_FILE: encode(audit_record(found, config, source), indent=2) + "\n",
         }
         for name, text in texts.items():
-            with atomic_write(new / name) as file:
-                file.write(text.encode())
+            write_file(new / name, text)
         (new / PICTURES).mkdir()
         for each in found.findings[:MAX_TASKS]:
-            with atomic_write(new / PICTURES / f"{each.id}.png") as file:
-                file.write(picture_of(city, each.xy, each.drives, each.evidence.get("node_xy")))
+            write_file(
+                new / PICTURES / f"{each.id}.png", picture_of(city, each.xy, each.drives, each.evidence.get("node_xy"))
+            )
 
 
 def audit_record(found: Audit, config: AuditConfig, source: str) -> dict[str, Any]:

@@ -32,9 +32,9 @@ from interloc.city.passes import Pass
 from interloc.city.roads import fuse_roads
 from interloc.city.settings import CityConfig
 from interloc.errors import DamagedResultError, OutputError
-from interloc.files import atomic_folder, atomic_write
+from interloc.files import atomic_folder, write_file
 from interloc.geometry import thin
-from interloc.output.geojson import bearings, encode, positions, read_json, write_collection
+from interloc.output.geojson import bearings, positions, read_json, write_collection, write_record
 from interloc.output.layers import CITY_LAYERS
 from interloc.results import moment
 
@@ -92,12 +92,10 @@ def write_city(city: CityMap, folder: Path) -> dict[str, list[dict[str, Any]]]:
                 drive.data.write(new / PASSES / there.name)
         content = io.BytesIO()
         np.savez_compressed(content, **_state(city))
-        with atomic_write(new / STATE_FILE) as file:
-            file.write(content.getvalue())
+        write_file(new / STATE_FILE, content.getvalue())
         for name, features in layers.items():
             write_collection(new / f"{name}.geojson", features, local=False)
-        with atomic_write(new / CITY_FILE) as file:
-            file.write(encode(city_record(city), indent=2).encode() + b"\n")
+        write_record(new / CITY_FILE, city_record(city))
     return layers
 
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from interloc.arrays import BoolArray, FloatArray, IntArray
 from interloc.errors import DamagedResultError, GeoreferenceError
-from interloc.files import atomic_write
+from interloc.files import write_file
 from interloc.geometry import enu_from_lonlat
 from interloc.mapping.mosaic import Mosaic, Raster, Tiles
 from interloc.output.geojson import read_json
@@ -143,8 +143,7 @@ class Pass:
             arrays[name] = np.concatenate([np.zeros(0), *arrays[name]])
         content = io.BytesIO()
         np.savez_compressed(content, **arrays)
-        with atomic_write(path) as file:
-            file.write(content.getvalue())
+        write_file(path, content.getvalue())
 
     @classmethod
     def read(cls, path: Path) -> Pass:

@@ -11,7 +11,7 @@ from typing import Any
 
 from interloc.cli.summary import wrong_detections
 from interloc.cli.units import Ended, Unit
-from interloc.files import atomic_write
+from interloc.files import write_file
 from interloc.storage import present
 
 TABLE, PAGE = "batch.csv", "batch.html"
@@ -62,8 +62,7 @@ def write_table(rows: Sequence[dict[str, Any]], out: Path) -> None:
     writer.writerows(rows)
     page = template("batch.html", "interloc.cli").render(rows=rows, has_map=(out / "city" / "city.geojson").is_file())
     for name, content in ((TABLE, text.getvalue()), (PAGE, page)):
-        with atomic_write(out / name) as file:
-            file.write(content.encode())
+        write_file(out / name, content)
 
 
 def _read(path: Path) -> dict[str, Any]:

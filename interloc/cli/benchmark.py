@@ -352,7 +352,7 @@ def ablation(
     from interloc.benchmark.ablation import SETS, ablation_table, taken_out
     from interloc.benchmark.run import Benchmark
     from interloc.benchmark.tables import text
-    from interloc.files import atomic_write
+    from interloc.files import write_file
 
     drives = SETS[part]
     if sequences:
@@ -361,8 +361,7 @@ def ablation(
     cases = drives.cases(kitti, recorded, keep=keep, max_scans=max_scans)
     rows = _run(Benchmark(tuple(cases), tuple(configs)), out, workers=workers, fresh=False)
     table = ablation_table(rows, configs, part)
-    with atomic_write(out / "ablation.txt") as handle:
-        handle.write(f"{text(table)}\n".encode())
+    write_file(out / "ablation.txt", f"{text(table)}\n")
     if console.wants_json():
         console.say_json(asdict(table))
     else:

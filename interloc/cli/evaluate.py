@@ -27,7 +27,7 @@ def command(out: Path, osm: Path | None, overpass: bool, policy: Policy, toleran
     """
     from interloc.evaluation.evaluate import evaluate
     from interloc.evaluation.report import report_record, write_report
-    from interloc.files import atomic_write
+    from interloc.files import write_file
     from interloc.output.layout import RUN_NAMES, result_folder
     from interloc.output.read import read_results
 
@@ -39,8 +39,7 @@ def command(out: Path, osm: Path | None, overpass: bool, policy: Policy, toleran
     evaluation = evaluate(result, graph, policy=policy, tolerance_m=tolerance_m)
     with result_folder(out) as folder:  # the whole new report, or the folder as it was
         for name in filter(lambda name: (out / name).is_file(), RUN_NAMES):
-            with atomic_write(folder / name) as file:
-                file.write((out / name).read_bytes())
+            write_file(folder / name, (out / name).read_bytes())
         write_report(evaluation, folder)
     report = report_record(evaluation)
     console.say(report, summary.report_facts(report, out))

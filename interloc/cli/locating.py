@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from interloc.cli import console, options
+from interloc.files import write_file
 
 if TYPE_CHECKING:
     from interloc.config import DetectorConfig
@@ -137,11 +138,11 @@ def location_facts(location: Location) -> list[tuple[str, str]]:
 
 def write_figure(location: Location, graph: RoadGraph, drive: str, path: Path) -> None:
     """Draw a location into a .png or .svg file."""
-    from interloc.drawing import image, write_image
+    from interloc.drawing import image
     from interloc.localization.figures import location_figure
 
     figure = location_figure(location, graph, drive)
-    write_image(path, image(figure, "svg" if path.suffix.lower() == ".svg" else "png"))
+    write_file(path, image(figure, "svg" if path.suffix.lower() == ".svg" else "png"))
 
 
 def median(values: Any) -> float:

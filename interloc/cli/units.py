@@ -26,7 +26,7 @@ import click
 
 from interloc import storage
 from interloc.errors import ConfigError, InterLocError
-from interloc.files import atomic_write
+from interloc.files import write_file
 
 if TYPE_CHECKING:
     from app.jobs.executors import WorkExecutor
@@ -142,8 +142,7 @@ class Records:
         if ended.content is not None:
             _unpack(ended.content, self.out / unit.name)
             ended = replace(ended, content=None)
-        with atomic_write(self._folder / f"{unit.name}.json") as file:
-            file.write(json.dumps({"unit": identity, "ended": asdict(ended)}, indent=1).encode())
+        write_file(self._folder / f"{unit.name}.json", json.dumps({"unit": identity, "ended": asdict(ended)}, indent=1))
         self.send(unit.name, f"{RECORDS}/{unit.name}.json")
         return ended
 

@@ -12,7 +12,7 @@ from interloc.drawing import image
 from interloc.errors import ConfigError
 from interloc.evaluation.metrics import STANDARD_THRESHOLD_M
 from interloc.evaluation.report import data_address, template, threshold_name
-from interloc.files import atomic_write
+from interloc.files import write_file
 from interloc.output.layout import refuse_result_file, settings_of
 
 _STANDARD = threshold_name(STANDARD_THRESHOLD_M)
@@ -101,8 +101,7 @@ def write_comparison(comparison: Mapping[str, Any], reports: Sequence[Mapping[st
             comparison=comparison, drive=reports[0]["drive"], picture=picture, made_up=made_up
         )
         content = page.encode()
-    with atomic_write(out) as file:
-        file.write(content)
+    write_file(out, content)
 
 
 def differing_inputs(runs: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:

@@ -14,14 +14,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from interloc.drawing import entitle, image, new_figure, quiet, series_style, write_image
+from interloc.drawing import entitle, image, new_figure, quiet, series_style
 from interloc.errors import ConfigError, OutputError
 from interloc.evaluation.evaluate import Evaluation
 from interloc.evaluation.metrics import NEAR_PAIR_M, STANDARD_THRESHOLD_M
 from interloc.evaluation.published import LABEL_ERRORS
 from interloc.evaluation.report import data_address, make_folder, report_record, template
-from interloc.files import atomic_write
-from interloc.output.geojson import encode, rounded
+from interloc.files import write_file
+from interloc.output.geojson import rounded, write_record
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -147,23 +147,21 @@ def write_label_errors(levels: Sequence[tuple[str, Evaluation]], out_dir: Path) 
     figure = label_error_figure(levels)
     make_folder(out_dir / "figures")
     svg = image(figure, "svg")
-    write_image(out_dir / "figures" / "robustness.png", image(figure, "png"))
-    write_image(out_dir / "figures" / "robustness.svg", svg)
+    write_file(out_dir / "figures" / "robustness.png", image(figure, "png"))
+    write_file(out_dir / "figures" / "robustness.svg", svg)
     first = levels[0][1]
     picture = data_address(svg, "image/svg+xml")
     page = template("robustness.html").render(
         rows=rows, picture=picture, record=report_record(first), standard=f"{STANDARD_THRESHOLD_M:g}\N{NO-BREAK SPACE}m"
     )
-    with atomic_write(out_dir / "robustness.html") as handle:
-        handle.write(page.encode())
+    write_file(out_dir / "robustness.html", page)
     record = {
         "drive": first.drive,
         "policy": first.nodes.policy,
         "threshold_m": STANDARD_THRESHOLD_M,
         "levels": [_record(row, evaluation) for row, (_, evaluation) in zip(rows, levels, strict=True)],
     }
-    with atomic_write(out_dir / "robustness.json") as handle:
-        handle.write(encode(record, indent=2).encode() + b"\n")
+    write_record(out_dir / "robustness.json", record)
 
 
 def _record(row: LabelErrorRow, evaluation: Evaluation) -> dict[str, object]:

@@ -15,7 +15,7 @@ import numpy as np
 
 from interloc.arrays import FloatArray, IntArray
 from interloc.config import flatten
-from interloc.drawing import image, write_image
+from interloc.drawing import image
 from interloc.errors import OutputError
 from interloc.evaluation.coverage import track_bounds
 from interloc.evaluation.evaluate import Evaluation
@@ -23,10 +23,10 @@ from interloc.evaluation.metrics import NEAR_PAIR_M, STANDARD_THRESHOLD_M
 from interloc.evaluation.reasons import KINDS
 from interloc.evaluation.reliability import map_std_m
 from interloc.evaluation.roads import BUFFER_M
-from interloc.files import atomic_write, reason_of
+from interloc.files import reason_of, write_file
 from interloc.osm.policies import POLICIES
 from interloc.output.credits import map_credit
-from interloc.output.geojson import DEGREE_DECIMALS, METRE_DECIMALS, encode, positions, rounded, write_collection
+from interloc.output.geojson import DEGREE_DECIMALS, METRE_DECIMALS, positions, rounded, write_collection, write_record
 from interloc.output.layers import BUILDINGS, LAYERS
 from interloc.output.layout import FIGURES, RUN_SETTINGS, settings_of
 from interloc.output.osm_roads import building_features, road_features
@@ -73,10 +73,8 @@ def write_report(evaluation: Evaluation, out_dir: str | os.PathLike[str], *, res
         credit = LAYERS[layer].credit(features, made_up_map=graph.is_made_up)
         write_collection(out_dir / f"{layer}.geojson", features, local=False, credit=credit, origin=origin)
     record = report_record(evaluation)
-    with atomic_write(out_dir / "report.html") as handle:
-        handle.write(render_html(record, result, pictures).encode())
-    with atomic_write(out_dir / "report.json") as handle:  # last: where it is, the rest is complete
-        handle.write(encode(record, indent=2).encode() + b"\n")
+    write_file(out_dir / "report.html", render_html(record, result, pictures))
+    write_record(out_dir / "report.json", record)  # last: where it is, the rest is complete
 
 
 def render_html(record: dict[str, Any], result: DriveResult, pictures: dict[str, str]) -> str:
@@ -167,8 +165,8 @@ def _write_figures(evaluation: Evaluation, result: DriveResult, folder: Path) ->
         ("thresholds", threshold_figure(evaluation)),
     ):
         png, svg = image(figure, "png"), image(figure, "svg")
-        write_image(folder / f"{name}.png", png)
-        write_image(folder / f"{name}.svg", svg)
+        write_file(folder / f"{name}.png", png)
+        write_file(folder / f"{name}.svg", svg)
         # Thousands of marks are smaller and faster as pixels; curves are sharper as curves.
         pictures[name] = data_address(png, "image/png") if name == "map" else data_address(svg, "image/svg+xml")
     return pictures

@@ -11,13 +11,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from interloc.config import DetectorConfig
-from interloc.drawing import INK, MUTED, PAPER, entitle, image, new_figure, write_image
+from interloc.drawing import INK, MUTED, PAPER, entitle, image, new_figure
 from interloc.drive import Drive
 from interloc.explain import steps
 from interloc.explain.canvas import PX_PER_M, Canvas, Square
 from interloc.explain.evidence import ExplainedKeyframe, GroundTruth, gather, ground_truth
 from interloc.explain.record import record
-from interloc.files import atomic_folder, atomic_write
+from interloc.files import atomic_folder, atomic_write, write_file
 from interloc.osm.graph import RoadGraph
 from interloc.osm.policies import Policy
 
@@ -129,8 +129,8 @@ def explain(
     with atomic_folder(out, marker=RECORD) as folder:
         for step in STEPS:
             sheet = refinement_sheet if step is STEPS[-1] and explained.kept else step_sheet
-            write_image(folder / step.file, image(sheet(step, explained, truth), "png", dpi=_DPI))
-        write_image(folder / OVERVIEW, image(overview(explained, truth), "png", dpi=_DPI))
+            write_file(folder / step.file, image(sheet(step, explained, truth), "png", dpi=_DPI))
+        write_file(folder / OVERVIEW, image(overview(explained, truth), "png", dpi=_DPI))
         with atomic_write(folder / RECORD) as handle:
             text = json.dumps(record(explained, drive.name, truth), indent=2, allow_nan=False)
             handle.write(f"{text}\n".encode())

@@ -20,7 +20,7 @@ import numpy as np
 
 from interloc.arrays import FloatArray
 from interloc.errors import DamagedResultError
-from interloc.files import atomic_write, reason_of
+from interloc.files import atomic_write, reason_of, write_file
 from interloc.output.credits import OWN_CREDIT, Credit
 from interloc.results import DriveResult
 
@@ -117,6 +117,11 @@ def encode(value: object, *, indent: int | None = None) -> str:
     """Return JSON text; a NaN that got this far is a bug and raises ValueError."""
     separators = (",", ":") if indent is None else None
     return json.dumps(value, allow_nan=False, ensure_ascii=False, separators=separators, indent=indent)
+
+
+def write_record(path: Path, record: Mapping[str, Any]) -> None:
+    """Write a JSON object that people may read, whole or not at all."""
+    write_file(path, encode(record, indent=2) + "\n")
 
 
 def box_around(geometries: Iterable[dict[str, Any] | None], *, local: bool = False) -> list[float] | None:

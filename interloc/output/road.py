@@ -15,7 +15,7 @@ import numpy as np
 
 from interloc.arrays import FloatArray, UInt8Array
 from interloc.errors import ConfigError, DamagedResultError
-from interloc.files import atomic_write
+from interloc.files import write_file
 from interloc.mapping.mosaic import TILE, Mosaic, Raster, build_mosaic
 from interloc.output.geojson import read_json
 from interloc.output.layout import ROAD_FILE, RUN_FILE, refuse_result_file
@@ -62,8 +62,7 @@ def write_road(mosaic: Mosaic, path: Path) -> None:
         if mosaic.other is not None:
             _write_page(tiff, mosaic.other, mosaic.epsg, _OTHER_DESCRIPTION)
     _share_empty_tile(content)
-    with atomic_write(path) as file:
-        file.write(content.getvalue())
+    write_file(path, content.getvalue())
 
 
 def _write_page(tiff: Any, raster: Raster, epsg: int | None, description: str) -> None:  # noqa: ANN401 - a TiffWriter
@@ -173,8 +172,7 @@ def export_road(result: Path, out: Path) -> None:
             f"{result} has no {ROAD_FILE}: no road was seen, or an older version wrote it. "
             "Run `interloc detect` on the drive again."
         )
-    with atomic_write(out) as file:
-        file.write(source.read_bytes())
+    write_file(out, source.read_bytes())
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from interloc.errors import GeoreferenceError
-from interloc.files import atomic_write
+from interloc.files import write_file
 from interloc.output.lanelet2 import lanelet2_map
 from interloc.output.nav2 import nav2_graph
 from interloc.output.opendrive import opendrive_map
@@ -54,5 +54,4 @@ def write_road_file(result: Path, out: Path) -> None:
             f"georeference. {PLACE_IT}, or write a .xodr or .nav2.geojson, in metres."
         )
     content = ROAD_FORMATS[ending](roads(run), run.drive)
-    with atomic_write(out) as file:
-        file.write(content)
+    write_file(out, content)

@@ -21,7 +21,7 @@ from tempfile import TemporaryDirectory
 from typing import Any, Literal, NamedTuple
 
 from interloc.errors import ConfigError, GeoreferenceError, OutputError
-from interloc.files import atomic_write, reason_of
+from interloc.files import atomic_write, reason_of, write_file
 from interloc.output.derived import derive
 from interloc.output.geojson import cut, read_file, read_json, write_collection
 from interloc.output.geopackage import add_road, describe
@@ -122,8 +122,7 @@ def write_live_project(result: Path, out: Path, source_of: Callable[[Layer], Sou
         `result` is not a result folder, or `out` could not be written.
     """
     layers = [(EXPORTS[name], _read(result, name)) for name in _choose(result, None, ".qgz")]
-    with atomic_write(out) as file:
-        file.write(project(layers, _name_of(result), source_of).encode())
+    write_file(out, project(layers, _name_of(result), source_of))
 
 
 def _read(result: Path, name: str) -> Rows:
@@ -160,8 +159,7 @@ class _Export(NamedTuple):
         return _name_of(self.result)
 
     def save(self, content: bytes) -> None:
-        with atomic_write(self.out) as file:
-            file.write(content)
+        write_file(self.out, content)
 
 
 def _write_database(export: _Export) -> None:

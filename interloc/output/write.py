@@ -13,9 +13,9 @@ from pydantic_core import to_jsonable_python
 
 from interloc.arrays import FloatArray
 from interloc.errors import OutputError
-from interloc.files import atomic_write, reason_of
+from interloc.files import reason_of
 from interloc.geometry import bearing_deg, thin
-from interloc.output.geojson import bearings, encode, positions, write_collection
+from interloc.output.geojson import bearings, positions, write_collection, write_record
 from interloc.output.layers import LAYERS, PLACES
 from interloc.output.layout import (
     FIGURES,
@@ -95,8 +95,7 @@ def write_results(result: DriveResult, folder: str | os.PathLike[str]) -> RoadNe
     own = (FORMAT, FORMAT_VERSION, result.drive, result.is_georeferenced, files, first, last)
     facts = to_jsonable_python(result.run, inf_nan_mode="null", fallback=_as_number_or_text)
     run = dict(zip(RUN_KEYS, own, strict=True)) | {k: v for k, v in facts.items() if k not in RUN_KEYS}
-    with atomic_write(folder / RUN_FILE) as handle:
-        handle.write(encode(run, indent=2).encode() + b"\n")
+    write_record(folder / RUN_FILE, run)
     return network
 
 

@@ -67,7 +67,7 @@ def row() -> Callable[..., Row]:
 
 @pytest.fixture(scope="session")
 def town(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The first 150 m of the plain part of the made-up town, with map.osm. Shared: do not change it."""
+    """The first 130 m of the plain part of the made-up town, with map.osm. Shared: do not change it."""
     return town_drive(tmp_path_factory)
 
 

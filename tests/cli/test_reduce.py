@@ -11,8 +11,10 @@ from typing import Any
 import pytest
 
 from interloc.config import DEFAULT
+from interloc.drives.label_errors import MislabelledDrive
 from interloc.drives.open import open_drive
 from interloc.explain.evidence import gather
+from interloc.pipeline import detect
 from interloc.simulate.config import LidarConfig, SimulationOptions
 from interloc.simulate.drive import simulate
 from interloc.simulate.town import Town
@@ -93,8 +95,8 @@ def test_a_drive_without_georeference(assert_same: Callable[..., None], local_dr
 
 
 def test_real_scans_of_kitti_360(assert_same: Callable[..., None], data: Callable[[str], Path], tmp_path: Path) -> None:
-    assert_same(data("kitti360_0009"), None, labels="predictions")
-    assert size_of(tmp_path / "reduced") < size_of(data("kitti360_0009")) / 5
+    assert_same(data("kitti360_0009"), None, reading=("--frames", ":20"), labels="predictions")
+    assert size_of(tmp_path / "reduced") < size_of(data("kitti360_0009")) * 20 / 50 / 4
 
 
 def test_real_scans_of_semantickitti(assert_same: Callable[..., None], data: Callable[[str], Path]) -> None:
@@ -124,7 +126,7 @@ def test_what_it_says(interloc: Callable, drive: Path, tmp_path: Path) -> None:
     assert not (tmp_path / "out").exists()
 
 
-def test_the_other_commands_read_it(interloc: Callable, drive: Path, osm: Path, tmp_path: Path) -> None:
+def test_the_other_commands_read_it(interloc: Callable, drive: Path, tmp_path: Path) -> None:
     small = tmp_path / "small"
     facts = interloc("reduce", drive, "-o", small, "--json").json
     assert (facts["kept_scans"], facts["keyframes"]) == (53, {"distance_m": 2.0, "angle_deg": 5.0})
@@ -137,11 +139,9 @@ def test_the_other_commands_read_it(interloc: Callable, drive: Path, osm: Path, 
     assert len(drawn) > 7
     shown = [pickle.dumps(gather(open_drive(source), 100, DEFAULT)) for source in (drive, small)]
     assert shown[0] == shown[1]  # all that the pictures show
-    tables = []
-    for source in (drive, small):
-        arguments = ("robustness", source, "-o", tmp_path / f"noise_{source.name}", "--osm", osm, "--json")
-        tables.append(interloc(*arguments, "--levels", "20/20").json)
-    assert tables[0] == tables[1]
+    noisy = [detect(MislabelledDrive(open_drive(source), 0.2, 0.2, 0)).detections for source in (drive, small)]
+    assert len(noisy[0]) > 20
+    assert noisy[0].world_xy.tobytes() == noisy[1].world_xy.tobytes()
 
 
 def test_bad_input_is_told_in_a_line(interloc: Callable, drive: Path, short_drive: Path, tmp_path: Path) -> None:

@@ -9,6 +9,8 @@ from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
+from alembic import command
+from alembic.config import Config
 from sqlalchemy import inspect, select, text
 
 from app.context import Context, open_database
@@ -17,13 +19,13 @@ from app.drives.records import create_drive
 from app.drives.upload import keep
 from app.http.intake import Intake
 from app.settings import Settings
+from app.store import database as database_module
 from app.store.database import Database
 from app.store.installation import InstallationError, id_of_database, id_of_folder
 from app.store.models import Drive, Installation
 from app.upkeep.cleanup import sweep
 from interloc.cli.main import run
 from tests import forks
-from tests.app.store.first_version import go_back
 from tests.app.upkeep.test_cleanup import make_old
 
 
@@ -162,7 +164,11 @@ def older_version(data: Path, url: str | None = None) -> str:
     """Make a service as versions left it that knew no ids; returns the id of its drive."""
     drive = fill(data, url)
     database = Database(settings(data, url).sqlalchemy_url)
-    go_back(database)
+    config = Config()
+    config.set_main_option("script_location", str(Path(database_module.__file__).parent / "migrations"))
+    with database.engine.connect().execution_options(writes=True) as connection, connection.begin():
+        config.attributes["connection"] = connection
+        command.downgrade(config, "0001")
     database.close()
     (data / "installation").unlink()
     return drive
@@ -232,7 +238,7 @@ def starts(data: Path, url: str) -> bool:
 
 def test_services_that_start_together_on_one_folder_do_not_both_get_it(tmp_path: Path) -> None:
     urls = [sqlite(tmp_path / f"{number}.sqlite3") for number in range(6)]
-    with ProcessPoolExecutor(3, mp_context=forks.context) as pool:
+    with ProcessPoolExecutor(3, mp_context=forks.context) as pool:  # Alembic has one state for a process
         assert sum(pool.map(starts, [tmp_path / "data"] * 6, urls)) == 1
 
 

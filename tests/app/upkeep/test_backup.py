@@ -19,7 +19,9 @@ from typing import Any, Self
 
 import httpx
 import pytest
-from sqlalchemy import select, text
+from alembic import command
+from alembic.config import Config
+from sqlalchemy import inspect, select, text
 
 from app.context import RESTORING, Context
 from app.drives.archive import queue_archive
@@ -28,6 +30,7 @@ from app.drives.models import CommitRequest
 from app.http.intake import Arrival
 from app.jobs import queue
 from app.settings import Settings
+from app.store import database as database_module
 from app.store.database import Database
 from app.store.models import Base, Delivery, Drive, FeatureChunk, FeatureColumn, Job
 from app.trash.deletion import empty_trash, list_trash
@@ -38,7 +41,6 @@ from interloc.errors import ConfigError, InterLocError, OutputError
 from tests import forks
 from tests.app.conftest import client_of, running_server
 from tests.app.processes import API, NO_TLS, archive_of, ended, files_below, submit, upload, wait_until
-from tests.app.store.first_version import go_back
 from tests.app.street import write_street
 
 SCANS = 40
@@ -330,15 +332,15 @@ class Load:
             put(client, drive, path, content)
             self._acknowledged.setdefault(drive, {})[path] = hashlib.sha256(content).hexdigest()
         client.post(f"{API}/drives/{drive}/commit", headers={"Prefer": "wait=60"}).raise_for_status()
-        submit(client, drive)
+        submit(client, drive, osm={"file": "map.osm"})
 
 
-def test_backups_under_load_hold_all_that_was_acknowledged_before(tmp_path: Path) -> None:
-    data, street = tmp_path / "data", write_street(tmp_path / "street", 20)
+def test_backups_under_load_hold_all_that_was_acknowledged_before(street: Path, tmp_path: Path) -> None:
+    data = tmp_path / "data"
     known = []
     with running_server(data) as address, Load(address, street) as load:
         for number in range(3):
-            known.append(load.wait_for(50 * (number + 1)))
+            known.append(load.wait_for(100 * (number + 1)))
             assert make_backup(data, tmp_path / f"backup{number}").faults == []
     files = DRIVE_TABLES[1].c
     for number, acknowledged in enumerate(known):
@@ -471,10 +473,16 @@ def test_a_database_that_is_refused_keeps_its_tables(data: Path, tmp_path: Path)
     make_backup(data, tmp_path / "backup")
     url = f"sqlite:///{tmp_path / 'older.sqlite3'}"
     older = Database(url)
-    older.upgrade()
-    with older.writing() as session:
-        session.add(Drive(id="d", name="d", owner="o", created_at=1.0, touched_at=1.0))
-    go_back(older)
+    with older.engine.connect().execution_options(writes=True) as connection, connection.begin():
+        config = Config()
+        config.set_main_option("script_location", str(database_module._MIGRATIONS))
+        config.attributes["connection"] = connection
+        command.upgrade(config, "0001")
+        row = {"id": "d", "name": "d", "owner": "o", "state": "uploading", "created_at": 1, "touched_at": 1}
+        columns = {each["name"] for each in inspect(connection).get_columns("drives") if not each["nullable"]}
+        row |= dict.fromkeys(columns - row.keys(), 0)
+        names, places = ", ".join(row), ", ".join(f":{name}" for name in row)
+        connection.execute(text(f"INSERT INTO drives ({names}) VALUES ({places})"), row)  # noqa: S608
     older.close()
     before = tables_of(tmp_path / "older.sqlite3")
     with pytest.raises(ConfigError, match="is not empty: it holds 1 drives"):
@@ -524,7 +532,11 @@ def test_the_backup_of_an_earlier_version_is_restored(data: Path, tmp_path: Path
     out = tmp_path / "backup"
     make_backup(data, out)
     database = Database(f"sqlite:///{out / DATABASE}")
-    go_back(database)
+    with database.engine.connect().execution_options(writes=True) as connection, connection.begin():
+        config = Config()
+        config.set_main_option("script_location", str(Path(database_module.__file__).parent / "migrations"))
+        config.attributes["connection"] = connection
+        command.downgrade(config, "0001")
     database.close()
     before = (out / DATABASE).read_bytes()
     restored = restore_to(tmp_path / "restored", out)
