@@ -40,6 +40,7 @@ from tests.app.processes import (
     wait_until,
 )
 from tests.app.street import write_street
+from tests.once import once
 
 LAYERS = ("detections", "intersections", "keyframes", "trajectory")
 SCANS = 40
@@ -56,19 +57,23 @@ class Drive:
     expected: dict[str, Any]
 
 
-def make_drive(root: Path, scans: int, *, scored: bool = False) -> Drive:
+def make_drive(root: Path, scans: int, *, scored: bool = False) -> None:
     street, small, out = write_street(root / "raw" / "street", scans), root / "street", root / "result"
     reduce_drive(street, small, keyframes=None)
     shutil.copy(street / "map.osm", small)
     command = ["run", "--osm", str(small / "map.osm")] if scored else ["detect"]
     assert run([*command, str(small), "-o", str(out), "--quiet"]) == 0
-    return Drive(small, {layer: json.loads((out / f"{layer}.geojson").read_text())["features"] for layer in LAYERS})
+
+
+def read_drive(root: Path) -> Drive:
+    found = {layer: json.loads((root / f"result/{layer}.geojson").read_text())["features"] for layer in LAYERS}
+    return Drive(root / "street", found)
 
 
 @pytest.fixture(scope="module")
 def drive(tmp_path_factory: pytest.TempPathFactory) -> Drive:
     """A drive of which all keyframes are one range. Shared: do not change it."""
-    return make_drive(tmp_path_factory.mktemp("drives"), SCANS)
+    return read_drive(once(tmp_path_factory, "reduced street", lambda root: make_drive(root, SCANS)))
 
 
 @pytest.fixture
@@ -113,7 +118,8 @@ def test_a_killed_worker_is_replaced_and_its_part_done_again(start: Start, drive
 
 
 def test_a_job_goes_on_where_the_killed_server_left_it(start: Start, tmp_path: Path) -> None:
-    long = make_drive(tmp_path / "long", 380, scored=True)  # two ranges
+    make_drive(tmp_path / "long", 362, scored=True)  # two ranges
+    long = read_drive(tmp_path / "long")
     server = start(workers=1)
     job, gate = standing_job(server, tmp_path / "data", long, frame=300, osm={"file": "map.osm"})
     scratch = tmp_path / "data" / "jobs" / job / "scratch"

@@ -99,16 +99,6 @@ def test_the_same_job_is_not_done_twice(here: Any, street: Path, tmp_path: Path)
     assert here(*push, "--fresh", "--json").json["job"] != first["job"]
 
 
-def test_without_a_georeference_results_are_local(here: Any, street: Path, tmp_path: Path) -> None:
-    drive = Path(shutil.copytree(street, tmp_path / "street"))
-    (drive / "geo.csv").unlink()
-    assert here("detect", drive, "-o", tmp_path / "local").code == 0
-    assert here("push", drive, "--run", "-o", tmp_path / "out").code == 0
-    ours = layers(tmp_path / "local")
-    assert ours.keys() == {f"{layer}.local.json" for layer in LAYERS}
-    assert layers(tmp_path / "out") == ours
-
-
 def test_a_job_that_fails_says_why(here: Any, street: Path, tmp_path: Path) -> None:
     (tmp_path / "broken.osm").write_text("<osm")
     outcome = here("push", street, "--osm", tmp_path / "broken.osm", "--run", "-o", tmp_path / "out")

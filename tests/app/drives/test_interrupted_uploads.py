@@ -38,7 +38,7 @@ from tests.tasks import task_for
 
 ASYNC = {"Prefer": "respond-async"}
 MANY = 6_000  # small files: long enough to be caught in the middle of them
-SCANS = 300
+SCANS = 210
 
 Start = Callable[..., ServerProcess]
 

@@ -1,4 +1,4 @@
-"""Work on a real Dask cluster: a scheduler and two workers, each a process of its own."""
+"""Work on a real Dask cluster: a scheduler and a worker of two threads, each a process of its own."""
 
 from __future__ import annotations
 
@@ -27,13 +27,12 @@ LAYERS = ("detections", "intersections", "keyframes", "trajectory")
 
 @pytest.fixture(scope="module")
 def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    """Address of the scheduler; its workers have nannies, which replace them when they die."""
+    """Address of the scheduler; its worker has a nanny, which replaces it when it dies."""
     folder = tmp_path_factory.mktemp("dask")
     contact = folder / "scheduler.json"
     scheduler = ["scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", str(contact)]
-    two = ["--nworkers", "2", "--nthreads", "1"]
-    workers = ["worker", "--scheduler-file", str(contact), *two, "--no-dashboard"]
-    environment = {**os.environ, "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "0"}  # else four workers die of it
+    workers = ["worker", "--scheduler-file", str(contact), "--nthreads", "2", "--no-dashboard"]
+    environment = {**os.environ, "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "0"}  # else it is tried four times
     with ExitStack() as stack:
 
         def start(arguments: list[str]) -> None:
@@ -49,7 +48,7 @@ def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
         address = json.loads(contact.read_text())["address"]
         start(workers)
         executor = DaskExecutor(address, lambda: None)
-        wait_until(lambda: executor.submit(os.getpid).result(60) and executor.alive == 2, "both workers")
+        wait_until(lambda: executor.submit(os.getpid).result(60) and executor.alive == 2, "the worker")
         executor.stop()
         yield address
 
@@ -100,7 +99,7 @@ def test_a_scheduler_that_was_away_for_long_is_asked_again(cluster: str) -> None
     executor = DaskExecutor(cluster, lambda: None)
     try:
         executor._client.close()  # as it does by itself after ten seconds without the scheduler
-        assert executor.alive  # the workers, but for one that a nanny replaces just now
+        assert executor.alive
         assert executor.submit(os.getpid).result(60) != os.getpid()
     finally:
         executor.stop()

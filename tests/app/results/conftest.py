@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -11,7 +10,6 @@ from typing import Any
 
 import httpx
 import pytest
-from filelock import FileLock
 
 from app.store.database import Database
 from app.store.models import Drive, Job
@@ -25,6 +23,7 @@ from interloc.pipeline import detect
 from interloc.reduction.reduce import reduce_drive
 from tests.app.conftest import client_of
 from tests.app.street import write_street
+from tests.once import once
 
 API = "/api/v1"
 SCANS = 40
@@ -84,19 +83,8 @@ def add_job(database: Database, data_dir: Path, name: str, drive: str, result: P
 
 @pytest.fixture(scope="session")
 def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Result folders: default and paper of a street with its map, plain without, local without georeference.
-
-    The first process of the tests that needs them makes them for all.
-    """
-    place = tmp_path_factory.getbasetemp()
-    if "PYTEST_XDIST_WORKER" in os.environ:
-        place = place.parent
-    root = place / "results"
-    with FileLock(place / "results.lock"):
-        if not (root / "made").exists():
-            make_results(root)
-            (root / "made").touch()
-    return root
+    """Result folders: default and paper of a street with its map, plain without, local without georeference."""
+    return once(tmp_path_factory, "results", make_results)
 
 
 def make_results(root: Path) -> None:

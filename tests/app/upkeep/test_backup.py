@@ -42,6 +42,7 @@ from tests import forks
 from tests.app.conftest import client_of, running_server
 from tests.app.processes import API, NO_TLS, archive_of, ended, files_below, submit, upload, wait_until
 from tests.app.street import write_street
+from tests.once import once
 
 SCANS = 40
 
@@ -55,16 +56,18 @@ def street(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def used(street: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Data folder of a service with a scored job, a drive that keeps its scans, and an upload. Shared."""
-    data = tmp_path_factory.mktemp("used") / "data"
-    with client_of(data) as client:
-        ready = upload(client, street)
-        for osm in ({"file": "map.osm"}, None):
-            assert ended(client, submit(client, ready, osm=osm))["state"] == "successful"
-        upload(client, street, keep_raw=True)
-        begun = new_drive(client)
-        for path in ("poses.txt", "velodyne/000000.bin", "labels/000000.label"):
-            put(client, begun, path, (street / path).read_bytes())
-    return data
+
+    def make(data: Path) -> None:
+        with client_of(data) as client:
+            ready = upload(client, street)
+            for osm in ({"file": "map.osm"}, None):
+                assert ended(client, submit(client, ready, osm=osm))["state"] == "successful"
+            upload(client, street, keep_raw=True)
+            begun = new_drive(client)
+            for path in ("poses.txt", "velodyne/000000.bin", "labels/000000.label"):
+                put(client, begun, path, (street / path).read_bytes())
+
+    return once(tmp_path_factory, "used", make)
 
 
 def copy_of(used: Path, target: Path) -> Path:
