@@ -35,9 +35,7 @@ export class ApiError extends Error {
 
   /** True where the same request may succeed in a moment. */
   get isPassing() {
-    return (
-      this.status === 0 || this.status === 429 || this.status === 502 || this.status === 503 || this.status === 504
-    );
+    return [0, 429, 502, 503, 504].includes(this.status);
   }
 }
 
@@ -98,9 +96,11 @@ export function address(path) {
 export async function sha256(bytes, form) {
   if (!globalThis.crypto?.subtle) return null;
   const hash = new Uint8Array(await crypto.subtle.digest("SHA-256", bytes));
-  if (form === "base64") return btoa(String.fromCharCode(...hash));
-  return [...hash].map((byte) => byte.toString(16).padStart(2, "0")).join("");
+  return form === "base64" ? btoa(String.fromCharCode(...hash)) : hexOf(hash);
 }
+
+/** @param {Uint8Array} bytes */
+const hexOf = (bytes) => [...bytes].map((byte) => byte.toString(16).padStart(2, "0")).join("");
 
 /** @param {string} path @returns {string} A path of a drive, each part encoded: "a b/ü.bin" -> "a%20b/%C3%BC.bin". */
 export function encodePath(path) {
@@ -108,14 +108,12 @@ export function encodePath(path) {
 }
 
 /** @returns {string} A key that no other request has. */
-export function newKey() {
-  return [...crypto.getRandomValues(new Uint8Array(16))].map((byte) => byte.toString(16).padStart(2, "0")).join("");
-}
+export const newKey = () => hexOf(crypto.getRandomValues(new Uint8Array(16)));
 
-/** @param {Record<string, string>} [extra] @returns {Record<string, string>} */
-function authHeaders(extra = {}) {
+/** @param {Record<string, string>} headers @returns {Record<string, string>} With the token, if there is one. */
+function authHeaders(headers) {
   const token = getToken();
-  return token ? { Authorization: `Bearer ${token}`, ...extra } : { ...extra };
+  return token ? { Authorization: `Bearer ${token}`, ...headers } : headers;
 }
 
 const OF_A_PROXY = {
@@ -186,10 +184,9 @@ async function withToken(send) {
 }
 
 /** @param {string} path @param {{signal?: AbortSignal, headers?: Record<string, string>}} [options] */
-export async function getJson(path, options = {}) {
-  return (
-    await request(path, { headers: { Accept: "application/json", ...options.headers }, signal: options.signal })
-  ).json();
+export async function getJson(path, { headers, signal } = {}) {
+  const response = await request(path, { headers: { Accept: "application/json", ...headers }, signal });
+  return response.json();
 }
 
 /**
@@ -210,15 +207,15 @@ export async function sendJson(method, path, json, options = {}) {
  *
  * @param {string} path
  * @param {Blob|ArrayBuffer|Uint8Array} data
- * @param {{digest?: string|null, onProgress?: (sent: number) => void, signal?: AbortSignal, method?: string,
- *   headers?: Record<string, string>}} [options] `digest`: SHA-256 in Base64, checked by the server.
+ * @param {{digest?: string|null, onProgress?: (sent: number) => void, signal?: AbortSignal, method?: string}} [options]
+ *   `digest`: SHA-256 in Base64, checked by the server.
  * @returns {Promise<any>} The answer as JSON.
  * @throws {ApiError}
  */
-export function putFile(path, data, { digest = null, onProgress, signal, method = "PUT", headers = {} } = {}) {
+export function putFile(path, data, { digest = null, onProgress, signal, method = "PUT" } = {}) {
   /** @type {Record<string, string>} */
-  const all = { "Content-Type": "application/octet-stream", ...headers };
-  if (digest) all["Content-Digest"] = `sha-256=:${digest}:`;
+  const headers = { "Content-Type": "application/octet-stream" };
+  if (digest) headers["Content-Digest"] = `sha-256=:${digest}:`;
   return withToken(
     () =>
       new Promise((resolve, reject) => {
@@ -226,7 +223,7 @@ export function putFile(path, data, { digest = null, onProgress, signal, method 
         const xhr = new XMLHttpRequest();
         const abort = () => xhr.abort();
         xhr.open(method, address(path));
-        for (const [name, value] of Object.entries(authHeaders(all))) xhr.setRequestHeader(name, value);
+        for (const [name, value] of Object.entries(authHeaders(headers))) xhr.setRequestHeader(name, value);
         if (onProgress) xhr.upload.onprogress = (event) => onProgress(event.loaded);
         xhr.onload = () => {
           const { status, responseText: text } = xhr;
@@ -315,6 +312,32 @@ export function sleep(ms, signal) {
 }
 
 /**
+ * Look again and again, while somebody looks at the page; at once when they come back to it.
+ * @param {number | (() => number)} wait Milliseconds between two looks.
+ * @param {() => Promise<void>} look May fail: the next one may not. Where a token is asked for, none follows by itself.
+ * @returns {() => void} Begins to wait anew.
+ */
+export function keepLooking(wait, look) {
+  let timer = 0;
+  const plan = () => {
+    clearTimeout(timer);
+    timer = setTimeout(lookNow, typeof wait === "number" ? wait : wait());
+  };
+  const lookNow = async () => {
+    if (document.hidden) return;
+    try {
+      await look();
+    } catch (error) {
+      if (error instanceof ApiError && error.status === 401) return; // the person was asked for one just now
+    }
+    plan();
+  };
+  document.addEventListener("visibilitychange", () => void lookNow());
+  plan();
+  return plan;
+}
+
+/**
  * Save what an address gives: the browser's own download where it may, through memory where a token is needed.
  *
  * @param {string} path
@@ -387,14 +410,7 @@ let config;
 export const getConfig = () => config;
 
 export async function loadConfig() {
-  let response;
-  try {
-    response = await fetch(new URL("config.json", ROOT));
-  } catch (cause) {
-    throw unreachable(cause);
-  }
-  if (!response.ok) throw errorOf(response.status, await response.text(), null);
-  setConfig(await response.json());
+  setConfig(await getJson(new URL("config.json", ROOT).href));
 }
 
 /** @param {PageConfig} loaded */
@@ -402,12 +418,11 @@ export function setConfig(loaded) {
   config = loaded;
 }
 
+/** @param {string} name @param {string[]} endings */
+const endsWith = (name, endings) => endings.some((ending) => name.toLowerCase().endsWith(ending));
+
 /** @param {string} name @returns {boolean} Whether a file is an OSM file. */
-export function isMap(name) {
-  return config.file_kinds.maps.some((ending) => name.toLowerCase().endsWith(ending));
-}
+export const isMap = (name) => endsWith(name, config.file_kinds.maps);
 
 /** @param {string} name @returns {boolean} Whether a file is an archive that may hold a drive. */
-export function isArchive(name) {
-  return config.file_kinds.archives.some((ending) => name.toLowerCase().endsWith(ending));
-}
+export const isArchive = (name) => endsWith(name, config.file_kinds.archives);

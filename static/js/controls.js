@@ -12,11 +12,12 @@ export function field(title, control, hint) {
  * @param {Record<string, string>} choices Value -> text.
  * @param {string} [value]
  * @param {(value: string) => void} [onChange]
+ * @param {string} [label] Read aloud, where nothing beside it says what it is.
  * @returns {HTMLSelectElement}
  */
-export function select(choices, value, onChange) {
+export function select(choices, value, onChange, label) {
   const options = Object.entries(choices).map(([key, text]) => el("option", { value: key }, text));
-  const element = el("select", { onChange: () => onChange?.(element.value) }, options);
+  const element = el("select", { "aria-label": label, onChange: () => onChange?.(element.value) }, options);
   if (value !== undefined) element.value = value;
   return element;
 }
@@ -28,7 +29,7 @@ export function select(choices, value, onChange) {
  * @param {{value: string, title: any, hint?: any, more?: any}[]} choices `more` is shown where it is chosen.
  * @param {string} value
  * @param {(value: string) => void} [onChange]
- * @returns {{element: HTMLElement, value: () => string, choose: (value: string) => void}}
+ * @returns {{element: HTMLElement, value: () => string}}
  */
 export function radios(legend, choices, value, onChange) {
   count += 1;
@@ -38,9 +39,9 @@ export function radios(legend, choices, value, onChange) {
     const input = el("input", { type: "radio", name, value: choice.value, checked, onChange: update });
     const more = choice.more && el("div.more", choice.more);
     const text = el("span", choice.title, choice.hint && el("small", choice.hint));
-    return { choice, input, more, element: el("div", el("label.check", input, text), more) };
+    return { input, more, element: el("div", el("label.check", input, text), more) };
   });
-  const chosen = () => rows.find(({ input }) => input.checked)?.choice.value ?? "";
+  const chosen = () => rows.find(({ input }) => input.checked)?.input.value ?? "";
   function show() {
     for (const { input, more } of rows) if (more) more.hidden = !input.checked;
   }
@@ -49,16 +50,8 @@ export function radios(legend, choices, value, onChange) {
     onChange?.(chosen());
   }
   show();
-  const title = el("legend.field-name", legend);
   const elements = rows.map((row) => row.element);
-  return {
-    element: el("fieldset.radios.stack-s", title, elements),
-    value: chosen,
-    choose: (wanted) => {
-      for (const { choice, input } of rows) input.checked = choice.value === wanted;
-      show();
-    },
-  };
+  return { element: el("fieldset.radios.stack-s", el("legend.field-name", legend), elements), value: chosen };
 }
 
 /**
@@ -119,7 +112,7 @@ export const resultSection = (title, ...children) => el("section.section", el("h
 
 /**
  * Names and values, for a `dl`.
- * @param {(([name: string, value: any])|null|undefined|false|0|"")[]} facts
+ * @param {(([name: any, value: any])|null|undefined|false|0|"")[]} facts
  * @returns {HTMLElement[][]}
  */
 export function factRows(facts) {
@@ -137,7 +130,7 @@ export const outLink = (href, text, props) => el("a", { href, target: "_blank", 
 
 /** A figure in large. @param {string} value @param {string} name @param {string} [more] */
 export function figure(value, name, more) {
-  return el("div.figure", el("b", value), el("span", name), more && el("em", more));
+  return el("div.figure.box", el("b", value), el("span", name), more && el("em", more));
 }
 
 /** @param {string[]} heads @param {any[][]} rows Cells: `td` elements, or what goes into one. @returns {HTMLElement} */
@@ -158,14 +151,8 @@ const SEVERITIES = /** @type {Record<string, string>} */ ({ error: "Error", warn
 export function problemList(problems) {
   if (!problems.length) return null;
   const items = problems.map(({ severity, path, message }) => {
-    return el(
-      "li.note.small",
-      { class: severity },
-      el("strong", SEVERITIES[severity] ?? severity),
-      el("code", path),
-      " ",
-      message,
-    );
+    const title = el("strong", SEVERITIES[severity] ?? severity);
+    return el("li.note.small", { class: severity }, title, el("code", path), " ", message);
   });
   return el("ul.stack-s", items);
 }

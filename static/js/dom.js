@@ -72,24 +72,27 @@ export function fill(parent, ...children) {
   stops.find((each) => nameOf(each) === name)?.focus();
 }
 
-/**
- * An icon of `icons.svg`, drawn in the colour of the text.
- * @param {string} name
- * @param {string} [label] Read aloud; without one the icon is decoration.
- */
-export function icon(name, label) {
+/** An icon of `icons.svg`, drawn in the colour of the text: decoration. @param {string} name */
+export function icon(name) {
   const use = svg("use", { href: new URL(`../icons.svg#${name}`, import.meta.url).href });
-  return svg(
-    "svg",
-    { class: "icon", role: label ? "img" : null, "aria-label": label, "aria-hidden": label ? null : "true" },
-    use,
-  );
+  return svg("svg.icon", { "aria-hidden": "true" }, use);
 }
 
 /** Announce something to screen readers, at the next pause. @param {string} text */
 export function announce(text) {
   const region = document.getElementById("announcer");
   if (region && region.textContent !== text) region.textContent = text;
+}
+
+/** @template T, K @param {Iterable<T>} items @param {(item: T) => K} keyOf @returns {Map<K, T[]>} In their order. */
+export function groupBy(items, keyOf) {
+  const groups = new Map();
+  for (const each of items) {
+    const group = groups.get(keyOf(each));
+    if (group) group.push(each);
+    else groups.set(keyOf(each), [each]);
+  }
+  return groups;
 }
 
 /** @param {KeyboardEvent} event @returns {boolean} Whether a key belongs to a field, a dialog or the browser. */

@@ -89,7 +89,7 @@ export function openDialog(title, content, { actions, trouble, onSubmit, onClose
   const form = el("form", { method: "dialog", onSubmit: submit }, [
     el("div.stack.dialog-body", actions ? heading : el("div.spread", heading, close), content),
     trouble,
-    actions && el("div.actions", actions),
+    actions && el("div.actions.spread", actions),
   ]);
   const leave = (/** @type {Event} */ { target }) => !actions && target === dialog && dialog.close(); // what is around it
   const dialog = el("dialog", { class: kind, "aria-labelledby": heading.id, onClick: leave }, form);

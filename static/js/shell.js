@@ -21,6 +21,7 @@ export function mountHeader(header) {
     const others = compare?.map((each) => (each === jobs.value ? before : each)).filter((each) => each !== null);
     setState({ job: jobs.value || null, compare: others?.length ? others : null, frame: null, view: null });
   };
+  const home = (/** @type {Event} */ event) => (event.preventDefault(), setState({ panel: "drives" }));
   const drives = el("select", { "aria-label": "Drive", onChange: () => openDrive(drives.value) });
   const jobs = el("select", { "aria-label": "Job", onChange: openJob });
   const token = el("button.plain", { onClick: () => changeToken().catch(showError) });
@@ -29,8 +30,8 @@ export function mountHeader(header) {
   const slash = el("span.quiet", { "aria-hidden": "true" }, "/");
   fill(
     header,
-    el("a.brand", { href: "#", onClick: home }, logo, "InterLoc"),
-    el("nav.switcher", { "aria-label": "Drive and job" }, drives, slash, jobs),
+    el("a.brand.spread", { href: "#", onClick: home }, logo, "InterLoc"),
+    el("nav.switcher.spread", { "aria-label": "Drive and job" }, drives, slash, jobs),
     el("span.grow"),
     token,
     el("button.square.plain.keys", { ...keys, onClick: listShortcuts }, "?"),
@@ -86,12 +87,6 @@ function showTitle() {
 /** @param {string} value @param {string} text */
 const option = (value, text) => el("option", { value }, text);
 
-/** @param {Event} event */
-function home(event) {
-  event.preventDefault();
-  setState({ panel: "drives" });
-}
-
 async function changeToken() {
   const token = await askForToken(false);
   if (!token) return;
@@ -112,13 +107,10 @@ export function mountTabs(panels) {
   const choose = (/** @type {string} */ name) => (setState({ panel: name }), uncover());
   /** @type {Record<string, HTMLElement>} */
   const bodies = {};
-  const tabs = names.map((name) =>
-    el(
-      "button",
-      { role: "tab", id: `tab-${name}`, "aria-controls": `panel-${name}`, onClick: () => choose(name) },
-      panels[name].title,
-    ),
-  );
+  const tabs = names.map((name) => {
+    const props = { role: "tab", id: `tab-${name}`, "aria-controls": `panel-${name}`, onClick: () => choose(name) };
+    return el("button", props, panels[name].title);
+  });
   fill(list, tabs);
   const uploading = el("span.tab-badge");
   tabs[names.indexOf("upload")]?.append(uploading);
@@ -139,9 +131,8 @@ export function mountTabs(panels) {
   const shown = () => (names.includes(getState().panel) ? getState().panel : names[0]);
   const update = () => {
     const current = shown();
-    const leaves = Object.entries(bodies).some(
-      ([name, body]) => name !== current && body.contains(document.activeElement),
-    );
+    const others = names.filter((name) => name !== current);
+    const leaves = others.some((name) => bodies[name]?.contains(document.activeElement));
     names.forEach((name, i) => {
       const needsJob = ["job", "report", "compare", "export"].includes(name);
       tabs[i].disabled = needsJob && !getState().job && name !== current;
@@ -150,11 +141,7 @@ export function mountTabs(panels) {
       if (bodies[name]) bodies[name].hidden = name !== current;
     });
     if (!bodies[current]) {
-      const body = el("div.body", {
-        role: "tabpanel",
-        id: `panel-${current}`,
-        "aria-labelledby": `tab-${current}`,
-      });
+      const body = el("div.body", { role: "tabpanel", id: `panel-${current}`, "aria-labelledby": `tab-${current}` });
       bodies[current] = body;
       panel.append(body);
       panels[current].load().then(

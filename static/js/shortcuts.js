@@ -1,4 +1,5 @@
 /** Keys that work wherever the focus is, and the dialog that lists them. */
+import { factRows } from "./controls.js";
 import { el, isTyping } from "./dom.js";
 import { openDialog } from "./messages.js";
 
@@ -38,13 +39,8 @@ function press(event) {
 /** Show all shortcuts. */
 export function listShortcuts() {
   const rows = [...shortcuts.values()].map(({ label, text }) => [label, text]);
-  const list = [...rows, ...OF_CONTROLS].map(([keys, text]) => [
-    el(
-      "dt",
-      keys.split(" ").map((each) => el("kbd", each)),
-    ),
-    el("dd", text),
-  ]);
+  const keysOf = (/** @type {string} */ keys) => keys.split(" ").map((each) => el("kbd", each));
+  const list = factRows([...rows, ...OF_CONTROLS].map(([keys, text]) => [keysOf(keys), text]));
   openDialog("Keyboard shortcuts", el("dl.shortcuts", list));
 }
 

@@ -95,10 +95,10 @@ export function subscribe(keys, call) {
   });
 }
 
-/** @param {Partial<State>} [patch] @returns {string} An address that shows what the page shows now, or would show. */
-export function permalink(patch = {}) {
+/** @returns {string} An address that shows what the page shows now. */
+export function permalink() {
   const url = new URL(location.href);
-  url.hash = format({ ...state, ...patch });
+  url.hash = format(state);
   return url.href;
 }
 

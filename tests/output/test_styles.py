@@ -26,8 +26,8 @@ KML = "{http://www.opengis.net/kml/2.2}"
 
 def page_colours() -> dict[str, str]:
     """The colours of the page on a light ground."""
-    light = (STATIC / "css/tokens.css").read_text().split("@media")[0]
-    return dict(re.findall(r"(--[\w-]+): (#[0-9a-f]{6});", light))
+    tokens = (STATIC / "css/tokens.css").read_text()
+    return dict(re.findall(r"(--[\w-]+): (?:light-dark\()?(#[0-9a-f]{6})", tokens))
 
 
 def page_signs() -> dict[str, dict[str, str]]:

@@ -131,19 +131,19 @@ class Common:
         watch.follow(self._context)
         self._first = self._context.new_page()  # which keeps the session
         self._session = self._context.new_cdp_session(self._first)
-        self._kept: dict[tuple[str, int], Any] = {}
+        self._kept: dict[str, Any] = {}
 
     def new_page(self) -> Any:
         return self._context.new_page()
 
     def kept_page(self, script: str, viewport: dict[str, int]) -> Any:
         """A tab with this script that stays, with the page in it, for the tests to come."""
-        key = script, viewport["width"]
-        if key not in self._kept:
-            self._kept[key] = self.new_page()
-            self._kept[key].add_init_script(script)
-            self._kept[key].set_viewport_size(viewport)
-        return self._kept[key]
+        if script not in self._kept:
+            self._kept[script] = self.new_page()
+            self._kept[script].add_init_script(script)
+            self._kept[script].emulate_media(reduced_motion="reduce")
+        self._kept[script].set_viewport_size(viewport)
+        return self._kept[script]
 
     def drop_kept_pages(self) -> None:
         """Begin anew after a test that failed: nobody knows in what state it left its tab."""
@@ -154,6 +154,8 @@ class Common:
         for page in self._context.pages:
             if page != self._first and page not in self._kept.values():
                 page.close()
+        for page in self._context.pages:
+            page.unroute_all()
         self._context.unroute_all()
         self._context.clear_permissions()
         for origin in self._watch.origins:
@@ -184,10 +186,9 @@ class Browser:
         return page
 
     def kept_page(self, script: str = "", viewport: dict[str, int] = SIZE) -> Any:
-        """A tab of the common context for tests that only look: one that has loaded the page for the tests before.
+        """A tab of the common context that has loaded the page for the tests before, which `results.visit` leads on.
 
-        To load the page anew takes most of the time of such a test. Use it with `results.show`, which leads it from
-        result to result by the address.
+        To load the page anew takes most of the time of a test that only looks. Nothing moves by itself in such a tab.
         """
         page = self._common.kept_page(script, viewport)
         page.bring_to_front()

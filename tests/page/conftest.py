@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 from tests.app.processes import ServerProcess, started
 from tests.app.street import write_street
+from tests.networks import write_model
 from tests.page.browsers import Browser, Common, Watch, chromium
+from tests.page.canvas import NOTE_PATHS
 from tests.page.other_site import served
-from tests.page.results import SCANS, SHORT, TOKEN, Done, Scored, run_street, write_other_map
+from tests.page.results import SCANS, SHORT, TILE, TOKEN, Done, Scored, run_street, write_other_map
+from tests.page.uploads import Upload
 
 
 @pytest.fixture(scope="package")
@@ -69,7 +73,8 @@ def done(tmp_path_factory: pytest.TempPathFactory, other_site: str) -> Iterator[
     street = write_street(folder / "street", SCANS)
     local = write_street(folder / "street_without_fixes", SCANS)
     (local / "geo.csv").unlink()
-    with started(folder / "data", folder / "log", workers=1, cors_origins=other_site) as server:
+    tiles = {"tile_url": TILE, "tile_attribution": "(c) Tiles Example"}
+    with started(folder / "data", folder / "log", workers=1, cors_origins=other_site, **tiles) as server:
         scored = run_street(server, street, osm={"file": "map.osm"})
         short = write_street(folder / "short", SHORT)
         yield Done(server, scored, run_street(server, local), short)
@@ -84,13 +89,40 @@ def scored(done: Done, tmp_path_factory: pytest.TempPathFactory) -> Scored:
 
 
 @pytest.fixture(scope="package")
-def closed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServerProcess]:
-    """An empty server that asks for `TOKEN`."""
-    folder = tmp_path_factory.mktemp("closed")
-    with started(folder / "data", folder / "log", workers=1, token=TOKEN) as server:
+def guarded(done: Done, tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServerProcess]:
+    """A second server on the same data, which asks for `TOKEN`."""
+    with started(done.data, tmp_path_factory.mktemp("guarded") / "log", workers=1, token=TOKEN) as server:
+        server.client.headers["Authorization"] = f"Bearer {TOKEN}"
         yield server
+
+
+@pytest.fixture(scope="package")
+def uploads(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServerProcess]:
+    """A server to upload to, with a network, and with another that is damaged."""
+    folder = tmp_path_factory.mktemp("uploads")
+    write_model(folder / "models" / "flat", height=32, width=256, road_half_width_m=5.0)
+    write_model(folder / "models" / "torn", height=32, width=256)
+    (folder / "models" / "torn" / "arch_cfg.yaml").unlink()
+    settings = {"models": folder / "models", "max_recording_bytes": 50_000}
+    with started(folder / "data", folder / "log", workers=1, **settings) as server:
+        yield server
+
+
+@pytest.fixture(scope="package")
+def street(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A short drive. Shared: do not change it."""
+    return write_street(tmp_path_factory.mktemp("drives") / "street", SHORT)
+
+
+@pytest.fixture
+def upload(browser: Browser, uploads: ServerProcess) -> Iterator[Upload]:
+    """The upload panel of a tab that has loaded the page for the tests before."""
+    upload = Upload(browser.kept_page("/* of uploads */"), uploads.address)
+    yield upload
+    upload.close()
 
 
 @pytest.fixture
 def page(browser: Browser) -> Any:
-    return browser.new_page()
+    """A tab that the tests share."""
+    return browser.kept_page(NOTE_PATHS)

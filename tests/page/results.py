@@ -15,6 +15,7 @@ from tests.app.street import LAT_DEG, LON_DEG
 
 SCANS = 90
 SHORT = 16  # scans of a drive that is only uploaded
+TILE = "https://tiles.example/{z}/{x}/{y}.png"
 TOKEN = "a-token-that-only-these-tests-know-0123456789"  # noqa: S105
 
 
@@ -101,15 +102,36 @@ def run_street(server: ServerProcess, folder: Path, **request: Any) -> str:
     return str(job)
 
 
-def show(page: Any, done: Done | Scored, fields: str, job: str | None = None) -> None:
-    """Open a link to a result, and wait for its map; a tab that has the page already does not load it again."""
-    if page.url.startswith(f"{done.server.address}/#"):
-        page.evaluate("location.hash = 'panel=drives'")
-        page.wait_for_selector(".legend", state="hidden")
-        page.evaluate("(hash) => (location.hash = hash)", f"job={job or done.job}&{fields}")
+_GO = """(hash) => {
+  for (const dialog of document.querySelectorAll("dialog")) dialog.close();  // of the test before
+  if (location.hash.slice(1) === hash) return null;
+  return new Promise((done) => {
+    addEventListener("popstate", () => done(), { once: true });  // after what the page does then
+    location.hash = hash;
+  });
+}"""
+
+
+def visit(page: Any, address: str, fields: str = "") -> None:
+    """Open an address of the page; a tab that has the page of this server already does not load it again."""
+    if page.url.partition("#")[0] == f"{address}/":
+        page.evaluate(_GO, fields)
     else:
-        page.goto(f"{done.server.address}/#job={job or done.job}&{fields}")
+        page.goto(f"{address}/#{fields}")
+
+
+def show(page: Any, done: Done | Scored, fields: str, job: str | None = None) -> None:
+    """Open a link to a result as if it were the first that the tab shows, and wait for its map."""
+    page.keyboard.press("Escape")  # what is open above the page
+    visit(page, done.server.address, "panel=drives")
+    page.wait_for_selector(".legend", state="hidden")
+    visit(page, done.server.address, f"job={job or done.job}&{fields}")
     page.wait_for_selector(".legend:visible")
+
+
+def look_again(page: Any) -> None:
+    """Come back to the page: it looks at once for what others have done."""
+    page.evaluate("document.dispatchEvent(new Event('visibilitychange'))")
 
 
 def address_of(page: Any) -> str:

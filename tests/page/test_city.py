@@ -10,8 +10,8 @@ import pytest
 from tests.app.processes import API, wait_until
 from tests.app.street import write_street
 from tests.page.browsers import SIZE, Watch, needs_page
-from tests.page.results import Done, address_of, run_street
-from tests.page.test_accessibility import WIDTHS, check, tab
+from tests.page.results import Done, address_of, run_street, visit
+from tests.page.test_accessibility import check_widths, tab
 
 __all__ = ["tab"]
 
@@ -31,7 +31,7 @@ def city(done: Done, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]
         found = done.server.client.get(f"{API}/maps/default").json()
         return found if found["findings"] and found["drives"] > 1 and not found["is_waiting"] else None
 
-    found: dict[str, Any] = wait_until(look, "the map of the server")
+    found: dict[str, Any] = wait_until(look, "the map of the server", every_s=0.2)
     return found
 
 
@@ -40,7 +40,7 @@ def _move(node: re.Match[str]) -> str:
 
 
 def test_the_start_is_the_map_of_all_drives(page: Any, done: Done, city: dict[str, Any]) -> None:
-    page.goto(done.server.address)
+    visit(page, done.server.address)
     note = page.locator(".stage-note")
     note.locator("[title^='OpenStreetMap seems']").wait_for()
     assert re.match(rf"{city['intersections']} intersections\s+of {city['drives']} drives", note.inner_text())
@@ -67,8 +67,7 @@ def test_findings_are_judged_by_keys(tab: Any, done: Done, city: dict[str, Any],
     queue = f"{API}/maps/default/queue"
     entries = done.server.client.get(queue).json()["entries"]
     first = entries[0]
-    tab.emulate_media(reduced_motion="reduce")
-    tab.goto(f"{done.server.address}/#panel=map")
+    visit(tab, done.server.address, "panel=map")
     rows = tab.locator("#panel-map .jobs li")
     rows.first.wait_for()
     assert rows.count() == len(entries)
@@ -76,9 +75,7 @@ def test_findings_are_judged_by_keys(tab: Any, done: Done, city: dict[str, Any],
     card = tab.locator(".finding")
     card.get_by_text(first["properties"]["text"]).wait_for()
     card.locator("img[src^=blob]").wait_for()
-    for width in WIDTHS:
-        tab.set_viewport_size({"width": width, "height": 800})
-        check(tab, "finding")
+    check_widths(tab, "finding")
     tab.set_viewport_size(SIZE)
     assert card.get_by_role("link", name="JOSM").get_attribute("href") == first["links"]["josm"]
     assert f"finding={first['id']}" in address_of(tab)
@@ -103,12 +100,15 @@ def test_findings_are_judged_by_keys(tab: Any, done: Done, city: dict[str, Any],
     card.get_by_role("button", name="Wrong").click()
     tab.locator("#toasts", has_text=refused["detail"]).wait_for()
     assert card.get_by_role("button", name="Wrong").is_disabled()
-    tab.reload()  # an address to pass on
+    link = address_of(tab)  # to pass on
+    visit(tab, done.server.address, "panel=drives")
+    card.wait_for(state="hidden")
+    visit(tab, done.server.address, link.partition("#")[2])
     card.get_by_text(first["properties"]["text"]).wait_for()
 
 
 def test_a_map_is_made_of_some_drives(page: Any, done: Done, city: dict[str, Any]) -> None:
-    page.goto(f"{done.server.address}/#panel=map")
+    visit(page, done.server.address, "panel=map")
     page.get_by_role("button", name="New map…").click()
     dialog = page.locator("dialog[open]")
     dialog.get_by_label("Name").fill("One street")

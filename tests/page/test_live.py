@@ -13,7 +13,7 @@ from interloc.live.play import play
 from interloc.live.scan import LiveScan
 from tests.live.conftest import config, crossing
 from tests.page.browsers import needs_page
-from tests.page.results import Done
+from tests.page.results import Done, address_of, visit
 
 __all__ = ["config", "crossing"]
 
@@ -37,7 +37,7 @@ def test_a_drive_is_watched_while_it_grows(
     thread = threading.Thread(target=lambda: sender.run(scans), daemon=True)
     thread.start()
     assert is_half_way.wait(60)
-    page.goto(f"{done.server.address}/#panel=drives")
+    visit(page, done.server.address, "panel=drives")
     page.get_by_role("button", name="a street, live").click()
     note = page.locator(".stage-note")
     note.get_by_text("16 keyframes").wait_for()
@@ -46,5 +46,8 @@ def test_a_drive_is_watched_while_it_grows(
     note.get_by_text("48 keyframes · 1 intersection, 0 unsure · It has ended.").wait_for()
     thread.join(60)
     assert page.locator("#map").screenshot() != half
-    page.reload()  # an address to pass on
+    link = address_of(page)  # to pass on
+    visit(page, done.server.address, "panel=upload")
+    note.get_by_text("48 keyframes").wait_for(state="hidden")
+    visit(page, done.server.address, link.partition("#")[2])
     note.get_by_text("48 keyframes · 1 intersection, 0 unsure · It has ended.").wait_for()

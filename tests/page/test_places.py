@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from tests.page.browsers import copied_by, needs_page
-from tests.page.canvas import NOTE_PATHS, painted, pixels_per_metre, screen_of
+from tests.page.canvas import painted, pixels_per_metre, screen_of
 from tests.page.results import Done, Scored, address_of, show
 
 pytestmark = needs_page
@@ -29,8 +29,6 @@ def signs(page: Any) -> list[np.ndarray]:
 
 
 def test_the_list_is_a_queue_that_the_map_follows(page: Any, scored: Scored) -> None:
-    page.add_init_script(NOTE_PATHS)
-    page.emulate_media(reduced_motion="reduce")
     wrong, right = ([each["properties"] for each in scored.intersections(kind)] for kind in ("wrong", "right"))
     assert wrong
     assert len(right) >= 2
@@ -74,11 +72,9 @@ def test_the_list_is_a_queue_that_the_map_follows(page: Any, scored: Scored) -> 
     page.locator(".leaflet-popup-close-button").last.click()  # the popup before may still fade
     assert "intersection=" not in address_of(page)
 
-    page.goto("about:blank")
-    page.goto(link)
+    show(page, scored, link.partition("#")[2])
     popup_of(page, f"Intersection {last}: right")
-    page.goto("about:blank")
-    page.goto(filtered)
+    show(page, scored, filtered.partition("#")[2])
     note.wait_for()
     least = page.get_by_label("Observations, at least").input_value()
     assert f"observations:{least}.." in filtered
@@ -90,7 +86,6 @@ def test_the_list_is_a_queue_that_the_map_follows(page: Any, scored: Scored) -> 
     assert "filter=" not in address_of(page)
     page.go_back()
     note.wait_for()
-    page.goto("about:blank")
     node = scored.nodes("missed")[0]["properties"]
     show(page, scored, f"node={node['osm_id']}")
     popup = popup_of(page, "OSM intersection: missed")
@@ -102,7 +97,6 @@ def test_a_place_leads_out_without_a_request(page: Any, scored: Scored) -> None:
     (feature, *_) = scored.intersections("right")
     lon, lat = feature["geometry"]["coordinates"]
     page.context.grant_permissions(["clipboard-read", "clipboard-write"])
-    page.emulate_media(reduced_motion="reduce")
     show(page, scored, f"intersection={feature['properties']['uid']}")
     popup = popup_of(page, f"Intersection {feature['properties']['id']}: right")
     for name in ("OpenStreetMap", "iD", "JOSM", "Mapillary"):

@@ -4,51 +4,37 @@ from __future__ import annotations
 
 import math
 import re
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 from interloc.config import DetectorConfig
-from tests.app.processes import API, ServerProcess
-from tests.page.browsers import Browser, Watch, needs_page
-from tests.page.results import SCANS, TOKEN, Done, address_of, show
+from tests.app.processes import API
+from tests.page.browsers import Browser, needs_page
+from tests.page.canvas import pixels_per_metre, screen_of
+from tests.page.results import SCANS, Done, address_of, show
 
 pytestmark = needs_page
 
 
-@pytest.fixture
-def page(browser: Browser) -> Any:
-    """A tab that the tests share."""
-    return browser.kept_page(NOTE_DISCS)
-
-
 def on_screen(page: Any, lon: float, lat: float) -> tuple[float, float]:
-    """Where a place must be on the screen, from the address of the page alone: spherical Mercator of 256 px tiles."""
-    zoom, at_lat, at_lon = (float(each) for each in re.search(r"view=([^&]+)", address_of(page))[1].split("/"))
-    box = page.locator("#map").bounding_box()
-    dx, dy = (a - b for a, b in zip(mercator(lon, lat, zoom), mercator(at_lon, at_lat, zoom), strict=True))
-    return box["x"] + box["width"] / 2 + dx, box["y"] + box["height"] / 2 + dy
-
-
-def mercator(lon: float, lat: float, zoom: float) -> tuple[float, float]:
-    size = 256 * 2**zoom
-    y = math.log(math.tan(math.pi / 4 + math.radians(lat) / 2)) / (2 * math.pi)
-    return size * (lon / 360 + 0.5), size * (0.5 - y)
+    """Where a place must be on the screen."""
+    ((x, y),) = screen_of(page, (lon, lat)).tolist()
+    return x, y
 
 
 def test_each_intersection_is_where_its_coordinates_say(page: Any, done: Done) -> None:
     intersections = done.features("intersections")
     assert len(intersections) >= 2
+    lon, lat = np.mean([feature["geometry"]["coordinates"] for feature in intersections], axis=0)
+    show(page, done, f"view=17.5/{lat}/{lon}&layers=intersections,wrong,roads")
     for feature in intersections:
-        lon, lat = feature["geometry"]["coordinates"]
-        show(page, done, f"view=19/{lat + 0.0001}/{lon - 0.0002}&layers=intersections,wrong,roads")
-        page.mouse.move(*on_screen(page, lon, lat))
+        x, y = on_screen(page, *feature["geometry"]["coordinates"])
+        page.mouse.move(x, y)
         tip = page.locator(".leaflet-tooltip")
         tip.wait_for()
         assert f"Intersection {feature['properties']['id']}" in tip.inner_text()
-        x, y = on_screen(page, lon, lat)
         page.mouse.move(x + 30, y + 30)
         tip.wait_for(state="detached")
 
@@ -74,40 +60,6 @@ def test_counts_of_the_legend_are_those_of_the_files(page: Any, done: Done) -> N
         assert int(shown[1].replace(",", "") if shown else 0) == count, name
 
 
-# Notes the middle of all discs of the surface, since it was last cleared.
-NOTE_DISCS = """(() => {
-  const { arc, clearRect } = CanvasRenderingContext2D.prototype;
-  CanvasRenderingContext2D.prototype.clearRect = function (...box) {
-    this.canvas.discs = [];
-    clearRect.apply(this, box);
-  };
-  CanvasRenderingContext2D.prototype.arc = function (x, y, ...rest) {
-    this.canvas.discs?.push([x, y]);
-    arc.call(this, x, y, ...rest);
-  };
-})()"""
-READ_DISCS = """() => [...document.querySelectorAll(".leaflet-pane canvas")].flatMap((canvas) => {
-  const { x, y } = canvas.getBoundingClientRect();
-  return (canvas.discs ?? []).map((disc) => [x + disc[0], y + disc[1]]);
-})"""
-
-
-@pytest.mark.parametrize(("layer", "file"), [("tp", "detections"), ("keyframes", "keyframes")])
-def test_each_place_of_a_file_is_drawn_and_nothing_else(page: Any, done: Done, layer: str, file: str) -> None:
-    features = done.features(file)
-    if layer == "tp":
-        outcomes = [feature["properties"]["outcome"] for feature in done.features("matches")]
-        assert outcomes == ["TP"] * len(features)  # no crosses to be looked for
-    lon, lat = np.mean([feature["geometry"]["coordinates"] for feature in features], axis=0)
-    show(page, done, f"layers={layer}&view=18/{lat}/{lon}")
-    page.evaluate("() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
-    discs = np.array(page.evaluate(READ_DISCS))
-    places = np.array([on_screen(page, *feature["geometry"]["coordinates"]) for feature in features])
-    away = np.hypot(*(discs[:, None] - places[None]).transpose(2, 0, 1))
-    assert away.min(axis=0).max() < 1.5  # signs on the same pixel are drawn once
-    assert away.min(axis=1).max() < 1.5
-
-
 def test_seen_area_and_picture_lie_where_the_server_says(page: Any, done: Done) -> None:
     frame = SCANS // 2
     view = done.server.client.get(f"{API}/jobs/{done.job}/keyframes/{frame}/bev").raise_for_status().json()
@@ -121,8 +73,7 @@ def test_seen_area_and_picture_lie_where_the_server_says(page: Any, done: Done) 
         xs, ys = zip(*corners, strict=True)
         assert found == pytest.approx((min(xs), min(ys), max(xs), max(ys)), abs=tolerance), selector
     sides = [math.dist(corners[0], corners[1]), math.dist(corners[1], corners[2])]
-    metre = 256 * 2**18 / (2 * math.pi * 6378137 * math.cos(math.radians(lat)))
-    assert sides == pytest.approx([DetectorConfig().bev.size_m * metre] * 2, rel=0.01)
+    assert sides == pytest.approx([DetectorConfig().bev.size_m * pixels_per_metre(page)] * 2, rel=0.01)
     page.wait_for_selector("#drawer figure img:not(.waiting) >> nth=5")
     turn = page.evaluate("document.documentElement.style.getPropertyValue('--turned')")
     (x, y), (to_x, to_y) = corners[:2]  # pictures lie as the map does
@@ -187,8 +138,7 @@ def test_keys_choose_tabs_and_keyframes(page: Any, done: Done) -> None:
     assert "Scan 1" in page.inner_text(".timeline-label")
 
 
-def test_a_link_shows_the_same_again(browser: Browser, done: Done) -> None:
-    page = browser.new_page()
+def test_a_link_shows_the_same_again(page: Any, done: Done) -> None:
     show(page, done, "panel=export&frame=12")
     page.locator("#layer-tp").uncheck()
     link = page.get_by_label("Link to this view").input_value()
@@ -221,6 +171,17 @@ def test_the_pictures_of_a_drive_without_georeference_lie_in_its_frame(page: Any
     expected = box["x"] + box["width"] / 2 + (left - x) * 2**zoom, box["y"] + box["height"] / 2 - (top - y) * 2**zoom
     assert (picture["x"], picture["y"]) == pytest.approx(expected, abs=1.0)
     assert (picture["width"], picture["height"]) == pytest.approx((side, side), abs=1.0)
+
+
+def test_where_else_a_drive_fits_the_map_is_a_layer(browser: Browser, done: Done) -> None:
+    page = browser.new_page()
+    track = done.features("trajectory")[0]
+    run = done.server.client.get(f"{API}/jobs/{done.job}/run").json()
+    placed = {"lat_deg": 49.0, "lon_deg": 8.4, "heading_deg": 90.0, "position_std_m": 2.0}
+    page.route("**/run", lambda route: route.fulfill(json=run | {"location": placed}))
+    page.route("**/places", lambda route: route.fulfill(json={"features": [track, track, track]}))
+    show(page, done, "panel=job")
+    assert page.locator(".legend label", has_text="Next best places").inner_text().split()[-1] == "2"
 
 
 def test_the_road_seen_by_lidar_lies_where_the_server_says(page: Any, done: Done) -> None:
@@ -256,24 +217,6 @@ def test_keys_play_the_drive_and_list_themselves(page: Any, done: Done) -> None:
     page.locator("dialog").wait_for(state="detached")
 
 
-DOWNLOADS = [
-    (re.compile("^GeoPackage"), "export.gpkg", b"SQLite format 3"),
-    (re.compile("^Everything"), "archive.zip", b"PK"),
-    ("GeoJSON", "intersections", b'{"type":"FeatureCollection"'),
-]
-
-
-def test_downloads_are_the_files_of_the_service(page: Any, done: Done) -> None:
-    show(page, done, "panel=export")
-    for button, path, beginning in DOWNLOADS:
-        with page.expect_download() as waiting:
-            page.locator("#panel-export").get_by_role("button", name=button).first.click()
-        content = Path(waiting.value.path()).read_bytes()
-        assert content.startswith(beginning), path
-        served = done.server.client.get(f"{API}/jobs/{done.job}/{path}").raise_for_status().content
-        assert len(content) == len(served), path
-
-
 def test_without_georeference_the_map_is_in_metres(page: Any, done: Done) -> None:
     show(page, done, "panel=report&view=1.5/5/80", done.local_job)
     page.locator("#panel-report").get_by_text("No georeference").wait_for()
@@ -290,54 +233,6 @@ def test_without_georeference_the_map_is_in_metres(page: Any, done: Done) -> Non
             box["x"] + box["width"] / 2 + (east - x) * scale, box["y"] + box["height"] / 2 - (north - y) * scale
         )
         page.locator(".leaflet-tooltip", has_text=f"Intersection {feature['properties']['id']}").wait_for()
-
-
-def test_a_job_can_be_watched_from_its_start_to_the_map(browser: Browser, done: Done) -> None:
-    page = browser.new_page()
-    page.goto(f"{done.server.address}/")
-    cards = page.locator("article.drive", has=page.get_by_role("button", name="street", exact=True))
-    card = cards.last  # the newest are first, and other tests may have sent a drive of this name
-    card.get_by_role("button", name="Run street").click()
-    page.get_by_role("combobox", name=re.compile("^Preset")).select_option("paper")
-    page.get_by_role("button", name="Run", exact=True).click()
-    page.wait_for_selector("#panel-job .badge.good")
-    page.wait_for_selector(".legend:visible")
-    job = re.search(r"job=(\w+)", address_of(page))[1]
-    assert job not in {done.job, done.local_job}
-    summary = done.server.client.get(f"{API}/jobs/{job}").json()["summary"]
-    assert re.search(rf"{summary['detections']}\s+detections", page.inner_text("#panel-job"))
-    assert "paper" in page.inner_text("#panel-job")
-
-
-def test_errors_are_told_in_the_words_of_the_server(browser: Browser, done: Done, watch: Watch) -> None:
-    page = browser.new_page()
-    watch.expect("404 .*jobs/0123456789abcdef")
-    page.goto(f"{done.server.address}/#panel=job&job=0123456789abcdef")
-    detail = done.server.client.get(f"{API}/jobs/0123456789abcdef").json()["detail"]
-    page.locator("#panel-job .note.error", has_text=detail).wait_for()
-
-
-def test_a_token_is_asked_for_once_and_refused_in_words(browser: Browser, watch: Watch, closed: ServerProcess) -> None:
-    watch.expect("status of 401")
-    tab = browser.new_page()
-    tab.goto(closed.address)
-    field = tab.get_by_label("API token")
-    field.fill("not this one")
-    field.press("Enter")
-    tab.locator("dialog .note.error").wait_for()
-    field.fill(TOKEN)
-    field.press("Enter")
-    tab.locator(".empty").wait_for()
-    tab.locator("dialog").wait_for(state="detached")
-    tab.reload()
-    tab.locator(".empty").wait_for()
-    drop = tab.locator(".drop-stage")
-    assert drop.get_by_role("button", name="Try the demo").is_enabled()
-    drop.get_by_role("button", name="Upload a drive").click()
-    tab.get_by_role("button", name="Choose a folder").wait_for()
-    assert tab.locator("dialog").count() == 0
-    assert TOKEN not in tab.url
-    tab.close()
 
 
 def test_a_measured_road_tells_its_width(page: Any, done: Done) -> None:

@@ -33,32 +33,39 @@ def reach(page: Any, *parts: str) -> list[str]:
     return found
 
 
-@pytest.mark.parametrize("size", [(1024, 768), (390, 844), (844, 390)], ids=str)
-def test_everything_can_be_reached(browser: Browser, done: Done, size: tuple[int, int]) -> None:
-    page = browser.new_context(viewport={"width": size[0], "height": size[1]}, has_touch=True).new_page()
-    show(page, done, f"panel=report&frame={SCANS // 2}&drawer=1")
-    page.wait_for_selector("#drawer img:not(.waiting) >> nth=5")
-    stage = page.locator("#stage").bounding_box()
-    assert stage["width"] >= min(480, size[0])
-    assert not reach(page, "#header", "#stage", "#drawer")
-    assert page.locator("#drawer tbody tr, #drawer .quiet").last.is_visible()
-    page.locator(".legend summary").click()
-    assert not reach(page, ".legend")
-    page.locator(".legend summary").click()
-    page.locator("#tab-report").click()  # its panel was below the keyframe
-    page.locator("#drawer").wait_for(state="hidden")
-    assert not reach(page, "#tabs", "#panel-report")
-    page.locator("#tab-upload").click()
-    page.set_input_files("input[name=folder]", done.short)
-    page.wait_for_selector(".upload-form >> text=read as semantickitti")
-    if size[0] < size[1]:
-        assert page.locator("#panel").bounding_box()["height"] > size[1] / 2
-    assert not reach(page, ".upload-form")
+SIZES = {"tablet": (1024, 768), "phone on its side": (844, 390), "phone": (390, 844)}
 
 
-def test_details_are_wholly_on_the_map_of_a_phone(browser: Browser, done: Done) -> None:
-    page = browser.new_context(viewport={"width": 390, "height": 844}, has_touch=True).new_page()
-    show(page, done, "panel=report")
+@pytest.fixture
+def page(browser: Browser) -> Any:
+    """A tab for fingers."""
+    return browser.new_context(has_touch=True).new_page()
+
+
+def test_everything_can_be_reached(page: Any, done: Done) -> None:
+    for name, (width, height) in SIZES.items():
+        page.set_viewport_size({"width": width, "height": height})
+        show(page, done, f"panel=report&frame={SCANS // 2}&drawer=1")
+        page.wait_for_selector("#drawer img:not(.waiting) >> nth=5")
+        stage = page.locator("#stage").bounding_box()
+        assert stage["width"] >= min(480, width), name
+        assert not reach(page, "#header", "#stage", "#drawer"), name
+        assert page.locator("#drawer tbody tr, #drawer .quiet").last.is_visible(), name
+        page.locator(".legend summary").click()
+        assert not reach(page, ".legend"), name
+        page.locator(".legend summary").click()
+        page.locator("#tab-report").click()  # its panel was below the keyframe
+        page.locator("#drawer").wait_for(state="hidden")
+        assert not reach(page, "#tabs", "#panel-report"), name
+        page.locator("#tab-upload").click()
+        if not page.locator(".upload-form").is_visible():
+            page.set_input_files("input[name=folder]", done.short)
+            page.wait_for_selector(".upload-form >> text=read as semantickitti")
+        if width < height:
+            assert page.locator("#panel").bounding_box()["height"] > height / 2, name
+        assert not reach(page, ".upload-form"), name
+
+    show(page, done, "panel=report")  # details are wholly on the map of a phone
     page.keyboard.press("n")
     page.locator(".leaflet-popup-content h3").wait_for()
     page.wait_for_function("""() => {

@@ -6,7 +6,7 @@ from typing import Any
 
 from tests.app.processes import API
 from tests.page.browsers import needs_page
-from tests.page.results import Done
+from tests.page.results import Done, look_again, visit
 
 pytestmark = needs_page
 
@@ -30,7 +30,8 @@ def delete(page: Any, name: str) -> None:
 
 def test_a_deleted_drive_is_restored_or_goes_for_good(page: Any, done: Done) -> None:
     kept, gone = new_drive(done, "kept for later"), new_drive(done, "not wanted")
-    page.goto(f"{done.server.address}/#panel=drives")
+    visit(page, done.server.address, "panel=drives")
+    look_again(page)
     trash = page.locator("details.trash")
     delete(page, "kept for later")
     delete(page, "not wanted")

@@ -4,45 +4,24 @@ from __future__ import annotations
 
 import re
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from tests.app.processes import API, ServerProcess, ended, started, suspended, wait_until
-from tests.app.street import write_street
+from tests.app.processes import API, ServerProcess, ended, suspended, wait_until
 from tests.drives.scans.test_pcd import as_pcd
-from tests.networks import write_model
 from tests.page.browsers import Browser, needs_page
+from tests.page.canvas import NOTE_PATHS
+from tests.page.results import SHORT as SCANS
 from tests.page.results import Done
-from tests.page.test_reduction_upload import Upload, drive_of, files_of
+from tests.page.uploads import Upload, drive_of, files_of, newest
+from tests.street_points import poses_along, seen, write_scans
+from tests.street_points import street as street_points
 
 pytestmark = needs_page
-
-SCANS = 12
-
-
-@pytest.fixture(scope="module")
-def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServerProcess]:
-    """A server with a network, and with another that is damaged."""
-    folder = tmp_path_factory.mktemp("networks")
-    write_model(folder / "models" / "flat", height=32, width=256, road_half_width_m=5.0)
-    write_model(folder / "models" / "torn", height=32, width=256)
-    (folder / "models" / "torn" / "arch_cfg.yaml").unlink()
-    settings = {"models": folder / "models", "max_recording_bytes": 50_000}
-    with started(folder / "data", folder / "log", workers=1, **settings) as running:
-        yield running
-
-
-@pytest.fixture
-def upload(browser: Browser, server: ServerProcess) -> Upload:
-    return Upload(browser.new_page(), server.address)
-
-
-@pytest.fixture(scope="module")
-def street(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_street(tmp_path_factory.mktemp("drives") / "street", SCANS)
 
 
 @pytest.fixture(scope="module")
@@ -53,19 +32,19 @@ def unlabelled(tmp_path_factory: pytest.TempPathFactory, street: Path) -> Path:
 
 
 @contextmanager
-def at_stage(server: ServerProcess, stage: str) -> Iterator[None]:
+def at_stage(uploads: ServerProcess, stage: str) -> Iterator[None]:
     """Wait for a stage of the commit that runs, and let its workers stand still meanwhile."""
 
     def look() -> bool:
-        jobs = server.client.get(f"{API}/jobs", params={"kind": "commit", "limit": 1}).json()["jobs"]
+        jobs = uploads.client.get(f"{API}/jobs", params={"kind": "commit", "limit": 1}).json()["jobs"]
         return bool(jobs) and jobs[0]["stage"] == stage
 
-    wait_until(look, f"a commit at the stage {stage}")
-    with suspended(server.workers()):
+    wait_until(look, f"a commit at the stage {stage}", every_s=0.05)
+    with suspended(uploads.workers()):
         yield
 
 
-def test_pcd_files_are_sent_as_they_are(upload: Upload, server: ServerProcess, street: Path, tmp_path: Path) -> None:
+def test_pcd_files_are_sent_as_they_are(upload: Upload, uploads: ServerProcess, street: Path, tmp_path: Path) -> None:
     root = as_pcd(street, tmp_path / "cloudy")
     shutil.copy(street / "map.osm", root)
     upload.pick(root)
@@ -76,18 +55,15 @@ def test_pcd_files_are_sent_as_they_are(upload: Upload, server: ServerProcess, s
     assert "The browser cannot reduce these files: all" in text
     assert upload.page.get_by_label("Labels of the points themselves").is_checked()
     assert "arch_cfg.yaml" in text
-    upload.press("Upload and run")
-    job = ended(server.client, upload.job())
-    assert job["state"] == "successful", job["error"]
-    assert job["summary"]["report"] is not None
-    drive = drive_of(server.client, job["id"])
+    upload.only()
+    drive = newest(uploads.client)
     assert (drive["name"], drive["report"]["layout"], drive["options"]["model"]) == ("cloudy", "pcd", None)
     assert {path for path in upload.sent if path.endswith(".pcd")} == {f"pcd/{frame:06d}.pcd" for frame in range(SCANS)}
-    assert "geo.csv" in files_of(server.client, drive["id"])
+    assert "geo.csv" in files_of(uploads.client, drive["id"])
 
 
 def test_a_drive_without_labels_is_labelled_by_the_service(
-    upload: Upload, server: ServerProcess, unlabelled: Path
+    upload: Upload, uploads: ServerProcess, unlabelled: Path
 ) -> None:
     with upload.page.expect_response("**/drives/look") as answer:
         upload.pick(unlabelled)
@@ -106,7 +82,7 @@ def test_a_drive_without_labels_is_labelled_by_the_service(
     assert upload.page.get_by_role("button", name="Upload and run").is_disabled()
     spacing.fill("2")
     upload.press("Upload and run")
-    with at_stage(server, "labelling"):
+    with at_stage(uploads, "labelling"):
         upload.page.get_by_text("Labelling the scans").wait_for()
         upload.page.get_by_text(re.compile(rf"^\d+ of {SCANS}$")).wait_for()
         upload.page.reload()
@@ -117,34 +93,16 @@ def test_a_drive_without_labels_is_labelled_by_the_service(
         upload.press("Continue that upload")
         upload.page.get_by_text("Labelling the scans").wait_for()
     upload.page.unroute("**/drives/look")
-    job = ended(server.client, upload.job())
+    job = ended(uploads.client, upload.job())
     assert job["state"] == "successful", job["error"]
     assert job["request"]["labels"] == "predictions"
-    drive = drive_of(server.client, job["id"])
+    drive = drive_of(uploads.client, job["id"])
     assert drive["options"]["model"] == "flat"
     assert drive["report"]["label_folder"] == "network flat"
     assert sum(path.endswith(".bin") for path in upload.sent) == SCANS
 
-    upload.page.goto(f"{server.address}/#panel=upload")
-    upload.pick(unlabelled)  # the time is known now
+    Upload(upload.page, uploads.address).pick(unlabelled)  # the time is known now
     upload.page.get_by_text(re.compile("per scan on one core: about .* for about")).wait_for()
-
-
-def test_scans_alone_make_a_drive(upload: Upload, server: ServerProcess, data: Callable[[str], Path]) -> None:
-    root = data("semantickitti_mini/sequences/07")
-    alone = Path(shutil.copytree(root / "velodyne", server.log.parent / "alone/velodyne")).parent
-    upload.pick(alone)
-    upload.choose("By geometry, on the service")
-    assert "they are computed from the points" in upload.text()
-    upload.press("Upload only")
-
-    def committed() -> str | None:
-        drives = server.client.get(f"{API}/drives").json()["drives"]
-        return next((each["id"] for each in drives if each["name"] == "alone" and each["state"] == "ready"), None)
-
-    report = server.client.get(f"{API}/drives/{wait_until(committed, 'its commit')}").json()["report"]
-    assert report["pose_frame_reason"] == "odometry over the points of 10 scans"
-    assert report["label_folder"] == "geometry"
 
 
 def test_a_recording_shows_its_topics_and_its_limit(upload: Upload, tmp_path: Path) -> None:
@@ -166,7 +124,7 @@ def test_a_recording_shows_its_topics_and_its_limit(upload: Upload, tmp_path: Pa
     form.get_by_label("Scans", exact=True).fill("/velodyne_points")
     assert form.get_by_role("button", name="Upload only").is_enabled()
     upload.press("Choose another")
-    upload.page.wait_for_selector(".drop")
+    upload.page.wait_for_selector("#panel-upload .drop")
     for name in ("town.laz", "track.csv"):
         (tmp_path / name).write_bytes(bytes(60_000))
     upload.page.set_input_files("input[name=files]", [tmp_path / "town.laz", tmp_path / "track.csv"])
@@ -176,7 +134,7 @@ def test_a_recording_shows_its_topics_and_its_limit(upload: Upload, tmp_path: Pa
     assert form.get_by_role("button", name="Upload only").is_disabled()
 
     upload.press("Choose another")
-    upload.page.wait_for_selector(".drop")
+    upload.page.wait_for_selector("#panel-upload .drop")
     bare = tmp_path / "bare"
     bare.mkdir()
     header = "VERSION 0.7\nFIELDS x y z intensity\nSIZE 4 4 4 4\nTYPE F F F F\nCOUNT 1 1 1 1\nWIDTH 1\nHEIGHT 1\n"
@@ -190,22 +148,30 @@ def test_a_recording_shows_its_topics_and_its_limit(upload: Upload, tmp_path: Pa
     assert form.get_by_role("button", name="Upload only").is_disabled()
 
 
-def test_a_service_without_networks_finds_the_road_by_geometry(browser: Browser, done: Done, unlabelled: Path) -> None:
-    upload = Upload(browser.new_page(), done.server.address)
-    upload.pick(unlabelled)
+def test_scans_alone_make_a_drive_on_a_service_without_networks(browser: Browser, done: Done, tmp_path: Path) -> None:
+    pytest.importorskip("small_gicp", reason="poses from points need small_gicp")
+    scans = [seen(street_points(), pose) for pose in poses_along(np.full(5, 1.5), turn_rad=0.02)]
+    upload = Upload(browser.kept_page(NOTE_PATHS), done.server.address)
+    upload.pick(write_scans(tmp_path / "alone", scans))
     assert upload.page.get_by_label("By geometry, on the service").is_checked()
     assert "Needs no labels" in upload.text()
+    assert "they are computed from the points" in upload.text()
     upload.choose("With label files of mine")
     assert "Expected one .label file per scan" in upload.text()
-    assert upload.page.get_by_role("button", name="Upload and run").is_disabled()
+    assert upload.page.get_by_role("button", name="Upload only").is_disabled()
     upload.choose("By geometry, on the service")
+    upload.choose("No map")
     upload.press("Upload and run")
     job = ended(done.server.client, upload.job())
+    upload.close()
     assert job["state"] == "successful", job["error"]
     assert job["request"]["labels"] == "geometry"
+    report = drive_of(done.server.client, job["id"])["report"]
+    assert report["pose_frame_reason"] == "odometry over the points of 6 scans"
+    assert report["label_folder"] == "geometry"
 
     # All ground of this street is flat and alike: the page says along how much of it the labels are doubtful.
     upload.page.wait_for_selector("#panel-job .badge.good")
     doubts = upload.page.locator("#panel-job dt", has_text="Labels doubtful").locator("+ dd")
-    assert doubts.inner_text() == "0 to 23 m of the track"
-    assert job["summary"]["doubtful_labels_m"] == [[0.0, 23.0]]
+    ((start, stop),) = job["summary"]["doubtful_labels_m"]
+    assert doubts.inner_text() == f"{start:.0f} to {stop:.0f} m of the track"

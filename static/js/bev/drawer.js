@@ -61,14 +61,14 @@ export function mountDrawer(drawer) {
     const choice = !isAll && el("label.key-row.quiet", { title: "Show it on the map" }, box, "on map");
     const nothing = el("span.nothing", { hidden: true }, "none");
     const button = el("button.picture", { ...label, onClick: enlarge }, image, nothing);
-    return { layer, image, button, nothing, figure: el("figure", button, el("figcaption", caption, choice)) };
+    return { layer, image, button, nothing, figure: el("figure", button, el("figcaption.spread", caption, choice)) };
   });
-  const fade = el("input", { type: "range", min: 0.1, max: 1, step: 0.05, value: opacity });
-  fade.setAttribute("aria-label", "Opacity on the map");
-  fade.addEventListener("input", () => {
+  const setOpacity = () => {
     opacity = Number(fade.value);
     for (const overlay of overlays.values()) overlay.setOpacity(opacity);
-  });
+  };
+  const range = { min: 0.1, max: 1, step: 0.05, value: opacity, "aria-label": "Opacity on the map" };
+  const fade = el("input", { type: "range", ...range, onInput: setOpacity });
   const close = () => setState({ drawer: false });
   addShortcut("Escape", "Close the keyframe", close, "Esc");
   const wider = iconButton("wide", "Wider", widen);
@@ -79,15 +79,13 @@ export function mountDrawer(drawer) {
     wider,
     iconButton("close", "Close", () => close(), "Close (Esc)"),
   ]);
-  const pictureGrid = el("div.pictures");
-  pictureGrid.append(...figures.map((each) => each.figure));
   fill(
     drawer,
-    el("div.drawer-body.stack", [
+    el("div.body.stack", [
       el("div.spread", title, buttons),
       note,
       trouble,
-      pictureGrid,
+      el("div.pictures", [figures.map(({ figure }) => figure)]),
       el("label.row", el("span.small", "Opacity on the map"), fade),
       seen,
       rejected,
@@ -100,8 +98,7 @@ export function mountDrawer(drawer) {
   };
   /** @param {string} layer @param {boolean} isOn */
   const toggle = (layer, isOn) => {
-    if (isOn) onMap.add(layer);
-    else onMap.delete(layer);
+    onMap[isOn ? "add" : "delete"](layer);
     void load();
   };
 

@@ -104,7 +104,7 @@ function memberRow({ name, label, job_id, problem }, onOut) {
   const called = name ?? label ?? "a deleted drive";
   const state = problem ?? (job_id ? "on the map" : "not merged yet: it waits for a result, or for its turn");
   return el("li.spread", [
-    el("div.grow", el("div.cut", called), el("small", { class: problem ? "failed" : "" }, state)),
+    el("div.grow", el("div.cut", called), el("small", { class: problem ? "danger" : "" }, state)),
     iconButton("close", `Take ${called} out of the map`, onOut, "Take it out of the map"),
   ]);
 }

@@ -24,7 +24,7 @@ import {
   takeBack,
   versionOf,
 } from "../data/city.js";
-import { announce, el, fill, formatAgo, formatMetres, icon, plural } from "../dom.js";
+import { announce, el, fill, formatAgo, formatCount, formatMetres, icon, plural } from "../dom.js";
 import { VERDICTS } from "../map/city.js";
 import { getCityFilter, setCityFilter } from "../map/city_filter.js";
 import { kindName } from "../map/city_places.js";
@@ -121,29 +121,21 @@ function mapChoice(city) {
   if (city && maps.length < 2) return el("h2.cut.grow", city.name);
   const choices = Object.fromEntries(maps.map(({ id, name }) => [id, name]));
   const choose = (/** @type {string} */ id) => setState({ map: id === "default" ? null : id });
-  const box = select(city ? choices : { "": "Choose a map", ...choices }, city?.id ?? "", choose);
-  box.setAttribute("aria-label", "Map");
-  return el("div.grow", box);
+  const all = city ? choices : { "": "Choose a map", ...choices };
+  return el("div.grow", select(all, city?.id ?? "", choose, "Map"));
 }
 
 /** @param {City} city */
 function headOf(city) {
   const [text, look] = stateOf(city);
+  const refused = city.refused > 0 ? `${city.refused} refused` : undefined;
   const source =
     city.osm && `Compared with ${city.osm}: ${plural(city.junctions_passed ?? 0, "junction")} passed often enough.`;
   return [
     el("div.spread", mapChoice(city), el("span", { class: `badge ${look}`, role: "status" }, text)),
     el("div.tiles-row", [
-      figure(
-        city.intersections.toLocaleString("en"),
-        "intersections",
-        `${city.seen_by_several.toLocaleString("en")} seen again`,
-      ),
-      figure(
-        city.drives.toLocaleString("en"),
-        city.drives === 1 ? "drive" : "drives",
-        city.refused > 0 ? `${city.refused} refused` : undefined,
-      ),
+      figure(formatCount(city.intersections), "intersections", `${formatCount(city.seen_by_several)} seen again`),
+      figure(formatCount(city.drives), city.drives === 1 ? "drive" : "drives", refused),
       figure(formatMetres(city.median_position_std_m), "uncertainty", "1 σ, median"),
     ]),
     city.problem && problemNote({ title: "Not compared with OpenStreetMap", detail: city.problem }),
@@ -169,7 +161,7 @@ function filterOf() {
   const choose = (/** @type {string} */ value) => setCityFilter({ change: /** @type {any} */ (value) || null });
   return el("details.filter", { open: drives !== null || confidence !== null || change !== null }, [
     el("summary", "Filter the map"),
-    el("div.thirds", [
+    el("div.tiles-row.thirds", [
       number("Drives ≥", drives, { min: 1, step: 1 }, (value) => setCityFilter({ drives: value })),
       number("Conf. ≥ %", confidence === null ? null : Math.round(100 * confidence), { min: 0, max: 100 }, (value) =>
         setCityFilter({ confidence: value === null ? null : value / 100 }),
@@ -189,13 +181,11 @@ function fillQueue(holder, city, card) {
   const kinds = Object.fromEntries(Object.keys(queue.by_kind).map((each) => [each, kindName(each)]));
   const at = queue.entries.findIndex(({ id }) => id === getState().finding);
   const judgedKinds = Object.entries(queue.by_kind).filter(([, each]) => each.right + each.wrong + each.cannot_tell);
-  const stateBox = select(STATES, state, (value) => setCityFilter({ state: /** @type {any} */ (value) }));
-  const kindBox = select({ "": "All kinds", ...kinds }, kind ?? "", (value) => setCityFilter({ kind: value || null }));
+  const chooseState = (/** @type {any} */ value) => setCityFilter({ state: value });
+  const chooseKind = (/** @type {string} */ value) => setCityFilter({ kind: value || null });
   const go = (/** @type {1|-1} */ by) => () => void stepFinding(by).catch(showError);
   const previous = iconButton("previous", "Previous finding", go(-1), "Previous finding (k)");
   const next = iconButton("next", "Next finding", go(1), "Next finding (j)");
-  stateBox.setAttribute("aria-label", "State of the findings");
-  kindBox.setAttribute("aria-label", "Kind of the findings");
   const readMore = () => void loadQueue(city, { kind, state }, true).catch(showError);
   fill(
     holder,
@@ -206,9 +196,9 @@ function fillQueue(holder, city, card) {
       `${plural(queue.open, "finding")} to look at, ${queue.judged} looked at. ${precisionText(queue.precision)}`,
     ),
     judgedKinds.length > 1 && bullets(judgedKinds.map(([name, each]) => `${kindName(name)}: ${precisionText(each)}`)),
-    el("div.tools", [
-      stateBox,
-      kindBox,
+    el("div.tools.spread", [
+      select(STATES, state, chooseState, "State of the findings"),
+      select({ "": "All kinds", ...kinds }, kind ?? "", chooseKind, "Kind of the findings"),
       previous,
       el("span.number.quiet", `${at < 0 ? "–" : at + 1} / ${queue.entries.length}${queue.next ? "+" : ""}`),
       next,
@@ -236,17 +226,13 @@ function emptyText({ is_waiting }, state, kind) {
 /** @param {Entry} entry */
 function entryRow({ id, kind, properties, verdict }) {
   const isShown = getState().finding === id;
-  const button = el(
-    "button",
-    { "aria-current": String(isShown), dataset: { key: id }, onClick: () => setState({ finding: id }) },
-    [
-      el("span.cut", streetsOf(properties?.osm_ways) || kindName(kind)),
-      verdict
-        ? el("span.badge", NAMES[verdict.verdict])
-        : el("span.small", plural(properties?.passes ?? 0, "pass", "passes")),
-      el("span.small.both", properties?.text ?? `${kindName(kind)}: the last comparison has it no more.`),
-    ],
-  );
+  const props = { "aria-current": String(isShown), dataset: { key: id }, onClick: () => setState({ finding: id }) };
+  const passes = plural(properties?.passes ?? 0, "pass", "passes");
+  const button = el("button", props, [
+    el("span.cut", streetsOf(properties?.osm_ways) || kindName(kind)),
+    verdict ? el("span.badge", NAMES[verdict.verdict]) : el("span.small", passes),
+    el("span.small.both", properties?.text ?? `${kindName(kind)}: the last comparison has it no more.`),
+  ]);
   return el("li", button);
 }
 
@@ -290,21 +276,18 @@ function entryCard() {
       el("p.small", "Keys: j next, k previous, 1 to 4 say what you see, u takes it back."),
       historyOf(entry),
       el(
-        "div.verdicts",
+        "div.verdicts.row",
         { role: "group", "aria-label": "What you see there" },
-        VERDICTS.map(([verdict, name, hint], i) =>
-          el(
-            "button",
-            {
-              title: hint,
-              disabled: cities.readsOnly,
-              dataset: { key: verdict },
-              "aria-pressed": String(entry.verdict?.verdict === verdict),
-              onClick: () => say(verdict),
-            },
-            [el("kbd", String(i + 1)), name],
-          ),
-        ),
+        VERDICTS.map(([verdict, name, hint], i) => {
+          const isSaid = entry.verdict?.verdict === verdict;
+          const props = {
+            title: hint,
+            disabled: cities.readsOnly,
+            dataset: { key: verdict },
+            onClick: () => say(verdict),
+          };
+          return el("button", { ...props, "aria-pressed": String(isSaid) }, el("kbd", String(i + 1)), name);
+        }),
       ),
       cities.readsOnly && el("p.small", "Your token may only read: others say what they see."),
     );
@@ -321,15 +304,10 @@ function say(verdict) {
 function historyOf({ verdict, history }) {
   if (!verdict) return null;
   const rows = history ?? [verdict];
-  const back = {
-    class: "link",
-    disabled: cities.readsOnly,
-    dataset: { key: "back" },
-    onClick: () => void takeBack().catch(showError),
-  };
+  const onClick = () => void takeBack().catch(showError);
   return el("div.spread", [
     bullets(rows.map(({ verdict: said, by, at }) => `${NAMES[said]}, by ${by}, ${formatAgo(at)}`)),
-    el("button", back, "Take it back"),
+    el("button.link", { disabled: cities.readsOnly, dataset: { key: "back" }, onClick }, "Take it back"),
   ]);
 }
 

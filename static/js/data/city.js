@@ -1,5 +1,5 @@
 /** Maps of many drives, and the queue of what OpenStreetMap seems to have wrong by one of them: as last received. */
-import { ApiError, getJson, sendJson } from "../api.js";
+import { ApiError, getJson, keepLooking, sendJson } from "../api.js";
 import { news } from "../news.js";
 import { getState, setState, subscribe } from "../state.js";
 
@@ -67,22 +67,12 @@ export async function loadMaps() {
 
 /** Keep the maps up to date while one is looked at: often while its drives are merged. */
 export function watchMaps() {
-  let timer = 0;
-  const plan = () => {
-    clearTimeout(timer);
-    timer = window.setTimeout(look, chosenCity()?.is_waiting ? WAITING_MS : LOOK_MS);
-  };
-  const look = async () => {
-    try {
-      if (!document.hidden && cities.maps && wantsCity()) await loadMaps();
-    } catch (error) {
-      if (error instanceof ApiError && error.status === 401) return; // the person was asked for a token just now
-    }
-    plan();
-  };
+  const wait = () => (chosenCity()?.is_waiting ? WAITING_MS : LOOK_MS);
+  const plan = keepLooking(wait, async () => {
+    if (cities.maps && wantsCity()) await loadMaps();
+  });
   onCityChange(plan);
   subscribe(["map"], plan);
-  plan();
 }
 
 /**

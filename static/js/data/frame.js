@@ -70,12 +70,8 @@ export class Frame {
    */
   square(keyframe, side) {
     const h = side / 2;
-    return [
-      [-h, h],
-      [h, h],
-      [h, -h],
-      [-h, -h],
-    ].map(([x, y]) => this.fromWorld(keyframe, x, y));
+    const at = (/** @type {number} */ x, /** @type {number} */ y) => this.fromWorld(keyframe, x, y);
+    return [at(-h, h), at(h, h), at(h, -h), at(-h, -h)];
   }
 
   /** @param {Place} keyframe @returns {number} Heading, clockwise from up on the map, degrees. */

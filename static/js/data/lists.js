@@ -1,5 +1,6 @@
 /** The drives, jobs and trash of the server, as last received: shared by header and panels. */
-import { ApiError, getJson } from "../api.js";
+import { getJson, keepLooking } from "../api.js";
+import { groupBy } from "../dom.js";
 import { news } from "../news.js";
 
 /**
@@ -70,22 +71,11 @@ export async function refreshLists(isLook = false) {
 
 /** Keep the lists up to date with what other tabs and programs do, while somebody looks at the page. */
 export function watchLists() {
-  let timer = 0;
   let looks = 0;
-  const look = async () => {
-    clearTimeout(timer);
-    if (document.hidden) return;
-    try {
-      looks += 1;
-      if (lists.isLoaded) await refreshLists(looks % WHOLE_LOOKS !== 0);
-    } catch (error) {
-      if (error instanceof ApiError && error.status === 401) return; // the person was asked for a token just now
-    }
-    clearTimeout(timer);
-    timer = setTimeout(look, LOOK_MS);
-  };
-  document.addEventListener("visibilitychange", () => void look());
-  timer = setTimeout(look, LOOK_MS);
+  keepLooking(LOOK_MS, async () => {
+    looks += 1;
+    if (lists.isLoaded) await refreshLists(looks % WHOLE_LOOKS !== 0);
+  });
 }
 
 /** @param {Rows[]} parts Drives, jobs, trash. @param {boolean} isWhole */
@@ -137,17 +127,11 @@ export function titleOf({ title, name, drive_id, request }) {
 
 /** @returns {Set<string>} Ids of the drives whose jobs have several maps. */
 function drivesWithMaps() {
-  /** @type {Map<string, string>} */
-  const first = new Map();
-  /** @type {Set<string>} */
-  const found = new Set();
-  for (const { drive_id, request } of lists.jobs) {
-    const file = request.osm?.file;
-    if (!file) continue;
-    if ((first.get(drive_id) ?? file) !== file) found.add(drive_id);
-    first.set(drive_id, file);
-  }
-  return found;
+  const scored = lists.jobs.filter(({ request }) => request.osm?.file);
+  const drives = [...groupBy(scored, (job) => job.drive_id)];
+  return new Set(
+    drives.filter(([, jobs]) => new Set(jobs.map(({ request }) => request.osm.file)).size > 1).map(([id]) => id),
+  );
 }
 
 function notify() {

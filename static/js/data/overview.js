@@ -32,24 +32,12 @@ export async function loadOverview() {
   for (let after = ""; ; ) {
     const page = await getJson(`overview?limit=${PAGE}${after && `&after=${encodeURIComponent(after)}`}`);
     for (const { geometry, properties } of page.features) {
-      const { layer, drive: id, name, job, title, chosen, verdict } = properties;
+      const { layer, drive: id, outcomes = [], ...facts } = properties;
       const known = drives.get(id);
-      if (layer === "intersections" && known)
-        Object.assign(known, { intersections: geometry.coordinates, outcomes: properties.outcomes ?? [] });
-      else if (layer === "intersections") continue;
-      else if (geometry)
-        drives.set(id, {
-          id,
-          name,
-          job,
-          title,
-          chosen,
-          verdict,
-          track: lineOf(geometry),
-          intersections: [],
-          outcomes: [],
-        });
-      else unplaced += 1;
+      if (layer !== "intersections" && geometry)
+        drives.set(id, { ...facts, id, track: lineOf(geometry), intersections: [], outcomes: [] });
+      else if (layer !== "intersections") unplaced += 1;
+      else if (known) Object.assign(known, { intersections: geometry.coordinates, outcomes });
     }
     if (!page.next || drives.size + unplaced >= MAX_DRIVES)
       return { drives: [...drives.values()], unplaced, isCut: page.next !== null };

@@ -1,5 +1,6 @@
 /** The result of a job: its layers and report, loaded together. */
 import { ApiError, getJson } from "../api.js";
+import { groupBy } from "../dom.js";
 import { Frame } from "./frame.js";
 
 /**
@@ -75,7 +76,8 @@ async function load(job) {
   const hasSurface = (run.files ?? []).includes("road.tif"); // older versions made none
 
   const points = keyframes.features.map(place);
-  const pairs = (matches?.features ?? []).map(match);
+  /** @type {Match[]} */
+  const pairs = linesOf(matches).map(({ line, properties }) => ({ ...properties, line }));
   const found = detectionsOf(detections.features, pairs, report !== null);
   const config = run.config ?? {};
   const size = config.bev?.size_m ?? 120;
@@ -88,7 +90,7 @@ async function load(job) {
     frame: new Frame(points, local),
     keyframes: points,
     detections: found,
-    byFrame: groupByFrame(found),
+    byFrame: groupBy(found, ({ properties }) => properties.frame),
     intersections: intersections.features.map(place),
     trajectory: lineOf(trajectory.features[0]?.geometry),
     nodes: (nodes?.features ?? []).map(place),
@@ -135,24 +137,10 @@ export async function loadTrajectory(job) {
  */
 export function trackAlone(trajectory, local) {
   const frame = new Frame([], local);
-  /** @type {any} */
-  const nothing = {
-    keyframes: [],
-    detections: [],
-    intersections: [],
-    nodes: [],
-    matches: [],
-    roads: [],
-    measured: [],
-    mouths: [],
-    buildings: [],
-    compared: [],
-    places: [],
-    surface: null,
-    byFrame: new Map(),
-  };
+  const seen = { keyframes: [], detections: [], intersections: [], byFrame: new Map(), surface: null, compared: [] };
+  const drawn = { nodes: [], matches: [], roads: [], measured: [], mouths: [], buildings: [], places: [] };
   const scores = { report: null, isMadeUp: false, roi_m: 0, zone_m: null };
-  return { ...nothing, ...scores, job: null, run: {}, local, frame, trajectory };
+  return { ...seen, ...drawn, ...scores, job: null, run: {}, local, frame, trajectory };
 }
 
 /** @param {Promise<any>} answer @returns {Promise<any>} null where the result has no such part. */
@@ -173,11 +161,6 @@ export function lineOf(geometry) {
 /** @param {any} feature @returns {Place} */
 export function place({ geometry, properties }) {
   return { lng: geometry.coordinates[0], lat: geometry.coordinates[1], properties };
-}
-
-/** @param {any} feature @returns {Match} */
-function match({ geometry, properties }) {
-  return { ...properties, line: lineOf(geometry) };
 }
 
 /** @param {any[]} features @param {Match[]} matches @param {boolean} evaluated @returns {Detection[]} */
@@ -234,19 +217,4 @@ export function medianError({ matches }, { osm_id, median_error_m }) {
   errors.sort((a, b) => a - b);
   const half = errors.length >> 1;
   return errors.length % 2 ? errors[half] : (errors[half - 1] + errors[half]) / 2;
-}
-
-/** @param {Detection} detection @returns {number} */
-const frameOf = (detection) => detection.properties.frame;
-
-/** @param {Detection[]} detections */
-function groupByFrame(detections) {
-  /** @type {Map<number, Detection[]>} */
-  const groups = new Map();
-  for (const each of detections) {
-    const group = groups.get(frameOf(each));
-    if (group) group.push(each);
-    else groups.set(frameOf(each), [each]);
-  }
-  return groups;
 }

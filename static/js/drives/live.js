@@ -1,5 +1,5 @@
 /** The drives that are under way, to be watched. */
-import { getJson } from "../api.js";
+import { getJson, keepLooking } from "../api.js";
 import { el, fill, plural } from "../dom.js";
 import { getState, setState, subscribe } from "../state.js";
 
@@ -13,18 +13,13 @@ const WORDS = /** @type {Record<string, string>} */ ({
 /** @returns {HTMLElement} Empty while nobody drives. */
 export function liveSection() {
   const section = el("section.stack-s.live", { hidden: true });
-  let timer = 0;
   const look = async () => {
-    clearTimeout(timer);
     if (getState().panel !== "drives") return;
-    if (document.visibilityState === "visible") {
-      const { sessions } = await getJson("live").catch(() => ({ sessions: [] })); // the lists say what is wrong
-      section.hidden = !sessions.length;
-      const rows = el("div.drive", el("ul.jobs", sessions.map(row)));
-      fill(section, ...(sessions.length ? [el("h3", "Live"), rows] : []));
-    }
-    timer = window.setTimeout(look, LOOK_MS);
+    const { sessions } = await getJson("live").catch(() => ({ sessions: [] })); // the lists say what is wrong
+    section.hidden = !sessions.length;
+    if (sessions.length) fill(section, el("h3", "Live"), el("div.drive", el("ul.jobs", sessions.map(row))));
   };
+  keepLooking(LOOK_MS, look);
   subscribe(["panel", "live"], () => void look());
   void look();
   return section;
@@ -32,16 +27,10 @@ export function liveSection() {
 
 /** @param {any} session */
 function row({ id, name, state, keyframes, intersections }) {
-  const button = el(
-    "button",
-    {
-      "aria-current": String(getState().live === id),
-      onClick: () => setState({ live: id, drive: null, job: null, view: null }),
-    },
-    [
-      el("span.cut", { title: name }, name),
-      el("span.small", `${WORDS[state]} · ${plural(keyframes, "keyframe")} · ${plural(intersections, "intersection")}`),
-    ],
-  );
+  const onClick = () => setState({ live: id, drive: null, job: null, view: null });
+  const button = el("button", { "aria-current": String(getState().live === id), onClick }, [
+    el("span.cut", { title: name }, name),
+    el("span.small", `${WORDS[state]} · ${plural(keyframes, "keyframe")} · ${plural(intersections, "intersection")}`),
+  ]);
   return el("li", button);
 }

@@ -4,7 +4,7 @@ import { mapsOfDrive } from "../city/dialogs.js";
 import { iconButton } from "../controls.js";
 import { demo, demoText, onDemoChange, tryDemo } from "../data/demo.js";
 import { lists, onListsChange, refreshLists, rememberDrive, titleOf } from "../data/lists.js";
-import { el, fill, formatAgo, formatBytes, formatCount, formatMetres, icon, plural } from "../dom.js";
+import { el, fill, formatAgo, formatBytes, formatCount, formatMetres, groupBy, icon, plural } from "../dom.js";
 import { isEditing, naming } from "../job/naming.js";
 import { openRunDialog } from "../job/run_dialog.js";
 import {
@@ -32,16 +32,12 @@ const reports = new Map();
 export function mount(container) {
   const trouble = el("div");
   const button = el("button", { onClick: () => void tryDemo() }, "Try the demo");
-  const upload = el("button.primary", { onClick: () => setState({ panel: "upload" }) }, icon("upload"));
-  upload.append("Upload a drive");
+  const open = () => setState({ panel: "upload" });
+  const upload = el("button.primary", { onClick: open }, icon("upload"), "Upload a drive");
   const body = el("div.stack-s");
   let room = ROOM;
-  const search = el("input", {
-    type: "search",
-    placeholder: "Find a drive",
-    "aria-label": "Find drives by name, note or owner",
-    onInput: () => ((room = ROOM), update()),
-  });
+  const words = { placeholder: "Find a drive", "aria-label": "Find drives by name, note or owner" };
+  const search = el("input", { type: "search", ...words, onInput: () => ((room = ROOM), update()) });
   const status = el("p.small", { role: "status" });
   const find = el("div.stack-s", { hidden: true }, search, status);
   const buttons = el("div.row", upload, button);
@@ -64,9 +60,7 @@ export function mount(container) {
     const found = drivesCalled(search.value);
     const current = getState().drive;
     const cards = found.filter(({ id }, i) => i < room || id === current);
-    /** @type {Map<string, any[]>} */
-    const jobs = new Map(cards.map(({ id }) => [id, []]));
-    for (const job of lists.jobs) jobs.get(job.drive_id)?.push(job);
+    const jobs = groupBy(lists.jobs, (job) => job.drive_id);
     buttons.hidden = !lists.drives.length; // the map has them then
     find.hidden = lists.drives.length <= FEW && !search.value;
     const all = `${lists.isCut ? "the newest " : ""}${plural(lists.drives.length, "drive")}`;
@@ -118,6 +112,7 @@ function drivesCalled(words) {
 /** @param {any} drive @param {any[]} jobs Its own. */
 function driveCard(drive, jobs) {
   const current = getState().drive === drive.id;
+  const hasSeveral = jobs.filter(({ state }) => state === "successful").length > 1;
   const report = drive.report ?? reports.get(drive.id) ?? null;
   const facts = [];
   if (report?.scans) facts.push(plural(report.scans, "scan"));
@@ -159,11 +154,7 @@ function driveCard(drive, jobs) {
       rename,
       iconButton("trash", `Delete ${drive.name}`, () => removeDrive(drive).catch(showError), "Delete the drive"),
     ]),
-    jobs.length > 0 &&
-      el(
-        "ul.jobs",
-        jobs.map((each) => jobRow(each, jobs.filter(({ state }) => state === "successful").length > 1)),
-      ),
+    jobs.length > 0 && el("ul.jobs", [jobs.map((each) => jobRow(each, hasSeveral))]),
   ]);
 }
 
@@ -175,17 +166,13 @@ const STANDS = {
 /** @param {any} job @param {boolean} isOneOf Whether the drive has several results. */
 function jobRow(job, isOneOf) {
   const isDone = job.state === "successful";
+  const why = isOneOf && standing(job);
+  const byWhat = "By intersections right and nodes found together: F1";
   const button = el("button", { "aria-current": String(getState().job === job.id), onClick: () => openJob(job) }, [
     el("span.cut", { title: titleOf(job) }, titleOf(job)),
     isDone ? el("span.small", formatAgo(job.finished_at)) : stateBadge(job.state),
     isDone && el("span.small.both", outcomeOf(job)),
-    isOneOf &&
-      standing(job) &&
-      el(
-        "span.small.both.stands",
-        { title: "By intersections right and nodes found together: F1" },
-        STANDS[/** @type {"best"} */ (standing(job))],
-      ),
+    why && el("span.small.both.stands", { title: byWhat }, STANDS[why]),
   ]);
   return el("li", button);
 }

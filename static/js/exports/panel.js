@@ -34,6 +34,12 @@ const LAYER_FORMATS = { ".fgb": "FGB", ".kml": "KML", ".csv": "CSV", ".parquet":
 const QGZ =
   "All layers in groups, drawn as on this page, in one file that holds the data, too: for QGIS 3.22 and newer.";
 const KMZ = "KMZ: all layers in one file, with the signs of this page.";
+const TIFF =
+  "Cells of 0.5 m: from how many keyframes each was seen as road. In UTM, or in metres without georeference.";
+const IN_METRES = "Without a georeference the files hold metres of the drive's own frame, without a coordinate system.";
+const OF_OSM =
+  "Report, verdicts, matches, OSM roads and intersections hold data of OpenStreetMap: © OpenStreetMap contributors, " +
+  "ODbL. State this where you publish them.";
 
 /** @param {HTMLElement} container */
 export function mount(container) {
@@ -64,7 +70,7 @@ function sections(result, link) {
   const get = (text, path, name, props = { title: `${text}: ${name}` }) =>
     el("button", { ...props, onClick: () => download(path, name).catch(showError) }, text);
   /** @param {any} title @param {...any} buttons */
-  const files = (title, ...buttons) => [el("span", title), el("div.formats", buttons)];
+  const files = (title, ...buttons) => [el("span", title), el("div.formats.row", buttons)];
   /** @param {string} name */
   const vector = (name) => {
     const title = el("span", { title: known.get(name)?.description }, LAYERS[name] ?? DERIVED[name]);
@@ -77,14 +83,8 @@ function sections(result, link) {
     const geojson = name in DERIVED ? `${at}/export.geojson?layer=${path}` : `${at}/${path}`;
     return files(title, get("GeoJSON", geojson, `${slug}-${name}.geojson`), others);
   };
-  const raster = () => {
-    const hint =
-      "Cells of 0.5 m: from how many keyframes each was seen as road. In UTM, or in metres without georeference.";
-    return files(
-      el("span", { title: hint }, "Road seen by LiDAR"),
-      get("GeoTIFF", `${surface}.tif`, `${slug}-road.tif`),
-    );
-  };
+  const raster = () =>
+    files(el("span", { title: TIFF }, "Road seen by LiDAR"), get("GeoTIFF", `${surface}.tif`, `${slug}-road.tif`));
   const { exports } = getConfig(); // not every service has all of them
   const known = new Map(getConfig().layers.map((layer) => [layer.name, layer]));
   const hasBuildings = result.buildings.length > 0; // few maps have any
@@ -105,14 +105,9 @@ function sections(result, link) {
       get([icon("download"), "Everything (.zip)"], `${at}/archive.zip`, `${slug}.zip`, {}),
       !local && get([icon("download"), "PMTiles, for web maps"], `${at}/export.pmtiles`, `${slug}.pmtiles`, {}),
     ]),
-    local &&
-      el(
-        "p.note",
-        "Without a georeference the files hold metres of the drive's own frame, without a coordinate system.",
-      ),
+    local && el("p.note", IN_METRES),
     resultSection("Layers", el("div.downloads", layers.map(vector), surface && raster())),
-    resultSection(
-      "Report",
+    resultSection("Report", [
       el("div.downloads", [
         scored &&
           files(
@@ -122,7 +117,7 @@ function sections(result, link) {
           ),
         files("Settings, versions, timings", get("JSON", `${at}/run`, `${slug}-run.json`)),
       ]),
-    ),
+    ]),
     resultSection(
       "Link to this view",
       el("div.row", el("div.grow", link), copyButton("Copy", permalink)),
@@ -130,13 +125,7 @@ function sections(result, link) {
     ),
     resultSection("The same by curl", codeBox(`curl -fOJ${token} ${whole}`)),
     !local && resultSection("In QGIS", qgis(address(`${at}/intersections`), live)),
-    scored &&
-      !result.isMadeUp &&
-      el(
-        "p.small.section",
-        "Report, verdicts, matches, OSM roads and intersections hold data of OpenStreetMap: © OpenStreetMap contributors, " +
-          "ODbL. State this where you publish them.",
-      ),
+    scored && !result.isMadeUp && el("p.small.section", OF_OSM),
   ];
 }
 
@@ -155,7 +144,7 @@ function qgis(geojson, live) {
 
 /** @param {string} text */
 function codeBox(text) {
-  const code = el("pre.code", { tabIndex: 0 }, text);
+  const code = el("pre.code.box", { tabIndex: 0 }, text);
   const copy = copyButton("Copy", () => text);
   return el("div.code-box", code, copy);
 }

@@ -191,10 +191,7 @@ function settingsForm(presets, before, onChange) {
   }
 
   function build() {
-    fill(
-      main,
-      MAIN.map(([path, title]) => control(path, title)),
-    );
+    fill(main, ...MAIN.map(([path, title]) => control(path, title)));
     fill(
       all,
       Object.entries(SECTIONS).map(([part, title]) => {

@@ -31,11 +31,7 @@ export function mapChoice({ maps, isArchive = false, before }, onChange) {
   const inside = "If there is an .osm file in it; otherwise intersections are found but not scored.";
   const overpass = "From a public Overpass server, which learns where the drive is.";
   const choices = [
-    ...maps.map((path) => ({
-      value: `file:${path}`,
-      title: el("code", path),
-      hint: "Among the files of the drive.",
-    })),
+    ...maps.map((path) => ({ value: `file:${path}`, title: el("code", path), hint: "Among the files of the drive." })),
     ...(isArchive ? [{ value: "inside", title: "The map in the archive", hint: inside }] : []),
     { value: "other", title: "A file of mine", hint: endings.join(", "), more: own },
     ...(getConfig().overpass ? [{ value: "overpass", title: "Fetch the map of today", hint: overpass }] : []),

@@ -23,14 +23,8 @@ export function naming({ path, item, heading, title, mayBeUnnamed, onChange }) {
   }
 
   function edit() {
-    const placeholder = mayBeUnnamed ? "made from what was asked for" : null;
-    const name = el("input", {
-      type: "text",
-      value: item.name ?? "",
-      maxLength: 200,
-      required: !mayBeUnnamed,
-      placeholder,
-    });
+    const more = mayBeUnnamed ? { placeholder: "made from what was asked for" } : { required: true };
+    const name = el("input", { type: "text", value: item.name ?? "", maxLength: 200, ...more });
     const note = el("textarea", { rows: 3, maxLength: 2000, value: item.note ?? "" });
     const trouble = el("div", { role: "status" });
     const close = () => {

@@ -94,11 +94,8 @@ export function mount(container) {
       mayBeUnnamed: true,
       onChange: update,
     });
-    const bodies = /** @type {Record<string, (job: any) => any>} */ ({
-      successful: outcome,
-      failed: failure,
-      dismissed,
-    });
+    /** @type {Record<string, (job: any) => any>} */
+    const bodies = { successful: outcome, failed: failure, dismissed };
     fill(
       container,
       el("div.stack", [
@@ -133,6 +130,7 @@ function progress(job) {
   });
   const count = total ? `${formatCount(done)} of ${formatCount(total)} keyframes` : "Counting the keyframes";
   const rest = typeof left === "number" && total ? `${formatDuration(Math.max(1, Math.round(left)))} left` : "";
+  const cancel = async () => rememberJob(await sendJson("DELETE", `jobs/${job.id}`));
   const retried = `Attempt ${job.attempts}: a worker died; the job goes on where it stopped.`;
   return [
     el("ol.steps.down", items),
@@ -142,14 +140,9 @@ function progress(job) {
       job.message && el("p.small", job.message),
       job.attempts > 1 && el("p.note.warning", retried),
     ]),
-    el("div.row", el("button.danger", { onClick: () => cancel(job).catch(showError) }, "Cancel the job")),
+    el("div.row", el("button.danger", { onClick: () => cancel().catch(showError) }, "Cancel the job")),
     el("p.small", "You may close this page: the server goes on, and the job is in the list of drives."),
   ];
-}
-
-/** @param {any} job */
-async function cancel(job) {
-  rememberJob(await sendJson("DELETE", `jobs/${job.id}`));
 }
 
 /** @param {[number, number][]} stretches Along the track, metres. */
@@ -165,9 +158,9 @@ function outcome(job) {
   const stages = Object.values(summary.stage_seconds ?? {});
   const methodSeconds = stages.reduce((sum, each) => sum + each, 0); // without the start of workers, and the map
   const { osm, policy } = job.request;
-  const own = Object.entries(job.own_settings).map(([name, value]) =>
-    el("code", `${name} = ${JSON.stringify(value)} `),
-  );
+  const settings = Object.entries(job.own_settings);
+  const own = settings.map(([name, value]) => el("code", `${name} = ${JSON.stringify(value)} `));
+  const list = osm ? "Open the report" : "List the intersections";
   const finished = new Date(job.finished_at).toLocaleString("en-GB", { dateStyle: "medium", timeStyle: "short" });
   const isPlaced = summary.georeferenced !== false;
   const unscored = isPlaced
@@ -188,15 +181,10 @@ function outcome(job) {
     ]),
     !osm && el("p.note", el("strong", "Not scored"), unscored),
     !osm && el("div.row", el("button.primary", { onClick: withMap }, "Run again with a map…")),
-    el(
-      "div.row",
-      el(
-        "button.primary",
-        { onClick: () => setState({ panel: "report" }) },
-        osm ? "Open the report" : "List the intersections",
-      ),
+    el("div.row", [
+      el("button.primary", { onClick: () => setState({ panel: "report" }) }, list),
       el("button", { onClick: () => setState({ panel: "export" }) }, icon("download"), "Download"),
-    ),
+    ]),
     factList("section", [
       ["Preset", job.request.preset ?? "default"],
       job.request.labels && ["Labels", job.request.labels],

@@ -22,16 +22,9 @@ export function placingField(before, onChange) {
   ]);
   const at = before?.near ? `${before.near.lat_deg}, ${before.near.lon_deg}` : "";
   const near = el("input", { type: "text", placeholder: "anywhere on the map", value: at, onInput: onChange });
-  const range = getConfig().search_radius_km;
-  const radius = el("input", {
-    type: "number",
-    min: range.minimum,
-    max: range.maximum,
-    step: "any",
-    required: true,
-    value: before?.near?.radius_km ?? range.default,
-    onInput: onChange,
-  });
+  const { minimum: min, maximum: max, default: usual } = getConfig().search_radius_km;
+  const value = before?.near?.radius_km ?? usual;
+  const radius = el("input", { type: "number", min, max, step: "any", required: true, value, onInput: onChange });
   const more = el("div.stack-s.more", { hidden: !wanted }, [
     field("Roughly where: latitude, longitude", near, "In degrees, for example 49.01, 8.43. Makes the search sure."),
     field("How far around [km]", radius),

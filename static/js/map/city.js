@@ -5,7 +5,7 @@ import { factList, outLink } from "../controls.js";
 import { cities, featuresIn, judge, loadMembers, loadVerdicts, stepFinding, takeBack } from "../data/city.js";
 import { lists, titleOf } from "../data/lists.js";
 import { lineOf } from "../data/results.js";
-import { el, formatCount, formatDate, formatMetres, formatPercent, plural } from "../dom.js";
+import { el, formatCount, formatDate, formatMetres, formatPercent, groupBy, plural } from "../dom.js";
 import { showError } from "../messages.js";
 import { getState, setState } from "../state.js";
 import { cqlOf, getCityFilter, isOfChange } from "./city_filter.js";
@@ -14,7 +14,8 @@ import { popupOf } from "./details.js";
 import { branchesOf } from "./facts.js";
 import { coordinates, linksAt } from "./links.js";
 import { OverviewScene, REACH_PX } from "./overview.js";
-import { colour, paintSigns, SIGNS, trace } from "./symbols.js";
+import { stroke } from "./paths.js";
+import { paintSigns, SIGNS, trace } from "./symbols.js";
 
 /** @import { City, Member } from "../data/city.js" */
 /** @import { View } from "./surface.js" */
@@ -125,13 +126,7 @@ export class CityScene extends OverviewScene {
   /** @param {any[]} places @param {any[]} changes @param {any[]} findings @param {boolean} isCompared @returns {Spot[]} */
   #spots(places, changes, findings, isCompared) {
     const filter = getCityFilter();
-    /** @param {any[]} features @returns {Map<string, any[]>} */
-    const byPlace = (features) => {
-      const all = new Map();
-      for (const each of features) all.set(each.properties.uid, [...(all.get(each.properties.uid) ?? []), each]);
-      return all;
-    };
-    const [found, changed] = [byPlace(findings), byPlace(changes)];
+    const [found, changed] = [findings, changes].map((each) => groupBy(each, ({ properties }) => properties.uid));
     /** @param {any} feature @param {string} sign @param {any} [finding] @param {any[]} [own] @returns {Spot} */
     const spot = ({ geometry, properties }, sign, finding = null, own = []) => {
       const [lng, lat] = geometry.coordinates;
@@ -187,9 +182,7 @@ export class CityScene extends OverviewScene {
     const [x, y] = this.project([[entry.lon, entry.lat]]);
     context.beginPath();
     trace(context, "ring", view.x(x), view.y(y), r + 9);
-    context.strokeStyle = colour("--ink");
-    context.lineWidth = 3;
-    context.stroke();
+    stroke(context, "--ink", 3);
   }
 
   /** @param {View} view @param {number} x Pixels. @param {number} y @returns {any} The nearest place, else the nearest drive. */
@@ -273,7 +266,7 @@ function contentOf({ lat, lng, properties: p, changes }) {
     el("h3", `Intersection ${p.uid}`),
     change,
     factList("", [...(p.passes ? seenFacts(p) : []), ["Latitude, longitude", coordinates({ lat, lng }, false)]]),
-    el("div.ways-out", el("p", links)),
+    el("div.ways-out.row", el("p", links)),
   ]);
 }
 

@@ -30,10 +30,7 @@ export function addButton(map, symbol, label, call, title = label) {
 
 /** Say where the pointer is: latitude and longitude, or metres of W. @param {any} map @param {boolean} local */
 export function addCoordinates(map, local) {
-  const box = el("output.coordinates", {
-    hidden: true,
-    title: local ? "x, y in W, metres" : "Latitude, longitude",
-  });
+  const box = el("output.coordinates", { hidden: true, title: local ? "x, y in W, metres" : "Latitude, longitude" });
   addCorner(map, "bottomleft", box);
   map.on("mousemove", (/** @type {any} */ { latlng }) => {
     box.hidden = false;

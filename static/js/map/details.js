@@ -177,13 +177,13 @@ function frameOf({ id, first_frame, last_frame }, result) {
 function waysOut(hit, result) {
   const { item, kind } = hit;
   const copy = copyButton("Copy coordinates", () => coordinates(item, result.local));
-  if (result.local || result.isMadeUp) return el("div.ways-out", copy);
+  if (result.local || result.isMadeUp) return el("div.ways-out.row", copy);
   const id = kind === "detection" ? null : (item.properties.osm_id ?? null);
   const links = linksAt(item.lat, item.lng, isOsmNode(id, result) ? id : null).map(({ name, href, title }) =>
     outLink(href, name, { title, onClick: name === "JOSM" && tellOfJosm }),
   );
   const note = kind !== "road" && copyButton("Copy OSM note", () => noteText(hit, result.report?.osm.date));
-  return el("div.ways-out", el("p", links), copy, note);
+  return el("div.ways-out.row", el("p", links), copy, note);
 }
 
 function tellOfJosm() {

@@ -19,7 +19,6 @@ const DETECTIONS = /** @type {Record<string, string>} */ ({
 export function signOf({ kind, item }) {
   if (kind === "intersection") return verdictOf(item);
   if (kind === "node") return kindOfNode(item);
-  if (kind === "road") return null;
   return kind === "detection" ? layerOfDetection(item) : null;
 }
 

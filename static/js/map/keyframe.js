@@ -1,17 +1,7 @@
 /** The chosen keyframe on the map: the vehicle, what it could see, what it detected, and pictures of it. */
 
 import { svg } from "../dom.js";
-import {
-  CircleMarker,
-  DivIcon,
-  ImageOverlay,
-  LayerGroup,
-  latLngBounds,
-  Marker,
-  Polygon,
-  Polyline,
-  SVG,
-} from "../leaflet.js";
+import { CircleMarker, DivIcon, ImageOverlay, LayerGroup, Marker, Polygon, Polyline, SVG } from "../leaflet.js";
 
 const RAY_M = 18;
 
@@ -50,15 +40,11 @@ export class KeyframeLayer {
       }
       this.vehicle.addLayer(new CircleMarker(at, { ...base, radius: 9, className: `seen ${outcome}` }));
     }
-    const arrow = svg(
-      "svg.vehicle",
-      { viewBox: "-14 -14 28 28", width: 28, height: 28 },
-      svg("path", { d: "M0-11 8 9 0 5-8 9Z", transform: `rotate(${frame.heading(keyframe)})` }),
-    );
-    const sign = new DivIcon({ html: arrow, className: "vehicle-icon", iconSize: [28, 28] });
-    this.vehicle.addLayer(
-      new Marker([keyframe.lat, keyframe.lng], { icon: sign, interactive: false, keyboard: false, pane: "marks" }),
-    );
+    const outline = svg("path", { d: "M0-11 8 9 0 5-8 9Z", transform: `rotate(${frame.heading(keyframe)})` });
+    const arrow = svg("svg.vehicle", { viewBox: "-14 -14 28 28", width: 28, height: 28 }, outline);
+    const icon = new DivIcon({ html: arrow, className: "vehicle-icon", iconSize: [28, 28] });
+    const options = { icon, interactive: false, keyboard: false, pane: "marks" };
+    this.vehicle.addLayer(new Marker([keyframe.lat, keyframe.lng], options));
   }
 }
 
@@ -68,7 +54,7 @@ export const TurnedImage = ImageOverlay.extend({
 
   /** @param {string} url @param {Array<[number, number]>} corners @param {any} options */
   initialize(url, corners, options) {
-    ImageOverlay.prototype.initialize.call(this, url, latLngBounds(corners), options);
+    ImageOverlay.prototype.initialize.call(this, url, corners, options);
     this._corners = corners;
     this.on("load", this._reset);
   },
@@ -89,15 +75,9 @@ export const TurnedImage = ImageOverlay.extend({
     const { naturalWidth: w, naturalHeight: h } = this._image;
     if (!w || !this._map) return;
     const [origin, right, down] = this._corners.map(at);
-    const matrix = [
-      (right.x - origin.x) / w,
-      (right.y - origin.y) / w,
-      (down.x - origin.x) / h,
-      (down.y - origin.y) / h,
-      origin.x,
-      origin.y,
-    ];
-    this._image.style.imageRendering = Math.hypot(matrix[0], matrix[1]) > 1 ? "pixelated" : "auto"; // cells stay cells
-    this._image.style.transform = `matrix(${matrix.join(",")})`;
+    const [a, b] = [(right.x - origin.x) / w, (right.y - origin.y) / w];
+    const [c, d] = [(down.x - origin.x) / h, (down.y - origin.y) / h];
+    this._image.style.imageRendering = Math.hypot(a, b) > 1 ? "pixelated" : "auto"; // cells stay cells
+    this._image.style.transform = `matrix(${[a, b, c, d, origin.x, origin.y].join()})`;
   },
 });

@@ -38,7 +38,7 @@ export function addLegend(map) {
         group === "Base" && on.has("tiles") && tileBox(),
       ]);
     const open = isWide() && recall(OPEN_KEY) !== "no";
-    const summary = el("summary", { onClick: remember }, icon("layers"), "Layers");
+    const summary = el("summary.row", { onClick: remember }, icon("layers"), "Layers");
     fill(box, el("details", { open }, summary, groups.map(fieldset)));
   };
   const isWide = () => map.getSize().x >= WIDE_PX;
@@ -70,10 +70,9 @@ function row({ id, title, hint }, count, on) {
 }
 
 /** @param {string} id @param {boolean} isOn */
-function switchLayer(id, isOn) {
+export function switchLayer(id, isOn) {
   const on = layersOn(getState().layers);
-  if (isOn) on.add(id);
-  else on.delete(id);
+  on[isOn ? "add" : "delete"](id);
   const usual = layersOn(null);
   const same = on.size === usual.size && [...on].every((each) => usual.has(each));
   setState({ layers: same ? null : LAYERS.map((each) => each.id).filter((each) => on.has(each)) });

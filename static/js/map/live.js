@@ -1,9 +1,9 @@
 /** A drive that is under way: what its session has said so far, and how it is drawn. */
 import { trackAlone } from "../data/results.js";
 import { plural } from "../dom.js";
-import { fillRings, project } from "./paths.js";
+import { fill, fillRings, project, stroke } from "./paths.js";
 import { Scene } from "./scene.js";
-import { colour, trace } from "./symbols.js";
+import { trace } from "./symbols.js";
 
 /** @import { View } from "./surface.js" */
 
@@ -107,7 +107,7 @@ export class LiveScene extends Scene {
 
   /** @param {CanvasRenderingContext2D} context @param {View} view */
   paintGround(context, view) {
-    fillRings(context, view, this.surface, colour("--seen-road"));
+    fillRings(context, view, this.surface, "--seen-road");
   }
 
   /** @param {CanvasRenderingContext2D} context @param {View} view */
@@ -115,29 +115,17 @@ export class LiveScene extends Scene {
     super.paint(context, view);
     context.beginPath();
     for (const { x, y } of this.candidates) trace(context, "ring", view.x(x), view.y(y), CANDIDATE_PX);
-    context.strokeStyle = colour("--fused");
-    context.lineWidth = 2;
     context.setLineDash([3, 2]);
-    context.stroke();
+    stroke(context, "--fused", 2);
     context.setLineDash([]);
     if (!this.vehicle) return;
     context.save();
     context.translate(view.x(this.vehicle.x), view.y(this.vehicle.y));
     context.rotate((this.vehicle.heading_deg * Math.PI) / 180);
     context.beginPath();
-    for (const [x, y] of [
-      [0, -1.3],
-      [0.9, 1],
-      [0, 0.5],
-      [-0.9, 1],
-    ])
-      context.lineTo(VEHICLE_PX * x, VEHICLE_PX * y);
-    context.closePath();
-    context.fillStyle = colour("--accent");
-    context.strokeStyle = colour("--surface");
-    context.lineWidth = 2;
-    context.fill();
-    context.stroke();
+    trace(context, "vehicle", 0, 0, VEHICLE_PX);
+    fill(context, "--accent");
+    stroke(context, "--surface", 2);
     context.restore();
   }
 }

@@ -17,13 +17,8 @@ export function addMeasure(map, local) {
 
   const look = { interactive: false, pane: "marks" };
   const drawing = new LayerGroup();
-  const sum = new Tooltip({
-    permanent: true,
-    direction: "right",
-    offset: [10, 0],
-    opacity: 1,
-    className: "tip measured",
-  });
+  const beside = { permanent: true, direction: "right", offset: [10, 0], opacity: 1 };
+  const sum = new Tooltip({ ...beside, className: "tip measured" });
   /** @type {any[]} */
   let points = [];
   let isOn = false;
@@ -58,14 +53,11 @@ export function addMeasure(map, local) {
     draw();
     if (isOn) drawing.addTo(map);
     else drawing.remove();
-    const listen = isOn ? "on" : "off";
-    map[listen]("click", add);
-    map[listen]("mousemove", follow);
-    if (isOn) document.addEventListener("keydown", onKey, true);
-    else document.removeEventListener("keydown", onKey, true);
+    map[isOn ? "on" : "off"]({ click: add, mousemove: follow });
+    document[isOn ? "addEventListener" : "removeEventListener"]("keydown", onKey, true);
     if (isOn) map.closePopup();
   };
-  const onKey = (/** @type {KeyboardEvent} */ event) => {
+  const onKey = (/** @type {any} */ event) => {
     if (isTyping(event)) return;
     if (event.key === "Escape") {
       event.stopPropagation(); // what else it closes stays open

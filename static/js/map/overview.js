@@ -1,8 +1,8 @@
 /** All drives on the map, where none is chosen: a click opens one. */
 import { el, plural } from "../dom.js";
 import { setState } from "../state.js";
-import { nearestOn, project, strokePaths } from "./paths.js";
-import { colour, paintSigns, SIGNS, trace } from "./symbols.js";
+import { beginTexts, fill, nearestOn, project, stroke, strokePaths, writeText } from "./paths.js";
+import { paintSigns, SIGNS, trace } from "./symbols.js";
 
 /** @import { DriveOnMap } from "../data/overview.js" */
 /** @import { View } from "./surface.js" */
@@ -67,11 +67,13 @@ export class OverviewScene {
     const seen = this.items.filter((item) => isSeen(item, view));
     const discs = seen.filter((item) => isSmall(item, view));
     const lines = seen.filter((item) => !isSmall(item, view) && item !== this.under);
-    strokePaths(context, view, pathsOf(lines), colour("--accent"), 2.5);
-    if (this.under && !isSmall(this.under, view)) strokePaths(context, view, [this.under.path], colour("--accent"), 5);
+    const paths = lines.map(({ path }) => path);
+    strokePaths(context, view, paths, "--accent", 2.5);
+    if (this.under && !isSmall(this.under, view)) strokePaths(context, view, [this.under.path], "--accent", 5);
     context.beginPath();
     for (const { middle } of discs) trace(context, "disc", view.x(middle[0]), view.y(middle[1]), 6);
-    fillAndRim(context, colour("--accent"), colour("--surface"), 2);
+    fill(context, "--accent");
+    stroke(context, "--surface", 2);
     if (view.zoom >= SIGNS_FROM_ZOOM) {
       for (const name of ["unscored", "right", "wrong"]) {
         const spots = seen.flatMap(({ points, drive }) =>
@@ -125,12 +127,7 @@ export class OverviewScene {
 
 /** As many names as have room beside signs. @param {CanvasRenderingContext2D} context @param {View} view @param {Item[]} items @param {{x: number, y: number}[]} signs At zoom 0. */
 function paintNames(context, view, items, signs) {
-  context.font = `600 12px ${getComputedStyle(document.body).fontFamily}`;
-  context.textAlign = "center";
-  context.textBaseline = "bottom";
-  context.lineWidth = 3;
-  context.strokeStyle = colour("--ground");
-  context.fillStyle = colour("--ink");
+  beginTexts(context, "bottom", "--ink");
   /** @type {Map<number, [number, number, number][]>} Left, bottom, width; by rows of the map. */
   const taken = new Map();
   for (const { x, y } of signs) {
@@ -153,8 +150,7 @@ function paintNames(context, view, items, signs) {
     if (y === undefined) continue;
     const row = Math.floor(y / NAME_PX);
     taken.set(row, [...(taken.get(row) ?? []), [left, y, item.width]]);
-    context.strokeText(item.label, x, y);
-    context.fillText(item.label, x, y);
+    writeText(context, item.label, x, y);
   }
 }
 
@@ -170,9 +166,6 @@ function boxOf(path) {
   return [left, top, right, bottom];
 }
 
-/** @param {Item[]} items */
-const pathsOf = (items) => items.map(({ path }) => path);
-
 /** @param {Item} item @param {View} view @returns {boolean} Whether something of it may be on the canvas. */
 function isSeen({ box: [left, top, right, bottom] }, view) {
   const { x: width, y: height } = view.size;
@@ -187,13 +180,4 @@ function isSeen({ box: [left, top, right, bottom] }, view) {
 /** @param {Item} item @param {View} view */
 function isSmall({ box: [left, top, right, bottom] }, view) {
   return Math.max(right - left, bottom - top) * view.scale < 2 * SMALL_PX;
-}
-
-/** @param {CanvasRenderingContext2D} context @param {string} inside @param {string} rim @param {number} width */
-function fillAndRim(context, inside, rim, width) {
-  context.fillStyle = inside;
-  context.fill();
-  context.strokeStyle = rim;
-  context.lineWidth = width;
-  context.stroke();
 }

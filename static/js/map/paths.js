@@ -1,6 +1,51 @@
-/** Lines and areas on a canvas: projected once, to zoom 0, then painted as a view shows them. */
+/** Lines, areas and texts on a canvas: projected once, to zoom 0, then painted as a view shows them. */
+import { el } from "../dom.js";
 
 /** @import { View } from "./surface.js" */
+
+/** Colours by the CSS variables that stand for them. @type {Map<string, string>} */
+const colours = new Map();
+globalThis.matchMedia?.("(prefers-color-scheme: dark)").addEventListener("change", () => colours.clear());
+
+/** @param {string} variable Of CSS. @returns {string} Its colour as it is now: a canvas knows no variables. */
+export function colour(variable) {
+  if (!colours.has(variable)) {
+    const probe = el("span", { style: { color: `var(${variable})` } });
+    document.body.append(probe);
+    colours.set(variable, getComputedStyle(probe).color);
+    probe.remove();
+  }
+  return /** @type {string} */ (colours.get(variable));
+}
+
+/** Draw along the path of a context. @param {CanvasRenderingContext2D} context @param {string} variable @param {number} width */
+export function stroke(context, variable, width) {
+  context.strokeStyle = colour(variable);
+  context.lineWidth = width;
+  context.stroke();
+}
+
+/** Fill the path of a context. @param {CanvasRenderingContext2D} context @param {string} variable */
+export function fill(context, variable) {
+  context.fillStyle = colour(variable);
+  context.fill();
+}
+
+/** Make a context ready for texts. @param {CanvasRenderingContext2D} context @param {CanvasTextBaseline} baseline @param {string} variable */
+export function beginTexts(context, baseline, variable) {
+  context.font = `600 12px ${getComputedStyle(document.body).fontFamily}`;
+  context.textAlign = "center";
+  context.textBaseline = baseline;
+  context.lineWidth = 3;
+  context.strokeStyle = colour("--ground");
+  context.fillStyle = colour(variable);
+}
+
+/** Write a text that stands out from what it lies on. @param {CanvasRenderingContext2D} context @param {string} text @param {number} x @param {number} y */
+export function writeText(context, text, x, y) {
+  context.strokeText(text, x, y);
+  context.fillText(text, x, y);
+}
 
 const STEP_PX = 2; // a thousand tracks in one town have more points than pixels
 
@@ -13,30 +58,26 @@ export function project(map, places) {
   return path;
 }
 
-/** @param {CanvasRenderingContext2D} context @param {View} view @param {Float64Array[]} rings @param {string} fill @param {number} [edge] Width of a line around them. */
-export function fillRings(context, view, rings, fill, edge = 0) {
+/** @param {CanvasRenderingContext2D} context @param {View} view @param {Float64Array[]} rings @param {string} variable @param {number} [edge] Width of a line around them. */
+export function fillRings(context, view, rings, variable, edge = 0) {
   context.beginPath();
   for (const ring of rings) {
     for (let i = 0; i < ring.length; i += 2) context[i ? "lineTo" : "moveTo"](view.x(ring[i]), view.y(ring[i + 1]));
     context.closePath();
   }
-  context.fillStyle = fill;
-  context.fill();
-  if (!edge) return;
-  context.strokeStyle = fill;
-  context.lineWidth = edge;
-  context.stroke();
+  fill(context, variable);
+  if (edge) stroke(context, variable, edge);
 }
 
 /**
  * @param {CanvasRenderingContext2D} context
  * @param {View} view
  * @param {Float64Array[]} paths
- * @param {string} stroke
+ * @param {string} variable
  * @param {number} width
  * @param {number} [alpha]
  */
-export function strokePaths(context, view, paths, stroke, width, alpha = 1) {
+export function strokePaths(context, view, paths, variable, width, alpha = 1) {
   context.beginPath();
   for (const path of paths) {
     let [lastX, lastY] = [0, 0];
@@ -51,9 +92,7 @@ export function strokePaths(context, view, paths, stroke, width, alpha = 1) {
     }
   }
   context.globalAlpha = alpha;
-  context.strokeStyle = stroke;
-  context.lineWidth = width;
-  context.stroke();
+  stroke(context, variable, width);
   context.globalAlpha = 1;
 }
 

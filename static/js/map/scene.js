@@ -1,13 +1,14 @@
 /** A result on the surface: positions projected once, painted layer by layer, found again under the pointer. */
+import { groupBy } from "../dom.js";
 import { setState } from "../state.js";
 import { openDetails, tipOf } from "./details.js";
 import { ellipseOf, SIGMAS_95 } from "./ellipse.js";
 import { widthText } from "./facts.js";
 import { passes } from "./filter.js";
 import { kindOfNode, layerOfDetection, verdictOf } from "./layers.js";
-import { fillRings, nearestOn, project, strokePaths } from "./paths.js";
+import { fill, fillRings, nearestOn, project, stroke, strokePaths } from "./paths.js";
 import { paintStreetNames, takenBySign } from "./street_names.js";
-import { colour, paintSigns, SIGNS } from "./symbols.js";
+import { paintSigns, SIGNS } from "./symbols.js";
 
 /** @import { View } from "./surface.js" */
 /**
@@ -53,12 +54,10 @@ export class Scene {
     this.places = result.places.map(flat);
     this.buildings = result.buildings.map(flat);
     this.errors = result.matches.map(({ line, outcome }) => ({ path: flat(line), layer: outcome.toLowerCase() }));
-    this.roads = result.roads.map(({ line, properties }) => ({
-      path: flat(line),
-      ...classOf(properties),
-      drivable: isDrivable(properties),
-      name: properties.name ?? null,
-    }));
+    this.roads = result.roads.map(({ line, properties: { highway, is_drivable, name } }) => {
+      const [width, kind] = CLASSES[String(highway).replace(/_link$/, "")] ?? USUAL_CLASS;
+      return { path: flat(line), width, kind, isDrivable: Boolean(is_drivable ?? true), name: name ?? null };
+    });
     this.measured = result.measured.map(({ line, properties }) => ({
       path: flat(line),
       width: properties.width_m ?? 0,
@@ -89,10 +88,10 @@ export class Scene {
     context.lineCap = "round";
     context.lineJoin = "round";
     this.#paintNames(context, view);
-    if (this.on.has("places")) strokePaths(context, view, this.places, colour("--track"), 1.4, 0.4);
-    if (this.on.has("track")) strokePaths(context, view, [this.track], colour("--track"), 1.6, 0.85);
+    if (this.on.has("places")) strokePaths(context, view, this.places, "--track", 1.4, 0.4);
+    if (this.on.has("track")) strokePaths(context, view, [this.track], "--track", 1.6, 0.85);
     const done = this.track.slice(0, 2 * Math.ceil((this.progress * this.track.length) / 2));
-    if (this.progress > 0) strokePaths(context, view, [done], colour("--accent"), 5);
+    if (this.progress > 0) strokePaths(context, view, [done], "--accent", 5);
     this.#paintPoints(context, view, this.keyframes, "keyframes", 2 * size, 0.8);
     if (this.on.has("errors")) {
       for (const layer of ["tp", "fp"]) {
@@ -100,7 +99,7 @@ export class Scene {
         const taken = new Set();
         const own = this.errors.filter((each) => each.layer === layer && isFresh(each.path, view, taken));
         const paths = own.map(({ path }) => path);
-        strokePaths(context, view, paths, colour(SIGNS[layer].colour), 1, layer === "tp" ? 0.55 : 0.35);
+        strokePaths(context, view, paths, SIGNS[layer].colour, 1, layer === "tp" ? 0.55 : 0.35);
       }
     }
     if (this.on.has("uncertainty")) this.#paintUncertainty(context, view);
@@ -143,45 +142,31 @@ export class Scene {
   #paintRoads(context, view) {
     /** @param {number} metres */
     const width = (metres) => Math.max(1.2, Math.min(metres * view.perMetre, 40));
-    fillRings(context, view, this.buildings, colour("--building"));
-    const driven = this.roads.filter((each) => each.drivable);
-    const paths = this.roads.filter((each) => !each.drivable).map((each) => each.path);
+    fillRings(context, view, this.buildings, "--building");
+    const driven = this.roads.filter((each) => each.isDrivable);
+    const paths = this.roads.filter((each) => !each.isDrivable).map((each) => each.path);
     context.setLineDash(view.perMetre > 1 ? [5, 4] : []);
-    strokePaths(context, view, paths, colour("--road-path"), Math.min(2, width(1.5)));
+    strokePaths(context, view, paths, "--road-path", Math.min(2, width(1.5)));
     context.setLineDash([]);
-    /** @type {Map<string, {path: Float64Array, width: number, kind: string}[]>} */
-    const groups = new Map();
-    for (const each of driven) {
-      const group = groups.get(`${each.width}`);
-      if (group) group.push(each);
-      else groups.set(`${each.width}`, [each]);
-    }
-    for (const [end, more] of /** @type {const} */ ([
-      ["-casing", 2],
-      ["", 0],
-    ])) {
+    const groups = groupBy(driven, (each) => each.width);
+    for (const [end, more] of Object.entries({ "-casing": 2, "": 0 })) {
       for (const group of groups.values()) {
         const [{ width: metres, kind }] = group;
         const own = group.map((each) => each.path);
-        strokePaths(context, view, own, colour(`--road-${kind}${end}`), width(metres) + more);
+        strokePaths(context, view, own, `--road-${kind}${end}`, width(metres) + more);
       }
     }
   }
 
   /** As wide as they were measured, on the picture of what was seen. @param {CanvasRenderingContext2D} context @param {View} view */
   #paintMeasured(context, view) {
-    const edge = colour("--measured");
-    const inside = colour("--measured-inside");
-    for (const [stroke, more] of /** @type {const} */ ([
-      [edge, 2.5],
-      [inside, 0],
-    ])) {
+    for (const [variable, more] of Object.entries({ "--measured": 2.5, "--measured-inside": 0 })) {
       for (const { path, width } of this.measured)
-        if (width) strokePaths(context, view, [path], stroke, Math.max(2, width * view.perMetre) + more);
-      fillRings(context, view, this.mouths, stroke, stroke === edge ? more : 0);
+        if (width) strokePaths(context, view, [path], variable, Math.max(2, width * view.perMetre) + more);
+      fillRings(context, view, this.mouths, variable, more);
     }
     const lines = this.measured.map((each) => each.path);
-    strokePaths(context, view, lines, edge, view.perMetre > 2 ? 1.6 : 1);
+    strokePaths(context, view, lines, "--measured", view.perMetre > 2 ? 1.6 : 1);
   }
 
   /**
@@ -229,12 +214,10 @@ export class Scene {
         context.moveTo(x + r * Math.cos(turn), y + r * Math.sin(turn));
         context.ellipse(x, y, r, SIGMAS_95 * minor * view.perMetre, turn, 0, 2 * Math.PI);
       });
-      context.fillStyle = context.strokeStyle = colour(SIGNS[verdict].colour);
       context.globalAlpha = 0.22;
-      context.fill();
+      fill(context, SIGNS[verdict].colour);
       context.globalAlpha = 0.9;
-      context.lineWidth = 0.8;
-      context.stroke();
+      stroke(context, SIGNS[verdict].colour, 0.8);
       context.globalAlpha = 1;
     }
   }
@@ -256,12 +239,8 @@ export class Scene {
           context.lineTo(x + reach * Math.sin(angle), y - reach * Math.cos(angle));
         }
       });
-      context.strokeStyle = colour("--surface");
-      context.lineWidth = 4.5;
-      context.stroke();
-      context.strokeStyle = colour(SIGNS[verdict].colour);
-      context.lineWidth = 2;
-      context.stroke();
+      stroke(context, "--surface", 4.5);
+      stroke(context, SIGNS[verdict].colour, 2);
     }
   }
 
@@ -335,15 +314,4 @@ function isFresh(line, view, taken) {
   if (taken.has(key)) return false;
   taken.add(key);
   return true;
-}
-
-/** @param {any} properties @returns {{width: number, kind: string}} Metres as drawn, and the name of its colours. */
-function classOf({ highway }) {
-  const [width, kind] = CLASSES[String(highway).replace(/_link$/, "")] ?? USUAL_CLASS;
-  return { width, kind };
-}
-
-/** @param {any} properties */
-function isDrivable(properties) {
-  return Boolean(properties.is_drivable ?? true);
 }

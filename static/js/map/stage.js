@@ -20,7 +20,7 @@ import { closeDetails, goTo, hasDetails, keepDetails, openDetails, openSelection
 import { clearFilter, isFiltering, onFilterChange } from "./filter.js";
 import { KeyframeLayer } from "./keyframe.js";
 import { layersOn, NODE_OUTCOMES, VERDICTS } from "./layers.js";
-import { addLegend } from "./legend.js";
+import { addLegend, switchLayer } from "./legend.js";
 import { LiveDrive, LiveScene } from "./live.js";
 import { addMeasure, MEASURE_KEYS } from "./measure.js";
 import { OverviewScene } from "./overview.js";
@@ -54,7 +54,7 @@ let isPlaced = false;
 export async function mountStage() {
   const holder = /** @type {HTMLElement} */ (document.getElementById("map"));
   const cover = el("div.cover");
-  const note = el("div.stage-note");
+  const note = el("div.stage-note.row");
   holder.before(cover, note);
   const timeline = mountTimeline(/** @type {HTMLElement} */ (document.getElementById("strip")));
   /** @type {any} */
@@ -140,7 +140,7 @@ export async function mountStage() {
       build(!drive.session.georeferenced);
       scene = new LiveScene(drive, shown.map);
       const { lat, lng } = drive.vehicle;
-      if (isNew) fit([...drive.track.map(([x, y]) => [y, x]), [lat, lng]], false, !drive.session.georeferenced);
+      if (isNew) fit([...drive.track, [lng, lat]], false, !drive.session.georeferenced);
       else keepInView([lat, lng]);
       parts.redraw();
     };
@@ -163,8 +163,7 @@ export async function mountStage() {
     scene = new Scene(isOfPreview ? { ...track, roads: previewed?.roads ?? [] } : track, shown.map);
     scene.on = new Set(["roads", "track"]);
     scene.progress = job.progress.fraction;
-    const places = track.trajectory.map(([lng, lat]) => [lat, lng]);
-    fit(places, false, track.local);
+    fit(track.trajectory, false, track.local);
     parts.redraw();
   };
 
@@ -181,8 +180,7 @@ export async function mountStage() {
     scene.on = new Set(["roads", "places", "track", "keyframes"]);
     scene.progress = progress;
     parts.setAttribution(result);
-    const places = result.trajectory.map(([lng, lat]) => [lat, lng]);
-    if (isNew) fit(places, false, result.local, below(note));
+    if (isNew) fit(result.trajectory, false, result.local, below(note));
     parts.redraw();
   };
 
@@ -198,7 +196,7 @@ export async function mountStage() {
     hasOverview = Boolean(city?.bbox);
     cityShown = city && versionOf(city);
     if (city?.bbox) {
-      const [west, south, east, north] = city.bbox;
+      const box = city.bbox;
       if (scene instanceof CityScene && scene.city.id === city.id) {
         scene.renew(city);
         tellOfCity(scene);
@@ -207,17 +205,10 @@ export async function mountStage() {
       clear();
       fill(cover);
       build(false);
-      const fitIt = () =>
-        fit(
-          [
-            [south, west],
-            [north, east],
-            ...own.items.flatMap(({ drive }) => drive.track.map(([lng, lat]) => [lat, lng])),
-          ],
-          false,
-          false,
-          below(note),
-        );
+      const fitIt = () => {
+        const tracks = own.items.flatMap(({ drive }) => drive.track);
+        fit([box.slice(0, 2), box.slice(2), ...tracks], false, false, below(note));
+      };
       const own = new CityScene(city, shown.map, (isFirst) => {
         if (scene !== own) return;
         tellOfCity(own);
@@ -284,7 +275,7 @@ export async function mountStage() {
     scene = new OverviewScene(drives, shown.map);
     updateLayers();
     parts.setAttribution({ roads: [], nodes: [], local: false, isMadeUp: false });
-    const places = drives.flatMap(({ track }) => track.map(([lng, lat]) => [lat, lng]));
+    const places = drives.flatMap(({ track }) => track);
     if (isNew) fit(places, false, false, below(note));
     return true;
   };
@@ -296,6 +287,7 @@ export async function mountStage() {
     loaded = result;
     const next = getState().service && result.report?.with_service ? withService(result) : result;
     fill(cover);
+    fill(note); // the map of many drives may have said something while this one was on its way
     closeDetails();
     build(next.local);
     scene = new Scene(next, shown.map);
@@ -436,24 +428,14 @@ function makeMap(holder, local, current) {
     maxBoundsViscosity: 0,
   });
   made.setView([0, 0], local ? 0 : 3);
-  for (const [name, z] of /** @type {const} */ ([
-    ["ground", 240],
-    ["pictures", 300],
-    ["surface", 350],
-    ["keyframe", 450],
-    ["marks", 600],
-  ])) {
+  for (const [name, z] of Object.entries({ ground: 240, pictures: 300, surface: 350, keyframe: 450, marks: 600 })) {
     made.createPane(name).style.zIndex = String(z);
     if (name !== "pictures") made.getPane(name).style.pointerEvents = "none";
   }
-  const ground = new Surface(
-    (/** @type {any} */ context, /** @type {any} */ view) => current()?.paintGround(context, view),
-    { pane: "ground" },
-  ).addTo(made);
-  const surface = new Surface(
-    (/** @type {any} */ context, /** @type {any} */ view) => current()?.paint(context, view),
-    { pane: "surface" },
-  ).addTo(made);
+  const surfaceOf = (/** @type {string} */ pane, /** @type {"paint"|"paintGround"} */ paint) =>
+    new Surface((/** @type {any[]} */ ...what) => current()?.[paint](...what), { pane }).addTo(made);
+  const ground = surfaceOf("ground", "paintGround");
+  const surface = surfaceOf("surface", "paint");
   control.zoom({ position: "topleft" }).addTo(made);
   addButton(made, "fit", "Show the whole drive", () => fitDrive(true));
   const measure = addMeasure(made, local);
@@ -533,12 +515,12 @@ function fitDrive(animate) {
     if (whole) fit(whole.places, animate, whole.local, whole.padding);
     return;
   }
-  const places = [...result.keyframes, ...result.intersections].map(({ lat, lng }) => [lat, lng]);
+  const places = [...result.keyframes, ...result.intersections].map(({ lng, lat }) => [lng, lat]);
   fit(places, animate, result.local);
 }
 
 /**
- * @param {number[][]} places lat, lng
+ * @param {number[][]} places Longitude, latitude.
  * @param {boolean} animate
  * @param {boolean} local
  * @param {number[][]} [padding] Left and top, right and bottom, pixels.
@@ -547,7 +529,8 @@ function fit(places, animate, local, padding = margins()) {
   if (!places.length) return;
   whole = { places, local, padding };
   const [paddingTopLeft, paddingBottomRight] = padding;
-  shown.map.fitBounds(latLngBounds(places), { paddingTopLeft, paddingBottomRight, animate, maxZoom: local ? 4 : 19.5 });
+  const bounds = latLngBounds(places.map(([lng, lat]) => [lat, lng]));
+  shown.map.fitBounds(bounds, { paddingTopLeft, paddingBottomRight, animate, maxZoom: local ? 4 : 19.5 });
 }
 
 /** @param {HTMLElement} note @returns {number[][]} What controls and note cover: left and top, right and bottom, pixels. */
@@ -619,14 +602,9 @@ function emptyCity({ holds_all, is_waiting }) {
 
 /** @returns {HTMLElement} */
 function tileSwitch() {
-  const on = layersOn(getState().layers);
-  const checked = on.has("tiles");
-  const change = () => {
-    if (checked) on.delete("tiles");
-    else on.add("tiles");
-    setState({ layers: [...on] });
-  };
-  return el("label.key-row", el("input", { type: "checkbox", checked, onChange: change }), "Map tiles");
+  const checked = layersOn(getState().layers).has("tiles");
+  const onChange = () => switchLayer("tiles", !checked);
+  return el("label.key-row", el("input", { type: "checkbox", checked, onChange }), "Map tiles");
 }
 
 /** @param {string|null} drive */
@@ -635,9 +613,8 @@ function welcome(drive) {
   if (demo.isRunning) return el("p", { role: "status" }, "The demo is being prepared. It appears here.");
   if (!lists.isLoaded) return null;
   if (lists.drives.length) return el("p", "None of the drives has a place on the map yet. Open one from the list.");
-  const upload = el("button.primary", { onClick: () => setState({ panel: "upload" }) }, icon("upload"));
-  upload.append("Upload a drive");
-  return el("div.drop.drop-stage", [
+  const open = () => setState({ panel: "upload" });
+  return el("div.drop.drop-stage.stack", [
     icon("upload"),
     el("h2", takesDrops() ? "Drop the folder of a LiDAR drive here" : "Where are the road intersections of a drive?"),
     el("ol", [
@@ -651,7 +628,10 @@ function welcome(drive) {
         el("span.key-row", signIcon(name), KEYS[name]),
       ),
     ),
-    el("div.row", upload, el("button", { onClick: () => void tryDemo() }, "Try the demo")),
+    el("div.row", [
+      el("button.primary", { onClick: open }, icon("upload"), "Upload a drive"),
+      el("button", { onClick: () => void tryDemo() }, "Try the demo"),
+    ]),
     demo.error !== null && problemNote(demo.error),
   ]);
 }

@@ -1,5 +1,5 @@
 /** Names of streets, written along them, beside the track, where the map is large enough. */
-import { colour } from "./symbols.js";
+import { beginTexts, writeText } from "./paths.js";
 
 /** @typedef {{x: number, y: number, angle: number}} Spot */
 /**
@@ -13,7 +13,6 @@ import { colour } from "./symbols.js";
  */
 
 const MIN_PER_METRE = 0.9; // pixels: zoom 17 in the middle latitudes
-const FONT = "600 12px";
 const MAX_ROAD_PX = 40; // as drawn
 const MARGIN_PX = 12;
 const APART_PX = 320; // labels of the same name
@@ -29,12 +28,7 @@ const STRAIGHT = 0.985; // chord by arc: letters stand on one line
 export function paintStreetNames(context, view, roads, taken) {
   if (view.perMetre < MIN_PER_METRE) return;
   context.save();
-  context.font = `${FONT} ${getComputedStyle(document.body).fontFamily}`;
-  context.textAlign = "center";
-  context.textBaseline = "middle";
-  context.lineWidth = 3;
-  context.strokeStyle = colour("--ground");
-  context.fillStyle = colour("--ink-2");
+  beginTexts(context, "middle", "--ink-2");
   for (const { path, name, width: metres } of roads) {
     if (!name) continue;
     const beside = Math.min(metres * view.perMetre, MAX_ROAD_PX) / 2 + 8;
@@ -47,8 +41,7 @@ export function paintStreetNames(context, view, roads, taken) {
       context.save();
       context.translate(text.x, text.y);
       context.rotate(spot.angle);
-      context.strokeText(name, 0, 0);
-      context.fillText(name, 0, 0);
+      writeText(context, name, 0, 0);
       context.restore();
     }
   }

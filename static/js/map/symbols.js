@@ -1,7 +1,11 @@
 /** The signs of the map: each outcome has a colour and a shape, the same on the map, in the legend and in charts. */
 import { svg } from "../dom.js";
+import { fill, stroke } from "./paths.js";
 
-/** @typedef {"disc"|"cross"|"ring"|"square"|"diamond"|"dot"|"triangle"|"check"|"bang"|"gap"|"fork"|"hexagon"} Shape */
+/**
+ * @typedef {"disc"|"cross"|"ring"|"square"|"diamond"|"dot"|"triangle"|"check"|"bang"|"gap"|"fork"|"hexagon"
+ *   |"vehicle"} Shape
+ */
 
 /** @param {string} text "x y x y, x y x y" @returns {number[][][]} Lines of points. */
 const lines = (text) => text.split(",").map((line) => [...line.matchAll(/(\S+) (\S+)/g)].map(([, x, y]) => [+x, +y]));
@@ -17,6 +21,7 @@ const OUTLINES = /** @type {Partial<Record<Shape, number[][][]>>} */ ({
   bang: lines("0 -.4 0 .32, 0 .68 0 .7"),
   gap: lines("-.5 0 .5 0"),
   fork: lines("0 .55 0 0 -.46 -.4, 0 0 .46 -.4"),
+  vehicle: lines("0 -1.3 .9 1 0 .5 -.9 1"),
 });
 const OPEN = new Set(["cross", "check", "bang", "gap", "fork"]);
 
@@ -84,10 +89,7 @@ export function paintSigns(context, sign, spots, r, alpha = 1) {
   for (const [x, y] of spots) trace(context, sign.shape, x, y, r);
   context.globalAlpha = alpha;
   if (sign.rim) stroke(context, "--surface", sign.width + 2.5);
-  if (sign.filled) {
-    context.fillStyle = colour(sign.colour);
-    context.fill();
-  }
+  if (sign.filled) fill(context, sign.colour);
   if (sign.width) stroke(context, sign.edge ?? sign.colour, sign.width);
   if (sign.glyph) {
     context.beginPath();
@@ -95,13 +97,6 @@ export function paintSigns(context, sign, spots, r, alpha = 1) {
     stroke(context, "--surface", r / 4);
   }
   context.globalAlpha = 1;
-}
-
-/** @param {CanvasRenderingContext2D} context @param {string} variable @param {number} width */
-function stroke(context, variable, width) {
-  context.strokeStyle = colour(variable);
-  context.lineWidth = width;
-  context.stroke();
 }
 
 const RADII = /** @type {Partial<Record<Shape, number>>} */ ({ dot: 2.5, disc: 4, cross: 5, triangle: 6.5 });
@@ -139,8 +134,8 @@ export function signIcon(name) {
 /** @param {Sign} sign */
 function marksOf({ colour, shape, filled, width, edge, glyph }) {
   const r = shape === "disc" && glyph ? 7 : glyph === "gap" ? 6 : (RADII[shape] ?? 4.5);
-  const stroke = glyph ? "none" : edge ? `var(${edge})` : width ? `var(${colour})` : "none";
-  const props = { fill: filled ? `var(${colour})` : "none", stroke, "stroke-width": width };
+  const line = glyph ? "none" : edge ? `var(${edge})` : width ? `var(${colour})` : "none";
+  const props = { fill: filled ? `var(${colour})` : "none", stroke: line, "stroke-width": width };
   const mark = { fill: "none", stroke: "var(--surface)", "stroke-width": 1.8, "stroke-linecap": "round" };
   return [
     OUTLINES[shape] ? svg("path", { d: outlineOf(shape, r), ...props }) : svg("circle", { cx: 8, cy: 8, r, ...props }),
@@ -152,9 +147,4 @@ function marksOf({ colour, shape, filled, width, edge, glyph }) {
 function outlineOf(shape, r) {
   const path = (/** @type {number[][]} */ line) => `M${line.map(([x, y]) => `${8 + r * x} ${8 + r * y}`).join("L")}`;
   return OUTLINES[shape]?.map(path).join("") + (OPEN.has(shape) ? "" : "Z");
-}
-
-/** @param {string} variable @returns {string} The colour that a CSS variable stands for now. */
-export function colour(variable) {
-  return getComputedStyle(document.documentElement).getPropertyValue(variable).trim();
 }

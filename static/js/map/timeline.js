@@ -4,8 +4,8 @@ import { el, fill, formatDuration, icon, plural } from "../dom.js";
 import { addShortcut } from "../shortcuts.js";
 import { getState, setState, subscribe } from "../state.js";
 import { chosenFrame } from "./details.js";
+import { colour } from "./paths.js";
 import { firstDetection } from "./shown.js";
-import { colour } from "./symbols.js";
 
 /** @import { Result } from "../data/results.js" */
 
@@ -22,9 +22,8 @@ export function mountTimeline(strip) {
   const slider = el("input", { type: "range", min: 0, max: 0, step: 1, "aria-label": "Keyframe" });
   slider.addEventListener("input", () => choose(Number(slider.value)));
   const play = el("button.square", { onClick: () => toggle() });
-  const speed = select(Object.fromEntries(SPEEDS.map((each) => [each, `${each}/s`])), "10");
+  const speed = select(Object.fromEntries(SPEEDS.map((each) => [each, `${each}/s`])), "10", undefined, "Speed");
   speed.title = "Keyframes per second";
-  speed.setAttribute("aria-label", "Speed");
   const follow = iconButton(
     "follow",
     "Keep the vehicle in view",
@@ -42,7 +41,7 @@ export function mountTimeline(strip) {
   const large = el("button", { "aria-expanded": "false", onClick: lookInside }, icon("image"), "Look inside");
   fill(
     strip,
-    el("div.timeline", [
+    el("div.timeline.spread", [
       iconButton("previous", "Previous keyframe", () => step(-1), "Previous keyframe (,)"),
       play,
       iconButton("next", "Next keyframe", () => step(1), "Next keyframe (.)"),
@@ -107,7 +106,7 @@ export function mountTimeline(strip) {
       frame === null
         ? [plural(result.keyframes.length, "keyframe"), "drag or play"]
         : [`Scan ${frame}${clock}`, `${row + 1} of ${result.keyframes.length} · ${plural(seen, "detection")}`];
-    fill(label, el("strong", first), el("span", second));
+    fill(label, el("strong", first), el("span.small", second));
     fill(play, icon(playing ? "pause" : "play"));
     play.setAttribute("aria-label", playing ? "Pause" : "Play");
     play.title = playing ? "Pause (space)" : "Play (space)";

@@ -3,6 +3,22 @@ import { el, fill, formatCount, formatPercent, svg } from "../dom.js";
 
 const W = 360;
 const BOX = { left: 34, right: 8, top: 8, bottom: 30 };
+const MIDDLE = (BOX.left + W - BOX.right) / 2;
+
+/** @param {number} x Of its middle. @param {number} y @param {string} text */
+const centred = (x, y, text) => svg("text", { x, y, "text-anchor": "middle" }, text);
+
+/** @param {number} y @param {string} text Beside the axis. */
+const beside = (y, text) => svg("text", { x: BOX.left - 6, y, "text-anchor": "end" }, text);
+
+/** @param {string} kind Class. @param {number} y */
+const across = (kind, y) => svg(`line.${kind}`, { x1: BOX.left, x2: W - BOX.right, y1: y, y2: y });
+
+/** The mark of a line in a key. @param {string} colour @param {string} [dash] */
+export function lineKey(colour, dash) {
+  const borderTopStyle = !dash ? "solid" : dash.startsWith("2") ? "dotted" : "dashed";
+  return el("i.key", { style: { borderColor: colour, borderTopStyle } });
+}
 
 /**
  * @typedef {{name: string, colour: string, dash?: string, points: Array<[number, number|null]>}} Line y in 0..1.
@@ -20,28 +36,20 @@ export function lineChart(lines, { max, mark, onMark }) {
   const xs = lines[0].points.map(([d]) => d).filter((d) => d <= max);
   const cursor = svg("line.cursor", { y1: BOX.top, y2: h - BOX.bottom });
   const dots = lines.map((line) => svg("circle", { r: 3.5, fill: line.colour, visibility: "hidden" }));
-  const keys = el("div.keys");
+  const keys = el("div.keys.row");
   let current = mark;
   /** @param {number} d */
   const read = (d) => {
     cursor.setAttribute("x1", String(x(d)));
     cursor.setAttribute("x2", String(x(d)));
-    lines.forEach((line, i) => {
-      const value = line.points.find(([each]) => each === d)?.[1];
-      dots[i].setAttribute("visibility", value === null || value === undefined ? "hidden" : "visible");
+    const texts = lines.map(({ name, colour, dash, points }, i) => {
+      const value = points.find(([each]) => each === d)?.[1] ?? null;
+      dots[i].setAttribute("visibility", value === null ? "hidden" : "visible");
       dots[i].setAttribute("cx", String(x(d)));
       dots[i].setAttribute("cy", String(y(value ?? 0)));
+      return el("span.key-row", lineKey(colour, dash), `${name} ${formatPercent(value)}`);
     });
-    fill(
-      keys,
-      el("strong", `At D = ${d} m`),
-      lines.map((line) => {
-        const value = line.points.find(([each]) => each === d)?.[1];
-        const borderTopStyle = !line.dash ? "solid" : line.dash.startsWith("2") ? "dotted" : "dashed";
-        const key = el("i.key", { style: { borderColor: line.colour, borderTopStyle } });
-        return el("span.key-row", key, `${line.name} ${formatPercent(value)}`);
-      }),
-    );
+    fill(keys, el("strong", `At D = ${d} m`), texts);
   };
   const nearest = (/** @type {PointerEvent} */ event) => {
     const box = chart.getBoundingClientRect();
@@ -78,17 +86,11 @@ export function lineChart(lines, { max, mark, onMark }) {
     },
     [
       [0, 0.25, 0.5, 0.75, 1].map((share) => [
-        svg("line.grid", { x1: BOX.left, x2: W - BOX.right, y1: y(share), y2: y(share) }),
-        svg(
-          "text",
-          { x: BOX.left - 6, y: y(share) + 4, "text-anchor": "end" },
-          `${100 * share}${share === 1 ? " %" : ""}`,
-        ),
+        across("grid", y(share)),
+        beside(y(share) + 4, `${100 * share}${share === 1 ? " %" : ""}`),
       ]),
-      Array.from({ length: max / 2 + 1 }, (_, i) =>
-        svg("text", { x: x(2 * i), y: h - BOX.bottom + 14, "text-anchor": "middle" }, String(2 * i)),
-      ),
-      svg("text", { x: (BOX.left + W - BOX.right) / 2, y: h - 3, "text-anchor": "middle" }, "distance D [m]"),
+      Array.from({ length: max / 2 + 1 }, (_, i) => centred(x(2 * i), h - BOX.bottom + 14, String(2 * i))),
+      centred(MIDDLE, h - 3, "distance D [m]"),
       lines.map((line) =>
         svg("polyline.curve", {
           stroke: line.colour,
@@ -123,10 +125,8 @@ export function barChart(counts, { width, limit }) {
     const limitText = `${counts.at(-1)} beyond ${(counts.length - 1) * width} m`;
     if (i === null) return fill(legend, `${formatCount(total)} matched detections; ${limitText}.`);
     const range = i === counts.length - 1 ? `beyond ${i * width} m` : `${i * width} to ${(i + 1) * width} m`;
-    fill(
-      legend,
-      `${formatCount(counts[i])} detections (${formatPercent(counts[i] / Math.max(1, total))}) ${range} off.`,
-    );
+    const share = formatPercent(counts[i] / Math.max(1, total));
+    fill(legend, `${formatCount(counts[i])} detections (${share}) ${range} off.`);
   };
   describe(null);
   const chart = svg(
@@ -138,9 +138,9 @@ export function barChart(counts, { width, limit }) {
       onPointerleave: () => describe(null),
     },
     [
-      svg("text", { x: BOX.left - 6, y: BOX.top + 6, "text-anchor": "end" }, formatCount(max)),
-      svg("line.grid", { x1: BOX.left, x2: W - BOX.right, y1: y(max), y2: y(max) }),
-      svg("line.axis", { x1: BOX.left, x2: W - BOX.right, y1: y(0), y2: y(0) }),
+      beside(BOX.top + 6, formatCount(max)),
+      across("grid", y(max)),
+      across("axis", y(0)),
       counts.map((count, i) => [
         svg("rect", {
           class: `bar${i * width >= limit ? " fp" : ""}`,
@@ -159,17 +159,10 @@ export function barChart(counts, { width, limit }) {
         }),
       ]),
       counts.map((_, i) => {
-        const metres = i * width;
-        return (
-          metres % 2 === 0 &&
-          svg(
-            "text",
-            { x: BOX.left + i * step, y: h - BOX.bottom + 14, "text-anchor": "middle" },
-            String(metres) + (i === counts.length - 1 ? "+" : ""),
-          )
-        );
+        const text = `${i * width}${i === counts.length - 1 ? "+" : ""}`;
+        return (i * width) % 2 === 0 && centred(BOX.left + i * step, h - BOX.bottom + 14, text);
       }),
-      svg("text", { x: (BOX.left + W - BOX.right) / 2, y: h - 3, "text-anchor": "middle" }, "center error [m]"),
+      centred(MIDDLE, h - 3, "center error [m]"),
     ],
   );
   return el("div", chart, legend);

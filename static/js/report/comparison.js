@@ -12,12 +12,12 @@ import { onResult, shown } from "../map/shown.js";
 import { signIcon } from "../map/symbols.js";
 import { problemNote } from "../messages.js";
 import { getState, setState, subscribe } from "../state.js";
-import { lineChart } from "./chart.js";
+import { lineChart, lineKey } from "./chart.js";
 import { at, curve } from "./scores.js";
 
 /** @import { Comparison } from "../map/compared.js" */
 
-const COLOURS = ["--tp", "--fp", "--found", "--missed", "--warn", "--accent", "--ink", "--outside"];
+const COLOURS = ["tp", "fp", "found", "missed", "warn", "accent", "ink", "outside"].map((name) => `var(--${name})`);
 const DASHES = [undefined, "7 3", "2 3", "9 3 2 3", "4 2", "12 4", "2 2", "6 2 2 2"];
 const MEASURES = { f1: "F1", precision: "Precision", recall: "Recall" };
 
@@ -53,15 +53,18 @@ function comparison({ job, report }) {
   let token = 0;
 
   showJobs = () => {
-    const others = lists.jobs.filter((each) => isComparable(each, job));
+    const ofDrive = lists.jobs.filter((each) => each.drive_id === job.drive_id && each.id !== job.id);
+    const others = ofDrive.filter(({ state, summary }) => state === "successful" && summary?.report);
     alone.hidden = others.length > 0;
     choice.hidden = !others.length;
     const chosen = comparedJobs();
     const maxOthers = getConfig().max_compared_jobs - 1;
     const row = (/** @type {any} */ each) => {
       const isChosen = chosen.includes(each.id);
-      const onChange = () =>
-        setState({ compare: isChosen ? but(chosen, each.id) : chosen.concat(each.id).slice(0, maxOthers) });
+      const onChange = () => {
+        const next = isChosen ? chosen.filter((id) => id !== each.id) : chosen.concat(each.id).slice(0, maxOthers);
+        setState({ compare: next.length ? next : null });
+      };
       const disabled = !isChosen && chosen.length >= maxOthers;
       const box = el("input", { type: "checkbox", id: `compare-${each.id}`, checked: isChosen, disabled, onChange });
       return el("label.check", box, el("span", jobName(each)));
@@ -105,31 +108,13 @@ function comparison({ job, report }) {
   return [el("h2.cut", job.drive_name), el("p.small", "This job: ", titleOf(job)), alone, choice, holder, places];
 }
 
-/** @param {any} other @param {any} job */
-function isComparable(other, job) {
-  const isOther = other.drive_id === job.drive_id && other.id !== job.id;
-  return isOther && other.state === "successful" && Boolean(other.summary?.report);
-}
-
-/** @param {string[]} ids @param {string} one */
-function but(ids, one) {
-  const rest = ids.filter((each) => each !== one);
-  return rest.length ? rest : null;
-}
-
 /** A table with a column for each job. @param {string} first @param {string[]} names @param {any[][]} rows */
 function columns(first, names, rows) {
   const made = table([first, ...names], rows);
   made.querySelectorAll("thead th").forEach((head, i) => {
-    if (i) head.append(key(i - 1), i === 1 ? el("small", "this job") : "");
+    if (i) head.append(lineKey(COLOURS[i - 1], DASHES[i - 1]), i === 1 ? el("small", "this job") : "");
   });
   return el("div.wide-table", { tabIndex: 0, role: "group", "aria-label": first }, made);
-}
-
-/** @param {number} i Number of a job. */
-function key(i) {
-  const borderTopStyle = DASHES[i] ? (DASHES[i]?.startsWith("2") ? "dotted" : "dashed") : "solid";
-  return el("i.key", { style: { borderColor: `var(${COLOURS[i]})`, borderTopStyle } });
 }
 
 /** @param {string[]} names @param {any[]} reports */
@@ -164,21 +149,22 @@ function curves(names, reports) {
   const show = (/** @type {string} */ measure) => {
     const lines = reports.map((report, i) => ({
       name: names[i],
-      colour: `var(${COLOURS[i]})`,
+      colour: COLOURS[i],
       dash: DASHES[i],
       points: curve(report).map((each) => [each.d, /** @type {any} */ (each)[measure]]),
     }));
     fill(holder, lineChart(/** @type {any} */ (lines), { max: 10, mark: 5, onMark: () => {} }));
   };
-  const choice = select(MEASURES, "f1", show);
-  choice.setAttribute("aria-label", "Measure");
   show("f1");
-  return [el("h4.spread", "Over D", choice), holder];
+  return [el("h4.spread", "Over D", select(MEASURES, "f1", show, "Measure")), holder];
 }
 
 /** @param {string[]} names @param {any[]} jobs @param {any} compared */
 function differences(names, jobs, { settings, nodes, warnings, found_by_all, missed_by_all }) {
-  const row = (/** @type {any} */ { name, values }) => [el("code", name), ...values.map(textOf)];
+  const row = (/** @type {any} */ { name, values }) => [
+    el("code", name),
+    ...values.map((/** @type {any} */ value) => String(value ?? "–")),
+  ];
   const own = [...choicesThatDiffer(jobs), ...settings.filter((/** @type {any} */ each) => each.is_own).map(row)];
   const ofPresets = settings.filter((/** @type {any} */ each) => !each.is_own).map(row);
   const summary = `${plural(ofPresets.length, "setting differs", "settings differ")} by the presets`;
@@ -215,9 +201,6 @@ function choicesThatDiffer(jobs) {
   ];
   return rows.filter(([, values]) => new Set(values).size > 1).map(([name, values]) => [name, ...values]);
 }
-
-/** @param {any} value */
-const textOf = (value) => (value === null ? "–" : String(value));
 
 /** @param {string} sign @param {string} text Only read aloud where there are many columns. @param {number} count */
 function outcome(sign, text, count) {

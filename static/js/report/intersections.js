@@ -116,7 +116,7 @@ export function intersectionList(result) {
   };
   requestAnimationFrame(mark);
   return el("div.stack-s.intersections", [
-    el("div.tools", [
+    el("div.tools.spread", [
       search,
       iconButton("previous", "Previous intersection", () => step(-1), "Previous intersection of the list (p)"),
       count,
@@ -157,10 +157,7 @@ function filterFields(result) {
     el("summary", "Filter"),
     el("div.stack-s", [
       boxes.length > 1 && el("fieldset.row", [el("legend.unseen", "Outcome"), boxes.map((each) => each.element)]),
-      el(
-        "div.ranges",
-        ranges.map((each) => each.elements),
-      ),
+      el("div.ranges", [ranges.map(({ elements }) => elements)]),
     ]),
   ]);
   return element;
@@ -171,16 +168,10 @@ function rangeFields({ figure, name, scale, step: by }, places) {
   const values = places.map(({ properties }) => properties[figure] * scale).filter(Number.isFinite);
   const digits = by === "1" ? 0 : 2;
   const bounds = [Math.min(...values), Math.max(...values)].map((each) => each.toFixed(digits));
-  const inputs = ["least", "most"].map((bound, i) =>
-    el("input", {
-      type: "number",
-      min: "0",
-      step: by,
-      placeholder: bounds[i],
-      "aria-label": `${name}, at ${bound}`,
-      onInput: () => read(),
-    }),
-  );
+  const inputs = ["least", "most"].map((bound, i) => {
+    const words = { placeholder: bounds[i], "aria-label": `${name}, at ${bound}` };
+    return el("input", { type: "number", min: "0", step: by, ...words, onInput: () => read() });
+  });
   const read = () => {
     const [least, most] = inputs.map(({ value }) => (value === "" ? null : Number(value) / scale));
     setFilter({ ranges: { ...getFilter().ranges, [figure]: [least, most] } });

@@ -140,20 +140,10 @@ function paperNote(result, report) {
     const rows = [
       ["This job", report.ace_m, own.precision, own.recall],
       ["Paper, RangeNet++ labels", paper.ace_m, paper.precision, paper.recall],
-    ].map(([name, ace, precision, recall]) => [
-      name,
-      formatMetres(ace),
-      formatPercent(precision),
-      formatPercent(recall),
-    ]);
-    fill(
-      holder,
-      section(
-        `Beside the paper: sequence ${sequence}`,
-        table(["", "ACE", "Precision", "Recall"], rows),
-        el("p.small", "At D = 5 m. The paper used other labels and another map, so its figures differ."),
-      ),
-    );
+    ].map(([name, ace, ...shares]) => [name, formatMetres(ace), ...shares.map(formatPercent)]);
+    const note = el("p.small", "At D = 5 m. The paper used other labels and another map, so its figures differ.");
+    const figures = table(["", "ACE", "Precision", "Recall"], rows);
+    fill(holder, section(`Beside the paper: sequence ${sequence}`, figures, note));
   };
   getJson("paper").then(show, () => {}); // an older server has no such figures; the report stands without them
   return holder;

@@ -6,14 +6,8 @@ import { getConfig } from "../api.js";
  * @returns {Array<{d: number, precision: number|null, recall: number|null, f1: number|null}>} Ascending.
  */
 export function curve(report) {
-  return Object.keys(report.precision)
-    .map((key) => ({
-      d: Number(key),
-      precision: report.precision[key],
-      recall: report.recall[key],
-      f1: report.f1[key],
-    }))
-    .sort((a, b) => a.d - b.d);
+  const distances = Object.keys(report.precision).map(Number);
+  return distances.sort((a, b) => a - b).map((d) => ({ d, ...at(report, d) }));
 }
 
 /** @param {any} report @param {number} d */

@@ -1,4 +1,5 @@
 /** A table whose rows lead to the map: sorted by any column, one stop of the Tab key, arrow keys from row to row. */
+import { factRows } from "../controls.js";
 import { el, fill } from "../dom.js";
 import { signIcon } from "../map/symbols.js";
 
@@ -31,13 +32,11 @@ export function sortedTable(columns, { keyOf, onChoose, onSort, below }) {
   /** @type {string|null} */
   let marked = null;
   const body = el("tbody", { onKeydown: (/** @type {KeyboardEvent} */ event) => move(event) });
-  const heads = columns.map(({ name, meaning, class: kind }, i) =>
-    el(
-      "th",
-      { scope: "col", class: kind, title: meaning },
-      el("button", { type: "button", onClick: () => sort(i) }, name, el("span", { "aria-hidden": "true" })),
-    ),
-  );
+  const heads = columns.map(({ name, meaning, class: kind }, i) => {
+    const mark = el("span", { "aria-hidden": "true" });
+    const button = el("button", { type: "button", onClick: () => sort(i) }, name, mark);
+    return el("th", { scope: "col", class: kind, title: meaning }, button);
+  });
   /** @param {any} a @param {any} b */
   const order = (a, b) => compare(columns[column].value(a), columns[column].value(b), down);
 
@@ -54,10 +53,7 @@ export function sortedTable(columns, { keyOf, onChoose, onSort, below }) {
       head.querySelector("span").textContent = i === column ? (down ? "▾" : "▴") : "";
     });
     rows.sort((a, b) => order(a, b) || compare(keyOf(a), keyOf(b), false));
-    fill(
-      body,
-      rows.map((row) => [rowOf(row), belowOf(row)]),
-    );
+    fill(body, ...rows.flatMap((row) => [rowOf(row), belowOf(row)]));
     markRows();
   };
   /** @param {any} row */
@@ -102,10 +98,7 @@ export function sortedTable(columns, { keyOf, onChoose, onSort, below }) {
       el("div.scroll", el("table", el("thead", el("tr", heads)), body)),
       el("details.small", [
         el("summary", "What the columns mean"),
-        el(
-          "dl.meanings",
-          columns.map(({ name, meaning }) => [el("dt", name), el("dd", meaning)]),
-        ),
+        el("dl.meanings", factRows(columns.map(({ name, meaning }) => [name, meaning]))),
       ]),
     ]),
     show(next) {

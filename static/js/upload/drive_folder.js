@@ -108,15 +108,15 @@ export async function lookInto(folder, { root, options, extras = new Map() } = {
   const sizes = Object.fromEntries([...files].map(([path, file]) => [path, file.size]));
   const small = new Map([...files].filter(([path, { size }]) => SMALL.test(path) && size <= MAX_SMALL_BYTES));
   const json = { name: folder.name.slice(0, 200) || "drive", files: sizes, root, options };
+  const ask = (/** @type {object} */ more) => sendJson("POST", "drives/look", { ...json, ...more });
   try {
     let contents = await contentsOf(small);
-    let answer = await sendJson("POST", "drives/look", { ...json, contents });
+    let answer = await ask({ contents });
     const wanted = /** @type {[string, number][]} */ (Object.entries(answer.drive?.wanted ?? {}));
     const heads = wanted.map(([path, bytes]) => [path, /** @type {File} */ (files.get(path)).slice(0, bytes)]);
     const more = await contentsOf(new Map(/** @type {[string, Blob][]} */ (heads)));
     contents = { ...contents, ...more };
-    if (Object.keys(more).length)
-      answer = await sendJson("POST", "drives/look", { ...json, root: answer.drive.root, contents });
+    if (Object.keys(more).length) answer = await ask({ root: answer.drive.root, contents });
     /** @type {Record<string, Record<string, string>>} */
     const ranges = {};
     for (let turn = 0; turn < MAX_TURNS && Object.keys(answer.drive?.wanted_ranges ?? {}).length; turn += 1) {
@@ -125,7 +125,7 @@ export async function lookInto(folder, { root, options, extras = new Map() } = {
       ))
         for (const [start, stop] of pieces)
           (ranges[path] ??= {})[start] = await base64Of(/** @type {File} */ (files.get(path)).slice(start, stop));
-      answer = await sendJson("POST", "drives/look", { ...json, root: answer.drive.root, contents, ranges });
+      answer = await ask({ root: answer.drive.root, contents, ranges });
     }
     return { ...answer, drive: answer.drive && driveOf(folder, answer.drive) };
   } catch (fault) {
@@ -240,14 +240,7 @@ export function filesOfDrive(drive) {
   return files;
 }
 
-/**
- * @typedef {object} NumberedFiles
- * @property {string} folder Path inside the drive.
- * @property {string} suffix With its dot.
- * @property {number} digits Width that the numbers are padded to.
- * @property {Map<number, File>} files By number, ascending.
- * @property {number} bytes Of all of them.
- */
+/** @typedef {Omit<NumberedLook, "runs"> & {files: Map<number, File>, bytes: number}} NumberedFiles By number, ascending. */
 
 /** @param {Folder} picked @param {string} front Path of the drive in it. @param {NumberedLook} look @returns {NumberedFiles} */
 function numberedFiles(picked, front, { folder, suffix, digits, runs }) {
@@ -319,10 +312,8 @@ export async function oxtsRows(folder, onProgress = () => {}) {
       : [];
   });
   const places = new Set(found.map(({ path }) => path.slice(0, path.lastIndexOf("/") + 1)));
-  if (places.size > 1)
-    throw new Error(
-      `${folder.name} holds several OXTS folders (${[...places].slice(0, 3).join(", ")}): pick one drive.`,
-    );
+  const several = [...places].slice(0, 3).join(", ");
+  if (places.size > 1) throw new Error(`${folder.name} holds several OXTS folders (${several}): pick one drive.`);
   found.sort((a, b) => a.number - b.number);
   if (!found.length || found.some(({ number }, i) => number !== i)) {
     const what = found.length ? "frames are missing among its OXTS files" : "no OXTS file is in it";

@@ -290,12 +290,8 @@ export function formView(
   const run = el("button", { class: kind, onClick: () => start(true) }, icon("run"), "Upload and run");
   const only = el("button", { onClick: () => start(false) }, "Upload only");
   const why = el("small", { role: "status" });
-  const files = filePicker("Add files …", addFiles, {
-    multiple: true,
-    accept: ".txt,.csv,.tum,.sbet,.out,.yaml",
-    class: "link",
-    name: "more-files",
-  });
+  const accept = ".txt,.csv,.tum,.sbet,.out,.yaml";
+  const files = filePicker("Add files …", addFiles, { multiple: true, accept, class: "link", name: "more-files" });
   const ofSending = el("summary", "What is sent");
   const other = el("button", { onClick: onBack }, "Choose another");
   const element = el("div.stack.upload-form", [

@@ -151,11 +151,9 @@ function factsOf({ size_bytes, height, width, seconds_per_scan: seconds }, keyfr
     height && width ? `, range image of ${formatCount(height)} × ${formatCount(width)}. ` : ". ",
   ];
   const count = keyframes === null ? "" : `about ${plural(keyframes, "keyframe")}`;
-  if (seconds === null) {
-    facts.push(
-      count ? `It labels ${count}; the time was not measured here yet.` : "Its time was not measured here yet.",
-    );
-  } else {
+  if (seconds === null && count) facts.push(`It labels ${count}; the time was not measured here yet.`);
+  else if (seconds === null) facts.push("Its time was not measured here yet.");
+  else {
     const each = seconds < 0.05 ? "less than 0.1 s" : formatDuration(seconds);
     const all = keyframes === null ? "" : `: about ${roughly(seconds * keyframes)} for ${count}`;
     facts.push(`It takes ${each} per scan on one core${all}.`);
@@ -173,15 +171,12 @@ const roughly = (seconds) => (seconds < 60 ? `${Math.max(1, Math.round(seconds))
  * @param {() => void} onChange
  */
 function meaningField(chosen, onChange) {
-  const schemes = getConfig().label_schemes.map(({ name, title, road }) => [
-    name,
-    `${title} (road = ${road.join(", ")})`,
-  ]);
+  const { label_schemes } = getConfig();
+  const schemes = label_schemes.map(({ name, title, road }) => [name, `${title} (road = ${road.join(", ")})`]);
   const choices = { auto: "From the ids", ...Object.fromEntries(schemes), custom: "My own ids of road …" };
   const isCustom = !(chosen in choices);
-  const ids = el("input", { type: "text", placeholder: "40, 60", value: isCustom ? chosen : "", onInput: onChange });
-  ids.setAttribute("aria-label", "Ids of road");
-  ids.hidden = !isCustom;
+  const words = { placeholder: "40, 60", value: isCustom ? chosen : "", "aria-label": "Ids of road" };
+  const ids = el("input", { type: "text", ...words, hidden: !isCustom, onInput: onChange });
   const scheme = select(choices, isCustom ? "custom" : chosen, (value) => {
     ids.hidden = value !== "custom";
     onChange();

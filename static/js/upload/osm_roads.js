@@ -12,6 +12,7 @@
  * @property {number | null} road_m Median distance of the track from the nearest road, metres; null: there is none.
  */
 
+const NOWHERE = { west: Infinity, south: Infinity, east: -Infinity, north: -Infinity };
 const MARGIN_DEG = 0.01; // about a kilometre
 const MAX_CHARACTERS = 1e9;
 const MAX_NODES = 3e6;
@@ -32,8 +33,7 @@ export async function lookIntoMap(file, track, words) {
   const isPacked = /\.gz$/i.test(file.name);
   const stream = isPacked ? file.stream().pipeThrough(new DecompressionStream("gzip")) : file.stream();
   const reader = stream.pipeThrough(/** @type {any} */ (new TextDecoderStream())).getReader();
-  const near = grown(boxOf(track));
-  const found = new Collector(near, words);
+  const found = new Collector(boxAround(track), words);
   let rest = "";
   let read = 0;
   for (;;) {
@@ -69,7 +69,7 @@ class Collector {
     this.isMadeUp = false;
     /** @type {Box | null} */
     this.bounds = null;
-    this.extent = { west: Infinity, south: Infinity, east: -Infinity, north: -Infinity };
+    this.extent = { ...NOWHERE };
     /** @type {Map<string, number[]>} */
     this.nodes = new Map();
     /** @type {Road[]} */
@@ -91,10 +91,9 @@ class Collector {
     else if (name === "tag" && of("k") === "highway") this.highway = of("v");
     else if (name === "osm") this.isMadeUp = of("generator") === this.simulator;
     else if (name === "bounds") {
-      const [west, south, east, north] = ["minlon", "minlat", "maxlon", "maxlat"].map((each) =>
-        Number.parseFloat(of(each)),
-      );
-      if ([west, south, east, north].every(Number.isFinite)) this.bounds = { west, south, east, north };
+      const sides = ["minlon", "minlat", "maxlon", "maxlat"].map((each) => Number.parseFloat(of(each)));
+      const [west, south, east, north] = sides;
+      if (sides.every(Number.isFinite)) this.bounds = { west, south, east, north };
     }
   }
 
@@ -108,11 +107,7 @@ class Collector {
   /** @param {string} id @param {number} lon @param {number} lat */
   #addNode(id, lon, lat) {
     if (!Number.isFinite(lon) || !Number.isFinite(lat)) return;
-    const { extent } = this;
-    extent.west = Math.min(extent.west, lon);
-    extent.east = Math.max(extent.east, lon);
-    extent.south = Math.min(extent.south, lat);
-    extent.north = Math.max(extent.north, lat);
+    grow(this.extent, lon, lat);
     if (isIn(this.near, lon, lat)) this.nodes.set(id, [lon, lat]);
   }
 
@@ -139,20 +134,19 @@ function attribute(text, name) {
   return text.slice(at + 1, text.indexOf(text[at], at + 1));
 }
 
-/** @param {number[][]} places @returns {Box} */
-function boxOf(places) {
-  const box = { west: Infinity, south: Infinity, east: -Infinity, north: -Infinity };
-  for (const [lon, lat] of places) {
-    box.west = Math.min(box.west, lon);
-    box.east = Math.max(box.east, lon);
-    box.south = Math.min(box.south, lat);
-    box.north = Math.max(box.north, lat);
-  }
-  return box;
+/** Let a box hold a place. @param {Box} box @param {number} lon @param {number} lat */
+function grow(box, lon, lat) {
+  box.west = Math.min(box.west, lon);
+  box.east = Math.max(box.east, lon);
+  box.south = Math.min(box.south, lat);
+  box.north = Math.max(box.north, lat);
 }
 
-/** @param {Box} box @returns {Box} */
-function grown({ west, south, east, north }) {
+/** @param {number[][]} places @returns {Box} Around them, with a margin. */
+function boxAround(places) {
+  const box = { ...NOWHERE };
+  for (const [lon, lat] of places) grow(box, lon, lat);
+  const { west, south, east, north } = box;
   const aside = MARGIN_DEG / Math.cos((south * Math.PI) / 180);
   return { west: west - aside, south: south - MARGIN_DEG, east: east + aside, north: north + MARGIN_DEG };
 }

@@ -81,9 +81,8 @@ async function showStart(message = null, begun = null) {
   busyElsewhere = elsewhere();
   const uploads = await stillOpen();
   const handles = await Promise.all(uploads.map(({ driveId }) => handleOf(driveId)));
-  const input = el("input", { type: "file", name: "folder", webkitdirectory: true, hidden: true });
-  const onPick = () => input.files.length && run(() => showFolder(folderOfInput(input.files), begun));
-  input.addEventListener("change", onPick);
+  const onChange = () => input.files.length && run(() => showFolder(folderOfInput(input.files), begun));
+  const input = el("input", { type: "file", name: "folder", webkitdirectory: true, hidden: true, onChange });
   const pick = async () => {
     if (!canPickHandles()) {
       input.click();
@@ -113,15 +112,12 @@ async function showStart(message = null, begun = null) {
       const badge = el("span.badge.busy", { dataset: { upload: upload.driveId } }, uploadText(other));
       return el("div.box", about, badge);
     }
+    const pickAgain = () => (upload.isLoose ? pickFiles.querySelector("input") : input)?.click();
     return el("div.box.spread", [
       about,
       handles[i]
         ? el("button", { onClick: () => run(() => continueByHandle(upload)) }, "Continue")
-        : el(
-            "button",
-            { onClick: () => (upload.isLoose ? pickFiles.querySelector("input") : input)?.click() },
-            "Pick it again",
-          ),
+        : el("button", { onClick: pickAgain }, "Pick it again"),
       iconButton("trash", `Remove ${name}`, () => run(() => remove(upload)), "Remove it from the service"),
     ]);
   });
@@ -137,10 +133,10 @@ async function showStart(message = null, begun = null) {
     el("div.stack", [
       el("h2", "Upload a drive"),
       message,
-      el("div.drop", icon("upload"), el("p", call, el("br"), or), el("div.row", buttons), input),
+      el("div.drop.stack", icon("upload"), el("p", call, el("br"), or), el("div.row", buttons), input),
       el("p.small", note),
       open.length > 0 && section("Uploads that were begun", open),
-      el("details", el("summary", "What a drive looks like"), el("pre.code", { tabIndex: 0 }, EXAMPLE)),
+      el("details", el("summary", "What a drive looks like"), el("pre.code.box", { tabIndex: 0 }, EXAMPLE)),
     ]),
   );
 }
@@ -204,10 +200,8 @@ async function showArchive(file, begun) {
 /** @param {Picked} picked @param {Begun | null} begun The upload that this is to go on with. */
 async function showForm(picked, begun) {
   const isUnlabelled = !picked.drive || (picked.drive.layout !== "reduced" && !Object.keys(picked.drive.labels).length);
-  const [presets, { models }] = await Promise.all([
-    getJson("presets"),
-    isUnlabelled ? getJson("models") : { models: [] },
-  ]);
+  const networks = isUnlabelled ? getJson("models") : { models: [] };
+  const [presets, { models }] = await Promise.all([getJson("presets"), networks]);
   const fingerprint = picked.drive && fingerprintOfDrive(picked.drive);
   const match =
     begun || !fingerprint ? null : ((await stillOpen()).find((upload) => upload.fingerprint === fingerprint) ?? null);

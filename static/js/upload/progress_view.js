@@ -34,10 +34,15 @@ export function progressView({ onChange, onCorrect, onLeave }) {
   const element = el("div.stack.upload-progress", parts);
   /** Which buttons are shown: they are not made anew while someone is about to press one. */
   let shownButtons = "";
-  let shownFault = "";
-  let shownSteps = "";
-  let shownProblems = "";
   let timer = 0;
+  /** What was drawn last, by where. @type {Map<HTMLElement, string>} */
+  const drawn = new Map();
+  /** @param {HTMLElement} part @param {any} what @param {() => any} make Its content, where that is another. */
+  const drawOnce = (part, what, make) => {
+    if (drawn.get(part) === JSON.stringify(what)) return;
+    drawn.set(part, JSON.stringify(what));
+    fill(part, make());
+  };
 
   /** @param {Upload} upload */
   function draw(upload) {
@@ -47,15 +52,12 @@ export function progressView({ onChange, onCorrect, onLeave }) {
     badge.className = `badge ${kind}`;
     badge.textContent = text;
     const at = upload.steps.indexOf(step);
-    const marks = JSON.stringify([status, step]);
     const stateOf = (/** @type {number} */ i) => {
       if (status === "done" || i < at) return "done";
       if (i > at) return "ahead";
       return status === "failed" ? "failed" : "now";
     };
-    const items = () => upload.steps.map((each, i) => stepItem(each, stateOf(i)));
-    if (marks !== shownSteps) fill(steps, items());
-    shownSteps = marks;
+    drawOnce(steps, [status, step], () => upload.steps.map((each, i) => stepItem(each, stateOf(i))));
     const isSending = step === "files" || step === "scans" || step === "archive";
     const fraction =
       status === "done" ? 1 : isSending ? transfer.meter.fraction : upload.total ? upload.done / upload.total : null;
@@ -68,13 +70,9 @@ export function progressView({ onChange, onCorrect, onLeave }) {
     fill(figures, figuresOf(upload, isSending));
     drawPlan(upload.plan, upload.settings);
     plan.hidden = status === "failed" && step === "plan";
-    const faults = JSON.stringify(error);
-    if (faults !== shownFault) fill(fault, error && problemNote(error));
-    shownFault = faults;
-    const list = JSON.stringify(upload.problems);
-    if (list !== shownProblems)
-      fill(problems, upload.problems.length > 0 && [el("h3", "What was found"), problemList(upload.problems)]);
-    shownProblems = list;
+    drawOnce(fault, error, () => error && problemNote(error));
+    const found = upload.problems;
+    drawOnce(problems, found, () => found.length > 0 && [el("h3", "What was found"), problemList(found)]);
     drawButtons(upload);
   }
 

@@ -114,10 +114,8 @@ function georeferenceField(layout, onChange) {
   }
   const progress = (/** @type {number} */ done, /** @type {number} */ total) =>
     (status.textContent = `Reading ${formatCount(done)} of ${formatCount(total)} fixes`);
-  const asFile = filePicker("A file …", ([file]) => take(file), {
-    accept: ".txt,.csv,.gz",
-    name: "georeference-file",
-  });
+  const ofFile = { accept: ".txt,.csv,.gz", name: "georeference-file" };
+  const asFile = filePicker("A file …", ([file]) => take(file), ofFile);
   const asFolder = filePicker("A KITTI raw drive …", (list) => take(oxtsRows(folderOfInput(list), progress)), {
     folder: true,
     name: "raw-drive",

@@ -2,7 +2,7 @@
 
 import { getConfig, sha256 } from "../api.js";
 import { pathOf } from "./drive_folder.js";
-import { DIGEST_MAX_BYTES, PARALLEL } from "./transfer.js";
+import { DIGEST_MAX_BYTES, PARALLEL, Turns } from "./transfer.js";
 
 /** @import { DriveFolder, NumberedFiles } from "./drive_folder.js" */
 /** @import { Transfer } from "./transfer.js" */
@@ -233,39 +233,30 @@ const STOPPED = new Error("Stopped.");
 class WorkerPool {
   /** One worker per core, at most eight: more would only wait for the disk and the network. */
   size = Math.min(8, navigator.hardwareConcurrency || 2);
-  #free = this.size;
+  #turns = new Turns(this.size);
   /** @type {Worker[]} */
   #idle = [];
-  /** Who wait until a worker is free. @type {(() => void)[]} */
-  #waiting = [];
   /** What ends the tasks under way. @type {Set<(error: Error) => void>} */
   #busy = new Set();
   #isClosed = false;
 
   /** Let the next free worker do a task. @param {object} task @returns {Promise<any>} */
-  async run(task) {
-    if (this.#free > 0) this.#free -= 1;
-    else await new Promise((/** @type {(value: void) => void} */ resolve) => this.#waiting.push(resolve));
-    if (this.#isClosed) throw STOPPED;
-    const worker = this.#idle.pop() ?? new Worker(new URL("./worker.js", import.meta.url), { type: "module" });
-    try {
+  run(task) {
+    return this.#turns.run(async () => {
+      if (this.#isClosed) throw STOPPED;
+      const worker = this.#idle.pop() ?? new Worker(new URL("./worker.js", import.meta.url), { type: "module" });
       const answer = await this.#ask(worker, task);
       this.#idle.push(worker);
       if (answer.error !== undefined) throw new Error(answer.error);
       return answer;
-    } finally {
-      const next = this.#waiting.shift();
-      if (next) next();
-      else this.#free += 1;
-    }
+    });
   }
 
   /** End all workers; what they were doing fails. */
   close() {
     this.#isClosed = true;
     for (const worker of this.#idle) worker.terminate();
-    for (const fail of this.#busy) fail(STOPPED);
-    for (const next of this.#waiting) next();
+    for (const fail of this.#busy) fail(STOPPED); // who wait come to their turns, and end
   }
 
   /** @param {Worker} worker @param {object} task @returns {Promise<any>} */

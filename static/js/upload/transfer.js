@@ -66,6 +66,30 @@ export class Meter {
   }
 }
 
+/** So much may go on at once; the rest waits for its turn. */
+export class Turns {
+  /** @type {(() => void)[]} */
+  #waiting = [];
+
+  /** @param {number} free */
+  constructor(free) {
+    this.free = free;
+  }
+
+  /** @template T @param {() => Promise<T>} work */
+  async run(work) {
+    if (this.free > 0) this.free -= 1;
+    else await new Promise((/** @type {(value: void) => void} */ resolve) => this.#waiting.push(resolve));
+    try {
+      return await work();
+    } finally {
+      const next = this.#waiting.shift();
+      if (next) next();
+      else this.free += 1;
+    }
+  }
+}
+
 export class Transfer {
   /** @param {() => void} onChange Called whenever something is worth showing. */
   constructor(onChange) {
@@ -77,9 +101,7 @@ export class Transfer {
     this.stopper = new AbortController();
     /** @type {{promise: Promise<void>, open: () => void} | null} */
     this.gate = null;
-    this.free = PARALLEL;
-    /** @type {(() => void)[]} */
-    this.queue = [];
+    this.connections = new Turns(PARALLEL);
   }
 
   get signal() {
@@ -166,13 +188,13 @@ export class Transfer {
    *
    * @param {string} path Of the service.
    * @param {Blob | Uint8Array<ArrayBuffer>} data
-   * @param {{digest?: string | null, method?: string, headers?: Record<string, string>}} [options]
+   * @param {{digest?: string | null, method?: string}} [options]
    */
   async send(path, data, options = {}) {
     const size = data instanceof Blob ? data.size : data.byteLength;
     await this.waitWhilePaused();
     return this.retry(() =>
-      this.#withConnection(async () => {
+      this.connections.run(async () => {
         let counted = 0;
         const count = (/** @type {number} */ sent) => {
           const step = Math.min(sent, size) - counted;
@@ -190,19 +212,6 @@ export class Transfer {
         }
       }),
     );
-  }
-
-  /** Do something as soon as a connection is free. @template T @param {() => Promise<T>} work */
-  async #withConnection(work) {
-    if (this.free > 0) this.free -= 1;
-    else await new Promise((/** @type {(value: void) => void} */ resolve) => this.queue.push(resolve));
-    try {
-      return await work();
-    } finally {
-      const next = this.queue.shift();
-      if (next) next();
-      else this.free += 1;
-    }
   }
 
   /** Ask the service for something. @param {string} path @param {Parameters<typeof request>[1]} [options] */

@@ -121,11 +121,8 @@ export class Upload {
   get steps() {
     const { archive, drive } = this.source;
     /** @type {Step[]} */
-    const sending = archive
-      ? ["archive"]
-      : drive && !drive.scans // nothing to plan: only the service reads it, or it is reduced
-        ? ["files", "scans"]
-        : ["files", "plan", "scans"];
+    const sending = archive ? ["archive"] : ["files", "plan", "scans"];
+    if (drive && !drive.scans) sending.splice(1, 1); // nothing to plan: only the service reads it, or it is reduced
     return [...sending, "check", ...(this.settings.job ? [/** @type {Step} */ ("run")] : [])];
   }
 
@@ -314,15 +311,12 @@ export class Upload {
   async #sendArchive(archive) {
     this.transfer.meter.total += archive.size;
     this.#update({ step: "archive", message: "Sending the archive" });
-    const headers = { "Content-Type": "application/octet-stream" };
-    const answer = await this.transfer.send(`drives/${this.driveId}/archive`, archive, { method: "POST", headers });
+    const answer = await this.transfer.send(`drives/${this.driveId}/archive`, archive, { method: "POST" });
     this.#update({ message: "Unpacking" });
     for (let job = await this.#latestJob("unpack"); job && job.state !== "successful"; ) {
       if (job.state === "failed" || job.state === "dismissed") {
-        throw new ApiError(
-          job.error?.status ?? 422,
-          job.error ?? { title: "Stopped", detail: "The work was stopped." },
-        );
+        const error = job.error ?? { status: 422, title: "Stopped", detail: "The work was stopped." };
+        throw new ApiError(error.status ?? 422, error);
       }
       this.#update({ done: job.progress.done, total: job.progress.total ?? 0 });
       await sleep(POLL_MS, this.transfer.signal);

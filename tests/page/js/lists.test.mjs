@@ -5,7 +5,7 @@ import { lists, onListsChange, refreshLists, rememberJob, titleOf } from "../../
 
 /** A server of 250 drives, the newest first, that notes what it was asked for. */
 const server = { drives: Array.from({ length: 250 }, (_, i) => ({ id: `d${i}`, name: "a" })), asked: [] };
-globalThis.fetch = async (address) => {
+const answer = async (address) => {
   const url = new URL(address);
   const [what] = url.pathname.split("/").slice(-1);
   const [limit, after] = [Number(url.searchParams.get("limit")), Number(url.searchParams.get("after") ?? 0)];
@@ -17,6 +17,7 @@ globalThis.fetch = async (address) => {
 
 /** @param {() => Promise<void>} call @returns {Promise<string[]>} What was asked for. */
 const asks = async (call) => {
+  globalThis.fetch = answer;
   server.asked = [];
   await call();
   return server.asked;
