@@ -11,7 +11,7 @@ import ssl
 import tarfile
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -52,6 +52,15 @@ def without_job(layer: bytes) -> bytes:
 def files_below(folder: Path) -> list[Path]:
     """All files below a folder that a server works in, but its lock: what goes meanwhile is passed over."""
     return [Path(root) / name for root, _, names in os.walk(folder) for name in names if name != "lock"]
+
+
+def bytes_below(folder: Path) -> int:
+    """Size of these files but for those of the database; what goes meanwhile counts as nothing."""
+    size = 0
+    for path in files_below(folder):
+        with suppress(FileNotFoundError):
+            size += 0 if "sqlite" in path.name else path.stat().st_size
+    return size
 
 
 class ServerProcess:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import secrets
 import threading
 from collections.abc import Iterator
 from typing import Any
@@ -32,13 +33,14 @@ def test_a_drive_is_watched_while_it_grows(
                 go_on.wait(60)
             yield scan
 
-    begin = {"name": "a street, live", "config": config.model_dump(mode="json")}
+    name = f"a street, live {secrets.token_hex(4)}"  # no other session has, if this is not the first try
+    begin = {"name": name, "config": config.model_dump(mode="json")}
     sender = LiveSender(done.server.address, None, begin, lambda _: None, keeps_all=True)
     thread = threading.Thread(target=lambda: sender.run(scans), daemon=True)
     thread.start()
     assert is_half_way.wait(60)
     visit(page, done.server.address, "panel=drives")
-    page.get_by_role("button", name="a street, live").click()
+    page.get_by_role("button", name=name).click()
     note = page.locator(".stage-note")
     note.get_by_text("16 keyframes").wait_for()
     half = page.locator("#map").screenshot()

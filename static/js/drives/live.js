@@ -13,9 +13,13 @@ const WORDS = /** @type {Record<string, string>} */ ({
 /** @returns {HTMLElement} Empty while nobody drives. */
 export function liveSection() {
   const section = el("section.stack-s.live", { hidden: true });
+  let said = "";
   const look = async () => {
     if (getState().panel !== "drives") return;
     const { sessions } = await getJson("live").catch(() => ({ sessions: [] })); // the lists say what is wrong
+    const now = JSON.stringify([sessions, getState().live]);
+    if (now === said) return; // a row that is made anew while it is pressed does nothing
+    said = now;
     section.hidden = !sessions.length;
     if (sessions.length) fill(section, el("h3", "Live"), el("div.drive", el("ul.jobs", sessions.map(row))));
   };

@@ -22,7 +22,7 @@ from app.http.protocol import MAX_HEAD_BYTES, Protocol
 from app.server import FewFiles
 from app.settings import Settings
 from app.store.storage import Storage
-from tests.app.processes import files_below
+from tests.app.processes import bytes_below
 
 Serve = Callable[..., httpx.Client]
 MB = 1024**2
@@ -256,8 +256,7 @@ def test_bodies_under_way_know_of_each_other(
     data = tmp_path / "data"
 
     def free_bytes(_storage: Storage) -> int:
-        written = sum(path.stat().st_size for path in files_below(data) if "sqlite" not in path.name)
-        return 100 * MB - written
+        return 100 * MB - bytes_below(data)
 
     monkeypatch.setattr(Storage, "free_bytes", free_bytes)
     client = serve(min_free_bytes=20 * MB)

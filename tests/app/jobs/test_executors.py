@@ -281,7 +281,6 @@ def test_work_that_takes_too_long_is_ended_and_its_place_goes_on(one: ProcessExe
     assert one.submit(pid_of).result(60) != int((tmp_path / "pid").read_text())
 
 
-@pytest.mark.skipif(not memory_of(os.getpid()), reason="this system does not tell the memory of processes")
 def hang_at_the_start(_connection: Connection) -> None:
     """Begin as a worker that waits for a lock that nobody will open."""
     threading.Event().wait()
@@ -301,6 +300,7 @@ def test_a_worker_that_hangs_as_it_starts_is_replaced(monkeypatch: pytest.Monkey
             executor.stop()
 
 
+@pytest.mark.skipif(not memory_of(os.getpid()), reason="this system does not tell the memory of processes")
 def test_work_that_fills_the_memory_is_ended_and_its_place_goes_on() -> None:
     bound = memory_of(os.getpid()) + 300 * 2**20  # a forked worker shares what this process has
     executor = ProcessExecutor(1, memory_bytes=bound)

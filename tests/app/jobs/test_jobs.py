@@ -321,7 +321,7 @@ def test_a_job_that_takes_too_long_fails(serve: Serve, street: Path, tmp_path: P
 def test_a_job_that_needs_too_much_memory_fails(serve: Serve, street: Path) -> None:
     own = serve(worker_memory_bytes=340 * 2**20)  # a worker has up to 310 of them when it commits
     drive_id = upload(own, street)
-    config = {"bev": {"resolution_m": 0.05, "size_m": 160}}  # images of 3200 x 3200 cells
+    config = {"bev": {"resolution_m": 0.05, "size_m": 200}}  # images of 4000 x 4000 cells
     job = ended(own, submit(own, drive_id, preset="paper", config=config))
     assert (job["state"], job["attempts"], job["error"]["limit"]) == ("failed", 1, "worker_memory_bytes")
     assert re.search(r"needed 0\.\d GB of memory, more than the 0\.\d GB that a worker", job["error"]["detail"])
