@@ -158,7 +158,7 @@ class Common:
             page.unroute_all()
         self._context.unroute_all()
         self._context.clear_permissions()
-        for origin in self._watch.origins:
+        for origin in tuple(self._watch.origins):  # a tab that closes may still ask for something
             kept = {"origin": origin, "storageTypes": "cookies,indexeddb,local_storage"}
             self._session.send("Storage.clearDataForOrigin", kept)
 

@@ -10,7 +10,7 @@ import pytest
 from tests.app.processes import API, wait_until
 from tests.app.street import write_street
 from tests.page.browsers import SIZE, Watch, needs_page
-from tests.page.results import Done, address_of, run_street, visit
+from tests.page.results import Done, address_of, look_again, run_street, visit
 from tests.page.test_accessibility import check_widths, tab
 
 __all__ = ["tab"]
@@ -108,6 +108,9 @@ def test_findings_are_judged_by_keys(tab: Any, done: Done, city: dict[str, Any],
 
 
 def test_a_map_is_made_of_some_drives(page: Any, done: Done, city: dict[str, Any]) -> None:
+    visit(page, done.server.address, "panel=drives")
+    look_again(page)
+    page.locator("#panel-drives", has_text=AGAIN).wait_for()
     visit(page, done.server.address, "panel=map")
     page.get_by_role("button", name="New map…").click()
     dialog = page.locator("dialog[open]")

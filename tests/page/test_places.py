@@ -52,7 +52,7 @@ def test_the_list_is_a_queue_that_the_map_follows(page: Any, scored: Scored) -> 
     popup_of(page, f"Intersection {last}: right")
     link = address_of(page)
 
-    page.locator(".filter summary").click()
+    page.locator("#panel-report .filter summary").click()
     page.get_by_label("Observations, at least").fill(str(max(each["observations"] for each in right)))
     best = [each for each in [*wrong, *right] if each["observations"] >= max(one["observations"] for one in right)]
     assert rows.count() == len(best) < len(wrong) + len(right)
