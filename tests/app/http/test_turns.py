@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Coroutine
 from concurrent.futures import ThreadPoolExecutor
 from types import SimpleNamespace
 from typing import Any
@@ -63,6 +63,12 @@ class Readers:
             await end.wait()
 
 
+def run_alone(coroutine: Coroutine[Any, Any, None]) -> None:
+    """Run in a thread of its own: a browser that other tests have open keeps a loop running in this one."""
+    with ThreadPoolExecutor(1) as thread:
+        thread.submit(asyncio.run, coroutine).result()
+
+
 def test_who_asks_for_much_waits_for_himself_only() -> None:
     async def run() -> None:
         readers = Readers()
@@ -73,7 +79,7 @@ def test_who_asks_for_much_waits_for_himself_only() -> None:
         await readers.end(1)
         assert readers.begun[4:] == ["bob"]
 
-    asyncio.run(run())
+    run_alone(run())
 
 
 def test_who_gives_up_takes_no_turn() -> None:
@@ -88,7 +94,7 @@ def test_who_gives_up_takes_no_turn() -> None:
         await asyncio.gather(*tasks[:2], tasks[3])
         assert not readers.turns._at_work
 
-    asyncio.run(run())
+    run_alone(run())
 
 
 def test_clients_without_a_token_are_told_apart_by_their_address() -> None:
@@ -98,7 +104,7 @@ def test_clients_without_a_token_are_told_apart_by_their_address() -> None:
         async with turns.of(one), turns.of(one), asyncio.timeout(60), turns.of(other):
             pass
 
-    asyncio.run(run())
+    run_alone(run())
 
 
 def test_a_line_does_not_grow_for_ever(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -111,7 +117,7 @@ def test_a_line_does_not_grow_for_ever(monkeypatch: pytest.MonkeyPatch) -> None:
             await refused
         assert (caught.value.status, dict(caught.value.headers or {})) == (503, {"Retry-After": "5"})
 
-    asyncio.run(run())
+    run_alone(run())
 
 
 def test_nobody_waits_for_ever(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -126,7 +132,7 @@ def test_nobody_waits_for_ever(monkeypatch: pytest.MonkeyPatch) -> None:
         await readers.ask("bob")
         assert len(readers.begun) == 3
 
-    asyncio.run(run())
+    run_alone(run())
 
 
 def test_heavy_filters_of_one_client_hold_no_other(
