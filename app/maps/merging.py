@@ -139,9 +139,13 @@ class Merger:
         seconds = self._context.settings.job_stage_s
         future: Future[Outcome] = self._runner.submit(function, *args, client=_OWNER, seconds=seconds)
         while not wait({future}, timeout=_LOOK_S).done:
-            if self._stopping.is_set() or not self._hold(city.id):
+            if self._stopping.is_set():
                 future.cancel()
                 self._end(city.id, None)
+                raise _LostError
+            if not self._hold(city.id):
+                future.cancel()
+                future.add_done_callback(lambda _: self._end(city.id, None))  # the worker may write until then
                 raise _LostError
         try:
             return future.result()
@@ -165,6 +169,8 @@ class Merger:
         """Write an outcome and give the lease back, where this server still has it."""
         with self._context.database.writing(patient=True) as session:
             row = session.get(CityMap, map_id, with_for_update=True)
+            if row is None:  # it was deleted meanwhile, and its folder may have come again
+                self._context.storage.delete(map_key(map_id))
             if row is None or row.lease_owner != self._lease:
                 return
             if write is not None:

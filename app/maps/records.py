@@ -166,6 +166,7 @@ def map_model(session: Session, context: Context, city: CityMap) -> MapModel:
         findings=audit.get("findings"),
         junctions_passed=audit.get("junctions_passed"),
         osm=audit.get("osm"),
+        is_made_up=audit.get("is_made_up", False),
         problem=audit.get("problem"),
         bbox=summary.get("bbox"),
     )

@@ -146,7 +146,7 @@ class Audited:
     """What came of comparing a map with OpenStreetMap."""
 
     record: dict[str, Any]
-    """Of `audit.json`."""
+    """Of `audit.json`, and whether the OSM file is of a made-up town."""
     chunks: list[Chunk]
     """The findings, for the index."""
 
@@ -190,4 +190,5 @@ def audit(folder: Path, osm: Path, wrong: Sequence[dict[str, Any]]) -> Audited:
     collection = read_json(folder / AUDIT / FINDINGS_FILE)
     credit: dict[str, str] = {name: collection[name] for name in ("attribution", "license") if name in collection}
     chunks = list(chunks_of_layers({"findings": collection["features"]}, credit))
-    return Audited(audit_record(found, config, osm.name), chunks)
+    record = audit_record(found, config, osm.name) | {"is_made_up": graph.is_made_up}
+    return Audited(record, chunks)

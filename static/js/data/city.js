@@ -7,7 +7,7 @@ import { getState, setState, subscribe } from "../state.js";
  * @typedef {{id: string, name: string, holds_all: boolean, revision: number, merged_at: string|null, is_waiting: boolean,
  *   is_at_work: boolean, drives: number, refused: number, intersections: number, seen_by_several: number, findings: number|null,
  *   median_position_std_m: number|null, junctions_passed: number|null, osm: string|null, problem: string|null,
- *   bbox: number[]|null}} City A map of many drives.
+ *   bbox: number[]|null, is_made_up: boolean}} City A map of many drives.
  * @typedef {"right"|"wrong"|"cannot_tell"|"fixed"} Verdict
  * @typedef {{finding: string, verdict: Verdict, by: string, at: string, note: string|null}} Judgement
  * @typedef {{id: string, kind: string, lon: number, lat: number, properties: any, verdict: Judgement|null,

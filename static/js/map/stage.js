@@ -218,7 +218,7 @@ export async function mountStage() {
       scene = own;
       tellOfCity(own);
       updateLayers();
-      parts.setAttribution({ roads: [], nodes: city.osm ? [city] : [], local: false, isMadeUp: false });
+      parts.setAttribution({ roads: [], nodes: city.osm ? [city] : [], local: false, isMadeUp: city.is_made_up });
       fitIt();
       own.goToEntry(false);
       own.look();

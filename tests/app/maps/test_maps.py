@@ -16,6 +16,7 @@ from sqlalchemy import delete
 from app.store.database import Database
 from app.store.models import FeatureChunk
 from tests.app.conftest import running_server
+from tests.app.processes import wait_until
 from tests.app.results.conftest import add_drive, add_job, work
 from tests.app.street import write_street
 
@@ -88,7 +89,7 @@ def ready(city: dict[str, Any]) -> bool:
 def test_all_drives_become_the_map_of_the_server(served: Served) -> None:
     city = served.until("/maps/default", ready)
     assert (city["drives"], city["intersections"], city["seen_by_several"]) == (2, 3, 3)
-    assert (city["findings"], city["osm"], city["problem"]) == (1, "town.osm", None)
+    assert (city["findings"], city["osm"], city["problem"], city["is_made_up"]) == (1, "town.osm", None, False)
     assert city["bbox"][0] == pytest.approx(8.4, abs=1e-3)
     drives = served.get("/maps/default/drives", params={"limit": 1})
     assert [(each["drive_id"], each["label"], each["job_id"]) for each in drives["drives"]] == [
@@ -118,7 +119,7 @@ def test_a_map_and_its_findings_are_layers_of_a_gis(served: Served) -> None:
     assert [each["properties"]["drive"] for each in tracks] == ["Straße monday", "Straße tuesday"]
 
 
-def test_a_map_of_its_own_holds_what_was_put_into_it(served: Served) -> None:
+def test_a_map_of_its_own_holds_what_was_put_into_it(street: Street, served: Served) -> None:
     made = served.client.post(f"{API}/maps", json={"name": "North", "drives": ["monday"]})
     assert made.status_code == 201
     address = made.headers["location"].removeprefix(API)
@@ -127,6 +128,9 @@ def test_a_map_of_its_own_holds_what_was_put_into_it(served: Served) -> None:
     names = {each["properties"]["uid"] for each in served.get(f"{address}/files/city.geojson")["features"]}
     served.client.put(f"{API}{address}/drives/tuesday").raise_for_status()
     served.until(address, lambda city: city["drives"] == 2)
+    made_up = street.osm.replace(b"<osm", b'<osm generator="interloc simulate"', 1)
+    served.client.put(f"{API}{address}/osm/town.osm", content=made_up).raise_for_status()
+    served.until(address, lambda city: city["is_made_up"])  # nobody is named for it
     served.client.delete(f"{API}{address}/drives/monday").raise_for_status()
     served.until(address, lambda city: city["drives"] == 1)
     left = served.get(f"{address}/files/city.geojson")["features"]
@@ -135,7 +139,8 @@ def test_a_map_of_its_own_holds_what_was_put_into_it(served: Served) -> None:
     assert served.client.put(f"{API}{address}/drives/nobody").status_code == 404
     served.client.delete(f"{API}{address}").raise_for_status()
     assert served.client.get(f"{API}{address}").status_code == 404
-    assert not (served.data / address.removeprefix("/")).exists()
+    folder = served.data / address.removeprefix("/")
+    wait_until(lambda: not folder.exists(), "its folder to go, whatever was under way")
 
 
 def test_findings_are_looked_at_one_after_the_other(served: Served) -> None:
