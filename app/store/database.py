@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sqlite3
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -32,6 +33,7 @@ PATIENCE_S = 5.0
 
 _LONG_PATIENCE_S = 20.0  # of work that nobody waits for
 _PROBE_S = 2.0
+_AGAIN_S = 0.01
 _STUCK_S = 1.0  # without any progress of the writers, no more than a few may wait
 _MAX_STUCK = 16
 _LOOK_S = 0.1
@@ -329,7 +331,16 @@ def _set_up_sqlite(connection: Any, _record: object) -> None:  # noqa: ANN401 - 
     connection.isolation_level = None  # transactions are begun by _begin_sqlite, not by the driver
     connection.create_function("lower", 1, _lower, deterministic=True)  # SQLite's own knows ASCII only
     cursor = connection.cursor()
-    for pragma in ("journal_mode=WAL", "synchronous=NORMAL", "foreign_keys=ON"):
+    deadline = time.monotonic() + PATIENCE_S
+    while True:
+        try:
+            cursor.execute("PRAGMA journal_mode=WAL")
+            break
+        except sqlite3.OperationalError as error:  # others open a new database too: for that SQLite does not wait
+            if "locked" not in str(error) or time.monotonic() > deadline:
+                raise
+            time.sleep(_AGAIN_S)
+    for pragma in ("synchronous=NORMAL", "foreign_keys=ON"):
         cursor.execute(f"PRAGMA {pragma}")
     cursor.close()
 
