@@ -369,8 +369,12 @@ def rows_by_frame(frames: IntArray, rows: int) -> IntArray | None:
 
 def in_part(part: str | None, frames: IntArray) -> BoolArray:
     """Return which of (N,) ascending scan numbers are in a part FROM:TO of a drive; None: all."""
+    inside: BoolArray = np.ones(len(frames), dtype=bool)
     start, stop = (part or ":").split(":")
-    inside: BoolArray = (frames >= int(start or 0)) & (frames < int(stop or frames[-1] + 1))
+    if start:
+        inside &= frames >= int(start)
+    if stop:
+        inside &= frames < int(stop)
     return inside
 
 
