@@ -5,9 +5,10 @@ from __future__ import annotations
 from pydantic import BaseModel, ConfigDict, Field
 
 from app.jobs.models import MAX_COMPARED_JOBS, Near
-from app.paths import ARCHIVE_ENDINGS, RECORDING_ENDINGS
+from app.paths import ARCHIVE_ENDINGS
 from app.settings import Settings
 from interloc.drives.georeference.oxts import ODOMETRY_OF_RAW
+from interloc.drives.kinds import RECORDING_ENDINGS
 from interloc.drives.labels import SCHEMES
 from interloc.drives.layouts import PCD_ENDINGS
 from interloc.osm.container import MAP_ENDINGS, SIMULATOR
