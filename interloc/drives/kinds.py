@@ -23,8 +23,8 @@ RECORDING_ENDINGS = tuple(ending for each in FORMATS if not each.is_folders for 
 TRACK_ENDINGS = (".csv", ".out", ".sbet", ".tum", ".txt")
 """Endings of trajectories, which clouds have beside them."""
 
-SMALL_ENDINGS = (*TRACK_ENDINGS, ".yaml", ".json")
-"""Endings of small files that may tell more of a drive; some of them packed by gzip."""
+SMALL_ENDINGS = (".csv", ".json", ".tum", ".txt", ".yaml")
+"""Endings of small files that may tell more of a drive, also packed by gzip."""
 
 
 @dataclass(frozen=True)
