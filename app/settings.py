@@ -90,7 +90,7 @@ class Settings(BaseSettings):
     )
     job_s: float = Field(6 * 3600.0, gt=0, description="Maximum time in seconds of a job from its start.")
     request_work_s: float = Field(
-        120.0, gt=0, description="Maximum time in seconds of the work for one request: pictures, exports, plans, looks."
+        120.0, gt=0, description="Maximum time in seconds of the work for one request: pictures, exports, looks."
     )
     worker_memory_bytes: int | None = Field(
         None,
