@@ -16,7 +16,6 @@ from interloc.output.credits import OWN_CREDIT, Credit
 from interloc.output.layers import Layer
 from interloc.output.qml import metadata, qml
 from interloc.output.road import ROAD_LAYER, ROAD_TITLE, png_of
-from interloc.output.sld import sld
 
 _JSON_URI = "https://www.rfc-editor.org/rfc/rfc8259"
 _QGIS_URI = "http://mrcc.com/qgis.dtd"
@@ -112,9 +111,9 @@ def describe(database: Path, layers: Sequence[tuple[Layer, Credit]], run: str) -
             )
             connection.executemany(
                 "INSERT INTO layer_styles (f_table_catalog, f_table_schema, f_table_name, f_geometry_column, "
-                "styleName, styleQML, styleSLD, useAsDefault, description, owner) "
-                "VALUES ('', '', ?, 'geom', 'InterLoc', ?, ?, 1, ?, '')",
-                [(layer.name, qml(layer), sld(layer), layer.title) for layer, _ in layers],
+                "styleName, styleQML, useAsDefault, description, owner) "
+                "VALUES ('', '', ?, 'geom', 'InterLoc', ?, 1, ?, '')",
+                [(layer.name, qml(layer), layer.title) for layer, _ in layers],
             )
             _add_metadata(connection, None, _JSON_URI, "application/json", json.dumps(json.loads(run)))
             for layer, credit in layers:

@@ -15,7 +15,6 @@ from PIL import Image, ImageColor
 from interloc.errors import ConfigError, GeoreferenceError
 from interloc.output import styles
 from interloc.output.qml import qml
-from interloc.output.sld import sld
 from interloc.output.styles import GROUPS, OUTLINES, STYLES, Mark, Symbol
 from interloc.output.vector_files import EXPORTS, write_vector_file
 from tests.output.small import small_result, write_folder
@@ -78,11 +77,11 @@ def test_every_outcome_of_every_layer_is_drawn() -> None:
         assert {part.field for part in (style.label, style.times) if part is not None} <= known
 
 
-def test_qml_and_sld_name_no_address_but_namespaces() -> None:
+def test_qml_names_no_address_but_namespaces() -> None:
     for layer in EXPORTS.values():
-        for text in (qml(layer), sld(layer)):
-            ET.fromstring(text.removeprefix("<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>\n"))  # noqa: S314
-            assert set(re.findall(r"https?://[\w.]+", text)) <= {"http://www.opengis.net", "http://mrcc.com"}
+        text = qml(layer)
+        ET.fromstring(text.removeprefix("<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>\n"))  # noqa: S314
+        assert set(re.findall(r"https?://[\w.]+", text)) <= {"http://www.opengis.net", "http://mrcc.com"}
 
 
 def test_kmz_holds_styles_and_icons_of_all_that_it_shows(scored: Path, tmp_path: Path) -> None:

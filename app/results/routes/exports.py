@@ -66,7 +66,7 @@ _EXPORTS = {
         "Also the branches of the intersections as lines, and their uncertainty as ellipses. EPSG:4326. Lists (such as "
         "bearings) are JSON text. Fields have titles and descriptions, the metadata hold `run.json`. Layers with data "
         "of OpenStreetMap say so in their description: © OpenStreetMap contributors, ODbL 1.0. QGIS draws the layers "
-        "as the page does: the table `layer_styles` holds QML and SLD.",
+        "as the page does: the table `layer_styles` holds QML.",
     ),
     ".qgz": _Export(
         "Download the result as a project of QGIS",
