@@ -1,4 +1,4 @@
-"""A result as a file for other programs: QGIS, Google Earth, spreadsheets, web maps, navigation devices, DuckDB.
+"""A result as a file for other programs: QGIS, Google Earth, spreadsheets, web maps, DuckDB.
 
 The layers are those of the GeoJSON files, position for position and property for property, and those that are made of
 them (`interloc.output.derived`). Lists are JSON text, but in GeoJSON.
@@ -26,7 +26,6 @@ from interloc.output.derived import derive
 from interloc.output.geojson import cut, read_file, read_json, write_collection
 from interloc.output.geopackage import add_road, describe
 from interloc.output.geoparquet import has_parquet, parquet_bytes, require_parquet
-from interloc.output.gpx import GPX_LAYERS, write_gpx
 from interloc.output.kml import NAMES, pack_kmz, style_kml
 from interloc.output.layers import BUILDINGS, DERIVED, LAYERS, PLACES, Layer, Rows
 from interloc.output.layout import ROAD_FILE, ROAD_LAYERS, RUN_FILE, file_names, refuse_result_file
@@ -67,8 +66,8 @@ def write_vector_file(result: Path, out: Path, *, layer: str | None = None) -> l
     out
         Its suffix, one of `FORMATS`, says the format; an older file of that name is replaced.
     layer : str or None
-        One of `EXPORTS`. None: all layers of the result where the format holds several (in GPX track and
-        intersections), else the intersections.
+        One of `EXPORTS`. None: all layers of the result where the format holds several, else the
+        intersections.
 
     Returns
     -------
@@ -82,7 +81,7 @@ def write_vector_file(result: Path, out: Path, *, layer: str | None = None) -> l
         that holds all was to hold one, GeoParquet is asked for without the extra ``parquet``, or `out` is a file that
         makes up a result folder.
     GeoreferenceError
-        The result is in local metres, and is to be written as KML, PMTiles or GPX.
+        The result is in local metres, and is to be written as KML or PMTiles.
     OutputError
         `result` is not a result folder, or `out` could not be written.
     """
@@ -200,11 +199,6 @@ def _write_kmz(export: _Export) -> None:
     )
 
 
-def _write_gpx(export: _Export) -> None:
-    (_, track), (_, intersections) = export.layers
-    export.save(write_gpx(export.name, (track, _read(export.result, "keyframes")), intersections).encode())
-
-
 def _of_one_layer(content: Callable[[Layer, Rows], bytes]) -> Callable[[_Export], None]:
     """Return the writer of a format whose files hold one layer and are made in memory."""
 
@@ -242,8 +236,6 @@ def _choose(result: Path, layer: str | None, suffix: str) -> list[str]:
     there = [name for name in LAYERS if _file_of(result, name).exists()]
     if not local:
         there += DERIVED
-    if suffix == ".gpx":
-        there = list(GPX_LAYERS)
     if wanted is None:
         return ["intersections"] if FORMATS[suffix].layers == "one" else there
     if FORMATS[suffix].layers == "all":
@@ -415,6 +407,5 @@ FORMATS = {
         _of_one_layer(lambda layer, rows: parquet_bytes(_table(layer, rows), layer.description, rows.credit))
     ),
     ".pmtiles": Format(_write_tiles, "any", "PMTiles"),
-    ".gpx": Format(_write_gpx, "all", "GPX"),
 }
 """Suffix -> format."""

@@ -46,7 +46,6 @@ router = APIRouter(tags=["Exports"])
 
 _CONTENT = {
     ".kml": {"type": "string"},
-    ".gpx": {"type": "string"},
     ".csv": {"type": "string"},
     ".geojson": {"type": "object"},
 }
@@ -97,10 +96,6 @@ _EXPORTS = {
         "All layers as Mapbox Vector Tiles in one PMTiles archive (version 3), which web maps read by byte ranges: "
         "zooms 0 to 15; what is more than intersections and trajectory begins at zoom 13. Its metadata name layers, "
         "fields, attribution and licence.",
-    ),
-    ".gpx": _Export(
-        "Download the track as GPX",
-        "The track with its times, where the drive has times of day, and the intersections as waypoints. GPX 1.1.",
     ),
 }
 

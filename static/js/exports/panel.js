@@ -79,7 +79,6 @@ function sections(result, link) {
       .filter(([ending]) => exports.includes(ending) && !(local && ending === ".kml"))
       .map(([ending, text]) => get(text, `${at}/export${ending}?layer=${path}`, `${slug}-${name}${ending}`));
     if (local) return files(title, get("JSON", `${at}/files/${name}.local.json`, `${slug}-${name}.local.json`), others);
-    if (name === "trajectory") others.push(get("GPX", `${at}/export.gpx`, `${slug}.gpx`));
     const geojson = name in DERIVED ? `${at}/export.geojson?layer=${path}` : `${at}/${path}`;
     return files(title, get("GeoJSON", geojson, `${slug}-${name}.geojson`), others);
   };

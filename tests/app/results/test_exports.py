@@ -107,13 +107,7 @@ def test_vector_tiles_are_read_by_ranges(finished: Finished, tmp_path: Path) -> 
     assert set(layers_of(whole.content, tmp_path / "a.pmtiles")) == {*SCORED, *DERIVED}
 
 
-def test_tracks_and_columns(finished: Finished, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    track = finished.get("/jobs/default/export.gpx")
-    assert track.headers["content-type"] == "application/gpx+xml"
-    (tmp_path / "a.gpx").write_bytes(track.content)
-    assert len(pyogrio.read_dataframe(tmp_path / "a.gpx", layer="waypoints")) > 0
-    assert len(pyogrio.read_dataframe(tmp_path / "a.gpx", layer="track_points")) > 10
-    assert finished.get("/jobs/default/export.gpx?layer=matches").status_code == 400
+def test_columns(finished: Finished, monkeypatch: pytest.MonkeyPatch) -> None:
     columns = finished.get("/jobs/plain/export.parquet?layer=keyframes")
     assert columns.headers["content-type"] == "application/vnd.apache.parquet"
     assert columns.content[:4] == columns.content[-4:] == b"PAR1"
