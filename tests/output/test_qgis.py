@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from interloc.output.credits import ODBL, OSM_ATTRIBUTION
-from interloc.output.qml import qml
+from interloc.output.qgis import qml
 from interloc.output.styles import FOUND, FUSED, RIGHT, ROAD, STYLES
 from interloc.output.vector_files import EXPORTS, write_vector_file
 from tests.output.small import small_result, with_roads, write_folder

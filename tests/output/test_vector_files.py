@@ -156,6 +156,8 @@ def test_what_cannot_be_is_said(scored: Path, tmp_path: Path) -> None:
         write_vector_file(scored, tmp_path / "nowhere" / "a.fgb")
     with pytest.raises(OutputError, match=r"run\.json is missing"):
         write_vector_file(tmp_path, tmp_path / "a.fgb")
+    with pytest.raises(ConfigError, match=r"leave --layer out"):
+        write_vector_file(scored, tmp_path / "a.qgz", layer="matches")
     plain = write_folder(tmp_path / "plain", small_result(), scored=False)
     with pytest.raises(ConfigError, match=r"no matches\.geojson.*interloc evaluate"):
         write_vector_file(plain, tmp_path / "a.fgb", layer="matches")

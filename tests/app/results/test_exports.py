@@ -160,7 +160,8 @@ def test_it_is_built_once_and_leaves_nothing_else(finished: Finished) -> None:
     ("/jobs/local/export.fgb?layer=matches", 404, "Not georeferenced"),
     ("/jobs/plain/export.fgb?layer=matches", 404, "Not scored"),
     ("/jobs/default/export.fgb?layer=roofs", 422, "Request not valid"),
-    ("/jobs/default/export.shp", 404, "Not Found"),
+    ("/jobs/default/export.shp", 422, "Request not valid"),
+    ("/jobs/default/export.qgz?layer=matches", 422, "Bad setting"),
     ("/jobs/failed/export.gpkg", 409, "Result not ready"),
 ])  # fmt: skip
 def test_why_there_is_none(address: str, status: int, title: str, finished: Finished) -> None:
