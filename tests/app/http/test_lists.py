@@ -185,7 +185,7 @@ def test_drives_and_jobs_are_renamed(client: httpx.Client) -> None:
         assert client.patch(f"{address[:-2]}none", json={}).status_code == 404
     assert client.patch("/drives/d4", json={"name": None}).status_code == 422
     assert client.get("/jobs?name=MINE").json()["jobs"][0]["title"] == "mine"
-    assert client.patch("/jobs/j2", json={"name": None}).json()["title"] == "default, predictions, no map"
+    assert client.patch("/jobs/j2", json={"name": None}).json()["title"] == "default, no map"
     client.patch("/drives/d4", json={"name": NAMES[3]}).raise_for_status()
 
 
