@@ -116,15 +116,6 @@ class Settings(BaseSettings):
         None, ge=1, description="Maximum number of scans of the demo drive; the whole drive by default."
     )
     min_free_bytes: int = Field(1 * GB, ge=0, description="Free disk space below which no upload and no job begins.")
-    idle_timeout_s: float = Field(
-        60.0, gt=0, description="Time in seconds after which a request is given up whose body does not go on."
-    )
-    min_body_rate: float = Field(
-        1024.0,
-        ge=0,
-        description="Average bytes per second that the body of a request must reach once it has taken longer than "
-        "`IDLE_TIMEOUT_S`; 0 for any rate.",
-    )
     disk_reserve_bytes: int = Field(
         16 * MB,
         ge=0,

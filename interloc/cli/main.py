@@ -24,7 +24,6 @@ COMMANDS = {
     "batch": "batch",
     "locate": "locate",
     "explain": "explain",
-    "robustness": "robustness",
     "live": "live",
     "ros": "ros",
     "export": "export",
