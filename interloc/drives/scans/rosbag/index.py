@@ -11,10 +11,9 @@ from pathlib import Path
 
 import numpy as np
 
-from interloc import storage
 from interloc.arrays import IntArray
 from interloc.drives.files import SourceFile
-from interloc.drives.scans.rosbag.chunks import MAX_MESSAGE_BYTES, ChunkStream
+from interloc.drives.scans.rosbag.chunks import ChunkStream
 from interloc.drives.scans.rosbag.wire import Encoding
 
 MAX_MESSAGES = 20_000_000
@@ -71,39 +70,27 @@ _HEAD_BYTES = 65_536  # what `ChunkStream` unpacks at a time, and more than most
 _MESSAGE_BYTES = 1024
 
 
-def streams_at(path: Path, places: IntArray, limit: int = MAX_MESSAGE_BYTES) -> Iterator[ChunkStream]:
+def streams_at(path: Path, places: IntArray) -> Iterator[ChunkStream]:
     """Yield a stream for each of the (N, 4) places, which stands there; every chunk is unpacked once if they ascend.
 
     Parameters
     ----------
     path
     places
-    limit : int
-        Bytes of each message that will be read.
 
     Raises
     ------
     ValueError
         The file is damaged.
     """
-    with storage.open_binary(path) as file:
+    with path.open("rb") as file:
         stream, chunk = None, -1
-        for row, place in enumerate(places):
-            if row % _AHEAD == 0:
-                storage.want(file, [_extent(each, limit) for each in places[row : row + _AHEAD].tolist()])
+        for place in places:
             if stream is None or place[CHUNK_START] != chunk or place[OFFSET] < stream.position:
                 chunk = int(place[CHUNK_START])
                 stream = ChunkStream(file, chunk, int(place[CHUNK_BYTES]), int(place[CODEC]))
             stream.skip_to(int(place[OFFSET]))
             yield stream
-
-
-def _extent(place: list[int], limit: int) -> tuple[int, int]:
-    """Return which bytes of a file a message is read from, as far as its place tells."""
-    start, size, codec, offset = place
-    if codec:
-        return start, start + (size if limit > _HEAD_BYTES else min(size, _HEAD_BYTES))
-    return start + offset, start + min(size, offset + min(limit + _MESSAGE_BYTES, 2 * _MESSAGE_BYTES))
 
 
 def ros2_spelling(name: str) -> str:

@@ -14,7 +14,6 @@ from typing import BinaryIO, NamedTuple
 
 import numpy as np
 
-from interloc import storage
 from interloc.arrays import IntArray
 from interloc.drives.files import SourceFile
 from interloc.drives.scans.rosbag.chunks import (
@@ -116,7 +115,7 @@ def index_mcap(file: SourceFile) -> BagIndex:
     DriveError
         It is no MCAP file, or nothing could be read.
     """
-    with reading(file), storage.open_binary(file.path) as raw:
+    with reading(file), file.path.open("rb") as raw:
         magic = raw.read(len(MAGIC))
         if magic != MAGIC:
             raise file.fault(
@@ -154,7 +153,6 @@ def _by_summary(raw: BinaryIO, size: int) -> Contents | None:
         raise DamagedChunkError("the index of a chunk lies outside of the file")
     if not contents.channels or not chunks or not all(each.index_length for each in chunks):
         return None
-    storage.want(raw, indexes)
     for each, (index_start, _) in zip(chunks, indexes, strict=True):
         raw.seek(index_start)
         _read_message_index(raw.read(each.index_length), each.place, contents)
@@ -290,7 +288,7 @@ def read_messages(path: Path, places: IntArray, limit: int = MAX_MESSAGE_BYTES) 
     ValueError, struct.error
         The file is damaged.
     """
-    for stream in streams_at(path, places, limit):
+    for stream in streams_at(path, places):
         kind, length = PREFIX.unpack(stream.exactly(PREFIX.size))
         if kind != MESSAGE or length < MESSAGE_HEAD.size:
             raise DamagedChunkError("its index leads to a place where no message is")
