@@ -75,12 +75,12 @@ def command(
     if ended:
         console.note(f"{counted(len(ended), 'drive')} of {len(units)} done already (--fresh does them again)")
     missing = [unit for unit in units if unit.name not in ended]
-    before = len(ended)
+    kept = len(ended)
     try:
         with console.progress("batch", "drive") as bar:
             count = min(workers or cores(), len(missing) or 1)
             if missing:
-                ended |= do_all(missing, records, count, dask, lambda done: bar(before + done, len(units)))
+                ended |= do_all(missing, records, count, dask, lambda done: bar(kept + done, len(units)))
     except BaseException as error:
         if not is_interruption(error):
             raise

@@ -214,7 +214,7 @@ def _processes(workers: int) -> Iterator[Submit]:
 
     with ThreadPoolExecutor(workers, "batch") as threads:
         try:
-            yield partial(threads.submit, do)
+            yield lambda unit, out: threads.submit(do, unit, out)
         except BaseException:
             stopping.set()
             threads.shutdown(wait=False, cancel_futures=True)
