@@ -118,7 +118,7 @@ class JobModel(BaseModel):
                     "kind": "intersections",
                     "drive_id": "5f0c2b7d9a41e386",
                     "drive_name": "town",
-                    "title": "default, r = 0.25",
+                    "title": "default, drive",
                     "name": None,
                     "note": None,
                     "own_settings": {"bev.resolution_m": 0.25},
@@ -150,8 +150,8 @@ class JobModel(BaseModel):
     drive_id: str
     drive_name: str
     title: str = Field(
-        description="Its name; or where it has none what was asked for: the preset, and what differs from the usual.",
-        examples=["default, predictions, r = 0.25"],
+        description="Its name; or where it has none the preset, and the policy by which it is scored.",
+        examples=["default, drive", "paper, no map"],
     )
     name: str | None = None
     note: str | None = None

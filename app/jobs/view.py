@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from functools import cache
+from typing import Any
 
 from sqlalchemy import ColumnElement, and_, select
 from sqlalchemy.orm import Session
@@ -11,11 +13,10 @@ from app.context import Context
 from app.http.problem_types import JOB_NOT_FOUND
 from app.http.problems import Problem, ProblemDocument, stored
 from app.jobs.models import JobModel, Progress
-from app.jobs.outlook import outlook, seconds_left
-from app.jobs.titles import own_settings, title_of
 from app.jobs.webhooks import deliveries_of
 from app.states import JobKind, JobState
 from app.store.models import Drive, Job, columns_for
+from interloc.config import PRESETS, flatten
 from interloc.output.layers import LAYERS, PLACES
 from interloc.output.layout import ROAD_LAYERS
 from interloc.output.vector_files import suffixes_here
@@ -23,6 +24,8 @@ from interloc.output.vector_files import suffixes_here
 _LAYERS = [layer.address for layer in LAYERS.values() if not layer.is_osm]
 _ROADS = tuple(LAYERS[name].address for name in ROAD_LAYERS)
 _MAP_LAYERS = [layer.address for layer in LAYERS.values() if layer.is_osm and layer.name != PLACES]
+_OTHER_KINDS = {JobKind.COMMIT: "check", JobKind.UNPACK: "archive", JobKind.DEMO: "demo drive"}
+_STEADY_S, _STEADY_SHARE = 5.0, 0.05  # the beginning tells nothing: drive and map are read first
 _NO_WORKER = "It waits for a worker: none can be started at present. The service keeps trying; its log says why."
 
 
@@ -50,37 +53,56 @@ def job_models(session: Session, context: Context, rows: Iterable[tuple[Job, str
     """Return jobs as clients see them, given with the names of their drives."""
     rows = list(rows)
     now = context.database.clock(session)
-    waiting = [job for job, _ in rows if job.state == JobState.ACCEPTED and job.message is None]
-    if context.lacks_workers.is_set():
-        told = dict.fromkeys((job.id for job in waiting), _NO_WORKER)
-    else:
-        told = outlook(session, now, context.settings.jobs_at_once) if waiting else {}
+    no_worker = _NO_WORKER if context.lacks_workers.is_set() else None
     links = _Links(context.settings.root_path)
     deliveries = deliveries_of(session, [job for job, _ in rows])
-    models = [_job_model(job, name, links, now, job.message or told.get(job.id)) for job, name in rows]
-    return [model.model_copy(update={"deliveries": deliveries.get(model.id, [])}) for model in models]
+    return [
+        JobModel(
+            **columns_for(JobModel, job, but=("message", "error")),
+            drive_name=drive_name,
+            title=title_of(job),
+            own_settings=own_settings(job.request),
+            message=job.message or (no_worker if job.state == JobState.ACCEPTED else None),
+            progress=_progress(job, now),
+            error=job.error and ProblemDocument.model_validate(job.error | stored(job.error).document()),
+            links=links.of(job),
+            deliveries=deliveries.get(job.id, []),
+        )
+        for job, drive_name in rows
+    ]
 
 
-def _job_model(job: Job, drive_name: str, links: _Links, now: float, message: str | None) -> JobModel:
-    error = None if job.error is None else ProblemDocument.model_validate(job.error | stored(job.error).document())
-    return JobModel(
-        **columns_for(JobModel, job, but=("message", "error")),
-        drive_name=drive_name,
-        title=title_of(job),
-        own_settings=own_settings(job.request),
-        message=message,
-        progress=_progress(job, now),
-        error=error,
-        links=links.of(job),
-    )
+def title_of(job: Job) -> str:
+    """Return what a job is called: by its name, else by its preset and what it was scored against."""
+    if job.kind != JobKind.INTERSECTIONS:
+        return job.name or _OTHER_KINDS.get(JobKind(job.kind), job.kind)
+    against = job.request.get("policy", "drive") if job.request.get("osm") else "no map"
+    return job.name or f"{_preset_of(job.request)}, {against}"
+
+
+def own_settings(request: dict[str, Any]) -> dict[str, Any]:
+    """Return the settings of a request that differ from its preset, by their dotted names."""
+    usual = _settings_of(_preset_of(request))
+    own = flatten(request.get("config") or {})
+    return {name: value for name, value in own if name != "preset" and (name not in usual or usual[name] != value)}
+
+
+def _preset_of(request: dict[str, Any]) -> str:
+    return str(request.get("preset") or (request.get("config") or {}).get("preset") or "default")
+
+
+@cache
+def _settings_of(preset: str) -> dict[str, Any]:
+    return dict(flatten(PRESETS[preset].model_dump(mode="json"))) if preset in PRESETS else {}
 
 
 def _progress(job: Job, now: float) -> Progress:
     fraction = 1.0 if job.state == JobState.SUCCESSFUL else min(1.0, job.done / job.total) if job.total else 0.0
     left = None
     if job.state == JobState.RUNNING and job.started_at is not None and fraction < 1.0:
-        left = seconds_left(now - job.started_at, job.done, job.total)
-    left = None if left is None else round(left, 1)
+        spent_s = max(0.0, now - job.started_at)
+        if spent_s >= _STEADY_S and fraction >= _STEADY_SHARE:
+            left = round(spent_s * (1 / fraction - 1), 1)
     return Progress(done=job.done, total=job.total, fraction=round(fraction, 4), seconds_left=left)
 
 

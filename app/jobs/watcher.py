@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import time
+from collections import defaultdict
 from collections.abc import AsyncIterator
 from dataclasses import dataclass
 from typing import Annotated
@@ -31,7 +32,7 @@ class Change:
 
     version: int
     message: str | None
-    """What it is waiting for; while it waits for its turn, this changes without the job itself."""
+    """What it is waiting for: where all workers are lost this changes without the job itself."""
     is_final: bool
     """Whether no further change can follow."""
     data: str
@@ -42,30 +43,27 @@ class Change:
         """Return the change that led to this job."""
         return cls(job.version, job.message, job.state in FINAL, job.model_dump_json())
 
-    def is_news_after(self, last: Change) -> bool:
-        """Return whether a listener who knows the last change should hear this one."""
-        return self.version > last.version or (self.version == last.version and self.message != last.message)
-
 
 class JobWatcher:
     """Reports the changes of jobs; to be used in the event loop."""
 
     def __init__(self, context: Context) -> None:
         self._context = context
-        self._listeners: dict[str, set[asyncio.Queue[Change | None]]] = {}
-        self._known: dict[str, Change | None] = {}
+        self._listeners: defaultdict[str, set[asyncio.Queue[Change | None]]] = defaultdict(set)
+        self._versions: dict[str, int] = {}
+        """Of the jobs that are followed, as all their listeners know them."""
         self._polling: asyncio.Task[None] | None = None
 
     async def follow(self, job_id: str, last: Change) -> AsyncIterator[Change]:
         """Yield what comes after a change of a job, until the job has ended, is deleted, or the server stops."""
         queue: asyncio.Queue[Change | None] = asyncio.Queue()
-        self._listeners.setdefault(job_id, set()).add(queue)
-        self._known[job_id] = None  # the next look passes on what it finds
+        self._listeners[job_id].add(queue)
+        self._versions.pop(job_id, None)  # the next look passes on what it finds
         if self._polling is None or self._polling.done():
             self._polling = asyncio.create_task(self._poll())
         try:
             while (change := await queue.get()) is not None:
-                if change.is_news_after(last):
+                if change.version >= last.version and (change.version, change.message) != (last.version, last.message):
                     last = change
                     yield change
                 if change.is_final:
@@ -73,11 +71,23 @@ class JobWatcher:
         finally:
             self._listeners[job_id].discard(queue)
             if not self._listeners[job_id]:
-                del self._listeners[job_id], self._known[job_id]
+                del self._listeners[job_id]
 
     async def _poll(self) -> None:
         try:
-            await self._pass_on_changes()
+            while self._listeners and not self._context.stopping.is_set():
+                followed = {job_id: self._versions.get(job_id) for job_id in self._listeners}
+                try:
+                    changes = await run_in_threadpool(_changes, self._context, followed)
+                except OperationalError as error:
+                    _log.warning("changes of jobs could not be read: %s", error)
+                    changes = {}  # the next look finds them all
+                for job_id, change in changes.items():
+                    if change is not None and self._versions.get(job_id) == followed[job_id]:
+                        self._versions[job_id] = change.version
+                    for queue in self._listeners.get(job_id, ()):
+                        queue.put_nowait(change)
+                await asyncio.sleep(_POLL_S)
         except Exception:  # noqa: BLE001 - the listeners must not wait for ever
             _log.exception("changes of jobs could not be passed on")
         finally:  # whatever happened, end the streams of all listeners
@@ -85,46 +95,19 @@ class JobWatcher:
                 for queue in queues:
                     queue.put_nowait(None)
 
-    async def _pass_on_changes(self) -> None:
-        while self._listeners and not self._context.stopping.is_set():
-            known = dict(self._known)
-            try:
-                changes = await run_in_threadpool(_changes, self._context, known)
-            except OperationalError as error:
-                _log.warning("changes of jobs could not be read: %s", error)
-                changes = {}  # the next look finds them all
-            for job_id, change in changes.items():
-                if job_id in self._known:
-                    self._known[job_id] = change
-                for queue in self._listeners.get(job_id, ()):
-                    queue.put_nowait(change)
-            await asyncio.sleep(_POLL_S)
 
-
-def _changes(context: Context, known: dict[str, Change | None]) -> dict[str, Change | None]:
-    """Return the jobs that are not as they are known; None for those that were removed.
-
-    A job that waits may be told something else without having changed itself: it is always looked at.
-    """
+def _changes(context: Context, followed: dict[str, int | None]) -> dict[str, Change | None]:
+    """Return the jobs whose version is another one, and those that wait; None for those that were removed."""
+    alive = select(Job, Drive.name).join(Drive, Drive.id == Job.drive_id).where(is_alive())
     with context.database.reading() as session:
-        alive = select(Job.id, Job.version, Job.state).join(Drive, Drive.id == Job.drive_id).where(is_alive())
-        rows = session.execute(alive.where(Job.id.in_(list(known)))).all()
-        changed = [
-            row.id
-            for row in rows
-            if (last := known[row.id]) is None or row.version != last.version or row.state == JobState.ACCEPTED
-        ]
-        gone: dict[str, Change | None] = dict.fromkeys(known.keys() - {row.id for row in rows})
-        if not changed:
-            return gone
-        query = select(Job, Drive.name).join(Drive, Drive.id == Job.drive_id).where(Job.id.in_(changed))
-        models = job_models(session, context, ((job, name) for job, name in session.execute(query)))
-    found = {model.id: Change.of(model) for model in models}
-    return gone | {
-        job_id: change
-        for job_id, change in found.items()
-        if (last := known[job_id]) is None or change.is_news_after(last)
-    }
+        rows = session.execute(
+            alive.with_only_columns(Job.id, Job.version, Job.state).where(Job.id.in_(list(followed)))
+        ).all()
+        changed = [row.id for row in rows if row.version != followed[row.id] or row.state == JobState.ACCEPTED]
+        found = session.execute(alive.where(Job.id.in_(changed))).all() if changed else []
+        models = job_models(session, context, [(job, name) for job, name in found])
+    gone: dict[str, Change | None] = dict.fromkeys(followed.keys() - {row.id for row in rows})
+    return gone | {model.id: Change.of(model) for model in models}
 
 
 WatcherDep = Annotated[JobWatcher, part_of_app("watcher")]

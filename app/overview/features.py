@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from app.jobs.chosen import choice_of
-from app.jobs.titles import title_of
+from app.jobs.view import title_of
 from app.store.models import Job
 from app.store.storage import Storage
 from app.work.places import TRAJECTORY

@@ -14,7 +14,8 @@ from typing import Any
 
 from alembic import command
 from alembic.config import Config
-from alembic.util.exc import CommandError
+from alembic.runtime.migration import MigrationContext
+from alembic.script import ScriptDirectory
 from sqlalchemy import URL, Connection, ExceptionContext, create_engine, event, inspect, make_url, text
 from sqlalchemy.exc import ArgumentError, DBAPIError, OperationalError
 from sqlalchemy.exc import TimeoutError as WaitedTooLong
@@ -168,16 +169,11 @@ class Database:
         Raises
         ------
         InterLocError
-            The database does not answer, belongs to a newer version, or holds something else.
+            The database does not answer, belongs to a newer version or to one before 0.2.0, or holds something else.
         """
         shown = self.url.render_as_string(hide_password=True)
         try:
             self._upgrade(then)
-        except CommandError as error:
-            raise InterLocError(
-                f"the database {shown} was made by a newer version of InterLoc ({error}); "
-                "install that version, or use another data folder"
-            ) from error
         except DBAPIError as error:
             reason = " ".join(str(error.orig).split())
             raise InterLocError(f"the database {shown} cannot be reached or brought up to date: {reason}") from error
@@ -194,11 +190,27 @@ class Database:
                 Base.metadata.create_all(connection)  # what the migrations end at, in a quarter of the time
                 command.stamp(config, "head")
             else:
+                self._refuse_unknown(MigrationContext.configure(connection).get_current_revision(), config)
                 command.upgrade(config, "head")
             if then is not None:
                 with Session(connection) as session:
                     then(session)
                     session.flush()
+
+    def _refuse_unknown(self, found: str | None, config: Config) -> None:
+        known = [script.revision for script in ScriptDirectory.from_config(config).walk_revisions()]
+        if found is None or found in known:
+            return
+        shown = self.url.render_as_string(hide_password=True)
+        if found > known[0]:
+            raise InterLocError(
+                f"the database {shown} was made by a newer version of InterLoc (its tables are at {found!r}, this "
+                f"version ends at {known[0]!r}); install that version, or use another data folder"
+            )
+        raise InterLocError(
+            f"the database {shown} was made by a version of InterLoc that is too old (its tables are at {found!r}, "
+            f"this version begins at {known[-1]!r}, which is 0.2.0); start version 0.2.0 with it once, then this one"
+        )
 
     def close(self) -> None:
         """Close the connections."""

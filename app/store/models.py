@@ -128,7 +128,7 @@ class Job(Base):
     request: Mapped[dict[str, Any]]
     """As it was sent; its `name` is only what the job was called at first."""
     name: Mapped[str | None]
-    """None: it is called by what it was asked for, see `app.jobs.titles`."""
+    """None: it is called by what it was asked for, see `app.jobs.view.title_of`."""
     note: Mapped[str | None] = mapped_column(Text)
     """What somebody wrote about it."""
     idempotency_key: Mapped[str | None]

@@ -111,10 +111,8 @@ def command() -> None:
       interloc benchmark twins --kitti kitti -o out                    simulated drives over the real tracks and maps
       interloc benchmark twins --kitti kitti --sequences 07 --preset default --noise 20/20 --seeds 3 -o out
       interloc benchmark semantickitti --root data --oxts raw --osm maps --labels predictions -o out
-      interloc benchmark sensors --kitti kitti -o out                  LiDARs side by side, with and without look-ahead
       interloc benchmark drives first second --osm map.osm.gz -o out   any drives
       interloc benchmark ablation --kitti kitti -o out                 what each rule and setting of a preset gives
-      interloc benchmark locate --kitti kitti --osm map.osm.gz -o out  placing drives without GNSS
 
     OUT/benchmark.html has tables, figures and maps; OUT/failures lists what went wrong where. A run that was stopped
     continues where it was: finished rows are kept in OUT/rows as long as settings, inputs and program are the same.
@@ -160,63 +158,6 @@ def twins(
         seeds=seeds,
         **measuring,
     )
-
-
-@command.command()
-@twin_options("05,07,10")
-@click.option("--sensors", default=",".join(options.SENSORS), show_default=True, help="LiDARs to compare.")
-@click.option(
-    "--lookahead",
-    "lookaheads",
-    default="default,0",
-    show_default=True,
-    help="Keyframes after the current one that are accumulated: of the preset (default), or a number; 0 is causal.",
-)
-@measuring_options
-def sensors(
-    kitti: Path,
-    sequences: str,
-    sensors: str,
-    lookaheads: str,
-    keep: Path | None,
-    max_scans: int | None,
-    seeds: int,
-    **measuring: Any,
-) -> None:
-    """Compare LiDARs, with and without look-ahead, on simulated drives along real tracks over their real maps.
-
-    \b
-    Example:
-      interloc benchmark sensors --kitti kitti --sensors vlp-16,hdl-64e --lookahead default,5,0 -o out
-    """
-    from interloc.benchmark.cases import twin_cases
-
-    names = _list(sensors)
-    cases = twin_cases(kitti, _list(sequences), seeds=seeds, keep=keep, max_scans=max_scans, sensors=names)
-    cases.sort(key=lambda case: names.index(case.sensor))
-    _measure(
-        cases,
-        title="Sensors",
-        about="Simulated drives along the real tracks of KITTI sequences over their real OpenStreetMap, with exact "
-        "labels and SuMa poses, once with each LiDAR. The worlds are the same; lasers, shots and ranges are as "
-        "published. Drives without the name of a sensor are by KITTI's HDL-64E.",
-        labels="labels",
-        seeds=seeds,
-        lookaheads=tuple(_lookaheads(lookaheads)),
-        sensors={
-            sensor: tuple(dict.fromkeys(case.name for case in cases if case.sensor == sensor)) for sensor in names
-        },
-        **measuring,
-    )
-
-
-def _lookaheads(text: str) -> list[int | None]:
-    try:
-        return [None if part == "default" else int(part) for part in _list(text)]
-    except ValueError:
-        raise click.UsageError(
-            f"--lookahead {text}: expected whole numbers of keyframes, or default, with commas between them"
-        ) from None
 
 
 @command.command()
@@ -368,70 +309,6 @@ def ablation(
         click.echo(text(table))
 
 
-@command.command()
-@click.option(
-    "--kitti",
-    required=True,
-    type=options.PATH,
-    help="Folder with oxts/, poses_suma/, calib/, times/ and, with --twins, osm/.",
-)
-@click.option("--osm", required=True, type=options.PATH, help="Map that holds all sequences.")
-@click.option("--sequences", default=SEQUENCES, show_default=True, help="KITTI odometry sequences to place.")
-@click.option(
-    "--lengths",
-    default="whole,1500,1000,700,500,300,200,intersections",
-    show_default=True,
-    help="Lengths of the pieces, metres; intersections: what is around single ones.",
-)
-@click.option(
-    "--twins",
-    type=options.PATH,
-    help="Folder of kept twins (simulated where missing): use the intersections along them, not the trajectory alone.",
-)
-@options.OUT
-@options.QUIET
-@options.JSON
-def locate(kitti: Path, osm: Path, sequences: str, lengths: str, twins: Path | None, out: Path) -> None:
-    """Place KITTI sequences and pieces of them on a map without GNSS; the truth is OXTS.
-
-    Each piece is also searched on the mirrored map and on the map without the roads around the sequence, where nothing
-    may be found.
-
-    \b
-    Example:
-      interloc benchmark locate --kitti kitti --osm karlsruhe.osm.gz -o out
-    """
-    from dataclasses import asdict
-
-    from interloc.benchmark.locating import LocateRow, Piece, measure_pieces, pieces_of, table_of, write_locating
-    from interloc.osm.reader import read_osm
-
-    words = {"whole": float("inf"), "intersections": 0.0}
-    try:
-        lengths_m = tuple(words[each] if each in words else float(each) for each in _list(lengths))
-    except ValueError:
-        raise click.UsageError(
-            f"--lengths {lengths}: expected metres, whole or intersections, with commas between them"
-        ) from None
-
-    def report(piece: Piece, rows: list[LocateRow]) -> None:
-        first = rows[0]
-        outcome = first.outcome if first.right or first.outcome != "found" else "found, but WRONG"
-        error = "-" if first.median_m is None else f"{first.median_m:.2f} m"
-        console.note(
-            f"{piece.sequence} from {piece.start_m:.0f} m, {piece.length_m:.0f} m: {outcome}, {error} "
-            f"(score {first.score:.2f}, next {first.runner_up:.2f}, chance {first.chance:.2f})"
-        )
-
-    pieces = (piece for each in _list(sequences) for piece in pieces_of(kitti, each, lengths_m, twins=twins))
-    rows = measure_pieces(pieces, read_osm(osm), report)
-    write_locating(rows, out)
-    if console.wants_json():
-        console.say_json({"rows": [asdict(row) for row in rows]})
-    else:
-        click.echo(table_of(rows))
-
-
 def _measure(
     cases: Sequence[Case],
     *,
@@ -444,7 +321,6 @@ def _measure(
     tolerance_m: float,
     fresh: bool,
     workers: int | None,
-    lookaheads: tuple[int | None, ...] = (None,),
     **described: Any,
 ) -> None:
     """Run a benchmark by the values of `measuring_options`; `described` are further fields of `Benchmark`."""
@@ -457,7 +333,7 @@ def _measure(
     levels = [f"{100 * r_fpr:g}/{100 * r_fnr:g}" for r_fpr, r_fnr in map(parse_level, noises)]
     benchmark = Benchmark(
         tuple(cases),
-        tuple(_named_config(preset, settings, lookahead) for preset in presets for lookahead in lookaheads),
+        tuple(_named_config(preset, settings) for preset in presets),
         tuple(dict.fromkeys([NO_NOISE, *levels])),
         seeds,
         Scoring(policy, tolerance_m),
@@ -492,13 +368,10 @@ def _run(benchmark: Benchmark, out: Path, *, workers: int | None, fresh: bool) -
         bars.close()
 
 
-def _named_config(preset: str, settings: tuple[str, ...], lookahead: int | None = None) -> NamedConfig:
+def _named_config(preset: str, settings: tuple[str, ...]) -> NamedConfig:
     from interloc.benchmark.run import NamedConfig
 
     name = preset + "".join(f" {setting}" for setting in settings)
-    if lookahead is not None:
-        name += ", causal" if lookahead == 0 else f", look-ahead {lookahead}"
-        settings = (*settings, f"keyframes.lookahead={lookahead}")
     arguments = ("--preset", preset, *(part for setting in settings for part in ("--set", setting)))
     return NamedConfig(name, options.configure(preset, settings), arguments)
 

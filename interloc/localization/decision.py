@@ -59,7 +59,7 @@ def too_short(length_m: float) -> Decision:
     return Decision(
         "not_found",
         f"the drive is {length_m:.0f} m long, and under {MIN_LENGTH_M:.0f} m nearly every road fits it.",
-        "Give a longer drive, or one pose that is known (interloc locate --at).",
+        "Give a longer drive, or the track of a phone that was along (interloc locate --gpx).",
     )
 
 
@@ -81,7 +81,7 @@ def decide(best: Evidence | None, runner_up: float, chance: float, length_m: flo
     Notes
     -----
     The score of the best place alone proves nothing: a curve less, and a wrong place does as well. What counts is its
-    lead over the best wrong ones; `interloc benchmark locate` measures how often a wrong place leads by chance.
+    lead over the best wrong ones.
     """
     longer = "A longer drive, labels (for the intersections along it) or roughly where it was (near) would help."
     if best is None or best.road < MIN_ROAD:

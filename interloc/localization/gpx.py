@@ -70,8 +70,7 @@ def georeference_by_gpx(drive: Drive, gpx: GpxTrack) -> GpxPlacement:
     track = track_of(drive.T_world_lidar)
     if track.length_m < MIN_LENGTH_M:
         raise LocationError(
-            f"{drive.name}: the drive is {track.length_m:.0f} m long; a track places one from {MIN_LENGTH_M:.0f} m on. "
-            "One pose that is known places it, too (--at)."
+            f"{drive.name}: the drive is {track.length_m:.0f} m long; a track places one from {MIN_LENGTH_M:.0f} m on."
         )
     roads = _as_roads(gpx)
     xy = roads.xy(gpx.lonlat)

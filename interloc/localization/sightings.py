@@ -36,11 +36,6 @@ class Sightings:
         """Return what the mirrored drive would have seen."""
         return Sightings(self.at_m, self.xy * [1.0, -1.0], -self.angles_rad)
 
-    def between(self, start_m: float, stop_m: float) -> Sightings:
-        """Return the passages between two distances driven."""
-        keep = (self.at_m >= start_m) & (self.at_m <= stop_m)
-        return Sightings(self.at_m[keep], self.xy[keep], self.angles_rad[keep])
-
 
 def no_sightings() -> Sightings:
     """Return the sightings of a drive of which only the trajectory is known."""

@@ -35,13 +35,10 @@ def test_a_drive_is_placed_and_read_again(
     made: tuple[Path, MadeDrive], town_osm: Path, tmp_path: Path, interloc: Callable
 ) -> None:
     town_drive, truth = made
-    geo, figure = tmp_path / "geo.csv", tmp_path / "where.png"
-    done = interloc(
-        "locate", town_drive, "--osm", town_osm, "--track-only", "-o", geo, "--figure", figure, "--json", "--quiet"
-    )
+    geo = tmp_path / "geo.csv"
+    done = interloc("locate", town_drive, "--osm", town_osm, "--track-only", "-o", geo, "--json", "--quiet")
     assert done.code == 0, done.err
     assert done.json["outcome"] == "found"
-    assert figure.read_bytes().startswith(b"\x89PNG")
     placed = library.open_drive(town_drive, oxts=geo).georeference
     assert placed is not None
     assert np.median(truth.error_m(placed)) < 1.5
@@ -75,36 +72,32 @@ def test_not_found_is_exit_code_1_and_nothing_is_written(
     assert not (tmp_path / "out").exists()
 
 
-def test_one_known_pose(drive: Path, tmp_path: Path, interloc: Callable) -> None:
-    geo = tmp_path / "geo.csv"
-    done = interloc("locate", drive, "--at", "49.0,8.4,90", "-o", geo)
-    assert done.code == 0, done.err
-    assert "uncertainty" in done.out
-    placed = library.open_drive(drive, oxts=geo).georeference
-    assert placed is not None
-    assert (placed.lat_deg[0], placed.lon_deg[0]) == pytest.approx((49.0, 8.4), abs=1e-8)
-    assert placed.lon_deg[-1] > 8.401  # it drives east
-
-
-def test_a_file_that_is_there_stays(drive: Path, tmp_path: Path, interloc: Callable) -> None:
-    geo = tmp_path / "geo.csv"
+def test_the_track_of_a_phone_places_a_drive_and_replaces_only_what_it_may(
+    made: tuple[Path, MadeDrive], tmp_path: Path, interloc: Callable
+) -> None:
+    town_drive, truth = made
+    geo, gpx = tmp_path / "geo.csv", tmp_path / "watch.gpx"
+    points = "".join(f'<trkpt lat="{lat}" lon="{lon}"/>' for lon, lat in truth.true_lonlat[::10].tolist())
+    gpx.write_text(f'<gpx version="1.1" creator="phone"><trk><trkseg>{points}</trkseg></trk></gpx>')
     geo.write_text("measured\n")
-    done = interloc("locate", drive, "--at", "49.0,8.4,90", "-o", geo)
+    done = interloc("locate", town_drive, "--gpx", gpx, "-o", geo)
     assert (done.code, geo.read_text()) == (2, "measured\n")
     assert f"{geo} is there already, and was not touched" in done.complaint
-    assert interloc("locate", drive, "--at", "49.0,8.4,90", "-o", geo, "--overwrite", "--quiet").code == 0
-    assert geo.read_text().startswith("frame,lat_deg")
+    done = interloc("locate", town_drive, "--gpx", gpx, "-o", geo, "--overwrite")
+    assert done.code == 0, done.err
+    assert "uncertainty" in done.out
+    placed = library.open_drive(town_drive, oxts=geo).georeference
+    assert placed is not None
+    assert np.median(truth.error_m(placed)) < 2.0
 
 
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
         ((), "say where to look"),
-        (("--osm", "map.osm", "--at", "49,8,0"), "say where to look"),
-        (("--at", "49,8"), "3 numbers with commas"),
-        (("--gpx", "watch.gpx", "--at", "49,8,0"), "say where to look"),
-        (("--osm", "map.osm", "--at-frame", "3"), "--at-frame belongs to --at"),
-        (("--at", "49,8,0", "--growth"), "--growth and --track-only belong to --osm"),
+        (("--osm", "map.osm", "--gpx", "watch.gpx"), "say where to look"),
+        (("--osm", "map.osm", "--near", "49.0"), "2 numbers with commas"),
+        (("--gpx", "watch.gpx", "--track-only"), "--near, --radius and --track-only belong to --osm"),
     ],
 )
 def test_wrong_usage(drive: Path, arguments: tuple[str, ...], says: str, interloc: Callable) -> None:

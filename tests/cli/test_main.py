@@ -28,7 +28,6 @@ COMMANDS = [
     "batch",
     "locate",
     "explain",
-    "robustness",
     "live",
     "ros",
     "export",

@@ -61,9 +61,3 @@ def test_in_a_mirror_left_is_right() -> None:
     poses = straight()
     seen = sightings_of(run_over(poses, list(range(10, 30))), np.arange(60), track_of(poses))
     assert np.allclose(seen.mirrored().xy, CROSSING * [1.0, -1.0], atol=1e-6)
-
-
-def test_only_the_passages_of_a_piece() -> None:
-    poses = straight()
-    seen = sightings_of(run_over(poses, list(range(10, 30))), np.arange(60), track_of(poses))
-    assert (len(seen.between(0.0, 20.0)), len(seen.between(20.0, 60.0))) == (0, 1)

@@ -15,8 +15,7 @@ from app.http.problem_types import DIFFERENT_DRIVES, REQUEST_NOT_VALID
 from app.http.problems import Problem
 from app.http.turns import IN_TURN
 from app.jobs.models import MAX_COMPARED_JOBS
-from app.jobs.titles import distinct_titles, own_settings
-from app.jobs.view import find_job
+from app.jobs.view import find_job, own_settings, title_of
 from app.results.folder import ResultsDep
 from app.results.routes.results import PROBLEMS
 from interloc.output.layout import settings_of
@@ -67,8 +66,8 @@ class Comparison(BaseModel):
 
     runs: list[str] = Field(description="Ids of the jobs.")
     names: list[str] = Field(
-        description="What tells the jobs apart: their names, or what was asked for without what they have in common.",
-        examples=[["default", "r = 0.25"]],
+        description="What the jobs are called; those that are called the same are numbered.",
+        examples=[["default, drive (1)", "default, drive (2)"]],
     )
     drive_id: str
     inputs: list[Input] = Field(description="Labels and georeference, where the jobs differ in them.")
@@ -114,7 +113,11 @@ def compare_jobs(
         names = ", ".join(f"{result.job_id} of {result.drive_id}" for result in opened)
         raise Problem(DIFFERENT_DRIVES, f"Jobs of one drive can be compared; these are {names}.")
     with context.database.reading() as session:
-        rows = [find_job(session, job_id)[0] for job_id in ids]
+        titles = [title_of(find_job(session, job_id)[0]) for job_id in ids]
+    number = [titles[: i + 1].count(title) for i, title in enumerate(titles)]
+    numbered = [
+        title if titles.count(title) == 1 else f"{title} ({n})" for title, n in zip(titles, number, strict=True)
+    ]
     reports = [json.loads(result.evaluation_file("report.json").read_bytes()) for result in opened]
     runs = [json.loads((result.folder / "run.json").read_bytes()) for result in opened]
     one_drive = {"drive_name": opened[0].drive_id}  # which may have been renamed between the jobs
@@ -122,7 +125,7 @@ def compare_jobs(
     own = set().union(*(own_settings({"config": settings_of(run)}) for run in runs))
     for setting in compared["settings"]:
         setting["is_own"] = setting["name"] in own
-    return {"drive_id": opened[0].drive_id, "names": distinct_titles(rows), **compared}
+    return {"drive_id": opened[0].drive_id, "names": numbered, **compared}
 
 
 class PublishedFigures(BaseModel):

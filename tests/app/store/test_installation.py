@@ -9,9 +9,7 @@ from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
-from alembic import command
-from alembic.config import Config
-from sqlalchemy import inspect, select, text
+from sqlalchemy import inspect, select
 
 from app.context import Context, open_database
 from app.drives.models import NewDrive
@@ -19,7 +17,6 @@ from app.drives.records import create_drive
 from app.drives.upload import keep
 from app.http.intake import Intake
 from app.settings import Settings
-from app.store import database as database_module
 from app.store.database import Database
 from app.store.installation import InstallationError, id_of_database, id_of_folder
 from app.store.models import Drive, Installation
@@ -158,51 +155,6 @@ def test_a_copy_of_a_service_opens_with_its_copy_of_the_database(tmp_path: Path)
         assert session.get(Drive, drive) is not None
     context.close()
     assert (tmp_path / "copy/drives" / drive / "files/velodyne/000000.bin").is_file()
-
-
-def older_version(data: Path, url: str | None = None) -> str:
-    """Make a service as versions left it that knew no ids; returns the id of its drive."""
-    drive = fill(data, url)
-    database = Database(settings(data, url).sqlalchemy_url)
-    config = Config()
-    config.set_main_option("script_location", str(Path(database_module.__file__).parent / "migrations"))
-    with database.engine.connect().execution_options(writes=True) as connection, connection.begin():
-        config.attributes["connection"] = connection
-        command.downgrade(config, "0001")
-    database.close()
-    (data / "installation").unlink()
-    return drive
-
-
-def test_a_service_of_an_older_version_is_bound(tmp_path: Path, url: str) -> None:
-    drive = older_version(tmp_path / "data", url)
-    database = open_database(settings(tmp_path / "data", url))
-    with database.reading() as session:
-        assert session.get(Drive, drive) is not None
-        assert id_of_database(session) == id_of_folder(tmp_path / "data")
-    database.close()
-
-
-def test_a_folder_of_an_older_version_with_a_new_database_is_refused(tmp_path: Path, url: str) -> None:
-    older_version(tmp_path / "data")
-    assert "comes from a version without ids" in refuse(tmp_path / "data", url)
-
-
-def test_a_database_of_an_older_version_with_an_empty_folder_is_refused(tmp_path: Path, url: str) -> None:
-    older_version(tmp_path / "data", url)
-    (tmp_path / "empty").mkdir()
-    assert "is not mounted" in refuse(tmp_path / "empty", url)
-    database = Database(url)
-    with database.reading() as session:
-        assert session.scalar(text("SELECT version_num FROM alembic_version")) == "0001"  # not brought up to date
-    database.close()
-
-
-def test_databases_that_hold_other_drives_are_refused(tmp_path: Path, url: str) -> None:
-    """Both of an older version, and of different services."""
-    older_version(tmp_path / "one")
-    older_version(tmp_path / "two", url)
-    assert "comes from a version without ids" in refuse(tmp_path / "one", url)
 
 
 def test_a_first_start_that_was_cut_short_is_done_again(tmp_path: Path, url: str) -> None:

@@ -531,23 +531,6 @@ def test_a_data_folder_that_is_not_whole_is_backed_up_as_it_is(data: Path, used:
     }
 
 
-def test_the_backup_of_an_earlier_version_is_restored(data: Path, tmp_path: Path) -> None:
-    out = tmp_path / "backup"
-    make_backup(data, out)
-    database = Database(f"sqlite:///{out / DATABASE}")
-    with database.engine.connect().execution_options(writes=True) as connection, connection.begin():
-        config = Config()
-        config.set_main_option("script_location", str(Path(database_module.__file__).parent / "migrations"))
-        config.attributes["connection"] = connection
-        command.downgrade(config, "0001")
-    database.close()
-    before = (out / DATABASE).read_bytes()
-    restored = restore_to(tmp_path / "restored", out)
-    assert (restored.drives, restored.findings) == (3, [])
-    assert contents(tmp_path / "restored") == contents(out)
-    assert (out / DATABASE).read_bytes() == before
-
-
 def test_the_backup_of_a_later_version_is_left_alone(data: Path, tmp_path: Path) -> None:
     out = tmp_path / "backup"
     make_backup(data, out)
