@@ -42,7 +42,6 @@ from app.results.folder import Results
 from app.results.on_demand import OnDemand
 from app.results.routes import compare, exports, keyframes, results, road
 from app.settings import Settings
-from app.stac import routes as stac
 from app.trash import routes as trash
 from app.upkeep.cleanup import Sweeper
 from interloc.pipeline import versions
@@ -66,7 +65,6 @@ def _assemble() -> APIRouter:
         router.include_router(more, prefix=API, dependencies=shared)
     router.include_router(live.sockets, prefix=API)
     router.include_router(ogc.of_all, dependencies=shared)
-    router.include_router(stac.router, dependencies=shared)
     for module in (system, page):
         router.include_router(module.router)
     return router

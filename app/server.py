@@ -9,15 +9,14 @@ import os
 import socket
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import uvicorn
 from fastapi import FastAPI
+from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 
 from app import logs
 from app.context import Context
-from app.http.protocol import Protocol
 from app.http.security import check_exposure
 from app.main import create_app
 from app.settings import Settings
@@ -27,11 +26,61 @@ _BACKLOG = 2048
 _ACCEPTED_AT_ONCE = 100
 _KEEP_ALIVE_S = 75  # longer than the 60 s of common reverse proxies: they must be the ones that close
 _CONNECTIONS = 4000  # 503 beyond
-_SPARE_FILES = 256  # descriptors that are not for connections, if there are so many
+_SPARE_FILES = 256  # descriptors that are not for connections
 _COMPLAIN_S = 60.0
 _GRACE_S = 4  # for uploads that are under way; `docker stop` kills after ten seconds
 
 _log = logging.getLogger(__name__)
+
+
+class Protocol(HttpToolsProtocol):
+    """Closes connections whose request line and headers do not arrive or do not end, and those that are too many."""
+
+    head_s = 20.0
+    max_head_bytes = 64 * 1024
+    max_connections = _CONNECTIONS
+    """Those beyond are closed at once: descriptors must be left for files, the database and the workers."""
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override] # like the base class
+        """Begin to wait for a request."""
+        super().connection_made(transport)
+        self._head_bytes: int | None = 0
+        """Bytes of the head that is being received; None while there is none."""
+        self._head_timer: asyncio.TimerHandle | None = self.loop.call_later(self.head_s, transport.close)
+        if len(self.connections) > self.max_connections:
+            transport.close()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Wait no longer."""
+        self._end_of_head()
+        super().connection_lost(exc)
+
+    def on_message_begin(self) -> None:
+        """Begin to count the head of a request."""
+        self._head_bytes = 0
+        super().on_message_begin()
+
+    def on_headers_complete(self) -> None:
+        """Count no longer: what follows is the body."""
+        self._end_of_head()
+        super().on_headers_complete()
+
+    def data_received(self, data: bytes) -> None:
+        """Take what arrived; an unfinished head may neither grow without end nor trickle in for ever."""
+        super().data_received(data)
+        if self._head_bytes is None:
+            return
+        self._head_bytes += len(data)
+        if self._head_bytes > self.max_head_bytes:
+            self.transport.close()
+        elif self._head_timer is None:
+            self._head_timer = self.loop.call_later(self.head_s, self.transport.close)
+
+    def _end_of_head(self) -> None:
+        self._head_bytes = None
+        if self._head_timer is not None:
+            self._head_timer.cancel()
+            self._head_timer = None
 
 
 class Server(uvicorn.Server):
@@ -131,7 +180,7 @@ def serve(settings: Settings, started: Callable[[int], None] | None = None) -> N
     except BaseException:
         context.close()
         raise
-    Protocol.max_connections = _room_for_connections(_allow_open_files(2 * _CONNECTIONS))
+    Protocol.max_connections = max(64, min(_CONNECTIONS, _allow_open_files(2 * _CONNECTIONS) - _SPARE_FILES))
     server = Server(create_app(settings, context), settings, started)
     with listener:
         try:
@@ -142,28 +191,19 @@ def serve(settings: Settings, started: Callable[[int], None] | None = None) -> N
     _log.info("stopped")
 
 
-def _allow_open_files(wanted: int) -> int | None:
-    """Raise the limit of open files, 1024 on many systems, as far as the system allows; return it if there is one."""
+def _allow_open_files(wanted: int) -> int:
+    """Raise the limit of open files, 1024 on many systems, as far as the system allows; return it."""
     try:
         import resource  # noqa: PLC0415 - Unix only
     except ImportError:
-        return None
+        return wanted
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     if hard != resource.RLIM_INFINITY:
         wanted = min(wanted, hard)
     if soft != resource.RLIM_INFINITY and soft < wanted:
         resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, hard))
         soft = wanted
-    return None if soft == resource.RLIM_INFINITY else soft
-
-
-def _room_for_connections(limit: int | None) -> int:
-    """Return how many connections there may be, so that descriptors are left for everything else."""
-    if limit is None:
-        return _CONNECTIONS
-    folder = Path("/proc/self/fd")
-    used = len(list(folder.iterdir())) if folder.is_dir() else 0
-    return max(8, min(_CONNECTIONS, limit - used - min(_SPARE_FILES, limit // 2)))
+    return wanted if soft == resource.RLIM_INFINITY else soft
 
 
 def listen(host: str, port: int) -> socket.socket:

@@ -111,8 +111,8 @@ class DriveChanges(Body):
     pinned_job: str | None = Field(
         None,
         pattern=ID,
-        description="The successful job of the drive that is to stand for it on the map of all drives, at /ogc and "
-        "/stac; null: the best one.",
+        description="The successful job of the drive that is to stand for it on the map of all drives and at /ogc; "
+        "null: the best one.",
     )
 
 
@@ -166,7 +166,7 @@ class DriveModel(BaseModel):
     )
     result_job: str | None = Field(
         None,
-        description="The job that stands for the drive on the map of all drives, at /ogc and /stac: the pinned one, "
+        description="The job that stands for the drive on the map of all drives and at /ogc: the pinned one, "
         "else the best of preset default, else of paper, by F1 of its intersections; null: none was successful.",
     )
     pinned_job: str | None = Field(None, description="The same, where it was pinned.")

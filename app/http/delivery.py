@@ -1,13 +1,9 @@
-"""Files over HTTP: strong validators, ranges, and a gzip copy where that pays."""
+"""Files and documents over HTTP: validators, and ranges of files; `app.http.middleware` compresses."""
 
 from __future__ import annotations
 
-import gzip
 import hashlib
 import os
-import shutil
-import threading
-from contextlib import ExitStack, suppress
 from email.utils import formatdate
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -19,11 +15,8 @@ from starlette.staticfiles import NotModifiedResponse, StaticFiles
 from starlette.types import Message, Receive, Scope, Send
 
 from app.context import Context
-from app.http.headers import accepts_gzip
-from app.http.problem_types import CHANGED_MEANWHILE, NO_SUCH_RANGE
+from app.http.problem_types import NO_SUCH_RANGE
 from app.http.problems import Problem
-from interloc.errors import OutputError
-from interloc.files import atomic_write
 
 MEDIA_TYPES = {
     ".css": "text/css; charset=utf-8",
@@ -31,7 +24,6 @@ MEDIA_TYPES = {
     ".fgb": "application/vnd.flatgeobuf",
     ".geojson": "application/geo+json",
     ".gpkg": "application/geopackage+sqlite3",
-    ".gpx": "application/gpx+xml",
     ".html": "text/html; charset=utf-8",
     ".ico": "image/x-icon",
     ".js": "text/javascript; charset=utf-8",
@@ -60,13 +52,8 @@ DOCUMENT_POLICY = (
 )
 """For documents made of data (reports, SVG): they bring their own style, and no script of theirs would run."""
 
-_COMPRESSIBLE = frozenset({".css", ".csv", ".geojson", ".html", ".js", ".json", ".kml", ".map", ".mjs", ".svg"})
-_MIN_BYTES = 1400  # what fits into one packet does not travel faster when it is smaller
-_LEVEL_AT_ONCE = 1  # of gzip: the client waits for it
-_GZIP_MARK = '-gzip"'  # end of the ETag of what is compressed: another representation has another tag
 _MAX_BYTES_AT_ONCE = 4 * 1024 * 1024  # read where the answer is made, without further trips to the thread pool
 
-_PACKING = threading.BoundedSemaphore(2)  # copies made at once: what takes a second for a large file
 _STATIC_FILES = StaticFiles(check_dir=False)
 
 
@@ -131,7 +118,6 @@ def deliver(
     request: Request,
     path: Path,
     *,
-    gzip_copies: Path | None = None,
     name: str | None = None,
     download: bool = False,
     cache_control: str = REVALIDATE,
@@ -144,8 +130,6 @@ def deliver(
     ----------
     path
         The file. It is never changed in place, so its time and size stand for its bytes; it is opened once.
-    gzip_copies
-        Folder of the gzip copies, which are made when first asked for; None: no compression.
     name
         File name offered to whoever saves it.
     download
@@ -160,21 +144,14 @@ def deliver(
     FileNotFoundError
         There is no such file.
     """
-    with ExitStack() as opened:
-        file: BinaryIO = opened.enter_context(path.open("rb"))
+    with path.open("rb") as file:
         stat = os.fstat(file.fileno())
         media_type = media_type_of(path)
-        etag = f"{stat.st_mtime_ns:x}-{stat.st_size:x}"
-        headers = {"cache-control": cache_control, "last-modified": formatdate(stat.st_mtime, usegmt=True)}
-        if gzip_copies is not None and path.suffix.lower() in _COMPRESSIBLE and stat.st_size >= _MIN_BYTES:
-            vary = f"{vary}, Accept-Encoding" if vary else "Accept-Encoding"
-            if "range" not in request.headers and accepts_gzip(request.headers):
-                copy = _gzip_copy(file, path, gzip_copies, f"{stat.st_mtime_ns:x}.gz")
-                if copy is not None:
-                    file = opened.enter_context(copy)
-                    etag = f"{etag}{_GZIP_MARK[:-1]}"
-                    headers["content-encoding"] = "gzip"
-        headers["etag"] = f'"{etag}"'
+        headers = {
+            "etag": f'"{stat.st_mtime_ns:x}-{stat.st_size:x}"',
+            "cache-control": cache_control,
+            "last-modified": formatdate(stat.st_mtime, usegmt=True),
+        }
         if vary:
             headers["vary"] = vary
         if policy is not None and media_type.startswith(("text/html", "image/svg")):
@@ -184,30 +161,16 @@ def deliver(
             return known
         if name is not None:
             headers["content-disposition"] = f'{"attachment" if download else "inline"}; filename="{name}"'
-        if "range" in request.headers or os.fstat(file.fileno()).st_size > _MAX_BYTES_AT_ONCE:
+        if "range" in request.headers or stat.st_size > _MAX_BYTES_AT_ONCE:
             return WholeFile(file, headers=headers, media_type=media_type)
         headers["accept-ranges"] = "bytes"
         return Response(file.read(), headers=headers, media_type=media_type)
 
 
 def answer_tagged(request: Request, content: bytes, media_type: str = "application/json", **headers: str) -> Response:
-    """Answer a GET or HEAD with what was made for it, and its ETag: 200, or 304 where the client has the same.
-
-    It is compressed where that pays and the client takes gzip.
-    """
+    """Answer a GET or HEAD with what was made for it, and its ETag: 200, or 304 where the client has the same."""
     headers = {"etag": tag_of(content), "cache-control": REVALIDATE, **headers}
-    is_packed = False
-    if len(content) >= _MIN_BYTES:
-        headers["vary"] = f"{headers['vary']}, Accept-Encoding" if "vary" in headers else "Accept-Encoding"
-        is_packed = accepts_gzip(request.headers)
-    if is_packed:
-        headers |= {"etag": f"{headers['etag'][:-1]}{_GZIP_MARK}", "content-encoding": "gzip"}
-    known = not_modified(request, headers)
-    if known is not None:
-        return known
-    if is_packed:
-        content = gzip.compress(content, _LEVEL_AT_ONCE, mtime=0)
-    return Response(content, headers=headers, media_type=media_type)
+    return not_modified(request, headers) or Response(content, headers=headers, media_type=media_type)
 
 
 def service_address(request: Request) -> str:
@@ -221,54 +184,7 @@ def tag_of(content: bytes) -> str:
     return f'"{hashlib.sha256(content).hexdigest()[:24]}"'
 
 
-def require_unchanged(if_match: str | None, content: bytes) -> None:
-    """Refuse (412) a change of what is no longer the version that the client has seen.
-
-    Parameters
-    ----------
-    if_match
-        Header If-Match: ETags, or ``*`` for any version; None: the client does not mind.
-    content
-        What GET would answer now, compressed or not.
-    """
-    given = {tag.strip().replace(_GZIP_MARK, '"') for tag in (if_match or "").split(",")}
-    if if_match is None or given & {"*", tag_of(content)}:
-        return
-    raise Problem(
-        CHANGED_MEANWHILE,
-        f"If-Match: {if_match[:80]} is not its current version, which is {tag_of(content)}. Get it again, and send the "
-        "change with that ETag if it is still wanted.",
-    )
-
-
 def not_modified(request: Request, headers: dict[str, str]) -> Response | None:
     """Return the 304 where the client has what these headers describe (If-None-Match, If-Modified-Since)."""
     known = Headers(headers)
     return NotModifiedResponse(known) if _STATIC_FILES.is_not_modified(known, request.headers) else None
-
-
-def _gzip_copy(file: BinaryIO, path: Path, folder: Path, version: str) -> BinaryIO | None:
-    """Return the gzip copy of a file, made if need be; None where it cannot be made, as on a full disk, or not now."""
-    name = hashlib.sha256(str(path).encode()).hexdigest()[:16]
-    copy = folder / f"{name}.{version}"
-    with suppress(FileNotFoundError):
-        return copy.open("rb")
-    if not _PACKING.acquire(blocking=False):
-        return None
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with (
-            atomic_write(copy) as sink,
-            gzip.GzipFile(filename="", mode="wb", compresslevel=6, fileobj=sink, mtime=0) as packer,
-        ):
-            shutil.copyfileobj(file, packer, 1024 * 1024)
-    except (OSError, OutputError):
-        file.seek(0)
-        return None
-    finally:
-        _PACKING.release()
-    for other in folder.glob(f"{name}.*.gz"):  # of an older version
-        if other != copy:
-            with suppress(OSError):
-                other.unlink()
-    return copy.open("rb")

@@ -65,7 +65,7 @@ def path_of(scope: Scope) -> str:
 
 def is_api(path: str) -> bool:
     """Return whether a path is of the API, which needs a token where there are any, and not of the page."""
-    return path.startswith(("/api/", "/ogc/", "/stac/")) or path in {"/ogc", "/stac"}
+    return path.startswith(("/api/", "/ogc/")) or path == "/ogc"
 
 
 class Gate:

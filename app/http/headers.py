@@ -1,4 +1,4 @@
-"""Request headers that the framework does not read: Prefer, Content-Digest, Accept and Accept-Encoding."""
+"""Request headers that the framework does not read: Prefer, Content-Digest and Accept."""
 
 from __future__ import annotations
 
@@ -82,16 +82,6 @@ IdempotencyKey = Annotated[
 ]
 
 
-IfMatch = Annotated[
-    str | None,
-    Header(
-        alias="If-Match",
-        max_length=1000,
-        description="ETag of the version that is to be changed: it is refused if it has changed meanwhile (412).",
-    ),
-]
-
-
 def sha256_of(headers: Headers) -> str | None:
     """Return the SHA-256 that the body must have, hexadecimal; None where the client sends no digest (RFC 9530).
 
@@ -130,12 +120,6 @@ def _bad_digest(field: str, what: str) -> Problem:
     )
 
 
-def accepts_gzip(headers: Headers) -> bool:
-    """Tell whether the answer may be compressed by gzip."""
-    weights = _weights(headers.get("accept-encoding", ""))
-    return weights.get("gzip", weights.get("*", 0.0)) > 0
-
-
 def prefers_html(headers: Headers) -> bool:
     """Tell whether a client would rather have HTML than JSON; JSON where it does not care."""
     weights = _weights(headers.get("accept", ""))
@@ -145,7 +129,7 @@ def prefers_html(headers: Headers) -> bool:
 
 
 def _weights(header: str) -> dict[str, float]:
-    """Return the alternatives of an Accept or Accept-Encoding header with their weights."""
+    """Return the alternatives of an Accept header with their weights."""
     weights = {}
     for part in header.lower().split(","):
         value, *parameters = (piece.strip() for piece in part.split(";"))

@@ -13,6 +13,7 @@ from fastapi import FastAPI
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.exceptions import HTTPException
 from starlette.middleware.cors import CORSMiddleware
+from starlette.middleware.gzip import DEFAULT_EXCLUDED_CONTENT_TYPES, GZipMiddleware
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from app import logs
@@ -27,16 +28,30 @@ DATA_POLICY = "default-src 'none'; frame-ancestors 'none'; base-uri 'none'; sand
 """Policy of what lies below the API, should a browser take it for a document: it may be anything that was uploaded."""
 
 MAX_JSON_BYTES = 1024**2
-
 _MAX_LISTING_BYTES = 32 * 1024**2
+
+IDLE_S = 60.0
+"""A body that pauses for so long is given up; so is one that kept the server waiting for longer than that, and was
+slower on the average than `BYTES_PER_S`."""
+BYTES_PER_S = 1024.0
+
+_MIN_PACKED_BYTES = 1400  # what fits into one packet does not travel faster when it is smaller
+_PACKED_ALREADY = (
+    *DEFAULT_EXCLUDED_CONTENT_TYPES,
+    "application/vnd.apache.parquet",
+    "application/vnd.google-earth.kmz",
+    "application/vnd.pmtiles",
+    "application/x-qgis-project-container",
+    "image/tiff",
+)
 
 _API = "/api/v1"
 _GIVEN_ID = re.compile(r"[A-Za-z0-9._-]{1,64}")
 _ABOUT = re.compile(r"/api/v1/(drive|job)s/([0-9a-f]{16})(?=/|$)")
+_HSTS_S = 180 * 24 * 3600
 _QUIET = {"/healthz", "/readyz", "/metrics"}
 _FREQUENT = {"put_file", "post_scans", "look_into_folder"}
 _GONE = 499  # nginx's status for a client that did not wait for the answer
-_HSTS_S = 180 * 24 * 3600
 
 # Uploads stream their body and count it themselves, against limits of their own.
 _STREAMS = re.compile(r"/api/v1/drives/[^/]+/(files/.+|scans|archive)")
@@ -49,12 +64,15 @@ _audit = logging.getLogger("app.audit")
 
 def add_middleware(app: FastAPI, settings: Settings) -> None:
     """Put all of it around the application; the last that is added is the outermost."""
-    app.add_middleware(Bodies, idle_s=settings.idle_timeout_s, bytes_per_s=settings.min_body_rate)
+    app.add_middleware(Bodies)
     app.add_middleware(Gate, settings=settings)
     app.add_middleware(Faults)
     if settings.origins:
         app.add_middleware(OtherOrigins, origins=settings.origins)
-    app.add_middleware(SecurityHeaders, settings=settings)
+    app.add_middleware(
+        GZipMiddleware, minimum_size=_MIN_PACKED_BYTES, compresslevel=1, exclude_content_types=_PACKED_ALREADY
+    )
+    app.add_middleware(AnswerHeaders, settings=settings)
     app.add_middleware(RequestLog, root_path=settings.root_path)
 
 
@@ -163,7 +181,7 @@ def _route(scope: Scope, path: str) -> str:
     return _API + template if is_below else template
 
 
-class SecurityHeaders:
+class AnswerHeaders:
     """Tells browsers what the page may do, and that nothing else may be done with it; what an endpoint set stays."""
 
     def __init__(self, app: ASGIApp, settings: Settings) -> None:
@@ -196,6 +214,8 @@ class SecurityHeaders:
                     headers.setdefault("cache-control", "no-store")
                 if scope["scheme"] == "https":
                     headers.setdefault("strict-transport-security", f"max-age={_HSTS_S}")
+                if "content-encoding" in headers and "etag" in headers:  # other bytes that say the same
+                    headers["etag"] = f"W/{headers['etag']}"
             await send(message)
 
         await self._app(scope, receive, send_with_headers)
@@ -258,27 +278,17 @@ class Faults:
 
 
 class Bodies:
-    """Limits what a client sends: small JSON, read before its endpoint runs, and no body that comes for ever.
+    """Limits what a client sends: small JSON, read before its endpoint runs, and no body that comes for ever."""
 
-    Parameters
-    ----------
-    idle_s
-        A body that pauses for so long is given up; those of uploads too.
-    bytes_per_s
-        So is one that has kept the server waiting for longer than that, and was slower on the average.
-    """
-
-    def __init__(self, app: ASGIApp, idle_s: float, bytes_per_s: float) -> None:
+    def __init__(self, app: ASGIApp) -> None:
         self._app = app
-        self._idle_s = idle_s
-        self._bytes_per_s = bytes_per_s
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Read or limit the body, then go on."""
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
-        receive_in_time = self._with_time_limit(receive)
+        receive_in_time = _with_time_limit(receive)
         if not _STREAMS.fullmatch(path_of(scope)):
             try:
                 receive_in_time = await _read(scope, receive_in_time)
@@ -288,31 +298,32 @@ class Bodies:
                 return
         await self._app(scope, receive_in_time, send)
 
-    def _with_time_limit(self, receive: Receive) -> Receive:
-        more = True
-        waited_s, received_bytes = 0.0, 0  # what the server itself needs to store a piece does not count
 
-        async def receive_in_time() -> Message:
-            nonlocal more, waited_s, received_bytes
-            if not more:  # waiting for the client to go away, as a stream of events does
-                return await receive()
-            begun = time.monotonic()
-            try:
-                async with asyncio.timeout(self._idle_s):
-                    message = await receive()
-            except TimeoutError as error:
-                raise _too_slow(f"Nothing more of the body came for {self._idle_s:g} seconds.") from error
-            waited_s += time.monotonic() - begun
-            received_bytes += len(message.get("body", b""))
-            more = message["type"] == "http.request" and message.get("more_body", False)
-            if more and waited_s > self._idle_s and received_bytes < self._bytes_per_s * waited_s:
-                raise _too_slow(
-                    f"{received_bytes:,} bytes of the body came in {waited_s:.0f} seconds; expected "
-                    f"{self._bytes_per_s:,.0f} per second on the average."
-                )
-            return message
+def _with_time_limit(receive: Receive) -> Receive:
+    more = True
+    waited_s, received_bytes = 0.0, 0  # what the server itself needs to store a piece does not count
 
-        return receive_in_time
+    async def receive_in_time() -> Message:
+        nonlocal more, waited_s, received_bytes
+        if not more:  # waiting for the client to go away, as a stream of events does
+            return await receive()
+        begun = time.monotonic()
+        try:
+            async with asyncio.timeout(IDLE_S):
+                message = await receive()
+        except TimeoutError as error:
+            raise _too_slow(f"Nothing more of the body came for {IDLE_S:g} seconds.") from error
+        waited_s += time.monotonic() - begun
+        received_bytes += len(message.get("body", b""))
+        more = message["type"] == "http.request" and message.get("more_body", False)
+        if more and waited_s > IDLE_S and received_bytes < BYTES_PER_S * waited_s:
+            raise _too_slow(
+                f"{received_bytes:,} bytes of the body came in {waited_s:.0f} seconds; expected "
+                f"{BYTES_PER_S:,.0f} per second on the average."
+            )
+        return message
+
+    return receive_in_time
 
 
 def _too_slow(detail: str) -> HTTPException:

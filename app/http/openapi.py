@@ -75,7 +75,7 @@ HEADERS: dict[str, dict[str, Any]] = {
     },
     "Content-Range": {"description": "Which part of the file it is.", "example": "bytes 0-99/2048"},
     "ETag": {
-        "description": "Version of what is answered, for If-None-Match; of a drive or job also for If-Match.",
+        "description": "Version of what is answered, for If-None-Match.",
         "example": '"17f0a2c4b1d3e5f6a7b8c9d0"',
     },
     "Last-Modified": {"description": "When the file was made.", "example": "Sat, 31 Jan 2026 12:00:00 GMT"},
@@ -132,9 +132,9 @@ PAGED: Responses = {**TAGGED, 200: {"headers": headers_named("ETag", "Link")}}
 
 CHANGED: Responses = {
     200: {"headers": headers_named("ETag")},
-    **problems({412: "It is not the version that If-Match names.", 422: "A member is refused."}),
+    **problems({422: "A member is refused."}),
 }
-"""Answers of a change that asks `app.http.delivery.require_unchanged`, likewise."""
+"""Answers of a change, likewise."""
 
 _CHALLENGE = headers_named("WWW-Authenticate")
 _WAIT = headers_named("Retry-After")

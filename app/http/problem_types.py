@@ -48,7 +48,6 @@ BODY_NOT_COMPLETE = _kind("body-not-complete", 400, "The connection ended before
 BODY_REFUSED = _kind("body-refused", 413, "A body is too large, or came too slowly.")
 BUSY = _kind("busy", 503, "Too much work of this kind waits already.")
 CANCELLED = _kind("cancelled", 409, "The job was cancelled.")
-CHANGED_MEANWHILE = _kind("changed-meanwhile", 412, "The drive or job is no longer the version that If-Match names.")
 COMPRESSED_BODY = _kind(
     "compressed-body", 415, "The body has a Content-Encoding or Transfer-Encoding that is not taken."
 )
@@ -75,7 +74,6 @@ FILTER_NOT_VALID = _kind(
     "filter-not-valid", 400, "The filter is not CQL2, or asks for what cannot be filtered here; `detail` says what."
 )
 FORMAT_NOT_INSTALLED = _kind("format-not-installed", 501, "The service lacks the package that writes this format.")
-HEAD_TOO_LARGE = _kind("head-too-large", 431, "The request line and headers are too long.")
 HOST_NOT_CLEAR = _kind("host-not-clear", 400, "The request names no Host, or several.")
 IDEMPOTENCY_KEY_USED_BEFORE = _kind(
     "idempotency-key-used-before", 422, "The Idempotency-Key was sent with another request."
@@ -124,7 +122,6 @@ OVERPASS_SWITCHED_OFF = _kind("overpass-switched-off", 422, "The service does no
 PART_OF_A_FILE = _kind("part-of-a-file", 400, "Files are taken whole only.")
 PLACE_NEEDED = _kind("place-needed", 422, "The map of which place is to be fetched is not said.")
 QUOTA_USED_UP = _kind("quota-used-up", 413, "The drives of this token keep as many bytes as it allows.")
-REQUEST_MALFORMED = _kind("request-malformed", 400, "The request does not keep to HTTP.")
 REQUEST_NOT_VALID = _kind("request-not-valid", 422, "A parameter or the body is not valid; `problems` lists where.")
 REQUEST_OF_ANOTHER_SITE = _kind(
     "request-of-another-site", 403, "The request came from a page of another site, which may not change anything here."
@@ -144,7 +141,6 @@ TOKEN_MAY_ONLY_READ = _kind(
 )
 TOKEN_NEEDED = _kind("token-needed", 401, "The service needs a valid API token.")
 TOO_LARGE = _kind("too-large", 413, "A body or drive is larger than allowed.")
-TOO_MANY_CONNECTIONS = _kind("too-many-connections", 503, "The service has too many connections.")
 TOO_MANY_FILES = _kind("too-many-files", 413, "A request or drive has more files than allowed.")
 TOO_MANY_HEADERS = _kind("too-many-headers", 431, "The request has too many headers.")
 TOO_MANY_JOBS = _kind("too-many-jobs", 429, "Too many jobs of this client wait or run.")

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import asyncio
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager, suppress
+from contextlib import AsyncExitStack, asynccontextmanager
 from typing import Annotated
+from weakref import WeakValueDictionary
 
 from fastapi import Depends, Request
 
@@ -24,64 +25,37 @@ _RETRY_S = 5
 
 
 class Turns:
-    """Lets heavy requests begin: the client with the fewest at work first, then the one that has waited longest.
+    """Lets heavy requests begin, in the order in which they came: but only two of each client are in that line.
 
     All of it runs in the event loop of the server. Work that needs a thread takes one when it has its turn: those that
     wait keep none from anybody.
     """
 
     def __init__(self) -> None:
-        self._at_work: Counter[str] = Counter()
-        self._waiting: dict[str, deque[asyncio.Future[None]]] = {}
+        self._all = asyncio.Semaphore(_AT_ONCE)
+        self._clients: WeakValueDictionary[str, asyncio.Semaphore] = WeakValueDictionary()
+        self._asked: Counter[str] = Counter()
 
     @asynccontextmanager
     async def of(self, request: Request) -> AsyncIterator[None]:
         """Wait for a turn of the client of a request (503 after too long), and have it in the block."""
         client = _name_of(request)
-        await self._wait(client)
-        try:
-            yield
-        finally:
-            self._end(client)
-
-    async def _wait(self, client: str) -> None:
-        line = self._waiting.setdefault(client, deque())
-        if len(line) >= _MAX_WAITING:
+        own = self._clients.setdefault(client, asyncio.Semaphore(_OF_ONE_CLIENT))
+        if self._asked[client] >= _OF_ONE_CLIENT + _MAX_WAITING:
             raise _busy()
-        turn = asyncio.get_running_loop().create_future()
-        line.append(turn)
-        self._begin_what_may()
+        self._asked[client] += 1
         try:
-            async with asyncio.timeout(_PATIENCE_S):
-                await turn
-        except BaseException as error:
-            with suppress(ValueError):
-                line.remove(turn)
-            if turn.done() and not turn.cancelled():  # it was given at the last moment
-                self._end(client)
-            if isinstance(error, TimeoutError):
-                raise _busy() from None
-            raise
-
-    def _end(self, client: str) -> None:
-        self._at_work[client] -= 1
-        self._at_work += Counter()  # forgets the clients that have none
-        self._begin_what_may()
-
-    def _begin_what_may(self) -> None:
-        self._waiting = {client: line for client, line in self._waiting.items() if line}
-        while self._at_work.total() < _AT_ONCE:
-            may = [client for client in self._waiting if self._at_work[client] < _OF_ONE_CLIENT]
-            if not may:
-                return
-            client = min(may, key=lambda client: self._at_work[client])
-            line = self._waiting.pop(client)
-            turn = line.popleft()
-            if line:
-                self._waiting[client] = line  # behind the others
-            if not turn.done():
-                turn.set_result(None)
-                self._at_work[client] += 1
+            async with AsyncExitStack() as turn:
+                try:
+                    async with asyncio.timeout(_PATIENCE_S):
+                        await turn.enter_async_context(own)
+                        await turn.enter_async_context(self._all)
+                except TimeoutError:
+                    raise _busy() from None
+                yield
+        finally:
+            self._asked[client] -= 1
+            self._asked += Counter()  # forgets the clients that have none
 
 
 def _name_of(request: Request) -> str:

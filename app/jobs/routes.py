@@ -9,11 +9,10 @@ from fastapi import APIRouter, Depends, Header, Path, Query, Request, Response
 from fastapi.concurrency import run_in_threadpool
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 from sqlalchemy import or_, select
-from sqlalchemy.orm import Session
 
 from app.context import Context, ContextDep
-from app.http.delivery import answer_tagged, require_unchanged, tag_of
-from app.http.headers import IdempotencyKey, IfMatch, WaitIfAsked
+from app.http.delivery import answer_tagged, tag_of
+from app.http.headers import IdempotencyKey, WaitIfAsked
 from app.http.limits import job_limit
 from app.http.openapi import CHANGED, PAGED, TAGGED, Responses, get_and_head, headers_named, problems
 from app.http.paging import After, answer_page, cursor_of, has_part, lies_in, made_between, newest_first, rows_after
@@ -215,9 +214,7 @@ def _event(change: Change) -> ServerSentEvent:
     summary="Rename a job, or note something about it",
     responses={**NOT_FOUND, **CHANGED},
 )
-def change_job(
-    job_id: JobId, changes: JobChanges, context: ContextDep, _client: ClientDep, if_match: IfMatch = None
-) -> Response:
+def change_job(job_id: JobId, changes: JobChanges, context: ContextDep, _client: ClientDep) -> Response:
     """Change the name or the note of a job, in whatever state it is; what is left out stays as it is.
 
     Its request keeps the name that it was sent with, so that the same Idempotency-Key still finds it.
@@ -225,21 +222,16 @@ def change_job(
     with context.database.writing() as session:
         job, drive_name = find_job(session, job_id)
         session.refresh(job, with_for_update=True)
-        require_unchanged(if_match, _shown(session, context, job, drive_name))
         values = changes.model_dump(exclude_unset=True)
         if any(getattr(job, name) != value for name, value in values.items()):
             job.version += 1
         for name, value in values.items():
             setattr(job, name, value)
-        content = _shown(session, context, job, drive_name)
+        (model,) = job_models(session, context, [(job, drive_name)])
+        content = model.model_dump_json().encode()
     if job.state == JobState.SUCCESSFUL and job.kind == JobKind.INTERSECTIONS:
         sidecars.write(context.storage, job)
     return Response(content, headers={"ETag": tag_of(content)}, media_type="application/json")
-
-
-def _shown(session: Session, context: Context, job: Job, drive_name: str) -> bytes:
-    (model,) = job_models(session, context, [(job, drive_name)])
-    return model.model_dump_json().encode()
 
 
 @router.get("/presets", summary="List presets")

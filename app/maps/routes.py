@@ -231,4 +231,4 @@ def read_map_file(
         with context.database.reading() as session:
             find_map(session, map_id)
         raise Problem(NO_SUCH_MAP, f"The map {map_id} has no {name} yet. GET /api/v1/maps/{map_id} says how far it is.")
-    return deliver(request, path, gzip_copies=folder / "cache", name=f"{map_id}-{name}")
+    return deliver(request, path, name=f"{map_id}-{name}")

@@ -45,7 +45,7 @@ def read_index(request: Request, files: PageFilesDep) -> Response:
 
 
 @get_and_head(router, "/static/{path:path}", **_HIDDEN)
-def read_asset(path: str, request: Request, files: PageFilesDep, context: ContextDep) -> Response:
+def read_asset(path: str, request: Request, files: PageFilesDep) -> Response:
     """Give a file of the page; under the address with its version it stays what it is."""
     cache_control = _ASK
     if path.startswith(VERSION_MARK):
@@ -54,8 +54,7 @@ def read_asset(path: str, request: Request, files: PageFilesDep, context: Contex
     found = files.find(path)
     if found is None:
         raise Problem(NOT_FOUND, f"The page has no file {path!r}.")
-    copies = context.storage.folder("cache/page")
-    return deliver(request, found, gzip_copies=copies, cache_control=cache_control, policy=None)
+    return deliver(request, found, cache_control=cache_control, policy=None)
 
 
 @get_and_head(router, "/docs", **_HIDDEN)

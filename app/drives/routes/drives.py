@@ -13,8 +13,8 @@ from app.drives import records
 from app.drives.models import DriveChanges, DriveList, DriveModel, LabelsAnswer, LabelsRequest, LookRequest, NewDrive
 from app.drives.plan import judge_label_counts
 from app.drives.work.look import look
-from app.http.delivery import answer_tagged, require_unchanged, tag_of
-from app.http.headers import IdempotencyKey, IfMatch
+from app.http.delivery import answer_tagged, tag_of
+from app.http.headers import IdempotencyKey
 from app.http.openapi import CHANGED, CHANGES_NOTHING, PAGED, TAGGED, get_and_head, headers_named, problems
 from app.http.paging import After, answer_page, has_part, lies_in, made_between
 from app.http.parameters import BoxFilter, CreatedAfter, CreatedBefore, NamePart
@@ -144,13 +144,10 @@ def _shown(session: Session, context: Context, drive: Drive) -> bytes:
     summary="Rename a drive, note something about it, or pin a result",
     responses={**NOT_FOUND, **CHANGED},
 )
-def change_drive(
-    drive_id: DriveId, changes: DriveChanges, context: ContextDep, _client: ClientDep, if_match: IfMatch = None
-) -> Response:
+def change_drive(drive_id: DriveId, changes: DriveChanges, context: ContextDep, _client: ClientDep) -> Response:
     """Change the name, the note or the pinned job of a drive, in whatever state; what is left out stays as it is."""
     with context.database.writing() as session:
         drive = records.lock_drive(session, drive_id)
-        require_unchanged(if_match, _shown(session, context, drive))
         values = changes.model_dump(exclude_unset=True)
         if "pinned_job" in values:
             records.pin_job(session, drive, values.pop("pinned_job"))

@@ -25,7 +25,7 @@ from app.results.selection import MAX_BYTES_AT_ONCE, MAX_FEATURES, select_featur
 from interloc.errors import OutputError
 from interloc.files import atomic_write
 from interloc.output.layers import LAYERS, Layer
-from interloc.output.qml import qml
+from interloc.output.qgis import qml
 
 JobId = Annotated[str, Path(description="Id of a successful job of kind intersections.", pattern=ID)]
 
@@ -83,7 +83,7 @@ def _add_layer(layer: Layer) -> None:
         def whole() -> Response:
             result = results.open(job_id)
             name = f"{result.slug}-{layer.address}.geojson"
-            return deliver(request, result.layer(layer.address), gzip_copies=result.cache, name=name)
+            return deliver(request, result.layer(layer.address), name=name)
 
         def small_part(path: FilePath) -> Response | None:
             is_small = path.stat().st_size <= MAX_BYTES_AT_ONCE
@@ -155,7 +155,7 @@ def read_report(
     html = format == "html" or (format is None and prefers_html(request.headers))
     path = result.evaluation_file("report.html" if html else "report.json")
     name = f"{result.slug}-{path.name}"
-    return deliver(request, path, gzip_copies=result.cache, name=name, vary="Accept")
+    return deliver(request, path, name=name, vary="Accept")
 
 
 @get_and_head(
@@ -169,7 +169,7 @@ def read_report(
 def read_run(job_id: JobId, request: Request, results: ResultsDep) -> Response:
     """Give the full configuration, versions, timings per stage and peak memory."""
     result = results.open(job_id)
-    return deliver(request, result.file("run.json"), gzip_copies=result.cache, name=f"{result.slug}-run.json")
+    return deliver(request, result.file("run.json"), name=f"{result.slug}-run.json")
 
 
 @get_and_head(
@@ -215,7 +215,7 @@ def read_result_file(
     """Give any file of the result; without georeference the layers are the files `*.local.json`."""
     result = results.open(job_id)
     path = result.file(name)
-    return deliver(request, path, gzip_copies=result.cache, name=f"{result.slug}-{path.name}")
+    return deliver(request, path, name=f"{result.slug}-{path.name}")
 
 
 @get_and_head(

@@ -208,7 +208,7 @@ function pinButton(job) {
   const why = standing(job);
   const texts = { pinned: "No longer pin this result", best: "Pin this result" };
   const text = why ? texts[why] : "Show this result for the drive";
-  const title = "On the map of all drives, and for GIS clients at /ogc and /stac; else the best of its jobs";
+  const title = "On the map of all drives, and for GIS clients at /ogc; else the best of its jobs";
   const onClick = () => pin(job, why === "pinned" ? null : job.id).catch(showError);
   return el("button", { title, onClick }, text);
 }

@@ -16,10 +16,10 @@ import httpx
 import pytest
 
 from app.context import Context
+from app.http import middleware
 from app.http.limits import Booking
 from app.http.problems import Problem
-from app.http.protocol import MAX_HEAD_BYTES, Protocol
-from app.server import FewFiles
+from app.server import FewFiles, Protocol
 from app.settings import Settings
 from app.store.storage import Storage
 from tests.app.processes import bytes_below
@@ -83,8 +83,8 @@ def test_json_that_is_none_is_the_fault_of_the_client(client: httpx.Client, body
     assert answer.headers["content-type"] == "application/problem+json"
 
 
-def test_a_body_that_stops_half_way_is_given_up(serve: Serve) -> None:
-    client = serve(idle_timeout_s=0.2)
+def test_a_body_that_stops_half_way_is_given_up(client: httpx.Client, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(middleware, "IDLE_S", 0.2)
     drive = client.post("/api/v1/drives", json={"name": "a"}).json()["id"]
     for target in ("POST /api/v1/drives", f"PUT /api/v1/drives/{drive}/files/poses.txt"):
         with connection(client) as link:
@@ -98,9 +98,9 @@ def test_a_body_that_stops_half_way_is_given_up(serve: Serve) -> None:
     assert client.get(f"/api/v1/drives/{drive}/files").json()["files"] == []
 
 
-def test_a_body_that_trickles_in_is_given_up(serve: Serve) -> None:
+def test_a_body_that_trickles_in_is_given_up(client: httpx.Client, monkeypatch: pytest.MonkeyPatch) -> None:
     """It never pauses, so only its rate tells."""
-    client = serve(idle_timeout_s=0.3, min_body_rate=1000)
+    monkeypatch.setattr(middleware, "IDLE_S", 0.3)
     drive = client.post("/api/v1/drives", json={"name": "a"}).json()["id"]
     with connection(client) as link:
         head = (
@@ -124,12 +124,12 @@ def test_a_head_without_end_is_refused(client: httpx.Client) -> None:
         link.sendall(b"GET / HTTP/1.1\r\nHost: localhost\r\nX-Long: ")
         try:
             for _ in range(40):
-                link.sendall(b"x" * (MAX_HEAD_BYTES // 16))
+                link.sendall(b"x" * (Protocol.max_head_bytes // 16))
                 time.sleep(0.001)
         except (BrokenPipeError, ConnectionResetError):
             pass
         answer = read_all(link)
-    assert answer.startswith(b"HTTP/1.1 431 ") or answer == b""
+    assert answer == b""
     assert client.get("/healthz").status_code == 200
 
 
@@ -147,18 +147,6 @@ def test_a_head_that_trickles_in_is_given_up(client: httpx.Client, monkeypatch: 
     with connection(client) as link:  # also the second request of a connection
         link.sendall(b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\nGET /hea")
         assert read_all(link).startswith(b"HTTP/1.1 200 ")
-
-
-@pytest.mark.parametrize(
-    "junk", [b"\x16\x03\x01\x02\x00\x01\x00", b"GET\r\n\r\n", b"GET / HTTP/9.9\r\n\r\n", b"\x00" * 100]
-)
-def test_what_is_no_http_is_refused(client: httpx.Client, junk: bytes) -> None:
-    with connection(client) as link:
-        link.sendall(junk)
-        head, _, body = read_all(link).partition(b"\r\n\r\n")
-    assert head.startswith(b"HTTP/1.1 400 ")
-    assert b"application/problem+json" in head
-    assert json.loads(body)["title"] == "Request malformed"
 
 
 def test_what_the_framework_refuses_is_told_in_words(client: httpx.Client) -> None:
@@ -190,34 +178,11 @@ def test_two_lengths_of_one_body_are_refused(client: httpx.Client) -> None:
             assert read_all(link).startswith(b"HTTP/1.1 400 ")
 
 
-@pytest.mark.parametrize(
-    ("head", "status"),
-    [
-        ("GET /config.json HTTP/1.1\r\nHost: localhost", 200),
-        ("GET /config.json HTTP/1.1\r\nHost: localhost\r\nHost: localhost", 400),
-        ("GET /config.json HTTP/1.1\r\nHost: localhost\r\nhost: evil.example", 400),
-        ("GET /config.json HTTP/1.1", 400),
-        ("GET http://localhost/config.json HTTP/1.1\r\nHost: localhost", 200),
-        ("GET http://LOCALHOST:80/config.json HTTP/1.1\r\nHost: localhost:80", 200),
-        ("GET http://evil.example/config.json HTTP/1.1\r\nHost: localhost", 400),
-        ("GET http://localhost:81/config.json HTTP/1.1\r\nHost: localhost", 400),
-        ("GET ftp://localhost/config.json HTTP/1.1\r\nHost: localhost", 400),
-        ("CONNECT localhost:80 HTTP/1.1\r\nHost: localhost:80", 400),
-    ],
-)
-def test_a_request_names_one_host(client: httpx.Client, head: str, status: int) -> None:
-    with connection(client) as link:
-        link.sendall(f"{head}\r\nConnection: close\r\n\r\n".encode())
-        answer = read_all(link)
-    assert answer.startswith(f"HTTP/1.1 {status} ".encode())
-    assert status == 200 or b"application/problem+json" in answer
-
-
 def test_connections_that_are_too_many_are_closed(client: httpx.Client, monkeypatch: pytest.MonkeyPatch) -> None:
     assert client.get("/healthz").status_code == 200
     monkeypatch.setattr(Protocol, "max_connections", 3)
     with connection(client) as first, connection(client), connection(client) as last:
-        assert read_all(last).startswith(b"HTTP/1.1 503 ")
+        assert read_all(last) == b""
         first.sendall(b"GET /healthz HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n")
         assert read_all(first).startswith(b"HTTP/1.1 200 ")
 

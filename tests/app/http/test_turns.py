@@ -92,7 +92,7 @@ def test_who_gives_up_takes_no_turn() -> None:
         readers._ends[1].set()
         readers._ends[2].set()
         await asyncio.gather(*tasks[:2], tasks[3])
-        assert not readers.turns._at_work
+        assert not readers.turns._asked
 
     run_alone(run())
 

@@ -1,1 +1,0 @@
-"""Drives and their results for catalogues (STAC 1.1)."""
