@@ -488,8 +488,3 @@ def clear() -> None:
     _folders.clear()
     _shown.clear()
     _results.clear()
-
-
-def present(path: Path) -> Path:
-    """Return a path: all files are here."""
-    return path
