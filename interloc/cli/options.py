@@ -71,7 +71,7 @@ POLICY = click.option(
 TOLERANCE = click.option("--tolerance", "tolerance_m", default=15.0, show_default=True, help=TOLERANCE_HELP)
 OSM = click.option("--osm", type=PATH, help="OSM file: .osm, .osm.gz, .osm.bz2 or .osm.pbf.")
 SENSORS = ("vlp-16", "os1-32", "os1-64", "hdl-64e")
-"""Names of `interloc.simulate.config.SENSORS`, which is slow to import."""
+"""Names of `interloc.lab.config.SENSORS`, which is slow to import."""
 
 OVERPASS = click.option("--overpass", is_flag=True, help="Fetch the map from a public Overpass server instead.")
 
