@@ -41,7 +41,7 @@ from interloc.drives.scans.recorded import Recording
 from interloc.drives.scans.reduced import ReducedScans, reduced_trajectory
 from interloc.drives.scans.reduced_format import ReducedLabels, ReducedManifest, read_manifest, to_runs
 from interloc.drives.scans.rosbag.bag import find_bag
-from interloc.drives.scans.rosbag.peek import MissingRangeError, Pieces, peek
+from interloc.drives.scans.rosbag.peek import MissingRangeError, peek
 from interloc.drives.trajectory import LidarPoses, Trajectory, read_trajectory
 from interloc.geometry import enu_from_lonlat, lonlat_from_enu
 from interloc.reduction.listing import ListedDrive, Listing, find_drives, reason_for_none
@@ -467,7 +467,7 @@ class _Look:
         found = self._found
         inside, path = next(iter(self._drive.scans.items()))
         try:
-            seen = peek(Pieces(self._listing[path], self._ranges.get(path, {})))
+            seen = peek(self._listing[path], self._ranges.get(path, {}))
         except MissingRangeError as missing:
             found.wanted_ranges[path] = [(missing.start, missing.stop)]
             return
