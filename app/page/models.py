@@ -7,7 +7,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from app.jobs.models import MAX_COMPARED_JOBS, Near
 from app.paths import ARCHIVE_ENDINGS, RECORDING_ENDINGS
 from app.settings import Settings
-from interloc.drives.georeference.oxts import ODOMETRY_OF_RAW
+from interloc.drives.georeference.read import ODOMETRY_OF_RAW
 from interloc.drives.labels import SCHEMES
 from interloc.drives.layouts import PCD_ENDINGS
 from interloc.osm.container import MAP_ENDINGS, SIMULATOR

@@ -34,13 +34,7 @@ class ScanFormat:
     """Its scans have names of any kind: no file beside them is called needless."""
 
     def open(self, *arguments: Any) -> Any:  # noqa: ANN401 - loaded by its name
-        """Call the function that opens a drive of this format.
-
-        Raises
-        ------
-        DriveError
-            There is no such function: the package that brings it is damaged.
-        """
+        """Call the function that opens a drive of this format."""
         try:
             opener: Any = EntryPoint(self.name, self.opener, GROUP).load()
         except (ImportError, AttributeError) as error:

@@ -15,7 +15,7 @@ import numpy as np
 
 from interloc.arrays import FloatArray
 from interloc.drive import Drive, Georeference
-from interloc.drives.georeference.shift import Shift, fit_shift
+from interloc.drives.georeference.fixes import Shift, fit_shift
 from interloc.errors import LocationError
 from interloc.geometry import rotate_2d, thin
 from interloc.gpx import GpxTrack

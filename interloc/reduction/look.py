@@ -23,14 +23,13 @@ from pydantic import BaseModel, ConfigDict, Field
 from interloc.arrays import FloatArray, IntArray
 from interloc.config import KeyframeConfig
 from interloc.detection.keyframes import select_keyframes
-from interloc.drives.checks import sample_indices
+from interloc.drives.checks import check_motion, sample_indices
 from interloc.drives.files import EMPTY, NumberedFiles, SourceFile, each_read_once, list_numbered
 from interloc.drives.findings import Finding, Findings, by_severity
 from interloc.drives.georeference.geodetic import check_against_poses
 from interloc.drives.layouts import PCD_ENDINGS, POSE_FILES, DriveParts, find_layout
 from interloc.drives.open import NO_POSES, SAMPLED_SCANS
 from interloc.drives.options import LABEL_FILES, ODOMETRY, DriveOptions, LabelFolder, LayoutName
-from interloc.drives.plausibility import check_motion
 from interloc.drives.scans.bin_files import BinScans, open_bin_files
 from interloc.drives.scans.las.tracks import find_tracks
 from interloc.drives.scans.pcd import LABEL_FIELDS, PcdScans, number_scans, open_pcd_files, read_pcd_header
