@@ -38,21 +38,9 @@ def road_ending(out: Path) -> str | None:
 
 
 def write_road_file(result: Path, out: Path) -> None:
-    """Write the roads of a result folder; they are made of its `road.tif`.
+    """Write the roads of a result folder, made of its `road.tif`, in the format that the ending of `out` names.
 
-    Parameters
-    ----------
-    result
-        Result folder.
-    out
-        A name with one of the endings of `ROAD_FORMATS`.
-
-    Raises
-    ------
-    GeoreferenceError
-        The result is in local metres, and Lanelet2 knows longitude and latitude only.
-    OutputError
-        `result` is not a result folder, or `out` could not be written.
+    Lanelet2 knows longitude and latitude only: of a result in local metres it is a GeoreferenceError.
     """
     ending = road_ending(out)
     assert ending is not None
@@ -300,13 +288,7 @@ class _Writer:
 
 
 def lanelet2_map(network: RoadNetwork) -> bytes:
-    """Return the roads as lanelets, and one lanelet from each lane to each other one across a junction.
-
-    Parameters
-    ----------
-    network
-        With georeference.
-    """
+    """Return a map of Lanelet2: roads as lanelets, and one from each lane to each other one across a junction."""
     writer = _Writer(network.lonlat)
     roads = lane_roads(network)
     corner: dict[tuple[int, int, bool], int] = {}  # (road, side, at its end) -> node
@@ -341,14 +323,7 @@ _DATE = "1970-01-01T00:00:00"  # the same bytes for the same roads
 
 
 def opendrive_map(network: RoadNetwork, name: str) -> bytes:
-    """Return the roads, with a junction at each node where they meet.
-
-    Parameters
-    ----------
-    network
-    name
-        Of the drive.
-    """
+    """Return OpenDRIVE 1.7 with the name of the drive: the roads, and a junction at each node where they meet."""
     roads = lane_roads(network)
     every = np.concatenate([road.xy for road in roads]) if roads else np.zeros((1, 2))
     origin = np.floor(every.min(axis=0) / _ORIGIN_M) * _ORIGIN_M
