@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from app.networks import work as models
-from app.paths import is_recording, without_folder
+from app.paths import without_folder
 from app.work.documents import CommitJob, CommitOutcome, UploadOptions
 from app.work.places import REDUCED, TRAJECTORY, link
 from app.work.task import Part, Plan, Report, Task, WorkSettings
@@ -27,6 +27,7 @@ from interloc.config import DEFAULT
 from interloc.drives.findings import DriveFileError, Finding, Findings, by_severity
 from interloc.drives.formats import find_format
 from interloc.drives.inspect import DriveReport, report_of
+from interloc.drives.kinds import is_recording
 from interloc.drives.open import DriveReading, open_drive, read_drive
 from interloc.drives.options import ODOMETRY, DriveArguments, DriveOptions, LabelFolder
 from interloc.drives.scans.reduced import read_ground
@@ -268,7 +269,7 @@ def _frames(task: Task[CommitJob]) -> list[int]:
     root = _files(task)
     if is_reduced(root):
         return [int(frame) for frame in read_manifest(root).kept_frames]
-    return [int(frame) for frame in _reduction(task).plan.frames_to_send]
+    return [int(frame) for frame in _reduction(task).plan.kept]
 
 
 @lru_cache(maxsize=2)
