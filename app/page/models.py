@@ -9,13 +9,9 @@ from pydantic import BaseModel, ConfigDict, Field
 from app.jobs.models import MAX_COMPARED_JOBS, Near
 from app.paths import ARCHIVE_ENDINGS
 from app.settings import Settings
-<<<<<<< HEAD
-from interloc.drives.georeference.read import ODOMETRY_OF_RAW
-=======
 from interloc.drives.formats import FORMATS, installed_formats
 from interloc.drives.georeference.read import ODOMETRY_OF_RAW
 from interloc.drives.kinds import RECORDING_ENDINGS, SMALL_ENDINGS, TRACK_ENDINGS
->>>>>>> main
 from interloc.drives.labels import SCHEMES
 from interloc.drives.layouts import PCD_ENDINGS
 from interloc.drives.options import ReadingOptions
