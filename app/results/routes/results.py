@@ -207,7 +207,7 @@ def list_result_files(job_id: JobId, results: ResultsDep) -> ResultFileList:
 def read_result_file(
     job_id: JobId,
     name: Annotated[
-        str, Path(description="Path of the file, as listed.", examples=["figures/map.svg"], max_length=512)
+        str, Path(description="Path of the file, as listed.", examples=["figures/map.png"], max_length=512)
     ],
     request: Request,
     results: ResultsDep,

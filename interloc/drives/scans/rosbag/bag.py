@@ -12,7 +12,6 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from interloc import storage
 from interloc.arrays import IntArray
 from interloc.drives.files import SourceFile
 from interloc.drives.findings import DriveFileError, Findings
@@ -131,7 +130,6 @@ def open_bag(files: tuple[SourceFile, ...], findings: Findings) -> Bag:
         raise files[0].fault(f"needs the package {missing[0]} to be read. Install it with: {install('ros')}")
     topics: dict[tuple[str, str], list[tuple[int, Channel]]] = {}
     for number, file in enumerate(files):
-        storage.present(file.path)
         for channel in channels_of(file):
             topics.setdefault((channel.topic, channel.type), []).append((number, channel))
     if not all(channel.defined for channels in topics.values() for _, channel in channels):
