@@ -116,11 +116,6 @@ class Settings(BaseSettings):
         None, ge=1, description="Maximum number of scans of the demo drive; the whole drive by default."
     )
     min_free_bytes: int = Field(1 * GB, ge=0, description="Free disk space below which no upload and no job begins.")
-    disk_reserve_bytes: int = Field(
-        16 * MB,
-        ge=0,
-        description="Size of a file that is given up when the disk is full, so that deleting still works; 0 for none.",
-    )
     max_live_sessions: int = Field(4, ge=0, description="Maximum number of live sessions of one client; 0 for none.")
     max_live_message_bytes: int = Field(
         32 * MB, ge=4096, description="Maximum size of one scan of a live session: 20 bytes per point, and its head."
