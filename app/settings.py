@@ -150,8 +150,8 @@ class Settings(BaseSettings):
     # Whom it calls.
     webhook_hosts: str = Field(
         "",
-        description="Hosts that may be told of jobs (`subscriber`), separated by commas: names, addresses, networks, "
-        "for example hooks.example.org,10.1.0.0/16. A name must mean public addresses, or listed ones. Empty: none.",
+        description="Hosts that may be told of jobs (`subscriber`), separated by commas: names or addresses, for "
+        "example hooks.example.org,10.1.0.7. Empty: none.",
     )
     webhook_secret: SecretStr | None = Field(
         None,
@@ -193,6 +193,19 @@ class Settings(BaseSettings):
                 'base64.b64encode(secrets.token_bytes(32)).decode())"`'
             )
         return self
+
+    @field_validator("webhook_hosts")
+    @classmethod
+    def _check_webhook_hosts(cls, text: str) -> str:
+        for host in _listed(text):
+            if "/" in host:
+                raise ValueError(f"{host!r} is not the name or address of a host: list each one, without https://")
+        return text
+
+    @property
+    def listed_webhook_hosts(self) -> frozenset[str]:
+        """Names and addresses of the hosts that may be called, as they are in addresses."""
+        return frozenset(host.lower().strip("[]") for host in _listed(self.webhook_hosts))
 
     @property
     def webhook_key(self) -> bytes:

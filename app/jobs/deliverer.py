@@ -1,31 +1,29 @@
-"""Tells subscribers of jobs: calls what `app.jobs.webhooks` has written, until it succeeds or is given up."""
+"""Tells subscribers of jobs: makes the calls that `app.jobs.webhooks` has written, each three times at most."""
 
 from __future__ import annotations
 
+import base64
+import hashlib
+import hmac
 import http.client
 import logging
-import random
 import threading
 from collections import Counter
+from urllib.parse import urlsplit
 
 from sqlalchemy import select, update
 from sqlalchemy.exc import SQLAlchemyError
-from sqlalchemy.orm import Session
 
 from app.context import Context
-from app.jobs.calls import CALL_S, CONNECT_S, AllowedHosts, CallRefusedError, call, signature
 from app.store.models import Delivery
 
-RETRIES_S = (5, 300, 1800, 7200, 18000, 36000, 50400, 72000, 86400)
-"""Pauses between the tries, as Standard Webhooks proposes; the last try is some three days after the first."""
+RETRIES_S = (5, 300)
+"""Pauses after the first try and the second; the third is the last."""
 
 _LOOK_S = 1.0
-_AT_ONCE = 16
+_CALL_S = 15.0  # for each step of a call; after twice that time its server is taken for dead, and it is made again
 _AT_ONCE_PER_HOST = 4  # a host that answers slowly, or not at all, keeps only itself waiting
-_HELD_S = 2 * (
-    CONNECT_S + CALL_S
-)  # how long a server may take over a call; after that, it is dead, and the call is made again
-_GONE = 410
+_TOLD_BYTES = 200  # of an answer that is no success: what of it is kept
 
 _log = logging.getLogger(__name__)
 
@@ -38,10 +36,9 @@ class Deliverer:
 
     def __init__(self, context: Context) -> None:
         self._context = context
-        self._allowed = AllowedHosts(context.settings.webhook_hosts)
         self._at_work: Counter[str] = Counter()
+        """Number of calls under way by host."""
         self._lock = threading.Lock()
-        self._changed = threading.Event()
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name="deliverer", daemon=True)
 
@@ -53,59 +50,54 @@ class Deliverer:
     def stop(self) -> None:
         """Begin no further call."""
         self._stopping.set()
-        self._changed.set()
         if self._thread.is_alive():
             self._thread.join(5)
 
     def _run(self) -> None:
         while not self._stopping.is_set():
-            self._changed.clear()
             try:
-                found = self._claim()
+                delivery = self._claim()
             except SQLAlchemyError as error:
                 _log.warning("webhooks could not be looked for: %s", error)
-                found = []
-            for delivery in found:
+                delivery = None
+            if delivery is None:
+                self._stopping.wait(_LOOK_S)
+            else:
                 threading.Thread(target=self._deliver, args=(delivery,), name=delivery.id, daemon=True).start()
-            if not found:
-                self._changed.wait(_LOOK_S)
 
-    def _claim(self) -> list[Delivery]:
-        """Take calls that are due: they are held back from other servers for as long as one may take."""
-        with self._lock:
-            busy = Counter(self._at_work)
-        room = _AT_ONCE - busy.total()
-        full = [host for host, count in busy.items() if count >= _AT_ONCE_PER_HOST]
-        query = select(Delivery).where(Delivery.next_at.is_not(None), Delivery.host.not_in(full))
-        query = query.order_by(Delivery.next_at).limit(room)
+    def _claim(self) -> Delivery | None:
+        """Take a call that is due: it is held back from other servers for as long as it may take."""
         database = self._context.database
-        if room <= 0:
-            return []
+        with self._lock:
+            full = [host for host, count in self._at_work.items() if count >= _AT_ONCE_PER_HOST]
+        due = select(Delivery).where(Delivery.host.not_in(full)).order_by(Delivery.next_at).limit(1)
         with database.reading() as session:
-            if session.scalar(query.where(Delivery.next_at <= database.clock(session)).limit(1)) is None:
-                return []
+            if session.scalar(due.where(Delivery.next_at <= database.clock(session))) is None:
+                return None
         with database.writing(patient=True) as session:
             now = database.clock(session)
-            due = query.where(Delivery.next_at <= now)
-            rows = session.scalars(due if database.is_sqlite else due.with_for_update(skip_locked=True)).all()
-            taken = []
-            for row in rows:
-                if busy[row.host] < _AT_ONCE_PER_HOST:
-                    busy[row.host] += 1
-                    row.next_at = now + _HELD_S
-                    row.attempts += 1
-                    taken.append(row)
-        with self._lock:
-            self._at_work.update(row.host for row in taken)
-        return taken
+            due = due.where(Delivery.next_at <= now)
+            row = session.scalar(due if database.is_sqlite else due.with_for_update(skip_locked=True))
+            if row is not None:
+                row.next_at = now + 2 * _CALL_S
+                row.attempts += 1
+                with self._lock:
+                    self._at_work[row.host] += 1
+        return row
 
     def _deliver(self, delivery: Delivery) -> None:
+        database = self._context.database
         try:
-            error = self._call(delivery)
-            with self._context.database.writing(patient=True) as session:
-                self._write(session, delivery, error)
-            outcome = "delivered" if error is None else "failed"
-            self._context.metrics.webhooks.labels(outcome).inc()
+            with database.reading() as session:
+                seconds = int(database.clock(session))
+            error = _call(delivery, self._context.settings.webhook_key, seconds)
+            with database.writing(patient=True) as session:
+                now = database.clock(session)
+                is_last = error is None or delivery.attempts > len(RETRIES_S)
+                next_at = None if is_last else now + RETRIES_S[delivery.attempts - 1]
+                values = {"next_at": next_at, "error": error, "delivered_at": now if error is None else None}
+                session.execute(update(Delivery).where(Delivery.id == delivery.id).values(**values))
+            self._context.metrics.webhooks.labels("delivered" if error is None else "failed").inc()
             extra = {"job": delivery.job_id}
             _log.info("webhook %s, try %d: %s", delivery.id, delivery.attempts, error or "delivered", extra=extra)
         except SQLAlchemyError as failure:  # it is made again when it is not held back any more
@@ -113,35 +105,34 @@ class Deliverer:
         finally:
             with self._lock:
                 self._at_work[delivery.host] -= 1
-                self._at_work += Counter()
-            self._changed.set()
 
-    def _call(self, delivery: Delivery) -> str | None:
-        """Make the call; return why it failed."""
-        secret = self._context.settings.webhook_key
-        with self._context.database.reading() as session:
-            seconds = int(self._context.database.clock(session))
-        body = delivery.body.encode()
-        headers = {
-            "Content-Type": "application/json",
-            "User-Agent": "InterLoc",
-            "webhook-id": delivery.id,
-            "webhook-timestamp": str(seconds),
-            "webhook-signature": signature(secret, delivery.id, seconds, body),
-        }
-        try:
-            status, told = call(delivery.uri, body, headers, self._allowed)
-        except (OSError, http.client.HTTPException, CallRefusedError, UnicodeError) as error:
-            return f"{type(error).__name__}: {error}"[:500]
-        if 200 <= status < 300:
+
+def _call(delivery: Delivery, secret: bytes, seconds: int) -> str | None:
+    """Send a message by POST, without redirects and proxies; return why that failed."""
+    parts, body = urlsplit(delivery.uri), delivery.body.encode()
+    headers = {
+        "Content-Type": "application/json",
+        "User-Agent": "InterLoc",
+        "Connection": "close",
+        "webhook-id": delivery.id,
+        "webhook-timestamp": str(seconds),
+        "webhook-signature": signature(secret, delivery.id, seconds, body),
+    }
+    kind = http.client.HTTPSConnection if parts.scheme == "https" else http.client.HTTPConnection
+    connection = kind(str(parts.hostname), parts.port, timeout=_CALL_S)
+    try:
+        connection.request("POST", (parts.path or "/") + (f"?{parts.query}" if parts.query else ""), body, headers)
+        answer = connection.getresponse()
+        if 200 <= answer.status < 300:
             return None
-        return f"{status} {http.client.responses.get(status, '')}: {told}"[:500]
+        return f"{answer.status} {answer.reason}: {answer.read(_TOLD_BYTES).decode(errors='replace')}"[:500]
+    except (OSError, http.client.HTTPException, UnicodeError) as error:
+        return f"{type(error).__name__}: {error}"[:500]
+    finally:
+        connection.close()
 
-    def _write(self, session: Session, delivery: Delivery, error: str | None) -> None:
-        now = self._context.database.clock(session)
-        retries = RETRIES_S[: 0 if error is not None and error.startswith(f"{_GONE} ") else None]
-        next_at = None
-        if error is not None and delivery.attempts <= len(retries):
-            next_at = now + retries[delivery.attempts - 1] * random.uniform(1.0, 1.1)  # noqa: S311 - not all at once
-        values = {"next_at": next_at, "error": error, "delivered_at": now if error is None else None}
-        session.execute(update(Delivery).where(Delivery.id == delivery.id).values(**values))
+
+def signature(secret: bytes, id_: str, seconds: int, body: bytes) -> str:
+    """Return the header `webhook-signature` of Standard Webhooks."""
+    signed = hmac.digest(secret, f"{id_}.{seconds}.".encode() + body, hashlib.sha256)
+    return f"v1,{base64.b64encode(signed).decode()}"

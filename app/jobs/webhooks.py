@@ -19,7 +19,6 @@ from sqlalchemy.orm import Session
 
 from app.http.problem_types import WEBHOOK_REFUSED
 from app.http.problems import Problem
-from app.jobs.calls import AllowedHosts, CallRefusedError
 from app.settings import Settings
 from app.states import JobState
 from app.store.database import moment
@@ -55,12 +54,22 @@ def check_subscriber(settings: Settings, subscriber: Subscriber | None) -> dict[
     """Return the member of a request that is stored, empty where nobody is to be told; a 422 if it is refused."""
     wanted = {} if subscriber is None else subscriber.model_dump(exclude_none=True)
     for name, uri in wanted.items():
-        if not settings.webhook_hosts:
-            raise Problem(WEBHOOK_REFUSED, "subscriber: this service calls nobody. Its operator sets WEBHOOK_HOSTS.")
         try:
-            AllowedHosts(settings.webhook_hosts).check_name(uri)
-        except CallRefusedError as error:
-            raise Problem(WEBHOOK_REFUSED, f"subscriber.{name}: {error}") from error
+            parts = urlsplit(uri)
+            host, _port = parts.hostname or "", parts.port
+        except ValueError as error:
+            raise Problem(WEBHOOK_REFUSED, f"subscriber.{name}: {uri!r} is not an address ({error}).") from error
+        if "@" in parts.netloc:
+            raise Problem(
+                WEBHOOK_REFUSED,
+                f"subscriber.{name}: {uri!r} is not an address as https://hooks.example.org/path, without a user.",
+            )
+        if host not in settings.listed_webhook_hosts:
+            raise Problem(
+                WEBHOOK_REFUSED,
+                f"subscriber.{name}: {host!r} is none of the hosts that this service may call; its operator lists them "
+                "in INTERLOC_WEBHOOK_HOSTS.",
+            )
     return {"subscriber": wanted} if wanted else {}
 
 

@@ -37,11 +37,9 @@ _NOT_FOUND: dict[int | str, dict[str, Any]] = {
 }
 _FindingId = Annotated[str, Path(description="Id of the finding.", max_length=64, pattern=TEXT)]
 
-_Delivery = Literal["maproulette.geojson", "osmose.xml", "findings.gpx", "findings.geojson"]
+_Delivery = Literal["maproulette.geojson", "findings.geojson"]
 _DELIVERIES: dict[_Delivery, tuple[str, str]] = {
     "maproulette.geojson": ("application/geo+json", "Tasks for MapRoulette, line by line; at most 1,000."),
-    "osmose.xml": ("application/xml", "For `send-update` of Osmose."),
-    "findings.gpx": ("application/gpx+xml", "Waypoints for iD, JOSM and devices."),
     "findings.geojson": ("application/geo+json", "GeoJSON."),
 }
 
@@ -68,8 +66,7 @@ def read_delivery(
     _client: ClientDep,
 ) -> Response:
     """Give the findings but those marked wrong or fixed. The same finding has the same identity in each upload."""
-    from interloc.city.delivery import MAX_TASKS, gpx, maproulette, osmose  # noqa: PLC0415 - of scientific packages
-    from interloc.output.credits import Credit  # noqa: PLC0415
+    from interloc.city.delivery import MAX_TASKS, maproulette  # noqa: PLC0415 - of scientific packages
 
     collection, last = _findings(context, map_id), _latest(context, map_id)
     done = {"wrong", "fixed"}
@@ -78,12 +75,8 @@ def read_delivery(
     ]
     if name == "maproulette.geojson":
         text = maproulette(features[:MAX_TASKS])
-    elif name == "osmose.xml":
-        text = osmose(features, datetime.fromtimestamp(collection["made_at"], UTC))
-    elif name == "findings.gpx":
-        text = gpx(features, Credit(collection.get("attribution", ""), collection.get("license")))
     else:
-        text = encode({key: value for key, value in collection.items() if key != "made_at"} | {"features": features})
+        text = encode({**collection, "features": features})
     return answer_tagged(request, text.encode(), _DELIVERIES[name][0])
 
 
@@ -202,12 +195,12 @@ def _findings(context: Context, map_id: str) -> dict[str, Any]:
     try:
         return _read(path, path.stat().st_mtime_ns)
     except (OSError, OutputError):
-        return {"type": "FeatureCollection", "features": [], "made_at": 0.0}
+        return {"type": "FeatureCollection", "features": []}
 
 
 @lru_cache(16)
-def _read(path: FilePath, mtime_ns: int) -> dict[str, Any]:
-    return {**read_json(path), "made_at": mtime_ns / 1e9}
+def _read(path: FilePath, _mtime_ns: int) -> dict[str, Any]:
+    return read_json(path)
 
 
 def _features(context: Context, map_id: str) -> dict[str, dict[str, Any]]:

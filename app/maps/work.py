@@ -11,7 +11,6 @@ import logging
 import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -184,9 +183,7 @@ def audit(folder: Path, osm: Path, wrong: Sequence[dict[str, Any]]) -> Audited:
     graph = read_osm(osm, map_bounds(track))
     marked = [Judgement.model_validate(each) for each in wrong]
     found = compare(city, graph, config, known=known_findings(folder / AUDIT), wrong=marked)
-    write_audit(
-        found, city, folder / AUDIT, config, made_at=datetime.now(UTC), source=osm.name, made_up=graph.is_made_up
-    )
+    write_audit(found, city, folder / AUDIT, config, source=osm.name, made_up=graph.is_made_up)
     collection = read_json(folder / AUDIT / FINDINGS_FILE)
     credit: dict[str, str] = {name: collection[name] for name in ("attribution", "license") if name in collection}
     chunks = list(chunks_of_layers({"findings": collection["features"]}, credit))

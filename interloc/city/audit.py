@@ -6,7 +6,6 @@ squares, the edge of the map. A finding is a question to a person with a picture
 
 from __future__ import annotations
 
-import hashlib
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -487,11 +486,6 @@ class _Auditor:
             text=text,
             evidence={**evidence, "ways": around, "node_xy": None if node is None else self.osm.xy[node]},
         )
-
-
-def subclass_of(finding_id: str) -> int:
-    """Return a number of 63 bits that stays for a finding: in Osmose it is what tells findings without OSM objects."""
-    return int.from_bytes(hashlib.sha256(finding_id.encode()).digest()[:8], "big") >> 1
 
 
 def _key(kind: Kind, about: object) -> str:

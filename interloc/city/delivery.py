@@ -1,46 +1,36 @@
-"""Findings as those take them who mend maps: MapRoulette, Osmose, GPX, GeoJSON.
+"""Findings as those take them who mend maps: MapRoulette, GeoJSON.
 
-All receivers tell by an identity whether a finding is new. It must be the same at each upload, else mappers get the
+MapRoulette tells by an identity whether a finding is new. It must be the same at each upload, else mappers get the
 same task twice, and what they marked as wrong comes back. It is that of the finding (`Finding.id`), never its position.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from datetime import datetime
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree as ET
-from xml.sax.saxutils import escape
 
 import numpy as np
 
-from interloc.city.audit import Audit, Finding, subclass_of
+from interloc.city.audit import Audit, Finding
 from interloc.city.citymap import CityMap
 from interloc.city.picture import picture_of
-from interloc.city.settings import AuditConfig, Kind
+from interloc.city.settings import AuditConfig
 from interloc.files import atomic_folder, write_file
-from interloc.output.credits import Credit, map_credit
+from interloc.output.credits import map_credit
 from interloc.output.geojson import encode, positions, read_json, write_collection
 from interloc.output.layers import CITY_LAYERS
 
 AUDIT_FILE, FINDINGS_FILE = "audit.json", "findings.geojson"
-MAPROULETTE_FILE, OSMOSE_FILE, GPX_FILE = "maproulette.geojson", "osmose.xml", "findings.gpx"
+MAPROULETTE_FILE = "maproulette.geojson"
 PICTURES = "pictures"
-AUDIT_NAMES = frozenset([AUDIT_FILE, FINDINGS_FILE, MAPROULETTE_FILE, OSMOSE_FILE, GPX_FILE, PICTURES])
+AUDIT_NAMES = frozenset([AUDIT_FILE, FINDINGS_FILE, MAPROULETTE_FILE, PICTURES, "osmose.xml", "findings.gpx"])
+"""What the folder of an audit may hold; the last two were written until 0.2."""
 
 MAX_TASKS = 1000
 """Of one file for MapRoulette: more than mappers look at in a month helps nobody."""
 
 _RECORD_SEPARATOR = "\x1e"
-_CLASSES: dict[Kind, tuple[int, str]] = {
-    "missing_junction": (1, "Road junction seen by LiDAR, not on the map"),
-    "missing_branch": (2, "Branch of a road junction seen by LiDAR, not on the map"),
-    "moved": (3, "Road junction lies elsewhere by LiDAR"),
-    "phantom": (4, "Road junction on the map, not seen by LiDAR"),
-    "one_junction": (5, "Several nodes that are one road junction by LiDAR"),
-}
-_ITEMS: dict[Kind, str] = {"phantom": "7490", "moved": "8491", "one_junction": "8491"}
 
 
 def known_findings(folder: Path) -> frozenset[str]:
@@ -56,7 +46,6 @@ def write_audit(
     folder: Path,
     config: AuditConfig,
     *,
-    made_at: datetime,
     source: str,
     made_up: bool = False,
 ) -> None:
@@ -69,8 +58,6 @@ def write_audit(
         A new one, or that of an earlier audit, which is replaced.
     config
         That the audit was made with.
-    made_at
-        When it was made, with a time zone.
     source
         The OpenStreetMap data.
     made_up : bool
@@ -87,8 +74,6 @@ def write_audit(
         write_collection(new / FINDINGS_FILE, features, local=False, credit=credit)
         texts = {
             MAPROULETTE_FILE: maproulette(features[:MAX_TASKS]),
-            OSMOSE_FILE: osmose(features, made_at),
-            GPX_FILE: gpx(features, credit),
             AUDIT_FILE: encode(audit_record(found, config, source), indent=2) + "\n",
         }
         for name, text in texts.items():
@@ -145,46 +130,6 @@ def maproulette(features: Sequence[dict[str, Any]]) -> str:
         task = {**feature, "properties": {"id": feature["id"], **feature["properties"]}}
         lines.append(_RECORD_SEPARATOR + encode({"type": "FeatureCollection", "features": [task]}) + "\n")
     return "".join(lines)
-
-
-def osmose(features: Sequence[dict[str, Any]], made_at: datetime) -> str:
-    """Return the XML that `send-update` of Osmose takes.
-
-    Osmose knows a finding by source, class, subclass and OSM elements, not by its place: each has its own subclass, and
-    elements are given only where the finding is about one of OpenStreetMap, since another id would make it new.
-    """
-    moment = made_at.strftime("%Y-%m-%dT%H:%M:%SZ")
-    root = ET.Element("analysers", timestamp=moment)
-    analyser = ET.SubElement(root, "analyser", timestamp=moment)
-    for kind, (number, title) in _CLASSES.items():
-        facts = {"id": str(number), "item": _ITEMS.get(kind, "8490"), "level": "3", "tag": "merge,highway"}
-        described = ET.SubElement(analyser, "class", facts)
-        ET.SubElement(described, "classtext", lang="en", title=title)
-    for feature in features:
-        facts, (lon, lat) = feature["properties"], feature["geometry"]["coordinates"]
-        cls = str(_CLASSES[facts["kind"]][0])
-        error = ET.SubElement(analyser, "error", {"class": cls, "subclass": str(subclass_of(facts["id"]))})
-        ET.SubElement(error, "location", lat=f"{lat:.7f}", lon=f"{lon:.7f}")
-        ET.SubElement(error, "text", lang="en", value=facts["text"])
-        if facts["osm_id"] is not None:
-            ET.SubElement(error, "node", id=str(facts["osm_id"]), lat=f"{lat:.7f}", lon=f"{lon:.7f}")
-    ET.indent(root)
-    return ET.tostring(root, encoding="unicode", xml_declaration=True) + "\n"
-
-
-def gpx(features: Sequence[dict[str, Any]], credit: Credit) -> str:
-    """Return the findings as waypoints of GPX 1.1, which iD, JOSM and navigation devices open."""
-    from gpxpy.gpx import GPX, GPXWaypoint  # noqa: PLC0415 - needed for this alone
-
-    made = GPX()
-    made.creator, made.description = "InterLoc", credit.attribution
-    for feature in features:
-        lon, lat = feature["geometry"]["coordinates"]
-        facts = feature["properties"]
-        point = GPXWaypoint(lat, lon, name=facts["id"], description=facts["text"], type=facts["kind"])
-        point.link = escape(facts["osm_link"])  # type: ignore[assignment] # gpxpy does not escape it
-        made.waypoints.append(point)
-    return made.to_xml(version="1.1") + "\n"
 
 
 def _link(lon: float, lat: float) -> str:

@@ -1,4 +1,4 @@
-"""What people say of findings: kept line by line, and never asked again.
+"""What people say of findings, and how many of them are right.
 
 A verdict is about a place, not only about the finding: what was marked wrong does not come back as a finding of another
 kind. All verdicts are kept; the last one of a finding counts.
@@ -7,22 +7,17 @@ kind. All verdicts are kept; the last one of a finding counts.
 from __future__ import annotations
 
 import math
-import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from datetime import datetime
-from pathlib import Path
 from typing import Literal
 
-from pydantic import AwareDatetime, BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AwareDatetime, BaseModel, ConfigDict, Field
 
 from interloc.city.settings import Kind
-from interloc.errors import DamagedResultError
 
 Verdict = Literal["right", "wrong", "cannot_tell", "fixed"]
 """The map is wrong there, as found; it is not; nobody can tell; it was wrong, and has been mended."""
-
-VERDICTS_FILE = "verdicts.jsonl"
 
 _Z = 1.959964  # of a normal distribution: 95 % lie within
 
@@ -86,35 +81,6 @@ def latest(judgements: Iterable[Judgement]) -> dict[str, Judgement]:
 def wrong_ones(judgements: Iterable[Judgement]) -> list[Judgement]:
     """Return those of findings whose last verdict is wrong."""
     return [each for each in latest(judgements).values() if each.verdict == "wrong"]
-
-
-def read_verdicts(path: Path) -> list[Judgement]:
-    """Read a file of verdicts; none where there is no file.
-
-    Raises
-    ------
-    DamagedResultError
-        A line is none.
-    """
-    if not path.is_file():
-        return []
-    found = []
-    for number, line in enumerate(path.read_text("utf-8").splitlines(), 1):
-        try:
-            found.append(Judgement.model_validate_json(line))
-        except ValidationError as error:
-            raise DamagedResultError(
-                f"{path}, line {number}: {error.errors()[0]['msg']}. Mend or remove it."
-            ) from error
-    return found
-
-
-def add_verdicts(path: Path, judgements: Sequence[Judgement]) -> None:
-    """Add verdicts at the end of a file."""
-    with path.open("a", encoding="utf-8") as file:
-        file.writelines(each.model_dump_json(exclude_none=True) + "\n" for each in judgements)
-        file.flush()
-        os.fsync(file.fileno())
 
 
 def judgement_of(

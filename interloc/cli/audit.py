@@ -33,21 +33,17 @@ if TYPE_CHECKING:
 def command(city: Path, osm: Path, out: Path, kinds: tuple[Kind, ...], passes: int | None) -> None:
     """Compare CITY, a map of many drives that `interloc merge` wrote, with OpenStreetMap.
 
-    OUT holds the findings as GeoJSON, as tasks for MapRoulette, as XML for Osmose and as GPX. Each is a question to a
-    person, with a picture of the ground. An audit into the same folder keeps the names of findings: uploaded again,
-    none is new. What `interloc verdict` marked wrong is not claimed again.
+    OUT holds the findings as GeoJSON and as tasks for MapRoulette. Each is a question to a person, with a picture
+    of the ground. An audit into the same folder keeps the names of findings: uploaded again, none is new.
 
     \b
     Example:
       interloc audit city --osm map.osm.gz -o audit
     """
-    from datetime import UTC, datetime
-
     from interloc.city.audit import audit
     from interloc.city.delivery import audit_record, known_findings, write_audit
     from interloc.city.folder import read_city
     from interloc.city.settings import AuditConfig
-    from interloc.city.verdicts import VERDICTS_FILE, read_verdicts, wrong_ones
     from interloc.errors import MapError
     from interloc.evaluation.coverage import map_bounds
     from interloc.osm.reader import read_osm
@@ -61,9 +57,8 @@ def command(city: Path, osm: Path, out: Path, kinds: tuple[Kind, ...], passes: i
     graph = read_osm(osm, map_bounds(track))
     chosen: dict[str, Any] = {"kinds": kinds or None, "min_passes": passes}
     config = AuditConfig(**{name: value for name, value in chosen.items() if value is not None})
-    wrong = wrong_ones(read_verdicts(city / VERDICTS_FILE))
-    found = audit(drives, graph, config, known=known_findings(out), wrong=wrong)
-    write_audit(found, drives, out, config, made_at=datetime.now(UTC), source=graph.source, made_up=graph.is_made_up)
+    found = audit(drives, graph, config, known=known_findings(out))
+    write_audit(found, drives, out, config, source=graph.source, made_up=graph.is_made_up)
     record = audit_record(found, config, graph.source)
     facts = [
         ("findings", ", ".join(f"{count} {kind}" for kind, count in record["by_kind"].items())),

@@ -29,7 +29,6 @@ COMMANDS = {
     "export": "export",
     "merge": "merge",
     "audit": "audit",
-    "verdict": "verdict",
     "odometry": "odometry",
     "label": "convert:label",
     "convert": "convert:convert",

@@ -50,8 +50,6 @@ const DELIVERIES = {
     "MapRoulette",
     "Tasks of a challenge, at most 1,000; the same finding is the same task again.",
   ],
-  "osmose.xml": ["Osmose", "For send-update of Osmose."],
-  "findings.gpx": ["GPX", "Waypoints for iD, JOSM and devices."],
   "findings.geojson": ["GeoJSON", "With all that is known of each."],
 };
 /** Files of the map itself. */

@@ -6,7 +6,6 @@ import base64
 import json
 import socket
 import threading
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -16,8 +15,8 @@ from typing import Any
 import httpx
 import pytest
 
-from app.jobs import calls, deliverer
-from app.jobs.calls import AllowedHosts, CallRefusedError, call, signature
+from app.jobs import deliverer
+from app.jobs.deliverer import signature
 from tests.app.processes import API, job_of, started, wait_until
 
 KEY = b"0123456789abcdef0123456789abcdef"
@@ -82,7 +81,7 @@ def test_a_subscriber_is_told_signed_and_again_where_that_failed(
 ) -> None:
     monkeypatch.setattr(deliverer, "RETRIES_S", (0.0, 0.0))
     monkeypatch.setattr(deliverer, "_LOOK_S", 0.05)
-    client = serve(webhook_hosts="127.0.0.0/8", webhook_secret=SECRET)
+    client = serve(webhook_hosts="127.0.0.1", webhook_secret=SECRET)
     receiver.answers = [204, 500]  # the begin; then the end, twice
     uris = {"inProgressUri": f"{receiver.uri}/began", "failedUri": f"{receiver.uri}/failed?x=1"}
     job_id = commit(client, **uris, successUri=f"{receiver.uri}/good")
@@ -108,11 +107,11 @@ def test_a_subscriber_is_told_signed_and_again_where_that_failed(
     assert (last["id"], last["attempts"]) == (ends[0][0]["webhook-id"], 2)
     assert 'interloc_webhooks_total{outcome="failed"} 1.0' in client.get("/metrics").text
 
-    receiver.answers = [302, 410]
+    receiver.answers = [302, 500, 404]
     job_id = commit(client, failedUri=f"{receiver.uri}/moved")
     (gone,) = wait_until(lambda: [d for d in job_of(client, job_id)["deliveries"] if d["next_at"] is None], "the end")
-    assert (gone["state"], gone["attempts"]) == ("given up", 2)
-    assert gone["error"].startswith("410 Gone")
+    assert (gone["state"], gone["attempts"]) == ("given up", 3)
+    assert gone["error"].startswith("404 Not Found")
     assert "/elsewhere" not in [path for path, _, _ in receiver.told]
 
 
@@ -145,62 +144,6 @@ def test_who_may_not_be_called_is_refused_at_once(serve: Callable[..., httpx.Cli
 
     client = serve(webhook_hosts="hooks.example.org", webhook_secret=SECRET)
     assert "none of the hosts" in refused(client, receiver.uri)
+    assert "is not an address" in refused(client, "https://hooks.example.org:99999/")
     assert "none of the hosts" in refused(client, "https://hooks.example.org.evil.test/")
     assert "without a user" in refused(client, "https://a:b@hooks.example.org/")
-
-
-@pytest.mark.parametrize(
-    ("address", "listed", "may"),
-    [
-        ("93.184.216.34", "hooks.test", True),
-        ("127.0.0.1", "hooks.test", False),
-        ("10.0.0.7", "hooks.test", False),
-        ("10.0.0.7", "hooks.test,10.0.0.0/24", True),
-        ("169.254.169.254", "hooks.test", False),
-        ("::ffff:10.0.0.7", "hooks.test", False),
-        ("64:ff9b::a00:7", "hooks.test", False),
-        ("fd00::1", "hooks.test", False),
-        ("::1", "hooks.test", False),
-        ("100.64.0.1", "hooks.test", False),
-        ("0.0.0.0", "hooks.test", False),  # noqa: S104
-    ],
-)
-def test_a_name_must_mean_a_public_address(
-    address: str, listed: str, may: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    asked = []
-
-    def look_up(*given: object, **_: object) -> list[Any]:
-        asked.append(given)
-        return [(0, 0, 0, "", (address, 443))]
-
-    monkeypatch.setattr(calls.socket, "getaddrinfo", look_up)
-    if may:
-        assert AllowedHosts(listed).resolve("https://hooks.test/x") == (address, 443)
-    else:
-        with pytest.raises(CallRefusedError, match="not a public address"):
-            AllowedHosts(listed).resolve("https://hooks.test/x")
-    assert len(asked) == 1  # what is connected to is what was checked
-
-
-def test_a_subscriber_that_dribbles_or_never_ends_is_cut_off(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(calls, "CALL_S", 0.3)
-    with socket.create_server(("127.0.0.1", 0)) as listener:
-
-        def dribble() -> None:
-            connection, _ = listener.accept()
-            with connection:
-                try:
-                    for byte in iter(lambda: b"a", b""):
-                        connection.send(byte)
-                        time.sleep(0.02)
-                except OSError:
-                    return
-
-        thread = threading.Thread(target=dribble, daemon=True)
-        thread.start()
-        uri = f"http://127.0.0.1:{listener.getsockname()[1]}/"
-        with pytest.raises((OSError, calls.http.client.HTTPException)):
-            call(uri, b"{}", {}, AllowedHosts("127.0.0.1"))
-        thread.join(10)
-        assert not thread.is_alive()

@@ -10,7 +10,6 @@ import numpy as np
 from interloc.arrays import FloatArray
 from interloc.drives.files import SourceFile
 from interloc.drives.findings import DriveFileError
-from interloc.errors import InterLocError
 from interloc.geometry import WGS84_A_M, enu_from_lonlat
 
 _STEP_M = 10.0
@@ -33,11 +32,11 @@ class Grid:
 
     def from_lonlat(self, lonlat: FloatArray) -> FloatArray:
         """Return (N, 2) easting, northing of (N, 2) longitudes and latitudes; infinite where the system ends."""
-        return self._transform("EPSG:4326", self.crs, lonlat)
+        return _transform("EPSG:4326", self.crs, lonlat)
 
     def to_lonlat(self, xy: FloatArray) -> FloatArray:
         """Return (N, 2) longitudes, latitudes on WGS84 of (N, 2) easting, northing; infinite where there are none."""
-        return self._transform(self.crs, "EPSG:4326", xy)
+        return _transform(self.crs, "EPSG:4326", xy)
 
     def axes(self, xyz: FloatArray) -> FloatArray:
         """Return how the axes lie on the ground: steps east and north, in metres, of a step along each.
@@ -63,23 +62,34 @@ class Grid:
         axes: FloatArray = np.stack(columns, axis=-1) * (1 + xyz[:, 2] / WGS84_A_M)[:, None, None]
         return axes
 
-    @staticmethod
-    def _transform(source: Any, target: Any, xy: FloatArray) -> FloatArray:  # noqa: ANN401 - pyproj.CRS
-        from pyproj import Transformer  # noqa: PLC0415 - slow to import
 
-        first, second = Transformer.from_crs(source, target, always_xy=True).transform(xy[:, 0], xy[:, 1])
-        return np.stack([first, second], axis=-1)
+def _transform(source: Any, target: Any, xy: FloatArray) -> FloatArray:  # noqa: ANN401 - pyproj.CRS
+    from pyproj import Transformer  # noqa: PLC0415 - slow to import
+
+    first, second = Transformer.from_crs(source, target, always_xy=True).transform(xy[:, 0], xy[:, 1])
+    return np.stack([first, second], axis=-1)
 
 
-def grid_of(crs: Any, source: str, file: SourceFile) -> Grid:  # noqa: ANN401 - pyproj.CRS
+def grid_of(crs: Any, source: str, file: SourceFile) -> Grid:  # noqa: ANN401 - pyproj.CRS or its name
     """Check a coordinate system, and take its horizontal part.
 
     Raises
     ------
     DriveError
-        It is not projected, or not in metres.
+        There is no such system, or it is not projected, or not in metres.
     """
-    horizontal = _horizontal(crs)
+    from pyproj import CRS  # noqa: PLC0415 - slow to import
+    from pyproj.exceptions import CRSError  # noqa: PLC0415
+
+    try:
+        crs = CRS.from_user_input(crs)
+    except CRSError as error:
+        raise DriveFileError(
+            f"crs {crs!r}", "is not known. Expected a coordinate system such as EPSG:25832 (--crs)."
+        ) from error
+    horizontal = crs
+    while horizontal.is_bound or (horizontal.is_compound and horizontal.sub_crs_list):
+        horizontal = horizontal.source_crs if horizontal.is_bound else horizontal.sub_crs_list[0]
     advice = "Reproject the cloud, with pdal translate IN OUT reprojection --filters.reprojection.out_srs=EPSG:25832."
     if not horizontal.is_projected:
         raise file.fault(
@@ -89,41 +99,4 @@ def grid_of(crs: Any, source: str, file: SourceFile) -> Grid:  # noqa: ANN401 - 
     units = {axis.unit_name for axis in crs.axis_info if axis.unit_conversion_factor != 1.0}
     if units:
         raise file.fault(f"is in {crs.name} ({source}), in units of {', '.join(units)}. Expected metres. {advice}")
-    return Grid(horizontal, source)
-
-
-def _horizontal(crs: Any) -> Any:  # noqa: ANN401 - pyproj.CRS
-    """Return the two-dimensional system in a compound or bound one."""
-    while crs.is_bound and crs.source_crs is not None:
-        crs = crs.source_crs
-    if crs.is_compound and crs.sub_crs_list:
-        return _horizontal(crs.sub_crs_list[0])
-    return crs.to_2d()
-
-
-def named_grid(name: str, file: SourceFile) -> Grid:
-    """Return the coordinate system that the user named.
-
-    Raises
-    ------
-    DriveError
-        There is no such system, or it is not projected, in metres.
-    """
-    from pyproj import CRS  # noqa: PLC0415 - slow to import
-    from pyproj.exceptions import CRSError  # noqa: PLC0415
-
-    try:
-        crs = CRS.from_user_input(name)
-    except CRSError as error:
-        raise DriveFileError(
-            f"crs {name!r}", "is not known. Expected a coordinate system such as EPSG:25832 (--crs)."
-        ) from error
-    return grid_of(crs, "as given", file)
-
-
-def outside(file: SourceFile, grid: Grid, what: str) -> InterLocError:
-    """Return the error to raise where coordinates do not belong to a system."""
-    return file.fault(
-        f"{what} lies outside of {grid.name} ({grid.source}). Usual cause: another zone, or another system than "
-        "stated; name the right one (--crs EPSG:25832)."
-    )
+    return Grid(horizontal.to_2d(), source)

@@ -1,49 +1,57 @@
-"""Mobile mapping: LAS files in a projected system with times, and the trajectory that they were recorded along."""
+"""Mobile mapping: LAS files in a projected system with times, cut into scans along the trajectory of the vehicle."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 
-from interloc.arrays import FloatArray
+from interloc.arrays import FloatArray, IntArray
 from interloc.drive import Georeference
 from interloc.drives.files import SourceFile
 from interloc.drives.findings import Findings
 from interloc.drives.georeference.geodetic import poses_of
 from interloc.drives.layouts import DriveParts
 from interloc.drives.options import DriveOptions
-from interloc.drives.scans.las.clocks import Sample, match_clocks
-from interloc.drives.scans.las.clouds import ROAD_SURFACE, CloudFile, all_of
-from interloc.drives.scans.las.grid import Grid, grid_of, named_grid, outside
-from interloc.drives.scans.las.slices import (
-    MAX_SCAN_POINTS,
-    SlicedClouds,
-    SliceIndex,
-    Slices,
-    cut,
-    index_clouds,
-    without_empty,
-)
+from interloc.drives.poses.motion import rows_apart
+from interloc.drives.scans.las.clocks import match_clocks
+from interloc.drives.scans.las.clouds import BLOCK_POINTS, ROAD_SURFACE, Cloud, Points, all_of, in_words
+from interloc.drives.scans.las.grid import Grid, grid_of
 from interloc.drives.scans.las.tracks import SurveyTrack, find_tracks, read_track
-from interloc.drives.scans.recorded import Recording
+from interloc.drives.scans.recorded import Recording, ScanPoints
 from interloc.drives.trajectory import LidarPoses, Trajectory
-from interloc.geometry import from_first, rigid_transforms, rotation_from_rpy, wrap_angle
+from interloc.geometry import from_first, rigid_transforms, rotation_from_rpy
+
+SLICE_M = 2.1
+"""Distance driven from scan to scan. A little more than that of keyframes (2 m), so that each scan is one, and no point
+is left out."""
+
+MAX_GAP_M = 100.0
+"""Where two poses of the trajectory lie further apart than this, nothing in between is used."""
+
+MAX_SCAN_POINTS = 4_000_000
+"""Of a scan with more, as where the vehicle waited, every second (third, ...) point is read."""
 
 SENSOR_HEIGHT_M = 2.0
 """Over the ground, where the heights of the trajectory are not those of the cloud (ellipsoid and geoid)."""
 
+_MARGIN_S = 0.5  # points measured a little before the first pose, or after the last, are used; at most half a slice
 _SAMPLED_FILES, _SAMPLED_EVERY = 20, 25
 _NEAR_M, _HEIGHTS_M = 15.0, (-1.0, 8.0)
 _MAX_OUTSIDE, _OUTSIDE_WORTH_SAYING = 0.5, 0.01
 _JUMP_M, _JUMP_MPS = 50.0, 1000.0
-_HEADING_OFF_RAD = np.radians(30)
+_SLOW, _HOPELESS, _HOPELESS_POINTS = 8, 100, 5e9
+_SORT = "Sort them by gps_time, with lassort -gps_time or pdal translate IN OUT sort --filters.sort.dimension=GpsTime"
+_NO_SCANS = (
+    "A map cloud has no scans: points need the time at which they were measured (gps_time), and a trajectory says "
+    "where the vehicle was then."
+)
 
 
-def open_mapping(
-    clouds: tuple[CloudFile, ...], parts: DriveParts, options: DriveOptions, findings: Findings
-) -> Recording:
+def open_mapping(clouds: tuple[Cloud, ...], parts: DriveParts, options: DriveOptions, findings: Findings) -> Recording:
     """Cut the clouds of a mobile mapping vehicle into scans.
 
     Raises
@@ -53,77 +61,43 @@ def open_mapping(
     """
     folder = all_of(clouds)
     track = _find_track(clouds, parts, options)
-    sample, has_intensity = _sample(clouds, folder)
+    times, points, has_intensity = _sample(clouds, folder)
     grid = _grid(clouds, options, findings)
-    vehicle = _vehicle(track, sample, grid, clouds[0], findings)
-    slices = cut(vehicle.times_s, vehicle.position)
-    index = index_clouds(clouds, slices, folder, findings)
-    _check_outside(index, track, findings)
-    slices, index, _ = without_empty(slices, index)
-    _note_labels(index, folder, findings)
-    _note_large(index, folder, findings)
-    origin = _at(slices.times_s, vehicle.times_s, vehicle.position)
-    heading = vehicle.headings_at(slices.times_s)
+    track_s, position = _vehicle(track, times, points, grid, clouds[0], findings)
+    slices, classes = _index(clouds, cut(track_s, position), track, folder, findings)
+    has_road = bool(classes[ROAD_SURFACE])
+    _note_points(slices, classes, folder, findings)
+    origin = _at(slices.times_s, track_s, position)
+    rows = np.arange(len(origin))
+    along = origin[np.minimum(rows + 1, rows[-1])] - origin[np.maximum(rows - 1, 0)]
     axes = np.tile(np.eye(2), (len(origin), 1, 1)) if grid is None else grid.axes(origin)
+    heading = np.arctan2(along[:, 1], along[:, 0])
     ahead = np.einsum("nij,nj->ni", axes, np.stack([np.cos(heading), np.sin(heading)], axis=1))
     yaw = np.arctan2(ahead[:, 1], ahead[:, 0])
     cos, sin = np.cos(yaw), np.sin(yaw)
     to_lidar = np.stack([np.stack([cos, sin], -1), np.stack([-sin, cos], -1)], axis=-2) @ axes
-    trajectory = _trajectory(slices, origin, yaw, grid, vehicle)
+    trajectory = _trajectory(slices.times_s, origin, yaw, grid, track)
     return Recording(
         parts,
-        SlicedClouds(clouds, slices, index, origin, to_lidar, index.has_road),
-        np.arange(len(origin), dtype=np.int64),
+        CutClouds(clouds, slices, origin, to_lidar, has_road),
+        rows.astype(np.int64),
         scan_bytes=sum(cloud.size for cloud in clouds),
-        point_counts=-(-index.counts // index.steps),
-        carries_labels=index.has_road,
-        scheme="las" if index.has_road else None,
+        point_counts=-(-slices.counts // slices.steps),
+        carries_labels=has_road,
+        scheme="las" if has_road else None,
         has_remission=has_intensity,
         is_cut=True,
         read_trajectory=lambda _frames, _options, _findings: trajectory,
     )
 
 
-@dataclass(frozen=True)
-class Vehicle:
-    """Where the vehicle was, in the clock and the coordinates of the cloud."""
-
-    times_s: FloatArray
-    """(P,) float64."""
-    position: FloatArray
-    """(P, 3) float64."""
-    heading: FloatArray | None
-    """(P,) float64 or None: radians counter-clockwise from the easting axis, without jumps; None: as it moves."""
-    reason: str
-    """Where they come from, in words."""
-
-    def headings_at(self, times_s: FloatArray) -> FloatArray:
-        """Return the (N,) headings at some times."""
-        if self.heading is not None:
-            return np.interp(times_s, self.times_s, self.heading)
-        return _courses(_at(times_s, self.times_s, self.position))
-
-
-def _at(times_s: FloatArray, known_s: FloatArray, values: FloatArray) -> FloatArray:
-    return np.stack([np.interp(times_s, known_s, axis) for axis in values.T], axis=1)
-
-
-def _courses(position: FloatArray) -> FloatArray:
-    """Return the (N,) directions in which (N, 3) positions a few metres apart follow each other, radians."""
-    before, after = np.r_[0, np.arange(len(position) - 1)], np.r_[np.arange(1, len(position)), len(position) - 1]
-    along = position[after] - position[before]
-    return np.arctan2(along[:, 1], along[:, 0])
-
-
-def _find_track(clouds: tuple[CloudFile, ...], parts: DriveParts, options: DriveOptions) -> SurveyTrack:
+def _find_track(clouds: tuple[Cloud, ...], parts: DriveParts, options: DriveOptions) -> SurveyTrack:
     """Read the trajectory that was named, or the one that lies beside."""
     folder = all_of(clouds)
     timeless = next((cloud for cloud in clouds if not cloud.has_time), None)
-    reason = "A map cloud has no scans: points need the time at which they were measured (gps_time), and a trajectory "
-    reason += "says where the vehicle was then."
     if timeless is not None:
         raise timeless.file.fault(
-            f"its points have no gps_time (point format {timeless.point_format}; 1 and 3 to 10 have it). {reason}"
+            f"its points have no gps_time (point format {timeless.point_format}; 1 and 3 to 10 have it). {_NO_SCANS}"
         )
     if options.poses is not None:
         given = Path(options.poses)
@@ -131,7 +105,7 @@ def _find_track(clouds: tuple[CloudFile, ...], parts: DriveParts, options: Drive
     found = find_tracks([parts.root, parts.scans])
     if not found:
         raise folder.fault(
-            f"no trajectory lies beside the cloud. {reason} Expected a table with a header (time,x,y,z or "
+            f"no trajectory lies beside the cloud. {_NO_SCANS} Expected a table with a header (time,x,y,z or "
             "time,lat,lon,alt; .csv or .txt), an SBET (.sbet, .out) or TUM poses in world coordinates; or name it "
             "(--poses)."
         )
@@ -141,88 +115,77 @@ def _find_track(clouds: tuple[CloudFile, ...], parts: DriveParts, options: Drive
     return read_track(parts.file(found[0]))
 
 
-def _sample(clouds: tuple[CloudFile, ...], folder: SourceFile) -> tuple[Sample, bool]:
-    """Read some points of some files, from their beginnings and ends, and tell whether they have an intensity."""
-    chosen = _some_of(clouds)
-    times, xyz, has_intensity = [], [], False
-    for at in chosen:
-        for block in sorted({0, clouds[at].blocks - 1}):
-            for points in clouds[at].read(block, 1, frozenset({"time", "xyz", "intensity"})):
-                has_intensity |= bool(points.intensity.any())
-                times.append(points.times_s[::_SAMPLED_EVERY])
-                xyz.append(points.xyz[::_SAMPLED_EVERY])
-    all_times, all_xyz = np.concatenate(times), np.concatenate(xyz)
-    finite = np.isfinite(all_times)
+def _some_of(clouds: tuple[Cloud, ...]) -> list[Cloud]:
+    """Return the files that are looked into before all are read: the first, the last, some between."""
+    rows = set(np.linspace(0, len(clouds) - 1, _SAMPLED_FILES).astype(int).tolist())
+    return [clouds[row] for row in sorted(rows)]
+
+
+def _sample(clouds: tuple[Cloud, ...], folder: SourceFile) -> tuple[FloatArray, FloatArray, bool]:
+    """Return times and places of points from beginnings and ends of files, and whether any has an intensity."""
+    read = [
+        points
+        for cloud in _some_of(clouds)
+        for block in sorted({0, cloud.blocks - 1})
+        for points in cloud.read(block, block + 1)
+    ]
+    times = np.concatenate([points.times_s[::_SAMPLED_EVERY] for points in read])
+    xyz = np.concatenate([points.xyz[::_SAMPLED_EVERY] for points in read])
+    finite = np.isfinite(times)
     if not finite.any():
         raise folder.fault("no point has a finite gps_time. Usual cause: a damaged file.")
-    all_times, all_xyz = all_times[finite], all_xyz[finite]
-    if all_times.min() == all_times.max():
+    times, xyz = times[finite], xyz[finite]
+    if times.min() == times.max():
         raise folder.fault(
-            f"the gps_time of all points looked at is {all_times[0]:g}, so that nobody knows when they were measured. "
+            f"the gps_time of all points looked at is {times[0]:g}, so that nobody knows when they were measured. "
             "Usual cause: a program that wrote the format but not the times."
         )
-    return Sample(all_times, all_xyz, clouds[0].time_offset_s), has_intensity
+    return times, xyz, any(points.intensity.any() for points in read)
 
 
-def _some_of(clouds: tuple[CloudFile, ...]) -> list[int]:
-    """Return the positions of the files that are looked into before all are read: the first, the last, some between."""
-    return sorted(set(np.linspace(0, len(clouds) - 1, _SAMPLED_FILES).astype(int).tolist()))
-
-
-def _grid(clouds: tuple[CloudFile, ...], options: DriveOptions, findings: Findings) -> Grid | None:
+def _grid(clouds: tuple[Cloud, ...], options: DriveOptions, findings: Findings) -> Grid | None:
     """Return the coordinate system that was named, or that the files state; None where none is stated."""
     file = clouds[0].file
     if options.crs is not None:
-        return named_grid(options.crs, file)
-    stated = [clouds[at].crs() for at in _some_of(clouds)]
-    crs = stated[0]
-    if different := next((other for other in stated if other != crs), None):
+        return grid_of(options.crs, "as given", file)
+    crs, *others = [cloud.crs() for cloud in _some_of(clouds)]
+    if different := next((other for other in others if other != crs), None):
         raise file.fault(
             f"is in {crs.name if crs else 'no stated system'}, and another of the files in {different.name}. Expected "
             "files of one coordinate system; reproject them, or name the one that is right (--crs EPSG:25832)."
         )
-    if crs is None:
-        if max(abs(value) for cloud in clouds for value in (*cloud.minimum[:2], *cloud.maximum[:2])) > 100_000:
-            raise file.fault(
-                "states no coordinate system, and its coordinates are those of one. Name it (--crs EPSG:25832)."
-            )
-        findings.warning(
-            file.name,
-            "states no coordinate system: the coordinates are taken as local metres, and the drive has no "
-            "georeference. Name the system if there is one (--crs EPSG:25832).",
+    if crs is not None:
+        return grid_of(crs, f"stated in {file.name}", file)
+    if max(cloud.reach for cloud in clouds) > 100_000:
+        raise file.fault(
+            "states no coordinate system, and its coordinates are those of one. Name it (--crs EPSG:25832)."
         )
-        return None
-    return grid_of(crs, f"stated in {file.name}", file)
+    findings.warning(
+        file.name,
+        "states no coordinate system: the coordinates are taken as local metres, and the drive has no "
+        "georeference. Name the system if there is one (--crs EPSG:25832).",
+    )
+    return None
 
 
-def _vehicle(track: SurveyTrack, sample: Sample, grid: Grid | None, first: CloudFile, findings: Findings) -> Vehicle:
-    position, cloud = track.position.copy(), first.file
+def _vehicle(
+    track: SurveyTrack, times_s: FloatArray, points: FloatArray, grid: Grid | None, first: Cloud, findings: Findings
+) -> tuple[FloatArray, FloatArray]:
+    """Return times and places of the vehicle in the clock and the coordinates of the cloud."""
+    position, name = track.position.copy(), track.file.name
     if track.geographic:
         if grid is None:
-            raise cloud.fault(
-                f"states no coordinate system, and {track.file.name} is in degrees. Name the system of the cloud "
+            raise first.file.fault(
+                f"states no coordinate system, and {name} is in degrees. Name the system of the cloud "
                 "(--crs EPSG:25832)."
             )
         position[:, :2] = grid.from_lonlat(track.position[:, :2])
-        if not np.isfinite(position).all():
-            raise outside(track.file, grid, "the trajectory")
-    if grid is not None and not np.isfinite(grid.axes(position[[0, -1]])).all():
-        raise outside(track.file, grid, "the trajectory")
-    _check_speed(track, position)
-    header = "adjusted standard time" if first.standard_time else "seconds of the GPS week"
-    match = match_clocks(sample, track.times_s, position[:, :2], track.file, cloud.name)
-    times = track.times_s + match.offset_s
-    findings.note(
-        track.file.name,
-        f"{match.reason}: {match.offset_s:+.0f} s are added; by that the points are {match.distance_m:.0f} m away "
-        f"from the vehicle when they were measured (median). The header states {header}.",
-    )
-    position[:, 2] += _height_offset(times, position, sample, track.file, findings)
-    heading, reason = _heading(track, position, grid, findings)
-    return Vehicle(times, position, heading, f"{track.file.name}; heading from {reason}")
-
-
-def _check_speed(track: SurveyTrack, position: FloatArray) -> None:
+    if not np.isfinite(position).all() or (grid is not None and not np.isfinite(grid.axes(position[[0, -1]])).all()):
+        assert grid is not None
+        raise track.file.fault(
+            f"the trajectory lies outside of {grid.name} ({grid.source}). Usual cause: another zone, or another system "
+            "than stated; name the right one (--crs EPSG:25832)."
+        )
     step = np.linalg.norm(np.diff(position, axis=0), axis=1)
     jumps = (step > _JUMP_M) & (step > _JUMP_MPS * np.diff(track.times_s))
     if jumps.any():
@@ -231,118 +194,236 @@ def _check_speed(track: SurveyTrack, position: FloatArray) -> None:
             f"jumps by {step[row]:,.0f} m between {track.times_s[row]:.3f} s and {track.times_s[row + 1]:.3f} s, as no "
             "vehicle does. Usual cause: a damaged line, or fixes without a solution; leave them out."
         )
-
-
-def _height_offset(
-    times_s: FloatArray, position: FloatArray, sample: Sample, file: SourceFile, findings: Findings
-) -> float:
-    """Return what brings the heights of the vehicle a little over the ground of the cloud; 0 where they are."""
-    inside = (sample.times_s >= times_s[0]) & (sample.times_s <= times_s[-1])
-    here = _at(sample.times_s[inside], times_s, position)
-    points = sample.xyz[inside]
-    near = np.linalg.norm(points[:, :2] - here[:, :2], axis=1) < _NEAR_M
-    if np.count_nonzero(near) < 20:
-        return 0.0
-    ground_below = float(np.percentile((points - here)[near, 2], 10))
-    if _HEIGHTS_M[0] <= -ground_below <= _HEIGHTS_M[1]:
-        return 0.0
-    offset = ground_below + SENSOR_HEIGHT_M
+    match = match_clocks(times_s, points, first, track.times_s, position[:, :2], track.file)
     findings.note(
-        file.name,
-        f"the ground lies {-ground_below:.1f} m below the trajectory: its heights are moved by {offset:+.1f} m, to "
-        f"{SENSOR_HEIGHT_M:g} m over the ground. Usual cause: heights over the ellipsoid and over the geoid.",
+        name,
+        f"{match.reason}: {match.offset_s:+.0f} s are added; by that the points are {match.distance_m:.0f} m away "
+        "from the vehicle when they were measured (median).",
     )
-    return offset
-
-
-def _heading(
-    track: SurveyTrack, position: FloatArray, grid: Grid | None, findings: Findings
-) -> tuple[FloatArray | None, str]:
-    """Return the heading that the trajectory states, in the way in which it fits the motion; None where none does."""
-    if not track.headings:
-        return None, "its motion"
-    slices = cut(track.times_s, position)
-    course = _courses(_at(slices.times_s, track.times_s, position))
-    rows = np.searchsorted(track.times_s, slices.times_s)
-    off = {
-        meaning: float(np.median(np.abs(wrap_angle(angles[rows] - course))))
-        for meaning, angles in track.headings.items()
-    }
-    best = min(off, key=lambda meaning: off[meaning])
-    if off[best] > _HEADING_OFF_RAD:
-        findings.warning(
-            track.file.name,
-            f"its headings are {np.degrees(off[best]):.0f} degrees off the motion (median) at best, taken as {best}: "
-            "the headings are taken from the motion. Usual cause: the attitude of another frame.",
+    track_s = track.times_s + match.offset_s
+    inside = (times_s >= track_s[0]) & (times_s <= track_s[-1])
+    away = points[inside] - _at(times_s[inside], track_s, position)
+    near = np.linalg.norm(away[:, :2], axis=1) < _NEAR_M
+    height = -float(np.percentile(away[near, 2], 10)) if np.count_nonzero(near) >= 20 else SENSOR_HEIGHT_M
+    if not _HEIGHTS_M[0] <= height <= _HEIGHTS_M[1]:
+        position[:, 2] += SENSOR_HEIGHT_M - height
+        findings.note(
+            name,
+            f"the ground lies {height:.1f} m below the trajectory: its heights are moved by "
+            f"{SENSOR_HEIGHT_M - height:+.1f} m, to {SENSOR_HEIGHT_M:g} m over the ground. Usual cause: heights over "
+            "the ellipsoid and over the geoid.",
         )
-        return None, "its motion"
-    heading = np.unwrap(track.headings[best])
-    if track.geographic and grid is not None:  # from true north to grid north
-        axes = np.linalg.inv(grid.axes(position[rows]))
-        true = track.headings[best][rows]
-        on_grid = np.einsum("nij,nj->ni", axes, np.stack([np.cos(true), np.sin(true)], axis=1))
-        turned = wrap_angle(np.arctan2(on_grid[:, 1], on_grid[:, 0]) - true)
-        heading = heading + np.interp(track.times_s, slices.times_s, turned)
-    return heading, best
+    return track_s, position
 
 
-def _check_outside(index: SliceIndex, track: SurveyTrack, findings: Findings) -> None:
-    """Refuse a trajectory that misses most points; say so where it misses some."""
-    inside = int(index.counts.sum())
-    share = index.outside / max(inside + index.outside, 1)
-    message = f"{index.outside:,} points ({share:.1%}) were measured when the trajectory has no pose"
-    if not inside or share > _MAX_OUTSIDE:
+def _at(times_s: FloatArray, known_s: FloatArray, values: FloatArray) -> FloatArray:
+    return np.stack([np.interp(times_s, known_s, axis) for axis in values.T], axis=1)
+
+
+@dataclass(frozen=True)
+class Cuts:
+    """The intervals of time that a drive is cut into."""
+
+    times_s: FloatArray
+    """(S,) float64: of the poses, in the clock of the cloud, ascending."""
+    start_s: FloatArray
+    end_s: FloatArray
+    """(S,) float64: points from the start on and before the end belong to it; the intervals do not overlap."""
+
+    def of(self, times_s: FloatArray) -> IntArray:
+        """Return the interval of (N,) times, -1 where there is none."""
+        at = np.searchsorted(self.start_s, times_s, side="right") - 1
+        inside = (at >= 0) & (times_s < self.end_s[at])
+        intervals: IntArray = np.where(inside, at, -1)
+        return intervals
+
+
+def cut(times_s: FloatArray, position: FloatArray) -> Cuts:
+    """Cut a drive into intervals of about `SLICE_M` driven.
+
+    The poses are those of the trajectory; where these lie further apart, more are put evenly between.
+
+    Parameters
+    ----------
+    times_s : (P,) float64
+        Of the trajectory, strictly ascending.
+    position : (P, 3) float64
+    """
+    rows = np.array(rows_apart(position, SLICE_M))
+    step = np.linalg.norm(np.diff(position[rows], axis=0), axis=1)
+    pieces = np.where(step < MAX_GAP_M, np.maximum(step // SLICE_M, 1), 1).astype(np.int64)
+    time = times_s[rows]
+    inner = [
+        np.linspace(start, end, count, endpoint=False)
+        for start, end, count in zip(time[:-1], time[1:], pieces, strict=True)
+    ]
+    centres = np.concatenate([*inner, time[-1:]])
+    middle = (centres[:-1] + centres[1:]) / 2
+    margin = np.minimum(np.diff(centres) / 2, _MARGIN_S) if len(centres) > 1 else np.full(1, _MARGIN_S)
+    start, end = np.r_[times_s[0] - margin[0], middle], np.r_[middle, times_s[-1] + margin[-1]]
+    for gap in np.searchsorted(centres, time[:-1][step >= MAX_GAP_M]):  # nothing in there
+        end[gap], start[gap + 1] = np.nextafter(centres[gap], np.inf), centres[gap + 1]
+    return Cuts(centres, start, end)
+
+
+@dataclass(frozen=True)
+class Slices(Cuts):
+    """The intervals that hold points: the scans; and between which of them the points of every block lie."""
+
+    counts: IntArray
+    """(S,) int64: points of every scan."""
+    lowest: IntArray
+    highest: IntArray
+    """(B,) int64: of the blocks of all files, one after the other; -1 of a block that belongs to none."""
+
+    @property
+    def steps(self) -> IntArray:
+        """(S,) int64: 1 where all points of a scan are read, 2 where every second is, ..., to `MAX_SCAN_POINTS`."""
+        return np.maximum(-(-self.counts // MAX_SCAN_POINTS), 1)
+
+
+def _index(
+    clouds: tuple[Cloud, ...], cuts: Cuts, track: SurveyTrack, folder: SourceFile, findings: Findings
+) -> tuple[Slices, IntArray]:
+    """Go through all points once; return the scans, and the (256,) counts of the classes of their points.
+
+    Raises
+    ------
+    DriveError
+        A file is damaged, the trajectory misses most points, or their order would make every scan take for ever.
+    """
+    counts, classes = np.zeros(len(cuts.times_s), np.int64), np.zeros(256, np.int64)
+    bounds, outside = [], 0
+    for points in (points for cloud in clouds for points in cloud.read()):
+        found = cuts.of(points.times_s)[~points.withheld]
+        inside = found >= 0
+        outside += int(np.count_nonzero(~inside))
+        bounds.append((found[inside].min(), found[inside].max()) if inside.any() else (-1, -1))
+        counts += np.bincount(found[inside], minlength=len(counts))
+        classes += np.bincount(points.labels[~points.withheld][inside], minlength=256)
+    share = outside / max(int(counts.sum()) + outside, 1)
+    message = f"{outside:,} points ({share:.1%}) were measured when the trajectory has no pose"
+    if not counts.any() or share > _MAX_OUTSIDE:
         raise track.file.fault(
             f"{message}. Expected the trajectory of the whole cloud. Usual cause: a part of it, or another drive's."
         )
     if share > _OUTSIDE_WORTH_SAYING:
         findings.warning(track.file.name, f"{message}; they are left out.")
+    kept = np.flatnonzero(counts)
+    lowest, highest = np.array(bounds, dtype=np.int64).T
+    used = lowest >= 0
+    lowest, highest = (np.where(used, np.searchsorted(kept, ends), -1) for ends in (lowest, highest))
+    slices = Slices(cuts.times_s[kept], cuts.start_s[kept], cuts.end_s[kept], counts[kept], lowest, highest)
+    reads = int((highest - lowest + 1)[used].sum())
+    in_order = len(lowest) + len(kept)  # a scan begins in the block where the one before ends
+    if reads > _HOPELESS * in_order and reads * BLOCK_POINTS > _HOPELESS_POINTS:
+        raise folder.fault(
+            f"the points are not in the order of their times: the {len(kept):,} scans lie in {reads:,} pieces all over "
+            f"the files. Expected points in the order in which they were measured. {_SORT}. Usual cause: a cloud that "
+            "was cut into tiles, or sorted by place."
+        )
+    if reads > _SLOW * in_order:
+        findings.warning(
+            folder.name,
+            f"the points are not in the order of their times: every block of {BLOCK_POINTS:,} points is read for "
+            f"{reads / len(lowest):,.0f} scans, which takes long. {_SORT}.",
+        )
+    return slices, classes
 
 
-def _note_labels(index: SliceIndex, folder: SourceFile, findings: Findings) -> None:
-    classes = ", ".join(str(number) for number in np.flatnonzero(index.classes)[:20])
-    if index.has_road:
+def _note_points(slices: Slices, classes: IntArray, folder: SourceFile, findings: Findings) -> None:
+    if classes[ROAD_SURFACE]:
         findings.note(folder.name, f"the classification of the points is their label ({ROAD_SURFACE}: road surface).")
     else:
         findings.note(
             folder.name,
-            f"no point is classified as road surface ({ROAD_SURFACE}); the classes are {classes}. "
+            f"no point is classified as road surface ({ROAD_SURFACE}); the classes are "
+            f"{', '.join(str(number) for number in np.flatnonzero(classes)[:20])}. "
             "The labels must come from elsewhere: label files, or a network.",
         )
-
-
-def _note_large(index: SliceIndex, folder: SourceFile, findings: Findings) -> None:
-    if large := int(np.count_nonzero(index.steps > 1)):
+    if large := int(np.count_nonzero(slices.steps > 1)):
         findings.note(
             folder.name,
-            f"{large:,} scans hold more than {MAX_SCAN_POINTS:,} points, up to {index.counts.max():,}: of these every "
+            f"{large:,} scans hold more than {MAX_SCAN_POINTS:,} points, up to {slices.counts.max():,}: of these every "
             "second, third, ... is read. Usual cause: the vehicle waited there.",
         )
 
 
-def _trajectory(slices: Slices, origin: FloatArray, yaw: FloatArray, grid: Grid | None, vehicle: Vehicle) -> Trajectory:
-    """Return poses, times and georeference of the scans; L is level, with x ahead.
-
-    Parameters
-    ----------
-    origin : (S, 3) float64
-        Easting, northing, height.
-    yaw : (S,) float64
-        Direction of L's x axis from the east.
-    """
+def _trajectory(
+    times_s: FloatArray, origin: FloatArray, yaw: FloatArray, grid: Grid | None, track: SurveyTrack
+) -> Trajectory:
+    """Return poses, times and georeference of the scans; L is level, with x ahead (`yaw` from the east)."""
     rotation = rotation_from_rpy(0.0, 0.0, yaw)
     georeference, reason = None, "the cloud states no coordinate system"
     if grid is None:
         poses = from_first(rigid_transforms(rotation, origin))
     else:
         lonlat = grid.to_lonlat(origin[:, :2])
-        georeference = Georeference(
-            lat_deg=lonlat[:, 1].copy(),
-            lon_deg=lonlat[:, 0].copy(),
-            alt_m=origin[:, 2].copy(),
-            R_enu_lidar=rotation,
-            source=f"{vehicle.reason}; {grid.name}",
-        )
+        source = f"{track.file.name}; heading from its motion; {grid.name}"
+        lat, lon, height = lonlat[:, 1].copy(), lonlat[:, 0].copy(), origin[:, 2].copy()
+        georeference = Georeference(lat_deg=lat, lon_deg=lon, alt_m=height, R_enu_lidar=rotation, source=source)
         poses, reason = poses_of(georeference), ""
-    lidar = LidarPoses(poses, "lidar", f"cut out of the trajectory {vehicle.reason}")
-    return Trajectory(lidar, len(vehicle.times_s), slices.times_s, georeference, reason)
+    lidar = LidarPoses(poses, "lidar", f"cut out of the trajectory {track.file.name}; heading from its motion")
+    return Trajectory(lidar, len(track.times_s), times_s, georeference, reason)
+
+
+@dataclass(frozen=True)
+class CutClouds:
+    """The scans of a cloud; a `PointSource`. The scans are numbered from 0."""
+
+    clouds: tuple[Cloud, ...]
+    slices: Slices
+    origin: FloatArray
+    """(S, 3) float64: where the vehicle was, in the coordinates of the cloud."""
+    to_lidar: FloatArray
+    """(S, 2, 2) float64: ``xy in L = to_lidar @ (easting, northing from the origin)``."""
+    carries_labels: bool
+
+    def name(self, frame: int) -> str:
+        """Return how messages call a scan: its files, and its time."""
+        names = list(dict.fromkeys(cloud.file.name for cloud, _ in self._blocks(frame)))
+        more = f" and {len(names) - 1} more" if len(names) > 1 else ""
+        return f"{names[0]}{more}, {self.slices.start_s[frame]:.3f} s to {self.slices.end_s[frame]:.3f} s"
+
+    def files(self, frame: int) -> tuple[Path, ...]:
+        """Return the files that a scan is read from."""
+        return tuple(dict.fromkeys(cloud.file.path for cloud, _ in self._blocks(frame)))
+
+    def read(self, frame: int) -> ScanPoints:
+        """Read the points of a scan.
+
+        Raises
+        ------
+        DriveError
+            A file is missing or damaged.
+        """
+        start, end, step = self.slices.start_s[frame], self.slices.end_s[frame], int(self.slices.steps[frame])
+        values, labels, seen = [], [], 0
+        for cloud, block in self._blocks(frame):
+            with in_words(cloud.file):
+                state = cloud.file.path.stat()
+            read = _read_block(cloud, block, (state.st_mtime_ns, state.st_size))
+            rows = np.flatnonzero((read.times_s >= start) & (read.times_s < end) & ~read.withheld)
+            rows, seen = rows[(-seen) % step :: step], seen + len(rows)
+            away = read.xyz[rows] - self.origin[frame]
+            points = np.empty((len(rows), 4), np.float32)
+            points[:, :2] = away[:, :2] @ self.to_lidar[frame].T
+            points[:, 2] = away[:, 2]
+            points[:, 3] = read.intensity[rows]
+            values.append(points)
+            labels.append(read.labels[rows])
+        all_labels = np.concatenate(labels).astype(np.uint32) if self.carries_labels else None
+        return ScanPoints(np.concatenate(values), all_labels)
+
+    def _blocks(self, frame: int) -> Iterator[tuple[Cloud, int]]:
+        """Yield the files and blocks that may hold points of a scan."""
+        begins = np.cumsum([0, *(cloud.blocks for cloud in self.clouds)])
+        for row in np.flatnonzero((self.slices.lowest <= frame) & (frame <= self.slices.highest)):
+            at = int(np.searchsorted(begins, row, side="right")) - 1
+            yield self.clouds[at], int(row - begins[at])
+
+
+@lru_cache(maxsize=4)
+def _read_block(cloud: Cloud, block: int, _state: tuple[int, int]) -> Points:
+    """Read a block of a file in a state; scans are mostly read one after the other, and share them."""
+    return next(cloud.read(block, block + 1))

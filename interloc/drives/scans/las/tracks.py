@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
@@ -14,7 +14,6 @@ import numpy as np
 from interloc.arrays import FloatArray
 from interloc.drives.files import SourceFile, is_number
 from interloc.drives.poses.tum import looks_like_tum, read_tum
-from interloc.geometry import yaw_of
 
 SBET_BYTES = 136
 """17 float64: time, latitude, longitude, altitude, three velocities, roll, pitch, heading, wander angle, ..."""
@@ -32,7 +31,6 @@ _NAMES = {  # in lower case, without units
     "z": "z height elevation ele h alt altitude up pos_z h_ell hell ellipsoidal_height ortho_height orthometric_height",
     "lat": "lat latitude",
     "lon": "lon lng long longitude",
-    "yaw": "yaw heading azimuth",
 }
 _UNIT = re.compile(r"_(s|sec|seconds|m|deg|degrees|rad|radians)$")
 
@@ -48,9 +46,6 @@ class SurveyTrack:
     """(P, 3) float64: easting, northing and height; or longitude, latitude in degrees and altitude where `geographic`.
     """
     geographic: bool
-    headings: dict[str, FloatArray] = field(default_factory=dict)
-    """dict of str to (P,) float64: directions of the vehicle, radians counter-clockwise from the east, by what would
-    have been meant by the numbers of the file; the motion shows which it is. Empty where it states none."""
 
 
 def find_tracks(folders: list[Path]) -> list[Path]:
@@ -72,8 +67,13 @@ def _is_track(path: Path) -> bool:
 
 def is_table(path: Path) -> bool:
     """Return whether a file is a table with a header that names a time and a place."""
-    header = _header_of(path)
-    columns = set() if header is None else set(_columns(header))
+    try:
+        with path.open("rb") as file:
+            text = file.read(_HEAD_BYTES).decode("utf-8-sig", errors="replace").lstrip()
+    except OSError:
+        return False
+    header = _names(text.splitlines()[0]) if text and "\0" not in text else None
+    columns = set(_columns(header or []))
     return any({"time", *place} <= columns for place in (("x", "y"), ("lat", "lon")))
 
 
@@ -94,24 +94,12 @@ def read_track(file: SourceFile) -> SurveyTrack:
         return _read_sbet(file)
     if looks_like_tum(file.path):
         timed = read_tum(file)
-        headings = {"its quaternions": yaw_of(timed.poses[:, :3, :3])}
-        track = SurveyTrack(file, timed.times_s, timed.poses[:, :3, 3], geographic=False, headings=headings)
+        track = SurveyTrack(file, timed.times_s, timed.poses[:, :3, 3], geographic=False)
     else:
         track = _read_table(file)
     if len(track.times_s) < 2:
         raise file.fault("holds one pose only. Expected the trajectory of a drive.")
     return track
-
-
-def _header_of(path: Path) -> list[str] | None:
-    """Return the names of the columns in the first line of a table; None where it holds numbers or is no text."""
-    try:
-        with path.open("rb") as file:
-            head = file.read(_HEAD_BYTES)
-    except OSError:
-        return None
-    text = head.decode("utf-8-sig", errors="replace").lstrip()
-    return _names(text.splitlines()[0]) if text and "\0" not in text else None
 
 
 def _names(line: str) -> list[str] | None:
@@ -138,15 +126,13 @@ def _columns(names: list[str]) -> dict[str, int]:
 
 
 def _read_table(file: SourceFile) -> SurveyTrack:
-    kinds = [("time", *place, "z", *yaw) for yaw in (["yaw"], []) for place in (("x", "y"), ("lon", "lat"))]
-    expected = "Expected a header such as time,x,y,z or time,lat,lon,alt, and optionally heading_deg."
-    table = read_table(file, kinds, expected)
+    kinds = [("time", "x", "y", "z"), ("time", "lon", "lat", "z")]
+    table = read_table(file, kinds, "Expected a header such as time,x,y,z or time,lat,lon,alt.")
     geographic = "lon" in table.columns
     kept = _ascending(table.values, file, table.at)
     values = table.values[kept]
     _check_place(values[:, 1:4], file, geographic=geographic)
-    headings = _meanings(values[:, 4], table.columns["yaw"]) if "yaw" in table.columns else {}
-    return SurveyTrack(file, values[:, 0].copy(), values[:, 1:4].copy(), geographic, headings)
+    return SurveyTrack(file, values[:, 0].copy(), values[:, 1:4].copy(), geographic)
 
 
 class Table(NamedTuple):
@@ -167,7 +153,7 @@ def read_table(file: SourceFile, kinds: Sequence[Sequence[str]], expected: str, 
     ----------
     file : SourceFile
     kinds : sequence of sequence of str
-        Quantities (time, x, y, z, lat, lon, yaw): the first of which there are all are read.
+        Quantities (time, x, y, z, lat, lon): the first of which there are all are read.
     expected : str
         What messages say that the header should be.
     blank : str
@@ -208,20 +194,6 @@ def read_table(file: SourceFile, kinds: Sequence[Sequence[str]], expected: str, 
     return Table({quantity: names[columns[quantity]] for quantity in kind}, np.array(values), at)
 
 
-def _meanings(angle: FloatArray, name: str) -> dict[str, FloatArray]:
-    """Return the directions that an angle could mean: a bearing or a mathematical angle, in degrees or radians."""
-    units = {"degrees": np.radians(angle), "radians": angle}
-    if re.search(r"_deg(rees)?$", name) or np.abs(angle).max() > 2 * np.pi + 0.01:
-        del units["radians"]
-    elif re.search(r"_rad(ians)?$", name):
-        del units["degrees"]
-    meanings = {}
-    for unit, radians in units.items():
-        meanings[f"column {name} as a bearing in {unit}"] = np.pi / 2 - radians
-        meanings[f"column {name} as an angle in {unit} from the east, counter-clockwise"] = radians
-    return meanings
-
-
 def _read_sbet(file: SourceFile) -> SurveyTrack:
     """Read an SBET: smoothed best estimate of trajectory of Applanix, binary."""
     try:
@@ -233,7 +205,7 @@ def _read_sbet(file: SourceFile) -> SurveyTrack:
             )
         records = np.memmap(file.path, dtype="<f8", mode="r").reshape(-1, SBET_BYTES // 8)
         step = -(-len(records) // _MAX_SBET_ROWS)
-        table = np.array(records[::step, :11])
+        table = np.array(records[::step, :4])
     except OSError as error:
         raise file.unreadable(error) from error
     if not np.isfinite(table).all():
@@ -244,12 +216,7 @@ def _read_sbet(file: SourceFile) -> SurveyTrack:
         raise file.fault("latitudes and longitudes are no radians. Expected an SBET. Usual cause: degrees, or text.")
     position = np.stack([np.degrees(table[:, 2]), np.degrees(table[:, 1]), table[:, 3]], axis=1)
     _check_place(position, file, geographic=True)
-    heading, wander = table[:, 9], table[:, 10]
-    headings = {"its heading": np.pi / 2 - heading}
-    if np.abs(wander).max() > 1e-3:
-        headings["its heading less the wander angle"] = np.pi / 2 - (heading - wander)
-        headings["its heading and the wander angle"] = np.pi / 2 - (heading + wander)
-    return SurveyTrack(file, table[:, 0].copy(), position, geographic=True, headings=headings)
+    return SurveyTrack(file, table[:, 0].copy(), position, geographic=True)
 
 
 def _ascending(table: FloatArray, file: SourceFile, at: list[int], what: str = "line") -> FloatArray:
