@@ -226,8 +226,8 @@ def open_file(context: Context, drive_id: str, path: str) -> tuple[BinaryIO, str
             file.close()
     raise Problem(
         BUSY,
-        f"{path} is being replaced, or its bytes are no longer those that were uploaded: the operator finds out with "
-        "`interloc check`.",
+        f"{path} is being replaced, or its bytes are not those that are listed, as after an upload that was cut off: "
+        "send it again. The operator finds what else is wrong with `interloc check`.",
         headers={"Retry-After": "1"},
     )
 

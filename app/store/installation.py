@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import secrets
+from contextlib import suppress
 from pathlib import Path
 
 from sqlalchemy import func, select
@@ -113,11 +114,11 @@ def mark_folder(folder: Path, installation: str) -> None:
         with atomic_write(temporary) as file:
             file.write(f"{installation}\n{_NOTE}\n".encode())
         try:
-            os.link(temporary, folder / FILE)  # unlike a rename, it takes nobody's place
-        except FileExistsError:
-            pass
+            with suppress(FileExistsError):
+                os.link(temporary, folder / FILE)  # unlike a rename, it takes nobody's place
         except OSError:  # a file system without links
-            temporary.replace(folder / FILE)
+            with suppress(FileExistsError), (folder / FILE).open("xb") as file:
+                file.write(temporary.read_bytes())
         temporary.unlink(missing_ok=True)
     if (found := id_of_folder(folder)) != installation:
         raise InstallationError(

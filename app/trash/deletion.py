@@ -20,8 +20,7 @@ from app.http.paging import cursor_of, newest_first, rows_after
 from app.http.problem_types import DRIVE_IN_THE_TRASH, JOB_NOT_ENDED, NOT_IN_THE_TRASH
 from app.http.problems import Problem
 from app.jobs.queue import cancel
-from app.jobs.titles import title_of
-from app.jobs.view import no_job
+from app.jobs.view import no_job, title_of
 from app.states import FINAL
 from app.store.database import moment
 from app.store.incoming import size_of

@@ -12,8 +12,6 @@ from threading import Thread
 
 import pytest
 
-from app.context import Context
-from app.settings import Settings
 from interloc import storage
 from tests.cli.test_batch import contents
 from tests.forks import Command
@@ -169,23 +167,3 @@ def test_results_there_are_read_scored_and_exported_and_drives_pushed_on_from_th
     assert f"only {place}: 0" in compared.out
     assert json.loads(content_of("scored/crossing/report.json"))["policy"] == "all"
     assert "-o" in interloc("label", f"s3://{BUCKET}/short", "--by", "geometry").err
-
-
-def test_a_backup_is_brought_there_and_restored_from_there(interloc: Callable, tmp_path: Path) -> None:
-    Context.open(Settings(data_dir=tmp_path / "data", min_free_bytes=0)).close()
-    (tmp_path / "notes.txt").write_text("mine")
-    put(tmp_path / "notes.txt", "notes/notes.txt")
-    command = ("backup", tmp_path / "out", "--data-dir", tmp_path / "data", "--keep-daily", "1", "--json", "--to")
-    refused = interloc(*command, f"s3://{BUCKET}/notes")
-    assert "holds 1 objects, and no backup. They were not touched" in refused.complaint
-    place = f"s3://{BUCKET}/backups"
-    first = interloc(*command, place).json
-    (made,) = {key.partition("/")[0] for key in keys_below("backups")}
-    assert first["copied_files"] == len(keys_below("backups")) == 2
-    Path(first["out"]).rename(tmp_path / "out" / "2026-01-31T030000Z")
-    interloc(*command, place)
-    (newer,) = {key.partition("/")[0] for key in keys_below("backups")}
-    assert newer >= made
-    restored = interloc("restore", place, "--data-dir", tmp_path / "restored", "--generation", newer[:4], "--json").json
-    assert (restored["backup"], restored["findings"]) == (f"{place}/{newer}", [])
-    assert "holds no backup" in interloc("restore", f"s3://{BUCKET}/notes", "--data-dir", tmp_path / "never").complaint
