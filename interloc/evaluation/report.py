@@ -15,7 +15,7 @@ import numpy as np
 
 from interloc.arrays import FloatArray, IntArray
 from interloc.config import flatten
-from interloc.drawing import image
+from interloc.drawing import ImageFormat, image
 from interloc.errors import OutputError
 from interloc.evaluation.coverage import track_bounds
 from interloc.evaluation.evaluate import Evaluation
@@ -164,11 +164,11 @@ def _write_figures(evaluation: Evaluation, result: DriveResult, folder: Path) ->
         ("errors", error_figure(evaluation)),
         ("thresholds", threshold_figure(evaluation)),
     ):
-        png, svg = image(figure, "png"), image(figure, "svg")
-        write_file(folder / f"{name}.png", png)
-        write_file(folder / f"{name}.svg", svg)
         # Thousands of marks are smaller and faster as pixels; curves are sharper as curves.
-        pictures[name] = data_address(png, "image/png") if name == "map" else data_address(svg, "image/svg+xml")
+        kind: ImageFormat = "png" if name == "map" else "svg"
+        picture = image(figure, kind)
+        write_file(folder / f"{name}.{kind}", picture)
+        pictures[name] = data_address(picture, "image/png" if kind == "png" else "image/svg+xml")
     return pictures
 
 

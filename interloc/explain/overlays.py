@@ -11,8 +11,7 @@ from interloc.drawing import PAPER
 from interloc.drive import Georeference
 from interloc.explain import steps
 from interloc.explain.canvas import Canvas, Square
-from interloc.explain.evidence import ExplainedKeyframe
-from interloc.explain.record import record
+from interloc.explain.evidence import ExplainedKeyframe, record
 from interloc.geometry import lonlat_from_enu, rotate_2d, yaw_of
 from interloc.output.geojson import positions
 
