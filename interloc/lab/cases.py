@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from interloc.drive import Drive
-from interloc.drives.georeference.oxts import ODOMETRY_OF_RAW
+from interloc.drives.georeference.read import ODOMETRY_OF_RAW
 from interloc.drives.open import open_drive
 from interloc.drives.options import DriveOptions, LabelFolder
 from interloc.errors import ConfigError, DriveError, GeoreferenceError, MapError
