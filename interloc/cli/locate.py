@@ -61,7 +61,7 @@ def command(
     Exit code 1 where the place is ambiguous or was not found: then no geo.csv is written.
     """
     from interloc.errors import ConfigError
-    from interloc.localization.decision import MIN_LENGTH_M
+    from interloc.localization.evidence import MIN_LENGTH_M
     from interloc.localization.locate import locate
     from interloc.localization.placing import require_found
     from interloc.localization.track import track_of
@@ -99,7 +99,7 @@ def command(
 
 def _write(out: Path | None, drive: Drive, georeference: Georeference) -> list[tuple[str, str]]:
     """Write the geo.csv, if one is asked for, and return what to say of it."""
-    from interloc.drives.georeference.geo_csv import write_geo_csv
+    from interloc.drives.georeference.read import write_geo_csv
 
     if out is None:
         return []

@@ -85,13 +85,7 @@ SCHEMES = {scheme.name: scheme for scheme in (SEMANTICKITTI, LEARNING, KITTI360,
 
 
 def named_scheme(choice: str) -> LabelScheme | None:
-    """Return the scheme that was asked for by its name or by its ids of road; None for "auto".
-
-    Raises
-    ------
-    ConfigError
-        There is no such scheme, or an id is not a number from 0 to 65535.
-    """
+    """Return the scheme that was asked for by its name or by its ids of road; None for "auto"."""
     if choice == "auto":
         return None
     if choice in SCHEMES:
@@ -189,11 +183,6 @@ def judge_labels(
         The pose lines are KITTI-360's.
     check : bool
         Check the share of road, and that the ids belong to the scheme.
-
-    Raises
-    ------
-    DriveError
-        No point is road, or the ids are of another scheme; where `findings` stops at it.
     """
     scheme = named_scheme(choice)
     if scheme is None and counts:

@@ -11,15 +11,12 @@ from interloc.drive import Georeference
 from interloc.drives.files import SourceFile, gaps, listed, rows_by_frame, seconds_of
 from interloc.drives.findings import DriveFileError, Findings
 from interloc.drives.georeference.geodetic import poses_of
-from interloc.drives.georeference.kitti360 import georeference_of_kitti360, is_karlsruhe
-from interloc.drives.georeference.read import AS_PUBLISHED, read_georeference
+from interloc.drives.georeference.read import AS_PUBLISHED, georeference_of_kitti360, is_karlsruhe, read_georeference
 from interloc.drives.layouts import NUMBERED_ANYHOW, DriveParts, PoseOwner
 from interloc.drives.options import DriveOptions, PoseFrame
-from interloc.drives.poses.calibration import IMU_CALIBRATION
-from interloc.drives.poses.frame import to_lidar
-from interloc.drives.poses.lines import PoseLines, read_poses
+from interloc.drives.poses.files import PoseLines, is_tum, read_poses, read_tum
+from interloc.drives.poses.frame import IMU_CALIBRATION, to_lidar
 from interloc.drives.poses.motion import longest_piece
-from interloc.drives.poses.tum import is_tum, read_tum
 from interloc.errors import InterLocError
 from interloc.geometry import enu_from_lonlat, from_first
 
@@ -124,11 +121,6 @@ def read_trajectory(
         Scan numbers, ascending.
     times_s : (N,) float64 or None
         Times of the scans, where they are known without a file of times.
-
-    Raises
-    ------
-    DriveError, GeoreferenceError
-        The first fault, where `findings` stops at it.
     """
     georeference, reason = None, "the drive has neither oxts/ nor geo.csv"
     poses, pose_count = None, 0
@@ -272,11 +264,6 @@ def posed_frames(parts: DriveParts, frames: IntArray, findings: Findings) -> Int
     (M,) int64
         Numbers of the scans to use; all of them in any other layout, and where the poses cannot be read (which their
         reader says later).
-
-    Raises
-    ------
-    DriveError
-        None of them has a pose, and `findings` stops at that.
     """
     if parts.layout != "kitti360" or parts.poses is None:
         return frames

@@ -65,20 +65,7 @@ class Comparison(BaseModel):
 def compare_reports(
     names: Sequence[str], reports: Sequence[Mapping[str, Any]], runs: Sequence[Mapping[str, Any]]
 ) -> Comparison:
-    """Put the reports of several runs over one drive side by side.
-
-    Parameters
-    ----------
-    names
-        Names of the runs; every list of values in the outcome is in their order.
-    reports, runs
-        Contents of each `report.json` and `run.json`.
-
-    Raises
-    ------
-    ConfigError
-        Fewer than two runs.
-    """
+    """Put `report.json` and `run.json` of several runs over one drive side by side, in the order of their names."""
     if len(names) < 2 or not len(names) == len(reports) == len(runs):
         raise ConfigError(f"a comparison takes two runs or more, each with its report; {len(names)} given")
     tables = [{node["osm_id"]: node for node in report["nodes"]} for report in reports]
@@ -103,24 +90,7 @@ def compare_reports(
 
 
 def write_comparison(comparison: Comparison, reports: Sequence[Mapping[str, Any]], out: Path) -> None:
-    """Write a comparison as a page, or the curves of all runs over D as a picture.
-
-    Parameters
-    ----------
-    comparison
-        What `compare_reports` returned.
-    reports
-        Contents of each `report.json`, in the order of the runs.
-    out
-        ``.html``, ``.svg`` or ``.png``; an older file of that name is replaced.
-
-    Raises
-    ------
-    ConfigError
-        The format is unknown, or `out` is a file that makes up a result folder.
-    OutputError
-        The file could not be written.
-    """
+    """Write a comparison as a page (.html), or the curves of all runs over D as a picture (.svg, .png)."""
     from interloc.evaluation.figures import comparison_figure  # noqa: PLC0415 - slow to import
 
     suffix = out.suffix.lower()

@@ -78,15 +78,7 @@ def write_report(evaluation: Evaluation, out_dir: str | os.PathLike[str], *, res
 
 
 def render_html(record: dict[str, Any], result: DriveResult, pictures: dict[str, str]) -> str:
-    """Return the page of a report as one file that needs no server.
-
-    Parameters
-    ----------
-    record
-        What `report_record` returned.
-    pictures
-        Data addresses of the figures `map`, `errors` and `thresholds`.
-    """
+    """Return the page of a report as one file that needs no server; `pictures` are data addresses of its figures."""
     standard = threshold_name(STANDARD_THRESHOLD_M)
     nodes = sorted(
         record["nodes"],
@@ -141,13 +133,7 @@ def data_address(content: bytes, mime_type: str) -> str:
 
 
 def make_folder(folder: Path) -> None:
-    """Create a folder inside a result folder.
-
-    Raises
-    ------
-    OutputError
-        It cannot be created.
-    """
+    """Create a folder inside a result folder; an OutputError says why it cannot be created."""
     try:
         folder.mkdir(exist_ok=True)
     except OSError as error:

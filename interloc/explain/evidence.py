@@ -154,22 +154,7 @@ class ExplainedKeyframe:
 
 
 def gather(drive: Drive, frame: int, config: DetectorConfig) -> ExplainedKeyframe:
-    """Run the method on the keyframe nearest to a scan number, and keep everything.
-
-    Parameters
-    ----------
-    drive
-    frame : int
-        Scan number, within the drive.
-    config
-
-    Raises
-    ------
-    ConfigError
-        The drive has no such scan.
-    DriveError
-        The drive is empty, or a scan of the window is damaged.
-    """
+    """Run the method on the keyframe nearest to a scan number of a drive, and keep everything."""
     if not len(drive.frames):
         raise DriveError(f"{drive.name}: the drive holds no scans")
     low, high = int(drive.frames[0]), int(drive.frames[-1])
@@ -225,13 +210,7 @@ class GroundTruth:
 def ground_truth(
     explained: ExplainedKeyframe, georeference: Georeference, graph: RoadGraph, policy: Policy
 ) -> GroundTruth:
-    """Bring the map into W by the keyframe's own fix: the errors of the poses along the drive play no part.
-
-    Raises
-    ------
-    ConfigError
-        There is no such policy.
-    """
+    """Bring the map into W by the keyframe's own fix: the errors of the poses along the drive play no part."""
     i = explained.index
     lat_deg, lon_deg = georeference.lat_deg[i], georeference.lon_deg[i]
     turn = explained.yaw_rad - yaw_of(georeference.R_enu_lidar[i])

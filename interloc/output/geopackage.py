@@ -76,21 +76,9 @@ _EXTENSIONS = [
 
 
 def describe(database: Path, layers: Sequence[tuple[Layer, Credit]], run: str) -> None:
-    """Add what is known about layers and fields to a GeoPackage.
+    """Add what is known about layers and fields, and the text of `run.json`, to a GeoPackage.
 
-    Parameters
-    ----------
-    database
-        The file.
-    layers
-        The layers in it, each with whose data it is.
-    run
-        Text of `run.json`; kept on one line, since tools print it before the fields.
-
-    Raises
-    ------
-    sqlite3.Error
-        The disk is full.
+    The text is kept on one line, since tools print it before the fields. A full disk is an sqlite3.Error.
     """
     with _transaction(database) as sql:
         sql.executescript(_TABLES)
@@ -122,13 +110,7 @@ def describe(database: Path, layers: Sequence[tuple[Layer, Credit]], run: str) -
 
 
 def add_road(database: Path, mosaic: Mosaic) -> None:
-    """Add the road seen by LiDAR to a GeoPackage as tiles, the picture of the page, in cells of 0.5 m and coarser ones.
-
-    Raises
-    ------
-    sqlite3.Error
-        The disk is full.
-    """
+    """Add the road seen by LiDAR to a GeoPackage as tiles, as the page draws it, in cells of 0.5 m and coarser ones."""
     rasters = [mosaic.raster]
     while len(rasters[-1].tiles) > 1 and len(rasters) < _MAX_LEVELS:
         rasters.append(rasters[-1].coarser())

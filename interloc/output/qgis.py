@@ -317,19 +317,7 @@ _ROAD = Source("gdal", f"attachment:{ROAD_FILE}")
 
 
 def write_qgz(out: Path, database: Path, layers: Layers, name: str, *, local: bool, road: Path | None) -> None:
-    """Write a project with its data.
-
-    Parameters
-    ----------
-    out
-        File to write.
-    database
-        The GeoPackage with the layers.
-    layers, name, local
-        As of `project`.
-    road
-        The road seen by LiDAR, a GeoTIFF, where there is one; it lies below the others.
-    """
+    """Write a project (see `project`) with its data: the GeoPackage, and below it `road.tif`, where there is one."""
 
     def source_of(layer: Layer) -> Source:
         return Source("ogr", f"attachment:{_DATA}|layername={layer.name}")
@@ -345,20 +333,10 @@ def write_qgz(out: Path, database: Path, layers: Layers, name: str, *, local: bo
 def project(
     layers: Layers, name: str, source_of: Callable[[Layer], Source], *, local: bool = False, has_road: bool = False
 ) -> str:
-    """Return a project as a document of QGIS (``.qgs``).
+    """Return a project with this title as a document of QGIS (``.qgs``).
 
-    Parameters
-    ----------
-    layers
-        Those of a result.
-    name
-        Title of the project.
-    source_of
-        Tells where the data of a layer is.
-    local
-        Whether the layers are in metres of their own frame.
-    has_road
-        Whether the road seen by LiDAR lies beside the project, as `road.tif`.
+    `source_of` tells where the data of a layer is; `local`: the layers are in metres of their own frame; `has_road`:
+    the road seen by LiDAR lies beside the project, as `road.tif`.
     """
     there = {layer.name: (layer, rows) for layer, rows in layers}
     points = there["keyframes"][1].points()

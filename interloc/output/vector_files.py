@@ -121,22 +121,7 @@ def suffixes_here() -> list[str]:
 
 
 def write_live_project(result: Path, out: Path, source_of: Callable[[Layer], Source]) -> None:
-    """Write a project of QGIS (``.qgs``) whose layers are read from the service that has the result.
-
-    Parameters
-    ----------
-    result
-        Result folder with georeference.
-    out
-        File to write.
-    source_of
-        Tells where the service has a layer.
-
-    Raises
-    ------
-    OutputError
-        `result` is not a result folder, or `out` could not be written.
-    """
+    """Write a project of QGIS whose layers are read from the service; `source_of` tells where it has each."""
     layers = [(EXPORTS[name], _read(result, name)) for name in _choose(result, None, ".qgz")]
     write_file(out, project(layers, _name_of(result), source_of))
 

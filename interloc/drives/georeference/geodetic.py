@@ -10,7 +10,7 @@ from interloc.arrays import FloatArray, IntArray
 from interloc.drive import Georeference
 from interloc.drives.files import SourceFile
 from interloc.drives.findings import Findings, GeoreferenceFileError
-from interloc.drives.georeference.shift import fit_shift
+from interloc.drives.georeference.fixes import fit_shift
 from interloc.drives.poses.motion import body_steps, body_turns, rows_apart
 from interloc.geometry import ecef_from_geodetic, enu_from_lonlat, from_first, rigid_transforms
 
@@ -62,11 +62,6 @@ def checked_fixes(file: SourceFile, rows: FloatArray, frames: IntArray) -> Float
         Latitude, longitude in degrees, altitude in metres, roll, pitch, yaw in radians.
     frames : (N,) int64
         Scan numbers, for messages.
-
-    Raises
-    ------
-    GeoreferenceError
-        One of them is out of range, or has no fix.
     """
     rows = rows.copy()
     rows[:, 0], rows[:, 1], _ = in_degrees(rows[:, 0], rows[:, 1])

@@ -127,11 +127,6 @@ class RawScans:
         ----------
         trajectory
             Reads where the LiDAR was: some labels need it.
-
-        Raises
-        ------
-        DriveError, ModelError
-            There are none, or they do not fit; where `findings` stops at that.
         """
         labels: LabelSource | None = None
         has_labels = recording.carries_labels or options.model is not None or folder == "geometry"
@@ -279,13 +274,7 @@ class RawScans:
         return scan_once((id(source), frame), lambda: source.read(frame), lambda points: points.nbytes)
 
     def read(self, frame: int) -> GroundPoints:
-        """Read the ground points of a scan.
-
-        Raises
-        ------
-        DriveError
-            A file is missing or cut short, labels and points differ in number, or a point that is kept is not finite.
-        """
+        """Read the ground points of a scan."""
         source, labels = self.sources
         points, name = self.points_of(frame), source.name(frame)
         ids = labels.of(frame, points, name)
@@ -321,13 +310,7 @@ _CONVERT = (
 
 
 def read_labels(file: SourceFile) -> UInt32Array:
-    """Read the (N,) uint32 labels of a file.
-
-    Raises
-    ------
-    DriveError
-        It cannot be read, or holds floating-point numbers.
-    """
+    """Read the (N,) uint32 labels of a file."""
     try:
         labels: UInt32Array = np.fromfile(file.path, dtype="<u4")
     except OSError as error:
