@@ -69,13 +69,7 @@ class MislabelledDrive:
         return self.drive.georeference
 
     def ground_points(self, index: int) -> GroundPoints:
-        """Read a scan, and let some of its labels err.
-
-        Raises
-        ------
-        DriveError
-            As of the drive underneath.
-        """
+        """Read a scan, and let some of its labels err."""
         points = self.drive.ground_points(index)
         draw = np.random.default_rng([self.seed, int(self.drive.frames[index])]).random(
             len(points.xyz), dtype=np.float32
