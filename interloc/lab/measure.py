@@ -17,10 +17,9 @@ from interloc.arrays import FloatArray
 from interloc.config import DetectorConfig
 from interloc.detection.keyframes import select_keyframes
 from interloc.drive import Drive
-from interloc.drives.label_errors import MislabelledDrive
+from interloc.drives.label_errors import MislabelledDrive, parse_level
 from interloc.errors import OutputError
 from interloc.evaluation.evaluate import Evaluation, evaluate
-from interloc.evaluation.label_errors import parse_level
 from interloc.evaluation.matching import UNMATCHED
 from interloc.evaluation.metrics import STANDARD_THRESHOLD_M
 from interloc.evaluation.reliability import squared_errors
