@@ -22,7 +22,6 @@ from app.drives.records import drive_key, files_key, reduced_key
 from app.http.problem_types import RESULT_IS_GONE
 from app.http.problems import Problem
 from app.jobs.queue import active_job
-from app.ogc.indexing import index_job, is_indexed, is_indexed_as, read_chunks
 from app.paths import without_folder
 from app.states import DriveState, JobKind, JobState
 from app.store import sidecars
@@ -96,7 +95,6 @@ def check(
     for number, job_id in enumerate(jobs, start=len(drives)):
         progress(number, total, f"job {job_id}")
         found += _check_job(context, job_id, repair=repair, may_fail=may_fail)
-        found += _check_features(context, job_id, repair=repair, quick=quick)
     return [*found, *_check_folders(context, repair=repair)]
 
 
@@ -347,31 +345,6 @@ def _check_job(context: Context, job_id: str, *, repair: bool, may_fail: bool) -
     if repair:
         sidecars.write(context.storage, job)
     return [_sidecar_discrepancy(f"jobs/{job_id}/{sidecars.JOB_FILE}", repair=repair)]
-
-
-def _check_features(context: Context, job_id: str, *, repair: bool, quick: bool) -> Iterator[Discrepancy]:
-    """Find a result whose features are in the index otherwise than in its files; those that it lacks are written."""
-    with context.database.reading() as session:
-        job = session.get(Job, job_id)
-        if job is None or job.state != JobState.SUCCESSFUL:
-            return
-        indexed = is_indexed(session, job_id)
-    if (quick or not indexed) and not repair:  # a server writes them at its next start
-        return
-    try:
-        chunks = read_chunks(context, job_id)
-    except InterLocError as error:
-        folder = context.storage.folder(f"jobs/{job_id}/result")
-        message = f"{without_folder(str(error), folder, 'result')} A GIS sees what the index of features still holds."
-        yield Discrepancy("result", f"jobs/{job_id}/result", message)
-        return
-    with context.database.reading() as session:
-        agrees = is_indexed_as(session, job_id, chunks)
-    if not agrees and repair:
-        index_job(context, job_id)
-    if not agrees and indexed:
-        message = "the index of features holds something else than its files, which is what a GIS sees."
-        yield Discrepancy("features", f"jobs/{job_id}/result", message, "indexed anew" if repair else None)
 
 
 def _fault_of_result(folder: Path) -> str | None:
