@@ -153,21 +153,15 @@ class Place:
     ) -> str:
         """Return a page of features; `asked` are the parameters of the request, `token` makes `after` of others."""
         address = f"{self.address}/collections/{collection.id}"
-        rest = [(name, value) for name, value in asked if name not in {"after", "offset"}]
-
-        def page_link(relation: str, key: Key | None, title: str) -> dict[str, str]:
-            query = [*rest, *([] if key is None else [("after", token(key))])]
-            return _link(relation, f"{address}/items{_query(query)}", GEOJSON, title)
-
         links = [
             _link("self", f"{address}/items{_query(asked)}", GEOJSON, "This document"),
             _link("collection", address, "application/json", collection.layer.title),
             _link("describedby", f"{address}/feature-schema", SCHEMA, "Schema of the GeoJSON"),
         ]
         if page.next is not None:
-            links.append(page_link("next", page.next, "Next page"))
-        if not page.is_first:
-            links.append(page_link("prev", page.previous, "Previous page"))
+            rest = [(name, value) for name, value in asked if name not in {"after", "offset"}]
+            following = _query([*rest, ("after", token(page.next))])
+            links.append(_link("next", f"{address}/items{following}", GEOJSON, "Next page"))
         head = {
             "type": "FeatureCollection",
             "links": links,

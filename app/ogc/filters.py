@@ -41,7 +41,6 @@ CRS84 = "http://www.opengis.net/def/crs/OGC/1.3/CRS84"
 _MAX_WORDS = 2 * MAX_NODES
 _QUOTED = re.compile(r"'[^']*'|\"[^\"]*\"")
 _COORDINATES = re.compile(r"\([-+0-9.eE,()\s]*\)")
-_CHAIN = re.compile(rf"(?:\bnot\s+|-\s*){{{MAX_DEPTH}}}", re.IGNORECASE)
 _ILIKE = re.compile(r"\b(?P<name>\w+) +ILIKE +(?P<pattern>'(?:[^']|'')*')|'(?:[^']|'')*'", re.IGNORECASE)
 _WORD = re.compile(r"\w[\w.]*|[^\w\s,()]")
 _GEOMETRY = {"property": GEOMETRY}
@@ -64,8 +63,6 @@ def read_filter(
         Queryables with the values that they must have, too, as they stand in addresses.
     """
     parts = [] if content is None else [_parse(content, language)]
-    if language == "cql-text":
-        parts = [_with_truth_values(part, collection) for part in parts]
     for name, text in (values or {}).items():
         parts.append({"op": "=", "args": [{"property": name}, _value(name, text, collection)]})
     tree = parts[0] if len(parts) == 1 else {"op": "and", "args": parts}
@@ -78,7 +75,7 @@ def _parse(content: str, language: Language) -> Any:  # noqa: ANN401 - JSON
         raise bad_filter(f"It has {len(content):,} characters, more than {MAX_CHARACTERS:,}.")
     if language == "cql-text":
         content = _ILIKE.sub(_without_ilike, content)
-    if _nesting(content) > MAX_DEPTH or _CHAIN.search(content):  # before any parser sees it: theirs are recursive
+    if _nesting(content) > MAX_DEPTH:  # before any parser sees it: theirs are recursive
         raise bad_filter(f"It is nested deeper than {MAX_DEPTH} levels.")
     if language != "cql2-json" and _words(content) > _MAX_WORDS:  # likewise
         raise bad_filter(f"It is larger than {MAX_NODES} parts.")
@@ -97,17 +94,6 @@ def _without_ilike(match: re.Match[str]) -> str:
     if match["name"] is None:
         return match[0]
     return f"CASEI({match['name']}) LIKE CASEI({match['pattern']})"
-
-
-def _with_truth_values(tree: Any, collection: Collection) -> Any:  # noqa: ANN401 - JSON
-    """Return a tree with true and false where a property that is one of them is compared with 1 or 0."""
-    if not isinstance(tree, dict) or "args" not in tree:
-        return tree
-    arguments = [_with_truth_values(each, collection) for each in tree["args"]]
-    names = [each["property"] for each in arguments if isinstance(each, dict) and "property" in each]
-    if any(collection.queryables.get(name) == "bool" for name in names) and tree["op"] in {"=", "<>"}:
-        arguments = [bool(each) if each in (0, 1) else each for each in arguments]
-    return {**tree, "args": arguments}
 
 
 def _value(name: str, text: str, collection: Collection) -> str | float | bool:
@@ -208,6 +194,8 @@ class _Value:
     """Of a day."""
     text: str | None = None
     """Of a text that the filter holds."""
+    number: float | None = None
+    """Of a number that it holds."""
 
 
 @dataclass
@@ -291,7 +279,7 @@ class Translator:
             text = node.replace("\0", "")
             return _Value("text", literal(text), text=text)
         if isinstance(node, int | float):
-            return _Value("number", literal(float(node)))
+            return _Value("number", literal(float(node)), number=float(node))
         if isinstance(node, dict) and "property" in node:
             return self._property(node["property"])
         if isinstance(node, dict) and len(node) == 1 and node.keys() <= {"timestamp", "date"}:
@@ -373,6 +361,8 @@ class Translator:
 
 def _as_other(value: _Value, other: _Value) -> _Value:
     """Return a value that a filter holds as the kind that it is compared with."""
+    if other.kind == "bool" and value.number in {0.0, 1.0}:
+        return _Value("bool", true() if value.number else false())  # as GDAL writes it
     if other.kind == "id" and value.kind == "number":
         return replace(value, kind="id")
     if other.kind == "id" and value.text is not None:

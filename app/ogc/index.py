@@ -14,7 +14,7 @@ from functools import reduce
 from typing import Any, NamedTuple
 
 import numpy as np
-from sqlalchemy import ColumnElement, Row, Select, and_, case, false, func, literal, or_, select, text, tuple_
+from sqlalchemy import ColumnElement, Row, Select, and_, case, false, func, literal, or_, select, text, true, tuple_
 from sqlalchemy.exc import OperationalError
 from sqlalchemy.orm import Session
 
@@ -82,9 +82,6 @@ class Page:
     """Number of all."""
     next: Key | None
     """`Query.after` of the next page."""
-    previous: Key | None
-    """The same of the previous one."""
-    is_first: bool
 
 
 @dataclass(frozen=True)
@@ -204,7 +201,7 @@ def _layers(
     """Return the layers of a collection that have features, by their ids and in their order."""
     of = FeatureLayer
     drive = literal(None) if source.map is not None else Drive.name
-    columns = (of.id, of.count, of.west, of.south, of.east, of.north, of.width)
+    columns = (of.id, of.count.label("features"), of.west, of.east, of.width)
     query = source.layers(*columns, drive.label("drive"), of.job_id.label("job"), of.preset, of.labels)
     query = query.where(of.layer == collection.layer.name, of.count > 0, *conditions).order_by(of.id)
     return {row.id: row for row in session.execute(query)}
@@ -227,7 +224,7 @@ class _Search:
         """Yield conditions that hold where one feature of a layer matches."""
         of = FeatureLayer
         if (area := self._query.area) is not None:
-            yield or_(*(_touches(of.west, of.south, of.east, of.north, part) for part in area.parts))
+            yield or_(*(_touches((of.west, of.south, of.east, of.north), part) for part in area.parts))
         if (interval := self._query.interval) is not None:
             yield and_(of.first_time <= interval[1], of.last_time >= interval[0])
         if self._source.map is None:
@@ -276,7 +273,7 @@ class _Search:
     def _near(self, part: Sequence[float]) -> ColumnElement[bool]:
         """Return the condition that the box of a feature touches another one: a range of the index."""
         widest = max((layer.width or 0.0 for layer in self._layers.values()), default=0.0)
-        return and_(self._table.c.west >= part[0] - widest - 1e-9, _touches(*self._box, part))
+        return and_(self._table.c.west >= part[0] - widest - 1e-9, _touches(self._box, part))
 
     def _asked(self, *columns: Any, where: Sequence[ColumnElement[bool]] = ()) -> Select[Any]:  # noqa: ANN401
         among = self._table.c.layer_id.in_(list(self._layers))
@@ -284,32 +281,27 @@ class _Search:
 
     def page(self) -> Page:
         """Return the page that is asked for."""
-        if self._exact:
-            return self._page_of(self._touching())
         table, query = self._table, self._query
-        order = (table.c.layer_id, table.c.number)
-        later = [] if query.after is None else [self._key > tuple_(*query.after)]
-        asked = self._asked(table, where=later).order_by(*order).limit(query.limit + 1).offset(query.offset)
-        rows = self._session.execute(asked).all()
-        is_last, rows = len(rows) <= query.limit, rows[: query.limit]
-        if not self._conditions:
-            matched = sum(layer.count for layer in self._layers.values())
-        elif is_last and query.after is None and (rows or not query.offset):
-            matched = query.offset + len(rows)
+        asked = select(table) if self._exact else self._asked(table)
+        matched: int | None = None if self._conditions else sum(layer.features for layer in self._layers.values())
+        if self._exact:
+            keys = self._touching()
+            start = query.offset if query.after is None else sum(key <= query.after for key in keys)
+            matched, some = len(keys), keys[start : start + query.limit + 1]
+            asked = asked.where(self._key.in_(some) if some else false())
         else:
+            asked = asked.where(true() if query.after is None else self._key > tuple_(*query.after))
+            asked = asked.limit(query.limit + 1).offset(query.offset)
+        rows = self._session.execute(asked.order_by(table.c.layer_id, table.c.number)).all()
+        is_last, rows = len(rows) <= query.limit, rows[: query.limit]
+        if matched is None and is_last and query.after is None and (rows or not query.offset):
+            matched = query.offset + len(rows)
+        if matched is None:
             matched = self._session.scalar(self._asked(func.count())) or 0
-        before: Sequence[Any] = []
-        if query.after is not None or query.offset:
-            earlier = [self._key < tuple_(rows[0].layer_id, rows[0].number)] if rows else []
-            backwards = (column.desc() for column in order)
-            asked = self._asked(*order, where=earlier).order_by(*backwards).limit(query.limit + 1)
-            before = self._session.execute(asked).all()
         return Page(
             features=list(_features(self._source, self._collection, self._layers, rows)),
             matched=matched,
             next=None if is_last or not rows else Key(rows[-1].layer_id, rows[-1].number),
-            previous=Key(*before[query.limit]) if len(before) > query.limit else None,
-            is_first=not before,
         )
 
     def _touching(self) -> list[Key]:
@@ -318,42 +310,20 @@ class _Search:
 
         table = self._table.c
         surely = [false() if within is None else within for _, within in self._exact]
-        own = (
-            [table.west, table.south]
-            if self._collection.is_point
-            else [case((and_(*surely), None), else_=table.geometry)]
-        )
+        is_point = self._collection.is_point
+        own = [table.west, table.south] if is_point else [case((and_(*surely), None), else_=table.geometry)]
         asked = self._asked(table.layer_id, table.number, *own).order_by(table.layer_id, table.number)
         rows = self._session.execute(asked).all()
-        if self._collection.is_point:
-            shapes = shapely.points(np.array([row[2:] for row in rows], dtype=np.float64).reshape(-1, 2))
-        else:
-            shapes = shapes_of([row[2] for row in rows])
-        doubtful = ~shapely.is_missing(shapes)
-        touching = reduce(np.logical_and, (_intersects(shape, shapes[doubtful]) for shape, _ in self._exact))
-        doubtful[doubtful] = ~touching
-        return [Key(row.layer_id, row.number) for row, out in zip(rows, doubtful.tolist(), strict=True) if not out]
-
-    def _page_of(self, keys: list[Key]) -> Page:
-        """Return the page among features that were found already."""
-        query, table = self._query, self._table
-        start = min(query.offset, len(keys))
-        if query.after is not None:
-            start = sum(key <= query.after for key in keys)
-        some = keys[start : start + query.limit]
-        asked = select(table).where(self._key.in_(some)).order_by(table.c.layer_id, table.c.number)
-        rows = self._session.execute(asked).all() if some else []
-        previous = start - query.limit - 1
-        return Page(
-            features=list(_features(self._source, self._collection, self._layers, rows)),
-            matched=len(keys),
-            next=some[-1] if some and start + query.limit < len(keys) else None,
-            previous=keys[previous] if previous >= 0 else None,
-            is_first=start == 0,
-        )
+        points: Any = np.array([row[2:] for row in rows], dtype=np.float64).reshape(-1, 2) if is_point else []
+        shapes: Any = shapely.points(points) if is_point else shapes_of([row[2] for row in rows])
+        touching = shapely.is_missing(shapes)  # surely
+        doubtful = ~touching
+        touching[doubtful] = reduce(np.logical_and, (_intersects(shape, shapes[doubtful]) for shape, _ in self._exact))
+        return [Key(row.layer_id, row.number) for row, is_in in zip(rows, touching.tolist(), strict=True) if is_in]
 
 
-def _touches(west: Any, south: Any, east: Any, north: Any, part: Sequence[float]) -> ColumnElement[bool]:  # noqa: ANN401
+def _touches(box: Sequence[Any], part: Sequence[float]) -> ColumnElement[bool]:
+    west, south, east, north = box
     return and_(west <= part[2], east >= part[0], south <= part[3], north >= part[1])
 
 

