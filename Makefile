@@ -44,7 +44,7 @@ serve: $(READY)
 
 # A drive through a made-up town, made once. Its folder appears when it is complete; another version of the simulator or
 # of the command makes it anew.
-demo/drive/simulation.json: $(READY) Makefile $(wildcard interloc/simulate/*.py interloc/simulate/*.osm interloc/kernels/raycast.py)
+demo/drive/simulation.json: $(READY) Makefile $(wildcard interloc/lab/*.py interloc/lab/*.osm )
 	$(BIN)/interloc simulate town --part quarter --ground-only --columns 720 -o demo/drive
 
 # The drive mapped and scored against the town's own map, all in demo/; then the same in the web service, until Ctrl-C.
@@ -75,7 +75,7 @@ coverage: test
 
 # What needs neither a server nor a browser: about a minute.
 test-quick: $(READY_TO_TEST)
-	$(RUN) $(PYTEST) -n logical $(addprefix --ignore=tests/,app benchmark chain cli client page performance test_demo.py)
+	$(RUN) $(PYTEST) -n logical $(addprefix --ignore=tests/,app chain cli client lab page performance test_demo.py)
 
 # The kernels are compiled once, and not by all processes of the tests at the same time.
 $(COMPILED): $(READY_TO_TEST) $(shell grep -rlE "(import|def) compiled" interloc --include=*.py)

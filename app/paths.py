@@ -20,9 +20,6 @@ MAX_DEPTH = 16
 ARCHIVE_ENDINGS = (".zip", ".tar", ".tar.gz", ".tgz", ".tar.zst", ".tzst")
 """Endings of archives, for those who choose one; the service itself looks at the first bytes."""
 
-RECORDING_ENDINGS = (".bag", ".db3", ".mcap", ".las", ".laz")
-"""Endings of files that hold many scans, and are as large as a whole drive."""
-
 _MAX_SHOWN_CHARS = 80
 _CONTROLS = {"Cc", "Cf", "Cs", "Zl", "Zp"}
 _DEVICE = re.compile(r"(con|prn|aux|nul|com[0-9]|lpt[0-9]) *(\.|$)", re.IGNORECASE)  # on Windows, with any ending
@@ -78,11 +75,6 @@ def folded_hash(path: str) -> str | None:
 def hash_of(path: str) -> str:
     """Return a hash of a path, shorter than a long path."""
     return hashlib.sha256(path.encode()).hexdigest()[:32]
-
-
-def is_recording(path: str) -> bool:
-    """Tell whether a file holds many scans."""
-    return path.lower().endswith(RECORDING_ENDINGS)
 
 
 def without_folder(text: str, folder: Path, name: str) -> str:

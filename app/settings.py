@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import ipaddress
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Any, ClassVar, Literal, Self
 from urllib.parse import urlsplit
 
 from pydantic import Field, SecretStr, field_validator, model_validator
@@ -29,6 +29,23 @@ class Settings(BaseSettings):
     """How the service runs; every field is read from ``INTERLOC_<NAME>``."""
 
     model_config = SettingsConfigDict(env_prefix="INTERLOC_", frozen=True, extra="ignore", hide_input_in_errors=True)
+
+    request_work_s: ClassVar[float] = 120.0
+    """Maximum time of the work for one request: pictures, exports, looks."""
+    max_archive_ratio: ClassVar[float] = 200.0
+    """Maximum ratio of unpacked to packed size; labels alone reach more than 100."""
+    max_batch_files: ClassVar[int] = 1000
+    """Maximum number of files in one multipart request."""
+    max_demo_scans: ClassVar[int | None] = None
+    """Maximum number of scans of the demo drive; None: all."""
+    max_live_sessions: ClassVar[int] = 4
+    """Maximum number of live sessions of one client."""
+    max_live_message_bytes: ClassVar[int] = 32 * MB
+    """Maximum size of one scan of a live session: 20 bytes per point, and its head."""
+    live_idle_s: ClassVar[float] = 300.0
+    """Time for which a live session waits for its sender, and an ended one is shown."""
+    upload_expires_h: ClassVar[float] = 7 * 24.0
+    """Time after which an upload expires that nobody has touched."""
 
     # Where things are.
     data_dir: Path = Field(Path("interloc-data"), description="Folder of drives, results and the default database.")
@@ -86,11 +103,8 @@ class Settings(BaseSettings):
     job_stage_s: float = Field(
         1800.0,
         gt=0,
-        description="Maximum time in seconds of one stage of a job: its preparation, one part of it, or its end.",
-    )
-    job_s: float = Field(6 * 3600.0, gt=0, description="Maximum time in seconds of a job from its start.")
-    request_work_s: float = Field(
-        120.0, gt=0, description="Maximum time in seconds of the work for one request: pictures, exports, plans, looks."
+        description="Maximum time in seconds of one stage of a job: its preparation, one part of it, or its end; a job "
+        "as a whole may take twelve times as long.",
     )
     worker_memory_bytes: int | None = Field(
         None,
@@ -100,40 +114,23 @@ class Settings(BaseSettings):
     )
 
     # Limits.
-    max_file_bytes: int = Field(256 * MB, ge=1, description="Maximum size of one uploaded file.")
+    max_file_bytes: int = Field(
+        256 * MB, ge=1, description="Maximum size of one uploaded file; a request with several may have twice as much."
+    )
     max_recording_bytes: int = Field(
         32 * GB, ge=1, description="Maximum size of one uploaded ROS bag, LAS or LAZ file."
     )
-    max_archive_bytes: int = Field(32 * GB, ge=1, description="Maximum size of one uploaded archive.")
-    max_archive_ratio: float = Field(
-        200.0, ge=1.0, description="Maximum ratio of unpacked to packed size; labels alone reach more than 100."
+    max_drive_bytes: int = Field(
+        64 * GB, ge=1, description="Maximum size of all files of a drive, unpacked, and of an archive."
     )
-    max_batch_bytes: int = Field(512 * MB, ge=1, description="Maximum size of one multipart request.")
-    max_batch_files: int = Field(1000, ge=1, description="Maximum number of files in one multipart request.")
-    max_drive_bytes: int = Field(64 * GB, ge=1, description="Maximum size of all files of a drive, unpacked.")
     max_drive_files: int = Field(200_000, ge=1, description="Maximum number of files of a drive.")
-    max_demo_scans: int | None = Field(
-        None, ge=1, description="Maximum number of scans of the demo drive; the whole drive by default."
-    )
     min_free_bytes: int = Field(1 * GB, ge=0, description="Free disk space below which no upload and no job begins.")
     disk_reserve_bytes: int = Field(
         16 * MB,
         ge=0,
         description="Size of a file that is given up when the disk is full, so that deleting still works; 0 for none.",
     )
-    max_live_sessions: int = Field(4, ge=0, description="Maximum number of live sessions of one client; 0 for none.")
-    max_live_message_bytes: int = Field(
-        32 * MB, ge=4096, description="Maximum size of one scan of a live session: 20 bytes per point, and its head."
-    )
-    live_idle_s: float = Field(
-        300.0,
-        gt=0,
-        description="Time in seconds for which a live session waits for its sender, and an ended one is shown.",
-    )
     max_queued_jobs: int = Field(100, ge=1, description="Maximum number of jobs of one client that wait or run.")
-    upload_expires_h: float = Field(
-        7 * 24.0, gt=0, description="Time in hours after which an upload expires that nobody has touched."
-    )
     trash_h: float = Field(
         72.0,
         ge=0,
@@ -142,9 +139,9 @@ class Settings(BaseSettings):
     )
 
     # What the page may show and fetch.
-    overpass: bool = Field(True, description="Whether jobs may fetch the map from a public Overpass server.")
     overpass_url: str = Field(
-        "https://overpass-api.de/api", description="Address of the Overpass server that jobs ask."
+        "https://overpass-api.de/api",
+        description="Address of the Overpass server that jobs may fetch the map from; empty for none.",
     )
     tile_url: str | None = Field(
         "https://tile.openstreetmap.org/{z}/{x}/{y}.png",
@@ -255,6 +252,26 @@ class Settings(BaseSettings):
                     "a path or a slash at the end; * is not taken"
                 )
         return text
+
+    @property
+    def job_s(self) -> float:
+        """Maximum time of a job from its start."""
+        return 12 * self.job_stage_s
+
+    @property
+    def max_archive_bytes(self) -> int:
+        """Maximum size of one uploaded archive."""
+        return self.max_drive_bytes
+
+    @property
+    def max_batch_bytes(self) -> int:
+        """Maximum size of one multipart request."""
+        return 2 * self.max_file_bytes
+
+    @property
+    def overpass(self) -> bool:
+        """Whether jobs may fetch the map."""
+        return bool(self.overpass_url)
 
     @property
     def origins(self) -> tuple[str, ...]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 import reprlib
 from importlib.metadata import requires
+from importlib.util import find_spec
 
 
 class InterLocError(Exception):
@@ -102,6 +103,21 @@ def install(extra: str) -> str:
     packages = [need.strip() for need, _, only in needs if re.search(rf"extra == ['\"]{extra}['\"]", only)]
     named = " ".join(f'"{package}"' for package in packages)
     return f"pip install {named}" if named else f'pip install ".[{extra}]" in the clone of InterLoc'
+
+
+def require_lab() -> None:
+    """Refuse what needs `interloc.lab`, which an installation may leave out.
+
+    Raises
+    ------
+    InterLocError
+        It is not there.
+    """
+    if find_spec("interloc.lab") is None:
+        raise InterLocError(
+            "this installation has no interloc.lab, which simulates drives and measures presets on them. "
+            "Install the whole of InterLoc for that; everything else works without."
+        )
 
 
 def is_interruption(error: BaseException) -> bool:

@@ -28,7 +28,6 @@ from interloc.results import DriveResult, RoadPatch
 from interloc.stopwatch import Stopwatch
 
 _MIN_RANGE_KEYFRAMES = 100  # keyframes: a shorter range would mostly read its halo
-_FETCHING_THREADS = 8  # that wait for object storage
 _MIN_KEYFRAMES_PER_PROCESS = 400  # keyframes for each process: fewer are done before it has started
 
 
@@ -104,8 +103,7 @@ def detect_range(
 def _read(drive: Drive, keyframes: IntArray) -> Iterator[DriveScan]:
     """Yield the scans at some positions of a drive, read ahead where that takes long."""
     scans = scans_of(drive, keyframes)
-    threads = _FETCHING_THREADS if getattr(drive, "is_elsewhere", False) else cores() if is_slow(drive) else 0
-    return read_ahead(scans, threads) if threads else scans
+    return read_ahead(scans, cores()) if is_slow(drive) else scans
 
 
 def stream(scans: Drive | Iterable[ScanLike], config: DetectorConfig = DEFAULT) -> Iterator[KeyframeDetections]:

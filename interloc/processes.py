@@ -116,6 +116,31 @@ def run_in_processes(
         messages.close()
 
 
+def in_own_process(work: Callable[[Task], Result], task: Task) -> Result:
+    """Work on a task in a process of its own, which may die without anything else.
+
+    Raises
+    ------
+    InterLocError
+        The process was ended from outside; or whatever the task raises.
+    """
+    context = _context(work)
+    with ProcessPoolExecutor(
+        1, mp_context=context, initializer=_start_worker, initargs=(context.SimpleQueue(),)
+    ) as pool:
+        with interrupts_held_back():
+            future = pool.submit(_work_stoppably, work, task)
+        try:
+            return future.result()
+        except (BrokenProcessPool, EOFError):
+            raise InterLocError("its process was ended from outside. Usual cause: too little memory.") from None
+
+
+def stop_processes() -> None:
+    """Ask all processes of this one to stop, and wait for them; they tidy up."""
+    _stop(active_children())
+
+
 def _context(work: Callable[..., Any]) -> Any:  # noqa: ANN401 - contexts have no common type
     """Return how processes for some work are started: forked, where the system can, from one that has imported it."""
     if "forkserver" not in get_all_start_methods():

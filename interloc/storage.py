@@ -1,54 +1,38 @@
-"""Object storage: drives are read where they lie, and results are written there.
+"""Object storage: what lies there is fetched into a folder, whole, before anything reads it; results are sent there.
 
-What lies below a prefix is laid out in a temporary folder: every object under its name and with its size, but without
-its bytes, which takes no space on disk. So whatever reads a drive from a folder reads it here too; what it is about to
-read is fetched by `present` (a file whole) or `open_binary` (the ranges that are read). Such a folder is known by its
-name, so worker processes fetch what they need themselves. obstore, which talks to the servers, is imported when the
-first address is used.
+obstore, which talks to the servers, is imported when the first address is used.
 """
 
 from __future__ import annotations
 
 import atexit
 import hashlib
-import io
-import json
-import mmap
 import os
 import re
-import secrets
 import shutil
-import stat
 import tempfile
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from datetime import timedelta
-from functools import cache, lru_cache
-from itertools import pairwise
-from pathlib import Path
-from typing import Any, BinaryIO, TypeVar, cast
+from functools import cache
+from pathlib import Path, PurePosixPath
+from typing import Any, TypeVar
 
 from interloc.errors import ConfigError, DriveError, NetworkError, OutputError, install
-from interloc.files import write_file
+from interloc.files import reason_of
 
 SCHEMES = ("s3", "gs", "az", "https")
 MAX_OBJECTS = 1_000_000
 """Of a drive, or of a prefix that drives are looked for in."""
 
-FOLDER = ".in-storage"
-"""Name of every folder in which objects are laid out; hidden, so that nobody can upload one to a service."""
-
-_INSIDE = f"{os.sep}{FOLDER}{os.sep}"
-_LAID_OUT = "objects.json"
 _MADE_LAST = ("poses.txt", "reduced.json", "run.json")
 """Files by which drives and results are known."""
 
 _URL = re.compile(r"(?P<scheme>[a-z0-9]+)://(?P<bucket>[^/]*)(?:/(?P<key>.*))?", re.DOTALL)
 _THREADS = 8
 _PIECE_BYTES = 8 * 1024 * 1024
-_BLOCK_BYTES = 16 * 1024
 _TRIES, _PATIENCE_S = 4, 60
 _MAX_NAME_BYTES = 255
 
@@ -265,244 +249,94 @@ def _open(url: str) -> Any:  # noqa: ANN401 - of obstore, which is imported late
         ) from None
 
 
-class LaidOut:
-    """A folder in which objects are laid out.
-
-    Parameters
-    ----------
-    root
-        Folder that the files lie in, and what is noted of them.
-
-    Attributes
-    ----------
-    objects : dict of str to StoredObject
-        Path in the folder -> object.
-    """
-
-    def __init__(self, root: Path) -> None:
-        self.root = root
-        self.files = root / "files"
-        noted = json.loads((root / _LAID_OUT).read_bytes())
-        self.bucket = Bucket(noted["bucket"])
-        self.objects = {path: StoredObject(**each) for path, each in noted["objects"].items()}
-
-    @classmethod
-    def at(cls, root: Path) -> LaidOut | None:
-        """Return what was laid out in a folder before, if that came to its end."""
-        return _laid_out(str(root)) if (root / _LAID_OUT).is_file() else None
-
-    @classmethod
-    def make(cls, root: Path, bucket: Bucket, objects: Mapping[str, StoredObject]) -> LaidOut:
-        """Lay out objects in a folder of the name `FOLDER`.
-
-        Raises
-        ------
-        DriveError
-            A name cannot be that of a file.
-        """
-        for path in objects:
-            _check_name(path, bucket)
-        shutil.rmtree(root / "files", ignore_errors=True)  # of an attempt that was killed
-        made: set[Path] = set()
-        for path, each in objects.items():
-            target = root / "files" / path
-            try:
-                if target.parent not in made:
-                    target.parent.mkdir(parents=True, exist_ok=True)
-                    made.add(target.parent)
-                _make_empty(target, each)
-            except (FileExistsError, NotADirectoryError):
-                raise DriveError(f"{bucket.url} holds {path!r} as an object and as the prefix of others.") from None
-        root.mkdir(parents=True, exist_ok=True)
-        noted = {"bucket": bucket.url, "objects": {path: asdict(each) for path, each in objects.items()}}
-        write_file(root / _LAID_OUT, json.dumps(noted))
-        return _laid_out(str(root))
-
-    def _object(self, path: Path) -> StoredObject | None:
-        return self.objects.get(path.relative_to(self.files).as_posix())
-
-    def below(self, place: Path) -> dict[str, StoredObject]:
-        """Return the objects that were laid out in a folder, by path there."""
-        start = f"{place.relative_to(self.files).as_posix()}/"
-        return {path[len(start) :]: each for path, each in self.objects.items() if path.startswith(start)}
-
-    def blocks_file(self, path: Path) -> Path:
-        """Return where it is noted which blocks of a large file are here."""
-        return self.root / f"blocks-{hashlib.sha256(os.fsencode(path)).hexdigest()[:32]}"
-
-    def fetch(self, path: Path) -> None:
-        """Fetch a file whole, unless it is here."""
-        wanted = self._object(path)
-        if wanted is None or not self.is_missing(path):
-            return
-        if wanted.size > _PIECE_BYTES or self.blocks_file(path).exists():
-            with self.open(path) as file:
-                file.ensure([(0, wanted.size)])
-            return
-        temporary = self.root / f"partial-{secrets.token_hex(8)}"
-        with temporary.open("wb") as file_:
-            file_.write(self.bucket.get(wanted, 0, wanted.size))
-        os.utime(temporary, (wanted.modified_s, wanted.modified_s))
-        temporary.replace(path)
-
-    def is_missing(self, path: Path) -> bool:
-        """Return whether bytes of a file may not be here."""
-        try:
-            return not path.stat().st_mode & stat.S_IRUSR or self.blocks_file(path).exists()
-        except FileNotFoundError:  # its reader says so
-            return False
-
-    def forget(self, path: Path) -> None:
-        """Give up the bytes of a file; they are fetched again where they are needed again."""
-        wanted = self._object(path)
-        if wanted is not None and not self.is_missing(path):
-            path.unlink(missing_ok=True)
-            _make_empty(path, wanted)
-
-    def open(self, path: Path) -> RangeFile:
-        """Open a file of which only what is read is fetched."""
-        wanted = self._object(path)
-        assert wanted is not None
-        return RangeFile(self.bucket, wanted, path, self.blocks_file(path))
-
-
-class RangeFile(io.RawIOBase):
-    """A large object: blocks of it are fetched when they are read; once for all processes that read it here."""
-
-    def __init__(self, bucket: Bucket, wanted: StoredObject, path: Path, noted: Path) -> None:
-        self._bucket, self._wanted, self._at = bucket, wanted, 0
-        count = max(1, -(-wanted.size // _BLOCK_BYTES))
-        descriptor = os.open(noted, os.O_RDWR | os.O_CREAT, 0o600)
-        try:
-            os.truncate(descriptor, count)
-            self._here = mmap.mmap(descriptor, count)
-        finally:
-            os.close(descriptor)
-        path.chmod(0o600)
-        self._file = os.open(path, os.O_RDWR)
-
-    def ensure(self, ranges: Iterable[tuple[int, int]]) -> None:
-        """Fetch the blocks that some ranges (start, stop) lie in, where they are not here; several at once."""
-        most, done = _PIECE_BYTES // _BLOCK_BYTES, 0
-        runs: list[tuple[int, int]] = []
-        for start, stop in sorted(ranges):
-            first, last = max(done, start // _BLOCK_BYTES), min(-(-stop // _BLOCK_BYTES), len(self._here))
-            for run in re.finditer(rb"\0+", self._here[first:last]):
-                edges = [*range(first + run.start(), first + run.end(), most), first + run.end()]
-                runs += pairwise(edges)
-            done = max(done, last)
-        in_parallel(self._fetch, runs)
-
-    def _fetch(self, run: tuple[int, int]) -> None:
-        start, stop = run[0] * _BLOCK_BYTES, min(run[1] * _BLOCK_BYTES, self._wanted.size)
-        os.pwrite(self._file, self._bucket.get(self._wanted, start, stop), start)
-        self._here[run[0] : run[1]] = b"\1" * (run[1] - run[0])
-
-    def readinto(self, buffer: Any) -> int:  # noqa: ANN401 - as of `io.RawIOBase`
-        """Read into a buffer."""
-        count = max(0, min(len(buffer), self._wanted.size - self._at))
-        blocks = self._here[self._at // _BLOCK_BYTES : -(-(self._at + count) // _BLOCK_BYTES)]
-        if count and b"\0" in blocks:
-            self.ensure([(self._at, self._at + count)])
-        data = os.pread(self._file, count, self._at)
-        buffer[: len(data)] = data
-        self._at += len(data)
-        return len(data)
-
-    def seek(self, offset: int, whence: int = 0) -> int:
-        """Go to a place."""
-        self._at = offset + (0, self._at, self._wanted.size)[whence]
-        return self._at
-
-    def tell(self) -> int:
-        """Return the place."""
-        return self._at
-
-    def readable(self) -> bool:
-        """Return True."""
-        return True
-
-    def seekable(self) -> bool:
-        """Return True."""
-        return True
-
-    def close(self) -> None:
-        """Close the file; what was fetched stays here."""
-        if not self.closed:
-            os.close(self._file)
-            self._here.close()
-        super().close()
-
-
-def in_parallel(work: Callable[[Argument], Returned], arguments: Sequence[Argument]) -> list[Returned]:
-    """Do work that waits for servers, several at once; the first error ends it."""
-    if len(arguments) < 2:
-        return [work(each) for each in arguments]
+def in_parallel(work: Callable[[Argument], Returned], arguments: Sequence[Argument]) -> Iterator[Returned]:
+    """Do work that waits for servers, several at once; yield what it returns, in order. The first error ends it."""
     pool = ThreadPoolExecutor(_THREADS, "storage")
     try:
-        return list(pool.map(work, arguments))
+        yield from pool.map(work, arguments)
     finally:
         pool.shutdown(cancel_futures=True)
 
 
-@lru_cache(maxsize=16)
-def _laid_out(root: str) -> LaidOut:
-    return LaidOut(Path(root))
+def fetch(
+    bucket: Bucket,
+    objects: Mapping[str, StoredObject],
+    folder: Path,
+    progress: Callable[[int, int], None] = lambda _done, _total: None,
+) -> None:
+    """Fetch objects into a folder, several at once; a file that is there already with its size and time stays.
 
-
-def _of(path: Path) -> LaidOut | None:
-    head, inside, rest = os.fspath(path).partition(_INSIDE)
-    return _laid_out(f"{head}{os.sep}{FOLDER}") if inside and rest.startswith(f"files{os.sep}") else None
-
-
-def is_elsewhere(path: Path) -> bool:
-    """Return whether a path leads to what is laid out of object storage."""
-    return _INSIDE in os.fspath(path)
-
-
-def present(path: Path) -> Path:
-    """Return the path of a file whose bytes are here: of one in object storage they are fetched first.
+    Parameters
+    ----------
+    bucket : Bucket
+    objects : mapping of str to StoredObject
+        By path in the folder.
+    folder : Path
+    progress : callable
+        Called with the bytes that were fetched, and with all of them; whatever it raises ends the fetching.
 
     Raises
     ------
-    NetworkError, DriveError
-        It cannot be read, or was changed since it was listed.
+    DriveError
+        A name cannot be that of a file, or an object was changed since it was listed.
+    NetworkError
+        One cannot be read.
+    OutputError
+        There is not enough room on the disk.
     """
-    if is_elsewhere(path) and (folder := _of(path)) is not None:
-        folder.fetch(path)
-    return path
+    _check_names(objects, bucket)
+    missing = {folder / path: each for path, each in objects.items() if not _is_here(folder / path, each)}
+    total, done = sum(each.size for each in missing.values()), 0
+    for place in {folder, *(path.parent for path in missing)}:
+        place.mkdir(parents=True, exist_ok=True)
+    if (free := shutil.disk_usage(folder).free) < total:
+        raise OutputError(
+            f"{bucket.url}: {total / 1e9:,.1f} GB are to be fetched into {folder}, and only {free / 1e9:,.1f} GB are "
+            "free there. Set TMPDIR to a larger disk."
+        )
+
+    def fetch_piece(piece: tuple[Path, int]) -> int:
+        path, start = piece
+        wanted = missing[path]
+        content = bucket.get(wanted, start, min(start + _PIECE_BYTES, wanted.size))
+        descriptor = os.open(_partial(path), os.O_WRONLY | os.O_CREAT, 0o600)
+        try:
+            os.pwrite(descriptor, content, start)
+        finally:
+            os.close(descriptor)
+        if wanted.size <= _PIECE_BYTES:
+            _complete(path, wanted)
+        return len(content)
+
+    pieces = [(path, start) for path, each in missing.items() for start in range(0, each.size or 1, _PIECE_BYTES)]
+    try:
+        for count in in_parallel(fetch_piece, pieces):
+            done += count
+            progress(done, total)
+        for path, each in missing.items():
+            if each.size > _PIECE_BYTES:
+                _complete(path, each)
+    except OSError as error:
+        raise OutputError(f"{bucket.url}: what is fetched could not be written: {reason_of(error)}.") from error
 
 
-def present_below(place: Path) -> Path:
-    """Return a folder all of whose files are here."""
-    if is_elsewhere(place) and (folder := _of(place)) is not None:
-        in_parallel(folder.fetch, [place / name for name in folder.below(place)])
-    return place
+def _is_here(path: Path, each: StoredObject) -> bool:
+    return path.is_file() and path.stat().st_size == each.size and path.stat().st_mtime == each.modified_s
 
 
-def forget(paths: Iterable[Path]) -> None:
-    """Give up the bytes of files that lie in object storage, so that they take no space here."""
-    for path in paths:
-        if is_elsewhere(path) and (folder := _of(path)) is not None:
-            folder.forget(path)
+def _partial(path: Path) -> Path:
+    return path.with_name(f".partial-{hashlib.sha256(path.name.encode()).hexdigest()[:32]}")
 
 
-def open_binary(path: Path) -> BinaryIO:
-    """Open a file to be read by ranges; of one in object storage only these are fetched."""
-    folder = _of(path) if is_elsewhere(path) else None
-    if folder is None or not folder.is_missing(path):
-        return path.open("rb")
-    return cast("BinaryIO", folder.open(path))
+def _complete(path: Path, each: StoredObject) -> None:
+    os.utime(_partial(path), (each.modified_s, each.modified_s))
+    _partial(path).replace(path)
 
 
-def want(file: BinaryIO, ranges: Iterable[tuple[int, int]]) -> None:
-    """Tell which ranges (start, stop) of a file from `open_binary` will be read: they are fetched several at once."""
-    if isinstance(file, RangeFile):
-        file.ensure(ranges)
-
-
-def _check_name(path: str, bucket: Bucket) -> None:
-    for part in path.split("/"):
+def _check_names(paths: Collection[str], bucket: Bucket) -> None:
+    if taken := {str(above) for path in paths for above in PurePosixPath(path).parents} & {*paths}:
+        raise DriveError(f"{bucket.url} holds {min(taken)!r} as an object and as the prefix of others.")
+    for path, part in ((each, part) for each in paths for part in each.split("/")):
         if part in {"", ".", ".."} or not part.isprintable() or len(part.encode()) > _MAX_NAME_BYTES or "\\" in part:
             raise DriveError(
                 f"{bucket.url} holds an object that cannot be a file: {path[:200]!r}. Expected names of at most "
@@ -510,27 +344,18 @@ def _check_name(path: str, bucket: Bucket) -> None:
             )
 
 
-def _make_empty(path: Path, each: StoredObject) -> None:
-    """Make a file of a size without contents, which its owner may not read: no reader takes it for what it stands."""
-    descriptor = os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, stat.S_IWUSR)
-    try:
-        os.truncate(descriptor, each.size)
-    finally:
-        os.close(descriptor)
-    os.utime(path, (each.modified_s, each.modified_s))
-
-
-# What a command has made here, which goes when the process ends, and how it is called by messages.
+# What a command has fetched, which goes when the process ends, and how it is called by messages.
 
 _shown: dict[str, str] = {}
-_results: dict[Path, tuple[Bucket, str]] = {}
+_folders: list[Path] = []
 
 
 def temporary_folder() -> Path:
-    """Return a new folder in which objects can be laid out; it goes when the process ends, or by `clear`."""
+    """Return a new folder to fetch into; it goes when the process ends, or by `clear`."""
     folder = Path(tempfile.mkdtemp(prefix="interloc-"))
+    _folders.append(folder)
     atexit.register(_remove, folder, os.getpid())
-    return folder / FOLDER
+    return folder
 
 
 def _remove(folder: Path, owner: int) -> None:
@@ -550,65 +375,116 @@ def shown(text: str) -> str:
     return text
 
 
-def result_place(address: str) -> Path:
-    """Return where to write a result that `send_results` will bring to an address.
+@dataclass(frozen=True)
+class ResultPlace:
+    """A folder, or a file, whose contents belong to an address.
 
-    What is there already is laid out, so that what holds for folders holds there too: nothing but an older result is
-    replaced, and what a user has put beside it stays.
+    Nothing but an older result is replaced there, and what a user has put beside it stays: files of the objects that
+    are there already stand in the folder too, empty ones until `fetch_older` brings their contents.
     """
-    bucket, key = Bucket.of(address)
-    if not key or bucket.url.startswith("https://"):
-        raise ConfigError(f"{address}: results are written to s3://bucket/prefix, gs://... or az://..., not there.")
-    folder, name, single = temporary_folder(), key.rpartition("/")[2], bucket.head(key)
-    there = {f"{name}/{each.key[len(key) + 1 :]}": each for each in bucket.below(key)}
-    LaidOut.make(folder, bucket, there if single is None else {name: single})
-    place = folder / "files" / name
-    place.parent.mkdir(exist_ok=True)
-    _results[place] = bucket, key
-    show_as(place, address.rstrip("/"))
-    return place
+
+    path: Path
+    bucket: Bucket
+    key: str
+    there: Mapping[str, StoredObject]
+    """The objects that are there already, by path below the folder; "" is the key itself."""
+
+    @classmethod
+    def at(cls, address: str) -> ResultPlace:
+        """Make a temporary folder for an address.
+
+        Raises
+        ------
+        ConfigError
+            It is no address that results can be written to, or obstore is not installed.
+        NetworkError
+            It cannot be listed.
+        """
+        bucket, key = Bucket.of(address)
+        if not key or bucket.url.startswith("https://"):
+            raise ConfigError(f"{address}: results are written to s3://bucket/prefix, gs://... or az://..., not there.")
+        single = bucket.head(key)
+        there = {each.key[len(key) + 1 :]: each for each in bucket.below(key)} if single is None else {"": single}
+        place = cls(temporary_folder() / key.rpartition("/")[2], bucket, key, there)
+        _check_names([name for name in there if name], bucket)
+        for name, each in there.items():
+            path = place.path / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.touch()
+            os.utime(path, (each.modified_s, each.modified_s))
+        return place
+
+    def fetch_older(self, is_wanted: Callable[[str], bool] = lambda _: True) -> None:
+        """Fetch what is there already."""
+        wanted = {f"{self.path.name}/{name}".rstrip("/"): each for name, each in self.there.items() if is_wanted(name)}
+        fetch(self.bucket, wanted, self.path.parent)
+
+    def send(self, part: str = "") -> None:
+        """Bring what is new in the folder, or in a part of it, there; the file that makes it a result comes last.
+
+        Raises
+        ------
+        OutputError
+            It could not be written. What is there then is no result yet; the same command does it again.
+        """
+        top = self.path / part
+        before = {name: each for name, each in self.there.items() if f"{name}/".startswith(f"{part}/") or not part}
+        found = [path for path in (top, *top.rglob("*")) if path.is_file()]
+        files = {path.relative_to(self.path).as_posix() if path != self.path else "": path for path in found}
+        new = [name for name, path in files.items() if name not in before or not self._is_older(path, before[name])]
+        last = [name for name in new if name.rpartition("/")[2] in _MADE_LAST]
+        self.bucket.delete([self._key(name) for name in last if name in before])
+        first = [name for name in new if name not in last]
+        list(in_parallel(lambda name: self.bucket.put(self._key(name), files[name]), first))
+        for name in last:
+            self.bucket.put(self._key(name), files[name])
+        self.bucket.delete([self._key(name) for name in before if name not in files])
+
+    def _key(self, name: str) -> str:
+        return f"{self.key}/{name}".rstrip("/")
+
+    @staticmethod
+    def _is_older(path: Path, each: StoredObject) -> bool:
+        """Return whether a file is as it was put there: empty, or with its contents."""
+        found = path.stat()
+        return found.st_mtime == each.modified_s and found.st_size in {0, each.size}
 
 
-def take_result(place: Path) -> tuple[Bucket, str] | None:
+_results: dict[Path, ResultPlace] = {}
+
+
+def result_place(address: str) -> Path:
+    """Return where to write a result that `send_results` will bring to an address."""
+    place = ResultPlace.at(address)
+    _results[place.path] = place
+    show_as(place.path, address.rstrip("/"))
+    return place.path
+
+
+def fetch_older(path: Path, is_wanted: Callable[[str], bool] = lambda _: True) -> Path:
+    """Fetch what lies at the address of a `result_place` already; of any other folder nothing. Return the folder."""
+    if path in _results:
+        _results[path].fetch_older(is_wanted)
+    return path
+
+
+def take_result(path: Path) -> ResultPlace | None:
     """Return where a `result_place` belongs, for whoever sends its parts; None for any other folder."""
-    return _results.pop(place, None)
+    return _results.pop(path, None)
 
 
 def send_results() -> None:
-    """Bring what was written to `result_place` to its address; the file that makes it a result comes last.
-
-    Raises
-    ------
-    OutputError
-        It could not be written. What is there then is no result yet; the same command does it again.
-    """
-    for place, (bucket, key) in _results.items():
-        if place.exists():
-            send(place, bucket, key)
+    """Bring what was written to each `result_place` to its address (`ResultPlace.send`)."""
+    for place in _results.values():
+        if place.path.exists():
+            place.send()
     _results.clear()
-
-
-def send(place: Path, bucket: Bucket, key: str) -> None:
-    """Bring a file, or what is new in a folder, to a key; what an older result there had beside it is deleted."""
-    if place.is_file():
-        bucket.put(key, place)
-        return
-    folder = _of(place)
-    before = {} if folder is None else folder.below(place)
-    files = {path.relative_to(place).as_posix(): path for path in place.rglob("*") if path.is_file()}
-    new = [name for name, path in files.items() if folder is None or not folder.is_missing(path)]
-    last = [name for name in new if name.rpartition("/")[2] in _MADE_LAST]
-    bucket.delete([f"{key}/{name}" for name in last if name in before])
-    in_parallel(lambda name: bucket.put(f"{key}/{name}", files[name]), [name for name in new if name not in last])
-    for name in last:
-        bucket.put(f"{key}/{name}", files[name])
-    bucket.delete([f"{key}/{name}" for name in before if name not in files])
 
 
 def clear() -> None:
-    """Remove all that a command has laid out, in a process that goes on."""
-    for path in [*_shown]:
-        shutil.rmtree(path.partition(_INSIDE)[0], ignore_errors=True)
+    """Remove all that a command has fetched, in a process that goes on."""
+    for folder in _folders:
+        shutil.rmtree(folder, ignore_errors=True)
+    _folders.clear()
     _shown.clear()
     _results.clear()
-    _laid_out.cache_clear()

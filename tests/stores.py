@@ -17,7 +17,7 @@ BUCKET = "bucket"
 def put(folder: Path, prefix: str) -> None:
     """Bring a folder to a prefix of the bucket."""
     bucket, key = storage.Bucket.of(f"s3://{BUCKET}/{prefix}")
-    storage.send(folder, bucket, key)
+    storage.ResultPlace(folder, bucket, key, {}).send()
 
 
 def keys_below(prefix: str) -> list[str]:

@@ -13,8 +13,8 @@ from zlib import crc32
 import matplotlib.pyplot as plt
 import pytest
 
-from interloc.simulate.config import SimulationOptions
-from interloc.simulate.drive import Trip, simulate
+from interloc.lab.config import SimulationOptions
+from interloc.lab.drive import Trip, simulate
 from tests.once import once
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
@@ -46,7 +46,7 @@ def _no_windows(
         made = once(tmp_path_factory, name, lambda place: simulate(trip, place, options))
         shutil.copytree(made, out)
 
-    monkeypatch.setattr("interloc.simulate.drive.simulate", simulate_once)
+    monkeypatch.setattr("interloc.lab.drive.simulate", simulate_once)
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     with plt.rc_context({"backend": "agg"}):
         yield

@@ -19,8 +19,7 @@ from interloc.drive import Drive, Georeference, GroundPoints
 from interloc.drives.open import open_drive
 from interloc.errors import ConfigError, DriveError, OutputError
 from interloc.explain import explain
-from interloc.explain.evidence import ExplainedKeyframe, gather
-from interloc.explain.record import record
+from interloc.explain.evidence import ExplainedKeyframe, gather, record
 from interloc.geometry import lonlat_from_enu, rotate_2d
 from interloc.osm.graph import RoadGraph, Ways
 

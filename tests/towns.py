@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from interloc.simulate.config import LidarConfig, SimulationOptions
-from interloc.simulate.drive import simulate
-from interloc.simulate.town import Town
+from interloc.lab.config import LidarConfig, SimulationOptions
+from interloc.lab.drive import simulate
+from interloc.lab.town import Town
 from tests.once import once
 
 SCANS = 60

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from interloc.simulate.config import SceneConfig
-from interloc.simulate.osm_map import read_map
-from interloc.simulate.scene import Scene, build_scene
-from interloc.simulate.tracks import LidarTrack
-from interloc.simulate.twins import twin_files
+from interloc.lab.config import SceneConfig
+from interloc.lab.scene import Scene, build_scene
+from interloc.lab.streets import read_map
+from interloc.lab.tracks import LidarTrack
+from interloc.lab.twins import twin_files
 
 
 def twin_scene(

@@ -8,13 +8,15 @@ import shutil
 from app.work.documents import FilesOutcome, JobRequest
 from app.work.places import LISTING, UnpackedFile, place_unpacked, read_listing
 from app.work.task import Part, Plan, Report, Task
+from interloc.errors import require_lab
 
 _SCANS = 932
 _COLUMNS = 720  # shots per laser and turn: a third of a real sensor's, which is enough and a third of the work
 
 
 def prepare(task: Task[JobRequest]) -> Plan:
-    """Return the approximate number of scans as one part."""
+    """Return the approximate number of scans as one part; the simulator must be there."""
+    require_lab()
     scans = task.settings.max_demo_scans or _SCANS
     return Plan([Part(0, 0, scans)], scans)
 
@@ -23,9 +25,9 @@ def run(task: Task[JobRequest], part: Part, report: Report) -> None:
     """Simulate the drive into the scratch folder, with a list of its files."""
     if (task.scratch / LISTING).is_file():
         return
-    from interloc.simulate.config import LidarConfig, SimulationOptions  # noqa: PLC0415 - other work needs no simulator
-    from interloc.simulate.drive import simulate  # noqa: PLC0415
-    from interloc.simulate.town import Town  # noqa: PLC0415
+    from interloc.lab.config import LidarConfig, SimulationOptions  # noqa: PLC0415 - other work needs no simulator
+    from interloc.lab.drive import simulate  # noqa: PLC0415
+    from interloc.lab.town import Town  # noqa: PLC0415
 
     folder = task.scratch / f"simulating-{task.attempt}"
     shutil.rmtree(folder, ignore_errors=True)

@@ -5,13 +5,12 @@ from __future__ import annotations
 import base64
 from datetime import datetime
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import Annotated, Self
 
 from pydantic import Base64Encoder, BaseModel, ConfigDict, EncodedBytes, Field, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
 from app.http.patterns import ID, NETWORK
-from app.http.problems import FileProblem
 from app.http.strict import Body, Flag, Name, Note, Whole, strictly
 from app.jobs.webhooks import Subscriber
 from app.paths import MAX_PATH, PATH_PATTERN, BadNameError, check_path
@@ -19,9 +18,7 @@ from app.states import DriveState
 from app.work.documents import UploadOptions
 from interloc.config import KeyframeConfig
 from interloc.drives.inspect import DriveReport
-from interloc.drives.layouts import ScanFolder
 from interloc.drives.options import LABELS, LabelChoice, LabelFolder
-from interloc.drives.scans.reduced_format import MAX_SCANS
 
 MAX_LISTED = 300_000
 """Files of a folder that is looked into."""
@@ -216,86 +213,6 @@ class CommitRequest(Body):
     )
 
 
-class ScanRange(Body):
-    """Scan numbers from the first to the last, without gaps."""
-
-    first: Whole = Field(ge=0, le=10**15)
-    last: Whole = Field(ge=0, le=10**15)
-
-
-class PlanRequest(Body):
-    """The scans that a client has, before it sends them."""
-
-    model_config = ConfigDict(
-        json_schema_extra={"examples": [{"scans": {"first": 0, "last": 1100}, "label_folders": ["labels"]}]},
-    )
-
-    scans: ScanRange | Annotated[list[Annotated[Whole, Field(ge=0, le=10**15)]], Field(max_length=MAX_SCANS)] = Field(
-        description="Numbers of all scans of the drive."
-    )
-    label_folders: list[LabelFolder] = Field(["labels"], min_length=1, max_length=2)
-    scan_folder: ScanFolder | None = Field(
-        None, description="Folder of the scans; determined from the small files if null."
-    )
-    label_counts: dict[LabelFolder, LabelCounts] = Field(
-        {},
-        description="For each label folder, how many points of the scans `frames_to_look_into` carry each label id.",
-        examples=[{"labels": {"40": 90112, "48": 21004, "70": 333120}}],
-    )
-    options: DriveOptionsModel | None = Field(
-        None, description="How the files are read; the options of the drive by default."
-    )
-    keyframes: Annotated[KeyframeConfig | None, strictly(KeyframeConfig)] = Field(
-        default_factory=KeyframeConfig,
-        description="Scans to send: the keyframes by these settings, those of the default preset if left out; "
-        "null: every scan.",
-    )
-
-    @model_validator(mode="after")
-    def _check_range(self) -> PlanRequest:
-        if isinstance(self.scans, ScanRange) and not 0 <= self.scans.last - self.scans.first < MAX_SCANS:
-            raise ValueError(f"scans: expected first <= last, and {MAX_SCANS:,} scans at most")
-        return self
-
-    def numbers(self) -> list[int]:
-        """Return the scan numbers one by one."""
-        if isinstance(self.scans, ScanRange):
-            return list(range(self.scans.first, self.scans.last + 1))
-        return self.scans
-
-
-class JudgedLabels(BaseModel):
-    """What the label ids of a folder mean."""
-
-    folder: LabelFolder
-    scheme: str | None = Field(description="Name of the label scheme; null if it cannot be determined.")
-    road: list[int] = Field(description="Ids of road.")
-    confusable: list[int] = Field(description="Ids of sidewalk, parking and other ground.")
-    road_share: float | None = Field(description="Share of road among the points counted.")
-    ground_share: float | None = Field(
-        description="Share of road, sidewalk, parking and other ground among the points counted: what is to be sent."
-    )
-    problems: list[FileProblem] = Field(description="Errors, warnings and notes about these labels.")
-
-
-class LabelsRequest(Body):
-    """Label ids of a drive that need not be on the service yet."""
-
-    label_counts: dict[LabelFolder, LabelCounts] = Field(
-        description="For each label folder, how many points of some scans carry each label id.",
-        examples=[{"labels": {"40": 90112, "48": 21004, "70": 333120}}],
-    )
-    options: DriveOptionsModel = Field(
-        default_factory=DriveOptionsModel, description="How the drive is to be read: its label scheme and layout."
-    )
-
-
-class LabelsAnswer(BaseModel):
-    """What the label ids mean, for each folder."""
-
-    labels: list[JudgedLabels]
-
-
 class _StrictBase64(Base64Encoder):
     """Base64 in which nothing else stands."""
 
@@ -341,29 +258,16 @@ class LookRequest(Body):
         default_factory=DriveOptionsModel,
         description="How the drive is to be read; paths are those in the drive, such as georeference/07.txt.",
     )
-    keyframes: Annotated[KeyframeConfig, strictly(KeyframeConfig)] = Field(
-        default_factory=KeyframeConfig, description="Scans that a job needs."
+    keyframes: Annotated[KeyframeConfig | None, strictly(KeyframeConfig)] = Field(
+        default_factory=KeyframeConfig,
+        description="Scans that a job needs: the keyframes by these settings, those of the default preset if left out; "
+        "null: every scan.",
     )
-
-
-class ReductionPlanModel(BaseModel):
-    """Which scans to send, and all that is known of the drive without them."""
-
-    layout: str | None
-    pose_frame: str | None = Field(description="Sensor whose poses the pose file holds.")
-    pose_frame_reason: str | None
-    georeference: str | None = Field(description="Source of the georeference.")
-    georeference_reason: str | None = Field(description="Why there is no georeference.")
-    length_m: float | None = Field(description="Distance driven in metres.")
-    scans: int = Field(description="Number of all scans.")
-    frames: list[int] = Field(description="Numbers of the scans to send.")
-    frames_to_look_into: list[int] = Field(description="Numbers of the scans whose labels determine the label scheme.")
-    labels: list[JudgedLabels] = Field(description="What the label ids mean, for each folder of `label_counts`.")
-    manifest: dict[str, Any] | None = Field(
-        description="reduced.json, to be completed with the label folders that `label_counts` left out; "
-        "null where the poses cannot be read."
+    label_counts: dict[LabelFolder, LabelCounts] = Field(
+        {},
+        description="For each label folder, how many points of the scans `frames_to_look_into` carry each label id.",
+        examples=[{"labels": {"40": 90112, "48": 21004, "70": 333120}}],
     )
-    problems: list[FileProblem]
 
 
 class UploadedBatch(BaseModel):

@@ -61,13 +61,18 @@ def limit_reached(error: WorkerLimitError, what: str, time_setting: str) -> Prob
         Setting that a limit of time is.
     """
     setting = time_setting if error.limit == "time" else "worker_memory_bytes"
+    raised_by = {"job_s": "job_stage_s", "request_work_s": None}.get(setting, setting)
+    advice = ""
+    if raised_by is not None:
+        now = f", now {error.bound:.0f}" if raised_by == setting else ""
+        advice = f" Who runs the service can raise the limit: INTERLOC_{raised_by.upper()}{now}."
     amount = _duration if error.limit == "time" else _size
     verb = "took longer than the" if error.limit == "time" else f"needed {_size(error.used)} of memory, more than the"
     return Problem(
         LIMIT_REACHED,
         f"{what[0].upper()}{what[1:]} {verb} {amount(error.bound)} that {_MEANINGS[setting]}, so it was ended. "
         "Usual cause: a file that is far larger than the drive needs, such as the map of a country; cut it to the area "
-        f"of the drive. Who runs the service can raise the limit: INTERLOC_{setting.upper()}, now {error.bound:.0f}.",
+        f"of the drive.{advice}",
         limit=setting,
         bound=error.bound,
         used=round(error.used, 1),

@@ -2,17 +2,16 @@
 
 A lease is a name that is written into the job when it is claimed, new at every claim. Every change of a running job
 names its lease: a server that was silent for too long, and whose job another one has taken over, changes nothing.
-All times are those of the clock of the database.
+All times are those of the clock of the database; where that is set, jobs are taken over too early or too late, and
+nothing else is lost.
 """
 
 from __future__ import annotations
 
 import json
-import math
 import secrets
 import socket
-import time
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cache
 from typing import Any, Literal
@@ -24,7 +23,6 @@ from app.http.problem_types import DRIVE_NOT_FOUND, DRIVE_NOT_READY, IDEMPOTENCY
 from app.http.problems import Problem
 from app.jobs.webhooks import note
 from app.states import ACTIVE, FINAL, DriveState, JobKind, JobState
-from app.store.clock import ClockWatch
 from app.store.database import Database
 from app.store.models import Drive, Job
 from app.work.kinds import DRIVE_CHANGING, URGENT
@@ -50,34 +48,10 @@ class Claim:
     """The name under which the server holds it."""
 
 
-class LeaseClock:
-    """Which leases have run out, also where the clock of the database was set forward or back.
-
-    When it jumps forward, all leases seem to have run out; when it jumps back, those of dead servers seem to last for
-    hours. Servers that live renew their leases several times within the length of one, so after a jump that length is
-    waited for: then every lease of a living server is a good one again, and one that lies farther ahead than any
-    server writes it is of a dead one.
-    """
-
-    def __init__(self, lease_s: float, monotonic: Callable[[], float] = time.monotonic) -> None:
-        self._lease_s = lease_s
-        self._watch = ClockWatch(lease_s / 3, monotonic)
-
-    def bounds(self, now: float) -> tuple[float, float]:
-        """Return two times by the clock of the database, which it shows as `now`: leases that end between them hold.
-
-        Those that end by the first or after the second have run out.
-        """
-        is_settled = self._watch.look(now) >= self._lease_s
-        first = now if is_settled or not self._watch.has_jumped else -math.inf
-        return first, now + 2 * self._lease_s if is_settled else math.inf
-
-
 @cache
 def _claimable(enough_urgent: bool, enough_long: bool) -> Any:  # noqa: ANN401 - a Select
     """Return the query for the job that is next; see `JobQueue.claim`. Made once: it takes longer than its answer."""
-    now, run_out_by, void_after = (bindparam(name, type_=Float) for name in ("now", "run_out_by", "void_after"))
-    has_run_out = or_(Job.lease_until <= run_out_by, Job.lease_until > void_after)
+    now = bindparam("now", type_=Float)
     other = aliased(Job)
     is_urgent = Job.kind.in_(URGENT)
     running = (  # jobs of the same client and class
@@ -97,7 +71,7 @@ def _claimable(enough_urgent: bool, enough_long: bool) -> Any:  # noqa: ANN401 -
         select(Job, Drive.name, Drive.state)
         .join(Drive, Drive.id == Job.drive_id)
         .where(
-            or_(Job.state == JobState.ACCEPTED, (Job.state == JobState.RUNNING) & has_run_out),
+            or_(Job.state == JobState.ACCEPTED, (Job.state == JobState.RUNNING) & (Job.lease_until <= now)),
             or_(Job.kind.in_(DRIVE_CHANGING), Drive.state != DriveState.CHECKING),
             *(or_(~is_class, running == 0) for is_class in full),
         )
@@ -118,7 +92,6 @@ class JobQueue:
     def __init__(self, database: Database, lease_s: float) -> None:
         self._database = database
         self._lease_s = lease_s
-        self._clock = LeaseClock(lease_s)
         self._server = f"{socket.gethostname()[:64]}-{secrets.token_hex(4)}"
 
     def claim(self, *, enough_urgent: bool = False, enough_long: bool = False) -> Claim | None:
@@ -139,13 +112,13 @@ class JobQueue:
             if session.execute(_ANY_ACTIVE).first() is None:
                 return None
             query = _claimable(enough_urgent, enough_long)
-            if session.execute(query, self._times(session)).first() is None:
+            if session.execute(query, {"now": self._database.clock(session)}).first() is None:
                 return None
         with self._database.writing(patient=True) as session:
-            times = self._times(session)
+            now = self._database.clock(session)
             if not self._database.is_sqlite:
                 query = query.with_for_update(skip_locked=True, of=Job)
-            found = session.execute(query, times).first()
+            found = session.execute(query, {"now": now}).first()
             if found is None:
                 return None
             job, drive_name, drive_state = found
@@ -153,18 +126,13 @@ class JobQueue:
             job.stage = "preparing"
             job.message = None
             job.attempts += 1
-            job.started_at = job.started_at or times["now"]
+            job.started_at = job.started_at or now
             job.lease_owner = f"{self._server}-{secrets.token_hex(8)}"
-            job.lease_until = times["now"] + self._lease_s
+            job.lease_until = now + self._lease_s
             job.version += 1
             if job.attempts == 1:
-                note(session, job, JobState.RUNNING, times["now"])
+                note(session, job, JobState.RUNNING, now)
             return Claim(job, drive_name, drive_state, job.lease_owner)
-
-    def _times(self, session: Session) -> dict[str, float]:
-        now = self._database.clock(session)
-        run_out_by, void_after = self._clock.bounds(now)
-        return {"now": now, "run_out_by": run_out_by, "void_after": void_after}
 
     def heartbeat(self, leases: Iterable[str]) -> dict[str, Held]:
         """Renew leases; return which of them are lost and which jobs were cancelled."""

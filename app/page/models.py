@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from pydantic import BaseModel, ConfigDict, Field
 
 from app.jobs.models import MAX_COMPARED_JOBS, Near
-from app.paths import ARCHIVE_ENDINGS, RECORDING_ENDINGS
+from app.paths import ARCHIVE_ENDINGS
 from app.settings import Settings
+from interloc.drives.formats import FORMATS, installed_formats
 from interloc.drives.georeference.oxts import ODOMETRY_OF_RAW
+from interloc.drives.kinds import RECORDING_ENDINGS, SMALL_ENDINGS, TRACK_ENDINGS
 from interloc.drives.labels import SCHEMES
 from interloc.drives.layouts import PCD_ENDINGS
+from interloc.drives.options import ReadingOptions
 from interloc.osm.container import MAP_ENDINGS, SIMULATOR
 from interloc.osm.intersections import DRIVABLE_OR_SERVICE
 from interloc.osm.policies import POLICIES
@@ -65,6 +70,8 @@ class FileKinds(BaseModel):
     scans: list[str] = Field(
         description="Endings of scans that only the service reads: they are sent as they are.", examples=[[".pcd"]]
     )
+    small: list[str] = Field(description="Endings of small files, whose contents a look is given.", examples=[[".txt"]])
+    beside: list[str] = Field(description="Endings of what may lie beside the scans.", examples=[[".sbet"]])
 
 
 class RangeModel(BaseModel):
@@ -93,6 +100,8 @@ class PageConfig(BaseModel):
     )
     label_schemes: list[LabelSchemeModel] = Field(description="Label schemes with a name.")
     file_kinds: FileKinds
+    layouts: dict[str, str] = Field(description="Titles of the layouts of drives, by name.")
+    reading_schema: dict[str, Any] = Field(description="JSON Schema of how a drive can be read (`options` of a drive).")
     raw_first_frames: dict[str, int] = Field(
         description="Raw frame at which an odometry sequence begins, where it is not 0, by KITTI raw drive."
     )
@@ -117,6 +126,8 @@ class PageConfig(BaseModel):
             exports=suffixes_here(),
             label_schemes=_LABEL_SCHEMES,
             file_kinds=_FILE_KINDS,
+            layouts={each.name: each.title for each in (*FORMATS, *installed_formats())} | {"reduced": "reduced drive"},
+            reading_schema=ReadingOptions.model_json_schema(),
             raw_first_frames={raw: first for raw, (_, first, _) in ODOMETRY_OF_RAW.items() if first},
             raw_sequences={raw: sequence for raw, (sequence, _, _) in ODOMETRY_OF_RAW.items()},
             simulator=SIMULATOR,
@@ -146,4 +157,6 @@ _FILE_KINDS = FileKinds(
     archives=list(ARCHIVE_ENDINGS),
     recordings=list(RECORDING_ENDINGS),
     scans=list(PCD_ENDINGS),
+    small=list(SMALL_ENDINGS),
+    beside=[*TRACK_ENDINGS, ".yaml"],
 )

@@ -87,10 +87,10 @@ def collection_model(layer: Layer) -> type[BaseModel]:
 class ResultFile(BaseModel):
     """A file of a result."""
 
-    name: str = Field(examples=["figures/map.svg"])
+    name: str = Field(examples=["figures/map.png"])
     size_bytes: int
     media_type: str = Field(examples=["image/svg+xml"])
-    href: str = Field(examples=["/api/v1/jobs/9b1e44f00c7a2d53/files/figures/map.svg"])
+    href: str = Field(examples=["/api/v1/jobs/9b1e44f00c7a2d53/files/figures/map.png"])
 
 
 class ResultFileList(BaseModel):

@@ -16,7 +16,7 @@ from app.jobs.work.intersections import open_input
 from app.results.models import collection_id
 from app.work.documents import IntersectionsJob
 from interloc.files import atomic_folder, atomic_write
-from interloc.output.qgis_project import Source
+from interloc.output.qgis import Source
 from interloc.output.vector_files import write_live_project, write_vector_file
 
 VIEW = "view.json"

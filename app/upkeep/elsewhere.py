@@ -9,7 +9,7 @@ from app.upkeep.generations import find_generation
 from app.upkeep.transfer import PARTIAL
 from interloc import storage
 from interloc.errors import ConfigError
-from interloc.storage import Bucket, LaidOut, StoredObject
+from interloc.storage import Bucket, StoredObject
 
 
 def bring(out: Path, address: str) -> tuple[int, int]:
@@ -47,7 +47,7 @@ def bring(out: Path, address: str) -> tuple[int, int]:
     bucket.delete([f"{key}/{name}" for name in (*new, *gone) if _is_record(name) and name in there])
     for is_record in (False, True):
         chosen = [name for name in new if _is_record(name) is is_record]
-        storage.in_parallel(lambda name: bucket.put(f"{key}/{name}", files[name]), chosen)
+        list(storage.in_parallel(lambda name: bucket.put(f"{key}/{name}", files[name]), chosen))
     bucket.delete([f"{key}/{name}" for name in gone if not _is_record(name)])
     return len(new), sum(files[name].stat().st_size for name in new)
 
@@ -72,11 +72,12 @@ def fetch(address: str, generation: str | None) -> Path:
     bucket, _, there = _list(address)
     if not any(map(_is_record, there)):
         raise ConfigError(f"{address} holds no backup. Expected {RECORD} there. Usual cause: a mistyped prefix.")
-    laid = LaidOut.make(storage.temporary_folder(), bucket, {f"backup/{name}": each for name, each in there.items()})
-    place = laid.files / "backup"
+    place = storage.temporary_folder() / "backup"
     storage.show_as(place, address.rstrip("/"))
-    storage.in_parallel(laid.fetch, [place / name for name in there if _is_record(name)])
-    return storage.present_below(find_generation(place, generation))
+    storage.fetch(bucket, {name: each for name, each in there.items() if _is_record(name)}, place)
+    chosen = find_generation(place, generation)
+    storage.fetch(bucket, {name: each for name, each in there.items() if (place / name).is_relative_to(chosen)}, place)
+    return chosen
 
 
 def _list(address: str) -> tuple[Bucket, str, dict[str, StoredObject]]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,8 +14,7 @@ from interloc.errors import ConfigError, GeoreferenceError, InterLocError, is_in
 from interloc.wording import counted
 
 if TYPE_CHECKING:
-    from app.jobs.executors import WorkExecutor
-    from interloc.cli.units import Ended, Records, Unit
+    from interloc.cli.units import Ended, Unit
 
 CITY = "city"
 _OF_MAP = ("osm", "overpass", "policy", "tolerance_m", "locate", "near", "radius_km")
@@ -65,19 +63,28 @@ def command(
       interloc batch s3://bucket/drives -o s3://bucket/results --osm s3://bucket/region.osm.pbf --dask tcp://cluster:8786
     """
     from interloc.cli.batch_table import PAGE, TABLE, row_of, write_table
-    from interloc.cli.units import Records, remove_records
+    from interloc.cli.units import Records, do_all
+    from interloc.processes import cores
 
     options.configure(given["preset"], given["settings"])  # a mistake in it would fail every drive
     units = _units(drives, {name: given[name] for name in given if _is_given(context, name)})
-    records = Records(out)
+    records = Records(out, whole=as_map)
     if fresh:
-        remove_records(out)
+        records.forget()
     ended = {unit.name: before for unit in units if (before := records.done(unit)) is not None}
     if ended:
         console.note(f"{counted(len(ended), 'drive')} of {len(units)} done already (--fresh does them again)")
     missing = [unit for unit in units if unit.name not in ended]
-    if missing:
-        ended |= _do(missing, records, dask, workers, done=len(ended))
+    kept = len(ended)
+    try:
+        with console.progress("batch", "drive") as bar:
+            count = min(workers or cores(), len(missing) or 1)
+            if missing:
+                ended |= do_all(missing, records, count, dask, lambda done: bar(kept + done, len(units)))
+    except BaseException as error:
+        if not is_interruption(error):
+            raise
+        raise InterLocError("interrupted; the drives that are done are kept: the same command does the rest") from error
     left_out = _merge(units, ended, out) if as_map else []
     rows = [row_of(unit, ended[unit.name], out) for unit in units]
     write_table(rows, out)
@@ -95,47 +102,9 @@ def command(
         )
 
 
-def _do(
-    units: Sequence[Unit], records: Records, dask: str | None, workers: int | None, *, done: int
-) -> dict[str, Ended]:
-    """Do units with a progress bar; `done` have been done before."""
-    from interloc.cli.units import do_all
-    from interloc.processes import cores
-
-    total = done + len(units)
-    try:
-        with (
-            console.progress("batch", "drive") as bar,
-            _executor(dask, min(workers or cores(), len(units))) as executor,
-        ):
-            return do_all(
-                units, records, executor, shares_folder=dask is None, progress=lambda count: bar(done + count, total)
-            )
-    except BaseException as error:
-        if type(error).__name__ == "ClosedClientError":  # of distributed, which is an extra
-            raise InterLocError(
-                f"the Dask scheduler {dask} has gone. The drives that are done are kept: the same command does the rest"
-            ) from error
-        if not is_interruption(error):
-            raise
-        raise InterLocError("interrupted; the drives that are done are kept: the same command does the rest") from error
-
-
 def _is_given(context: click.Context, name: str) -> bool:
     source = context.get_parameter_source(name)
     return source is not None and source is not click.core.ParameterSource.DEFAULT
-
-
-@contextmanager
-def _executor(dask: str | None, workers: int) -> Iterator[WorkExecutor]:
-    from app.jobs.executors import DaskExecutor
-    from app.jobs.processes import ProcessExecutor
-
-    executor: WorkExecutor = ProcessExecutor(workers) if dask is None else DaskExecutor(dask, lambda: None)
-    try:
-        yield executor
-    finally:
-        executor.stop()
 
 
 def _units(drives: Sequence[str], common: Mapping[str, Any]) -> list[Unit]:
@@ -252,7 +221,6 @@ def _merge(units: Sequence[Unit], ended: Mapping[str, Ended], out: Path) -> list
     from interloc.city.folder import write_city
     from interloc.city.passes import Pass
     from interloc.output.read import read_results
-    from interloc.storage import present_below
 
     left_out: list[str] = []
     passes: dict[str, Pass] = {}
@@ -260,7 +228,7 @@ def _merge(units: Sequence[Unit], ended: Mapping[str, Ended], out: Path) -> list
         if ended[unit.name].error is not None:
             continue
         try:
-            one = Pass.of(read_results(present_below(out / unit.name)))
+            one = Pass.of(read_results(out / unit.name))
         except GeoreferenceError as error:
             left_out.append(f"{unit.name}: {error}")
             continue

@@ -12,7 +12,6 @@ from typing import Any
 from interloc.cli.summary import wrong_detections
 from interloc.cli.units import Ended, Unit
 from interloc.files import write_file
-from interloc.storage import present
 
 TABLE, PAGE = "batch.csv", "batch.html"
 
@@ -66,7 +65,7 @@ def write_table(rows: Sequence[dict[str, Any]], out: Path) -> None:
 
 
 def _read(path: Path) -> dict[str, Any]:
-    found: dict[str, Any] = json.loads(present(path).read_bytes()) if path.is_file() else {}
+    found: dict[str, Any] = json.loads(path.read_bytes()) if path.is_file() else {}
     return found
 
 

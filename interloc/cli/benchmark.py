@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from interloc.cli import console, options
+from interloc.errors import require_lab
 
 if TYPE_CHECKING:
-    from interloc.benchmark.cases import Case, Poses
-    from interloc.benchmark.row import Row
-    from interloc.benchmark.run import Benchmark, NamedConfig
     from interloc.drives.options import LabelFolder
+    from interloc.lab.measure import Row
+    from interloc.lab.run import Benchmark, NamedConfig
+    from interloc.lab.twins import Case, Poses
     from interloc.osm.policies import Policy
 
 
@@ -117,6 +118,7 @@ def command() -> None:
     OUT/benchmark.html has tables, figures and maps; OUT/failures lists what went wrong where. A run that was stopped
     continues where it was: finished rows are kept in OUT/rows as long as settings, inputs and program are the same.
     """
+    require_lab()
 
 
 @command.command()
@@ -146,7 +148,7 @@ def twins(
     Example:
       interloc benchmark twins --kitti kitti --sequences 00,05 --noise 20/20 -o out
     """
-    from interloc.benchmark.cases import twin_cases
+    from interloc.lab.twins import twin_cases
 
     cases = twin_cases(kitti, _list(sequences), seeds=seeds, poses=poses, keep=keep, max_scans=max_scans)
     _measure(
@@ -190,7 +192,7 @@ def semantickitti(root: Path, oxts: Path, osm: Path, sequences: str, labels: Lab
     Example:
       interloc benchmark semantickitti --root SemanticKITTI --oxts KITTI/raw --osm maps --labels predictions -o out
     """
-    from interloc.benchmark.cases import semantickitti_cases
+    from interloc.lab.cases import semantickitti_cases
 
     cases = semantickitti_cases(root, oxts, osm, _list(sequences), labels=labels)
     _measure(
@@ -228,8 +230,8 @@ def drives(
     Example:
       interloc benchmark drives monday tuesday --osm town.osm.gz -o out
     """
-    from interloc.benchmark.cases import folder_cases
     from interloc.drives.options import DriveOptions
+    from interloc.lab.cases import folder_cases
 
     if oxts is not None and len(drives) > 1:
         raise click.UsageError("--oxts belongs to one drive; put oxts/data or geo.csv into each of several drives")
@@ -288,12 +290,11 @@ def ablation(
     Example:
       interloc benchmark ablation --kitti kitti --recorded drives --take-out branches.square_std_deg,compound -o out
     """
-    from dataclasses import asdict, replace
+    from dataclasses import replace
 
-    from interloc.benchmark.ablation import SETS, ablation_table, taken_out
-    from interloc.benchmark.run import Benchmark
-    from interloc.benchmark.tables import text
     from interloc.files import write_file
+    from interloc.lab.ablation import SETS, ablation_table, taken_out
+    from interloc.lab.run import Benchmark
 
     drives = SETS[part]
     if sequences:
@@ -302,11 +303,13 @@ def ablation(
     cases = drives.cases(kitti, recorded, keep=keep, max_scans=max_scans)
     rows = _run(Benchmark(tuple(cases), tuple(configs)), out, workers=workers, fresh=False)
     table = ablation_table(rows, configs, part)
-    write_file(out / "ablation.txt", f"{text(table)}\n")
+    write_file(out / "ablation.txt", f"{table.text()}\n")
     if console.wants_json():
-        console.say_json(asdict(table))
+        console.say_json(
+            {"title": table.title, "rows": table.frame.reset_index().to_dict("records"), "notes": list(table.notes)}
+        )
     else:
-        click.echo(text(table))
+        click.echo(table.text())
 
 
 def _measure(
@@ -324,11 +327,11 @@ def _measure(
     **described: Any,
 ) -> None:
     """Run a benchmark by the values of `measuring_options`; `described` are further fields of `Benchmark`."""
-    from interloc.benchmark.measure import Scoring
-    from interloc.benchmark.report import PAGE, benchmark_record, write_benchmark
-    from interloc.benchmark.run import Benchmark
-    from interloc.benchmark.tables import NO_NOISE, tables, text
     from interloc.evaluation.label_errors import parse_level
+    from interloc.lab.measure import Scoring
+    from interloc.lab.report import PAGE, benchmark_record, write_benchmark
+    from interloc.lab.run import Benchmark
+    from interloc.lab.tables import NO_NOISE, tables
 
     levels = [f"{100 * r_fpr:g}/{100 * r_fnr:g}" for r_fpr, r_fnr in map(parse_level, noises)]
     benchmark = Benchmark(
@@ -345,14 +348,14 @@ def _measure(
     if console.wants_json():
         console.say_json(benchmark_record(benchmark, measured))
         return
-    click.echo("\n\n".join(map(text, tables(measured))))
+    click.echo("\n\n".join(table.text() for table in tables(measured)))
     click.echo(f"\nreport  {out / PAGE}")
 
 
 def _run(benchmark: Benchmark, out: Path, *, workers: int | None, fresh: bool) -> list[Row]:
     """Measure, with a progress bar for each drive."""
-    from interloc.benchmark.run import run_benchmark
     from interloc.errors import InterLocError, is_interruption
+    from interloc.lab.run import run_benchmark
     from interloc.processes import cores
 
     bars = _Bars()
@@ -369,7 +372,7 @@ def _run(benchmark: Benchmark, out: Path, *, workers: int | None, fresh: bool) -
 
 
 def _named_config(preset: str, settings: tuple[str, ...]) -> NamedConfig:
-    from interloc.benchmark.run import NamedConfig
+    from interloc.lab.run import NamedConfig
 
     name = preset + "".join(f" {setting}" for setting in settings)
     arguments = ("--preset", preset, *(part for setting in settings for part in ("--set", setting)))

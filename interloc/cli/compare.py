@@ -47,36 +47,35 @@ def command(results: tuple[Path, ...], out: Path | None) -> None:
     if out is not None:
         write_comparison(comparison, reports, out)
     if console.wants_json():
-        console.say_json(comparison)
+        console.say_json(comparison.model_dump())
         return
     for name, report in zip(names, reports, strict=True):
         click.echo(f"{name}: {report.get('map_line') or map_line(report['map_level'])}")
     click.echo()
-    _print_table(["", *names], [[row["title"], *map(_text, row["values"])] for row in comparison["figures"]])
-    click.echo()
-    if comparison["inputs"]:
-        _print_table(["input", *names], [[row["name"], *map(_text, row["values"])] for row in comparison["inputs"]])
-        click.echo()
-    if comparison["settings"]:
-        _print_table(["setting", *names], [[row["name"], *map(_text, row["values"])] for row in comparison["settings"]])
-    else:
-        click.echo("the same settings")
-    click.echo()
-    found, missed = comparison["found_by_all"], comparison["missed_by_all"]
+    _print_table(["", *names], [[row.title, *map(_text, row.values)] for row in comparison.figures])
+    _print_table(["input", *names], [[row.name, *map(_text, row.values)] for row in comparison.inputs])
+    _print_table(["setting", *names], [[row.name, *map(_text, row.values)] for row in comparison.settings])
+    if not comparison.settings:
+        click.echo("the same settings\n")
+    found, missed = comparison.found_by_all, comparison.missed_by_all
     click.echo(f"{counted(found, 'OSM node')} found by all, {counted(missed, 'OSM node')} missed by all")
-    for name, only in zip(names, comparison["found_only_by"], strict=True):
+    for name, only in zip(names, comparison.found_only_by, strict=True):
         click.echo(f"only {name}: {len(only)}" + (f" ({', '.join(map(str, only[:20]))})" if only else ""))
-    for warning in comparison["warnings"]:
+    for warning in comparison.warnings:
         click.echo(f"note: {warning}")
 
 
 def _print_table(head: list[str], rows: list[list[str]]) -> None:
+    """Print a table, where it has rows, and an empty line."""
+    if not rows:
+        return
     widths = [max(len(row[column]) for row in [head, *rows]) for column in range(len(head))]
     for row in [head, *rows]:
         first, *rest = (
             text.ljust(w) if i == 0 else text.rjust(w) for i, (text, w) in enumerate(zip(row, widths, strict=True))
         )
         click.echo("  ".join([first, *rest]).rstrip())
+    click.echo()
 
 
 def _text(value: Any) -> str:

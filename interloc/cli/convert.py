@@ -72,11 +72,10 @@ def label(drive: Path, by: str | None, model: Path | None, out: Path | None, **r
     """
     from interloc.drives.options import DriveOptions, LabelFolder
     from interloc.reduction.convert import label_drive
-    from interloc.storage import is_elsewhere
 
     if (model is None) != (by == "geometry"):
         raise click.UsageError("Give the folder of a network (--model), or --by geometry; one of the two.")
-    if out is None and is_elsewhere(drive):
+    if out is None and console.shown(str(drive)) != str(drive):
         raise click.UsageError("Give the folder that predictions/ is made in (-o): the drive is in object storage.")
     labels: LabelFolder = "geometry" if by == "geometry" else "labels"
     began = time.perf_counter()

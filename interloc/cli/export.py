@@ -16,15 +16,14 @@ from interloc.cli import console, options
     "--out",
     required=True,
     type=options.Place(path_type=Path, dir_okay=False),
-    help="File to write; its name ends in .gpkg, .qgz, .kmz, .fgb, .kml, .csv, .geojson, .parquet, .pmtiles or .gpx, "
+    help="File to write; its name ends in .gpkg, .qgz, .kmz, .fgb, .kml, .csv, .geojson, .parquet or .pmtiles, "
     "in .tif for the layer road, or for the roads in .nav2.geojson (Nav2), .osm (Lanelet2) or .xodr (OpenDRIVE), "
     "or in .mcap (Foxglove, Lichtblick).",
 )
 @click.option(
     "--layer",
     help="Only this layer, such as detections or road; also branches and uncertainty, made of the intersections. "
-    "[default: all in a .gpkg, .qgz, .kmz or .pmtiles, track and intersections in a .gpx, road in a .tif, else "
-    "intersections]",
+    "[default: all in a .gpkg, .qgz, .kmz or .pmtiles, road in a .tif, else intersections]",
 )
 @options.QUIET
 @options.JSON
@@ -43,7 +42,6 @@ def command(result: Path, out: Path, layer: str | None) -> None:
       interloc export out -o matches.kml --layer matches
       interloc export out -o intersections.csv
       interloc export out -o map.pmtiles
-      interloc export out -o track.gpx
       interloc export out -o road.tif
       interloc export out -o roads.xodr
       interloc export out -o out.mcap

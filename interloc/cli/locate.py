@@ -61,7 +61,7 @@ def command(
     Exit code 1 where the place is ambiguous or was not found: then no geo.csv is written.
     """
     from interloc.errors import ConfigError
-    from interloc.localization.decision import MIN_LENGTH_M
+    from interloc.localization.evidence import MIN_LENGTH_M
     from interloc.localization.locate import locate
     from interloc.localization.placing import require_found
     from interloc.localization.track import track_of

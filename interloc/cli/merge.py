@@ -36,7 +36,7 @@ def command(results: tuple[str, ...], out: Path, replace: bool, remove: tuple[st
     from interloc.city.passes import Pass
     from interloc.errors import ConfigError
     from interloc.output.read import read_results
-    from interloc.storage import present_below
+    from interloc.storage import fetch_older
 
     if not results and not remove:
         raise click.UsageError("give one or more result folders, or --remove")
@@ -45,7 +45,7 @@ def command(results: tuple[str, ...], out: Path, replace: bool, remove: tuple[st
         name, _, folder = given.rpartition("=") if not Path(given).is_dir() else ("", "", given)
         data = Pass.of(read_results(folder))
         passes.append(changed(data, name=name) if name else data)
-    with locked(present_below(out)):
+    with locked(fetch_older(out)):
         city = read_city(out) if is_city(out) else CityMap()
         city.remove(*remove)
         known = {drive.data.key: name for name, drive in city.drives.items()}

@@ -26,20 +26,21 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 class Place(click.Path):
-    """A path; or an address in object storage: then what lies there is laid out here, or -o sent there at the end."""
+    """A path; or an address in object storage: then what lies there is fetched, or -o sent there at the end."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Return the path, or that of where an address is laid out."""
+        """Return the path, or that of the folder that stands for an address."""
         if not isinstance(value, str) or "://" not in value:
             return super().convert(value, param, ctx)
         from interloc import storage
 
         if param is not None and param.name == "out":
             place = storage.result_place(value)
-            return storage.present_below(place) if isinstance(param, click.Argument) else place
-        from interloc.reduction.elsewhere import lay_out
+            return storage.fetch_older(place) if isinstance(param, click.Argument) else place
+        from interloc.reduction.elsewhere import fetch_drive
 
-        return lay_out(value)
+        with console.progress("fetch", "B") as bar:
+            return fetch_drive(value, progress=bar)
 
 
 PATH = Place(path_type=Path)
@@ -71,7 +72,7 @@ POLICY = click.option(
 TOLERANCE = click.option("--tolerance", "tolerance_m", default=15.0, show_default=True, help=TOLERANCE_HELP)
 OSM = click.option("--osm", type=PATH, help="OSM file: .osm, .osm.gz, .osm.bz2 or .osm.pbf.")
 SENSORS = ("vlp-16", "os1-32", "os1-64", "hdl-64e")
-"""Names of `interloc.simulate.config.SENSORS`, which is slow to import."""
+"""Names of `interloc.lab.config.SENSORS`, which is slow to import."""
 
 OVERPASS = click.option("--overpass", is_flag=True, help="Fetch the map from a public Overpass server instead.")
 

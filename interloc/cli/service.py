@@ -70,16 +70,16 @@ def serve(**given: Any) -> None:
                 "The page is not installed, only the API: InterLoc was installed where npm was missing. Install npm, "
                 "then run `make install` in the clone, or `pip install .` again.",
             )
-        for name, meant in mistyped(os.environ):
-            click.echo(f"{name} is not a setting and has no effect; {meant} is one.")
+        for name, near in unknown_settings(os.environ):
+            click.echo(f"{name} is not a setting and has no effect; {near}.")
 
     run_server(settings, print_address)
 
 
-def mistyped(environment: Iterable[str]) -> list[tuple[str, str]]:
-    """Return the variables that are no setting but nearly one, and that one.
+def unknown_settings(environment: Iterable[str]) -> list[tuple[str, str]]:
+    """Return the variables that are no setting (any more), and which one is like it, or where all are listed.
 
-    Only those: other programs set variables of this beginning, too, as Kubernetes does for a service of this name.
+    Those that Kubernetes sets for a service of this name are left out.
     """
     from app.settings import Settings
 
@@ -87,8 +87,9 @@ def mistyped(environment: Iterable[str]) -> list[tuple[str, str]]:
     found = []
     for name in sorted(environment):
         start, _, rest = name.upper().partition("_")
-        if start == "INTERLOC" and rest not in known and (near := get_close_matches(rest, known, 1, 0.75)):
-            found.append((name, f"INTERLOC_{near[0]}"))
+        if start == "INTERLOC" and rest not in known and not rest.startswith(("SERVICE_", "PORT_")):
+            near = get_close_matches(rest, known, 1, 0.75)
+            found.append((name, f"INTERLOC_{near[0]} is one" if near else "docs/service.md lists all"))
     return found
 
 

@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from interloc.cli import console, options
+from interloc.errors import require_lab
 
 if TYPE_CHECKING:
-    from interloc.benchmark.cases import Poses
-    from interloc.simulate.config import SimulationOptions, TrackConfig
-    from interloc.simulate.town import Part
+    from interloc.lab.config import SimulationOptions, TrackConfig
+    from interloc.lab.town import Part
+    from interloc.lab.twins import Poses
 
 
 _SHOT_BYTES, _GROUND_SHARE = 18, 0.5  # bytes: those shots that return, with their labels
@@ -133,6 +134,7 @@ def command() -> None:
 
     DRIVE is in SemanticKITTI format with oxts/: go on with `interloc run DRIVE -o OUT --osm MAP`.
     """
+    require_lab()
 
 
 @command.command()
@@ -159,8 +161,8 @@ def town(drive: Path, part: Part, every_scan: bool, speed_mps: float, min_radius
     Example:
       interloc simulate town --part quarter -o drive && interloc run drive -o out --osm drive/map.osm
     """
-    from interloc.simulate.drive import simulate
-    from interloc.simulate.town import MAP_FILE, Town
+    from interloc.lab.drive import simulate
+    from interloc.lab.town import MAP_FILE, Town
 
     options = _options(every_scan=every_scan, **common)
     with console.progress("simulate", "scan") as bar:
@@ -209,9 +211,9 @@ def track(
     Example:
       interloc simulate track --osm map.osm.gz --track ride.gpx -o drive && interloc run drive -o out --osm map.osm.gz
     """
-    from interloc.simulate.drive import Trip, simulate
-    from interloc.simulate.osm_map import read_map
-    from interloc.simulate.track_files import open_track
+    from interloc.lab.drive import Trip, simulate
+    from interloc.lab.streets import read_map
+    from interloc.lab.tracks import open_track
 
     with console.progress("simulate", "scan") as bar:
         line = open_track(track_file, _track_config(speed_mps, offset_m, min_radius_m))
@@ -245,9 +247,8 @@ def twin(sequence: str, kitti: Path, drive: Path, poses: Poses, every_scan: bool
     Example:
       interloc simulate twin 07 --kitti kitti -o drive && interloc run drive -o out --osm kitti/osm/07.osm.gz
     """
-    from interloc.benchmark.cases import twin_cases
-    from interloc.simulate.drive import simulate
-    from interloc.simulate.twins import twin_trip
+    from interloc.lab.drive import simulate
+    from interloc.lab.twins import twin_cases, twin_trip
 
     (case,) = twin_cases(kitti, [sequence], poses=poses)
     with console.progress("simulate", "scan") as bar:
@@ -273,7 +274,7 @@ def _options(
     posts: float,
 ) -> SimulationOptions:
     """Return the values of `scene_options` as the simulator takes them."""
-    from interloc.simulate.config import (
+    from interloc.lab.config import (
         SENSORS,
         LidarConfig,
         RoadsideConfig,
@@ -323,7 +324,7 @@ class _Announced:
 
 
 def _track_config(speed_mps: float, offset_m: float = 0.0, min_radius_m: float = 0.0) -> TrackConfig:
-    from interloc.simulate.config import TrackConfig
+    from interloc.lab.config import TrackConfig
 
     return TrackConfig(speed_mps=speed_mps, offset_m=offset_m, min_radius_m=min_radius_m)
 

@@ -1,8 +1,7 @@
-"""Drives of a batch, each a unit of work of its own: `interloc run` or `detect` in a worker process.
+"""Drives of a batch, each a unit of work of its own: `interloc run` or `detect` in a process of its own.
 
 A unit is the command line of one drive, so its result is that of the command by itself. It can be repeated at will: a
-result folder appears whole or not at all. Workers are those of the service: processes of this machine, one of which
-may die without the others, or those of a Dask cluster.
+result folder appears whole or not at all. Units are done on this machine, or by the workers of a Dask cluster.
 """
 
 from __future__ import annotations
@@ -10,32 +9,32 @@ from __future__ import annotations
 import hashlib
 import io
 import json
+import re
 import shutil
 import tarfile
 import tempfile
 import time
-from collections import Counter, deque
-from collections.abc import Callable, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, wait
-from contextlib import redirect_stderr
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from contextlib import contextmanager, redirect_stderr, suppress
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from threading import Event
+from typing import Any
 
 import click
 
 from interloc import storage
-from interloc.errors import ConfigError, InterLocError
+from interloc.errors import ConfigError, InterLocError, install
 from interloc.files import write_file
-
-if TYPE_CHECKING:
-    from app.jobs.executors import WorkExecutor
+from interloc.processes import in_own_process, stop_processes
 
 RECORDS = ".batch"
 """Folder of what is known of each unit: the same batch goes on where it was stopped."""
 
-_TRIES = 3  # of a unit whose workers died
-_NO_WORKERS_S = 600.0  # how long a cluster may be without workers, or without its scheduler
+_TRIES = 3  # of a unit whose process died
+_PATIENCE_S = 10.0  # with a scheduler that does not answer
 
 
 @dataclass(frozen=True)
@@ -107,10 +106,22 @@ def work(unit: Unit, out: str | None) -> Ended:
     return Ended(time.monotonic() - began, error, warnings)
 
 
-class Records:
-    """What is known of the units of a batch, one file each, in the folder of the batch."""
+Submit = Callable[[Unit, Path], "Future[Ended]"]
+"""Has a unit of the batch in a folder done."""
 
-    def __init__(self, out: Path) -> None:
+
+class Records:
+    """What is known of the units of a batch, one file each, in the folder of the batch.
+
+    Parameters
+    ----------
+    out
+        Folder of the batch.
+    whole
+        Whether what is in object storage already is needed whole: else the records and the figures of the table.
+    """
+
+    def __init__(self, out: Path, *, whole: bool = False) -> None:
         self.out = out
         self._folder = out / RECORDS
         if out.exists() and not self._folder.is_dir() and (not out.is_dir() or any(out.iterdir())):
@@ -118,19 +129,25 @@ class Records:
                 f"{out} exists and is not the folder of a batch. It was not touched. Give a new or empty folder (-o)."
             )
         self._folder.mkdir(parents=True, exist_ok=True)
-        self._there = storage.take_result(out)
+        needed = re.compile(rf"{re.escape(RECORDS)}/|.*/(run\.json|report\.json|intersections\.[a-z.]*json)$")
+        storage.fetch_older(out, lambda name: whole or needed.match(name) is not None)
+        self._place = storage.take_result(out)
 
     def send(self, *names: str) -> None:
         """Bring files and folders of the batch to where it belongs, if that is object storage."""
-        for name in names if self._there is not None else ():
-            assert self._there is not None
-            if (place := self.out / name).exists():
-                storage.send(place, self._there[0], f"{self._there[1]}/{name}")
+        for name in names:
+            if self._place is not None and (self.out / name).exists():
+                self._place.send(name)
+
+    def forget(self) -> None:
+        """Forget what was done: every unit is done again."""
+        shutil.rmtree(self._folder)
+        self._folder.mkdir()
 
     def done(self, unit: Unit) -> Ended | None:
         """Return how a unit ended that need not be done again."""
         try:
-            record = json.loads(storage.present(self._folder / f"{unit.name}.json").read_bytes())
+            record = json.loads((self._folder / f"{unit.name}.json").read_bytes())
             is_there = (self.out / unit.name / "run.json").is_file() and record["unit"] == unit.identity
             ended = Ended(**{**record["ended"], "warnings": tuple(record["ended"]["warnings"])})
         except (OSError, ValueError, TypeError, KeyError):
@@ -140,7 +157,11 @@ class Records:
     def write(self, unit: Unit, identity: dict[str, Any], ended: Ended) -> Ended:
         """Record how a unit ended; what it brings goes to its folder first."""
         if ended.content is not None:
-            _unpack(ended.content, self.out / unit.name)
+            from interloc.output.layout import result_folder
+
+            content = io.BytesIO(ended.content)
+            with result_folder(self.out / unit.name) as folder, tarfile.open(fileobj=content) as archive:
+                archive.extractall(folder, filter="data")
             ended = replace(ended, content=None)
         write_file(self._folder / f"{unit.name}.json", json.dumps({"unit": identity, "ended": asdict(ended)}, indent=1))
         self.send(unit.name, f"{RECORDS}/{unit.name}.json")
@@ -148,65 +169,81 @@ class Records:
 
 
 def do_all(
-    units: Sequence[Unit],
-    records: Records,
-    executor: WorkExecutor,
-    *,
-    shares_folder: bool,
-    progress: Callable[[int], None],
+    units: Sequence[Unit], records: Records, workers: int, dask: str | None, progress: Callable[[int], None]
 ) -> dict[str, Ended]:
-    """Do units; one that fails stops nothing, one whose worker dies is tried again.
+    """Do units; one that fails stops nothing, one whose process dies is tried again.
 
     Parameters
     ----------
     units
     records
-    executor
-    shares_folder
-        Whether workers write to the folder of the batch themselves.
+    workers
+        Processes of this machine.
+    dask
+        Address of a Dask scheduler whose workers do it instead.
     progress
         Called several times per second with how many are done; whatever it raises ends the batch.
     """
-    waiting = deque(units)
-    running: dict[Future[Ended], tuple[Unit, dict[str, Any]]] = {}
-    tries: Counter[str] = Counter()
     ended: dict[str, Ended] = {}
-    seen = time.monotonic()
-    while waiting or running:
-        if executor.alive:
-            seen = time.monotonic()
-            while waiting and len(running) < 2 * executor.slots:
-                unit = waiting.popleft()
-                out = str(records.out / unit.name) if shares_folder else None
-                identity = unit.identity
-                running[executor.submit(work, unit, out)] = unit, identity
-        elif time.monotonic() - seen > _NO_WORKERS_S:
-            raise InterLocError("there are no workers any more. The same command does what is left.")
-        if not running:
-            time.sleep(0.2)
-        for future in wait(running, timeout=0.2, return_when=FIRST_COMPLETED).done:
-            unit, identity = running.pop(future)
-            outcome = _outcome(future)
-            tries[unit.name] += executor.alive > 0
-            if outcome is None and tries[unit.name] < _TRIES:
-                waiting.append(unit)
-                continue
-            lost = Ended(0.0, f"{unit.drive}: its worker died {_TRIES} times. Usual cause: too little memory.")
-            ended[unit.name] = records.write(unit, identity, outcome or lost)
-        progress(len(ended))
+    with _dask(dask) if dask is not None else _processes(workers) as submit:
+        running = {submit(unit, records.out): (unit, unit.identity) for unit in units}
+        while running:
+            for future in wait(running, timeout=0.2, return_when=FIRST_COMPLETED).done:
+                unit, identity = running.pop(future)
+                try:
+                    outcome = future.result()
+                except Exception as error:  # noqa: BLE001 - of Dask, whose workers or scheduler died
+                    why = f"the Dask cluster gave it up ({type(error).__name__}: {error})"
+                    outcome = Ended(0.0, f"{unit.drive}: {why}. Usual cause: workers with too little memory.")
+                ended[unit.name] = records.write(unit, identity, outcome)
+            progress(len(ended))
     return ended
 
 
-def _outcome(future: Future[Ended]) -> Ended | None:
-    """Return what became of a unit; None where its worker is lost."""
-    from app.jobs.processes import WorkerLimitError, WorkerLostError
+@contextmanager
+def _processes(workers: int) -> Iterator[Submit]:
+    """Do units in a process each, again where that dies; what runs is stopped where the batch ends early."""
+    stopping = Event()
 
+    def do(unit: Unit, out: Path) -> Ended:
+        for _ in range(_TRIES):
+            with suppress(InterLocError):  # it died: what is wrong with the drive is an outcome
+                if not stopping.is_set():
+                    return in_own_process(partial(work, out=str(out / unit.name)), unit)
+        return Ended(0.0, f"{unit.drive}: its worker died {_TRIES} times. Usual cause: too little memory.")
+
+    with ThreadPoolExecutor(workers, "batch") as threads:
+        try:
+            yield lambda unit, out: threads.submit(do, unit, out)
+        except BaseException:
+            stopping.set()
+            threads.shutdown(wait=False, cancel_futures=True)
+            stop_processes()
+            raise
+
+
+@contextmanager
+def _dask(address: str) -> Iterator[Submit]:
+    """Have units done by the workers of a cluster, which give the results back."""
     try:
-        return future.result()
-    except WorkerLostError:
-        return None
-    except WorkerLimitError as error:
-        return Ended(0.0, f"it was ended for its {error.limit}: {error}. Fewer --workers leave each of them more.")
+        from distributed import Client
+
+        connect: Any = Client
+        client = connect(address, timeout=_PATIENCE_S, name="interloc", set_as_default=False)
+    except ImportError as error:
+        raise ConfigError(
+            f"a Dask scheduler is named ({address}), but Dask is not installed. Install it: {install('dask')}"
+        ) from error
+    except (OSError, ValueError, TimeoutError) as error:
+        raise ConfigError(
+            f"no Dask scheduler answers at {address} ({error or type(error).__name__}). "
+            "Start one (`dask scheduler`), and workers (`dask worker ADDRESS`)."
+        ) from error
+    try:
+        executor = client.get_executor(pure=False)  # a repeated call must be executed again
+        yield lambda unit, _: executor.submit(work, unit, None)
+    finally:
+        client.close(timeout=5)
 
 
 def _stamps(name: str) -> list[list[Any]]:
@@ -230,16 +267,3 @@ def _packed(folder: Path) -> bytes:
         for entry in sorted(folder.iterdir()):
             archive.add(entry, entry.name)
     return content.getvalue()
-
-
-def _unpack(content: bytes, out: Path) -> None:
-    from interloc.output.layout import result_folder
-
-    with result_folder(out) as folder, tarfile.open(fileobj=io.BytesIO(content)) as archive:
-        archive.extractall(folder, filter="data")
-
-
-def remove_records(out: Path) -> None:
-    """Forget what was done: every unit is done again."""
-    shutil.rmtree(out / RECORDS, ignore_errors=True)
-    (out / RECORDS).mkdir(parents=True, exist_ok=True)

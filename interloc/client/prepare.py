@@ -128,16 +128,16 @@ def _reduced_on_the_way(reduction: Reduction, maps: list[UploadFile]) -> Prepare
             made_from=source.files(int(frame)),
             made_by=_mark_of(source),
         )
-        for frame in plan.frames_to_send
+        for frame in plan.kept
         for labels, source in reduction.scans.items()
     ]
     small = [_small_file(name, source) for name, source in plan.copies.sources.items()]
     return PreparedDrive(
         name=manifest.name,
-        scans=plan.scans,
-        scans_sent=len(plan.frames_to_send),
+        scans=len(plan.frames),
+        scans_sent=len(plan.kept),
         source_bytes=_source_bytes(manifest),
-        is_georeferenced=plan.georeference is not None,
+        is_georeferenced=reduction.is_georeferenced,
         files=[*small, *scans, _manifest_file(manifest)],
         maps=maps,
     )
@@ -161,10 +161,10 @@ def _as_it_is(root: Path, reduction: Reduction, options: PushOptions, maps: list
     given = manifest.files.geo or manifest.files.oxts if options.reading.oxts is not None else None
     return PreparedDrive(
         name=manifest.name,
-        scans=plan.scans,
-        scans_sent=plan.scans,
+        scans=len(plan.frames),
+        scans_sent=len(plan.frames),
         source_bytes=_source_bytes(manifest),
-        is_georeferenced=plan.georeference is not None,
+        is_georeferenced=reduction.is_georeferenced,
         files=[
             *(_small_file(name, source) for name, source in plan.copies.sources.items()),
             *(UploadFile(name, path) for name, path in scans.items()),

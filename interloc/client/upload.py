@@ -18,7 +18,6 @@ from interloc.client.connection import Connection
 from interloc.client.upload_log import Sent, UploadLog
 from interloc.errors import DriveError, NetworkError
 from interloc.files import reason_of
-from interloc.storage import present
 
 _CHUNK_BYTES = 1024 * 1024
 _PAGE_FILES = 10_000
@@ -80,7 +79,7 @@ class Payload:
     @classmethod
     def of_file(cls, path: Path) -> Payload:
         """Return the payload of a file, which is read again each time it is sent."""
-        with present(path).open("rb") as file:
+        with path.open("rb") as file:
             digest = hashlib.file_digest(file, "sha256").digest()
             size = file.tell()
         return cls(size, digest, partial(_chunks, path, size))

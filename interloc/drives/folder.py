@@ -13,7 +13,6 @@ from interloc.drive import Georeference, GroundPoints
 from interloc.drives.labels import LabelScheme
 from interloc.drives.scans.raw import RawScans
 from interloc.drives.scans.reduced import ReducedScans
-from interloc.storage import is_elsewhere
 
 Scans = RawScans | ReducedScans
 """The scans of a drive by one of its label folders."""
@@ -68,11 +67,6 @@ class FolderDrive:
     def is_slow(self) -> bool:
         """Whether several scans should be read at once."""
         return self.scans.is_slow
-
-    @property
-    def is_elsewhere(self) -> bool:
-        """Whether the scans are fetched from object storage."""
-        return is_elsewhere(self.root)
 
     @property
     def label_source(self) -> str:

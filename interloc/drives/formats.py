@@ -32,6 +32,11 @@ class ScanFormat:
     """`interloc.drives.layouts` knows its folders, and a scan is a file."""
     is_read_whole: bool = True
     """Its scans have names of any kind: no file beside them is called needless."""
+    title: str = ""
+    """What the page calls it."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "title", self.title or self.name)
 
     def open(self, *arguments: Any) -> Any:  # noqa: ANN401 - loaded by its name
         """Call the function that opens a drive of this format.
@@ -54,28 +59,35 @@ _BIN_FILES = {
     "kitti360": "velodyne/ or data_3d_raw/DRIVE/velodyne_points/ with pose lines that start with the frame number "
     "(KITTI-360)",
 }
+_BIN_TITLES = {"semantickitti": "SemanticKITTI / KITTI odometry", "kitti_raw": "KITTI raw", "kitti360": "KITTI-360"}
 _BIN_OPENER = "interloc.drives.scans.bin_files:open_bin_files"
 
 FORMATS = (
-    *(ScanFormat(name, looks, _BIN_OPENER, (".bin",), True, False) for name, looks in _BIN_FILES.items()),
+    *(
+        ScanFormat(name, looks, _BIN_OPENER, (".bin",), True, False, _BIN_TITLES[name])
+        for name, looks in _BIN_FILES.items()
+    ),
     ScanFormat(
         "pcd",
         "000000.pcd, 000001.pcd, ... (directly in it, or in pcd/, clouds/, velodyne/) with poses.txt (PCD)",
         "interloc.drives.scans.pcd:open_pcd_files",
         (".pcd",),
         is_folders=True,
+        title="PCD files",
     ),
     ScanFormat(
         "rosbag",
         "a ROS bag (.bag, .db3, .mcap)",
         "interloc.drives.scans.rosbag.open:open_rosbag",
         (".bag", ".db3", ".mcap"),
+        title="ROS bag",
     ),
     ScanFormat(
         "las",
         "LAS or LAZ files with their trajectory",
         "interloc.drives.scans.las.open:open_las",
         (".las", ".laz"),
+        title="LAS or LAZ files",
     ),
 )
 """Those of this package, in the order in which messages name them; a new one is a module of `scans` and a line."""

@@ -3,88 +3,94 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from functools import reduce
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
+
+from pydantic import BaseModel, Field
 
 from interloc.config import flatten
 from interloc.drawing import image
 from interloc.errors import ConfigError
-from interloc.evaluation.metrics import STANDARD_THRESHOLD_M
-from interloc.evaluation.report import data_address, template, threshold_name
+from interloc.evaluation.report import data_address, template
 from interloc.files import write_file
 from interloc.output.layout import refuse_result_file, settings_of
 
-_STANDARD = threshold_name(STANDARD_THRESHOLD_M)
+Outcome = Literal["found", "missed", "outside"]
+
+
+class Difference(BaseModel):
+    """An input or a setting in which runs differ."""
+
+    name: str = Field(examples=["bev.resolution_m"])
+    values: list[Any] = Field(description="In the order of the runs.", examples=[[0.16, 0.25]])
+
+
+class Figure(BaseModel):
+    """A figure of the reports."""
+
+    name: str = Field(examples=["ace_m"])
+    title: str = Field(description="Its name in words.", examples=["mean error of detections (ACE) [m]"])
+    values: list[int | float | None]
+
+
+class ComparedNode(BaseModel):
+    """An OpenStreetMap node with different outcomes."""
+
+    osm_id: int
+    lon: float
+    lat: float
+    degree: int
+    outcomes: list[Outcome] = Field(
+        description="In the order of the runs; outside: it lay in no zone in which a missed node counts."
+    )
+    median_error_m: list[float | None]
+
+
+class Comparison(BaseModel):
+    """Reports of one drive side by side; lists of values are in the order of the runs."""
+
+    runs: list[str] = Field(description="Names of the runs.")
+    inputs: list[Difference] = Field(description="Labels and georeference, where the runs differ in them.")
+    settings: list[Difference] = Field(description="Settings in which the runs differ.")
+    figures: list[Figure]
+    nodes: list[ComparedNode] = Field(description="Nodes with different outcomes.")
+    found_by_all: int
+    missed_by_all: int
+    found_only_by: list[list[int]] = Field(description="OSM ids of the nodes that only this run found.")
+    warnings: list[str] = Field(description="Why figures may not be comparable.")
 
 
 def compare_reports(
     names: Sequence[str], reports: Sequence[Mapping[str, Any]], runs: Sequence[Mapping[str, Any]]
-) -> dict[str, Any]:
-    """Put the reports of several runs over one drive side by side.
-
-    Parameters
-    ----------
-    names
-        Names of the runs; every list of values in the outcome is in their order.
-    reports, runs
-        Contents of each `report.json` and `run.json`.
-
-    Returns
-    -------
-    dict
-        ``inputs`` and ``settings`` (those that differ), ``figures``, ``nodes`` (those with other outcomes: found,
-        missed, or outside of the zone in which they count), ``found_by_all``, ``missed_by_all``, ``found_only_by``,
-        ``warnings``.
-
-    Raises
-    ------
-    ConfigError
-        Fewer than two runs.
-    """
+) -> Comparison:
+    """Put `report.json` and `run.json` of several runs over one drive side by side, in the order of their names."""
     if len(names) < 2 or not len(names) == len(reports) == len(runs):
         raise ConfigError(f"a comparison takes two runs or more, each with its report; {len(names)} given")
-    outcomes = [{node["osm_id"]: node for node in report["nodes"]} for report in reports]
-    nodes = [_node(osm_id, outcomes) for osm_id in dict.fromkeys(id_ for table in outcomes for id_ in table)]
-    found = [{node["osm_id"] for node in nodes if node["outcomes"][i] == "found"} for i in range(len(names))]
-    missed = [{node["osm_id"] for node in nodes if node["outcomes"][i] == "missed"} for i in range(len(names))]
-    return {
-        "runs": list(names),
-        "inputs": differing_inputs(runs),
-        "settings": differing_settings(runs),
-        "figures": [
-            {"name": name, "title": title, "values": [figure(report) for report in reports]}
-            for name, title, figure in _FIGURES
+    tables = [{node["osm_id"]: node for node in report["nodes"]} for report in reports]
+    nodes = [_node(osm_id, tables) for osm_id in dict.fromkeys(osm_id for table in tables for osm_id in table)]
+    found = [{node.osm_id for node in nodes if node.outcomes[i] == "found"} for i in range(len(names))]
+    missed = [{node.osm_id for node in nodes if node.outcomes[i] == "missed"} for i in range(len(names))]
+    only = [mine.difference(*(other for other in found if other is not mine)) for mine in found]
+    return Comparison(
+        runs=list(names),
+        inputs=_differing([{name: run.get(key) for name, key in _INPUTS.items()} for run in runs]),
+        settings=_differing([dict(flatten(settings_of(run))) for run in runs]),
+        figures=[
+            Figure(name=name, title=title, values=[_figure(report, path) for report in reports])
+            for name, title, path in _FIGURES
         ],
-        "nodes": [node for node in nodes if len(set(node["outcomes"])) > 1],
-        "found_by_all": len(set.intersection(*found)),
-        "missed_by_all": len(set.intersection(*missed)),
-        "found_only_by": [
-            sorted(mine - set().union(*(other for other in found if other is not mine))) for mine in found
-        ],
-        "warnings": _warnings(reports, runs),
-    }
+        nodes=[node for node in nodes if len(set(node.outcomes)) > 1],
+        found_by_all=len(set.intersection(*found)),
+        missed_by_all=len(set.intersection(*missed)),
+        found_only_by=[sorted(each) for each in only],
+        warnings=_warnings(reports, runs),
+    )
 
 
-def write_comparison(comparison: Mapping[str, Any], reports: Sequence[Mapping[str, Any]], out: Path) -> None:
-    """Write a comparison as a page, or the curves of all runs over D as a picture.
-
-    Parameters
-    ----------
-    comparison
-        What `compare_reports` returned.
-    reports
-        Contents of each `report.json`, in the order of the runs.
-    out
-        ``.html``, ``.svg`` or ``.png``; an older file of that name is replaced.
-
-    Raises
-    ------
-    ConfigError
-        The format is unknown, or `out` is a file that makes up a result folder.
-    OutputError
-        The file could not be written.
-    """
+def write_comparison(comparison: Comparison, reports: Sequence[Mapping[str, Any]], out: Path) -> None:
+    """Write a comparison as a page (.html), or the curves of all runs over D as a picture (.svg, .png)."""
     from interloc.evaluation.figures import comparison_figure  # noqa: PLC0415 - slow to import
 
     suffix = out.suffix.lower()
@@ -93,7 +99,7 @@ def write_comparison(comparison: Mapping[str, Any], reports: Sequence[Mapping[st
     refuse_result_file(out)
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Glyph .* missing")  # of a name; the page has it in full
-        content = image(comparison_figure(comparison["runs"], reports), "png" if suffix == ".png" else "svg")
+        content = image(comparison_figure(comparison.runs, reports), "png" if suffix == ".png" else "svg")
     if suffix == ".html":
         picture = data_address(content, "image/svg+xml")
         made_up = all(report["osm"].get("made_up", False) for report in reports)
@@ -104,68 +110,58 @@ def write_comparison(comparison: Mapping[str, Any], reports: Sequence[Mapping[st
     write_file(out, content)
 
 
-def differing_inputs(runs: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Return what runs read that differs, as ``{"name": "labels", "values": ["labels", "network salsanext"]}``."""
-    return _differing([{name: run.get(key) for name, key in _INPUTS.items()} for run in runs])
-
-
-def differing_settings(runs: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Return the settings in which runs differ, as ``{"name": "bev.resolution_m", "values": [...]}``."""
-    return _differing([dict(flatten(settings_of(run))) for run in runs])
-
-
 _INPUTS = {"drive": "drive_name", "labels": "labels", "georeference": "georeference"}
-"""What `compare_reports` calls an input -> where `run.json` has it; the map is that of the report."""
+"""What a comparison calls an input -> where `run.json` has it; the map is that of the report."""
+
+_FIGURES = (  # name, title, and where the report has it; a second place is subtracted
+    ("map_right", "intersections right", "map_level/true"),
+    ("map_wrong", "intersections wrong", "map_level/false"),
+    ("map_nodes_found", "OSM nodes found", "map_level/nodes_in_zone - map_level/missed"),
+    ("map_median_m", "median error of intersections [m]", "map_level/median_m"),
+    ("map_precision", "precision of intersections", "map_level/precision"),
+    ("map_recall", "recall of intersections", "map_level/recall"),
+    ("map_mean_m", "mean error of intersections [m]", "map_level/mean_m"),
+    ("keyframes", "keyframes", "keyframes"),
+    ("detections", "detections", "detections"),
+    ("ace_m", "mean error of detections (ACE) [m]", "ace_m"),
+    ("median_m", "median error of detections [m]", "median_m"),
+    ("p95_m", "95 % of detections within [m]", "p95_m"),
+    ("precision_at_5", "precision, D = 5 m", "precision/5.0"),
+    ("recall_at_5", "recall, D = 5 m", "recall/5.0"),
+    ("f1_at_5", "F1, D = 5 m", "f1/5.0"),
+    ("nodes_in_zone", "OSM nodes in the zone", "nodes_in_zone"),
+    ("nodes_found", "OSM nodes with a detection within 5 m", "nodes_found"),
+)
 
 
-def _differing(flat: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+def _figure(report: Mapping[str, Any], place: str) -> Any:  # noqa: ANN401 - a number or None
+    first, *rest = (reduce(lambda part, key: part[key], each.split("/"), report) for each in place.split(" - "))
+    return first - rest[0] if rest else first  # type: ignore[operator]
+
+
+def _differing(flat: Sequence[Mapping[str, Any]]) -> list[Difference]:
     names = dict.fromkeys(name for each in flat for name in each)
-    rows = [{"name": name, "values": [each.get(name) for each in flat]} for name in names]
-    return [row for row in rows if any(value != row["values"][0] for value in row["values"])]
+    rows = [Difference(name=name, values=[each.get(name) for each in flat]) for name in names]
+    return [row for row in rows if any(value != row.values[0] for value in row.values)]
 
 
-def _node(osm_id: int, outcomes: Sequence[Mapping[int, Mapping[str, Any]]]) -> dict[str, Any]:
-    rows = [table.get(osm_id) for table in outcomes]
+def _node(osm_id: int, tables: Sequence[Mapping[int, Mapping[str, Any]]]) -> ComparedNode:
+    rows = [table.get(osm_id) for table in tables]
     known = next(row for row in rows if row is not None)
-    return {
-        "osm_id": osm_id,
-        "lon": known["lon"],
-        "lat": known["lat"],
-        "degree": known["degree"],
-        "outcomes": [_outcome(row) for row in rows],
-        "median_error_m": [None if row is None else row["median_error_m"] for row in rows],
-    }
+    return ComparedNode(
+        osm_id=osm_id,
+        lon=known["lon"],
+        lat=known["lat"],
+        degree=known["degree"],
+        outcomes=[_outcome(row) for row in rows],
+        median_error_m=[None if row is None else row["median_error_m"] for row in rows],
+    )
 
 
-def _outcome(row: Mapping[str, Any] | None) -> str:
+def _outcome(row: Mapping[str, Any] | None) -> Outcome:
     if row is None or not row["in_zone"]:
         return "outside"
-    return str(row.get("outcome") or ("found" if row["found"] else "missed"))  # versions before had none
-
-
-_FIGURES: tuple[tuple[str, str, Callable[[Mapping[str, Any]], Any]], ...] = (
-    ("map_right", "intersections right", lambda report: report["map_level"]["true"]),
-    ("map_wrong", "intersections wrong", lambda report: report["map_level"]["false"]),
-    (
-        "map_nodes_found",
-        "OSM nodes found",
-        lambda report: report["map_level"]["nodes_in_zone"] - report["map_level"]["missed"],
-    ),
-    ("map_median_m", "median error of intersections [m]", lambda report: report["map_level"]["median_m"]),
-    ("map_precision", "precision of intersections", lambda report: report["map_level"]["precision"]),
-    ("map_recall", "recall of intersections", lambda report: report["map_level"]["recall"]),
-    ("map_mean_m", "mean error of intersections [m]", lambda report: report["map_level"]["mean_m"]),
-    ("keyframes", "keyframes", lambda report: report["keyframes"]),
-    ("detections", "detections", lambda report: report["detections"]),
-    ("ace_m", "mean error of detections (ACE) [m]", lambda report: report["ace_m"]),
-    ("median_m", "median error of detections [m]", lambda report: report["median_m"]),
-    ("p95_m", "95 % of detections within [m]", lambda report: report["p95_m"]),
-    ("precision_at_5", "precision, D = 5 m", lambda report: report["precision"][_STANDARD]),
-    ("recall_at_5", "recall, D = 5 m", lambda report: report["recall"][_STANDARD]),
-    ("f1_at_5", "F1, D = 5 m", lambda report: report["f1"][_STANDARD]),
-    ("nodes_in_zone", "OSM nodes in the zone", lambda report: report["nodes_in_zone"]),
-    ("nodes_found", "OSM nodes with a detection within 5 m", lambda report: report["nodes_found"]),
-)
+    return row.get("outcome") or ("found" if row["found"] else "missed")  # versions before had none
 
 
 def _warnings(reports: Sequence[Mapping[str, Any]], runs: Sequence[Mapping[str, Any]]) -> list[str]:

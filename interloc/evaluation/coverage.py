@@ -24,14 +24,9 @@ _SURROUNDINGS_M = 3000.0  # more than the degrees around the track within which 
 
 
 def track_bounds(lonlat: FloatArray, *, margin_m: float = 200.0) -> Bounds:
-    """Return what the map of a drive should cover: the bounds of its keyframes and a margin.
+    """Return what the map of a drive should cover: the bounds of its keyframes, (K, 2) degrees, and a margin.
 
-    Parameters
-    ----------
-    lonlat : (K, 2) float64
-        Longitude, latitude of the keyframes.
-    margin_m
-        More than half the diagonal of the ROI (85 m for 120 m), so that no road is missed.
+    It is more than half the diagonal of the ROI (85 m for 120 m), so that no road is missed.
     """
     west, south, east, north = bounds_of(lonlat)
     # Degrees of longitude are shorter at the corner that is further from the equator.
@@ -42,18 +37,10 @@ def track_bounds(lonlat: FloatArray, *, margin_m: float = 200.0) -> Bounds:
 
 
 def map_bounds(lonlat: FloatArray) -> Bounds:
-    """Return what of a map file can matter to a drive: the bounds of its keyframes and some kilometres.
+    """Return what of a map can matter to a drive: the bounds of its keyframes, (K, 2) degrees, and some kilometres.
 
-    Parameters
-    ----------
-    lonlat : (K, 2) float64
-        Longitude, latitude of the keyframes.
-
-    Returns
-    -------
-    Bounds
-        Rounded outwards to thousandths of a degree, so that it is the same for coordinates from a result file. All
-        roads that `track_to_road` looks at lie within.
+    Rounded outwards to thousandths of a degree, so that it is the same for coordinates from a result file. All roads
+    that `track_to_road` looks at lie within.
     """
     west, south, east, north = track_bounds(lonlat, margin_m=_SURROUNDINGS_M)
     return (
@@ -89,26 +76,10 @@ def track_to_road(track_lonlat: FloatArray, graph: RoadGraph) -> FloatArray:
 
 
 def check_coverage(track_lonlat: FloatArray, graph: RoadGraph, *, roi_m: float) -> tuple[float, tuple[str, ...]]:
-    """Refuse a map of another place; warn where it fits badly.
+    """Refuse (MapError) a map of another place than the (K, 2) degrees of a track; warn where it fits badly.
 
-    Parameters
-    ----------
-    track_lonlat : (K, 2) float64
-        Longitude, latitude of the LiDAR at the keyframes.
-    roi_m
-        Side of the ROI, metres.
-
-    Returns
-    -------
-    track_to_road_m : float
-        Median distance of the track from the nearest drivable road, metres.
-    warnings : tuple of str
-        Reasons to read the figures with care.
-
-    Raises
-    ------
-    MapError
-        No road comes near any keyframe.
+    Returns the median distance of the track from the nearest drivable road, metres, and reasons to read the figures
+    with care.
     """
     distance = track_to_road(track_lonlat, graph)
     covered = distance <= roi_m / 2.0

@@ -110,22 +110,8 @@ def assign_one_to_one(
 ) -> tuple[IntArray, IntArray, FloatArray]:
     """Assign points to others, one-to-one, with the smallest sum of distances, each cut off at the gate.
 
-    Parameters
-    ----------
-    a_lonlat, b_lonlat : (A, 2), (B, 2) float64
-        Degrees.
-    gate_m
-        Distance under which two can be a pair, metres.
-
-    Returns
-    -------
-    a, b : (P,) int64
-        Rows of the pairs.
-    distance_m : (P,) float64
-
-    Notes
-    -----
-    Solved within each group of points that the gate connects: the groups are small.
+    Points are (A, 2) and (B, 2) degrees, the gate metres. Returns the rows of the P pairs in both, and their distances
+    in metres. Solved within each group of points that the gate connects: the groups are small.
     """
     empty = np.empty(0, dtype=np.int64)
     a, b, distance = _pairs_under(a_lonlat, b_lonlat, gate_m)

@@ -52,19 +52,9 @@ def match(
     roi_m: float,
     relevant_zone_m: float,
 ) -> Matching:
-    """Match every detection with the nearest node in the ROI of its keyframe.
+    """Match every detection with the nearest node, (N, 2) degrees, in the ROI of its keyframe.
 
-    Parameters
-    ----------
-    keyframes, detections
-        Georeferenced tables of a run.
-    node_lonlat : (N, 2) float64
-        Ground truth intersections, degrees.
-    roi_m, relevant_zone_m : float
-        Sides of the two squares around L_k, aligned with W, metres: S and S - 2 a_o in the paper.
-
-    Notes
-    -----
+    ROI and relevant zone are squares around L_k, aligned with W: their sides are S and S - 2 a_o in the paper, metres.
     Distances are planar in the east-north-up frame at the fix of the detection's own keyframe.
     """
     assert keyframes.lonlat is not None
@@ -100,19 +90,9 @@ def match(
 
 
 def pairs_in_square(keyframes: KeyframeTable, lonlat: FloatArray, side_m: float) -> tuple[IntArray, IntArray]:
-    """Find the points in the square around each keyframe that is aligned with the axes of W.
+    """Find the points, (N, 2) degrees, in the square around each keyframe that is aligned with the axes of W.
 
-    Parameters
-    ----------
-    lonlat : (N, 2) float64
-        Points, degrees.
-    side_m : float
-        Side of the square, metres; points on its edge are in it.
-
-    Returns
-    -------
-    keyframe, point : (P,) int64
-        Rows of the pairs, ordered by keyframe, then point.
+    Points on its edge are in it. Returns the rows of keyframes and points, ordered by keyframe, then point.
     """
     assert keyframes.lonlat is not None
     assert keyframes.enu_yaw_rad is not None

@@ -89,8 +89,6 @@ def summarize_errors(matching: Matching) -> ErrorSummary:
 def score(matching: Matching, thresholds_m: tuple[float, ...] = THRESHOLDS_M) -> Scores:
     """Count true and false positives at each threshold, and false negatives (paper, eq. 15 to 17).
 
-    Notes
-    -----
     F1 = 2 TP / (2 TP + FP + FN), which is the harmonic mean of precision and recall wherever that exists.
     """
     threshold = np.array(sorted(thresholds_m), dtype=np.float64)

@@ -299,13 +299,8 @@ class MapEvidence:
     def fork_deg(self, node: int, xy: FloatArray) -> float:
         """Return the angle of the roads between which a place lies, seen from a node; 180 where it lies in no fork.
 
-        Parameters
-        ----------
-        node
-            Row of the nodes that count.
-        xy : (2,) float64
-            The place. It lies in a fork where the line from the node to it deviates from the bisector of two roads by
-            no more than their angle.
+        It lies in one where the line from the node to it deviates from the bisector of two roads by no more than their
+        angle.
         """
         row = self._row_of(node)
         roads = self._roads
@@ -352,20 +347,7 @@ class MapEvidence:
         return [self._layers.get((min(row, each), max(row, each)), {0}) for each in others]
 
     def levels(self, node: int, driven_xy: FloatArray) -> str | None:
-        """Say what is odd about the levels of the roads that meet at a node.
-
-        Parameters
-        ----------
-        node
-            Row of the nodes that count.
-        driven_xy : (K, 2) float64
-            Where the drive was near it.
-
-        Returns
-        -------
-        str or None
-            None: they are on one level, that of the road driven.
-        """
+        """Say what is odd about the levels of the roads at a node that was driven past; None: they are on one."""
         if self._is_level:
             return None
         row = self._row_of(node)
@@ -478,11 +460,7 @@ class _Network:
     def walk(self, start: FloatArray, before: int, node: int, length_m: float) -> tuple[FloatArray, float]:
         """Follow a road from a place on the edge `before` - `node` to its next junction or end, or for a length.
 
-        Returns
-        -------
-        place : (2,) float64
-            Where the walk ended.
-        walked_m : float
+        Returns where the walk ended, and how long it was.
         """
         place, walked = start, 0.0
         passed: dict[int, float] = {}
@@ -502,19 +480,11 @@ class _Network:
 def explain_false(
     evidence: MapEvidence, xy: FloatArray, groups: Sequence[int], taken: Claims, limit_m: float
 ) -> list[Reason]:
-    """Say of each wrong detection or intersection what the map holds at its place.
+    """Say of each wrong detection or intersection what the map holds at its place, (N, 2) of `MapEvidence.plane`.
 
-    Parameters
-    ----------
-    evidence
-    xy : (N, 2) float64
-        Their places, `MapEvidence.plane`.
-    groups : N int
-        What shares a node only once: the keyframe of each detection; of intersections, the same number for all.
-    taken
-        Pairs (group, row of a node) of nodes that something right stands for.
-    limit_m
-        Distance from a node under which it would have been right, metres.
+    What is in one of the N groups shares a node only once: the keyframe of each detection; of intersections, the same
+    number for all. `taken` are pairs (group, row of a node) of nodes that something right stands for. Nearer to a node
+    than the limit it would have been right.
     """
     if len(xy) == 0:
         return []
@@ -592,16 +562,7 @@ class FoundByDrive:
 
 
 def explain_missed(evidence: MapEvidence, seen: FoundByDrive, node: int, mosaic: Mosaic | None = None) -> Reason:
-    """Say of a node that no intersection was assigned to what the drive found there instead.
-
-    Parameters
-    ----------
-    evidence, seen
-    node
-        Row of the nodes that count.
-    mosaic
-        The road that the drive saw; None: it is not known.
-    """
+    """Say of a node, by its row, that no intersection was assigned to what the drive found there instead."""
     reason = _explain_missed(evidence, seen, node)
     if reason.kind not in _OF_BRANCHES:
         return reason

@@ -15,7 +15,7 @@ import numpy as np
 
 from interloc.arrays import FloatArray, IntArray
 from interloc.config import flatten
-from interloc.drawing import image
+from interloc.drawing import ImageFormat, image
 from interloc.errors import OutputError
 from interloc.evaluation.coverage import track_bounds
 from interloc.evaluation.evaluate import Evaluation
@@ -78,15 +78,7 @@ def write_report(evaluation: Evaluation, out_dir: str | os.PathLike[str], *, res
 
 
 def render_html(record: dict[str, Any], result: DriveResult, pictures: dict[str, str]) -> str:
-    """Return the page of a report as one file that needs no server.
-
-    Parameters
-    ----------
-    record
-        What `report_record` returned.
-    pictures
-        Data addresses of the figures `map`, `errors` and `thresholds`.
-    """
+    """Return the page of a report as one file that needs no server; `pictures` are data addresses of its figures."""
     standard = threshold_name(STANDARD_THRESHOLD_M)
     nodes = sorted(
         record["nodes"],
@@ -141,13 +133,7 @@ def data_address(content: bytes, mime_type: str) -> str:
 
 
 def make_folder(folder: Path) -> None:
-    """Create a folder inside a result folder.
-
-    Raises
-    ------
-    OutputError
-        It cannot be created.
-    """
+    """Create a folder inside a result folder; an OutputError says why it cannot be created."""
     try:
         folder.mkdir(exist_ok=True)
     except OSError as error:
@@ -164,11 +150,11 @@ def _write_figures(evaluation: Evaluation, result: DriveResult, folder: Path) ->
         ("errors", error_figure(evaluation)),
         ("thresholds", threshold_figure(evaluation)),
     ):
-        png, svg = image(figure, "png"), image(figure, "svg")
-        write_file(folder / f"{name}.png", png)
-        write_file(folder / f"{name}.svg", svg)
         # Thousands of marks are smaller and faster as pixels; curves are sharper as curves.
-        pictures[name] = data_address(png, "image/png") if name == "map" else data_address(svg, "image/svg+xml")
+        kind: ImageFormat = "png" if name == "map" else "svg"
+        picture = image(figure, kind)
+        write_file(folder / f"{name}.{kind}", picture)
+        pictures[name] = data_address(picture, "image/png" if kind == "png" else "image/svg+xml")
     return pictures
 
 

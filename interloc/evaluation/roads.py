@@ -74,14 +74,7 @@ class RoadScores:
 def score_roads(network: RoadNetwork, graph: RoadGraph, policy: Policy) -> RoadScores | None:
     """Compare the roads of a drive with those of a map; None where no road was seen, or none of the map.
 
-    Parameters
-    ----------
-    network
-        With georeference.
-    graph
-        The map.
-    policy
-        Which of its ways are roads; policies that choose nodes take those of `drive`.
+    The policy says which ways are roads; policies that choose nodes take those of `drive`.
     """
     import shapely  # noqa: PLC0415 - slow to import
 

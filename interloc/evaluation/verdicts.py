@@ -72,18 +72,8 @@ def give_verdicts(
 ) -> RunVerdicts:
     """Give the verdicts of an evaluation, with reasons.
 
-    Parameters
-    ----------
-    graph, nodes
-        The whole map, and what counts of it.
-    result
-        The run, with georeference.
-    detection_row : (E,) int64
-        Rows of the detections that were scored.
-    matching
-        Of the scored detections with the nodes.
-    map_level
-        Of all fused intersections with the nodes.
+    `nodes` are what counts of the map, `detection_row` the rows of the detections that were scored, `matching` theirs
+    with the nodes, `map_level` that of all fused intersections.
     """
     keyframes, intersections, every = result.keyframes, result.intersections, result.detections
     assert keyframes.lonlat is not None

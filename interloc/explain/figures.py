@@ -15,8 +15,7 @@ from interloc.drawing import INK, MUTED, PAPER, entitle, image, new_figure
 from interloc.drive import Drive
 from interloc.explain import steps
 from interloc.explain.canvas import PX_PER_M, Canvas, Square
-from interloc.explain.evidence import ExplainedKeyframe, GroundTruth, gather, ground_truth
-from interloc.explain.record import record
+from interloc.explain.evidence import ExplainedKeyframe, GroundTruth, gather, ground_truth, record
 from interloc.files import atomic_folder, atomic_write, write_file
 from interloc.osm.graph import RoadGraph
 from interloc.osm.policies import Policy

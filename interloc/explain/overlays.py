@@ -11,8 +11,7 @@ from interloc.drawing import PAPER
 from interloc.drive import Georeference
 from interloc.explain import steps
 from interloc.explain.canvas import Canvas, Square
-from interloc.explain.evidence import ExplainedKeyframe
-from interloc.explain.record import record
+from interloc.explain.evidence import ExplainedKeyframe, record
 from interloc.geometry import lonlat_from_enu, rotate_2d, yaw_of
 from interloc.output.geojson import positions
 
@@ -35,21 +34,11 @@ _PARTS: dict[OverlayLayer, tuple[steps.Draw, ...]] = {
 
 
 def draw_overlay(explained: ExplainedKeyframe, layer: OverlayLayer) -> bytes:
-    """Draw one step over the region of interest.
+    """Draw one step as a square PNG of the region of interest, +x of W to the right, +y up.
 
-    Parameters
-    ----------
-    explained
-        The keyframe.
-    layer
-        bev: the binary image. occupancy: road, and what closing added and opening took away. centerline, candidates,
-        branches: lines and marks. All of these are transparent where there is nothing; "all", the steps in one
-        picture, is opaque.
-
-    Returns
-    -------
-    bytes
-        A square PNG of the region of interest, +x of W to the right, +y up.
+    bev: the binary image. occupancy: road, and what closing added and opening took away. centerline, candidates,
+    branches: lines and marks. All of these are transparent where there is nothing; "all", the steps in one picture, is
+    opaque.
     """
     size = explained.roi.size
     cell_px = 1 if layer in {"bev", "occupancy"} else max(1, round(_SHARP_PX / size))
@@ -64,8 +53,6 @@ def describe_overlays(
 ) -> dict[str, Any]:
     """Return where the pictures lie and the numbers behind them, as values that JSON can say.
 
-    Notes
-    -----
     Longitudes and latitudes come from the keyframe's own fix (paper, eq. 12), as those of its detections do.
     """
     left, right, bottom, top = Square.of_region(explained).extent

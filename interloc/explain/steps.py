@@ -13,8 +13,7 @@ from interloc.detection.candidates import harris_corners
 from interloc.detection.image import BinaryImage, Roi
 from interloc.drawing import BLUE, GREEN, INK, MUTED, PAPER, PURPLE, SKY, VERMILION, YELLOW
 from interloc.explain.canvas import Canvas
-from interloc.explain.evidence import ExplainedCandidate, ExplainedKeyframe, GroundTruth, WindowScan
-from interloc.explain.record import pixels
+from interloc.explain.evidence import ExplainedCandidate, ExplainedKeyframe, GroundTruth, WindowScan, pixels
 from interloc.geometry import rotate_2d
 
 Draw = Callable[[Canvas, ExplainedKeyframe], None]

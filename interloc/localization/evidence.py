@@ -1,8 +1,9 @@
-"""What speaks for a place once the track is bent onto its roads."""
+"""What speaks for a place once the track is bent onto its roads, and whether that is enough."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -18,6 +19,27 @@ _PASSED_M = 15.0
 _SAME_PASSAGE = 6  # poses
 _SAME_BRANCH_RAD = np.radians(30.0)
 _INTERSECTIONS_SHARE, _STRAIN_SHARE = 0.5, 0.05
+
+MIN_LENGTH_M = 100.0
+"""A shorter drive fits nearly everywhere."""
+
+MIN_ROAD = 0.70
+"""Share of the track that must run along roads: wrong places with curves reach 0.72, right ones 0.73 to 0.96."""
+
+MIN_SCORE = 1.15
+"""Score of track and intersections together, where intersections were seen: a wrong place that led had 1.09."""
+
+MARGIN = 0.10
+"""How much better than the next place, and than chance, the best must be."""
+
+FULL_LENGTH_M = 700.0
+"""A shorter drive needs a larger lead, twice the margin at half this length: one of 500 m led by 0.10 in a mirror."""
+
+FULL_LENGTH_ALONE_M = 1000.0
+"""The same where the trajectory is all there is: one of 500 m led by 0.19 on a map that does not hold it."""
+
+MIN_SEEN = 2
+"""Intersections seen, from which on they count in the decision."""
 
 
 @dataclass(frozen=True)
@@ -66,12 +88,12 @@ def evidence_of(chain: Chain, fitted: Fit, roads: RoadMap) -> Evidence:
     """Compare a bent chain with the map."""
     lateral = np.where(np.isnan(fitted.lateral_m), 1e3, fitted.lateral_m)
     road = float(np.exp(-0.5 * (lateral / _LANE_SIGMA_M) ** 2).mean())
-    if not len(chain.seen_from) or not len(roads.node_xy):
-        return Evidence(road, len(chain.seen_from), 0, 0, 0, 0.0, fitted.strain)
     seen_at = chain.seen_at(fitted.pose)
-    places = np.concatenate([fitted.pose[:, :2], seen_at])
-    low, high = places.min(axis=0) - _PASSED_M, places.max(axis=0) + _PASSED_M
-    near = np.flatnonzero(((roads.node_xy >= low) & (roads.node_xy <= high)).all(axis=1))  # few of a large map
+    near = np.zeros(0, dtype=np.int64)
+    if len(seen_at) and len(roads.node_xy):
+        places = np.concatenate([fitted.pose[:, :2], seen_at])
+        low, high = places.min(axis=0) - _PASSED_M, places.max(axis=0) + _PASSED_M
+        near = np.flatnonzero(((roads.node_xy >= low) & (roads.node_xy <= high)).all(axis=1))  # few of a large map
     if not len(near):
         return Evidence(road, len(seen_at), 0, 0, 0, 0.0, fitted.strain)
     apart = np.hypot(*np.moveaxis(seen_at[:, None] - roads.node_xy[None, near], -1, 0))
@@ -102,10 +124,96 @@ def _passed(chain: Chain, fitted: Fit, node_xy: FloatArray, apart: FloatArray) -
     passed = missed = 0
     for node in range(len(node_xy)):
         poses = np.flatnonzero(from_track[:, node] < _PASSED_M)
-        if not len(poses):
-            continue
-        for passage in np.split(poses, np.flatnonzero(np.diff(poses) > _SAME_PASSAGE) + 1):
+        for passage in np.split(poses, np.flatnonzero(np.diff(poses) > _SAME_PASSAGE) + 1) if len(poses) else ():
             passed += 1
             then = (chain.seen_from >= passage[0] - _SAME_PASSAGE) & (chain.seen_from <= passage[-1] + _SAME_PASSAGE)
             missed += not (apart[then, node] < _NEAR_NODE_M).any()
     return passed, missed
+
+
+@dataclass(frozen=True)
+class Decision:
+    """What came out of a search, and why.
+
+    Attributes
+    ----------
+    outcome : {"found", "ambiguous", "not_found"}
+    reason : str
+        Why, to stand after "the drive was not placed: " or "found: ".
+    advice : str
+        What would help, a whole sentence; "" where it was found.
+    """
+
+    outcome: Literal["found", "ambiguous", "not_found"]
+    reason: str
+    advice: str = ""
+
+    @property
+    def found(self) -> bool:
+        """True where there is one place."""
+        return self.outcome == "found"
+
+
+def too_short(length_m: float) -> Decision:
+    """Refuse a drive that is too short to be looked for."""
+    return Decision(
+        "not_found",
+        f"the drive is {length_m:.0f} m long, and under {MIN_LENGTH_M:.0f} m nearly every road fits it.",
+        "Give a longer drive, or the track of a phone that was along (interloc locate --gpx).",
+    )
+
+
+def decide(best: Evidence | None, runner_up: float, chance: float, length_m: float) -> Decision:
+    """Decide by the figures of the best place.
+
+    Parameters
+    ----------
+    best
+        What speaks for the best place; None where nothing fitted at all.
+    runner_up : float
+        Score of the next best place, elsewhere.
+    chance : float
+        Score of the best place for the same drive seen in a mirror. That one was never driven (unless the drive is
+        straight), has as many curves and intersections, and shows how well this map explains such a drive by chance.
+    length_m : float
+        Of the drive.
+
+    Notes
+    -----
+    The score of the best place alone proves nothing: a curve less, and a wrong place does as well. What counts is its
+    lead over the best wrong ones.
+    """
+    longer = "A longer drive, labels (for the intersections along it) or roughly where it was (near) would help."
+    if best is None or best.road < MIN_ROAD:
+        share = 0.0 if best is None else best.road
+        return Decision(
+            "not_found",
+            f"at the best place only {100 * share:.0f} % of the track run along roads of the map "
+            f"(expected {100 * MIN_ROAD:.0f} % or more).",
+            "Give a map that holds the roads driven; if it does, the poses may drift too much.",
+        )
+    full_length_m = FULL_LENGTH_M if best.seen >= MIN_SEEN else FULL_LENGTH_ALONE_M
+    margin = MARGIN * max(1.0, full_length_m / max(length_m, 1.0))
+    if best.score - runner_up < margin:
+        return Decision(
+            "ambiguous",
+            f"the best place scores {best.score:.2f}, the next one {runner_up:.2f}: not {margin:.2f} apart.",
+            longer,
+        )
+    if best.score - chance < margin:
+        return Decision(
+            "not_found",
+            f"the best place scores {best.score:.2f}, which is not {margin:.2f} better than chance: the same drive "
+            f"seen in a mirror, which nobody drove, reaches {chance:.2f}.",
+            longer,
+        )
+    if best.seen >= MIN_SEEN and best.score < MIN_SCORE:
+        return Decision(
+            "not_found",
+            f"at the best place {best.at_nodes} of the {best.seen} intersections seen are at intersections of the map, "
+            f"and {best.missed} of the {best.passed} passed were not seen.",
+            "Give a map that holds the roads driven, better labels, or a longer drive.",
+        )
+    return Decision(
+        "found", f"the best place scores {best.score:.2f}, the next one {runner_up:.2f}, chance {chance:.2f}."
+    )

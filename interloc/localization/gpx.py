@@ -15,16 +15,14 @@ import numpy as np
 
 from interloc.arrays import FloatArray
 from interloc.drive import Drive, Georeference
-from interloc.drives.georeference.shift import Shift, fit_shift
+from interloc.drives.georeference.shift import fit_shift
 from interloc.errors import LocationError
-from interloc.geometry import rotate_2d, thin
+from interloc.geometry import enu_from_lonlat, rotate_2d, thin
 from interloc.gpx import GpxTrack
 from interloc.localization.locate import georeference_by
-from interloc.localization.refine import Chain, Nodes, fit, uncertainty
-from interloc.localization.roads import RoadMap, WayIndex, road_map
-from interloc.localization.sightings import no_sightings
-from interloc.localization.track import Track, track_of
-from interloc.osm.graph import RoadGraph, Ways
+from interloc.localization.refine import Chain, fit, uncertainty
+from interloc.localization.roads import RoadMap
+from interloc.localization.track import MAX_BRANCHES, NO_SIGHTINGS, Track, track_of
 from interloc.results import EPOCH_S
 
 FIX_STD_M = 4.0
@@ -74,15 +72,17 @@ def georeference_by_gpx(drive: Drive, gpx: GpxTrack) -> GpxPlacement:
         )
     roads = _as_roads(gpx)
     xy = roads.xy(gpx.lonlat)
-    chain = Chain.of(track, no_sightings())
+    chain = Chain.of(track, NO_SIGHTINGS)
     matched_by, late_s, untold = "shape", 0.0, ""
     target = None
     if (times_s := _common_clock(drive, gpx)) is not None:
         assert gpx.time_s is not None
         clock = fit_shift(times_s, track.xy, gpx.time_s, xy)
-        is_late = clock is not None and _is_believed(clock)
-        if clock is None or not is_late or clock.is_sure:  # else the shape alone must tell where it is
-            late_s = clock.late if clock is not None and is_late else 0.0
+        late = clock if clock is not None and clock.is_there and clock.metres >= FIX_STD_M else None
+        if late is not None and not late.is_sure and late.before_m <= _MUCH_SCATTER * FIX_STD_M:
+            late = None  # no more than the scatter of fixes pretends
+        if late is None or late.is_sure:  # else the shape alone must tell where it is
+            late_s = 0.0 if late is None else late.late
             target = _by_time(times_s + late_s, track, chain, gpx, xy)
             matched_by = "shape" if target is None else "time"
             untold = "" if clock is None or target is None else clock.untold
@@ -96,9 +96,8 @@ def georeference_by_gpx(drive: Drive, gpx: GpxTrack) -> GpxPlacement:
             f"square); expected {MAX_RMS_M:.0f} m at most. Usual cause: a track of another day, or clocks that differ."
         )
     start = np.column_stack([rotate_2d(chain.pose[:, :2], turn) + shift, chain.pose[:, 2] + turn])
-    ways, nodes = WayIndex.of(roads), Nodes.of(np.zeros((0, 2)))
-    bent = fit(chain, start, ways, nodes)
-    covariance = uncertainty(chain, bent, ways, nodes)
+    bent = fit(chain, start, roads)
+    covariance = uncertainty(chain, bent, roads)
     rows = np.round(np.interp(track.at_m, chain.at_m, np.arange(len(chain)))).astype(np.int64)
     moved = f", whose clock is put right by {-late_s:+.1f} s" if late_s else ""
     georeference = georeference_by(chain, bent, track, roads, f"the track {gpx.source} (by {matched_by}{moved})")
@@ -113,16 +112,10 @@ def _as_roads(gpx: GpxTrack) -> RoadMap:
     middle = (gpx.lonlat.min(axis=0) + gpx.lonlat.max(axis=0)) / 2.0
     scale = np.array([np.cos(np.radians(middle[1])), 1.0]) * 111_320.0
     lonlat = gpx.lonlat[thin(gpx.lonlat * scale, _STEP_M)]
-    count = len(lonlat)
-    graph = RoadGraph(
-        node_id=np.arange(1, count + 1),
-        lonlat=lonlat,
-        edges=np.column_stack([np.arange(count - 1), np.arange(1, count)]),
-        edge_way=np.zeros(count - 1, dtype=np.int64),
-        ways=Ways(np.array([1]), ("residential",), ("",), np.array([False])),
-        source=gpx.source,
-    )
-    return road_map(graph)
+    lon_deg, lat_deg = ((lonlat.min(axis=0) + lonlat.max(axis=0)) / 2).tolist()
+    xy = enu_from_lonlat(lat_deg, lon_deg, lonlat)
+    no_nodes = np.zeros((0, 2)), np.zeros((0, MAX_BRANCHES)), np.zeros(0, dtype=np.int64)
+    return RoadMap(lat_deg, lon_deg, np.column_stack([xy[:-1], xy[1:]]), *no_nodes)
 
 
 def _common_clock(drive: Drive, gpx: GpxTrack) -> FloatArray | None:
@@ -134,10 +127,9 @@ def _common_clock(drive: Drive, gpx: GpxTrack) -> FloatArray | None:
     return times_s if during.mean() >= _SHARE else None
 
 
-def _is_believed(shift: Shift) -> bool:
-    """Tell whether a shift is more than the scatter of fixes pretends."""
-    is_much = shift.is_sure or shift.before_m > _MUCH_SCATTER * FIX_STD_M
-    return shift.is_there and shift.metres >= FIX_STD_M and is_much
+def _along(distance: FloatArray, at_m: FloatArray, xy: FloatArray) -> FloatArray:
+    """Return the points of a line at distances or times along it, (n, 2); NaN beyond its ends."""
+    return np.column_stack([np.interp(distance, at_m, xy[:, axis], left=np.nan, right=np.nan) for axis in (0, 1)])
 
 
 def _by_time(times_s: FloatArray, track: Track, chain: Chain, gpx: GpxTrack, xy: FloatArray) -> FloatArray | None:
@@ -146,7 +138,7 @@ def _by_time(times_s: FloatArray, track: Track, chain: Chain, gpx: GpxTrack, xy:
     then = np.interp(chain.at_m, track.at_m, times_s)
     if ((then >= gpx.time_s[0]) & (then <= gpx.time_s[-1])).mean() < _SHARE:
         return None
-    return np.column_stack([np.interp(then, gpx.time_s, xy[:, axis], left=np.nan, right=np.nan) for axis in (0, 1)])
+    return _along(then, gpx.time_s, xy)
 
 
 def _by_shape(name: str, chain: Chain, xy: FloatArray, source: str) -> FloatArray:
@@ -172,11 +164,6 @@ def _by_shape(name: str, chain: Chain, xy: FloatArray, source: str) -> FloatArra
             "times since 1970 in the drive and in the track."
         )
     return targets[best]
-
-
-def _along(distance: FloatArray, at_m: FloatArray, xy: FloatArray) -> FloatArray:
-    """Return the points of a line at distances along it, (n, 2); NaN beyond its ends."""
-    return np.column_stack([np.interp(distance, at_m, xy[:, axis], left=np.nan, right=np.nan) for axis in (0, 1)])
 
 
 def _rigid(source: FloatArray, target: FloatArray) -> tuple[float, FloatArray, float]:

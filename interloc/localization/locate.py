@@ -10,17 +10,15 @@ from typing import Any
 
 import numpy as np
 
-from interloc.arrays import FloatArray, IntArray
+from interloc.arrays import FloatArray
 from interloc.drive import Drive, Georeference
 from interloc.errors import ConfigError, expect
 from interloc.geometry import bearing_deg, rotate_2d, rotation_from_rpy, wrap_angle
-from interloc.localization.decision import MIN_LENGTH_M, Decision, decide, too_short
-from interloc.localization.evidence import Evidence, evidence_of
-from interloc.localization.refine import Chain, Fit, Nodes, fit, uncertainty
-from interloc.localization.roads import RoadMap, WayIndex, road_map
+from interloc.localization.evidence import MIN_LENGTH_M, Decision, Evidence, decide, evidence_of, too_short
+from interloc.localization.refine import Chain, Fit, fit, uncertainty
+from interloc.localization.roads import Nodes, RoadMap, road_map
 from interloc.localization.search import guess
-from interloc.localization.sightings import Sightings, no_sightings, sightings_of
-from interloc.localization.track import Track, track_of
+from interloc.localization.track import NO_SIGHTINGS, Sightings, Track, sightings_of, track_of
 from interloc.osm.graph import RoadGraph
 from interloc.processes import Progress
 from interloc.results import DriveResult
@@ -46,8 +44,6 @@ class Place:
     middle_lonlat : (2,) float64
         Of the middle of the drive: what lies apart there is another place.
     evidence : Evidence
-    offset_m, scale : float
-        See `interloc.localization.refine.Fit`.
     track_lonlat : (n, 2) float64
         The drive if it was here, every ten metres.
     """
@@ -56,14 +52,30 @@ class Place:
     heading_deg: float
     middle_lonlat: FloatArray
     evidence: Evidence
-    offset_m: float
-    scale: float
     track_lonlat: FloatArray
 
     @property
     def score(self) -> float:
         """Of its evidence."""
         return self.evidence.score
+
+    def record(self) -> dict[str, Any]:
+        """Return it as JSON holds it."""
+        evidence = self.evidence
+        return {
+            "lat_deg": round(float(self.lonlat[1]), 7),
+            "lon_deg": round(float(self.lonlat[0]), 7),
+            "heading_deg": round(self.heading_deg, 1),
+            "middle_lat_deg": round(float(self.middle_lonlat[1]), 7),
+            "middle_lon_deg": round(float(self.middle_lonlat[0]), 7),
+            "score": round(self.score, 3),
+            "on_roads": round(evidence.road, 3),
+            "intersections_seen": evidence.seen,
+            "intersections_at_nodes": evidence.at_nodes,
+            "branches_agreeing": round(evidence.branches, 3),
+            "nodes_passed": evidence.passed,
+            "nodes_missed": evidence.missed,
+        }
 
 
 @dataclass(frozen=True)
@@ -106,14 +118,14 @@ class Location:
 
     def record(self) -> dict[str, Any]:
         """Return it as JSON holds it; `run.json` and `--json` do."""
+        deviations = {"position_std_m": self.position_std_m, "heading_std_deg": self.heading_std_deg}
         return {
             "outcome": self.decision.outcome,
             "reason": self.decision.reason,
             "advice": self.decision.advice,
             "chance_score": round(self.chance, 3),
-            "places": [_place_record(place) for place in self.places],
-            "position_std_m": _median(self.position_std_m),
-            "heading_std_deg": _median(self.heading_std_deg),
+            "places": [place.record() for place in self.places],
+            **{name: None if std is None else round(float(np.median(std)), 3) for name, std in deviations.items()},
             **self.facts,
         }
 
@@ -163,53 +175,37 @@ def locate(
     track = track_of(drive.T_world_lidar)
     if track.length_m < MIN_LENGTH_M:
         return Location(too_short(track.length_m), [], facts={"length_m": round(track.length_m, 1)})
-    sightings = no_sightings() if result is None else sightings_of(result, drive.frames, track)
-    searched = SearchedMap.of(road_map(graph, near, radius_m))
+    sightings = NO_SIGHTINGS if result is None else sightings_of(result, drive.frames, track)
+    roads = road_map(graph, near, radius_m)
+    roads.prepare()
     count = _Count(progress)
     with ThreadPoolExecutor(2) as pool:  # the kernels let go of the interpreter
-        mirrored = pool.submit(find_places, track.mirrored(), sightings.mirrored(), searched, count.add)
-        found = find_places(track, sightings, searched, count.add)
-        chance = mirrored.result()[:1]
-    decision = decide_by(found, chance)
-    places = [_place(each, searched.roads) for each in found[:_LISTED]]
-    facts = {
+        mirrored = pool.submit(_find_places, track.mirrored(), sightings.mirrored(), roads, count.add)
+        found = _find_places(track, sightings, roads, count.add)
+        by_chance = mirrored.result()
+    chance = by_chance[0].score if by_chance else 0.0
+    decision = decide(
+        found[0].evidence if found else None,
+        found[1].score if len(found) > 1 else 0.0,
+        chance,
+        float(found[0].chain.at_m[-1]) if found else 0.0,
+    )
+    facts: dict[str, Any] = {
         "map": graph.source,
-        "map_km": round(searched.roads.length_m / 1000.0, 1),
+        "map_km": round(roads.length_m / 1000.0, 1),
         "length_m": round(track.length_m, 1),
         "intersections_seen": len(sightings),
     }
-    best_chance = chance[0].score if chance else 0.0
-    if not decision.found:
-        return Location(decision, places, best_chance, facts=facts | _seconds(began))
-    return _placed(
-        Location(decision, places, best_chance),
-        found[0],
-        track,
-        searched,
-        graph.source,
-        facts,
-        began,
-        leave_one_out=leave_one_out,
-    )
+    location = Location(decision, [each.place(roads) for each in found[:_LISTED]], chance, facts=facts)
+    if decision.found:
+        name = f"the map {graph.source} (placed by its roads)"
+        location = _placed(location, found[0], track, roads, name, leave_one_out=leave_one_out)
+    location.facts["seconds"] = round(time.perf_counter() - began, 2)
+    return location
 
 
 @dataclass(frozen=True)
-class SearchedMap:
-    """A map ready to be searched."""
-
-    roads: RoadMap
-    ways: WayIndex
-    nodes: Nodes
-
-    @classmethod
-    def of(cls, roads: RoadMap) -> SearchedMap:
-        """Prepare a map."""
-        _ = roads.raster
-        return cls(roads, WayIndex.of(roads), Nodes.of(roads.node_xy))
-
-
-@dataclass(frozen=True)
-class Found:
+class _Found:
     """A place in the making: the chain bent onto the roads there, and what speaks for it."""
 
     chain: Chain
@@ -221,43 +217,40 @@ class Found:
         """Of its evidence."""
         return self.evidence.score
 
-    def is_elsewhere(self, other: Found) -> bool:
+    def is_elsewhere(self, other: _Found) -> bool:
         """Tell whether the middle of the drive lies apart from that of another place."""
         middle = len(self.chain) // 2
         here, there = self.fit.pose[middle], other.fit.pose[middle]
         turned = abs(float(wrap_angle(float(here[2] - there[2]))))
         return float(np.hypot(*(here[:2] - there[:2]))) > _ELSEWHERE_M or turned > _ELSEWHERE_RAD
 
+    def place(self, roads: RoadMap) -> Place:
+        """Return it in degrees."""
+        pose = self.fit.pose
+        lonlat = roads.lonlat(pose[:, :2])
+        heading_deg = float(bearing_deg(pose[0, 2] - roads.north_rad(pose[0, :2])))
+        return Place(lonlat[0], heading_deg, lonlat[len(pose) // 2], self.evidence, lonlat)
 
-def find_places(track: Track, sightings: Sightings, searched: SearchedMap, done: Progress | None = None) -> list[Found]:
+
+def _find_places(track: Track, sightings: Sightings, roads: RoadMap, done: Progress) -> list[_Found]:
     """Return the places that explain a drive best, best first, apart from each other."""
     chain = Chain.of(track, sightings)
-    bent: list[tuple[Found, int]] = []
-    for guesses in guess(track, sightings, searched.roads, searched.nodes, kept=_KEPT):
-        anchor = int(np.argmin(np.abs(chain.at_m - guesses.at_m)))
-        for number, pose in enumerate(guesses.pose):
-            if done is not None:
-                done(number, len(guesses.pose))
-            start = chain.placed(anchor, pose)
-            bent.append((_bend(chain, start, searched, anchor, _QUICK_ROUNDS), anchor))
-    best = _apart([each for each, _ in bent])[:_BENT_FULLY]
-    return _apart([_bend(chain, each.fit.pose, searched, None, _ROUNDS) for each in best])
+
+    def bend(start: FloatArray, anchor: int | None, rounds: int) -> _Found:
+        bent = fit(chain, start, roads, anchor=anchor, rounds=rounds)
+        return _Found(chain, bent, evidence_of(chain, bent, roads))
+
+    bent = []
+    for at_m, poses in guess(track, sightings, roads, kept=_KEPT):
+        anchor = int(np.argmin(np.abs(chain.at_m - at_m)))
+        for number, pose in enumerate(poses):
+            done(number, len(poses))
+            bent.append(bend(chain.placed(anchor, pose), anchor, _QUICK_ROUNDS))
+    return _apart([bend(each.fit.pose, None, _ROUNDS) for each in _apart(bent)[:_BENT_FULLY]])
 
 
-def decide_by(found: list[Found], chance: list[Found]) -> Decision:
-    """Decide by the places of a drive and of its mirror image."""
-    runner_up = found[1].score if len(found) > 1 else 0.0
-    length_m = float(found[0].chain.at_m[-1]) if found else 0.0
-    return decide(found[0].evidence if found else None, runner_up, chance[0].score if chance else 0.0, length_m)
-
-
-def _bend(chain: Chain, start: FloatArray, searched: SearchedMap, anchor: int | None, rounds: int) -> Found:
-    bent = fit(chain, start, searched.ways, searched.nodes, anchor=anchor, rounds=rounds)
-    return Found(chain, bent, evidence_of(chain, bent, searched.roads))
-
-
-def _apart(found: list[Found]) -> list[Found]:
-    kept: list[Found] = []
+def _apart(found: list[_Found]) -> list[_Found]:
+    kept: list[_Found] = []
     for each in sorted(found, key=lambda place: -place.score):
         if all(each.is_elsewhere(other) for other in kept):
             kept.append(each)
@@ -265,54 +258,30 @@ def _apart(found: list[Found]) -> list[Found]:
 
 
 def _placed(
-    location: Location,
-    best: Found,
-    track: Track,
-    searched: SearchedMap,
-    source: str,
-    facts: dict[str, Any],
-    began: float,
-    *,
-    leave_one_out: bool,
+    location: Location, best: _Found, track: Track, roads: RoadMap, source: str, *, leave_one_out: bool
 ) -> Location:
     """Add to a location what it says of every scan."""
-    name = f"the map {source} (placed by its roads)"
-    covariance = uncertainty(best.chain, best.fit, searched.ways, searched.nodes)
-    at = np.interp(track.at_m, best.chain.at_m, np.arange(len(best.chain)))
-    rows = np.round(at).astype(np.int64)
+    chain, fitted = best.chain, best.fit
+    covariance = uncertainty(chain, fitted, roads)
+    rows = np.round(np.interp(track.at_m, chain.at_m, np.arange(len(chain)))).astype(np.int64)
     position_std_m = np.sqrt((covariance[rows, 0, 0] + covariance[rows, 1, 1]) / 2.0 + _MAP_STD_M**2)
-    heading_std_deg = np.degrees(np.sqrt(covariance[rows, 2, 2]))
+    distance, nearest = roads.nodes.nearest(chain.seen_at(fitted.pose), _ELSEWHERE_M)
+    used = np.unique(nearest[np.isfinite(distance)])
     leaving_out = {}
-    if leave_one_out:
-        for node in _nodes_used(best, searched.roads).tolist():
-            others = Nodes.of(np.delete(searched.roads.node_xy, node, axis=0))
-            again = fit(best.chain, best.fit.pose, searched.ways, others, rounds=_ROUNDS)
-            osm_id = int(searched.roads.node_osm_id[node])
-            leaving_out[osm_id] = georeference_by(best.chain, again, track, searched.roads, name)
-    return Location(
-        location.decision,
-        location.places,
-        location.chance,
-        replace(georeference_by(best.chain, best.fit, track, searched.roads, name), position_std_m=position_std_m),
-        position_std_m,
-        heading_std_deg,
-        leaving_out,
-        facts
-        | {
-            "lane_offset_m": round(best.fit.offset_m, 2),
-            "scale": round(best.fit.scale, 4),
-            "nodes_used": len(_nodes_used(best, searched.roads)),
-        }
-        | _seconds(began),
+    for node in used.tolist() if leave_one_out else ():
+        others = Nodes(np.delete(roads.node_xy, node, axis=0))
+        again = fit(chain, fitted.pose, roads, nodes=others, rounds=_ROUNDS)
+        leaving_out[int(roads.node_osm_id[node])] = georeference_by(chain, again, track, roads, source)
+    georeference = georeference_by(chain, fitted, track, roads, source)
+    more = {"lane_offset_m": round(fitted.offset_m, 2), "scale": round(fitted.scale, 4), "nodes_used": len(used)}
+    return replace(
+        location,
+        georeference=replace(georeference, position_std_m=position_std_m),
+        position_std_m=position_std_m,
+        heading_std_deg=np.degrees(np.sqrt(covariance[rows, 2, 2])),
+        leaving_out=leaving_out,
+        facts=location.facts | more,
     )
-
-
-def _nodes_used(best: Found, roads: RoadMap) -> IntArray:
-    """Return the rows of the nodes of the map that intersections seen lie near."""
-    if not len(best.chain.seen_from) or not len(roads.node_xy):
-        return np.zeros(0, dtype=np.int64)
-    distance, nearest = Nodes.of(roads.node_xy).nearest(best.chain.seen_at(best.fit.pose), _ELSEWHERE_M)
-    return np.unique(nearest[np.isfinite(distance)])
 
 
 def georeference_by(chain: Chain, fitted: Fit, track: Track, roads: RoadMap, source: str) -> Georeference:
@@ -337,39 +306,6 @@ def georeference_by(chain: Chain, fitted: Fit, track: Track, roads: RoadMap, sou
     return Georeference(lonlat[:, 1], lonlat[:, 0], track.z_m.copy(), R_enu_level @ track.R_level_lidar, source)
 
 
-def _place(found: Found, roads: RoadMap) -> Place:
-    pose, middle = found.fit.pose, len(found.chain) // 2
-    lonlat = roads.lonlat(pose[:, :2])
-    heading = pose[0, 2] - roads.north_rad(pose[0, :2])
-    return Place(
-        lonlat[0],
-        float(bearing_deg(heading)),
-        lonlat[middle],
-        found.evidence,
-        found.fit.offset_m,
-        found.fit.scale,
-        lonlat,
-    )
-
-
-def _place_record(place: Place) -> dict[str, Any]:
-    evidence = place.evidence
-    return {
-        "lat_deg": round(float(place.lonlat[1]), 7),
-        "lon_deg": round(float(place.lonlat[0]), 7),
-        "heading_deg": round(place.heading_deg, 1),
-        "middle_lat_deg": round(float(place.middle_lonlat[1]), 7),
-        "middle_lon_deg": round(float(place.middle_lonlat[0]), 7),
-        "score": round(place.score, 3),
-        "on_roads": round(evidence.road, 3),
-        "intersections_seen": evidence.seen,
-        "intersections_at_nodes": evidence.at_nodes,
-        "branches_agreeing": round(evidence.branches, 3),
-        "nodes_passed": evidence.passed,
-        "nodes_missed": evidence.missed,
-    }
-
-
 def _check_near(near: tuple[float, float] | None, radius_m: float | None) -> None:
     if (near is None) != (radius_m is None):
         raise ConfigError("near and radius_m belong together: a position and how far around it to search.")
@@ -379,14 +315,6 @@ def _check_near(near: tuple[float, float] | None, radius_m: float | None) -> Non
         )
     if radius_m is not None and not radius_m > 0.0:
         raise ConfigError(f"radius_m is {radius_m:g}. Expected a positive number of metres.")
-
-
-def _median(values: FloatArray | None) -> float | None:
-    return None if values is None else round(float(np.median(values)), 3)
-
-
-def _seconds(began: float) -> dict[str, float]:
-    return {"seconds": round(time.perf_counter() - began, 2)}
 
 
 class _Count:

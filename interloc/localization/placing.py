@@ -11,7 +11,7 @@ import numpy as np
 from interloc.arrays import FloatArray, IntArray
 from interloc.config import CalibrationConfig, FusionConfig
 from interloc.drive import Drive, Georeference
-from interloc.errors import GeoreferenceError, LocationError
+from interloc.errors import LocationError
 from interloc.geometry import ecef_from_geodetic, lonlat_from_enu, rotate_2d, wrap_bearing, yaw_of
 from interloc.localization.locate import Location, locate
 from interloc.mapping.estimation import members_of
@@ -54,16 +54,7 @@ def place_run(
     radius_m: float | None = None,
     progress: Progress | None = None,
 ) -> PlacedRun:
-    """Place a run on a map, and make a fair copy of it to score on the same map.
-
-    Parameters
-    ----------
-    result
-        Of `detect` on the drive, without georeference.
-    drive, graph, near, radius_m, progress
-        See `locate`.
-    policy, tolerance_m
-        Which nodes will count.
+    """Place a run of `detect` on a map, and make a fair copy of it to score on the same map, by a policy.
 
     Raises
     ------
@@ -127,22 +118,9 @@ def require_found(location: Location, drive: str) -> Georeference:
 def place_result(result: DriveResult, drive: Drive, georeference: Georeference, about: dict[str, Any]) -> DriveResult:
     """Put a run that was made without georeference on the earth, and fuse its detections anew.
 
-    Parameters
-    ----------
-    result
-        Of `detect` on the drive without georeference.
-    drive, georeference
-        Of all scans.
-    about
-        What `run.json` shall say of it, under `location`.
-
-    Raises
-    ------
-    GeoreferenceError
-        The run has a georeference already.
+    `about` is what `run.json` shall say of it, under `location`.
     """
-    if result.is_georeferenced:
-        raise GeoreferenceError(f"{result.drive}: the run has a georeference already. Expected one without.")
+    assert not result.is_georeferenced
     rows = np.searchsorted(drive.frames, result.keyframes.frame)
     lat, lon = georeference.lat_deg[rows], georeference.lon_deg[rows]
     yaw = yaw_of(georeference.R_enu_lidar[rows])
@@ -179,18 +157,8 @@ def place_result(result: DriveResult, drive: Drive, georeference: Georeference, 
 def fair_result(placed: DriveResult, drive: Drive, location: Location, nodes: IntersectionNodes) -> DriveResult:
     """Return a placed run in which nothing near a node owes its position to that node.
 
-    Each detection and each fused intersection moves to where the fit puts it that left out the node nearest to it.
-
-    Parameters
-    ----------
-    placed
-        Of `place_result`.
-    drive
-        It, for the numbers of its scans.
-    location
-        Of `locate` with `leave_one_out`.
-    nodes
-        The ground truth.
+    Each detection and each fused intersection moves to where the fit (of `locate` with `leave_one_out`) puts it that
+    left out the node of the ground truth nearest to it.
     """
     rows = np.searchsorted(drive.frames, placed.keyframes.frame)
     detections, fused = placed.detections, placed.intersections

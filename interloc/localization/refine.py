@@ -12,13 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import solveh_banded
-from scipy.spatial import cKDTree
 
 from interloc.arrays import BoolArray, FloatArray, IntArray
 from interloc.geometry import rotate_2d, wrap_angle
-from interloc.localization.roads import WayIndex
-from interloc.localization.sightings import Sightings
-from interloc.localization.track import Track, resample
+from interloc.localization.roads import Nodes, RoadMap
+from interloc.localization.track import Sightings, Track, resample
 
 NODE_STEP_M = 10.0
 
@@ -56,11 +54,11 @@ class Chain:
     @classmethod
     def of(cls, track: Track, sightings: Sightings) -> Chain:
         """Cut a track into poses."""
-        points = resample(track, NODE_STEP_M)
-        seen_from = np.clip(np.round(sightings.at_m / NODE_STEP_M).astype(np.int64), 0, len(points) - 1)
-        heading = points.heading_rad[seen_from]
-        seen_xy = rotate_2d(sightings.xy - points.xy[seen_from], -heading)
-        return cls(points.at_m, points.columns, seen_from, seen_xy, sightings.angles_rad - heading[:, None])
+        at_m, pose = resample(track, NODE_STEP_M)
+        seen_from = np.clip(np.round(sightings.at_m / NODE_STEP_M).astype(np.int64), 0, len(pose) - 1)
+        heading = pose[seen_from, 2]
+        seen_xy = rotate_2d(sightings.xy - pose[seen_from, :2], -heading)
+        return cls(at_m, pose, seen_from, seen_xy, sightings.angles_rad - heading[:, None])
 
     def placed(self, row: int, pose: FloatArray) -> FloatArray:
         """Return the chain, (n, 3), moved rigidly so that one of its poses comes to a given one."""
@@ -88,24 +86,6 @@ class Fit:
     """(n,) float64: distance from the middle of the way less the lane offset; NaN where no way runs along."""
     strain: float
     """How far the odometry had to be bent: mean of its squared normalised errors."""
-
-
-@dataclass(frozen=True)
-class Nodes:
-    """The intersections of the map that a fit may use; leaving one out makes it a test of the others."""
-
-    xy: FloatArray
-    tree: cKDTree
-
-    @classmethod
-    def of(cls, xy: FloatArray) -> Nodes:
-        """Index (K, 2) positions."""
-        return cls(xy, cKDTree(xy) if len(xy) else cKDTree(np.full((1, 2), 1e9)))
-
-    def nearest(self, at: FloatArray, reach_m: float = np.inf) -> tuple[FloatArray, IntArray]:
-        """Return distance, inf beyond reach, and row of the node nearest to each of (J, 2) points."""
-        distance, row = self.tree.query(at, distance_upper_bound=reach_m)
-        return np.asarray(distance, dtype=np.float64), np.asarray(row, dtype=np.int64)
 
 
 class _Normal:
@@ -160,9 +140,9 @@ class _Normal:
 def fit(
     chain: Chain,
     start: FloatArray,
-    ways: WayIndex,
-    nodes: Nodes,
+    roads: RoadMap,
     *,
+    nodes: Nodes | None = None,
     anchor: int | None = None,
     rounds: int = 10,
 ) -> Fit:
@@ -173,8 +153,8 @@ def fit(
     chain
     start : (n, 3) float64
         Where to begin, in M.
-    ways, nodes
-        Of the map.
+    roads, nodes
+        The map; only these intersections of it, if given.
     anchor
         Pose around which `start` is good; the fit takes hold there and grows outwards, so that drift does not carry
         the far ends to the wrong roads. None: it is good everywhere.
@@ -188,7 +168,7 @@ def fit(
         active = np.zeros(len(chain), dtype=np.bool_)
         active[max(low, 0) : high] = True
         step = _Round(chain, pose, offset_m, scale, active, cooling=0.7**done)
-        fitted, normal = step.linearise(ways, nodes)
+        fitted, normal = step.linearise(roads, roads.nodes if nodes is None else nodes)
         if done >= rounds:
             return fitted
         moved, stretched = normal.solve()
@@ -198,11 +178,11 @@ def fit(
         low, high = low - _GROW, high + _GROW
 
 
-def uncertainty(chain: Chain, fitted: Fit, ways: WayIndex, nodes: Nodes) -> FloatArray:
+def uncertainty(chain: Chain, fitted: Fit, roads: RoadMap) -> FloatArray:
     """Return the covariance of the poses of a fit, (n, 3, 3)."""
     everywhere = np.ones(len(chain), dtype=np.bool_)
     step = _Round(chain, fitted.pose, fitted.offset_m, fitted.scale, everywhere, cooling=0.0)
-    return step.linearise(ways, nodes)[1].covariance()
+    return step.linearise(roads, roads.nodes)[1].covariance()
 
 
 class _Round:
@@ -216,17 +196,17 @@ class _Round:
         self.gate_m = max(_GATE_M, _START_GATE_M * cooling)
         self.lateral_m = self.weight = np.zeros(0)
 
-    def linearise(self, ways: WayIndex, nodes: Nodes) -> tuple[Fit, _Normal]:
+    def linearise(self, roads: RoadMap, nodes: Nodes) -> tuple[Fit, _Normal]:
         """Return the state as it is, and the equations of the next step."""
         normal = _Normal(len(self.chain))
-        on_way = self._hold_by_ways(normal, ways)
+        on_way = self._hold_by_ways(normal, roads)
         self._hold_by_nodes(normal, nodes)
         strain = self._hold_by_odometry(normal)
         lateral_m = np.where(on_way, self.lateral_m - self.offset_m, np.nan)
         return Fit(self.pose, self.offset_m, self.scale, lateral_m, strain), normal
 
-    def _hold_by_ways(self, normal: _Normal, ways: WayIndex) -> BoolArray:
-        segment, foot = ways.nearest(self.pose)
+    def _hold_by_ways(self, normal: _Normal, roads: RoadMap) -> BoolArray:
+        segment, foot = roads.nearest_ways(self.pose)
         left = np.column_stack([-foot[:, 3], foot[:, 2]])
         self.lateral_m = np.einsum("ij,ij->i", self.pose[:, :2] - foot[:, :2], left)
         aligned = np.cos(self.pose[:, 2]) * foot[:, 2] + np.sin(self.pose[:, 2]) * foot[:, 3]
@@ -240,8 +220,6 @@ class _Round:
 
     def _hold_by_nodes(self, normal: _Normal, nodes: Nodes) -> None:
         seen_from = self.chain.seen_from
-        if not len(seen_from) or not len(nodes.xy):
-            return
         arm = rotate_2d(self.chain.seen_xy, self.pose[seen_from, 2])
         at = self.pose[seen_from, :2] + arm
         distance, nearest = nodes.nearest(at, self.gate_m)

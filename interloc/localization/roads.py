@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from interloc.arrays import FloatArray, IntArray, UInt8Array, UInt16Array
 from interloc.errors import MapError
@@ -43,6 +44,21 @@ class RoadRaster:
     cell_m: float
 
 
+class Nodes:
+    """Intersections of the map that a fit may use, (K, 2); leaving one out makes it a test of the others."""
+
+    def __init__(self, xy: FloatArray) -> None:
+        self.xy = xy
+        self._tree = cKDTree(xy) if len(xy) else None
+
+    def nearest(self, at: FloatArray, reach_m: float = np.inf) -> tuple[FloatArray, IntArray]:
+        """Return distance, inf beyond reach, and row of the node nearest to each of (J, 2) points."""
+        if self._tree is None:
+            return np.full(len(at), np.inf), np.zeros(len(at), dtype=np.int64)
+        distance, row = self._tree.query(at, distance_upper_bound=reach_m)
+        return np.asarray(distance, dtype=np.float64), np.asarray(row, dtype=np.int64)
+
+
 @dataclass(frozen=True)
 class RoadMap:
     """Roads in the plane M: east and north of the middle of the map on the ellipsoid, metres."""
@@ -72,6 +88,30 @@ class RoadMap:
     def xy(self, lonlat: FloatArray) -> FloatArray:
         """Return points of M of (..., 2) longitudes, latitudes."""
         return enu_from_lonlat(self.lat_deg, self.lon_deg, lonlat)
+
+    @cached_property
+    def nodes(self) -> Nodes:
+        """All of its intersections, to find the nearest one."""
+        return Nodes(self.node_xy)
+
+    def nearest_ways(self, poses: FloatArray) -> tuple[IntArray, FloatArray]:
+        """Return the segment, (P,), and the foot with its direction, (P, 4), of (P, 3) poses; -1 where none is near."""
+        segments, origin, starts, items = self._buckets
+        return nearest_ways(poses, segments, origin, _BUCKET_M, starts, items, WAY_REACH_M, _TURN_COST_M)
+
+    @cached_property
+    def _buckets(self) -> tuple[FloatArray, FloatArray, IntArray, IntArray]:
+        """The segments in buckets; see `interloc.kernels.roads.nearest_ways`."""
+        segments = np.ascontiguousarray(self.segments)
+        ends = segments.reshape(-1, 2)
+        origin = ends.min(axis=0) - WAY_REACH_M
+        size = ends.max(axis=0) + WAY_REACH_M - origin
+        columns, rows = (int(each // _BUCKET_M) + 1 for each in size)
+        return segments, origin, *bucket_segments(segments, origin, _BUCKET_M, rows, columns, WAY_REACH_M)
+
+    def prepare(self) -> None:
+        """Make what a search looks up, before several threads do."""
+        _ = self.raster, self.nodes, self._buckets
 
     def north_rad(self, xy: FloatArray) -> FloatArray:
         """Return how far north turned counter-clockwise from the y axis of M at (..., 2) points: meridians converge."""
@@ -107,20 +147,10 @@ class RoadMap:
 
 
 def road_map(graph: RoadGraph, near: tuple[float, float] | None = None, radius_m: float | None = None) -> RoadMap:
-    """Bring the roads of a map into its plane.
+    """Bring the roads that cars use into a plane, service roads too: drives begin on them.
 
-    Parameters
-    ----------
-    graph
-        Roads; those that cars use are taken, service roads too: drives begin on them.
-    near : tuple of float or None
-        Latitude, longitude: only what lies within `radius_m` of it is taken.
-    radius_m : float or None
-
-    Raises
-    ------
-    MapError
-        There are no such roads.
+    Only what lies within `radius_m` of `near` (latitude, longitude) is taken, if given. Raises a MapError where there
+    are none.
     """
     edges = distinct_edges(graph.edges_of(road_ways(graph, "drive+service")))
     is_drivable = road_ways(graph, "drive")
@@ -168,32 +198,3 @@ def _branches(rows: IntArray, edges: IntArray, xy: FloatArray) -> FloatArray:
             away = xy[here] - xy[node]
             angles[row, branch] = np.arctan2(away[1], away[0])
     return angles
-
-
-@dataclass(frozen=True)
-class WayIndex:
-    """The pieces of road of a map in buckets, to find the nearest one to a point."""
-
-    segments: FloatArray
-    """(S, 4) float64: x, y of both ends."""
-    origin: FloatArray
-    """(2,) float64: corner of the grid of buckets."""
-    starts: IntArray
-    items: IntArray
-    """int64: see `interloc.kernels.roads.nearest_ways`."""
-
-    @classmethod
-    def of(cls, roads: RoadMap) -> WayIndex:
-        """Sort the roads of a map into buckets."""
-        segments = np.ascontiguousarray(roads.segments)
-        ends = segments.reshape(-1, 2)
-        origin = ends.min(axis=0) - WAY_REACH_M
-        size = ends.max(axis=0) + WAY_REACH_M - origin
-        columns, rows = (int(each // _BUCKET_M) + 1 for each in size)
-        return cls(segments, origin, *bucket_segments(segments, origin, _BUCKET_M, rows, columns, WAY_REACH_M))
-
-    def nearest(self, poses: FloatArray) -> tuple[IntArray, FloatArray]:
-        """Return the segment, (P,), and the foot with its direction, (P, 4), of (P, 3) poses; -1 where none is near."""
-        return nearest_ways(
-            poses, self.segments, self.origin, _BUCKET_M, self.starts, self.items, WAY_REACH_M, _TURN_COST_M
-        )

@@ -15,17 +15,14 @@ bends the whole.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
 from interloc.arrays import FloatArray, IntArray
 from interloc.geometry import rotate_2d
 from interloc.kernels.roads import score_poses
-from interloc.localization.refine import Nodes
 from interloc.localization.roads import NO_ROAD, RoadMap, RoadRaster
-from interloc.localization.sightings import Sightings
-from interloc.localization.track import Track, TrackPoints, resample
+from interloc.localization.track import Sightings, Track, resample
 
 STEP_M = 8.0
 ALONG_M = 4.0
@@ -46,72 +43,44 @@ _NEIGHBOURS = np.vstack([np.eye(3), -np.eye(3)])
 _SAME_PLACE_M, _SAME_TURN_RAD = 12.0, np.radians(9.0)
 
 
-@dataclass(frozen=True)
-class Guesses:
-    """Places where a track may have been, best first."""
-
-    at_m: float
-    """Distance driven at the anchor."""
-    pose: FloatArray
-    """(C, 3) float64: place and direction of motion of the anchor in M."""
-    score: FloatArray
-    """(C,) float64."""
-
-
-def anchors(points: TrackPoints) -> list[int]:
-    """Return the rows around which a track is searched: one per kilometre, three at most, each the straightest near.
+def guess(track: Track, sightings: Sightings, roads: RoadMap, *, kept: int) -> Iterator[tuple[float, FloatArray]]:
+    """Search a map for a track: once per kilometre, three times at most, each around the straightest point there.
 
     On a straight the heading of the vehicle is that of the road; in a curve it may be anything.
-    """
-    bend = np.convolve(np.abs(np.gradient(points.heading_rad)), np.ones(5), "same")
-    pieces = int(np.clip(round(points.at_m[-1] / 1000.0), 1, 3))
-    rows = []
-    for piece in range(pieces):
-        first, last = (round((piece + share) / pieces * (len(points) - 1)) for share in (1 / 3, 2 / 3))
-        rows.append(first + int(np.argmin(bend[first : last + 1])))
-    return rows
-
-
-def guess(track: Track, sightings: Sightings, roads: RoadMap, nodes: Nodes, *, kept: int) -> Iterator[Guesses]:
-    """Search a map for a track.
-
-    Parameters
-    ----------
-    track, sightings
-        The drive.
-    roads, nodes
-        The map.
-    kept : int
-        Places to return for one anchor; fewer for each of several.
 
     Yields
     ------
-    Guesses
-        One for each anchor.
+    at_m : float
+        Distance driven at the point around which was searched, the anchor.
+    pose : (C, 3) float64
+        Places and directions of motion of the anchor in M, best first: `kept` for one anchor, fewer for each of
+        several.
     """
-    points = resample(track, STEP_M)
-    rows = anchors(points)
-    for row in rows:
-        yield _guess_around(row, points, sightings, roads, nodes, round(kept / len(rows) ** 0.5))
+    at_m, points = resample(track, STEP_M)
+    bend = np.convolve(np.abs(np.gradient(points[:, 2])), np.ones(5), "same")
+    pieces = int(np.clip(round(at_m[-1] / 1000.0), 1, 3))
+    for piece in range(pieces):
+        first, last = (round((piece + share) / pieces * (len(points) - 1)) for share in (1 / 3, 2 / 3))
+        row = first + int(np.argmin(bend[first : last + 1]))
+        yield float(at_m[row]), _guess_around(row, at_m, points, sightings, roads, round(kept / pieces**0.5))
 
 
 def _guess_around(
-    row: int, points: TrackPoints, sightings: Sightings, roads: RoadMap, nodes: Nodes, kept: int
-) -> Guesses:
-    raster = roads.raster
-    relative, away = points.relative_to(row), np.abs(points.at_m - points.at_m[row])
+    row: int, at_m: FloatArray, points: FloatArray, sightings: Sightings, roads: RoadMap, kept: int
+) -> FloatArray:
+    raster, turn, away = roads.raster, float(points[row, 2]), np.abs(at_m - at_m[row])
+    relative = np.column_stack([rotate_2d(points[:, :2] - points[row, :2], -turn), points[:, 2] - turn])
     pose, score = _exhaust(_shuffled(relative[away <= _FIRST_REACH_M]), roads)
     pose, score = _distinct(pose, score, _FIRST_KEPT)
     pose, score = _climb(_shuffled(relative[away <= _REACH_M]), pose, raster)
-    score = score + _FAR_SHARE * score_tracks(relative, pose, raster, _FAR_SIGMA_M)
-    if len(sightings) and len(nodes.xy):
-        local = rotate_2d(sightings.xy - points.xy[row], -points.heading_rad[row])
-        score = score + _LANDMARK_SHARE * _landmarks(local, pose, nodes)
-    pose, score = _distinct(pose, score, kept)
-    return Guesses(float(points.at_m[row]), pose, score)
+    score = score + _FAR_SHARE * _score_tracks(relative, pose, raster, _FAR_SIGMA_M)
+    if len(sightings) and len(roads.node_xy):
+        local = rotate_2d(sightings.xy - points[row, :2], -turn)
+        score = score + _LANDMARK_SHARE * _landmarks(local, pose, roads)
+    return _distinct(pose, score, kept)[0]
 
 
-def score_tracks(
+def _score_tracks(
     relative: FloatArray, pose: FloatArray, raster: RoadRaster, sigma_m: float, hopeless: float = 0.0
 ) -> FloatArray:
     """Return how well a track, (P, 3) seen from its anchor, lies on the roads with that at each of (H, 3) poses."""
@@ -130,26 +99,21 @@ def score_tracks(
     )
 
 
-def stations(roads: RoadMap) -> FloatArray:
-    """Return (M, 3) places x, y, heading every `ALONG_M` along all roads, in both directions."""
+def _exhaust(relative: FloatArray, roads: RoadMap) -> tuple[FloatArray, FloatArray]:
+    """Score the anchor every `ALONG_M` along all roads, both ways; return the places, (H, 3), that are not hopeless."""
     a, b = roads.segments[:, :2], roads.segments[:, 2:]
     span = b - a
     count = np.maximum(1, np.round(np.hypot(*span.T) / ALONG_M)).astype(np.int64)
     segment = np.repeat(np.arange(len(a)), count)
     share = (np.arange(len(segment)) - (np.cumsum(count) - count)[segment] + 0.5) / count[segment]
     xy, heading = a[segment] + share[:, None] * span[segment], np.arctan2(span[:, 1], span[:, 0])[segment]
-    return np.concatenate([np.column_stack([xy, heading]), np.column_stack([xy, heading + np.pi])])
-
-
-def _exhaust(relative: FloatArray, roads: RoadMap) -> tuple[FloatArray, FloatArray]:
-    """Score the anchor at all stations and headings; return the places, (H, 3), that are not hopeless."""
-    everywhere = stations(roads)
+    everywhere = np.concatenate([np.column_stack([xy, heading]), np.column_stack([xy, heading + np.pi])])
     per_chunk = max(1, _CHUNK // len(TURNS_RAD))
     poses, scores = [], []
     for first in range(0, len(everywhere), per_chunk):
         part = np.repeat(everywhere[first : first + per_chunk], len(TURNS_RAD), axis=0)
         part[:, 2] += np.tile(TURNS_RAD, len(part) // len(TURNS_RAD))
-        score = score_tracks(relative, part, roads.raster, _SIGMA_M, _HOPELESS)
+        score = _score_tracks(relative, part, roads.raster, _SIGMA_M, _HOPELESS)
         good = score > 0.0
         poses.append(part[good])
         scores.append(score[good])
@@ -158,11 +122,11 @@ def _exhaust(relative: FloatArray, roads: RoadMap) -> tuple[FloatArray, FloatArr
 
 def _climb(relative: FloatArray, pose: FloatArray, raster: RoadRaster) -> tuple[FloatArray, FloatArray]:
     """Move each of (H, 3) places to the best of its neighbours, with shrinking steps."""
-    score = score_tracks(relative, pose, raster, _SIGMA_M)
+    score = _score_tracks(relative, pose, raster, _SIGMA_M)
     rows = np.arange(len(pose))
     for step_m, step_rad in _CLIMB:
         trial = pose[:, None] + _NEIGHBOURS * [step_m, step_m, step_rad]
-        each = score_tracks(relative, trial.reshape(-1, 3), raster, _SIGMA_M).reshape(len(pose), -1)
+        each = _score_tracks(relative, trial.reshape(-1, 3), raster, _SIGMA_M).reshape(len(pose), -1)
         best = each.argmax(axis=1) if len(pose) else np.zeros(0, dtype=np.int64)
         better = each[rows, best] > score
         pose = np.where(better[:, None], trial[rows, best], pose)
@@ -170,10 +134,10 @@ def _climb(relative: FloatArray, pose: FloatArray, raster: RoadRaster) -> tuple[
     return pose, score
 
 
-def _landmarks(local: FloatArray, pose: FloatArray, nodes: Nodes) -> FloatArray:
+def _landmarks(local: FloatArray, pose: FloatArray, roads: RoadMap) -> FloatArray:
     """Return the share of (J, 2) intersections seen that lie at nodes, softly, for each of (H, 3) places."""
     at = rotate_2d(local[None], pose[:, None, 2]) + pose[:, None, :2]
-    distance, _ = nodes.nearest(at.reshape(-1, 2), 4.0 * _LANDMARK_SIGMA_M)
+    distance, _ = roads.nodes.nearest(at.reshape(-1, 2), 4.0 * _LANDMARK_SIGMA_M)
     near = np.exp(-0.5 * (np.minimum(distance, 1e6) / _LANDMARK_SIGMA_M) ** 2)
     share: FloatArray = near.reshape(len(pose), -1).mean(axis=1)
     return share

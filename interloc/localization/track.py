@@ -1,15 +1,21 @@
-"""The track of a drive in the plane: levelled, and resampled by distance driven."""
+"""What a drive tells of itself: its track in the plane, and the intersections that it saw along it."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from interloc.arrays import FloatArray
+from interloc.arrays import FloatArray, IntArray
 from interloc.geometry import rotate_2d, yaw_of
+from interloc.mapping.fusion import fuse
+from interloc.results import DriveResult
 
+MAX_BRANCHES = 8
 _CHORD_M = 4.0  # of driving, by whose ends the direction of motion is known
+_SAME_PASSAGE_M = 60.0
+_MIN_DETECTIONS = 3
+_RANGE_SCALE_M = 15.0
 
 
 @dataclass(frozen=True)
@@ -30,11 +36,6 @@ class Track:
         """Distance driven."""
         return float(self.at_m[-1])
 
-    @property
-    def yaw_rad(self) -> FloatArray:
-        """(N,) float64 heading of the LiDAR, counter-clockwise from the x axis of V."""
-        return yaw_of(self.R_level_lidar)
-
     def mirrored(self) -> Track:
         """Return the same track seen in a mirror: every left turn a right turn."""
         flip = np.diag([1.0, -1.0, 1.0])
@@ -54,35 +55,11 @@ def track_of(T_world_lidar: FloatArray) -> Track:
     return Track(position[:, :2], position[:, 2], R_level_world @ T_world_lidar[:, :3, :3], at_m)
 
 
-@dataclass(frozen=True)
-class TrackPoints:
-    """A track resampled by distance driven."""
+def resample(track: Track, step_m: float) -> tuple[FloatArray, FloatArray]:
+    """Return points of a track every `step_m`: distance driven, (P,), and x, y, direction of motion in V, (P, 3).
 
-    at_m: FloatArray
-    """(P,) float64: distance driven, equally spaced."""
-    xy: FloatArray
-    """(P, 2) float64: positions in V, metres."""
-    heading_rad: FloatArray
-    """(P,) float64: direction of motion in V; continuous, not wrapped."""
-
-    def __len__(self) -> int:
-        return len(self.at_m)
-
-    @property
-    def columns(self) -> FloatArray:
-        """(P, 3) float64 x, y, heading."""
-        return np.column_stack([self.xy, self.heading_rad])
-
-    def relative_to(self, row: int) -> FloatArray:
-        """Return (P, 3) x, y, heading seen from the point of a row: that one lies at 0, 0, 0."""
-        turn = float(self.heading_rad[row])
-        return np.column_stack([rotate_2d(self.xy - self.xy[row], -turn), self.heading_rad - turn])
-
-
-def resample(track: Track, step_m: float) -> TrackPoints:
-    """Return points of a track every `step_m`, with the direction of motion over `_CHORD_M` around each.
-
-    A scan that is no farther than the one before (the vehicle stands) adds nothing.
+    The direction is that over `_CHORD_M` around each point; it is continuous, not wrapped. A scan that is no farther
+    than the one before (the vehicle stands) adds nothing.
     """
     moved = np.concatenate([[True], np.diff(track.at_m) > 1e-6])
     at, xy = track.at_m[moved], track.xy[moved]
@@ -93,5 +70,72 @@ def resample(track: Track, step_m: float) -> TrackPoints:
 
     before, after = np.clip(along - _CHORD_M / 2, 0.0, at[-1]), np.clip(along + _CHORD_M / 2, 0.0, at[-1])
     chord = place(after) - place(before)
-    heading = np.unwrap(np.arctan2(chord[:, 1], chord[:, 0]))
-    return TrackPoints(along, place(along), heading)
+    return along, np.column_stack([place(along), np.unwrap(np.arctan2(chord[:, 1], chord[:, 0]))])
+
+
+@dataclass(frozen=True)
+class Sightings:
+    """J passages of intersections, as landmarks to compare with a map."""
+
+    at_m: FloatArray
+    """(J,) float64: distance driven where it was seen best."""
+    xy: FloatArray
+    """(J, 2) float64: position in V (see `Track`) as of that moment."""
+    angles_rad: FloatArray
+    """(J, MAX_BRANCHES) float64: directions of its branches in V, leaving it; NaN where there are no more."""
+
+    def __len__(self) -> int:
+        return len(self.at_m)
+
+    def mirrored(self) -> Sightings:
+        """Return what the mirrored drive would have seen."""
+        return Sightings(self.at_m, self.xy * [1.0, -1.0], -self.angles_rad)
+
+
+NO_SIGHTINGS = Sightings(np.zeros(0), np.zeros((0, 2)), np.zeros((0, MAX_BRANCHES)))
+"""Those of a drive of which only the trajectory is known."""
+
+
+def sightings_of(result: DriveResult, frames: IntArray, track: Track) -> Sightings:
+    """Return the passages of intersections that the detections of a run amount to.
+
+    Parameters
+    ----------
+    result
+        Of `detect` on this drive. A georeference in it is not used.
+    frames : (N,) int64
+        Scan numbers of the drive.
+    track
+        Of the drive.
+
+    Notes
+    -----
+    The detections are fused in W, passage by passage: where the odometry drifted between two passages, they are two
+    landmarks. Fewer than three detections of a passage are not taken for an intersection.
+    """
+    keyframes, table = result.keyframes, result.detections
+    turn_deg = np.zeros(len(keyframes))
+    if keyframes.enu_yaw_rad is not None:  # bearings are from north then; W is what counts here
+        turn_deg = np.degrees(keyframes.enu_yaw_rad - keyframes.world_yaw_rad)
+    bearings = [each + turn_deg[row] for each, row in zip(table.bearings_deg, table.keyframe.tolist(), strict=True)]
+    _, label = fuse(
+        replace(keyframes, lonlat=None, enu_yaw_rad=None), replace(table, lonlat=None, bearings_deg=bearings)
+    )
+    scan = np.searchsorted(frames, keyframes.frame)[table.keyframe]
+    yaw, driven_m = yaw_of(track.R_level_lidar)[scan], track.at_m[scan]
+    xy = track.xy[scan] + rotate_2d(table.lidar_xy, yaw)
+    weight = (0.1 + 0.9 * table.score) / (1.0 + (np.hypot(*table.lidar_xy.T) / _RANGE_SCALE_M) ** 2)
+    turn_v = yaw - keyframes.world_yaw_rad[table.keyframe]  # from W to V
+    at_m, places, angles = [], [], []
+    for one in np.unique(label[label >= 0]):
+        seen = np.flatnonzero(label == one)
+        seen = seen[np.argsort(driven_m[seen], kind="stable")]
+        for members in np.split(seen, np.flatnonzero(np.diff(driven_m[seen]) > _SAME_PASSAGE_M) + 1):
+            if len(members) < _MIN_DETECTIONS:
+                continue
+            at_m.append(float(np.average(driven_m[members], weights=weight[members])))
+            places.append(np.average(xy[members], axis=0, weights=weight[members]))
+            best = int(members[np.argmax(weight[members])])
+            branches = np.radians(90.0 - np.asarray(bearings[best])[:MAX_BRANCHES]) + turn_v[best]
+            angles.append(np.pad(branches, (0, MAX_BRANCHES - len(branches)), constant_values=np.nan))
+    return Sightings(np.array(at_m), np.array(places), np.array(angles)) if at_m else NO_SIGHTINGS

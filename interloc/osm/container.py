@@ -11,9 +11,11 @@ import gzip
 import re
 import zlib
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
-from typing import BinaryIO, Literal, cast
+from typing import IO, BinaryIO, Literal, cast
 from xml.parsers import expat
+from xml.sax.saxutils import quoteattr
 
 from interloc.errors import MapError
 from interloc.osm.graph import Bounds
@@ -40,7 +42,7 @@ _PACKED = {
 _REMARK = re.compile(rb"<remark>\s*(runtime error[^<]*?)\s*</remark>")
 _TAIL_BYTES = 4096
 _BLOCK_BYTES = 1 << 20
-_DATA_ELEMENTS = {"node", "way", "relation"}
+_OBJECTS = {"node", "way", "relation"}
 
 
 def is_map(path: str) -> bool:
@@ -66,13 +68,10 @@ class Prolog:
 
 
 def read_prolog(path: Path, *, max_unpacked_bytes: int = MAX_UNPACKED_BYTES) -> Prolog:
-    """Return which kind of OSM file this is, and check that it can be given to a parser.
+    """Return which kind of OSM file this is, and check that it can be given to a parser; a MapError says why not.
 
-    Raises
-    ------
-    MapError
-        There is no such file; it is empty, damaged, not OSM, a file of the whole history, an answer that Overpass
-        gave up on, or declares a DOCTYPE or entities; or it unpacks to more than `max_unpacked_bytes`.
+    It may be missing, empty, damaged, no OSM, a file of the whole history, an answer that Overpass gave up on, declare
+    a DOCTYPE or entities, or unpack to too much.
     """
     if ".osh" in path.name.lower():
         raise history_file(path)
@@ -225,7 +224,7 @@ class _PrologScanner:
             self._add_bounds(attributes)
         elif name in {"action", "create", "modify", "delete"}:
             raise self._changes(f"<{name}> elements")
-        elif name in _DATA_ELEMENTS:
+        elif name in _OBJECTS:
             self.finished = True
 
     def _check_root(self, name: str, attributes: dict[str, str]) -> None:
@@ -269,3 +268,67 @@ class _PrologScanner:
         return MapError(
             f"{self.path}: is not an OSM file ({reason}). Expected .osm, .osm.gz, .osm.bz2 or .osm.pbf with highways."
         )
+
+
+# XML that libosmium reads ---------------------------------------------------------------------------------------------
+
+_KEPT = {
+    "osm": ("version", "generator", "timestamp"),
+    "bounds": ("minlon", "minlat", "maxlon", "maxlat"),
+    "node": ("id", "version", "visible", "timestamp", "lat", "lon"),
+    "way": ("id", "version", "visible", "timestamp"),
+    "relation": ("id", "version", "visible", "timestamp"),
+    "nd": ("ref", "lat", "lon"),
+    "tag": ("k", "v"),
+    "member": ("type", "ref", "role"),
+}
+
+
+def write_plain(path: Path, container: Container, target: Path) -> None:
+    """Copy an OSM XML file: without what an editor deleted, with dates in UTC, without users and changesets.
+
+    JOSM keeps what its user deleted in the file until it is uploaded (`action="delete"`), which libosmium does not pass
+    on. Dates with an offset and user numbers of 64 bits make libosmium refuse a file, though no road depends on them.
+    """
+    with open_unpacked(path, container) as source, target.open("w", encoding="utf-8") as file:
+        writer = _PlainWriter(file)
+        try:
+            writer.parser.ParseFile(source)
+        except expat.ExpatError as error:
+            raise MapError(f"{path}: is damaged ({error}). Usual cause: a download that was cut off.") from error
+
+
+class _PlainWriter:
+    """Hands the elements that are kept on to a file."""
+
+    def __init__(self, file: IO[str]) -> None:
+        self.parser = expat.ParserCreate()
+        self.parser.StartElementHandler = self._start
+        self.parser.EndElementHandler = self._end
+        self._file = file
+        self._in_deleted = False
+
+    def _start(self, name: str, attributes: dict[str, str]) -> None:
+        if name in _OBJECTS:
+            self._in_deleted = attributes.get("action") == "delete"
+        if self._in_deleted or name not in _KEPT:
+            return
+        if "timestamp" in attributes:
+            attributes["timestamp"] = _in_utc(attributes["timestamp"])
+        kept = (f" {key}={quoteattr(attributes[key])}" for key in _KEPT[name] if attributes.get(key))
+        self._file.write(f"<{name}{''.join(kept)}>")
+
+    def _end(self, name: str) -> None:
+        if name in _KEPT and not self._in_deleted:
+            self._file.write(f"</{name}>\n")
+        if name in _OBJECTS:
+            self._in_deleted = False
+
+
+def _in_utc(text: str) -> str:
+    """Return a date as OpenStreetMap writes it; "" of one that is none."""
+    try:
+        date = datetime.fromisoformat(text)
+    except ValueError:
+        return ""
+    return (date if date.tzinfo else date.replace(tzinfo=UTC)).astimezone(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")

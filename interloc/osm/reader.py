@@ -20,7 +20,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from interloc.arrays import BoolArray, FloatArray, IntArray
-from interloc.osm.container import MAX_UNPACKED_BYTES, Prolog, read_prolog
+from interloc.osm.container import MAX_UNPACKED_BYTES, Prolog, read_prolog, write_plain
 from interloc.osm.graph import (
     KEPT_TAGS,
     NO_BUILDINGS,
@@ -34,7 +34,6 @@ from interloc.osm.graph import (
 )
 from interloc.osm.mistakes import history_file, lanelet_map, no_highways, no_nodes, not_read, oddities, too_many
 from interloc.osm.multipolygons import Multipolygon, holes_of, rings_of
-from interloc.osm.plain import write_plain
 
 logger = logging.getLogger(__name__)
 

@@ -23,14 +23,7 @@ _CORNERS = 48
 
 
 def derive(name: str, intersections: Rows) -> Rows:
-    """Return a layer of `DERIVED`, as if it had been read.
-
-    Parameters
-    ----------
-    name
-    intersections
-        The layer `intersections` of a result with longitude and latitude.
-    """
+    """Return a layer of `DERIVED` of a result with longitude and latitude, as if it had been read."""
     return DERIVED[name].rows(derived_features(name, intersections), OWN_CREDIT, intersections.path)
 
 

@@ -32,20 +32,7 @@ _GEOJSON = ("intersections", "roads", "trajectory")
 
 
 def write_mcap(result: Path, out: Path) -> list[str]:
-    """Write a result folder as a recording.
-
-    Returns
-    -------
-    list of str
-        Its topics.
-
-    Raises
-    ------
-    ConfigError
-        The extra ``mcap`` is not installed, or `out` is a file that makes up a result folder.
-    OutputError
-        `result` is not a result folder, or `out` could not be written.
-    """
+    """Write a result folder as a recording, and return its topics; without the extra ``mcap`` it is a ConfigError."""
     try:
         import foxglove  # noqa: PLC0415 - an extra
         from foxglove import channels  # noqa: PLC0415

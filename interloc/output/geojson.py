@@ -75,25 +75,10 @@ def write_collection(
     credit: Credit = OWN_CREDIT,
     origin: Mapping[str, Any] | None = None,
 ) -> None:
-    """Write a FeatureCollection, whole or not at all.
+    """Write GeoJSON features, longitude first, or local metres of W, as a FeatureCollection: whole or not at all.
 
-    Parameters
-    ----------
-    path
-        The file.
-    features
-        GeoJSON features with Point, LineString or Polygon geometries, longitude first, or local metres.
-    local
-        True for metres of W.
-    credit
-        Whose data it is, see `interloc.output.layers.Layer.credit`.
-    origin
-        Properties that all features have, see `interloc.output.properties.origin_of`.
-
-    Raises
-    ------
-    OutputError
-        The file could not be written.
+    `credit` says whose data it is (`interloc.output.layers.Layer.credit`), `origin` holds properties that all features
+    have (`interloc.output.properties.origin_of`).
     """
     if origin is not None:
         features = [{**feature, "properties": feature["properties"] | origin} for feature in features]
@@ -150,13 +135,7 @@ def damaged(path: Path, what: str) -> DamagedResultError:
 
 
 def read_file(path: Path) -> bytes:
-    """Return the content of a file of a result.
-
-    Raises
-    ------
-    DamagedResultError
-        The file is missing or unreadable.
-    """
+    """Return the content of a file of a result; a DamagedResultError says that it is missing or unreadable."""
     try:
         return path.read_bytes()
     except FileNotFoundError as error:
@@ -166,13 +145,7 @@ def read_file(path: Path) -> bytes:
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """Read a file of a result that holds a JSON object.
-
-    Raises
-    ------
-    OutputError
-        The file is missing, unreadable or holds something else.
-    """
+    """Read a file of a result that holds a JSON object; a DamagedResultError says what it is instead."""
     try:
         content = json.loads(read_file(path))
     except (ValueError, RecursionError) as error:

@@ -1,22 +1,22 @@
 """What a GeoPackage says about its layers and fields beside the rows: titles, meanings, licence, the run, styles.
 
 Tables of the standard (annexes F.6 metadata and F.9 schema) that GDAL's writer leaves out are added by SQL, and the
-table in which QGIS keeps styles.
+table in which QGIS keeps styles. The road seen by LiDAR is added as tiles.
 """
 
 from __future__ import annotations
 
 import json
 import sqlite3
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import closing, contextmanager
 from pathlib import Path
 
 from interloc.mapping.mosaic import TILE, Mosaic
 from interloc.output.credits import OWN_CREDIT, Credit
 from interloc.output.layers import Layer
-from interloc.output.qml import metadata, qml
+from interloc.output.qgis import metadata, qml
 from interloc.output.road import ROAD_LAYER, ROAD_TITLE, png_of
-from interloc.output.sld import sld
 
 _JSON_URI = "https://www.rfc-editor.org/rfc/rfc8259"
 _QGIS_URI = "http://mrcc.com/qgis.dtd"
@@ -65,72 +65,52 @@ CREATE TABLE road (
 """
 _MAX_LEVELS = 5
 
-_SCHEMA, _METADATA = (f"http://www.geopackage.org/spec121/#extension_{name}" for name in ("schema", "metadata"))
 _EXTENSIONS = [
-    ("gpkg_data_columns", "gpkg_schema", _SCHEMA),
-    ("gpkg_data_column_constraints", "gpkg_schema", _SCHEMA),
-    ("gpkg_metadata", "gpkg_metadata", _METADATA),
-    ("gpkg_metadata_reference", "gpkg_metadata", _METADATA),
+    (table, f"gpkg_{kind}", f"http://www.geopackage.org/spec121/#extension_{kind}")
+    for kind, tables in {
+        "schema": ("gpkg_data_columns", "gpkg_data_column_constraints"),
+        "metadata": ("gpkg_metadata", "gpkg_metadata_reference"),
+    }.items()
+    for table in tables
 ]
 
 
 def describe(database: Path, layers: Sequence[tuple[Layer, Credit]], run: str) -> None:
-    """Add what is known about layers and fields to a GeoPackage.
+    """Add what is known about layers and fields, and the text of `run.json`, to a GeoPackage.
 
-    Parameters
-    ----------
-    database
-        The file.
-    layers
-        The layers in it, each with whose data it is.
-    run
-        Text of `run.json`; kept on one line, since tools print it before the fields.
-
-    Raises
-    ------
-    sqlite3.Error
-        The disk is full.
+    The text is kept on one line, since tools print it before the fields. A full disk is an sqlite3.Error.
     """
-    connection = sqlite3.connect(database)
-    try:
-        with connection:
-            connection.executescript(_TABLES)
-            connection.executemany(
-                "INSERT INTO gpkg_extensions SELECT ?1, NULL, ?2, ?3, 'read-write' "
-                "WHERE NOT EXISTS (SELECT 1 FROM gpkg_extensions WHERE table_name = ?1)",
-                _EXTENSIONS,
+    with _transaction(database) as sql:
+        sql.executescript(_TABLES)
+        sql.executemany(
+            "INSERT INTO gpkg_extensions SELECT ?1, NULL, ?2, ?3, 'read-write' "
+            "WHERE NOT EXISTS (SELECT 1 FROM gpkg_extensions WHERE table_name = ?1)",
+            _EXTENSIONS,
+        )
+        sql.executemany(
+            # GDAL takes the name here for the alias of a column; titles are unique within a layer.
+            "INSERT OR REPLACE INTO gpkg_data_columns (table_name, column_name, name, title, description) "
+            "VALUES (?1, ?2, ?3, ?3, ?4)",
+            [(layer.name, each.name, each.title, each.description) for layer, _ in layers for each in layer.attributes],
+        )
+        sql.executemany(
+            "INSERT INTO layer_styles (f_table_catalog, f_table_schema, f_table_name, f_geometry_column, styleName, "
+            "styleQML, useAsDefault, description, owner) VALUES ('', '', ?, 'geom', 'InterLoc', ?, 1, ?, '')",
+            [(layer.name, qml(layer), layer.title) for layer, _ in layers],
+        )
+        told: list[tuple[str | None, ...]]
+        told = [(_JSON_URI, "application/json", json.dumps(json.loads(run)), "geopackage", None)]
+        told += [(_QGIS_URI, "text/xml", metadata(layer, credit), "table", layer.name) for layer, credit in layers]
+        for number, (*text, scope, table) in enumerate(told, start=1):
+            sql.execute("INSERT INTO gpkg_metadata VALUES (?, 'dataset', ?, ?, ?)", (number, *text))
+            sql.execute(
+                "INSERT INTO gpkg_metadata_reference (reference_scope, table_name, md_file_id) VALUES (?, ?, ?)",
+                (scope, table, number),
             )
-            connection.executemany(
-                "INSERT OR REPLACE INTO gpkg_data_columns (table_name, column_name, name, title, description) "
-                "VALUES (?, ?, ?, ?, ?)",
-                [
-                    # GDAL takes the name here for the alias of a column; titles are unique within a layer.
-                    (layer.name, each.name, each.title, each.title, each.description)
-                    for layer, _ in layers
-                    for each in layer.attributes
-                ],
-            )
-            connection.executemany(
-                "INSERT INTO layer_styles (f_table_catalog, f_table_schema, f_table_name, f_geometry_column, "
-                "styleName, styleQML, styleSLD, useAsDefault, description, owner) "
-                "VALUES ('', '', ?, 'geom', 'InterLoc', ?, ?, 1, ?, '')",
-                [(layer.name, qml(layer), sld(layer), layer.title) for layer, _ in layers],
-            )
-            _add_metadata(connection, None, _JSON_URI, "application/json", json.dumps(json.loads(run)))
-            for layer, credit in layers:
-                _add_metadata(connection, layer.name, _QGIS_URI, "text/xml", metadata(layer, credit))
-    finally:
-        connection.close()
 
 
 def add_road(database: Path, mosaic: Mosaic) -> None:
-    """Add the road seen by LiDAR to a GeoPackage as tiles, the picture of the page, in cells of 0.5 m and coarser ones.
-
-    Raises
-    ------
-    sqlite3.Error
-        The disk is full.
-    """
+    """Add the road seen by LiDAR to a GeoPackage as tiles, as the page draws it, in cells of 0.5 m and coarser ones."""
     rasters = [mosaic.raster]
     while len(rasters[-1].tiles) > 1 and len(rasters) < _MAX_LEVELS:
         rasters.append(rasters[-1].coarser())
@@ -141,52 +121,37 @@ def add_road(database: Path, mosaic: Mosaic) -> None:
     side = step * TILE * mosaic.raster.cell_m
     box = (left * side, -(top + rows) * side, (left + columns) * side, -top * side)
     srs = -1 if mosaic.epsg is None else mosaic.epsg
-    connection = sqlite3.connect(database)
-    try:
-        with connection:
-            connection.executescript(_TILES)
-            if mosaic.epsg is not None:
-                _add_crs(connection, mosaic.epsg)
-            connection.execute(
-                "INSERT INTO gpkg_contents (table_name, data_type, identifier, description, min_x, min_y, max_x, "
-                "max_y, srs_id) VALUES (?, 'tiles', ?, ?, ?, ?, ?, ?, ?)",
-                (ROAD_LAYER, ROAD_TITLE, OWN_CREDIT.attribution, *box, srs),
+    with _transaction(database) as sql:
+        sql.executescript(_TILES)
+        if mosaic.epsg is not None:
+            from pyproj import CRS  # noqa: PLC0415 - slow to import
+
+            crs = CRS.from_epsg(mosaic.epsg)
+            sql.execute(
+                "INSERT OR IGNORE INTO gpkg_spatial_ref_sys (srs_name, srs_id, organization, organization_coordsys_id, "
+                "definition) VALUES (?, ?2, 'EPSG', ?2, ?)",
+                (crs.name, mosaic.epsg, crs.to_wkt("WKT1_GDAL")),
             )
-            connection.execute("INSERT INTO gpkg_tile_matrix_set VALUES (?, ?, ?, ?, ?, ?)", (ROAD_LAYER, srs, *box))
-            for level, raster in enumerate(reversed(rasters)):
-                many, cell = 2**level, raster.cell_m
-                connection.execute(
-                    "INSERT INTO gpkg_tile_matrix VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
-                    (ROAD_LAYER, level, columns * many, rows * many, TILE, TILE, cell, cell),
-                )
-                connection.executemany(
-                    "INSERT INTO road (zoom_level, tile_column, tile_row, tile_data) VALUES (?, ?, ?, ?)",
-                    (
-                        (level, column - left * many, row - top * many, png_of(tile))
-                        for (row, column), tile in raster.tiles.items()
-                    ),
-                )
-    finally:
-        connection.close()
+        sql.execute(
+            "INSERT INTO gpkg_contents (table_name, data_type, identifier, description, min_x, min_y, max_x, "
+            "max_y, srs_id) VALUES (?, 'tiles', ?, ?, ?, ?, ?, ?, ?)",
+            (ROAD_LAYER, ROAD_TITLE, OWN_CREDIT.attribution, *box, srs),
+        )
+        sql.execute("INSERT INTO gpkg_tile_matrix_set VALUES (?, ?, ?, ?, ?, ?)", (ROAD_LAYER, srs, *box))
+        for level, raster in enumerate(reversed(rasters)):
+            many, cell = 2**level, raster.cell_m
+            matrix = (ROAD_LAYER, level, columns * many, rows * many, TILE, TILE, cell, cell)
+            sql.execute("INSERT INTO gpkg_tile_matrix VALUES (?, ?, ?, ?, ?, ?, ?, ?)", matrix)
+            sql.executemany(
+                "INSERT INTO road (zoom_level, tile_column, tile_row, tile_data) VALUES (?, ?, ?, ?)",
+                (
+                    (level, column - left * many, row - top * many, png_of(tile))
+                    for (row, column), tile in raster.tiles.items()
+                ),
+            )
 
 
-def _add_crs(connection: sqlite3.Connection, epsg: int) -> None:
-    from pyproj import CRS  # noqa: PLC0415 - slow to import
-
-    crs = CRS.from_epsg(epsg)
-    connection.execute(
-        "INSERT OR IGNORE INTO gpkg_spatial_ref_sys (srs_name, srs_id, organization, organization_coordsys_id, "
-        "definition) VALUES (?, ?, 'EPSG', ?, ?)",
-        (crs.name, epsg, epsg, crs.to_wkt("WKT1_GDAL")),
-    )
-
-
-def _add_metadata(connection: sqlite3.Connection, table: str | None, uri: str, mime_type: str, text: str) -> None:
-    cursor = connection.execute(
-        "INSERT INTO gpkg_metadata (md_scope, md_standard_uri, mime_type, metadata) VALUES ('dataset', ?, ?, ?)",
-        (uri, mime_type, text),
-    )
-    connection.execute(
-        "INSERT INTO gpkg_metadata_reference (reference_scope, table_name, md_file_id) VALUES (?, ?, ?)",
-        ("geopackage" if table is None else "table", table, cursor.lastrowid),
-    )
+@contextmanager
+def _transaction(database: Path) -> Iterator[sqlite3.Connection]:
+    with closing(sqlite3.connect(database)) as connection, connection:
+        yield connection

@@ -109,27 +109,15 @@ class Layer:
         return {each.name: each.kind for each in self.attributes}
 
     def credit(self, features: Iterable[dict[str, Any]], *, made_up_map: bool = False) -> Credit:
-        """Return whose data features of the layer are: also of OpenStreetMap, where it is a layer of it or was scored.
-
-        Parameters
-        ----------
-        features
-            GeoJSON features.
-        made_up_map
-            Whether the map was made up by a simulator.
-        """
+        """Return whose data features of the layer are: also of OpenStreetMap, where it is of it or was scored."""
         of_map = self.is_osm or holds_map_data(each["properties"] for each in features)
         return map_credit(is_made_up=made_up_map) if of_map else OWN_CREDIT
 
     def features(self, coordinates: Iterable[Any], **columns: Column) -> list[dict[str, Any]]:
         """Return GeoJSON features as they are printed.
 
-        Parameters
-        ----------
-        coordinates
-            Of each feature, as printed (`interloc.output.geojson.positions`); None: it has no geometry.
-        **columns
-            The values of each property of the layer; those of `ORIGIN` may be left out, and are null then.
+        Coordinates come as printed (`interloc.output.geojson.positions`), None where there are none; the columns are
+        the properties of the layer, of which those of `ORIGIN` may be left out.
         """
         coordinates = list(coordinates)
         names = [each.name for each in self.attributes]
@@ -150,13 +138,7 @@ class Layer:
         ]
 
     def read(self, path: Path) -> Rows:
-        """Read the file of this layer that `interloc.output.geojson.write_collection` wrote.
-
-        Raises
-        ------
-        OutputError
-            The file is missing or damaged.
-        """
+        """Read the file of this layer that `write_collection` wrote; a DamagedResultError says what is wrong."""
         content = _whole(read_file(path), path)
         try:
             collection = self._file.model_validate_json(content)

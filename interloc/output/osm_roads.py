@@ -24,21 +24,9 @@ NEAR_M = 80.0
 def road_features(
     graph: RoadGraph, bounds: Bounds, seen: Mapping[int, Mapping[str, Any]] | None = None
 ) -> list[dict[str, Any]]:
-    """Return the ways that come into bounds as LineString features.
+    """Return the ways that come into bounds (degrees) as features of the layer `osm_roads`.
 
-    Parameters
-    ----------
-    graph
-        The map.
-    bounds
-        West, south, east, north, degrees. The edges of a way that touch them are kept, whole.
-    seen
-        What a drive saw of ways, by row: `seen_m`, `mapped`, `offset_m`, `width_m`, `is_driven`.
-
-    Returns
-    -------
-    list of dict
-        GeoJSON features of the layer `osm_roads`.
+    The edges of a way that touch the bounds are kept, whole. `seen` tells by row what a drive saw of ways, as `SEEN`.
     """
     import shapely  # noqa: PLC0415 - an eighth of a second of start-up time
 

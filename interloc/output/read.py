@@ -55,13 +55,7 @@ def read_results(folder: str | os.PathLike[str]) -> DriveResult:
 
 
 def read_run(folder: Path) -> dict[str, Any]:
-    """Read the `run.json` of a result folder.
-
-    Raises
-    ------
-    OutputError
-        The folder is not a result, or was written by a newer version.
-    """
+    """Read the `run.json` of a result folder; an OutputError says why the folder is none, or that it is too new."""
     if not folder.is_dir():
         raise OutputError(f"{folder} is not a folder. Give the folder that `interloc detect -o` wrote.")
     if not (folder / RUN_FILE).exists():

@@ -48,11 +48,6 @@ def write_road(mosaic: Mosaic, path: Path) -> None:
     """Write a mosaic as GeoTIFF: tiled, deflated, 0 is no data; all empty tiles are one in the file.
 
     Tiles that are left out, as GDAL can, are no tiles to other readers: OpenCV and Pillow refuse the file.
-
-    Raises
-    ------
-    OutputError
-        The file could not be written.
     """
     from tifffile import TiffWriter  # noqa: PLC0415 - slow to import
 
@@ -111,13 +106,7 @@ def _share_empty_tile(content: io.BytesIO) -> None:
 
 
 def read_road(path: Path) -> Mosaic:
-    """Read what `write_road` wrote.
-
-    Raises
-    ------
-    DamagedResultError
-        The file is missing or damaged.
-    """
+    """Read what `write_road` wrote; a DamagedResultError says that it is missing or damaged."""
     from tifffile import TiffFile, TiffFileError  # noqa: PLC0415
 
     try:
@@ -142,26 +131,12 @@ def _read_page(page: Any) -> tuple[Raster, int | None]:  # noqa: ANN401 - of tif
 
 
 def mosaic_of(result: DriveResult) -> Mosaic:
-    """Return the road that a run saw: from its patches, or from `road.tif` where it was read from a folder.
-
-    Raises
-    ------
-    DamagedResultError
-        The file is missing or damaged.
-    """
+    """Return the road that a run saw: from its patches, or from `road.tif` where it was read from a folder."""
     return build_mosaic(result) if result.road_file is None else read_road(result.road_file)
 
 
 def export_road(result: Path, out: Path) -> None:
-    """Copy the GeoTIFF of a result folder.
-
-    Raises
-    ------
-    ConfigError
-        The format is another one, the result has no such file, or `out` is a file that makes up a result folder.
-    OutputError
-        `result` is not a result folder, or `out` could not be written.
-    """
+    """Copy the GeoTIFF of a result folder; a ConfigError says why there is none, or why `out` cannot be it."""
     if out.suffix.lower() not in RASTER_SUFFIXES:
         raise ConfigError(f"{out}: the layer road is a raster, which is written as GeoTIFF. Give a name in .tif.")
     refuse_result_file(out)

@@ -1,39 +1,41 @@
-"""A result as a file for other programs: QGIS, Google Earth, spreadsheets, web maps, navigation devices, DuckDB.
+"""A result as a file for other programs: QGIS, Google Earth, spreadsheets, web maps, DuckDB.
 
 The layers are those of the GeoJSON files, position for position and property for property, and those that are made of
-them (`interloc.output.derived`). Lists are JSON text, but in GeoJSON.
+them (`interloc.output.derived`). Lists are JSON text, but in GeoJSON. `FORMATS` says how each format is written.
 """
 
 from __future__ import annotations
 
 import csv
+import gzip
+import importlib.util
 import io
 import json
 import os
 import re
 import sqlite3
 import warnings
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from functools import partial
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import closing, contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Literal, NamedTuple
+from xml.etree import ElementTree as ET
+from zipfile import ZIP_DEFLATED, ZipFile, ZipInfo
 
-from interloc.errors import ConfigError, GeoreferenceError, OutputError
-from interloc.files import atomic_write, reason_of, write_file
+from interloc.errors import ConfigError, GeoreferenceError, OutputError, install
+from interloc.files import reason_of, write_file
+from interloc.output.credits import joint_credit
 from interloc.output.derived import derive
 from interloc.output.geojson import cut, read_file, read_json, write_collection
 from interloc.output.geopackage import add_road, describe
-from interloc.output.geoparquet import has_parquet, parquet_bytes, require_parquet
-from interloc.output.gpx import GPX_LAYERS, write_gpx
-from interloc.output.kml import NAMES, pack_kmz, style_kml
 from interloc.output.layers import BUILDINGS, DERIVED, LAYERS, PLACES, Layer, Rows
 from interloc.output.layout import ROAD_FILE, ROAD_LAYERS, RUN_FILE, file_names, refuse_result_file
 from interloc.output.properties import origin_of
-from interloc.output.qgis_project import Source, project, write_qgz
+from interloc.output.qgis import Source, project, write_qgz
 from interloc.output.road import read_road
-from interloc.output.vector_tiles import TiledLayer, write_tiles
+from interloc.output.styles import STYLES, Area, Mark, Rule
 
 EXPORTS = LAYERS | DERIVED
 
@@ -43,18 +45,26 @@ PLACE_IT = (
 )
 """What makes a result in metres one on the map."""
 
-_DTYPES = {
-    "int": "Int64",
-    "float": "float64",
-    "bool": "boolean",
-    "text": "object",
-    "time": "datetime64[ms, UTC]",
-    "list": "object",
-}
-"""Kind of a property -> column of pandas; those with a capital letter and the objects know null."""
 
-_FORMULA = re.compile(r"[=+\-@\t\r](?![\d.,+-]*$)")
-"""Start of a text that spreadsheets would run; plain numbers are harmless."""
+class Format(NamedTuple):
+    """How a file of a format is written, and what it holds."""
+
+    write: Callable[[_Export, Path], None]
+    layers: Literal["one", "any", "all"] = "one"
+    """{"one", "any", "all"}: one layer; all, unless one is named; or always all."""
+    only_on_earth: str = ""
+    """Its name, where it knows longitude and latitude only."""
+
+
+class _Export(NamedTuple):
+    """Layers of a result folder that become a file."""
+
+    result: Path
+    layers: list[tuple[Layer, Rows]]
+
+    @property
+    def name(self) -> str:
+        return _name_of(self.result)
 
 
 def write_vector_file(result: Path, out: Path, *, layer: str | None = None) -> list[str]:
@@ -67,8 +77,7 @@ def write_vector_file(result: Path, out: Path, *, layer: str | None = None) -> l
     out
         Its suffix, one of `FORMATS`, says the format; an older file of that name is replaced.
     layer : str or None
-        One of `EXPORTS`. None: all layers of the result where the format holds several (in GPX track and
-        intersections), else the intersections.
+        One of `EXPORTS`. None: all layers of the result where the format holds several, else the intersections.
 
     Returns
     -------
@@ -82,7 +91,7 @@ def write_vector_file(result: Path, out: Path, *, layer: str | None = None) -> l
         that holds all was to hold one, GeoParquet is asked for without the extra ``parquet``, or `out` is a file that
         makes up a result folder.
     GeoreferenceError
-        The result is in local metres, and is to be written as KML, PMTiles or GPX.
+        The result is in local metres, and is to be written as KML or PMTiles.
     OutputError
         `result` is not a result folder, or `out` could not be written.
     """
@@ -92,11 +101,18 @@ def write_vector_file(result: Path, out: Path, *, layer: str | None = None) -> l
             f"{out}: unknown format {out.suffix!r}. Expected one of {', '.join(FORMATS)}, or .tif of the layer road."
         )
     refuse_result_file(out)
-    if suffix == ".parquet":
-        require_parquet()
+    if suffix == ".parquet" and not has_parquet():
+        raise ConfigError(f"GeoParquet needs pyarrow, which is not installed: {install('parquet')}")
     names = _choose(result, layer, suffix)
-    FORMATS[suffix].write(_Export(result, out, [(EXPORTS[name], _read(result, name)) for name in names]))
+    export = _Export(result, [(EXPORTS[name], _read(result, name)) for name in names])
+    with _written_beside(out) as path:
+        FORMATS[suffix].write(export, path)
     return names
+
+
+def has_parquet() -> bool:
+    """Return whether the extra is installed that writes GeoParquet; the GDAL of pyogrio has no driver of it."""
+    return importlib.util.find_spec("pyarrow") is not None
 
 
 def suffixes_here() -> list[str]:
@@ -105,128 +121,17 @@ def suffixes_here() -> list[str]:
 
 
 def write_live_project(result: Path, out: Path, source_of: Callable[[Layer], Source]) -> None:
-    """Write a project of QGIS (``.qgs``) whose layers are read from the service that has the result.
-
-    Parameters
-    ----------
-    result
-        Result folder with georeference.
-    out
-        File to write.
-    source_of
-        Tells where the service has a layer.
-
-    Raises
-    ------
-    OutputError
-        `result` is not a result folder, or `out` could not be written.
-    """
+    """Write a project of QGIS whose layers are read from the service; `source_of` tells where it has each."""
     layers = [(EXPORTS[name], _read(result, name)) for name in _choose(result, None, ".qgz")]
     write_file(out, project(layers, _name_of(result), source_of))
 
 
-def _read(result: Path, name: str) -> Rows:
-    """Read a layer; what results of older versions, and what is made of them, do not say of themselves is added."""
-    if name in DERIVED:
-        rows = derive(name, LAYERS["intersections"].read(result / "intersections.geojson"))
-    else:
-        rows = LAYERS[name].read(_file_of(result, name))
-    origin = origin_of(read_json(result / RUN_FILE), _name_of(result))
-    for feature in rows.features:
-        if feature.properties.drive is None or feature.properties.preset is None:
-            feature.properties.__dict__.update(origin)
-    return rows
+def is_local(result: Path) -> bool:
+    """Return whether a result folder is in metres of its own frame, for want of a georeference."""
+    return not read_json(result / RUN_FILE).get("georeferenced")
 
 
-def _name_of(result: Path) -> str:
-    run = read_json(result / RUN_FILE)
-    return str(run.get("drive_name") or run.get("drive") or result.resolve().name)
-
-
-def _in_metres(rows: Rows) -> bool:
-    return rows.path.name in file_names(georeferenced=False).values()
-
-
-class _Export(NamedTuple):
-    """Layers of a result folder, and the file that is made of them."""
-
-    result: Path
-    out: Path
-    layers: list[tuple[Layer, Rows]]
-
-    @property
-    def name(self) -> str:
-        return _name_of(self.result)
-
-    def save(self, content: bytes) -> None:
-        write_file(self.out, content)
-
-
-def _write_database(export: _Export) -> None:
-    """Write a GeoPackage or the project around it: SQLite needs a file to seek in, and others beside it."""
-    layers, run = export.layers, read_file(export.result / RUN_FILE).decode()
-    with _folder_beside(export.out) as folder:
-        database = folder / "result.gpkg"
-        for number, (layer, rows) in enumerate(layers):
-            _write_layer(database, "GPKG", layer, rows, append=number > 0)
-        describe(database, [(layer, rows.credit) for layer, rows in layers], run)
-        road: Path | None = export.result / ROAD_FILE
-        if road is not None and road.is_file():
-            add_road(database, read_road(road))
-        else:
-            road = None
-        if export.out.suffix.lower() == ".qgz":
-            data, database = database, database.with_name("project")
-            write_qgz(database, data, layers, export.name, local=_in_metres(layers[0][1]), road=road)
-        with database.open("rb") as file:
-            os.fsync(file.fileno())
-        database.replace(export.out)
-
-
-def _write_tiles(export: _Export) -> None:
-    tiled = [TiledLayer(each, rows.credit, _table_of_texts(each, rows)) for each, rows in export.layers]
-    with _folder_beside(export.out) as folder, atomic_write(export.out) as file:
-        write_tiles(file, export.name, tiled, folder)
-
-
-def _write_geojson(export: _Export) -> None:
-    ((layer, rows),) = export.layers
-    write_collection(export.out, _features(layer, rows), local=_in_metres(rows), credit=rows.credit)
-
-
-def _write_kmz(export: _Export) -> None:
-    export.save(
-        pack_kmz([(_layer_bytes("LIBKML", each, rows), each, rows) for each, rows in export.layers], export.name)
-    )
-
-
-def _write_gpx(export: _Export) -> None:
-    (_, track), (_, intersections) = export.layers
-    export.save(write_gpx(export.name, (track, _read(export.result, "keyframes")), intersections).encode())
-
-
-def _of_one_layer(content: Callable[[Layer, Rows], bytes]) -> Callable[[_Export], None]:
-    """Return the writer of a format whose files hold one layer and are made in memory."""
-
-    def write(export: _Export) -> None:
-        ((layer, rows),) = export.layers
-        export.save(content(layer, rows))
-
-    return write
-
-
-@contextmanager
-def _folder_beside(out: Path) -> Iterator[Path]:
-    """Make a folder for what becomes a file; what GDAL, SQLite or the system could not write is an OutputError."""
-    prefix = f".{out.name[:100]}.partial-"
-    try:
-        with TemporaryDirectory(prefix=prefix, dir=out.parent, ignore_cleanup_errors=True) as folder:
-            yield Path(folder)
-    except OSError as error:
-        raise OutputError(f"{out} could not be written: {reason_of(error)}.") from error
-    except (RuntimeError, sqlite3.Error) as error:  # of GDAL, of SQLite
-        reason = str(error).replace(folder, str(out.parent))
-        raise OutputError(f"{out} could not be written: {reason}") from error
+# which layers ---------------------------------------------------------------------------------------------------------
 
 
 def _choose(result: Path, layer: str | None, suffix: str) -> list[str]:
@@ -242,8 +147,6 @@ def _choose(result: Path, layer: str | None, suffix: str) -> list[str]:
     there = [name for name in LAYERS if _file_of(result, name).exists()]
     if not local:
         there += DERIVED
-    if suffix == ".gpx":
-        there = list(GPX_LAYERS)
     if wanted is None:
         return ["intersections"] if FORMATS[suffix].layers == "one" else there
     if FORMATS[suffix].layers == "all":
@@ -267,9 +170,22 @@ def _why_missing(result: Path, layer: str) -> str:
     return "It was not scored against a map: `interloc evaluate` does that."
 
 
-def is_local(result: Path) -> bool:
-    """Return whether a result folder is in metres of its own frame, for want of a georeference."""
-    return not read_json(result / RUN_FILE).get("georeferenced")
+def _read(result: Path, name: str) -> Rows:
+    """Read a layer; what results of older versions, and what is made of them, do not say of themselves is added."""
+    if name in DERIVED:
+        rows = derive(name, LAYERS["intersections"].read(result / "intersections.geojson"))
+    else:
+        rows = LAYERS[name].read(_file_of(result, name))
+    origin = origin_of(read_json(result / RUN_FILE), _name_of(result))
+    for feature in rows.features:
+        if feature.properties.drive is None or feature.properties.preset is None:
+            feature.properties.__dict__.update(origin)
+    return rows
+
+
+def _name_of(result: Path) -> str:
+    run = read_json(result / RUN_FILE)
+    return str(run.get("drive_name") or run.get("drive") or result.resolve().name)
 
 
 def _file_of(result: Path, name: str) -> Path:
@@ -278,22 +194,93 @@ def _file_of(result: Path, name: str) -> Path:
     return local if local.is_file() else result / f"{name}.geojson"
 
 
-def _layer_bytes(driver: str, layer: Layer, rows: Rows) -> bytes:
-    buffer = io.BytesIO()  # GDAL's KML driver does not report a full disk
-    _write_layer(buffer, driver, layer, rows)
-    return buffer.getvalue()
+def _in_metres(rows: Rows) -> bool:
+    return rows.path.name in file_names(georeferenced=False).values()
 
 
-def _write_layer(sink: Path | io.BytesIO, driver: str, layer: Layer, rows: Rows, *, append: bool = False) -> None:
-    table = _table(layer, rows)
-    if driver == "LIBKML":  # what Google Earth shows beside the point
-        # GDAL's KML driver writes integers of 64 bits as text.
-        small = {name: "Int32" for name, kind in layer.fields.items() if kind == "int" and name != "osm_id"}
-        table = table.astype(small).rename(columns=NAMES)
-        table.insert(0, "Name", [layer.label.format(**vars(feature.properties)) for feature in rows.features])
-    told = f"{layer.description} {rows.credit.attribution}"
-    title = {"GPKG": "IDENTIFIER", "FlatGeobuf": "TITLE", "LIBKML": "NAME"}[driver]
-    is_database = driver == "GPKG"
+# tables ---------------------------------------------------------------------------------------------------------------
+
+_DTYPES = {
+    "int": "Int64",
+    "float": "float64",
+    "bool": "boolean",
+    "text": "object",
+    "time": "datetime64[ms, UTC]",
+    "list": "object",
+}
+"""Kind of a property -> column of pandas; those with a capital letter and the objects know null."""
+
+
+def _table(layer: Layer, rows: Rows, *, has_times: bool = True) -> Any:  # noqa: ANN401 - geopandas has no types
+    """Return a GeoDataFrame with the properties of the layer, null where they are null, and lists as JSON text.
+
+    Where a format has no times, they are text.
+    """
+    import pandas  # noqa: PLC0415, ICN001 - slow to import
+    from geopandas import GeoDataFrame  # noqa: PLC0415
+
+    columns = {name: rows.column(name) for name in layer.fields}
+    kinds = {name: "text" if kind == "time" and not has_times else kind for name, kind in layer.fields.items()}
+    for name, kind in kinds.items():
+        if kind == "list":
+            columns[name] = [None if value is None else _json(value) for value in columns[name]]
+        if kind == "time":
+            columns[name] = pandas.to_datetime(columns[name], utc=True, format="ISO8601")
+    table = GeoDataFrame(columns, geometry=_geometries(layer, rows), crs=None if _in_metres(rows) else "EPSG:4326")
+    return table.astype({name: _DTYPES[kind] for name, kind in kinds.items()})
+
+
+def _geometries(layer: Layer, rows: Rows) -> Any:  # noqa: ANN401 - of shapely
+    """Return the geometries of a layer; lines and polygons are cut at the antimeridian."""
+    import shapely  # noqa: PLC0415 - slow to import
+
+    if layer.geometry == "Point":
+        return shapely.points(rows.points())
+    shapes = [
+        each.geometry and {"type": layer.geometry, "coordinates": each.geometry.coordinates} for each in rows.features
+    ]
+    if not _in_metres(rows):
+        shapes = [cut(shape) for shape in shapes]
+    return [shape and shapely.geometry.shape(shape) for shape in shapes]
+
+
+def _json(value: list[Any]) -> str:
+    return json.dumps(value, separators=(",", ":"))
+
+
+# formats --------------------------------------------------------------------------------------------------------------
+
+
+@contextmanager
+def _written_beside(out: Path) -> Iterator[Path]:
+    """Yield where to write what becomes a file; what GDAL, SQLite or the system could not write is an OutputError."""
+    try:
+        with TemporaryDirectory(
+            prefix=f".{out.name[:100]}.partial-", dir=out.parent, ignore_cleanup_errors=True
+        ) as folder:
+            path = Path(folder) / out.name
+            yield path
+            with path.open("rb") as file:
+                os.fsync(file.fileno())
+            path.replace(out)
+    except OutputError as error:
+        raise type(error)(str(error).replace(folder, str(out.parent))) from error
+    except OSError as error:
+        raise OutputError(f"{out} could not be written: {reason_of(error)}.") from error
+    except (RuntimeError, sqlite3.Error) as error:  # of GDAL, of SQLite
+        reason = str(error).replace(folder, str(out.parent))
+        raise OutputError(f"{out} could not be written: {reason}") from error
+
+
+def _write_by_gdal(
+    sink: Path | io.BytesIO,
+    driver: str,
+    table: Any,  # noqa: ANN401 - a GeoDataFrame
+    layer: Layer,
+    *,
+    append: bool = False,
+    **options: dict[str, Any] | None,
+) -> None:
     is_cut = bool(table.geom_type.str.startswith("Multi").any())  # at the antimeridian
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "'crs' was not provided")  # metres claim no place
@@ -305,51 +292,81 @@ def _write_layer(sink: Path | io.BytesIO, driver: str, layer: Layer, rows: Rows,
             layer=layer.name,
             geometry_type=f"Multi{layer.geometry}" if is_cut else layer.geometry,
             promote_to_multi=is_cut,
-            # GDAL before 3.7, as in Debian 12, warns of version 1.4.
-            dataset_options={"VERSION": "1.3"} if is_database and not append else None,
-            layer_options={title: layer.title, "DESCRIPTION": told},
+            **options,
         )
 
 
-def _features(layer: Layer, rows: Rows) -> list[dict[str, Any]]:
+def _about(title: str, layer: Layer, rows: Rows) -> dict[str, str]:
+    """Return the options of GDAL that name a layer, by the word that a driver has for its title."""
+    return {title: layer.title, "DESCRIPTION": f"{layer.description} {rows.credit.attribution}"}
+
+
+def _write_geopackage(export: _Export, path: Path) -> None:
+    for number, (layer, rows) in enumerate(export.layers):
+        _write_by_gdal(
+            path,
+            "GPKG",
+            _table(layer, rows),
+            layer,
+            append=number > 0,
+            # GDAL before 3.7, as in Debian 12, warns of version 1.4.
+            dataset_options={"VERSION": "1.3"} if number == 0 else None,
+            layer_options=_about("IDENTIFIER", layer, rows),
+        )
+    run = read_file(export.result / RUN_FILE).decode()
+    describe(path, [(layer, rows.credit) for layer, rows in export.layers], run)
+    if (road := export.result / ROAD_FILE).is_file():
+        add_road(path, read_road(road))
+
+
+def _write_project(export: _Export, path: Path) -> None:
+    database = path.with_name("result.gpkg")
+    _write_geopackage(export, database)
+    road = export.result / ROAD_FILE
+    local = _in_metres(export.layers[0][1])
+    write_qgz(path, database, export.layers, export.name, local=local, road=road if road.is_file() else None)
+
+
+def _write_flatgeobuf(export: _Export, path: Path) -> None:
+    ((layer, rows),) = export.layers
+    buffer = io.BytesIO()  # GDAL does not report a full disk
+    _write_by_gdal(buffer, "FlatGeobuf", _table(layer, rows), layer, layer_options=_about("TITLE", layer, rows))
+    path.write_bytes(buffer.getvalue())
+
+
+def _write_geojson(export: _Export, path: Path) -> None:
+    ((layer, rows),) = export.layers
     places = [None if each.geometry is None else each.geometry.coordinates for each in rows.features]
-    return layer.features(places, **{name: rows.column(name) for name in layer.fields})
+    features = layer.features(places, **{name: rows.column(name) for name in layer.fields})
+    write_collection(path, features, local=_in_metres(rows), credit=rows.credit)
 
 
-def _csv(layer: Layer, rows: Rows) -> bytes:
-    """Return rows as RFC 4180 with a head: points with `lon`, `lat` or `x_m`, `y_m`, others with `wkt`; null is empty.
+_FORMULA = re.compile(r"[=+\-@\t\r](?![\d.,+-]*$)")
+"""Start of a text that spreadsheets would run; plain numbers are harmless."""
+
+
+def _write_csv(export: _Export, path: Path) -> None:
+    """Write rows as RFC 4180 with a head: points with `lon`, `lat` or `x_m`, `y_m`, others with `wkt`; null is empty.
 
     Where the rows hold data of OpenStreetMap, the last column says so.
     """
-    text = io.StringIO()
-    writer = csv.writer(text)
-    point = ["x_m", "y_m"] if _in_metres(rows) else ["lon", "lat"]
-    place = point if layer.geometry == "Point" else ["wkt"]
-    credit = [] if rows.credit.license is None else [rows.credit.attribution]
-    writer.writerow([*place, *layer.fields, *(["attribution"] if credit else [])])
-    for feature, where in zip(rows.features, _places(layer, rows), strict=True):
-        values = [_cell(getattr(feature.properties, name)) for name in layer.fields]
-        writer.writerow([*where, *values, *credit])
-    return text.getvalue().encode()
-
-
-def _places(layer: Layer, rows: Rows) -> list[list[Any]]:
-    if layer.geometry == "Point":
-        return rows.points().tolist()  # type: ignore[no-any-return]
     import shapely  # noqa: PLC0415 - slow to import
 
-    return [
-        ["" if shape is None else shapely.to_wkt(shapely.geometry.shape(shape), rounding_precision=7, trim=False)]
-        for shape in _shapes(layer, rows)
-    ]
-
-
-def _shapes(layer: Layer, rows: Rows) -> list[dict[str, Any] | None]:
-    """Return lines or polygons as GeoJSON geometries, cut at the antimeridian."""
-    lines = [
-        each.geometry and {"type": layer.geometry, "coordinates": each.geometry.coordinates} for each in rows.features
-    ]
-    return lines if _in_metres(rows) else [cut(line) for line in lines]
+    ((layer, rows),) = export.layers
+    if layer.geometry == "Point":
+        place = ["x_m", "y_m"] if _in_metres(rows) else ["lon", "lat"]
+        places = rows.points().tolist()
+    else:
+        place = ["wkt"]
+        shapes = _geometries(layer, rows)
+        places = [[each and shapely.to_wkt(each, rounding_precision=7, trim=False)] for each in shapes]
+    credit = {} if rows.credit.license is None else {"attribution": rows.credit.attribution}
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow([*place, *layer.fields, *credit])
+        for feature, where in zip(rows.features, places, strict=True):
+            cells = [_cell(getattr(feature.properties, name)) for name in layer.fields]
+            writer.writerow([*where, *cells, *credit.values()])
 
 
 def _cell(value: Any) -> Any:  # noqa: ANN401
@@ -357,64 +374,216 @@ def _cell(value: Any) -> Any:  # noqa: ANN401
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, list):
-        return json.dumps(value, separators=(",", ":"))
+        return _json(value)
     return f"'{value}" if isinstance(value, str) and _FORMULA.match(value) else value
 
 
-def _table(layer: Layer, rows: Rows) -> Any:  # noqa: ANN401 - geopandas has no types
-    """Return a GeoDataFrame with the properties of the layer, null where they are null, and lists as JSON text."""
-    import pandas  # noqa: PLC0415, ICN001 - slow to import
-    import shapely  # noqa: PLC0415
-    from geopandas import GeoDataFrame  # noqa: PLC0415
+def _write_parquet(export: _Export, path: Path) -> None:
+    """Write GeoParquet whose metadata name description, attribution and licence, and whose rows have boxes."""
+    from pyarrow import parquet  # noqa: PLC0415 - an extra
 
-    places: Any
-    if layer.geometry == "Point":
-        places = shapely.points(rows.points())
-    else:
-        places = [shape and shapely.geometry.shape(shape) for shape in _shapes(layer, rows)]
-    columns = {name: rows.column(name) for name in layer.fields}
-    for name, kind in layer.fields.items():
-        if kind == "list":
-            columns[name] = [
-                None if value is None else json.dumps(value, separators=(",", ":")) for value in columns[name]
-            ]
-        if kind == "time":
-            columns[name] = pandas.to_datetime(columns[name], utc=True, format="ISO8601")
-    table = GeoDataFrame(columns, geometry=places, crs=None if _in_metres(rows) else "EPSG:4326")
-    return table.astype({name: _DTYPES[kind] for name, kind in layer.fields.items()})
+    ((layer, rows),) = export.layers
+    table, buffer = _table(layer, rows), io.BytesIO()
+    texts = dict.fromkeys(table.select_dtypes("object"), "string")  # they would have no type where all are null
+    table.astype(texts).to_parquet(buffer, schema_version="1.1.0", write_covering_bbox=True)
+    columns = parquet.read_table(buffer)
+    told = {"description": layer.description, **rows.credit.members}
+    columns = columns.replace_schema_metadata({**columns.schema.metadata, **told})
+    parquet.write_table(columns, path, compression="zstd")
 
 
-def _table_of_texts(layer: Layer, rows: Rows) -> Any:  # noqa: ANN401 - geopandas has no types
-    """Return the same with times as text, for formats that have no times."""
-    times = [name for name, kind in layer.fields.items() if kind == "time"]
-    return _table(layer, rows).assign(**{name: rows.column(name) for name in times})
+# KML ------------------------------------------------------------------------------------------------------------------
+
+_KML = "{http://www.opengis.net/kml/2.2}"
+_KML_NAMES = {"id": "number", "name": "street", "time": "timestamp", "first_time": "begin", "last_time": "end"}
+"""Properties that mean something else in KML, or something that KML has a name for -> what they are called there."""
+
+_GOOGLE = "https://maps.google.com/mapfiles/kml/shapes"
+_ICONS = {  # that Google Earth has itself, white
+    "disc": "placemark_circle",
+    "square": "square",
+    "diamond": "open-diamond",
+    "triangle": "triangle",
+    "cross": "forbidden",
+}
 
 
-class Format(NamedTuple):
-    """How a file of a format is written, and what it holds."""
+def _write_kml(export: _Export, path: Path) -> None:
+    path.write_bytes(_kml(export))
 
-    write: Callable[[_Export], None]
-    """Writes it, whole or not at all."""
-    layers: Literal["one", "any", "all"] = "one"
-    """{"one", "any", "all"}: one layer; all, unless one is named; or always all that belong into it."""
-    only_on_earth: str = ""
-    """Its name, where it knows longitude and latitude only."""
+
+def _write_kmz(export: _Export, path: Path) -> None:
+    with ZipFile(path, "w", ZIP_DEFLATED) as archive:
+        archive.writestr(ZipInfo("doc.kml"), _kml(export), ZIP_DEFLATED)
+
+
+def _kml(export: _Export) -> bytes:
+    """Return layers as one document: GDAL writes the features of each; the colours of its signs are added."""
+    root = ET.Element(f"{_KML}Document")
+    _add(root, "name", export.name)
+    _add(root, "open", "1")
+    parts = [part for layer, rows in export.layers for part in _styled(layer, rows)]
+    for tag in ("Style", "Schema", "Document"):  # the order of the standard
+        root.extend(part for part in parts if part.tag == f"{_KML}{tag}")
+    document = ET.Element(f"{_KML}kml")
+    document.append(root)
+    ET.register_namespace("", _KML[1:-1])
+    ET.indent(document, " ")
+    return ET.tostring(document, encoding="utf-8", xml_declaration=True)  # type: ignore[no-any-return]
+
+
+def _styled(layer: Layer, rows: Rows) -> list[ET.Element]:
+    """Return the styles of a layer, its schema, and its features as GDAL writes them, each with the style it has."""
+    style, buffer = STYLES[layer.name], io.BytesIO()
+    # GDAL's KML driver writes integers of 64 bits as text.
+    small = {name: "Int32" for name, kind in layer.fields.items() if kind == "int" and name != "osm_id"}
+    table = _table(layer, rows).astype(small).rename(columns=_KML_NAMES)
+    table.insert(0, "Name", [layer.label.format(**vars(feature.properties)) for feature in rows.features])
+    _write_by_gdal(buffer, "LIBKML", table, layer, layer_options=_about("NAME", layer, rows))
+    written = ET.fromstring(buffer.getvalue())[0]  # noqa: S314 - our own
+    titles = {_KML_NAMES.get(each.name, each.name): each.title for each in layer.attributes}
+    for field in written.iter(f"{_KML}SimpleField"):
+        _add(field, "displayName", titles[field.attrib["name"]])
+    styles = {rule.value: _kml_style(rule, layer, number) for number, rule in enumerate(style.rules)}
+    values = [None] * len(rows.features) if style.field is None else rows.column(style.field)
+    for mark, value in zip(written.iter(f"{_KML}Placemark"), values, strict=True):
+        before = [f"{_KML}{tag}" for tag in ("name", "TimeStamp", "TimeSpan")]
+        _add(mark, "styleUrl", f"#{styles[value].attrib['id']}", at=sum(each.tag in before for each in mark))
+        if not style.is_shown:
+            _add(mark, "visibility", "0", at=1)
+    for folder in written.iterfind(f"{_KML}Document"):
+        folder[:] = sorted(folder, key=lambda each: each.tag != f"{_KML}name")
+        _add(folder, "visibility", "1" if style.is_shown else "0", at=1)
+    return [*styles.values(), *written]
+
+
+def _kml_style(rule: Rule, layer: Layer, number: int) -> ET.Element:
+    symbol, root = rule.symbol, ET.Element(f"{_KML}Style", {"id": f"{layer.name}.{number}"})
+    if isinstance(symbol, Mark):
+        icon = _add(root, "IconStyle")
+        _add(icon, "color", _abgr(symbol.colour, symbol.opacity))
+        _add(icon, "scale", f"{symbol.radius_px / 10.0:.2f}")
+        _add(_add(icon, "Icon"), "href", f"{_GOOGLE}/{_ICONS[symbol.shape]}.png")
+        has_label = STYLES[layer.name].label is not None  # else names of hundreds of points hide the map
+        _add(_add(root, "LabelStyle"), "scale", "0.8" if has_label else "0")
+        return root
+    line = _add(root, "LineStyle")
+    _add(line, "color", _abgr(symbol.edge) if isinstance(symbol, Area) else _abgr(symbol.colour, symbol.opacity))
+    _add(line, "width", f"{symbol.width_px:g}")
+    if isinstance(symbol, Area):
+        _add(_add(root, "PolyStyle"), "color", _abgr(symbol.colour, symbol.opacity))
+    return root
+
+
+def _add(parent: ET.Element, tag: str, text: str | None = None, *, at: int | None = None) -> ET.Element:
+    element = ET.Element(f"{_KML}{tag}")
+    element.text = text
+    parent.insert(len(parent) if at is None else at, element)
+    return element
+
+
+def _abgr(colour: str, opacity: float = 1.0) -> str:
+    return f"{round(255 * opacity):02x}{colour[5:7]}{colour[3:5]}{colour[1:3]}"
+
+
+# vector tiles ---------------------------------------------------------------------------------------------------------
+
+_MAX_ZOOM = (
+    15  # web maps enlarge the tiles of the last zoom: at 15 they are 0.15 m fine at the equator, finer elsewhere
+)
+_DETAIL_ZOOM = 13  # a branch is as long as a pixel: before it, hundreds of features would lie on each other
+_OVERVIEW = frozenset({"intersections", "trajectory", PLACES})
+_TILE_TYPES = {"int": "Number", "float": "Number", "bool": "Boolean"}
+
+
+def _write_tiles(export: _Export, path: Path) -> None:
+    """Write a PMTiles archive: GDAL makes the tiles of each layer; its driver of the archive would hold one layer."""
+    from pmtiles.tile import Compression, TileType, zxy_to_tileid  # noqa: PLC0415 - needed for this alone
+    from pmtiles.writer import Writer  # noqa: PLC0415
+
+    boxes = []
+    tiles: defaultdict[int, bytes] = defaultdict(bytes)
+    for layer, rows in export.layers:
+        table = _table(layer, rows, has_times=False)
+        if table.geometry.isna().all():
+            continue
+        boxes.append(table.total_bounds)
+        for zoom, column, row, tile in _tiles(layer, table, path.with_name(f"{layer.name}.mbtiles")):
+            # The layers of a tile are messages in a row, so tiles are joined by putting them in a row.
+            tiles[zxy_to_tileid(zoom, column, row)] += tile
+    west, south = (min((box[axis] for box in boxes), default=limit) for axis, limit in ((0, -180.0), (1, -85.0)))
+    east, north = (max((box[axis] for box in boxes), default=limit) for axis, limit in ((2, 180.0), (3, 85.0)))
+    is_across = east - west > 180.0  # both sides of the antimeridian
+    header = {
+        "tile_type": TileType.MVT,
+        "tile_compression": Compression.GZIP,
+        "min_lon_e7": round(west * 1e7),
+        "min_lat_e7": round(south * 1e7),
+        "max_lon_e7": round(east * 1e7),
+        "max_lat_e7": round(north * 1e7),
+        "center_zoom": _DETAIL_ZOOM,
+        "center_lon_e7": 1_800_000_000 if is_across else round((west + east) * 5e6),
+        "center_lat_e7": round((south + north) * 5e6),
+    }
+    with path.open("wb") as file:
+        writer = Writer(file)
+        for number, tile in sorted(tiles.items()) or [(0, b"")]:  # a file needs one tile
+            writer.write_tile(number, gzip.compress(tile, mtime=0))
+        writer.finalize(header, _tile_metadata(export))
+
+
+def _tiles(layer: Layer, table: Any, database: Path) -> list[tuple[int, int, int, bytes]]:  # noqa: ANN401
+    """Return zoom, column, row (from the north) and content of the tiles of a layer."""
+    _write_by_gdal(
+        database,
+        "MBTiles",
+        table,
+        layer,
+        dataset_options={
+            "MINZOOM": _min_zoom(layer),
+            "MAXZOOM": _MAX_ZOOM,
+            "EXTENT": 8192,  # steps across a tile: as fine as MapLibre draws
+            "MAX_SIZE": 10_000_000,  # GDAL leaves features out of a larger tile
+        },
+    )
+    with closing(sqlite3.connect(database)) as connection:
+        found = connection.execute("SELECT zoom_level, tile_column, tile_row, tile_data FROM tiles").fetchall()
+    return [(z, x, (1 << z) - 1 - y, gzip.decompress(tile)) for z, x, y, tile in found]
+
+
+def _min_zoom(layer: Layer) -> int:
+    return 0 if layer.name in _OVERVIEW else _DETAIL_ZOOM
+
+
+def _tile_metadata(export: _Export) -> Mapping[str, Any]:
+    return {
+        "name": export.name,
+        "description": f"Road intersections in the LiDAR drive {export.name}.",
+        "type": "overlay",
+        "format": "pbf",
+        **joint_credit(rows.credit for _, rows in export.layers).members,
+        "vector_layers": [
+            {
+                "id": layer.name,
+                "description": f"{layer.description} {rows.credit.attribution}",
+                "minzoom": _min_zoom(layer),
+                "maxzoom": _MAX_ZOOM,
+                "fields": {name: _TILE_TYPES.get(kind, "String") for name, kind in layer.fields.items()},
+            }
+            for layer, rows in export.layers
+        ],
+    }
 
 
 FORMATS = {
-    ".gpkg": Format(_write_database, "any"),
-    ".qgz": Format(_write_database, "all"),
-    ".fgb": Format(_of_one_layer(partial(_layer_bytes, "FlatGeobuf"))),
-    ".kml": Format(
-        _of_one_layer(lambda layer, rows: style_kml(_layer_bytes("LIBKML", layer, rows), layer, rows)), "one", "KML"
-    ),
+    ".gpkg": Format(_write_geopackage, "any"),
+    ".qgz": Format(_write_project, "all"),
+    ".fgb": Format(_write_flatgeobuf),
+    ".kml": Format(_write_kml, "one", "KML"),
     ".kmz": Format(_write_kmz, "any", "KML"),
-    ".csv": Format(_of_one_layer(_csv)),
+    ".csv": Format(_write_csv),
     ".geojson": Format(_write_geojson),
-    ".parquet": Format(
-        _of_one_layer(lambda layer, rows: parquet_bytes(_table(layer, rows), layer.description, rows.credit))
-    ),
+    ".parquet": Format(_write_parquet),
     ".pmtiles": Format(_write_tiles, "any", "PMTiles"),
-    ".gpx": Format(_write_gpx, "all", "GPX"),
 }
 """Suffix -> format."""

@@ -162,17 +162,10 @@ def intersection_features(
     uids: Sequence[str] | None = None,
     names: Sequence[str | None] | None = None,
 ) -> list[dict[str, Any]]:
-    """Return the features of the layer `intersections`.
+    """Return the features of the layer `intersections`, with the verdicts of an evaluation where there is one.
 
-    Parameters
-    ----------
-    result
-    verdicts
-        Of an evaluation, where there is one.
-    uids
-        Names of the places; by default those that need no map (`interloc.output.uids.place_uids`).
-    names
-        Of the streets that meet; by default none is known.
+    `uids` are the names of the places, by default those that need no map (`interloc.output.uids.place_uids`); `names`
+    those of the streets that meet, by default none.
     """
     table = result.intersections
     parts = table.parts or PositionParts.unknown(len(table))
@@ -209,12 +202,7 @@ def intersection_features(
 def trajectory_feature(trajectory_world_xy: FloatArray, trajectory_lonlat: FloatArray | None) -> dict[str, Any]:
     """Return the LineString of a track over all N scans, thinned; one of a single scan repeats it (RFC 7946, 3.1.4).
 
-    Parameters
-    ----------
-    trajectory_world_xy : (N, 2) float64
-        In W, metres.
-    trajectory_lonlat : (N, 2) float64 or None
-        Longitude, latitude in degrees; None: the line is in metres of W.
+    Given are (N, 2) metres of W, and longitudes and latitudes, or None: then the line is in metres.
     """
     rows = thin(trajectory_world_xy, TRAJECTORY_STEP_M)
     world_xy = trajectory_world_xy[rows]

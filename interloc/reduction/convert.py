@@ -19,8 +19,8 @@ from interloc.errors import ConfigError
 from interloc.files import atomic_folder
 from interloc.labelling.projection import remission_scale
 from interloc.processes import Progress, cores
+from interloc.reduction.plan import is_contiguous, make_small_files
 from interloc.reduction.reduce import in_threads
-from interloc.reduction.small_files import is_contiguous, make_small_files
 
 _POSES = "poses.txt"
 _ROAD, _OTHER_GROUND = 40, 49  # ids of SemanticKITTI

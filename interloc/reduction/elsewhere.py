@@ -1,4 +1,4 @@
-"""Drives in object storage: found by listing a prefix, and laid out so that they are read like those in folders."""
+"""Drives in object storage: found by listing a prefix, and fetched to be read like those in folders."""
 
 from __future__ import annotations
 
@@ -10,10 +10,7 @@ from pathlib import Path
 from interloc import storage
 from interloc.errors import DriveError, InterLocError
 from interloc.reduction.listing import ListedDrive, find_drives, reason_for_none
-from interloc.storage import MAX_OBJECTS, Bucket, LaidOut, StoredObject
-
-READ_BY_PARTS = (".bin", ".label", ".pcd", ".pcd.bin", ".ground", ".mcap")
-"""Files that are fetched when they are read, or the ranges of them that are; all others are fetched at once."""
+from interloc.storage import MAX_OBJECTS, Bucket, StoredObject
 
 _RESULTS = ("run.json", "city.json")
 _FOLDERS_BESIDE = ("calibration", "data_poses/{name}", "data_poses_oxts/{name}")
@@ -42,28 +39,31 @@ def find_stored(address: str, limit: int = MAX_OBJECTS) -> tuple[Bucket, dict[st
     return bucket, listing, find_drives({path: each.size for path, each in listing.items()}, name)
 
 
-def lay_out(
+def fetch_drive(
     address: str,
     folder: Path | None = None,
     *,
     within: Sequence[str] = (),
     limit: int = MAX_OBJECTS,
     check_sizes: Callable[[dict[str, int]], None] = lambda _: None,
+    progress: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> Path:
-    """Lay out a drive, a result, or a single file of object storage; of its bytes what is small is fetched now.
+    """Fetch a drive, a result, or a single file of object storage: what its listing says that it needs.
 
     Parameters
     ----------
     address
         s3://bucket/prefix of a drive, or the key of a file.
     folder
-        Where to; a temporary folder of this process by default. What was laid out there before is taken up again.
+        Where to; a temporary folder of this process by default. What was fetched there before is taken up again.
     within
         Prefixes that nothing beside the drive may be taken from outside of; empty: anywhere.
     limit
         Objects below the prefix.
     check_sizes
         Refuses a drive by the sizes of its files, before anything is read.
+    progress
+        Called with the bytes that were fetched, and with all of them.
 
     Returns
     -------
@@ -78,20 +78,19 @@ def lay_out(
         There is nothing, no drive, or several.
     NetworkError
         It cannot be read.
+    OutputError
+        There is not enough room on the disk.
     """
     bucket, key = Bucket.of(address)
-    if folder is not None and (known := LaidOut.at(folder)) is not None:
-        laid = known
-    else:
-        single = bucket.head(key) if key else None
-        name = key.rpartition("/")[2]
-        objects = _drive_at(bucket, key, address, within, limit) if single is None else {name: single}
-        check_sizes({path: each.size for path, each in objects.items()})
-        laid = LaidOut.make(folder or storage.temporary_folder(), bucket, objects)
-    path: Path = laid.files / next(iter(laid.objects)).partition("/")[0]
+    single = bucket.head(key) if key else None
+    name = key.rpartition("/")[2]
+    objects = _drive_at(bucket, key, address, within, limit) if single is None else {name: single}
+    check_sizes({path: each.size for path, each in objects.items()})
+    place = folder or storage.temporary_folder()
+    path = place / next(iter(objects)).partition("/")[0]
     if folder is None:
         storage.show_as(path, address.rstrip("/"))
-    storage.in_parallel(laid.fetch, [laid.files / name for name in laid.objects if not name.endswith(READ_BY_PARTS)])
+    storage.fetch(bucket, objects, place, progress)
     return path
 
 

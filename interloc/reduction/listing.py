@@ -6,40 +6,14 @@ import re
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import cast
 
-from interloc.drives.layouts import KITTI360_POSES, POSE_FILES, SCAN_FOLDERS, pcd_ending
-from interloc.drives.options import LABEL_FILES
-from interloc.drives.scans.las.open import SUFFIXES as LAS_SUFFIXES
-from interloc.drives.scans.las.tracks import TRACK_SUFFIXES
-from interloc.drives.scans.rosbag.bag import SUFFIXES as BAG_SUFFIXES
+from interloc.drives.kinds import CALIBRATION_BESIDE, KINDS, KITTI360_BESIDE, SIGNS, Kind
+from interloc.drives.layouts import KITTI360_POSES, POSE_FILES
 from interloc.wording import counted
-
-Kind = Literal["bin", "pcd", "rosbag", "las", "reduced"]
-"""How the scans of a drive are kept; of "bin" the small files tell the layout."""
 
 Listing = Mapping[str, int]
 """Path in a folder -> bytes."""
-
-_SIGNS = re.compile(rf"(?:(?P<root>.*)/)?(?:(?:{'|'.join(SCAN_FOLDERS)})/[^/]+\.bin|(?P<manifest>reduced\.json))")
-_INSIDE = {"pcd": rf"(^|/)(pcd|clouds|{'|'.join(SCAN_FOLDERS)})$", "las": "(^|/)(las|laz)$", "rosbag": "(?!)"}
-_CALIBRATION = re.compile(r"(?:(?P<above>.*?)/)??(?P<place>(?:calibration/[^/]+|calib[^/]*)\.txt)")
-_KITTI360 = re.compile(
-    rf"(?:(?P<above>.*)/)?(?P<source>{KITTI360_POSES}(?:_oxts)?/(?P<drive>[^/]+))/"
-    r"(?P<place>(?:poses|cam0_to_world|oxts/(?:[^/]+/)?[^/]+)\.txt)"
-)
-_SMALL = re.compile(
-    r"(?:poses|cam0_to_world|times|timestamps|calib[^/]*|calibration/[^/]+|velodyne_points/timestamps[^/]*)\.txt"
-    r"|geo\.csv|oxts/(?:[^/]+/)?[^/]+\.txt(?:\.gz)?|georeference/.+"
-)
-_BESIDE: dict[Kind, str] = {  # what else belongs to a drive of this kind
-    "bin": "(?!)",
-    "pcd": "|".join(map(re.escape, POSE_FILES)),
-    "rosbag": r"metadata\.yaml",
-    "las": rf"(?:(?:las|laz)/)?[^/]+(?:{'|'.join(map(re.escape, sorted(TRACK_SUFFIXES)))})",
-    "reduced": r".+\.(?:txt|csv)(?:\.gz)?|reduced\.json",
-}
-_GROUND = re.compile(r"ground/[^/]+/\d+\.ground")
 
 
 @dataclass
@@ -65,20 +39,12 @@ class ListedDrive:
 
     def take(self, inside: str, path: str) -> None:
         """Note what a file is for."""
-        folder, _, name = inside.rpartition("/")
-        if self.kind == "reduced":
-            is_scan, is_label = _GROUND.fullmatch(inside) is not None, False
-        elif self.kind == "bin":
-            is_scan = folder in SCAN_FOLDERS and name.endswith(".bin")
-            is_label = folder in LABEL_FILES and name.endswith(".label")
-        else:
-            is_scan = _recorded_kind(inside) == self.kind and not _home_of(inside, self.kind)
-            is_label = folder in LABEL_FILES and name.endswith(".label")
-        if is_scan:
+        names = KINDS[self.kind]
+        if names.is_scan(inside):
             self.scans[inside] = path
-        elif is_label:
+        elif names.is_label(inside):
             self.labels[inside] = path
-        elif _SMALL.fullmatch(inside) or re.fullmatch(_BESIDE[self.kind], inside, re.IGNORECASE):
+        elif names.is_small(inside):
             self.small[inside] = path
 
 
@@ -114,12 +80,13 @@ def _roots(listing: Listing) -> dict[str, Kind]:
     roots: dict[str, Kind] = {}
     recorded: defaultdict[str, Counter[Kind]] = defaultdict(Counter)
     for path, size in listing.items():
-        if (kind := _recorded_kind(path)) is not None:
-            recorded[_home_of(path, kind)][kind] += size
-        elif match := _SIGNS.fullmatch(path):
-            root = match["root"] or ""
-            if roots.get(root) != "reduced":
-                roots[root] = "reduced" if match["manifest"] else "bin"
+        if (match := SIGNS.fullmatch(path)) is None:
+            continue
+        root, kind = match["root"] or "", cast("Kind", match.lastgroup)
+        if kind not in {"bin", "reduced"}:
+            recorded[root][kind] += size
+        elif roots.get(root) != "reduced":
+            roots[root] = kind
     around = {folder for root in roots for folder in (root, *_folders_above(root))}
     inside = set(roots)
     for root, sizes in recorded.items():
@@ -135,19 +102,6 @@ def _folders_above(path: str) -> Iterator[str]:
         yield path
 
 
-def _recorded_kind(path: str) -> Kind | None:
-    """Return which kind of drive a file is a recording of, by its name."""
-    if pcd_ending(path):
-        return "pcd"
-    suffix = "." + path.rpartition(".")[2].lower()
-    return "rosbag" if suffix in BAG_SUFFIXES else "las" if suffix in LAS_SUFFIXES else None
-
-
-def _home_of(path: str, kind: Kind) -> str:
-    """Return the folder of the drive that a recording belongs to."""
-    return re.sub(_INSIDE[kind], "", path.rpartition("/")[0])
-
-
 class _Beside:
     """What the layouts keep beside a drive, not in it: calibration of the day, poses of an odometry data set."""
 
@@ -156,9 +110,9 @@ class _Beside:
         self._calibration: defaultdict[str, list[str]] = defaultdict(list)
         self._poses: defaultdict[tuple[str, str], list[str]] = defaultdict(list)
         for path in listing:
-            if match := _CALIBRATION.fullmatch(path):
+            if match := CALIBRATION_BESIDE.fullmatch(path):
                 self._calibration[match["above"] or ""].append(match["place"])
-            elif match := _KITTI360.fullmatch(path):
+            elif match := KITTI360_BESIDE.fullmatch(path):
                 self._poses[match["above"] or "", match["drive"]].append(path)
 
     def lend(self, drive: ListedDrive) -> None:
@@ -182,7 +136,7 @@ class _Beside:
         """Give it the poses and OXTS that KITTI-360 keeps in folders of their own."""
         counts: Counter[str] = Counter()
         for path in self._poses[above, drive.name]:
-            match = _KITTI360.fullmatch(path)
+            match = KITTI360_BESIDE.fullmatch(path)
             assert match is not None
             inside = f"{KITTI360_POSES}/{drive.name}/{match['place']}"
             if inside not in drive.small:

@@ -1,8 +1,8 @@
-"""A look at a folder that is elsewhere: what is in it and wrong with it, told from its listing and its small files.
+"""A look at a folder that is elsewhere: what is in it and wrong with it, and which of its scans to send.
 
-The folder is laid out again: every file of the drive under its name and with its size, but without contents, which
-takes no space on disk; only the small files have theirs. So the code that reads a drive reads it here too, and a
-client that holds the files need not know the layouts.
+It is told from a listing and the small files. The folder is laid out again: every file of the drive under its name and
+with its size, but without contents, which takes no space on disk; only the small files have theirs. So the code that
+reads a drive reads it here too, and a client that holds the files need not know the layouts.
 """
 
 from __future__ import annotations
@@ -24,9 +24,11 @@ from interloc.arrays import FloatArray, IntArray
 from interloc.config import KeyframeConfig
 from interloc.detection.keyframes import select_keyframes
 from interloc.drives.checks import sample_indices
-from interloc.drives.files import EMPTY, NumberedFiles, SourceFile, each_read_once, list_numbered
+from interloc.drives.files import EMPTY, NumberedFiles, SourceFile, each_read_once, list_numbered, rows_of_part
 from interloc.drives.findings import Finding, Findings, by_severity
 from interloc.drives.georeference.geodetic import check_against_poses
+from interloc.drives.kinds import Kind
+from interloc.drives.labels import LabelScheme, judge_labels
 from interloc.drives.layouts import PCD_ENDINGS, POSE_FILES, DriveParts, find_layout
 from interloc.drives.open import NO_POSES, SAMPLED_SCANS
 from interloc.drives.options import LABEL_FILES, ODOMETRY, DriveOptions, LabelFolder, LayoutName
@@ -37,12 +39,13 @@ from interloc.drives.scans.pcd import LABEL_FIELDS, PcdScans, number_scans, open
 from interloc.drives.scans.raw import RawScans, trajectory_of
 from interloc.drives.scans.recorded import Recording
 from interloc.drives.scans.reduced import ReducedScans, reduced_trajectory
-from interloc.drives.scans.reduced_format import read_manifest, to_runs
+from interloc.drives.scans.reduced_format import ReducedLabels, ReducedManifest, read_manifest, to_runs
 from interloc.drives.scans.rosbag.bag import find_bag
-from interloc.drives.scans.rosbag.peek import MissingRangeError, Pieces, peek
+from interloc.drives.scans.rosbag.peek import MissingRangeError, peek
 from interloc.drives.trajectory import LidarPoses, Trajectory, read_trajectory
 from interloc.geometry import enu_from_lonlat, lonlat_from_enu
-from interloc.reduction.listing import Kind, ListedDrive, Listing, find_drives, reason_for_none
+from interloc.reduction.listing import ListedDrive, Listing, find_drives, reason_for_none
+from interloc.reduction.plan import plan_of
 
 HEAD_BYTES = 65_536
 """What is enough of a file to see what it is."""
@@ -52,6 +55,9 @@ _PAGE_BYTES = 4096
 _MAX_POSITIONS = 20_000
 _MAX_TOPICS = 20
 _MAX_TRACK_BYTES = 4_000_000  # of what may be the trajectory of a cloud; of a longer one the head is enough
+
+LabelCounts = Mapping[LabelFolder, Mapping[int, int]]
+"""By folder, how many points of the scans `frames_to_look_into` carry each label id."""
 
 
 class LookedNumbers(BaseModel):
@@ -66,9 +72,26 @@ class LookedNumbers(BaseModel):
 
 
 class LookedLabels(LookedNumbers):
-    """A folder of labels."""
+    """A folder of labels, and what their ids mean, where these were counted (`label_counts`)."""
 
-    problems: list[Finding] = Field(description="What is wrong with them by their names and sizes.")
+    problems: list[Finding] = Field(description="What is wrong with them.")
+    scheme: str | None = Field(None, description="Name of the label scheme; null: not known.")
+    road: list[int] = Field([], description="Ids of road.")
+    confusable: list[int] = Field([], description="Ids of sidewalk, parking and other ground.")
+    road_share: float | None = Field(None, description="Share of road among the points counted.")
+    ground_share: float | None = Field(
+        None, description="Share of road, sidewalk, parking and other ground among them: what is to be sent."
+    )
+
+
+class LookedPlan(BaseModel):
+    """What a client sends that reduces the scans itself: `ground/...` of these scans, the small files, reduced.json."""
+
+    scans: int = Field(description="Number of all scans.")
+    kept: list[tuple[int, int]] = Field(description="Scans to send, as runs: the first number, and how many there are.")
+    manifest: ReducedManifest = Field(
+        description="reduced.json, to be completed with label folders that were not counted, and sizes (`source`)."
+    )
 
 
 class LookedTrack(BaseModel):
@@ -123,10 +146,15 @@ class DriveLook(ListedName):
     georeference: str | None = Field(None, description="Where the georeference comes from.")
     georeference_reason: str | None = Field(None, description="Why there is none.")
     pose_frame: str | None = Field(None, description="Sensor whose poses the pose file holds.")
+    pose_frame_reason: str | None = Field(None, description="Why that is thought.")
     track: LookedTrack | None = None
     keyframes: int | None = Field(None, description="Number of scans that a job needs.")
     frames_to_look_into: list[int] = Field(
-        [], description="Numbers of the scans whose label ids tell the label scheme (POST /drives/labels)."
+        [], description="Numbers of the scans whose label ids, counted (`label_counts`), tell the label scheme."
+    )
+    plan: LookedPlan | None = Field(
+        None,
+        description="How to send it reduced; null where only the service can reduce it, or it has no poses.",
     )
     problems: list[Finding] = []
 
@@ -146,7 +174,8 @@ def look_into(
     root: str | None = None,
     options: Callable[[Path, str], DriveOptions] = lambda _, name: DriveOptions(name=name),
     *,
-    keyframes: KeyframeConfig = KeyframeConfig(),  # noqa: B008 - frozen
+    keyframes: KeyframeConfig | None = KeyframeConfig(),  # noqa: B008 - frozen
+    label_counts: LabelCounts = MappingProxyType({}),
     ranges: Mapping[str, Mapping[int, bytes]] = MappingProxyType({}),
     max_files: int = 1_000_000,
     place: Path | None = None,
@@ -166,7 +195,9 @@ def look_into(
     options
         From the place where the drive is laid out, and its name, how it is to be read.
     keyframes
-        Scans that a job needs.
+        Scans that a job needs: the keyframes by these settings; None: all.
+    label_counts
+        What was counted in the scans that an earlier look has named.
     ranges
         Of bags: path -> bytes, by where they begin.
     max_files
@@ -185,12 +216,12 @@ def look_into(
     if chosen is None:
         return FolderLook(drives=names, drive=None, reason=reason_for_none(listing, name))
     with TemporaryDirectory(dir=_quickest(place, chosen, contents), prefix="interloc-look-") as above:
-        look = _Look(chosen, listing, contents, Path(above) / "drive", ranges)
+        look = _Look(chosen, listing, contents, Path(above) / "drive", ranges, keyframes, label_counts)
         if len(chosen.files) > max_files:
             text = f"{len(chosen.files):,} are too many; expected at most {max_files:,}. Cut the drive."
             look.findings.refuse("files", text)
         else:
-            look.read(options(look.place, chosen.name), keyframes)
+            look.read(options(look.place, chosen.name))
     return FolderLook(drives=names, drive=look.answer())
 
 
@@ -213,10 +244,14 @@ class _Look:
         contents: Mapping[str, bytes],
         place: Path,
         ranges: Mapping[str, Mapping[int, bytes]],
+        keyframes: KeyframeConfig | None,
+        label_counts: LabelCounts,
     ) -> None:
         self.place = place
         self.findings = Findings(stop_at_first=False)
         self._drive, self._listing, self._contents, self._ranges = drive, listing, contents, ranges
+        self._keyframes, self._counts = keyframes, label_counts
+        self._schemes: dict[LabelFolder, LabelScheme] = {}
         self._found = DriveLook(
             root=drive.root,
             name=drive.name,
@@ -252,18 +287,18 @@ class _Look:
     def _text(self, text: str) -> str:
         return text.replace(f"{self.place}/", "").replace(str(self.place), self._drive.name)
 
-    def read(self, options: DriveOptions, keyframes: KeyframeConfig) -> None:
+    def read(self, options: DriveOptions) -> None:
         """Look into the drive as it is read when it is there."""
         found, drive = self._found, self._drive
         with each_read_once(), self.findings.stage():
             self._lay_out()
             self._want(*drive.small)
             if drive.kind == "reduced":
-                self._read_reduced(options, keyframes)
+                self._read_reduced(options)
             elif drive.kind in {"rosbag", "las"} and options.layout in {"auto", drive.kind}:
-                self._read_recording(options, keyframes)
+                self._read_recording(options)
             else:
-                self._read_scan_files(options, keyframes)
+                self._read_scan_files(options)
         if drive.kind != "bin":
             found.layout = drive.kind
 
@@ -292,7 +327,7 @@ class _Look:
             self._found.wanted[path] = min(sizes[path], head or (HEAD_BYTES if is_long else sizes[path]))
         return not missing
 
-    def _read_scan_files(self, options: DriveOptions, keyframes: KeyframeConfig) -> None:
+    def _read_scan_files(self, options: DriveOptions) -> None:
         """Look into a drive with one file per scan, and label files."""
         found = self._found
         parts = find_layout(self.place, options)
@@ -302,21 +337,40 @@ class _Look:
         else:
             recording = open_bin_files(parts, options, self.findings)
         self._read_labels(recording, options)
-        if recording.frames is None:
+        frames = recording.frames
+        if frames is None:
             return
+        is_bin = isinstance(recording.points, BinScans)
         if isinstance(recording.points, BinScans):
             files = recording.points.scan_files
             found.scans = LookedNumbers(**self._numbers(files))
             found.points_per_scan = int(np.median(files.sizes)) // recording.points.point_bytes
-        found.frames_to_look_into = _sample(recording.frames)
+        found.frames_to_look_into = _sample(frames)
         if found.wanted:
             return
         found.has_poses = recording.has_poses and options.poses != ODOMETRY
-        if found.has_poses:
-            pose_file = "oxts" if parts.poses is None else parts.file(parts.poses).name
-            self._show(trajectory_of(recording, options, self.findings), keyframes, pose_file, recording.frames)
-        else:
+        if not found.has_poses:
             self.findings.warning("poses", NO_POSES)
+            return
+        pose_file = "oxts" if parts.poses is None else parts.file(parts.poses).name
+        trajectory = trajectory_of(recording, options, self.findings)
+        if options.frames is not None:
+            rows = rows_of_part(options.frames, frames, parts.file(parts.scans).name)
+            frames, trajectory = frames[rows], trajectory.part(rows)
+        if is_bin:
+            self._plan(parts, frames, trajectory, options)
+        self._show(trajectory, pose_file, frames)
+
+    def _plan(self, parts: DriveParts, frames: IntArray, trajectory: Trajectory, options: DriveOptions) -> None:
+        """Say what a client sends that reduces the scans itself, with the labels whose ids were counted."""
+        plan = plan_of(parts, frames, trajectory, options.oxts, self._keyframes, self.findings)
+        if plan is None:
+            return
+        counted = [
+            ReducedLabels.of(folder, scheme, dict(self._counts[folder])) for folder, scheme in self._schemes.items()
+        ]
+        kept = [(int(first), int(count)) for first, count in to_runs(plan.kept)]
+        self._found.plan = LookedPlan(scans=len(frames), kept=kept, manifest=plan.manifest.with_labels(counted))
 
     def _open_pcd(self, parts: DriveParts, options: DriveOptions) -> Recording:
         """List PCD files; the header of the first tells whether they carry labels."""
@@ -362,7 +416,19 @@ class _Look:
             return
         if recording is not None:
             RawScans.of(recording, folder, options, findings, Trajectory)
-        self._found.labels[folder] = LookedLabels(**self._numbers(files), problems=findings.found)
+        looked = LookedLabels(**self._numbers(files), problems=findings.found)
+        if (counts := self._counts.get(folder)) is not None:
+            is_kitti360 = self._found.layout == "kitti360"
+            judged = judge_labels(
+                folder, dict(counts), options.label_scheme, kitti360=is_kitti360, check=True, findings=findings
+            )
+            if judged.scheme is not None:
+                self._schemes[folder] = judged.scheme
+                looked.scheme, looked.road = judged.scheme.name, sorted(judged.scheme.road)
+                looked.confusable = sorted(judged.scheme.confusable)
+            looked.road_share, looked.ground_share = judged.road_share, judged.ground_share
+            looked.problems = findings.found
+        self._found.labels[folder] = looked
 
     def _numbers(self, files: NumberedFiles) -> dict[str, object]:
         runs = [(int(first), int(count)) for first, count in to_runs(files.numbers)]
@@ -382,7 +448,7 @@ class _Look:
             if not self._listing[path]:
                 self.findings.refuse(inside, EMPTY)
 
-    def _read_recording(self, options: DriveOptions, keyframes: KeyframeConfig) -> None:
+    def _read_recording(self, options: DriveOptions) -> None:
         """Look into what only the service reads: a bag, or LAS files."""
         self._take_whole()
         found, place = self._found, self.place
@@ -394,14 +460,14 @@ class _Look:
             find_bag(place, required=True, findings=self.findings)
             self._peek_into_bag(options)
         else:
-            self._read_clouds(options, keyframes)
+            self._read_clouds(options)
 
     def _peek_into_bag(self, options: DriveOptions) -> None:
         """Tell from some ranges of the first file of a bag which topics it has, and whether its points carry labels."""
         found = self._found
         inside, path = next(iter(self._drive.scans.items()))
         try:
-            seen = peek(Pieces(self._listing[path], self._ranges.get(path, {})))
+            seen = peek(self._listing[path], self._ranges.get(path, {}))
         except MissingRangeError as missing:
             found.wanted_ranges[path] = [(missing.start, missing.stop)]
             return
@@ -426,7 +492,7 @@ class _Look:
         elif options.oxts is None and "geo.csv" not in self._drive.small:
             found.georeference_reason = "the bag has no topic of GNSS fixes (sensor_msgs/NavSatFix)"
 
-    def _read_clouds(self, options: DriveOptions, keyframes: KeyframeConfig) -> None:
+    def _read_clouds(self, options: DriveOptions) -> None:
         """Look for the trajectory of LAS files, or for the poses where each holds a scan."""
         found, place = self._found, self.place
         folders = [path for path in (place, place / "las", place / "laz") if path.is_dir()]
@@ -446,10 +512,10 @@ class _Look:
         parts = replace(parts, layout="las", poses=poses[0] if options.poses is None else parts.poses)
         _, frames, times_s, _ = number_scans([f"{Path(name).stem}.pcd" for name in self._drive.scans])
         unsure = Findings(stop_at_first=False)  # they may be clouds after all, which only their headers tell
-        self._show(read_trajectory(parts, frames, options, unsure, times_s=times_s), keyframes)
+        self._show(read_trajectory(parts, frames, options, unsure, times_s=times_s))
         found.georeference_reason = None  # their coordinate system may be one
 
-    def _read_reduced(self, options: DriveOptions, keyframes: KeyframeConfig) -> None:
+    def _read_reduced(self, options: DriveOptions) -> None:
         """Look into a drive that is reduced already."""
         self._take_whole()
         if self._found.wanted:
@@ -458,15 +524,9 @@ class _Look:
         for labels in manifest.labels:
             ReducedScans.of(manifest, self.place, labels.folder, options, self.findings)
             if self._found.track is None:
-                self._show(reduced_trajectory(manifest, self.place, options, self.findings), keyframes)
+                self._show(reduced_trajectory(manifest, self.place, options, self.findings))
 
-    def _show(
-        self,
-        trajectory: Trajectory,
-        keyframes: KeyframeConfig,
-        pose_file: str = "poses",
-        frames: IntArray | None = None,
-    ) -> None:
+    def _show(self, trajectory: Trajectory, pose_file: str = "poses", frames: IntArray | None = None) -> None:
         """Tell where the drive went, and how poses and georeference fit together."""
         _, trajectory = trajectory.within_jumps(frames, pose_file, self.findings)
         found, poses, fixes = self._found, trajectory.poses, trajectory.georeference
@@ -474,8 +534,9 @@ class _Look:
         found.georeference_reason = None if fixes else trajectory.georeference_reason
         if poses is None:
             return
-        found.pose_frame = poses.frame
-        found.keyframes = len(select_keyframes(poses.T_world_lidar, keyframes))
+        found.pose_frame, found.pose_frame_reason = poses.frame, poses.reason
+        by = self._keyframes
+        found.keyframes = len(poses.T_world_lidar if by is None else select_keyframes(poses.T_world_lidar, by))
         check_motion(poses.T_world_lidar, pose_file, self.findings)
         places, fitted, fit_m = poses.T_world_lidar[:, :2, 3], None, None
         if fixes is not None:

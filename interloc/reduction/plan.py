@@ -1,235 +1,243 @@
-"""What a reduced drive will hold: worked out from the small files of a drive and the numbers of its scans."""
+"""What a reduced drive will hold, known without its scans: which of them it keeps, its manifest, its small files."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+import io
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from interloc.arrays import IntArray
 from interloc.config import KeyframeConfig
 from interloc.detection.keyframes import select_keyframes
-from interloc.drives.checks import sample_indices
-from interloc.drives.files import rows_of_part
-from interloc.drives.findings import DriveFileError, Finding, Findings
-from interloc.drives.labels import LabelJudgement, judge_labels
-from interloc.drives.layouts import DriveParts, ScanFolder, find_layout
-from interloc.drives.open import SAMPLED_SCANS
-from interloc.drives.options import DriveOptions, LabelFolder, LayoutChoice, ReadingOptions
-from interloc.drives.scans.reduced_format import (
-    MANIFEST,
-    MAX_SCANS,
-    ReducedManifest,
-    Thinning,
-    is_reduced,
-    make_manifest,
-    to_runs,
-)
-from interloc.drives.trajectory import Trajectory, posed_frames, read_trajectory
-from interloc.reduction.small_files import SmallFileCopies, gather_small_files, make_small_files
+from interloc.drives.files import MAX_ROWS, GeoreferenceFile, list_numbered
+from interloc.drives.findings import DriveFileError, Findings
+from interloc.drives.georeference.geo_csv import geo_csv_text
+from interloc.drives.georeference.read import locate_georeference
+from interloc.drives.layouts import DriveParts
+from interloc.drives.poses.calibration import CAMERA_CALIBRATIONS, CAMERA_TO_POSE, IMU_CALIBRATION, locate_calibration
+from interloc.drives.scans.reduced_format import ReducedManifest, Thinning, make_manifest, to_runs
+from interloc.drives.trajectory import Trajectory
+from interloc.files import reason_of
+
+GEOREFERENCE_FOLDER = "georeference"
+"""Where a georeference lies that came from outside of the drive."""
+
+_MAX_WARNINGS = 100
 
 
 @dataclass(frozen=True)
 class ReductionPlan:
     """Which scans of a drive to keep, and all that is known without them."""
 
-    options: DriveOptions
-    """How the drive is read."""
     frames: IntArray
     """(N,) int64: numbers of all scans, ascending."""
-    frames_to_send: IntArray
-    """(K,) int64: numbers of the scans to keep; empty where the poses cannot be read."""
-    frames_to_look_into: IntArray
-    """(M,) int64: numbers of the scans whose label ids are counted to find the label scheme (see `judge_counts`)."""
-    layout: str | None
-    pose_frame: str | None
-    pose_frame_reason: str | None
-    """Whose poses the pose file holds, and why that is thought."""
-    georeference: str | None
-    georeference_reason: str | None
-    """Where it comes from; why there is none."""
-    length_m: float | None
-    """Distance driven over the scans."""
-    problems: list[Finding]
-    manifest: ReducedManifest | None
-    """To be completed with `ReducedManifest.with_labels`; None where the poses cannot be read."""
+    kept: IntArray
+    """(K,) int64: numbers of the scans to keep."""
+    manifest: ReducedManifest
+    """To be completed with `ReducedManifest.with_labels`."""
     copies: SmallFileCopies
     """Which files go where in the reduced drive."""
 
-    @property
-    def scans(self) -> int:
-        """Number of scans."""
-        return len(self.frames)
-
-    @property
-    def ok(self) -> bool:
-        """True where nothing makes the drive unusable."""
-        return not any(problem.severity == "error" for problem in self.problems)
-
-
-def plan_reduction(
-    root: Path,
-    frames: Sequence[int] | IntArray,
-    options: ReadingOptions | None = None,
-    *,
-    keyframes: KeyframeConfig | None = KeyframeConfig(),  # noqa: B008 - frozen
-    scan_folder: ScanFolder | None = None,
-) -> ReductionPlan:
-    """Plan the reduction of a drive whose scans need not be there yet.
-
-    Parameters
-    ----------
-    root
-        Folder with the small files: poses, calibration, times, oxts/, geo.csv.
-    frames : (N,) int
-        Numbers of all scans of the drive.
-    options : ReadingOptions or None
-        How the drive is read.
-    keyframes : KeyframeConfig or None
-        Scans to keep: the keyframes by these settings; None: all.
-    scan_folder : {"velodyne", "velodyne_points/data"} or None
-        Where the drive has its scans; None: where they lie in `root`, or else as the small files suggest.
-
-    Returns
-    -------
-    ReductionPlan
-        With all findings; a bad drive raises nothing.
-
-    Raises
-    ------
-    ConfigError
-        An unknown option or choice.
-    """
-    chosen, findings = DriveOptions.of(options), Findings(stop_at_first=False)
-    numbers, parts, trajectory = np.empty(0, np.int64), None, Trajectory()
-    with findings.stage():
-        if is_reduced(root):
-            raise DriveFileError(MANIFEST, "is there already: the drive is a reduced one, and has no scans to reduce.")
-        numbers = checked_frames(frames)
-        parts = find_layout(root, chosen, announced=scan_folder or _likely_scan_folder(root, chosen.layout))
-        numbers = posed_frames(parts, numbers, findings)
-        trajectory = read_trajectory(parts, numbers, chosen, findings)
-        if chosen.frames is not None:
-            rows = rows_of_part(chosen.frames, numbers, parts.file(parts.scans).name)
-            numbers, trajectory = numbers[rows], trajectory.part(rows)
-    return plan_of(parts, numbers, trajectory, chosen, keyframes, findings)
-
 
 def plan_of(
-    parts: DriveParts | None,
+    parts: DriveParts,
     frames: IntArray,
     trajectory: Trajectory,
-    options: DriveOptions,
+    given: Path | None,
     keyframes: KeyframeConfig | None,
     findings: Findings,
     *,
     poses_in_files: bool = True,
-) -> ReductionPlan:
+) -> ReductionPlan | None:
     """Make the plan of what is known of a drive.
 
     Parameters
     ----------
+    frames : (N,) int64
+        Numbers of all scans.
+    given : Path or None
+        A georeference from elsewhere.
+    keyframes : KeyframeConfig or None
+        Scans to keep: the keyframes by these settings; None: all.
     poses_in_files : bool
         Whether poses, times and georeference lie in small files that can be copied.
-    """
-    poses, georeference = trajectory.poses, trajectory.georeference
-    kept, manifest, copies = np.empty(0, np.int64), None, SmallFileCopies()
-    if parts is not None and poses is not None:
-        kept = frames if keyframes is None else frames[select_keyframes(poses.T_world_lidar, keyframes)]
-        thinning = None
-        if keyframes is not None:
-            thinning = Thinning(distance_m=keyframes.distance_m, angle_deg=keyframes.angle_deg)
-        with findings.stage():
-            if poses_in_files:
-                copies = gather_small_files(parts, frames, options.oxts)
-            else:
-                copies = make_small_files(trajectory, frames)
-            manifest = make_manifest(
-                {
-                    "name": parts.drive_name,
-                    "layout": parts.layout,
-                    "scans": to_runs(frames),
-                    "kept": to_runs(kept),
-                    "keyframes": thinning,
-                    "pose_frame": poses.frame if poses_in_files else "lidar",
-                    "pose_frame_reason": poses.reason,
-                    "files": copies.files,
-                    "warnings": [
-                        {"path": each.path, "message": each.message}
-                        for each in findings.found
-                        if each.severity == "warning"
-                    ][:100],
-                }
-            )
-    return ReductionPlan(
-        options=options,
-        frames=frames,
-        frames_to_send=kept,
-        frames_to_look_into=frames[sample_indices(np.arange(len(frames)), SAMPLED_SCANS)],
-        layout=parts.layout if parts else None,
-        pose_frame=poses.frame if poses else None,
-        pose_frame_reason=poses.reason if poses else None,
-        georeference=georeference.source if georeference else None,
-        georeference_reason=None if georeference else trajectory.georeference_reason,
-        length_m=poses.length_m if poses else None,
-        problems=findings.found,
-        manifest=manifest,
-        copies=copies,
-    )
-
-
-def judge_counts(
-    plan: ReductionPlan, label_folder: LabelFolder, counts: dict[int, int]
-) -> tuple[LabelJudgement, list[Finding]]:
-    """Find out what label ids mean, as `open_drive` does.
-
-    Parameters
-    ----------
-    counts : dict of int to int
-        How many points of the scans `frames_to_look_into` carry each id.
 
     Returns
     -------
-    LabelJudgement
-        Its scheme is None where nothing was counted and no scheme was named.
-    list of Finding
-        An error among them where no point is road, or the ids contradict the scheme that was named.
+    ReductionPlan or None
+        None where the poses are not known, or files cannot be gathered, which `findings` then says.
     """
-    findings = Findings(stop_at_first=False)
-    judgement = judge_labels(
-        label_folder,
-        counts,
-        plan.options.label_scheme,
-        kitti360=plan.layout == "kitti360",
-        check=True,
-        findings=findings,
-    )
-    return judgement, findings.found
+    poses = trajectory.poses
+    if poses is None:
+        return None
+    kept = frames if keyframes is None else frames[select_keyframes(poses.T_world_lidar, keyframes)]
+    thinning = None
+    if keyframes is not None:
+        thinning = Thinning(distance_m=keyframes.distance_m, angle_deg=keyframes.angle_deg)
+    with findings.stage():
+        copies = gather_small_files(parts, frames, given) if poses_in_files else make_small_files(trajectory, frames)
+        warnings = [each for each in findings.found if each.severity == "warning"][:_MAX_WARNINGS]
+        manifest = make_manifest(
+            {
+                "name": parts.drive_name,
+                "layout": parts.layout,
+                "scans": to_runs(frames),
+                "kept": to_runs(kept),
+                "keyframes": thinning,
+                "pose_frame": poses.frame if poses_in_files else "lidar",
+                "pose_frame_reason": poses.reason,
+                "files": copies.files,
+                "warnings": [{"path": each.path, "message": each.message} for each in warnings],
+            }
+        )
+        return ReductionPlan(frames, kept, manifest, copies)
+    return None
 
 
-def checked_frames(frames: Sequence[int] | IntArray) -> IntArray:
-    """Return scan numbers in ascending order.
+@dataclass
+class SmallFileCopies:
+    """Which files go where."""
+
+    files: dict[str, Any] = field(default_factory=dict)
+    """Their part of the manifest (`SmallFiles`)."""
+    sources: dict[str, Path | bytes] = field(default_factory=dict)
+    """Path in the reduced drive -> the file as it lies now, or what is to be written."""
+
+    def write_to(self, folder: Path) -> int:
+        """Copy them to a reduced drive; those that lie there already stay.
+
+        Returns
+        -------
+        int
+            Bytes of all of them.
+
+        Raises
+        ------
+        DriveError
+            One of them cannot be read.
+        """
+        size = 0
+        for name, source in self.sources.items():
+            try:
+                data = source if isinstance(source, bytes) else source.read_bytes()
+            except OSError as error:
+                raise DriveFileError(str(source), f"cannot be read: {reason_of(error)}.") from error
+            target = folder / name
+            if target != source:
+                target.parent.mkdir(parents=True, exist_ok=True)
+                target.write_bytes(data)
+            size += len(data)
+        return size
+
+
+def make_small_files(trajectory: Trajectory, frames: IntArray) -> SmallFileCopies:
+    """Write down what is known of the motion, where it does not lie in files of its own (bags, LAS).
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+        With poses.
+    frames : (N,) int64
+        Scan numbers.
+    """
+    assert trajectory.poses is not None
+    copies = SmallFileCopies({"poses": "poses.txt", "times": None, "calibration": [], "oxts": None, "geo": None})
+    contiguous = is_contiguous(frames)
+    lines = io.StringIO()
+    numbers = trajectory.poses.T_world_lidar[:, :3].reshape(-1, 12)
+    for frame, row in zip(frames, numbers.tolist(), strict=True):
+        front = "" if contiguous else f"{frame} "
+        lines.write(front + " ".join(map(repr, row)) + "\n")
+    copies.sources["poses.txt"] = lines.getvalue().encode()
+    times = trajectory.times_s
+    if times is not None and not contiguous:  # one line per frame, also for those without a scan
+        times = np.interp(np.arange(frames[-1] + 1), frames, times) if frames[-1] < MAX_ROWS else None
+    if times is not None:
+        copies.files["times"] = "times.txt"
+        copies.sources["times.txt"] = "".join(f"{time!r}\n" for time in times.tolist()).encode()
+    if trajectory.georeference is not None:
+        copies.files["geo"] = "geo.csv"
+        copies.sources["geo.csv"] = geo_csv_text(frames, trajectory.georeference, exact=True).encode()
+    return copies
+
+
+def is_contiguous(frames: IntArray) -> bool:
+    """Return whether ascending scan numbers leave none out."""
+    return int(frames[-1] - frames[0]) == len(frames) - 1
+
+
+def gather_small_files(parts: DriveParts, frames: IntArray, given: Path | None) -> SmallFileCopies:
+    """Find all files that reading the drive needs besides scans and labels.
+
+    Those inside the drive keep their paths. Of a KITTI raw drive that was given as georeference, the OXTS files of the
+    drive's frames are taken, under the numbers of the drive.
+
+    Parameters
+    ----------
+    parts : DriveParts
+    frames : (N,) int64
+        Scan numbers.
+    given : Path or None
+        A georeference from elsewhere.
 
     Raises
     ------
-    DriveError
-        There are none or too many, or one is negative or comes twice.
+    GeoreferenceError, DriveError
+        A georeference was given that does not exist, or its folder cannot be read.
     """
-    if not 0 < len(frames) <= MAX_SCANS:
-        raise DriveFileError("scans", f"{len(frames):,} scans; expected 1 to {MAX_SCANS:,}.")
-    if any(not 0 <= int(frame) <= 10**15 for frame in frames):
-        raise DriveFileError("scans", "a scan number is negative or larger than any. Expected numbers from 0 on.")
-    numbers, counts = np.unique(np.asarray(frames, dtype=np.int64), return_counts=True)
-    if (counts > 1).any():
-        raise DriveFileError("scans", f"scan {numbers[np.argmax(counts > 1)]} comes twice. Expected every number once.")
-    return numbers
+    copies = SmallFileCopies()
+
+    def take(path: Path, otherwise: str = "") -> str:
+        """Note a file under its path in the drive, or under another name where it lies outside."""
+        name = path.relative_to(parts.root).as_posix() if _is_inside(path, parts.root) else otherwise or path.name
+        copies.sources[name] = path
+        return name
+
+    found = locate_georeference(parts, frames, given)
+    own_imu = locate_calibration(parts, IMU_CALIBRATION)
+    imu = own_imu if found is None else found.imu_calibration
+    calibrations = []
+    if imu is not None:
+        beside_given = given is not None and imu != own_imu
+        calibrations.append(take(imu, f"{GEOREFERENCE_FOLDER}/{IMU_CALIBRATION}" if beside_given else ""))
+    cameras = (locate_calibration(parts, *CAMERA_CALIBRATIONS), locate_calibration(parts, CAMERA_TO_POSE))
+    calibrations += [take(path) for path in cameras if path is not None]
+
+    oxts = geo = None
+    if found is not None and found.kind == "folder":
+        assert found.rows is not None
+        oxts = _take_folder(copies, found.path, found.rows, frames, parts)
+    elif found is not None:
+        packed = ".gz" if found.path.suffix == ".gz" else ""
+        name = "geo.csv" if found.kind == "geo" else "oxts.txt"
+        place = take(found.path, f"{GEOREFERENCE_FOLDER}/{name}{packed}")
+        oxts, geo = (None, place) if found.kind == "geo" else (place, None)
+    copies.files = {
+        "poses": None if parts.poses is None else take(parts.poses),
+        "times": None if parts.times is None else take(parts.times),
+        "calibration": calibrations,
+        "oxts": oxts,
+        "geo": geo,
+    }
+    return copies
 
 
-def _likely_scan_folder(root: Path, layout: LayoutChoice) -> ScanFolder:
-    """Guess from the small files where the scans of a drive would be."""
-    if layout == "auto" and not (root / "velodyne").is_dir():
-        no_poses = (root / "oxts").is_dir() and not (root / "poses.txt").exists()
-        layout = "kitti_raw" if no_poses or (root / "velodyne_points").is_dir() else layout
-    return "velodyne_points/data" if layout == "kitti_raw" else "velodyne"
+def _take_folder(copies: SmallFileCopies, folder: Path, rows: IntArray, frames: IntArray, parts: DriveParts) -> str:
+    """Note the OXTS files of the frames; return their folder in the reduced drive."""
+    files = list_numbered(GeoreferenceFile(folder, parts.root), ".txt")
+    if _is_inside(folder, parts.root) and np.array_equal(rows, frames):
+        place = folder.relative_to(parts.root).as_posix()
+        digits = files.digits
+    else:
+        place, digits = f"{GEOREFERENCE_FOLDER}/oxts", 10
+    there = np.isin(rows, files.numbers)  # a missing fix is the complaint of who reads them
+    for frame, row in zip(frames[there].tolist(), rows[there].tolist(), strict=True):
+        copies.sources[f"{place}/{frame:0{digits}d}.txt"] = files.path(row)
+    return place
+
+
+def _is_inside(path: Path, root: Path) -> bool:
+    return path.is_relative_to(root) and ".." not in path.relative_to(root).parts

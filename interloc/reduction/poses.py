@@ -16,7 +16,7 @@ from interloc.errors import ConfigError, DriveError
 from interloc.files import atomic_write
 from interloc.processes import Progress
 from interloc.reduction.convert import read_unreduced
-from interloc.reduction.small_files import is_contiguous
+from interloc.reduction.plan import is_contiguous
 
 _TUM_ENDING = ".tum"
 

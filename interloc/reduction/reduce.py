@@ -39,6 +39,7 @@ class Reduction:
     """Complete; to be written last."""
     scans: dict[LabelFolder, RawScans]
     """Where the points are read from, for every label folder."""
+    is_georeferenced: bool
 
     def write_ground(self, frame: int, folder: Path) -> None:
         """Write the ground points of a scan into a reduced drive, by every label folder."""
@@ -130,14 +131,15 @@ def reduction_of(
         first.scans.parts,
         first.scans.frames,
         first.trajectory,
-        options,
+        options.oxts,
         keyframes,
         findings,
         poses_in_files=first.scans.recording.has_pose_files and options.frames is None,
     )
-    assert plan.manifest is not None
+    assert plan is not None
     sizes = SourceScans.model_validate(first.scans.facts.model_dump(include=set(SourceScans.model_fields)))
-    return Reduction(plan, plan.manifest.with_labels(labels, sizes), scans)
+    is_georeferenced = first.trajectory.georeference is not None
+    return Reduction(plan, plan.manifest.with_labels(labels, sizes), scans, is_georeferenced)
 
 
 def reduce_drive(
@@ -168,7 +170,7 @@ def reduce_drive(
         `out` is something else, or could not be written; nothing is left behind.
     """
     reduction = prepare_reduction(root, options, label_folders=label_folders, keyframes=keyframes)
-    frames = [int(frame) for frame in reduction.plan.frames_to_send]
+    frames = [int(frame) for frame in reduction.plan.kept]
     with atomic_folder(Path(out), marker=MANIFEST) as folder:
         for labels in reduction.scans:
             (folder / ground_path(labels, 0)).parent.mkdir(parents=True)

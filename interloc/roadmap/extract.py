@@ -35,16 +35,9 @@ _OFFSET_STD_M = {True: 0.13, False: 0.37}  # of the line of a whole street, by w
 
 
 def extract_roads(result: DriveResult, mosaic: Mosaic, *, block: int = BLOCK) -> RoadNetwork:
-    """Make the map of the roads that a drive saw.
+    """Make the map of the roads of a drive: of the mosaic that it saw, its intersections (the nodes), and its track.
 
-    Parameters
-    ----------
-    result
-        For its intersections, which become the nodes, and its track.
-    mosaic
-        The road that it saw, see `interloc.mapping.mosaic.build_mosaic`.
-    block
-        Cells per side of the squares that are worked on, a multiple of the side of a tile.
+    The squares that are worked on have `block` cells per side, a multiple of the side of a tile.
     """
     if not mosaic.raster.tiles or not len(result.keyframes):
         return RoadNetwork(epsg=mosaic.epsg)

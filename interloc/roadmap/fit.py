@@ -70,17 +70,9 @@ class Street:
 
 
 def fit(raster: Raster, graph: Graph, chains: Sequence[Sequence[tuple[int, Edge]]], track: cKDTree) -> list[Street]:
-    """Fit the streets of a graph to the counts of a mosaic.
+    """Fit the streets of a graph, edges by street (`interloc.roadmap.topology.strokes`), to the counts of a mosaic.
 
-    Parameters
-    ----------
-    raster
-    graph
-        For what meets the streets at their nodes.
-    chains
-        Edges by street, see `interloc.roadmap.topology.strokes`.
-    track
-        Places of the vehicle in their order.
+    `track` holds the places of the vehicle in their order.
     """
     mouths = {node: _half_widths(graph, node) for node in graph.nodes}
     streets = [_street(chain, mouths, track) for chain in chains]
@@ -156,13 +148,9 @@ def _along(xy: FloatArray) -> FloatArray:
 
 
 def _smoothed(xy: FloatArray, weight: FloatArray, length_m: float) -> FloatArray:
-    """Return the line that bends least and keeps to positions (Whittaker 1923); waves of a length lose half.
+    """Return the line that bends least and keeps to (N, 2) positions (Whittaker 1923); waves of a length lose half.
 
-    Parameters
-    ----------
-    xy : (N, 2) float64
-    weight : (N,) float64
-        0 where a position is not known.
+    The weight is 0 where a position is not known.
     """
     stiff = (length_m / (2.0 * np.pi * STEP_M)) ** 4
     bands = np.zeros((3, len(xy)))  # of D'D, where D takes second differences

@@ -183,8 +183,6 @@ class Graph:
 def trace(ground: Ground) -> Graph:
     """Make a graph of the cells of a skeleton.
 
-    Notes
-    -----
     Two cells are joined side by side, or diagonally where no third one joins them (`interloc.kernels.skeleton`). Cells
     with two neighbours are parts of lines, all others are nodes; of a ring without a node any cell becomes one.
     """

@@ -58,15 +58,7 @@ class Ground:
 
 
 def survey(raster: Raster, block: int = BLOCK) -> Ground:
-    """Find the road in a raster of counts.
-
-    Parameters
-    ----------
-    raster
-        Of a mosaic.
-    block
-        Cells per side of a block; the result depends on it only in how the surface is cut.
-    """
+    """Find the road in a raster of counts; how it is cut into blocks decides only how the surface is cut."""
     ground = Ground(raster.cell_m)
     found, places = [], []
     for row, col in _blocks(raster, block):

@@ -30,17 +30,7 @@ _MOUTH_M = 6.0
 
 
 def connect(graph: Graph, fused_xy: FloatArray, places: Sequence[shapely.Polygon]) -> None:
-    """Turn the graph of a skeleton into that of the roads, in place.
-
-    Parameters
-    ----------
-    graph
-        Of the skeleton.
-    fused_xy : (M, 2) float64
-        The fused intersections, metres of the mosaic.
-    places
-        Open places, see `interloc.roadmap.surface`.
-    """
+    """Turn the graph of a skeleton into that of the roads, in place; fused intersections, (M, 2), and places help."""
     _enter_places(graph, fused_xy, places)
     _prune(graph)
     _attach(graph, fused_xy)

@@ -26,9 +26,8 @@ from interloc.arrays import Float32Array, FloatArray
 from interloc.config import DetectorConfig
 from interloc.detection.warm import warm_up
 from interloc.drives.labels import LabelScheme
-from interloc.drives.scans.rosbag.messages import ODOMETRY, read_pose, read_transforms
+from interloc.drives.scans.rosbag.messages import ODOMETRY, WireError, read_pose, read_transforms
 from interloc.drives.scans.rosbag.pointcloud2 import POINT_CLOUD, read_layout, read_points
-from interloc.drives.scans.rosbag.wire import WireError
 from interloc.errors import ConfigError
 from interloc.labelling.projection import remission_scale
 from interloc.live.scan import Label, LiveScan

@@ -394,7 +394,9 @@ function save(url, name) {
  * @property {{name: string, description: string, is_osm: boolean}[]} layers Of a result.
  * @property {string[]} exports Endings of the formats that it writes: ".gpkg".
  * @property {{name: string, title: string, road: number[]}[]} label_schemes
- * @property {{maps: string[], archives: string[], recordings: string[], scans: string[]}} file_kinds Endings of names.
+ * @property {Record<"maps" | "archives" | "recordings" | "scans" | "small" | "beside", string[]>} file_kinds Endings of names.
+ * @property {Record<string, string>} layouts Titles of the layouts of drives.
+ * @property {any} reading_schema JSON Schema of the options of reading.
  * @property {Record<string, number>} raw_first_frames KITTI raw drives whose odometry sequence begins at a later frame.
  * @property {Record<string, string>} raw_sequences Odometry sequences by KITTI raw drive.
  * @property {string} simulator The generator of maps that are made up.

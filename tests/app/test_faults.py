@@ -125,7 +125,7 @@ def test_a_job_goes_on_where_the_killed_server_left_it(start: Start, tmp_path: P
     scratch = tmp_path / "data" / "jobs" / job / "scratch"
 
     def checkpoints() -> dict[str, int]:
-        return {path.name: path.stat().st_mtime_ns for path in files_below(scratch) if path.suffix == ".npz"}
+        return {path.name: path.stat().st_mtime_ns for path in files_below(scratch) if path.name.startswith("range-")}
 
     wait_until(checkpoints, "the first finished range")
     workers = server.workers()

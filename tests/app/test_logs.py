@@ -83,7 +83,7 @@ def test_who_changed_what_is_logged(serve: Serve, lines: Lines, tmp_path: Path) 
     address = client.post("/api/v1/drives", json={"name": "a"}).headers["location"]
     drive = address.rpartition("/")[2]
     client.put(f"{address}/files/a.txt", content=b"1")
-    client.post("/api/v1/drives/labels", json={"label_counts": {}})
+    client.post("/api/v1/drives/look", json={"name": "a", "files": {}})
     client.delete(f"{address}/files/a.txt")
     client.delete(f"{address}/files/a.txt")  # there is none: nothing changed
     client.delete(address)

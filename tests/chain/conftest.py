@@ -12,9 +12,7 @@ import pytest
 from interloc.arrays import FloatArray
 from interloc.drives.open import open_drive
 from interloc.geometry import enu_from_lonlat
-from interloc.pipeline import detect
-from interloc.results import DriveResult
-from interloc.simulate.config import (
+from interloc.lab.config import (
     LidarConfig,
     RoadsideConfig,
     SceneConfig,
@@ -22,11 +20,12 @@ from interloc.simulate.config import (
     StreetConfig,
     TrackConfig,
 )
-from interloc.simulate.drive import Trip, simulate
-from interloc.simulate.local_frame import LocalFrame
-from interloc.simulate.osm_map import read_map
-from interloc.simulate.town import Town
-from interloc.simulate.tracks import track_from_line
+from interloc.lab.drive import Trip, simulate
+from interloc.lab.streets import read_map
+from interloc.lab.town import Town
+from interloc.lab.tracks import LocalFrame, track_from_line
+from interloc.pipeline import detect
+from interloc.results import DriveResult
 
 Point = tuple[float, float]
 

@@ -10,10 +10,10 @@ import pytest
 from interloc.drives.label_errors import MislabelledDrive
 from interloc.drives.open import open_drive
 from interloc.evaluation.evaluate import Evaluation, evaluate
+from interloc.lab.town import MAP_FILE
 from interloc.osm.reader import read_osm
 from interloc.pipeline import detect
 from interloc.results import DriveResult, PositionParts
-from interloc.simulate.town import MAP_FILE
 
 
 @pytest.fixture(scope="module")

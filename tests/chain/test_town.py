@@ -12,10 +12,10 @@ from interloc.config import preset
 from interloc.drives.open import open_drive
 from interloc.evaluation.evaluate import Evaluation, evaluate
 from interloc.geometry import enu_from_lonlat
+from interloc.lab.town import MAP_FILE, Town
 from interloc.osm.reader import read_osm
 from interloc.pipeline import detect
 from interloc.results import DriveResult
-from interloc.simulate.town import MAP_FILE, Town
 
 JUNCTIONS = {junction.name: junction for junction in Town("plain", houses=False).junctions}
 RANGE_M = 20.0  # half of the relevant zone

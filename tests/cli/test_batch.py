@@ -13,7 +13,6 @@ from pathlib import Path
 
 import pytest
 
-from app.jobs.processes import ProcessExecutor
 from interloc.cli import units
 from interloc.cli.units import Records, Unit, do_all, work
 
@@ -102,12 +101,15 @@ def test_a_worker_that_dies_costs_another_try(
 ) -> None:
     monkeypatch.setattr(units, "work", die_once)
     unit = Unit("short", str(short_drive), "detect", ())
-    executor = ProcessExecutor(1)
-    try:
-        ended = do_all([unit], Records(tmp_path / "out"), executor, shares_folder=False, progress=lambda _: None)
-    finally:
-        executor.stop()
+    ended = do_all([unit], Records(tmp_path / "out"), 1, None, progress=lambda _: None)
     assert ended["short"].error is None
-    assert ended["short"].content is None
     assert (tmp_path / "out/short/run.json").is_file()
     assert Records(tmp_path / "out").done(unit) == ended["short"]
+
+
+def test_results_of_workers_without_the_folder_are_brought_back(short_drive: Path, tmp_path: Path) -> None:
+    unit = Unit("short", str(short_drive), "detect", ())
+    records = Records(tmp_path / "out")
+    ended = records.write(unit, unit.identity, work(unit, None))
+    assert ended.content is None
+    assert (tmp_path / "out/short/run.json").is_file()

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from interloc.benchmark import run as running
 from interloc.cli.main import run
+from interloc.lab import run as running
 
 SET = ("--set", "bev.resolution_m=0.4")
 
@@ -32,7 +32,7 @@ def test_tables_and_files(measured: tuple[Path, str]) -> None:
     assert printed.endswith(f"report  {out / 'benchmark.html'}\n")
     assert (out / "benchmark.txt").read_text() in printed
     assert {path.name for path in out.iterdir()} == {
-        *("benchmark.html", "benchmark.json", "benchmark.txt", "failures", "figures", "rows")
+        *("benchmark.html", "benchmark.json", "benchmark.txt", "failures", "rows")
     }
     record = json.loads((out / "benchmark.json").read_text())
     for preset in ("default", "paper"):

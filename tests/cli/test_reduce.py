@@ -14,10 +14,10 @@ from interloc.config import DEFAULT
 from interloc.drives.label_errors import MislabelledDrive
 from interloc.drives.open import open_drive
 from interloc.explain.evidence import gather
+from interloc.lab.config import LidarConfig, SimulationOptions
+from interloc.lab.drive import simulate
+from interloc.lab.town import Town
 from interloc.pipeline import detect
-from interloc.simulate.config import LidarConfig, SimulationOptions
-from interloc.simulate.drive import simulate
-from interloc.simulate.town import Town
 
 TABLES = ("detections", "keyframes", "intersections", "trajectory")
 

@@ -50,15 +50,17 @@ def serving(
 
 @pytest.mark.parametrize("stop", [signal.SIGTERM, signal.SIGINT])
 def test_a_server_starts_and_stops(stop: signal.Signals, environment: dict[str, str], tmp_path: Path) -> None:
-    variables = {"INTERLOC_STATIC_DIR": str(tmp_path), "INTERLOC_WORKRES": "4", "INTERLOC_SERVICE_HOST": "10.0.0.1"}
+    variables = {"INTERLOC_STATIC_DIR": str(tmp_path), "INTERLOC_SERVICE_HOST": "10.0.0.1"}
+    variables |= {"INTERLOC_WORKRES": "4", "INTERLOC_LIVE_IDLE_S": "60"}
     with serving(environment, tmp_path, **variables) as (process, address):
         assert httpx.get(f"{address}healthz", verify=NO_TLS).json() == {"status": "ok"}
         assert (tmp_path / "interloc-data/interloc.sqlite3").is_file()
         process.send_signal(stop)
         assert process.wait(30) == 0
-        _, second, third = process.out.read_text().splitlines()
+        _, second, third, fourth = process.out.read_text().splitlines()
         assert second.startswith("The page is not installed, only the API: ")
-        assert third == "INTERLOC_WORKRES is not a setting and has no effect; INTERLOC_WORKERS is one."
+        assert third == "INTERLOC_LIVE_IDLE_S is not a setting and has no effect; docs/service.md lists all."
+        assert fourth == "INTERLOC_WORKRES is not a setting and has no effect; INTERLOC_WORKERS is one."
     lines = [json.loads(line) for line in (tmp_path / "log").read_text().splitlines()]
     assert lines[-1]["message"] == "stopped"
     assert not [line for line in lines if line["level"] in {"error", "warning"}]

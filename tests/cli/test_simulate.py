@@ -12,7 +12,7 @@ import pytest
 
 from interloc.cli import options
 from interloc.drives.open import open_drive
-from interloc.simulate.config import SENSORS
+from interloc.lab.config import SENSORS
 
 FEW = ("--max-scans", 4, "--columns", 90)
 

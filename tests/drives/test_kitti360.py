@@ -17,7 +17,7 @@ from interloc.drives.options import DriveOptions
 from interloc.drives.trajectory import posed_frames
 from interloc.errors import DriveError
 from interloc.geometry import rotation_from_rpy, yaw_of
-from interloc.reduction.plan import plan_reduction
+from interloc.reduction.look import look_into
 
 DRIVE = "2013_05_28_drive_0009_sync"
 T_IMU_CAM = np.array([[0.0, 0, 1, 1.5], [1, 0, 0, 0.3], [0, 1, 0, 0.9], [0, 0, 0, 1]])  # x ahead, y right, z down
@@ -152,11 +152,13 @@ def test_a_drive_may_hold_its_part_of_the_data_set(published: Path, make: Module
     assert opened.georeference is not None
     assert "in the world of KITTI-360" in opened.georeference.source
 
-    plan = plan_reduction(own, range(100, 112), keyframes=None, scan_folder="velodyne_points/data")
-    assert plan.manifest is not None
-    assert plan.frames_to_send.tolist() == list(range(100, 111))
-    assert plan.manifest.files.poses == f"data_poses/{DRIVE}/poses.txt"
-    assert "in the world of KITTI-360" in str(plan.georeference)
+    contents = {path.relative_to(own).as_posix(): path.read_bytes() for path in own.rglob("*") if path.is_file()}
+    look = look_into({path: len(data) for path, data in contents.items()}, contents, "files", keyframes=None).drive
+    assert look is not None
+    assert look.plan is not None
+    assert look.plan.kept == [(100, 11)]
+    assert look.plan.manifest.files.poses == f"data_poses/{DRIVE}/poses.txt"
+    assert "in the world of KITTI-360" in str(look.georeference)
 
 
 def test_the_root_of_several_drives_lists_them(published: Path) -> None:

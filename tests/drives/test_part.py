@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from pathlib import Path
 from types import ModuleType
 
@@ -15,7 +14,6 @@ from interloc.drives.open import open_drive
 from interloc.drives.options import DriveOptions
 from interloc.errors import ConfigError, DriveError
 from interloc.geometry import invert_transform
-from interloc.reduction.plan import plan_reduction
 from interloc.reduction.reduce import reduce_drive
 
 
@@ -72,12 +70,3 @@ def test_reduced_drives(drive: Path, reduced: Path, tmp_path: Path) -> None:
         np.testing.assert_allclose(found.T_world_lidar, part.T_world_lidar, atol=1e-6)
         np.testing.assert_allclose(found.georeference.lon_deg, part.georeference.lon_deg, atol=1e-9)
         np.testing.assert_array_equal(found.ground_points(0).road, part.ground_points(0).road)
-
-
-def test_a_plan_without_scans(drive: Path, tmp_path: Path) -> None:
-    root = Path(shutil.copytree(drive, tmp_path / "small" / "07", ignore=shutil.ignore_patterns("velodyne", "labels")))
-    plan = plan_reduction(root, range(12), DriveOptions(frames="3:9"))
-    assert plan.frames.tolist() == list(range(3, 9))
-    assert plan.frames_to_send.tolist() == [3, 6]
-    (problem,) = plan_reduction(root, range(12), DriveOptions(frames="12:")).problems
-    assert problem.message.startswith("has no scan in the part 12:")

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from interloc.errors import ConfigError
-from interloc.evaluation.compare import compare_reports, differing_settings
+from interloc.evaluation.compare import compare_reports as compare
 
 NODES = {1: (8.0, 49.0), 2: (8.1, 49.0), 3: (8.2, 49.0), 4: (8.3, 49.0)}
 
@@ -34,6 +34,10 @@ def report(outcomes: dict[int, str], **values: Any) -> dict[str, Any]:
     errors = dict.fromkeys(("ace_m", "median_m", "p95_m"), 1.25)
     osm = {"source": "map.osm", "date": None}
     return {"policy": "drive", "osm": osm, **plain, **errors, **ratios, "map_level": level, "nodes": nodes, **values}
+
+
+def compare_reports(*given: Any) -> dict[str, Any]:
+    return compare(*given).model_dump()
 
 
 def test_outcomes_of_nodes() -> None:
@@ -68,7 +72,7 @@ def test_settings_that_differ_are_named_by_their_path() -> None:
         },
         {"config": {"preset": "paper", "bev": {"size_m": 120.0}, "compound": None}, "workers": 3},
     ]
-    assert differing_settings(runs) == [
+    assert compare_reports(["a", "b", "c"], [report({})] * 3, runs)["settings"] == [
         {"name": "bev.resolution_m", "values": [0.16, 0.25, None]},
         {"name": "fusion.merge_radius_m", "values": [10, 8, None]},
     ]

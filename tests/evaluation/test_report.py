@@ -23,11 +23,8 @@ Scored = tuple[Evaluation, DriveResult]
 
 FILES = [
     "detections.geojson",
-    "figures/errors.png",
     "figures/errors.svg",
     "figures/map.png",
-    "figures/map.svg",
-    "figures/thresholds.png",
     "figures/thresholds.svg",
     "intersections.geojson",
     "matches.geojson",

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from interloc.localization.decision import MARGIN, MIN_ROAD, decide, too_short
-from interloc.localization.evidence import Evidence
+from interloc.localization.evidence import MARGIN, MIN_ROAD, Evidence, decide, too_short
 
 
 def evidence(road: float, seen: int = 0, at_nodes: int = 0, missed: int = 0) -> Evidence:

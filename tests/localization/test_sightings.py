@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from interloc.geometry import wrap_angle
-from interloc.localization.sightings import sightings_of
-from interloc.localization.track import track_of
+from interloc.localization.track import sightings_of, track_of
 from interloc.results import DetectionTable, DriveResult, IntersectionTable, KeyframeTable, unknown_like
 
 CROSSING = np.array([40.0, 5.0])

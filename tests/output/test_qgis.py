@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from interloc.output.credits import ODBL, OSM_ATTRIBUTION
-from interloc.output.qml import qml
+from interloc.output.qgis import qml
 from interloc.output.styles import FOUND, FUSED, RIGHT, ROAD, STYLES
 from interloc.output.vector_files import EXPORTS, write_vector_file
 from tests.output.small import small_result, with_roads, write_folder
@@ -19,7 +19,7 @@ NAMES = [name for name in EXPORTS if name not in {"places", "osm_buildings"}]
 
 IN_QGIS = """
 folder, *names = sys.argv[1:]
-told |= {"layers": {}, "qml": {}, "sld": {}}
+told |= {"layers": {}, "qml": {}}
 for name in names:
     told["layers"][name] = describe(QgsVectorLayer(f"{folder}/a.gpkg|layername={name}", name, "ogr"))
     layer = QgsVectorLayer(f"{folder}/{name}.geojson", name, "ogr")
@@ -28,8 +28,6 @@ for name in names:
         context = QgsExpressionContext(QgsExpressionContextUtils.globalProjectLayerScopes(layer))
         context.setFeature(next(layer.getFeatures()))
         told["tip"] = QgsExpression.replaceExpressionText(layer.mapTipTemplate(), context)
-    message, is_read = layer.loadSldStyle(f"{folder}/{name}.sld")
-    told["sld"][name] = [is_read, message, legend_of(layer)]
 for name in ("local", "project"):
     told[name] = read_project(f"{folder}/{name}.qgz")
 draw_project(f"{folder}/map.png")
@@ -45,14 +43,13 @@ def exported(scored: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     for path, source in (("a.gpkg", scored), ("project.qgz", scored), ("local.qgz", local)):
         write_vector_file(source, folder / path)
     database = sqlite3.connect(folder / "a.gpkg")
-    styles = database.execute("SELECT f_table_name, styleSLD, useAsDefault FROM layer_styles").fetchall()
+    styles = database.execute("SELECT f_table_name, useAsDefault FROM layer_styles").fetchall()
     database.close()
     assert [name for name, *_ in styles] == NAMES
-    for name, sld, is_default in styles:
+    for name, is_default in styles:
         assert is_default
         write_vector_file(scored, folder / f"{name}.geojson", layer=name)
         (folder / f"{name}.qml").write_text(qml(EXPORTS[name]))
-        (folder / f"{name}.sld").write_text(sld)
     return folder
 
 
@@ -89,12 +86,6 @@ def test_it_takes_the_style_of_a_geopackage_and_that_beside_geojson(source: str,
         assert layer["labels"] == (STYLES[name].label is not None)
         titles = {each.name: each.title for each in EXPORTS[name].attributes}
         assert {field: layer["aliases"][field] for field in titles} == titles
-
-
-def test_it_reads_sld(told: dict[str, Any]) -> None:
-    for name, (is_read, message, legend) in told["sld"].items():
-        assert is_read, message
-        assert [each for each in legend if each] == [each for each in titles_of(name) if each]
 
 
 def test_a_tip_shows_no_markup_of_the_data(told: dict[str, Any]) -> None:

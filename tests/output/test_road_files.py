@@ -13,10 +13,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from interloc.errors import GeoreferenceError
-from interloc.output.lanelet2 import lanelet2_map
-from interloc.output.nav2 import nav2_graph
-from interloc.output.opendrive import opendrive_map
-from interloc.output.road_files import write_road_file
+from interloc.output.road_files import lanelet2_map, nav2_graph, opendrive_map, write_road_file
 from interloc.roadmap.extract import extract_roads
 from interloc.roadmap.network import RoadNetwork
 from tests.output.small import small_result, with_roads, write_folder

@@ -1,8 +1,7 @@
-"""Styles for GIS: the signs of the page, a rule for each outcome, KML and KMZ that hold together."""
+"""Styles for GIS: the signs of the page, a rule for each outcome, a KMZ that holds together."""
 
 from __future__ import annotations
 
-import io
 import re
 import zipfile
 from pathlib import Path
@@ -10,15 +9,11 @@ from typing import Any, Literal, get_args, get_origin
 from xml.etree import ElementTree as ET
 
 import pytest
-from PIL import Image, ImageColor
 
-from interloc.errors import ConfigError, GeoreferenceError
 from interloc.output import styles
-from interloc.output.qml import qml
-from interloc.output.sld import sld
+from interloc.output.qgis import qml
 from interloc.output.styles import GROUPS, OUTLINES, STYLES, Mark, Symbol
 from interloc.output.vector_files import EXPORTS, write_vector_file
-from tests.output.small import small_result, write_folder
 
 STATIC = Path(__file__).resolve().parents[2] / "static"
 KML = "{http://www.opengis.net/kml/2.2}"
@@ -78,39 +73,28 @@ def test_every_outcome_of_every_layer_is_drawn() -> None:
         assert {part.field for part in (style.label, style.times) if part is not None} <= known
 
 
-def test_qml_and_sld_name_no_address_but_namespaces() -> None:
+def test_qml_names_no_address_but_namespaces() -> None:
     for layer in EXPORTS.values():
-        for text in (qml(layer), sld(layer)):
-            ET.fromstring(text.removeprefix("<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>\n"))  # noqa: S314
-            assert set(re.findall(r"https?://[\w.]+", text)) <= {"http://www.opengis.net", "http://mrcc.com"}
+        text = qml(layer)
+        ET.fromstring(text.removeprefix("<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>\n"))  # noqa: S314
+        assert set(re.findall(r"https?://[\w.]+", text)) <= {"http://www.opengis.net", "http://mrcc.com"}
 
 
-def test_kmz_holds_styles_and_icons_of_all_that_it_shows(scored: Path, tmp_path: Path) -> None:
+def test_kmz_holds_the_styles_of_all_that_it_shows(scored: Path, tmp_path: Path) -> None:
     assert len(write_vector_file(scored, tmp_path / "a.kmz")) == 12
     with zipfile.ZipFile(tmp_path / "a.kmz") as archive:
-        content = {name: archive.read(name) for name in archive.namelist()}
-    root = ET.fromstring(content.pop("doc.kml"))  # noqa: S314 - our own
+        root = ET.fromstring(archive.read("doc.kml"))  # noqa: S314 - our own
     known = {f"#{style.get('id')}" for style in root.iter(f"{KML}Style")}
     marks = list(root.iter(f"{KML}Placemark"))
     assert {mark.findtext(f"{KML}styleUrl") for mark in marks} <= known
-    assert {icon.text for icon in root.iter(f"{KML}href")} == content.keys()
     (found,) = (mark for mark in marks if mark.findtext(f"{KML}name") == "Intersection 1")
     assert found.findtext(f"{KML}styleUrl") == "#intersections.0"
     hidden = [mark.findtext(f"{KML}name") for mark in marks if mark.findtext(f"{KML}visibility") == "0"]
     assert hidden == ["Keyframe 0", "Keyframe 12"]
     titles = {field.get("name"): field.findtext(f"{KML}displayName") for field in root.iter(f"{KML}SimpleField")}
     assert (titles["outcome"], titles["number"], titles["street"]) == ("Verdict", "Piece", "Name")
-    picture = Image.open(io.BytesIO(content["icons/intersections-right.png"]))
-    assert picture.getpixel((10, 32)) == (*ImageColor.getrgb(styles.RIGHT), 255)
-    assert picture.getpixel((28, 39))[:3] == (255, 255, 255)  # the check mark
+    colour = root.findtext(f".//{KML}Style[@id='intersections.0']/{KML}IconStyle/{KML}color")
+    assert colour == f"ff{styles.RIGHT[5:]}{styles.RIGHT[3:5]}{styles.RIGHT[1:3]}"
     again = tmp_path / "b.kmz"
     write_vector_file(scored, again)
     assert again.read_bytes() == (tmp_path / "a.kmz").read_bytes()
-
-
-def test_what_cannot_be_is_said(scored: Path, tmp_path: Path) -> None:
-    local = write_folder(tmp_path / "local", small_result(local=True), scored=False)
-    with pytest.raises(GeoreferenceError, match="KML knows longitude and latitude only"):
-        write_vector_file(local, tmp_path / "a.kmz")
-    with pytest.raises(ConfigError, match=r"leave --layer out"):
-        write_vector_file(scored, tmp_path / "a.qgz", layer="matches")

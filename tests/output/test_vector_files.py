@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import Any
 
 import geopandas
-import gpxpy
 import numpy as np
 import pandas as pd
 import pmtiles.reader
@@ -34,7 +33,7 @@ from interloc.output.geojson import write_collection
 from interloc.output.layers import LAYERS
 from interloc.output.road import read_road
 from interloc.output.vector_files import EXPORTS, write_vector_file
-from tests.output.small import MAP, TIME_S, small_result, with_roads, write_folder
+from tests.output.small import MAP, small_result, with_roads, write_folder
 
 FILES = ["intersections", "detections", "trajectory", "keyframes", "roads", "junctions", "road_surface"]
 FILES += ["osm_nodes", "matches", "osm_roads"]
@@ -157,6 +156,8 @@ def test_what_cannot_be_is_said(scored: Path, tmp_path: Path) -> None:
         write_vector_file(scored, tmp_path / "nowhere" / "a.fgb")
     with pytest.raises(OutputError, match=r"run\.json is missing"):
         write_vector_file(tmp_path, tmp_path / "a.fgb")
+    with pytest.raises(ConfigError, match=r"leave --layer out"):
+        write_vector_file(scored, tmp_path / "a.qgz", layer="matches")
     plain = write_folder(tmp_path / "plain", small_result(), scored=False)
     with pytest.raises(ConfigError, match=r"no matches\.geojson.*interloc evaluate"):
         write_vector_file(plain, tmp_path / "a.fgb", layer="matches")
@@ -165,7 +166,7 @@ def test_what_cannot_be_is_said(scored: Path, tmp_path: Path) -> None:
         write_vector_file(scored, plain / "detections.geojson")
     assert (plain / "detections.geojson").read_bytes() == detections
     local = write_folder(tmp_path / "local", small_result(local=True), scored=False)
-    for suffix, title in ((".kml", "KML"), (".pmtiles", "PMTiles"), (".gpx", "GPX")):
+    for suffix, title in ((".kml", "KML"), (".pmtiles", "PMTiles")):
         with pytest.raises(GeoreferenceError, match=rf"{title} knows longitude and latitude only.*`interloc locate"):
             write_vector_file(local, tmp_path / f"a{suffix}")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["local", "plain"]
@@ -277,30 +278,6 @@ def test_geoparquet_holds_one_layer(scored: Path, tmp_path: Path, monkeypatch: p
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     with pytest.raises(ConfigError, match=r"pip install \"pyarrow>="):
         write_vector_file(scored, tmp_path / "b.parquet")
-
-
-def test_gpx_is_the_track_with_times_and_the_intersections(scored: Path, tmp_path: Path) -> None:
-    path = tmp_path / "a.gpx"
-    assert write_vector_file(scored, path) == ["trajectory", "intersections"]
-    gpx = gpxpy.parse(path.read_text())
-    assert (gpx.name, gpx.copyright_license) == ("straße & <b>Co</b>", ODBL)
-    assert OSM_ATTRIBUTION in gpx.description
-    (mark,), (track,) = gpx.waypoints, gpx.tracks
-    assert (mark.longitude, mark.latitude, mark.name) == (8.4205, 49.011, "Intersection 1")
-    assert mark.description == "3 branches, confidence 0.75, right, OSM node 9000000001"
-    keyframes = features(scored, "keyframes", tmp_path)
-    points = track.segments[0].points
-    assert [[each.longitude, each.latitude] for each in points] == [f["geometry"]["coordinates"] for f in keyframes]
-    assert [each.time.timestamp() for each in points] == pytest.approx(TIME_S, abs=1e-3)
-    timeless = write_folder(tmp_path / "out", small_result(), scored=False)
-    write_vector_file(timeless, path)
-    gpx = gpxpy.parse(path.read_text())
-    (line,) = features(timeless, "trajectory", tmp_path)
-    points = gpx.tracks[0].segments[0].points
-    assert [[each.longitude, each.latitude] for each in points] == line["geometry"]["coordinates"]
-    assert (points[0].time, gpx.copyright_license) == (None, None)
-    with pytest.raises(ConfigError, match=r"A \.gpx file holds trajectory, intersections; leave --layer out"):
-        write_vector_file(scored, path, layer="matches")
 
 
 def test_what_crosses_the_antimeridian_is_cut_in_every_format(scored: Path, tmp_path: Path) -> None:

@@ -22,7 +22,6 @@ pytestmark = needs_page
 FILES = {
     "GeoJSON: street-intersections.geojson": "intersections",
     "FGB: street-detections.fgb": "export.fgb?layer=detections",
-    "GPX: street.gpx": "export.gpx",
     "GeoPackage, all layers": "export.gpkg",
     "QGIS project": "export.qgz",
     "Google Earth": "export.kmz",

@@ -119,9 +119,9 @@ def test_a_recording_shows_its_topics_and_its_limit(upload: Upload, tmp_path: Pa
     assert "the fixes in the bag, if it has any" in upload.text()
     assert upload.page.input_value(".upload-form input[type=text]") == "town"
     form.get_by_text("How the files are read").click()
-    form.get_by_label("Scans", exact=True).fill("velodyne_points")
+    form.get_by_label("Topic of the scans").fill("velodyne_points")
     assert form.get_by_text("The topic velodyne_points does not begin with a slash").is_visible()
-    form.get_by_label("Scans", exact=True).fill("/velodyne_points")
+    form.get_by_label("Topic of the scans").fill("/velodyne_points")
     assert form.get_by_role("button", name="Upload only").is_enabled()
     upload.press("Choose another")
     upload.page.wait_for_selector("#panel-upload .drop")

@@ -40,12 +40,12 @@ from interloc.drive import Drive, scans_of
 from interloc.drives.folder import FolderDrive
 from interloc.drives.open import open_drive
 from interloc.kernels.thinning import thin
+from interloc.lab.config import SimulationOptions
+from interloc.lab.drive import simulate
+from interloc.lab.town import Town
 from interloc.output.write import write_results
 from interloc.pipeline import detect
 from interloc.processes import GARBAGE_THRESHOLD
-from interloc.simulate.config import SimulationOptions
-from interloc.simulate.drive import simulate
-from interloc.simulate.town import Town
 
 Measure = Callable[[Path], dict[str, float]]
 LONG = 10  # times as many scans

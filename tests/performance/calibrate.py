@@ -29,8 +29,6 @@ from scipy.optimize import minimize
 
 import interloc
 from interloc.arrays import BoolArray, FloatArray
-from interloc.benchmark.cases import FolderCase, TwinCase
-from interloc.benchmark.fingerprint import file_facts, fingerprint, imported_by
 from interloc.config import PRESETS, CalibrationConfig, DetectorConfig
 from interloc.drive import Drive
 from interloc.drives.label_errors import MislabelledDrive
@@ -45,6 +43,8 @@ from interloc.evaluation.reliability import (
     with_interval,
 )
 from interloc.geometry import enu_from_lonlat
+from interloc.lab.cases import FolderCase, file_facts, fingerprint, imported_by
+from interloc.lab.twins import TwinCase
 from interloc.mapping.estimation import SightingStats, fix_variance, junction_probability, position_covariance
 from interloc.mapping.fusion import evidence, fuse
 from interloc.osm.reader import read_osm
@@ -144,7 +144,7 @@ def opened(case: Case, level: str, out: Path) -> Iterator[Drive]:
 def detected(case: Case, name: str, level: str, config: DetectorConfig, out: Path) -> DriveResult:
     """Detect on a drive, or take what is kept of it."""
     package = Path(interloc.__file__).parent
-    program = imported_by(package / "detection") - {package / "config.py"}  # what matters of it is below
+    program = imported_by({*(package / "detection").glob("*.py")}) - {package / "config.py"}  # its part is below
     facts = {
         "drive": case.facts(),
         "level": level,

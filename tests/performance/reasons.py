@@ -24,11 +24,11 @@ from interloc.arrays import FloatArray
 from interloc.cli.main import run
 from interloc.drives.open import open_drive
 from interloc.evaluation.published import SEQUENCES
+from interloc.lab.config import LidarConfig, SceneConfig, SimulationOptions, StreetConfig
+from interloc.lab.drive import simulate
+from interloc.lab.scene import Scene
+from interloc.lab.twins import twin_files, twin_track, twin_trip
 from interloc.osm.intersections import DRIVABLE
-from interloc.simulate.config import LidarConfig, SceneConfig, SimulationOptions, StreetConfig
-from interloc.simulate.drive import simulate
-from interloc.simulate.scene import Scene
-from interloc.simulate.twins import twin_files, twin_track, twin_trip
 from tests.twins import twin_scene
 
 STARTS = {

@@ -36,13 +36,12 @@ from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
 import interloc
+from interloc.lab.config import SceneConfig
+from interloc.lab.streets import find_crossings, read_map, street_map_of, street_profiles, visible_lines
+from interloc.lab.tracks import LocalFrame
 from interloc.osm.intersections import DRIVABLE
 from interloc.output.road import read_road
 from interloc.roadmap.extract import extract_roads
-from interloc.simulate.config import SceneConfig
-from interloc.simulate.local_frame import LocalFrame
-from interloc.simulate.osm_map import read_map, street_map_of
-from interloc.simulate.profiles import find_crossings, street_profiles, visible_lines
 
 DRIVEN_M, SIDE_RUN_M, FAR_M, MATCH_M, BUFFER_M, JUNCTION_M, SNAP_M, CONTROL_M, GAP_M = 4, 20, 12, 4, 3, 15, 6, 20, 12
 

@@ -19,13 +19,13 @@ from reasons import COVERED_M, Truth, places_along
 from interloc.arrays import FloatArray
 from interloc.detection.widths import FAR_M, NEAR_M
 from interloc.drives.open import open_drive
+from interloc.lab.config import SceneConfig
+from interloc.lab.scene import Scene, build_scene
+from interloc.lab.streets import read_map
+from interloc.lab.town import MAP_FILE, Town
+from interloc.lab.twins import twin_track
 from interloc.pipeline import detect
 from interloc.results import DetectionTable, IntersectionTable
-from interloc.simulate.config import SceneConfig
-from interloc.simulate.osm_map import read_map
-from interloc.simulate.scene import Scene, build_scene
-from interloc.simulate.town import MAP_FILE, Town
-from interloc.simulate.twins import twin_track
 from tests.twins import twin_scene
 
 ALONG_M = np.arange(NEAR_M, FAR_M + 0.5, 1.0)

@@ -17,23 +17,37 @@ from interloc.drives.inspect import inspect_drive
 from interloc.drives.open import open_drive
 from interloc.drives.options import DriveOptions
 from interloc.reduction.look import DriveLook, look_into
-from interloc.reduction.plan import plan_reduction
-from interloc.reduction.reduce import reduce_drive
+from interloc.reduction.reduce import prepare_reduction, reduce_drive
 from tests import streets
 from tests.bags import write_bag
 from tests.las_files import write_scan_files
 from tests.pcd_files import write_pcd
-from tests.small_drives import calib_text, camera_poses, lidar_poses, pose_text, write_kitti_raw, write_semantickitti
+from tests.small_drives import (
+    calib_text,
+    camera_poses,
+    lidar_poses,
+    oxts_lines,
+    pose_text,
+    write_kitti_raw,
+    write_semantickitti,
+)
 
 
-def look_at(root: Path, options: Callable[[Path, str], DriveOptions] | None = None) -> DriveLook:
+def look_at(
+    root: Path,
+    options: Callable[[Path, str], DriveOptions] | None = None,
+    *,
+    keyframes: KeyframeConfig | None = KeyframeConfig(),  # noqa: B008 - frozen
+    label_counts: dict[Any, dict[int, int]] | None = None,
+) -> DriveLook:
     """Look as a client does: first at names, then with what is wanted."""
     listing = {path.relative_to(root).as_posix(): path.stat().st_size for path in root.rglob("*") if path.is_file()}
     chosen = options or (lambda _, name: DriveOptions(name=name))
     first = look_into(listing, {}, root.name, options=chosen).drive
     assert first is not None
     contents = {path: (root / path).read_bytes()[:size] for path, size in first.wanted.items()}
-    again = look_into(listing, contents, root.name, options=chosen).drive
+    counts = label_counts or {}
+    again = look_into(listing, contents, root.name, options=chosen, keyframes=keyframes, label_counts=counts).drive
     assert again is not None
     assert again.wanted == {}
     return again
@@ -45,7 +59,7 @@ def errors(look: DriveLook) -> list[str]:
 
 def test_a_look_finds_what_reading_the_drive_finds(drive: Path) -> None:
     look, report = look_at(drive), inspect_drive(drive)
-    plan = plan_reduction(drive, range(12))
+    plan = prepare_reduction(drive, keyframes=KeyframeConfig()).plan
     assert (look.layout, look.pose_frame) == (report.layout, report.pose_frame)
     assert look.scans is not None
     assert (look.scans.count, look.scans.size_bytes) == (report.scans, report.scan_bytes)
@@ -54,9 +68,61 @@ def test_a_look_finds_what_reading_the_drive_finds(drive: Path) -> None:
     assert look.points_per_scan == report.points_per_scan
     assert look.track is not None
     assert look.track.length_m == report.length_m
-    assert look.keyframes == len(plan.frames_to_send)
-    assert look.frames_to_look_into == plan.frames_to_look_into.tolist()
+    assert look.keyframes == len(plan.kept)
+    assert look.frames_to_look_into == [0, 3, 6, 8, 11]
     assert errors(look) == []
+    assert look.plan is not None
+    assert look.plan.manifest == plan.manifest
+    assert (look.plan.scans, look.plan.kept) == (12, [(0, 1), (3, 1), (6, 1), (9, 1)])
+    every = look_at(drive, keyframes=None).plan
+    assert every is not None
+    assert (every.kept, every.manifest.keyframes) == ([(0, 12)], None)
+
+
+def test_counted_label_ids_tell_what_they_mean(drive: Path) -> None:
+    counts = {"labels": {9: 100, 11: 60, 15: 40}}
+    look = look_at(drive, label_counts=counts)
+    labels = look.labels["labels"]
+    assert (labels.scheme, labels.road, labels.confusable) == ("learning", [9], [10, 11, 12])
+    assert (labels.road_share, labels.ground_share) == (0.5, 0.8)
+    assert [problem.severity for problem in labels.problems] == ["note"]
+    assert look.plan is not None
+    (written,) = look.plan.manifest.labels
+    assert (written.folder, written.scheme, written.counts) == ("labels", "learning", counts["labels"])
+    bare = look_at(drive, label_counts={"labels": {70: 5}}).labels["labels"]
+    assert bare.road_share == 0
+    assert "no point of the scans looked at is road" in bare.problems[0].message
+    declared = look_at(
+        drive, lambda _, name: DriveOptions(name=name, label_scheme="semantickitti"), label_counts=counts
+    )
+    assert [problem.severity for problem in declared.labels["labels"].problems] == ["error"]
+    assert look_at(drive, label_counts={"labels": {}}).labels["labels"].scheme is None
+
+
+def test_a_part_of_a_drive_is_planned(drive: Path) -> None:
+    def plan_for(part: str) -> DriveLook:
+        return look_at(drive, lambda _, name: DriveOptions(name=name, frames=part))
+
+    plan = plan_for("3:9").plan
+    assert plan is not None
+    assert (plan.scans, plan.kept, plan.manifest.scans) == (6, [(3, 1), (6, 1)], [(3, 6)])
+    (problem,) = errors(plan_for("12:"))
+    assert "has no scan in the part 12:" in problem
+
+
+def test_a_georeference_from_elsewhere_is_part_of_the_plan(tmp_path: Path) -> None:
+    root = write_semantickitti(tmp_path / "files")
+    (root / "georeference").mkdir()
+    rows = oxts_lines(lidar_poses(), T_lidar_imu=np.eye(4))
+    (root / "georeference/gnss.txt").write_text("\n".join(rows) + "\n")
+    look = look_at(root, lambda place, _: DriveOptions(oxts=place / "georeference/gnss.txt", name="08"))
+    assert look.plan is not None
+    assert (look.plan.manifest.name, look.plan.manifest.files.oxts) == ("08", "georeference/gnss.txt")
+    assert look.georeference == "georeference/gnss.txt, lever arm as published by KITTI"
+    (root / "geo.csv").write_text("frame\n")
+    bad = look_at(root)
+    assert "no column lat_deg" in (bad.georeference_reason or "")
+    assert bad.plan is not None  # the rest of it stands
 
 
 def test_poses_are_laid_over_the_georeference(tmp_path: Path) -> None:
@@ -94,7 +160,7 @@ def test_what_is_missing_or_does_not_fit_is_listed_by_name(tmp_path: Path) -> No
     missing, wrong = (f"{each.path} {each.message}" for each in look.labels["labels"].problems)
     assert missing.startswith("labels/000002.label is missing: 1 of 12 scans have no labels (2).")
     assert wrong.startswith(f"labels/000001.label 2 labels for {size // 16:,} points in velodyne/000001.bin.")
-    assert look.track is None
+    assert (look.track, look.plan) == (None, None)
 
 
 def test_poses_that_no_vehicle_has_are_told(tmp_path: Path) -> None:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from interloc.drives.scans.rosbag.messages import StampedPose
-from interloc.drives.scans.rosbag.wire import Header
+from interloc.drives.scans.rosbag.messages import Header, StampedPose
 from interloc.ros.frames import Frames
 
 

@@ -7,32 +7,19 @@ from fastapi.concurrency import run_in_threadpool
 
 from app.context import ContextDep
 from app.drives.commit import begin_commit, committed
-from app.drives.models import CommitRequest, DriveModel, PlanRequest, ReductionPlanModel
-from app.drives.plan import plan_upload
+from app.drives.models import CommitRequest, DriveModel
 from app.drives.records import find_trajectory
 from app.drives.routes.drives import NOT_FOUND, DriveId
 from app.http.delivery import WholeFile
 from app.http.headers import WaitSeconds
-from app.http.openapi import CHANGES_NOTHING, problems
+from app.http.openapi import problems
 from app.http.security import ClientDep
-from app.jobs.runner import RunnerDep
 from app.jobs.watcher import wait_for_job
 from app.states import DriveState
 
 router = APIRouter(prefix="/drives/{drive_id}", tags=["Uploads"])
 
 _CONFLICT = problems({409: "The drive is not in the state for this."})
-
-
-@router.post("/plan", responses=NOT_FOUND, summary="Plan the upload of a reduced drive", openapi_extra=CHANGES_NOTHING)
-async def plan_reduction(
-    drive_id: DriveId, request: PlanRequest, context: ContextDep, runner: RunnerDep, client: ClientDep
-) -> ReductionPlanModel:
-    """Return which scans are needed, from the small files (poses, calibration, times, georeference) uploaded so far.
-
-    For clients that reduce scans themselves: they send `ground/...` of these scans and `reduced.json` instead of all.
-    """
-    return await plan_upload(context, runner, drive_id, request, client)
 
 
 @router.post(

@@ -10,8 +10,7 @@ from sqlalchemy.orm import Session
 
 from app.context import Context, ContextDep
 from app.drives import records
-from app.drives.models import DriveChanges, DriveList, DriveModel, LabelsAnswer, LabelsRequest, LookRequest, NewDrive
-from app.drives.plan import judge_label_counts
+from app.drives.models import DriveChanges, DriveList, DriveModel, LookRequest, NewDrive
 from app.drives.work.look import look
 from app.http.delivery import answer_tagged, tag_of
 from app.http.headers import IdempotencyKey
@@ -83,18 +82,10 @@ def list_drives(
     return answer_page(request, page)
 
 
-@router.post("/labels", summary="Tell what label ids mean", openapi_extra=CHANGES_NOTHING)
-def judge_labels(request: LabelsRequest, _client: ClientDep) -> LabelsAnswer:
-    """Tell the label scheme from counts of label ids, and what is wrong with them.
-
-    For clients that choose how to read a drive before they send it; the plan of a drive answers the same.
-    """
-    return judge_label_counts(request)
-
-
 @router.post(
     "/look",
     summary="Look into a folder before it is sent",
+    openapi_extra=CHANGES_NOTHING,
     responses=problems({413: "The listing is too large.", 422: "A member is refused, or the work takes too long."}),
 )
 async def look_into_folder(
@@ -103,7 +94,8 @@ async def look_into_folder(
     """Tell which drives a folder of yours holds, what is wrong with one of them, where it went, and what to send of it.
 
     Nothing is made or kept. The folder is judged by the names and sizes of its files and by the contents of the small
-    ones; give those that `wanted` names, and ask again, to learn all.
+    ones; give those that `wanted` names, and what was counted in `frames_to_look_into`, and ask again, to learn all.
+    A client that reduces scans itself sends what `plan` says: `ground/...` of these scans and `reduced.json`.
     """
     return await runner.run_in_worker(
         look,
@@ -113,6 +105,7 @@ async def look_into_folder(
         request.root,
         UploadOptions.model_validate(dict(request.options)),
         request.keyframes,
+        request.label_counts,
         request.ranges,
         WorkSettings.model_validate(context.settings),
         await run_in_threadpool(context.storage.incoming),

@@ -20,7 +20,8 @@ from app.http.openapi import BINARY, PAGED, Responses, body_of, problems
 from app.http.paging import answer_page
 from app.http.patterns import TEXT
 from app.http.security import ClientDep
-from app.paths import MAX_PATH, PATH_PATTERN, check_path, is_recording
+from app.paths import MAX_PATH, PATH_PATTERN, check_path
+from interloc.drives.kinds import is_recording
 
 router = APIRouter(prefix="/drives/{drive_id}/files", tags=["Uploads"])
 

@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from app.networks import work as models
-from app.paths import is_recording, without_folder
+from app.paths import without_folder
 from app.work.documents import CommitJob, CommitOutcome, UploadOptions
 from app.work.places import REDUCED, TRAJECTORY, link
 from app.work.task import Part, Plan, Report, Task, WorkSettings
@@ -27,6 +27,7 @@ from interloc.config import DEFAULT
 from interloc.drives.findings import DriveFileError, Finding, Findings, by_severity
 from interloc.drives.formats import find_format
 from interloc.drives.inspect import DriveReport, report_of
+from interloc.drives.kinds import is_recording
 from interloc.drives.open import DriveReading, open_drive, read_drive
 from interloc.drives.options import ODOMETRY, DriveArguments, DriveOptions, LabelFolder
 from interloc.drives.scans.reduced import read_ground
@@ -36,9 +37,8 @@ from interloc.mapping.georeferencing import trajectory
 from interloc.osm.container import is_map
 from interloc.output.geojson import write_collection
 from interloc.output.write import trajectory_feature
-from interloc.reduction.elsewhere import READ_BY_PARTS, lay_out
+from interloc.reduction.elsewhere import fetch_drive
 from interloc.reduction.reduce import Reduction, label_folders_in, prepare_reduction, reduction_of
-from interloc.storage import FOLDER, forget
 
 PART_SCANS = 200
 PART_LABELLED_SCANS = 20
@@ -48,6 +48,7 @@ MAX_PROBLEMS = 500
 """Maximum number of problems in a report: some of 9,000 bad scans are enough."""
 
 _PROBLEMS = "problems.json"
+_SOURCE = "source"
 _MB = 1024**2
 _MAX_NAMES_SHOWN = 3
 
@@ -101,8 +102,6 @@ def run(task: Task[CommitJob], part: Part, report: Report) -> None:
                 problems.append([error.path, error.message])
             else:
                 raise
-        if task.request.source is not None:
-            _make_room(task, frame)
         report(done)
     if (model := _model(task)) is not None and frames:
         models.note_time(task.cache, model, (time.monotonic() - began) / len(frames))
@@ -152,14 +151,14 @@ def finish(task: Task[CommitJob], plan: CommitPlan) -> CommitOutcome:
 
 
 def _files(task: Task[CommitJob]) -> Path:
-    """Return the folder of the files: as they were sent, or as they are laid out of object storage."""
+    """Return the folder of the files: as they were sent, or as they were fetched from object storage."""
     source = task.request.source
-    return task.drive / "files" if source is None else _laid_out(source, task.scratch, task.settings)
+    return task.drive / "files" if source is None else _fetched(source, task.scratch, task.settings)
 
 
-@lru_cache(maxsize=2)
-def _laid_out(source: str, scratch: Path, settings: WorkSettings) -> Path:
-    """Lay out a drive of object storage in the scratch folder, once for all attempts of the job."""
+def _fetched(source: str, scratch: Path, settings: WorkSettings) -> Path:
+    """Fetch a drive of object storage into the scratch folder, once for all attempts of the job."""
+    folder, incomplete = scratch / _SOURCE, scratch / f"{_SOURCE}-incomplete"
 
     def check_sizes(sizes: Mapping[str, int]) -> None:
         total = sum(sizes.values())
@@ -169,27 +168,16 @@ def _laid_out(source: str, scratch: Path, settings: WorkSettings) -> Path:
                 raise DriveError(f"{source}: {name} is larger than {limit / _MB:,.0f} MB, the limit of a file.")
         if total > settings.max_drive_bytes:
             raise DriveError(f"{source} is larger than {settings.max_drive_bytes / _MB:,.0f} MB, the limit of a drive.")
-        at_once = sum(size for name, size in sizes.items() if not name.endswith(READ_BY_PARTS))
-        if shutil.disk_usage(scratch).free - at_once < settings.min_free_bytes:
-            raise OutputError("the disk of the service is full. Nothing was read.")
+        here = sum(file.stat().st_size for file in incomplete.rglob("*") if file.is_file())
+        if shutil.disk_usage(scratch).free + here - total < settings.min_free_bytes:
+            raise OutputError("the disk of the service has no room for the drive. Nothing was read.")
 
-    place = lay_out(
-        source,
-        scratch / FOLDER,
-        within=settings.source_prefixes,
-        limit=settings.max_drive_files,
-        check_sizes=check_sizes,
-    )
-    return place if place.is_dir() else place.parent
-
-
-def _make_room(task: Task[CommitJob], frame: int) -> None:
-    """Give up a scan that was fetched and is reduced; stop where the disk is too full for more."""
-    if not is_reduced(_files(task)):
-        for scans in _reduction(task).scans.values():
-            forget(scans.files(frame))
-    if shutil.disk_usage(task.scratch).free < task.settings.min_free_bytes:
-        raise OutputError("the disk of the service is full. What was reduced so far is kept until the job ends.")
+    if not folder.is_dir():
+        within, limit = settings.source_prefixes, settings.max_drive_files
+        fetch_drive(source, incomplete, within=within, limit=limit, check_sizes=check_sizes)
+        incomplete.rename(folder)
+    (place,) = folder.iterdir()
+    return place if place.is_dir() else folder
 
 
 def check(task: Task[CommitJob]) -> DriveReport:
@@ -281,7 +269,7 @@ def _frames(task: Task[CommitJob]) -> list[int]:
     root = _files(task)
     if is_reduced(root):
         return [int(frame) for frame in read_manifest(root).kept_frames]
-    return [int(frame) for frame in _reduction(task).plan.frames_to_send]
+    return [int(frame) for frame in _reduction(task).plan.kept]
 
 
 @lru_cache(maxsize=2)

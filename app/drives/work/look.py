@@ -7,12 +7,13 @@ from functools import partial
 from pathlib import Path
 
 from app.drives.work.commit import reading_options
-from app.paths import BadNameError, check_path, is_recording
+from app.paths import BadNameError, check_path
 from app.work.documents import UploadOptions
 from app.work.task import WorkSettings
 from interloc.config import KeyframeConfig
 from interloc.drives.findings import Finding
-from interloc.reduction.look import DriveLook, FolderLook, look_into
+from interloc.drives.kinds import is_recording
+from interloc.reduction.look import DriveLook, FolderLook, LabelCounts, look_into
 
 _MAX_PROBLEMS = 100
 
@@ -23,7 +24,8 @@ def look(
     name: str,
     root: str | None,
     options: UploadOptions,
-    keyframes: KeyframeConfig,
+    keyframes: KeyframeConfig | None,
+    label_counts: LabelCounts,
     ranges: dict[str, dict[int, bytes]],
     limits: WorkSettings,
     place: Path,
@@ -50,6 +52,7 @@ def look(
         root,
         partial(reading_options, options),
         keyframes=keyframes,
+        label_counts=label_counts,
         ranges=ranges,
         max_files=limits.max_drive_files,
         place=place,

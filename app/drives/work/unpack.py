@@ -12,10 +12,11 @@ from pathlib import Path, PurePosixPath
 from typing import BinaryIO
 
 from app.drives.work.archive_files import ArchiveError, Member, members, too_many_files
-from app.paths import BadNameError, check_path, is_recording
+from app.paths import BadNameError, check_path
 from app.work.documents import FilesOutcome, UnpackJob
 from app.work.places import LISTING, UnpackedFile, place_unpacked, read_listing
 from app.work.task import Part, Plan, Report, Task
+from interloc.drives.kinds import is_recording
 from interloc.errors import OutputError
 from interloc.osm.container import is_map
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import pickle
 import time
 from functools import lru_cache
 from itertools import pairwise
@@ -9,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 
-from app.jobs.work.checkpoints import read_checkpoint, write_checkpoint
 from app.work.documents import IntersectionsJob, IntersectionsOutcome, MapPlace, MapScores
 from app.work.places import REDUCED
 from app.work.progress import ProgressFiles
@@ -25,10 +26,11 @@ from interloc.drives.options import LabelChoice
 from interloc.drives.scans.reduced_format import MANIFEST
 from interloc.errors import DriveError
 from interloc.evaluation.coverage import map_bounds, track_bounds
+from interloc.files import atomic_write
 from interloc.osm.graph import Bounds, RoadGraph
 from interloc.output.layout import result_folder
 from interloc.output.write import write_results
-from interloc.pipeline import RangeResult, assemble, detect_range
+from interloc.pipeline import RangeResult, assemble, detect_range, versions
 from interloc.results import DriveResult
 from interloc.roadmap.network import RoadNetwork
 
@@ -154,8 +156,39 @@ def _cut(keyframes: int, config: DetectorConfig) -> list[Part]:
     return [Part(number, start, stop) for number, (start, stop) in enumerate(pairwise(edges))]
 
 
+def write_checkpoint(path: Path, part: RangeResult) -> None:
+    """Keep what was found in a range, whole or not at all: a restart goes on from there, with identical results.
+
+    Raises
+    ------
+    OutputError
+        No space left, and the like.
+    """
+    content = pickle.dumps(part)
+    with atomic_write(path) as file:
+        file.write(_head(content) + b"\n" + content)
+
+
+def read_checkpoint(path: Path) -> RangeResult | None:
+    """Read what `write_checkpoint` wrote; None if there is nothing, or nothing that this version has written."""
+    try:
+        head, _, content = path.read_bytes().partition(b"\n")
+    except OSError:
+        return None
+    if head != _head(content):
+        return None
+    part: RangeResult = pickle.loads(content)  # noqa: S301 - of a worker of this service, and undamaged
+    return part
+
+
+def _head(content: bytes) -> bytes:
+    """Return the versions that the numbers depend on, so that an updated service does not mix two, and a digest."""
+    made_by = " ".join(f"{name} {version}" for name, version in versions().items())
+    return f"{made_by} {hashlib.sha256(content).hexdigest()}".encode()
+
+
 def _checkpoint(task: Task[IntersectionsJob], part: Part) -> Path:
-    return task.scratch / f"range-{part.start}-{part.stop}.npz"
+    return task.scratch / f"range-{part.start}-{part.stop}"
 
 
 def _found(task: Task[IntersectionsJob], part: Part) -> RangeResult:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import re
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 from fastapi import APIRouter, Query
 from pydantic import BaseModel, Field
@@ -18,6 +18,7 @@ from app.jobs.models import MAX_COMPARED_JOBS
 from app.jobs.view import find_job, own_settings, title_of
 from app.results.folder import ResultsDep
 from app.results.routes.results import PROBLEMS
+from interloc.evaluation.compare import Comparison, Difference, compare_reports
 from interloc.output.layout import settings_of
 
 _JOBS = rf"^[A-Za-z0-9_-]{{1,64}}( *, *[A-Za-z0-9_-]{{1,64}}){{1,{MAX_COMPARED_JOBS - 1}}}$"
@@ -25,59 +26,21 @@ _JOBS = rf"^[A-Za-z0-9_-]{{1,64}}( *, *[A-Za-z0-9_-]{{1,64}}){{1,{MAX_COMPARED_J
 router = APIRouter(tags=["Results"])
 
 
-class Setting(BaseModel):
+class Setting(Difference):
     """A setting in which jobs differ."""
 
-    name: str = Field(examples=["bev.resolution_m"])
     is_own: bool = Field(description="Whether a job has another value than its preset; else only the presets differ.")
-    values: list[Any] = Field(description="In the order of the jobs.", examples=[[0.16, 0.25]])
 
 
-class Input(BaseModel):
-    """Something that the jobs read in which they differ."""
+class JobComparison(Comparison):
+    """Reports of jobs of one drive side by side; `runs` are their ids."""
 
-    name: str = Field(description="`labels` or `georeference`.", examples=["labels"])
-    values: list[str | None] = Field(description="In the order of the jobs.", examples=[["labels", "predictions"]])
-
-
-class Figure(BaseModel):
-    """A figure of the reports."""
-
-    name: str = Field(examples=["ace_m"])
-    title: str = Field(description="Its name in words.", examples=["mean error of detections (ACE) [m]"])
-    values: list[float | None]
-
-
-class ComparedNode(BaseModel):
-    """An OpenStreetMap node with different outcomes."""
-
-    osm_id: int
-    lon: float
-    lat: float
-    degree: int
-    outcomes: list[Literal["found", "missed", "outside"]] = Field(
-        description="In the order of the jobs; outside: it lay in no zone in which a missed node counts."
-    )
-    median_error_m: list[float | None]
-
-
-class Comparison(BaseModel):
-    """Reports of one drive side by side; lists of values are in the order of the jobs."""
-
-    runs: list[str] = Field(description="Ids of the jobs.")
     names: list[str] = Field(
         description="What the jobs are called; those that are called the same are numbered.",
         examples=[["default, drive (1)", "default, drive (2)"]],
     )
     drive_id: str
-    inputs: list[Input] = Field(description="Labels and georeference, where the jobs differ in them.")
-    settings: list[Setting] = Field(description="Settings in which the jobs differ.")
-    figures: list[Figure]
-    nodes: list[ComparedNode] = Field(description="Nodes with different outcomes.")
-    found_by_all: int
-    missed_by_all: int
-    found_only_by: list[list[int]] = Field(description="OSM ids of the nodes that only this job found.")
-    warnings: list[str] = Field(description="Why figures may not be comparable.")
+    settings: list[Setting] = Field(description="Settings in which the jobs differ.")  # type: ignore[assignment]
 
 
 @router.get(
@@ -85,7 +48,7 @@ class Comparison(BaseModel):
     summary="Compare jobs of one drive",
     dependencies=IN_TURN,
     operation_id="compare_jobs",
-    response_model=Comparison,
+    response_model=JobComparison,
     responses=PROBLEMS,
 )
 def compare_jobs(
@@ -102,8 +65,6 @@ def compare_jobs(
     ],
 ) -> dict[str, Any]:
     """Show what differs of inputs and settings, the figures at D = 5 m, and intersections that only one job found."""
-    from interloc.evaluation.compare import compare_reports  # noqa: PLC0415 - numpy and more
-
     ids = [each.strip() for each in jobs.split(",")]
     if re.fullmatch(_JOBS, jobs) is None or len(set(ids)) < len(ids):
         raise Problem(REQUEST_NOT_VALID, f"jobs: {jobs!r}. Expected two to {MAX_COMPARED_JOBS} different job ids: a,b")
@@ -123,9 +84,8 @@ def compare_jobs(
     one_drive = {"drive_name": opened[0].drive_id}  # which may have been renamed between the jobs
     compared = compare_reports(ids, reports, [run | one_drive for run in runs])
     own = set().union(*(own_settings({"config": settings_of(run)}) for run in runs))
-    for setting in compared["settings"]:
-        setting["is_own"] = setting["name"] in own
-    return {"drive_id": opened[0].drive_id, "names": numbered, **compared}
+    settings = [{**dict(each), "is_own": each.name in own} for each in compared.settings]
+    return {**dict(compared), "drive_id": opened[0].drive_id, "names": numbered, "settings": settings}
 
 
 class PublishedFigures(BaseModel):

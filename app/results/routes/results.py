@@ -25,7 +25,7 @@ from app.results.selection import MAX_BYTES_AT_ONCE, MAX_FEATURES, select_featur
 from interloc.errors import OutputError
 from interloc.files import atomic_write
 from interloc.output.layers import LAYERS, Layer
-from interloc.output.qml import qml
+from interloc.output.qgis import qml
 
 JobId = Annotated[str, Path(description="Id of a successful job of kind intersections.", pattern=ID)]
 
@@ -207,7 +207,7 @@ def list_result_files(job_id: JobId, results: ResultsDep) -> ResultFileList:
 def read_result_file(
     job_id: JobId,
     name: Annotated[
-        str, Path(description="Path of the file, as listed.", examples=["figures/map.svg"], max_length=512)
+        str, Path(description="Path of the file, as listed.", examples=["figures/map.png"], max_length=512)
     ],
     request: Request,
     results: ResultsDep,

@@ -14,7 +14,6 @@ from interloc.drives.layouts import DriveParts
 from interloc.drives.options import DriveOptions
 from interloc.drives.scans.recorded import Recording, ScanPoints
 from interloc.drives.trajectory import posed_frames
-from interloc.storage import present
 
 POINT_BYTES = 16
 """float32 x y z remission."""
@@ -110,7 +109,7 @@ def read_points(file: SourceFile, point_bytes: int = POINT_BYTES) -> Float32Arra
         It cannot be read, or was cut short.
     """
     try:
-        size = present(file.path).stat().st_size
+        size = file.path.stat().st_size
         values = np.fromfile(file.path, dtype="<f4")
     except OSError as error:
         raise file.unreadable(error) from error
@@ -133,7 +132,7 @@ def _bytes_per_point(scans: NumberedFiles) -> int:
 def _has_rings(path: Path) -> bool:
     """Return whether every fifth value of a scan is the number of a laser: a whole number, and not always the same."""
     try:
-        ring = np.fromfile(present(path), dtype="<f4")[4::5]
+        ring = np.fromfile(path, dtype="<f4")[4::5]
     except OSError:  # its reader says why
         return False
     with np.errstate(invalid="ignore"):

@@ -28,7 +28,6 @@ from interloc.drives.scans.point_times import TIME_FIELDS, point_times
 from interloc.drives.scans.recorded import Recording, ScanPoints
 from interloc.drives.scans.reduced_format import MAX_POINTS
 from interloc.errors import InterLocError
-from interloc.storage import present
 from interloc.wording import counted
 
 INTENSITY_FIELDS = ("intensity", "i", "remission", "reflectivity", "reflectance")
@@ -253,7 +252,7 @@ def read_pcd_header(file: SourceFile, *, with_data: bool = False) -> tuple[PcdHe
         It cannot be read, is no PCD file, or promises what no scan is.
     """
     try:
-        with present(file.path).open("rb") as handle:
+        with file.path.open("rb") as handle:
             head = handle.read(_MAX_HEADER_BYTES)
             size = os.fstat(handle.fileno()).st_size
             header = _parse_header(head, file)

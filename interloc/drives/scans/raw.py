@@ -32,7 +32,6 @@ from interloc.drives.scans.recorded import PointSource, Recording, ScanFacts, Sc
 from interloc.drives.trajectory import Trajectory, read_trajectory
 from interloc.errors import DriveError
 from interloc.kernels.points import select_points
-from interloc.storage import present
 
 _BELOW = 5
 """How many scans are looked at for what lies under the vehicle."""
@@ -330,7 +329,7 @@ def read_labels(file: SourceFile) -> UInt32Array:
         It cannot be read, or holds floating-point numbers.
     """
     try:
-        labels: UInt32Array = np.fromfile(present(file.path), dtype="<u4")
+        labels: UInt32Array = np.fromfile(file.path, dtype="<u4")
     except OSError as error:
         raise file.unreadable(error) from error
     if np.min(labels, initial=_FLOAT_1, where=labels > 0) >= _FLOAT_1 and labels.any():

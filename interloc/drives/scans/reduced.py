@@ -27,7 +27,6 @@ from interloc.drives.scans.reduced_format import (
     size_complaint,
 )
 from interloc.drives.trajectory import Trajectory, read_trajectory
-from interloc.storage import present
 
 
 def read_ground(root: Path, folder: LabelFolder, frame: int) -> GroundPoints:
@@ -40,7 +39,7 @@ def read_ground(root: Path, folder: LabelFolder, frame: int) -> GroundPoints:
     """
     file = SourceFile(root / ground_path(folder, frame), root)
     try:
-        with present(file.path).open("rb") as handle:
+        with file.path.open("rb") as handle:
             data = handle.read(MAX_BYTES + 1)
     except OSError as error:
         raise file.unreadable(error) from error

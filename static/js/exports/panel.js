@@ -33,7 +33,7 @@ const DERIVED = /** @type {Record<string, string>} */ ({
 const LAYER_FORMATS = { ".fgb": "FGB", ".kml": "KML", ".csv": "CSV", ".parquet": "Parquet" };
 const QGZ =
   "All layers in groups, drawn as on this page, in one file that holds the data, too: for QGIS 3.22 and newer.";
-const KMZ = "KMZ: all layers in one file, with the signs of this page.";
+const KMZ = "KMZ: all layers in one file, in the colours of this page.";
 const TIFF =
   "Cells of 0.5 m: from how many keyframes each was seen as road. In UTM, or in metres without georeference.";
 const IN_METRES = "Without a georeference the files hold metres of the drive's own frame, without a coordinate system.";
@@ -79,7 +79,6 @@ function sections(result, link) {
       .filter(([ending]) => exports.includes(ending) && !(local && ending === ".kml"))
       .map(([ending, text]) => get(text, `${at}/export${ending}?layer=${path}`, `${slug}-${name}${ending}`));
     if (local) return files(title, get("JSON", `${at}/files/${name}.local.json`, `${slug}-${name}.local.json`), others);
-    if (name === "trajectory") others.push(get("GPX", `${at}/export.gpx`, `${slug}.gpx`));
     const geojson = name in DERIVED ? `${at}/export.geojson?layer=${path}` : `${at}/${path}`;
     return files(title, get("GeoJSON", geojson, `${slug}-${name}.geojson`), others);
   };

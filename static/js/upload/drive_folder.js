@@ -1,21 +1,26 @@
 /**
  * The drives of a picked folder, as the service sees them.
  *
- * Only the browser has the folder. It sends the names and sizes of its files and the contents of the small ones; the
- * service answers which drive they are, what is wrong with it, where it went and what is to be sent.
+ * Only the browser has the folder. It sends the names and sizes of its files, the contents of the small ones and how
+ * often each label id occurs in some scans; the service answers which drive they are, what is wrong with it, where it
+ * went and what is to be sent (`POST /drives/look`).
  */
 
-import { ApiError, getConfig, isMap, sendJson } from "../api.js";
-import { formatBytes, plural } from "../dom.js";
+import { getConfig, isMap, sendJson } from "../api.js";
+import { countLabels } from "./reduce.js";
 
 /** @import { FileProblem } from "../api.js" */
 /** @import { Folder } from "./folder.js" */
+/** @typedef {[first: number, count: number][]} Runs Of numbers. */
+/** @typedef {{folder: string, suffix: string, digits: number, runs: Runs, count: number, size_bytes: number}} NumberedLook */
 /**
- * @typedef {object} NumberedLook Files of a folder, by their numbers.
- * @property {string} folder Path inside the drive.
- * @property {string} suffix With its dot.
- * @property {number} digits Width that the numbers are padded to.
- * @property {[first: number, count: number][]} runs
+ * @typedef {object} LabelsMeaning What the ids of a label folder mean.
+ * @property {FileProblem[]} problems
+ * @property {string | null} scheme
+ * @property {number[]} road
+ * @property {number[]} confusable
+ * @property {number | null} road_share
+ * @property {number | null} ground_share Of road, sidewalk, parking and other ground: what is left of a scan.
  */
 /**
  * @typedef {object} Track
@@ -26,13 +31,13 @@ import { formatBytes, plural } from "../dom.js";
  * @property {number} length_m
  */
 /**
- * @typedef {object} DriveLook What the service found in a drive (`POST /drives/look`).
- * @property {string} root
+ * @typedef {object} DriveLook What the service found in a drive.
+ * @property {string} root Its path in the folder; "" where it is the folder itself.
  * @property {string} name
  * @property {string | null} layout
- * @property {NumberedLook | null} scans
+ * @property {NumberedLook | null} scans null of a reduced drive, and of one that only the service reads.
  * @property {number | null} points_per_scan
- * @property {Record<string, NumberedLook & {problems: FileProblem[]}>} labels
+ * @property {Record<string, NumberedLook & LabelsMeaning>} labels
  * @property {FileProblem[]} unlabelled What is wrong where neither label files nor a network are used.
  * @property {boolean | null} carries_labels Whether the points have labels; null: not known.
  * @property {boolean | null} has_poses false: the service computes them from the scans.
@@ -42,96 +47,105 @@ import { formatBytes, plural } from "../dom.js";
  * @property {string[]} borrowed Notes on files that were taken from beside the drive.
  * @property {Record<string, number>} wanted Files whose first bytes would tell more.
  * @property {Record<string, [number, number][]>} wanted_ranges Parts of bags that would tell more.
+ * @property {number[]} frames_to_look_into Scans whose label ids would tell more.
+ * @property {string | null} pose_frame
+ * @property {string | null} pose_frame_reason
  * @property {string | null} georeference
  * @property {string | null} georeference_reason
  * @property {Track | null} track
  * @property {number | null} keyframes
- * @property {number[]} frames_to_look_into
- * @property {FileProblem[]} problems
+ * @property {{scans: number, kept: Runs, manifest: any} | null} plan How to send it reduced.
+ * @property {FileProblem[]} problems Of the drive, whichever its labels.
  */
 /** @typedef {{root: string, name: string, kind: "bin" | "pcd" | "rosbag" | "las" | "reduced", files: number}} ListedName */
-
 /**
  * @typedef {object} DriveFolder
  * @property {Folder} folder What was picked.
- * @property {string} name
- * @property {string} root Its path inside what was picked; "" where it is the folder itself.
- * @property {boolean} isLoose Its files were picked or dropped by themselves, without their folder.
- * @property {string} layout "unknown" where the service did not look.
- * @property {NumberedFiles | null} scans null of a reduced drive, and of one that only the service reads.
- * @property {Map<string, File>} recorded Of a drive that only the service reads: its scans, by path inside the drive.
- * @property {Map<string, File>} ground Of a reduced drive: its .ground files.
- * @property {Record<string, NumberedFiles>} labels By folder: labels, predictions.
- * @property {Map<string, File>} small What else of it is sent, by path inside the drive: poses, calibration, times, OXTS.
+ * @property {DriveLook} look
+ * @property {Map<string, File>} whole Sent as they are, by path inside the drive: recordings, or ground points.
+ * @property {Map<string, File>} small What else of it is sent: poses, calibration, times, OXTS.
  * @property {Map<string, File>} maps OSM files.
  * @property {{files: number, bytes: number}} unused What the method does not need, as pictures.
- * @property {DriveLook | null} look null: the service was not reached, or refused.
- * @property {FileProblem[]} problems Of the drive, whichever its labels.
  */
-
-export const LAYOUTS = /** @type {Record<string, string>} */ ({
-  semantickitti: "SemanticKITTI / KITTI odometry",
-  kitti_raw: "KITTI raw",
-  kitti360: "KITTI-360",
-  pcd: "PCD files",
-  rosbag: "ROS bag",
-  las: "LAS or LAZ files",
-  reduced: "reduced drive",
-});
-const NEEDLESS = /\.(png|jpe?g|webp|tiff?|gif|mp4|avi|mkv)$/i;
-const SMALL = /\.(txt|csv|tum|yaml|json)(\.gz)?$/i;
-const MAX_SMALL_BYTES = 8e6;
-const MAX_CONTENT_BYTES = 16e6; // the service takes 32 MB, and Base64 makes a third more of them
-const MAX_CONTENTS = 20_000;
-const READ_AT_ONCE = 64;
-const MAX_TURNS = 6; // of asking for parts of a bag
-
 /**
  * @typedef {object} Wish
  * @property {string} [root] The drive that is looked into; the first by default.
  * @property {object} [options] How it is read, as of the upload.
+ * @property {{distance_m: number, angle_deg: number} | null} [keyframes] Scans that a job needs; null: all.
  * @property {Map<string, File>} [extras] Files from elsewhere, by their paths in the drive.
  */
 
+const NEEDLESS = /\.(png|jpe?g|webp|tiff?|gif|mp4|avi|mkv)$/i;
+const MAX_SMALL_BYTES = 8e6;
+const MAX_CONTENT_BYTES = 23e6; // the service takes 32 MB, and Base64 makes a third more of them
+const MAX_CONTENTS = 20_000;
+const READ_AT_ONCE = 64;
+const MAX_TURNS = 8; // of giving what the service asks for
+
 /**
- * Let the service look into a folder.
+ * Let the service look into a folder, and give it what it asks for.
  *
  * @param {Folder} folder
  * @param {Wish} [wish]
+ * @param {(json: object) => Promise<any>} [ask] Sends the request.
  * @returns {Promise<{drives: ListedName[], drive: DriveFolder | null, reason: string | null}>} `reason`: why there is no
- *   drive. Where the service cannot be asked, the drive is the folder as it is.
+ *   drive.
  */
-export async function lookInto(folder, { root, options, extras = new Map() } = {}) {
+export async function lookInto(folder, { root, options, keyframes, extras = new Map() } = {}, ask = askOnce) {
   const front = root ? `${root}/` : "";
   const files = new Map([...folder.files].filter(([path]) => !NEEDLESS.test(path)));
   for (const [path, file] of extras) files.set(front + path, file);
-  const sizes = Object.fromEntries([...files].map(([path, file]) => [path, file.size]));
-  const small = new Map([...files].filter(([path, { size }]) => SMALL.test(path) && size <= MAX_SMALL_BYTES));
-  const json = { name: folder.name.slice(0, 200) || "drive", files: sizes, root, options };
-  const ask = (/** @type {object} */ more) => sendJson("POST", "drives/look", { ...json, ...more });
-  try {
-    let contents = await contentsOf(small);
-    let answer = await ask({ contents });
-    const wanted = /** @type {[string, number][]} */ (Object.entries(answer.drive?.wanted ?? {}));
-    const heads = wanted.map(([path, bytes]) => [path, /** @type {File} */ (files.get(path)).slice(0, bytes)]);
+  const endings = getConfig().file_kinds.small;
+  const isSmall = (/** @type {string} */ path) =>
+    endings.some((end) => path.toLowerCase().replace(/\.gz$/, "").endsWith(end));
+  const small = new Map([...files].filter(([path, { size }]) => isSmall(path) && size <= MAX_SMALL_BYTES));
+  const request = {
+    ...{ name: folder.name.slice(0, 200) || "drive", root, options, keyframes },
+    files: Object.fromEntries([...files].map(([path, file]) => [path, file.size])),
+    contents: await contentsOf(small),
+    ranges: /** @type {Record<string, Record<string, string>>} */ ({}),
+    label_counts: /** @type {Record<string, Record<string, number>>} */ ({}),
+  };
+
+  /** Add to the request what the answer asks for. @param {DriveLook} look @returns {Promise<boolean>} Whether there was anything. */
+  async function give(look) {
+    const fileAt = (/** @type {string} */ path) => /** @type {File} */ (files.get(path));
+    const heads = Object.entries(look.wanted).map(([path, bytes]) => [path, fileAt(path).slice(0, bytes)]);
     const more = await contentsOf(new Map(/** @type {[string, Blob][]} */ (heads)));
-    contents = { ...contents, ...more };
-    if (Object.keys(more).length) answer = await ask({ root: answer.drive.root, contents });
-    /** @type {Record<string, Record<string, string>>} */
-    const ranges = {};
-    for (let turn = 0; turn < MAX_TURNS && Object.keys(answer.drive?.wanted_ranges ?? {}).length; turn += 1) {
-      for (const [path, pieces] of /** @type {[string, [number, number][]][]} */ (
-        Object.entries(answer.drive.wanted_ranges)
-      ))
-        for (const [start, stop] of pieces)
-          (ranges[path] ??= {})[start] = await base64Of(/** @type {File} */ (files.get(path)).slice(start, stop));
-      answer = await ask({ root: answer.drive.root, contents, ranges });
+    Object.assign(request.contents, more);
+    const ranges = Object.entries(look.wanted_ranges);
+    for (const [path, pieces] of ranges)
+      for (const [start, stop] of pieces)
+        (request.ranges[path] ??= {})[start] = await base64Of(fileAt(path).slice(start, stop));
+    const uncounted = Object.entries(look.labels).filter(([name]) => !(name in request.label_counts));
+    for (const [name, labels] of uncounted) {
+      const paths = look.frames_to_look_into.map((frame) => pathOf(labels, frame));
+      request.label_counts[name] = await countAll(folder, look.root, paths);
     }
-    return { ...answer, drive: answer.drive && driveOf(folder, answer.drive) };
-  } catch (fault) {
-    if (!(fault instanceof ApiError)) throw fault;
-    return { drives: [], drive: unseen(folder, fault), reason: null };
+    return Object.keys(more).length + ranges.length + uncounted.length > 0;
   }
+
+  for (let turn = 1; ; turn += 1) {
+    const answer = await ask(request);
+    request.root = answer.drive?.root;
+    if (answer.drive && turn < MAX_TURNS && (await give(answer.drive))) continue;
+    return { ...answer, drive: answer.drive && driveOf(folder, answer.drive) };
+  }
+}
+
+/** @param {object} json */
+const askOnce = (json) => sendJson("POST", "drives/look", json);
+
+/** @param {Folder} folder @param {string} root @param {string[]} paths Of label files in the drive. */
+async function countAll(folder, root, paths) {
+  /** @type {Record<string, number>} */
+  const counts = {};
+  for (const path of paths) {
+    const file = folder.files.get(root ? `${root}/${path}` : path);
+    if (!file) continue;
+    for (const [id, count] of await countLabels(file, path)) counts[id] = (counts[id] ?? 0) + count;
+  }
+  return counts;
 }
 
 /**
@@ -142,8 +156,7 @@ async function contentsOf(files) {
   /** @type {Record<string, string>} */
   const contents = {};
   const all = [...files];
-  if (all.length > MAX_CONTENTS || all.reduce((sum, [, { size }]) => sum + size, 0) > MAX_CONTENT_BYTES)
-    return contents;
+  if (all.length > MAX_CONTENTS || bytesOf(files.values()) > MAX_CONTENT_BYTES) return contents;
   for (let i = 0; i < all.length; i += READ_AT_ONCE) {
     const part = all.slice(i, i + READ_AT_ONCE);
     const texts = await Promise.all(part.map(([, file]) => base64Of(file)));
@@ -170,108 +183,49 @@ export function driveOf(folder, look) {
         return file ? [/** @type {[string, File]} */ ([inside, file])] : []; // else it is from elsewhere
       }),
     );
-  const numbered = (/** @type {NumberedLook} */ each) => numberedFiles(folder, front, each);
-  const layout = look.layout ?? "unknown";
-  const whole = filesOf(look.whole);
-  const maps = mapsOf(folder, front);
+  const inside = [...folder.files].filter(([path]) => path.startsWith(front));
+  const maps = inside.filter(([path]) => isMap(path) && !path.includes("/", front.length));
   /** @type {DriveFolder} */
   const drive = {
-    folder,
-    name: look.name,
-    root: look.root,
-    isLoose: folder.isLoose ?? false,
-    layout,
-    scans: look.scans && numbered(look.scans),
-    recorded: layout === "reduced" ? new Map() : whole,
-    ground: layout === "reduced" ? whole : new Map(),
-    labels: Object.fromEntries(Object.entries(look.labels).map(([name, each]) => [name, numbered(each)])),
-    small: filesOf(look.small),
-    maps,
-    unused: { files: 0, bytes: 0 },
-    look,
-    problems: look.problems,
+    ...{ folder, look, whole: filesOf(look.whole), small: filesOf(look.small), unused: { files: 0, bytes: 0 } },
+    maps: new Map(maps.map(([path, file]) => [path.slice(front.length), file])),
   };
-  const used = new Set(filesOfDrive(drive).map(([, file]) => file));
-  for (const [path, file] of folder.files) {
-    if (!path.startsWith(front) || used.has(file) || maps.has(path.slice(front.length))) continue;
-    drive.unused.files += 1;
-    drive.unused.bytes += file.size;
-  }
+  const used = new Set([...filesOfDrive(drive).map(([, file]) => file), ...drive.maps.values()]);
+  const unused = inside.map(([, file]) => file).filter((file) => !used.has(file));
+  drive.unused = { files: unused.length, bytes: bytesOf(unused) };
   return drive;
 }
 
-/**
- * A folder that the service did not look into: all of it is sent as it is.
- *
- * @param {Folder} folder
- * @param {ApiError} fault
- * @returns {DriveFolder}
- */
-function unseen(folder, fault) {
-  const maps = mapsOf(folder, "");
-  const recorded = new Map([...folder.files].filter(([path]) => !maps.has(path) && !NEEDLESS.test(path)));
-  const bytes = [...recorded.values()].reduce((sum, { size }) => sum + size, 0);
-  const message =
-    `The service did not look into it: ${fault.message} Without its answer all ${plural(recorded.size, "file")} ` +
-    `(${formatBytes(bytes)}) would be sent as they are, and be checked there. Scans are reduced in the browser only ` +
-    "where the service has said what they are.";
-  const { name, isLoose = false } = folder;
-  const nothing = { scans: null, ground: new Map(), labels: {}, small: new Map(), look: null };
-  const unused = { files: folder.files.size - recorded.size - maps.size, bytes: 0 };
-  const problems = [{ severity: "warning", path: name, message }];
-  return { ...nothing, folder, name, root: "", isLoose, layout: "unknown", recorded, maps, unused, problems };
+/** @param {DriveFolder} drive @param {string} inside @returns {string} A path of the drive in the folder that was picked. */
+export const inFolder = ({ look }, inside) => (look.root ? `${look.root}/${inside}` : inside);
+
+/** @param {NumberedLook} numbered @param {number} number @returns {string} Path inside the drive. */
+export const pathOf = ({ folder, suffix, digits }, number) =>
+  `${folder}/${String(number).padStart(digits, "0")}${suffix}`;
+
+/** @param {Runs} runs @returns {number[]} */
+export const numbersOf = (runs) => runs.flatMap(([first, count]) => Array.from({ length: count }, (_, i) => first + i));
+
+/** @param {DriveFolder} drive @param {NumberedLook} numbered @returns {[string, File][]} By path inside the drive. */
+export function numberedFiles(drive, numbered) {
+  return numbersOf(numbered.runs).flatMap((number) => {
+    const path = pathOf(numbered, number);
+    const file = drive.folder.files.get(inFolder(drive, path));
+    return file ? [/** @type {[string, File]} */ ([path, file])] : [];
+  });
 }
 
-/** @param {Folder} folder @param {string} front @returns {Map<string, File>} OSM files that lie in a drive itself. */
-function mapsOf({ files }, front) {
-  const own = [...files].filter(([path]) => path.startsWith(front) && isMap(path));
-  return new Map(
-    own.flatMap(([path, file]) => (path.includes("/", front.length) ? [] : [[path.slice(front.length), file]])),
-  );
+/** @param {DriveFolder} drive @param {string[]} [folders] Of labels. @returns {[string, File][]} What is sent as it is. */
+export function rawFiles(drive, folders = Object.keys(drive.look.labels)) {
+  const kinds = [drive.look.scans, ...folders.map((name) => drive.look.labels[name])].filter(Boolean);
+  return [...drive.whole, ...kinds.flatMap((kind) => numberedFiles(drive, /** @type {NumberedLook} */ (kind)))];
 }
 
-/** @param {DriveFolder} drive @returns {[string, File][]} All files of it but maps, by their paths or numbers. */
-export function filesOfDrive(drive) {
-  const numbered = [drive.scans, ...Object.values(drive.labels)].filter((each) => each !== null);
-  /** @type {[string, File][]} */
-  const files = [...drive.small, ...drive.ground, ...drive.recorded];
-  for (const { folder, files: own } of numbered)
-    for (const [number, file] of own) files.push([`${folder}/${number}`, file]);
-  return files;
-}
+/** @param {DriveFolder} drive @returns {[string, File][]} All files of it but maps. */
+export const filesOfDrive = (drive) => [...drive.small, ...rawFiles(drive)];
 
-/** @typedef {Omit<NumberedLook, "runs"> & {files: Map<number, File>, bytes: number}} NumberedFiles By number, ascending. */
-
-/** @param {Folder} picked @param {string} front Path of the drive in it. @param {NumberedLook} look @returns {NumberedFiles} */
-function numberedFiles(picked, front, { folder, suffix, digits, runs }) {
-  const found = { folder, suffix, digits, files: new Map(), bytes: 0 };
-  for (const [first, count] of runs) {
-    for (let number = first; number < first + count; number += 1) {
-      const file = picked.files.get(front + pathOf(found, number));
-      if (!file) continue;
-      found.files.set(number, file);
-      found.bytes += file.size;
-    }
-  }
-  return found;
-}
-
-/** @param {NumberedFiles} numbered @param {number} number @returns {string} Path inside the drive. */
-export function pathOf(numbered, number) {
-  return `${numbered.folder}/${String(number).padStart(numbered.digits, "0")}${numbered.suffix}`;
-}
-
-/** @param {Iterable<number>} numbers Ascending. @returns {[number, number][]} Runs: [first, count]. */
-export function runsOf(numbers) {
-  /** @type {[number, number][]} */
-  const runs = [];
-  for (const number of numbers) {
-    const last = runs.at(-1);
-    if (last && last[0] + last[1] === number) last[1] += 1;
-    else runs.push([number, 1]);
-  }
-  return runs;
-}
+/** @param {Iterable<Blob>} files */
+export const bytesOf = (files) => [...files].reduce((sum, file) => sum + file.size, 0);
 
 const ORDER = ["error", "warning", "note"];
 
@@ -288,14 +242,14 @@ export function sorted(problems) {
  * @param {boolean} isMade Whether the service makes the labels.
  * @returns {FileProblem[]} Errors first.
  */
-export function problemsOf({ look, labels, layout, problems }, folders, isMade) {
-  if (!look) return problems;
+export function problemsOf({ look }, folders, isMade) {
   const ofNone = isMade ? [] : look.unlabelled;
-  const ofLabels = Object.keys(labels).length ? folders.flatMap((name) => look.labels[name]?.problems ?? []) : ofNone;
+  const hasFolders = Object.keys(look.labels).length > 0;
+  const ofLabels = hasFolders ? folders.flatMap((name) => look.labels[name]?.problems ?? []) : ofNone;
   const { georeference_reason: reason } = look;
   const message = `${reason}: place the drive on the map by its roads, or add a file of OXTS rows or a geo.csv below. Otherwise the result is in local metres and cannot be scored against OpenStreetMap.`;
-  const note = reason && layout !== "reduced" ? [{ severity: "note", path: "georeference", message }] : [];
-  return sorted([...problems, ...ofLabels, ...note]);
+  const note = reason && look.layout !== "reduced" ? [{ severity: "note", path: "georeference", message }] : [];
+  return sorted([...look.problems, ...ofLabels, ...note]);
 }
 
 /**

@@ -1,21 +1,21 @@
 /** The form between picking a folder and sending it: what was found, how to read it, what to do with it. */
 
-import { ApiError, isMap, sendJson } from "../api.js";
+import { ApiError, getConfig, isMap } from "../api.js";
 import { factRows, field, filePicker, problemList, radios, select } from "../controls.js";
 import { el, fill, formatBytes, formatCount, formatMetres, icon, plural } from "../dom.js";
 import { jobForm } from "../job/job_form.js";
-import { filesOfDrive, LAYOUTS, lookInto, problemsOf, sorted } from "./drive_folder.js";
+import { bytesOf, filesOfDrive, inFolder, lookInto, problemsOf, sorted } from "./drive_folder.js";
 import { folderOfInput } from "./folder.js";
 import { labelForm } from "./label_form.js";
 import { fingerprintOf } from "./memory.js";
 import { fitVerdict, mapVerdict, showPreview } from "./preview.js";
 import { readingForm } from "./reading_form.js";
-import { countFolders, groundBytesOf } from "./upload.js";
+import { groundBytesOf } from "./upload.js";
 
 /** @import { FileProblem } from "../api.js" */
 /** @import { DriveFolder, ListedName } from "./drive_folder.js" */
 /** @import { Remembered } from "./memory.js" */
-/** @import { JudgedLabels, Settings } from "./upload.js" */
+/** @import { Settings } from "./upload.js" */
 
 /** What may be added to a drive, by layout. */
 const MORE_FILES = /** @type {Record<string, string>} */ ({
@@ -51,18 +51,18 @@ export function formView(
   { drive, drives, archive, handle, presets, networks, begun, before },
   { onStart, onBack, onChoose, onContinue },
 ) {
-  const value = before?.name ?? drive?.name ?? baseName(archive);
+  const value = before?.name ?? drive?.look.name ?? baseName(archive);
   const name = el("input", { type: "text", required: true, maxLength: 200, value, onInput: refresh });
   const facts = el("dl.figures");
   const problems = el("div", { "aria-live": "polite" });
   const errors = el("div", { "aria-live": "assertive" });
   const added = el("span.small", { role: "status" });
-  const isReduced = drive?.layout === "reduced";
+  const isReduced = drive?.look.layout === "reduced";
   const isOpen = drive !== null && !isReduced; // there are a scheme and folders to choose
-  const isRecorded = Boolean(drive?.recorded.size);
+  const isRecorded = isOpen && drive.whole.size > 0;
   const canReduce = typeof CompressionStream === "function" && typeof Worker === "function";
 
-  const listeners = { onChange: () => (judge(), refresh()), onFolder: addPredictions };
+  const listeners = { onChange: () => (refresh(), lookAgain()), onFolder: addPredictions };
   const labels = labelForm({ drive, networks, before }, listeners);
   const reading = readingForm(drive, before, () => (refresh(), lookAgain()));
   const usual = canReduce ? (before?.sending ?? "keyframes") : "raw";
@@ -78,7 +78,7 @@ export function formView(
   );
   const wholly = el("div");
   /** @returns {boolean} Whether the scans are sent as they are because only the service reads or labels them. */
-  const isWhole = () => isRecorded || labels.made() !== null || drive?.look?.has_poses === false;
+  const isWhole = () => isRecorded || labels.made() !== null || drive?.look.has_poses === false;
   const sending = () => (isWhole() ? "raw" : parts.value());
   const whyWhole = el("p.small");
   const known = {
@@ -93,58 +93,37 @@ export function formView(
 
   /** The service labels the keyframes by these settings. @type {Settings["keyframes"]} */
   const usualKeyframes = presets.presets[0].config.keyframes;
-  /** @type {JudgedLabels[]} */
-  let judged = [];
-  /** @type {FileProblem[]} */
-  let labelProblems = [];
-  let asked = 0;
-  /** Count the label ids of some scans, and let the service judge what they mean. */
-  async function judge() {
-    if (!drive || !isOpen) return;
-    asked += 1;
-    const mine = asked;
-    const folders = labels.folders();
-    try {
-      const label_counts = await countFolders(drive, folders);
-      const options = { ...reading.read(), label_scheme: labels.scheme() };
-      if (options.layout === "auto" && drive.look?.layout) options.layout = drive.look.layout;
-      const answer = await sendJson("POST", "drives/labels", { label_counts, options });
-      if (mine !== asked) return; // asked again meanwhile
-      judged = answer.labels;
-      labelProblems = judged.flatMap((each) => each.problems);
-    } catch (fault) {
-      if (mine !== asked) return;
-      judged = [];
-      const refused = fault instanceof ApiError ? fault.problems[0]?.message : null;
-      const message = refused ?? (fault instanceof Error ? fault.message : String(fault));
-      labelProblems = [{ severity: "error", path: "labels", message }];
-    }
-    labels.setVerdict(judged);
-    refresh();
-  }
-
+  /** @type {FileProblem[]} What prevented the last look. */
+  let faults = [];
   /** How the drive was read when it was looked into last. */
-  let lookedWith = wishKey();
-  /** @returns {string} What a look depends on. */
-  function wishKey() {
-    const { pose_frame, layout, poses } = reading.read();
+  let lookedWith = JSON.stringify(wish());
+
+  /** What a look depends on. */
+  function wish() {
     const fix = reading.georeference();
-    return JSON.stringify([pose_frame, layout, poses, fix && [fix.name, fix.size, fix.lastModified]]);
+    const options = { ...reading.read(), label_scheme: labels.scheme(), oxts: fix && `georeference/${fix.name}` };
+    return { options, fix: fix && [fix.size, fix.lastModified] };
   }
 
   /** Let the service look into the drive again, if it is to be read otherwise or files came. */
   async function lookAgain(isOther = false) {
-    if (!drive || (!isOther && wishKey() === lookedWith)) return;
-    const mine = wishKey();
+    const { options } = wish();
+    const mine = JSON.stringify(wish());
+    if (!drive || (!isOther && mine === lookedWith) || reading.complaint() !== null) return;
     lookedWith = mine;
     const fix = reading.georeference();
-    const oxts = fix && `georeference/${fix.name}`;
-    const extras = new Map(fix && oxts ? [[oxts, fix]] : []);
-    const { pose_frame, layout, poses } = reading.read();
-    const options = { pose_frame, layout, poses, oxts };
-    const { drive: next } = await lookInto(drive.folder, { root: drive.root, options, extras });
-    if (mine !== lookedWith || !next) return; // asked again meanwhile
-    Object.assign(drive, next);
+    const extras = new Map(fix && options.oxts ? [[options.oxts, fix]] : []);
+    try {
+      const { drive: next } = await lookInto(drive.folder, { root: drive.look.root, options, extras });
+      if (mine !== lookedWith || !next) return; // asked again meanwhile
+      Object.assign(drive, next);
+      faults = [];
+    } catch (fault) {
+      if (mine !== lookedWith) return;
+      const refused = fault instanceof ApiError ? fault.problems[0]?.message : null;
+      const message = refused ?? (fault instanceof Error ? fault.message : String(fault));
+      faults = [{ severity: "error", path: "options", message }];
+    }
     update();
   }
 
@@ -173,7 +152,7 @@ export function formView(
     const folders = isOpen ? labels.folders() : [];
     const fit = found?.track ? fitVerdict(found.track) : null;
     const rows = [
-      ...factsOf(drive, folders, groundBytesOf(drive, judged), sending()),
+      ...factsOf(drive, folders, groundBytesOf(drive, folders), sending()),
       found?.track ? /** @type {[string, string]} */ (["Distance", formatMetres(found.track.length_m, 0)]) : null,
       fit && /** @type {[string, any]} */ (["Poses", el("span", { class: fit[1] ? "warn" : "" }, fit[0])]),
     ];
@@ -186,9 +165,9 @@ export function formView(
     const folder = folderOfInput(list);
     const found = [...folder.files].filter(([path]) => path.endsWith(".label"));
     const places = [...new Set(found.map(([path]) => path.slice(0, path.lastIndexOf("/") + 1)))];
-    const place = places.length > 1 ? places.find((path) => path.split("/").includes(drive.name)) : places[0];
+    const place = places.length > 1 ? places.find((path) => path.split("/").includes(drive.look.name)) : places[0];
     if (place === undefined) {
-      const several = `holds labels of several drives; none of them is named ${drive.name}`;
+      const several = `holds labels of several drives; none of them is named ${drive.look.name}`;
       added.textContent = `${folder.name} ${places.length ? several : "holds no .label file"}.`;
       return;
     }
@@ -211,7 +190,7 @@ export function formView(
       ...maps.map(({ name }) => `${name}: choose it as the map to score against.`),
       ...others
         .filter((file) => ![...drive.small.values()].includes(file))
-        .map(({ name }) => `${name}: expected ${MORE_FILES[drive.layout] ?? MORE_FILES.semantickitti}.`),
+        .map(({ name }) => `${name}: expected ${MORE_FILES[drive.look.layout ?? ""] ?? MORE_FILES.semantickitti}.`),
     ];
     added.textContent = refused.join(" ");
   }
@@ -219,10 +198,9 @@ export function formView(
   /** After files came or went. */
   function update() {
     if (drive) {
-      labels.setFolders(drive.labels);
+      labels.setFolders(drive.look.labels);
       reading.setFiles();
-      judge();
-      labels.setKeyframes(drive.look?.keyframes ?? null);
+      labels.setKeyframes(drive.look.keyframes);
     }
     refresh();
   }
@@ -243,9 +221,9 @@ export function formView(
       const size = /** @type {[string, string]} */ (["Size", formatBytes(archive.size)]);
       fill(facts, factRows([["Archive", archive.name], size]));
     }
-    const list = drive ? sorted([...problemsOf(drive, folders, made !== null), ...labelProblems]) : [];
+    const list = drive ? sorted([...problemsOf(drive, folders, made !== null), ...faults]) : [];
     const isError = (/** @type {FileProblem} */ each) => each.severity === "error";
-    const borrowed = drive?.look?.borrowed.map((text) => el("p.small", text));
+    const borrowed = drive?.look.borrowed.map((text) => el("p.small", text));
     fill(errors, problemList(list.filter(isError)));
     fill(problems, problemList(list.filter((each) => !isError(each))), borrowed);
     const complaint = list.some(isError)
@@ -304,7 +282,7 @@ export function formView(
     el("div.box.stack-s", [
       facts,
       whyWhole,
-      isOpen && el("div", files, " ", el("small", MORE_FILES[drive.layout] ?? MORE_FILES.semantickitti)),
+      isOpen && el("div", files, " ", el("small", MORE_FILES[drive.look.layout ?? ""] ?? MORE_FILES.semantickitti)),
       added,
     ]),
     problems,
@@ -334,26 +312,23 @@ function driveChooser(drive, drives, onChoose) {
       `${root || name} (${plural(files, kind === "rosbag" || kind === "las" ? "file" : "scan")})`,
     ]),
   );
-  const choice = select(options, `/${drive.root}`, (root) => onChoose(root.slice(1)));
+  const choice = select(options, `/${drive.look.root}`, (root) => onChoose(root.slice(1)));
   return field(`${drives.length} drives are in the folder: which one?`, choice);
 }
 
 /** @param {DriveFolder} drive */
 export const fingerprintOfDrive = (drive) => fingerprintOf(filesOfDrive(drive));
 
-/** @param {DriveFolder} drive @param {string} path @returns {string} A path of the drive in the folder that was picked. */
-const inFolder = ({ root }, path) => (root ? `${root}/${path}` : path);
-
 /** @param {File} file @returns {string} The poses of KITTI odometry are named after their sequence. */
 const nameOf = ({ name }) => (/^\d\d\.txt$/.test(name) ? "poses.txt" : name);
 
 /** @param {DriveFolder} drive @returns {boolean} Whether it has a georeference, or that is not known. */
-const mayHaveFix = ({ look }) => !look || look.georeference !== null || look.georeference_reason === null;
+const mayHaveFix = ({ look }) => look.georeference !== null || look.georeference_reason === null;
 
 /** @param {DriveFolder} drive */
-function labelNames(drive) {
-  if (drive.layout !== "reduced") return Object.keys(drive.labels);
-  return [...new Set([...drive.ground.keys()].map((path) => path.split("/")[1]))].sort();
+function labelNames({ look, whole }) {
+  if (look.layout !== "reduced") return Object.keys(look.labels);
+  return [...new Set([...whole.keys()].map((path) => path.split("/")[1]))].sort();
 }
 
 /** @param {File | null} archive */
@@ -370,23 +345,20 @@ function keyframesComplaint(wanted, labelled) {
   return `The service labels the keyframes of ${usual}: leave these two settings, or use label files of your own.`;
 }
 
-/** @param {Iterable<File>} files */
-const bytesOf = (files) => [...files].reduce((sum, file) => sum + file.size, 0);
-
 /** @param {DriveFolder} drive @param {import("./label_form.js").MadeLabels | null} made @returns {string} Why its scans are sent as they are. */
-function reasonOf({ scans, recorded, look }, made) {
-  const all = formatBytes(scans?.bytes ?? bytesOf(recorded.values()));
-  const lacksPoses = look?.has_poses === false && "The service computes the poses, so the scans are sent whole";
+function reasonOf({ look, whole }, made) {
+  const all = formatBytes(look.scans?.size_bytes ?? bytesOf(whole.values()));
+  const lacksPoses = look.has_poses === false && "The service computes the poses, so the scans are sent whole";
   const why = made?.why || lacksPoses || "The browser cannot reduce these files";
   return `${why}: all ${all} are sent as they are, and the service keeps what the method needs.`;
 }
 
 /** @param {DriveFolder} drive */
-function georeferenceOf({ look, layout }) {
-  if (look?.georeference) return look.georeference;
-  if (look?.georeference_reason) return "none";
-  if (layout === "rosbag") return "the fixes in the bag, if it has any";
-  if (layout === "las") return "the coordinate system, if the files name one";
+function georeferenceOf({ look }) {
+  if (look.georeference) return look.georeference;
+  if (look.georeference_reason) return "none";
+  if (look.layout === "rosbag") return "the fixes in the bag, if it has any";
+  if (look.layout === "las") return "the coordinate system, if the files name one";
   return "not known yet";
 }
 
@@ -398,26 +370,25 @@ function georeferenceOf({ look, layout }) {
  * @returns {Parameters<typeof factRows>[0]}
  */
 function factsOf(drive, folders, groundBytes, sending) {
-  const { scans, recorded, labels, ground, maps, unused, layout, look } = drive;
-  const numbers = [...(scans?.files.keys() ?? [])];
-  const labelBytes = folders.reduce((sum, folder) => sum + (labels[folder]?.bytes ?? 0), 0);
-  const packed = bytesOf(ground.values());
-  const taken = bytesOf(recorded.values());
-  const whole = formatBytes(scans || taken ? (scans?.bytes ?? taken) + labelBytes : packed);
-  const part = `${formatBytes(scans ? groundBytes * scans.files.size : packed)} of ${whole}`;
-  const sent = { keyframes: `at most about ${part}`, scans: `about ${part}` }[sending] ?? whole;
+  const { look, whole, maps, unused } = drive;
+  const { scans, layout } = look;
+  const taken = bytesOf(whole.values());
+  const labelBytes = folders.reduce((sum, folder) => sum + (look.labels[folder]?.size_bytes ?? 0), 0);
+  const all = formatBytes((scans?.size_bytes ?? taken) + labelBytes);
+  const part = scans && `${formatBytes(groundBytes * scans.count)} of ${all}`;
+  const sent = { keyframes: `at most about ${part}`, scans: `about ${part}` }[sending] ?? all;
+  const last = scans?.runs.at(-1) ?? [0, 0];
+  const files = layout === "pcd" ? "scan" : "file";
   return [
-    ["Layout", LAYOUTS[layout] ?? "not known yet"],
-    scans && ["Scans", `${plural(numbers.length, "scan")}, ${numbers[0]} to ${numbers.at(-1)}`],
-    scans && ["Points", `about ${formatCount(look?.points_per_scan ?? 0)} per scan`],
-    recorded.size > 0 && [
-      layout === "pcd" ? "Scans" : "Files",
-      `${plural(recorded.size, layout === "pcd" ? "scan" : "file")}, ${formatBytes(taken)}`,
-    ],
-    ground.size > 0 && ["Files of ground points", formatCount(ground.size)],
+    ["Layout", getConfig().layouts[layout ?? ""] ?? "not known yet"],
+    scans && ["Scans", `${plural(scans.count, "scan")}, ${scans.runs[0][0]} to ${last[0] + last[1] - 1}`],
+    scans && ["Points", `about ${formatCount(look.points_per_scan ?? 0)} per scan`],
+    layout === "reduced" && ["Files of ground points", formatCount(whole.size)],
+    layout !== "reduced" &&
+      whole.size > 0 && [layout === "pcd" ? "Scans" : "Files", `${plural(whole.size, files)}, ${formatBytes(taken)}`],
     ["Georeference", georeferenceOf(drive)],
     maps.size > 0 && ["Maps", [...maps.keys()].join(", ")],
-    ["To be sent", layout === "reduced" ? formatBytes(packed) : sent],
+    ["To be sent", sent],
     unused.files > 0 && ["Not needed", `${plural(unused.files, "file")}, ${formatBytes(unused.bytes)}`],
   ];
 }

@@ -9,7 +9,6 @@ import { LABEL_FOLDERS } from "../data/lists.js";
 import { el, fill, formatBytes, formatCount, formatDuration, formatPercent, plural } from "../dom.js";
 
 /** @import { DriveFolder } from "./drive_folder.js" */
-/** @import { JudgedLabels } from "./upload.js" */
 /**
  * @typedef {object} Network As the service lists it.
  * @property {string} name
@@ -40,7 +39,6 @@ const IN_FILES = {
 /** Labels that the browser cannot see: it does not read these files. By layout; "" is an archive. */
 const UNSEEN = /** @type {Record<string, {title: string, hint: string}>} */ ({
   "": { title: "Those in the archive", hint: "labels/ or predictions/, or labels of the points themselves." },
-  unknown: { title: "Those in the folder", hint: "labels/ or predictions/, or labels of the points themselves." },
   pcd: { title: "Labels of the points themselves", hint: "Their field label." },
   rosbag: {
     title: "Labels of the points themselves",
@@ -67,8 +65,8 @@ export function labelForm({ drive, networks, before }, { onChange, onFolder }) {
   const usable = networks.filter(({ problem }) => problem === null);
   /** Time that each takes, to be filled in. @type {Map<Network, HTMLElement>} */
   const hints = new Map(usable.map((network) => [network, el("span")]));
-  const areSeen = drive?.scans || drive?.look?.carries_labels === false; // label files, or none at all
-  const unseen = areSeen ? null : UNSEEN[drive?.layout ?? ""];
+  const areSeen = drive && (drive.look.scans || drive.look.carries_labels === false); // label files, or none at all
+  const unseen = areSeen ? null : UNSEEN[drive?.look.layout ?? ""];
   const ofNetworks = usable.map((network) => ({
     value: OF_NETWORK + network.name,
     title: ["By the network ", el("b", network.name), ", on the service"],
@@ -90,7 +88,7 @@ export function labelForm({ drive, networks, before }, { onChange, onFolder }) {
   const offered = el("div.stack-s", chooser, ofDamaged);
 
   // Of a bag or of LAS files only the service knows which scans there are; labels that lie beside are sent all the same.
-  const hasPlace = unseen && drive?.layout === "pcd";
+  const hasPlace = unseen && drive?.look.layout === "pcd";
   const hasFolders = () => boxes.size > 0;
   /** @returns {MadeLabels | null} */
   function made() {
@@ -116,8 +114,9 @@ export function labelForm({ drive, networks, before }, { onChange, onFolder }) {
     element: section("Labels", drive && rows, offered, hasPlace && picker, meaning.element),
     setKeyframes,
 
-    /** @param {DriveFolder["labels"]} folders */
+    /** @param {import("./drive_folder.js").DriveLook["labels"]} folders */
     setFolders(folders) {
+      meaning.setVerdict(folders);
       const names = Object.keys(folders);
       const wasOff = new Set([...boxes].filter(([, box]) => !box.checked).map(([name]) => name));
       boxes.clear();
@@ -126,7 +125,7 @@ export function labelForm({ drive, networks, before }, { onChange, onFolder }) {
         const isOnly = names.length === 1;
         const box = el("input", { type: "checkbox", checked: isOn || isOnly, disabled: isOnly, onChange });
         boxes.set(name, box);
-        const count = plural(folders[name].files.size, "file");
+        const count = plural(folders[name].count, "file");
         if (isOnly) return el("p", `${LABEL_FOLDERS[name]}, ${count}`);
         return el("label.check", box, el("span", LABEL_FOLDERS[name], el("small", count)));
       });
@@ -140,7 +139,6 @@ export function labelForm({ drive, networks, before }, { onChange, onFolder }) {
     /** The labels that the service makes; null: the drive has labels. */
     made,
     scheme: () => (made() === null ? meaning.scheme() : "auto"),
-    setVerdict: meaning.setVerdict,
   };
 }
 
@@ -185,12 +183,12 @@ function meaningField(chosen, onChange) {
   return {
     element: el("div.stack-s", field("What their ids mean", scheme), ids, verdict),
     scheme: () => (scheme.value === "custom" ? ids.value.trim() || "custom" : scheme.value),
-    /** @param {JudgedLabels[]} judged */
-    setVerdict(judged) {
-      const found = judged.filter((each) => each.scheme !== null);
-      const text = (/** @type {JudgedLabels} */ { folder, scheme: name, road_share }) =>
-        `${folder}: read as ${name === "custom" ? "given" : name}, ${formatPercent(road_share)} road.`;
-      verdict.textContent = found.map(text).join(" ");
+    /** @param {import("./drive_folder.js").DriveLook["labels"]} labels */
+    setVerdict(labels) {
+      const texts = Object.entries(labels).flatMap(([folder, { scheme: name, road_share }]) =>
+        name ? `${folder}: read as ${name === "custom" ? "given" : name}, ${formatPercent(road_share)} road.` : [],
+      );
+      verdict.textContent = texts.join(" ");
     },
   };
 }

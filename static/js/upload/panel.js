@@ -1,6 +1,6 @@
 /** The upload panel: from picking a folder, or going on with an upload that was begun, to a job. */
 
-import { ApiError, getConfig, getJson, isArchive, sendJson } from "../api.js";
+import { ApiError, encodePath, getConfig, getJson, isArchive, request, sendJson } from "../api.js";
 import { filePicker, iconButton, section } from "../controls.js";
 import { refreshLists, rememberJob } from "../data/lists.js";
 import { onUploadsChange, tellUpload, uploadElsewhere, uploadOf, uploadText } from "../data/uploads.js";
@@ -40,7 +40,8 @@ Others: KITTI raw, KITTI-360, and as recorded
   drive.mcap or drive.bag
   drive.db3           metadata.yaml
   street.laz, …       trajectory.csv`;
-const COMPANIONS = [".txt", ".csv", ".tum", ".out", ".sbet", ".yaml", ".osm", ".pbf", ".gz", ".bz2", ".zst"];
+/** What a list of endings to pick from can hold of `.tar.gz`. @param {string} ending */
+const lastEnding = (ending) => ending.slice(ending.lastIndexOf("."));
 
 /** @type {Upload | null} */
 let current = null;
@@ -94,11 +95,11 @@ async function showStart(message = null, begun = null) {
     });
     if (handle) run(async () => showFolder(await folderOfHandle(handle, counter()), begun));
   };
-  const { archives, recordings, scans } = getConfig().file_kinds;
+  const { archives, recordings, scans, beside, maps } = getConfig().file_kinds;
   const takeFiles = (/** @type {FileList} */ list) =>
     run(() => (isArchive(list[0].name) ? showArchive(list[0], begun) : showFolder(folderOfInput(list), begun)));
   const pickFiles = filePicker("Choose files", takeFiles, {
-    accept: [...archives, ...recordings, ...scans, ...COMPANIONS].join(","),
+    accept: [...archives, ...recordings, ...scans, ...beside, ...maps].map(lastEnding).join(","),
     multiple: true,
     name: "files",
   });
@@ -183,7 +184,7 @@ async function showFolder(folder, begun) {
     await showStart(problemNote(error), begun);
     return;
   }
-  const first = drive.root;
+  const first = drive.look.root;
   for (const { root, fingerprint } of rememberedUploads()) {
     if (root === first || !drives.some((each) => each.root === root)) continue;
     const other = (await lookInto(folder, { root })).drive;
@@ -199,7 +200,8 @@ async function showArchive(file, begun) {
 
 /** @param {Picked} picked @param {Begun | null} begun The upload that this is to go on with. */
 async function showForm(picked, begun) {
-  const isUnlabelled = !picked.drive || (picked.drive.layout !== "reduced" && !Object.keys(picked.drive.labels).length);
+  const isUnlabelled =
+    !picked.drive || (picked.drive.look.layout !== "reduced" && !Object.keys(picked.drive.look.labels).length);
   const networks = isUnlabelled ? getJson("models") : { models: [] };
   const [presets, { models }] = await Promise.all([getJson("presets"), networks]);
   const fingerprint = picked.drive && fingerprintOfDrive(picked.drive);
@@ -254,6 +256,7 @@ async function goOn(picked, { driveId, settings }) {
     const own = drive.maps.get(path) ?? drive.small.get(path);
     const isThere = own || (await isOnService(driveId, path));
     if (own) extras.set(path, own);
+    else if (isThere && path === settings.options.oxts) extras.set(path, await fetchFile(driveId, path));
     if (!isThere) {
       await showForm(picked, { driveId, settings });
       showMessage(`${path.split("/").pop()} had not arrived yet: pick it again.`);
@@ -269,6 +272,12 @@ async function goOn(picked, { driveId, settings }) {
 async function isOnService(driveId, path) {
   const folder = await getJson(`drives/${driveId}/files?limit=1&after=${encodeURIComponent(path.slice(0, -1))}`);
   return folder.files[0]?.path === path;
+}
+
+/** A georeference that has arrived: the service looks into it again. @param {string} driveId @param {string} path */
+async function fetchFile(driveId, path) {
+  const response = await request(`drives/${driveId}/files/${encodePath(path)}`);
+  return new File([await response.blob()], path.slice(path.lastIndexOf("/") + 1));
 }
 
 /** @param {Picked} picked @param {Upload} upload */

@@ -31,8 +31,8 @@ let listener = () => {};
  * @param {(found: Found) => void} onFound Called with the track, and again with what the map has there.
  */
 export function showPreview(drive, map, onFound) {
-  const track = drive.look?.track ?? null;
-  const key = JSON.stringify([drive.root, drive.name, track, map && [map.name, map.size, map.lastModified]]);
+  const { track } = drive.look;
+  const key = JSON.stringify([drive.look.root, drive.look.name, track, map && [map.name, map.size, map.lastModified]]);
   listener = onFound;
   if (key === asked) {
     if (last) onFound(last);
@@ -94,7 +94,7 @@ function previewOf(drive, { track, look }, map) {
   if (look?.roads.length) parts.push(`roads of ${map?.name}`);
   const fit = fitVerdict(/** @type {Track} */ (track));
   if (fit?.[1]) parts.push(`poses (thin line) ${fit[0]}`);
-  return { result, title: drive.name, text: parts.join(" · "), progress: shown.preview?.progress ?? 0 };
+  return { result, title: drive.look.name, text: parts.join(" · "), progress: shown.preview?.progress ?? 0 };
 }
 
 /** @param {Track} track @returns {[text: string, isBad: boolean] | null} How the poses fit the georeference. */

@@ -1,9 +1,10 @@
 /** How far an upload is: steps, figures, what the service found, and what can be done about it. */
 
+import { getConfig } from "../api.js";
 import { factList, factRows, problemList } from "../controls.js";
 import { announce, el, fill, formatBytes, formatCount, formatDuration, formatMetres, icon, plural } from "../dom.js";
 import { problemNote } from "../messages.js";
-import { LAYOUTS } from "./drive_folder.js";
+import { numbersOf } from "./drive_folder.js";
 import { madeFolder } from "./upload.js";
 
 /** @import { Upload } from "./upload.js" */
@@ -68,8 +69,7 @@ export function progressView({ onChange, onCorrect, onLeave }) {
     line.textContent =
       transfer.waiting ?? (transfer.isPaused ? "Paused. What is being sent still arrives." : upload.message);
     fill(figures, figuresOf(upload, isSending));
-    drawPlan(upload.plan, upload.settings);
-    plan.hidden = status === "failed" && step === "plan";
+    if (step !== "plan") drawPlan(upload.source.drive?.look ?? null, upload.settings);
     drawOnce(fault, error, () => error && problemNote(error));
     const found = upload.problems;
     drawOnce(problems, found, () => found.length > 0 && [el("h3", "What was found"), problemList(found)]);
@@ -100,18 +100,19 @@ export function progressView({ onChange, onCorrect, onLeave }) {
     announce(BADGES[status][1]);
   }
 
-  /** @param {any} found @param {import("./upload.js").Settings} settings */
-  function drawPlan(found, { sending, options }) {
-    if (!found || plan.childElementCount) return;
-    const owner = POSE_OWNERS[/** @type {keyof typeof POSE_OWNERS} */ (found.pose_frame)] ?? found.pose_frame;
+  /** @param {import("./drive_folder.js").DriveLook | null} look @param {import("./upload.js").Settings} settings */
+  function drawPlan(look, { sending, options }) {
+    if (!look?.plan || plan.childElementCount) return;
+    const owner = POSE_OWNERS[/** @type {keyof typeof POSE_OWNERS} */ (look.pose_frame)] ?? look.pose_frame;
     const why = (/** @type {string | null} */ text) => text && el("small.why", text);
-    const keyframes = `${formatCount(found.frames.length)} of ${plural(found.scans, "scan")}`;
+    const scans = plural(look.plan.scans, "scan");
+    const keyframes = `${formatCount(numbersOf(look.plan.kept).length)} of ${scans}`;
     const facts = factList("box wordy", [
-      ["Layout", LAYOUTS[/** @type {keyof typeof LAYOUTS} */ (found.layout)] ?? found.layout],
-      owner && ["Poses", [owner, why(found.pose_frame_reason)]],
-      ["Georeference", [found.georeference ?? "none", why(found.georeference_reason)]],
-      typeof found.length_m === "number" && ["Distance", formatMetres(found.length_m, 0)],
-      ["To be sent", sending === "raw" ? `all ${plural(found.scans, "scan")}` : keyframes],
+      ["Layout", getConfig().layouts[look.layout ?? ""] ?? look.layout],
+      owner && ["Poses", [owner, why(look.pose_frame_reason)]],
+      ["Georeference", [look.georeference ?? "none", why(look.georeference_reason)]],
+      look.track && ["Distance", formatMetres(look.track.length_m, 0)],
+      ["To be sent", sending === "raw" ? `all ${scans}` : keyframes],
       madeFolder(options) && ["To be labelled", `about ${keyframes}`],
     ]);
     fill(plan, facts);
@@ -153,16 +154,15 @@ function stepItem(step, state) {
 function figuresOf(upload, isSending) {
   const { transfer, done, total, step, source } = upload;
   const { meter } = transfer;
-  const isOfScans = step === "check" || (step === "scans" && source.drive?.scans && upload.settings.sending !== "raw");
+  const { folders, sending } = upload.settings;
+  const isOfScans =
+    step === "check" || (step === "scans" && source.drive?.look.plan && sending !== "raw" && folders.length === 1);
   const isUnderWay = isSending && upload.status === "running";
   const all = formatBytes(Math.max(meter.total, meter.sent));
   const seconds = isUnderWay && step !== "files" ? meter.secondsLeft : step === "check" ? upload.secondsLeft : null;
   const left = seconds !== null && formatDuration(seconds);
   return factRows([
-    total && [
-      isOfScans && total === upload.plan?.frames.length ? "Scans" : "Files",
-      `${formatCount(done)} of ${formatCount(total)}`,
-    ],
+    total && [isOfScans ? "Scans" : "Files", `${formatCount(done)} of ${formatCount(total)}`],
     (meter.sent || meter.skipped) && ["Sent", `${formatBytes(meter.sent)} of about ${all}`],
     meter.skipped && ["There already", formatBytes(meter.skipped)],
     isUnderWay && meter.speed !== null && ["Speed", `${formatBytes(meter.speed)}/s`],

@@ -1,18 +1,31 @@
-/** How the files of a drive are read: poses, layout, georeference from elsewhere, the topics of a bag. */
+/** How the files of a drive are read: the options of reading, by their schema, and a georeference from elsewhere. */
 
+import { getConfig } from "../api.js";
 import { field, filePicker, radios, select } from "../controls.js";
 import { el, fill, formatCount } from "../dom.js";
-import { LAYOUTS, oxtsRows } from "./drive_folder.js";
+import { oxtsRows } from "./drive_folder.js";
 import { folderOfInput } from "./folder.js";
 
 /** @import { DriveFolder } from "./drive_folder.js" */
 
+/** What the form calls the options; one that is not here is asked for elsewhere. */
+const TITLES = /** @type {Record<string, string>} */ ({
+  pose_frame: "Poses are those of",
+  layout: "Layout",
+  points: "Topic of the scans",
+  fix: "Topic of the GNSS fixes",
+  crs: "Coordinate system of LAS files",
+  poses: "Poses",
+  frames: "Part of the drive",
+  deskew: "Motion within scans",
+});
+const ONLY_OF = /** @type {Record<string, string>} */ ({ points: "rosbag", fix: "rosbag", crs: "las" });
 const POSE_FRAMES = {
   auto: "From the motion",
   camera: "Camera (KITTI, SemanticKITTI)",
   lidar: "LiDAR (kiss-icp and others)",
 };
-const FOUND = "Found by itself";
+const DESKEW = { auto: "Taken out where the points show it", on: "Taken out", off: "Left as it is" };
 
 /**
  * @param {DriveFolder | null} drive null: an archive, of which nothing is known yet.
@@ -20,79 +33,81 @@ const FOUND = "Found by itself";
  * @param {() => void} onChange
  */
 export function readingForm(drive, before, onChange) {
-  const georeference = georeferenceField(drive?.layout ?? null, onChange);
-  const own = drive?.recorded.size ? drive.layout : null;
-  const mayBe = (/** @type {string} */ layout) => drive === null || own === layout;
-  const poseFrame = select(POSE_FRAMES, before?.options.pose_frame ?? "auto", onChange);
-  const { reduced: _, ...layouts } = LAYOUTS;
-  const layout = select({ auto: "From the folder", ...layouts }, before?.options.layout ?? "auto", onChange);
-  const ofPoses = field("Poses are those of", poseFrame, "A wrong choice is noticed: the road would not be flat.");
-  const grid = el("div.grid-2", own !== "rosbag" && own !== "las" && ofPoses, field("Layout", layout));
+  const { reading_schema, layouts } = getConfig();
+  const own = drive?.look.layout ?? null;
+  const georeference = georeferenceField(own, onChange);
+  const { reduced: _, ...ofLayout } = layouts;
+  const choices = /** @type {Record<string, Record<string, string>>} */ ({
+    ...{ pose_frame: POSE_FRAMES, deskew: DESKEW, layout: { auto: "From the folder", ...ofLayout } },
+  });
+  const poseFiles = el("datalist", { id: "pose-files" });
 
-  const text = (/** @type {string | null | undefined} */ value, /** @type {string} */ placeholder) =>
-    el("input", { type: "text", maxLength: 512, placeholder, value: value ?? "", onInput: onChange });
-  const poses = before?.options.poses;
-  const topics = {
-    points: text(before?.options.points, FOUND),
-    poses: text(poses?.startsWith("/") ? poses : "", FOUND),
-    fix: text(before?.options.fix, FOUND),
-  };
-  const crs = text(before?.options.crs, "As the files name it");
-  const part = text(before?.options.frames, "All of it");
-  const poseFile = el("select", { onChange });
-  const poseFileField = field("Poses are in", poseFile);
-  const more = [
-    mayBe("rosbag") && [
-      el("div.field-name", drive ? "Topics of the bag" : "Topics, of a ROS bag"),
-      el("div.grid-2", field("Scans", topics.points), field("Poses", topics.poses)),
-      field("GNSS fixes", topics.fix, "As /velodyne_points, /odometry or /tf, /fix."),
-    ],
-    mayBe("las") && field("Coordinate system of LAS files", crs, "As EPSG:25832, where the files do not name it."),
-    poseFileField,
-    field("Part of the drive", part, "As 200:1400, by the numbers of its scans: 1400 is the first that is left out."),
-  ];
+  /** @param {string} name */
+  function optionOf(name) {
+    const schema = reading_schema.properties[name];
+    const text = schema.anyOf?.find((/** @type {any} */ { type }) => type === "string") ?? schema;
+    const example = schema.examples?.[0];
+    const value = before?.options[name] ?? schema.default ?? "";
+    const input = text.enum
+      ? select(
+          Object.fromEntries(text.enum.map((/** @type {string} */ each) => [each, choices[name]?.[each] ?? each])),
+          value,
+        )
+      : el("input", {
+          type: "text",
+          maxLength: text.maxLength,
+          placeholder: `As ${example}, or found by itself`,
+          value,
+        });
+    input.addEventListener("input", onChange);
+    if (name === "poses") input.setAttribute("list", poseFiles.id);
+    const read = () => input.value.trim() || null;
+    return {
+      name,
+      read,
+      element: field(TITLES[name], input, schema.description),
+      /** @returns {string | null} */
+      complaint() {
+        const given = read();
+        if (given && ONLY_OF[name] === "rosbag" && !given.startsWith("/"))
+          return `The topic ${given} does not begin with a slash.`;
+        if (!given || !text.pattern || new RegExp(text.pattern, "u").test(given)) return null;
+        return `${TITLES[name]}: write it as ${example}, or leave it empty.`;
+      },
+    };
+  }
+
+  const isApt = (/** @type {string} */ name) => !drive || !ONLY_OF[name] || ONLY_OF[name] === own;
+  const options = Object.keys(TITLES)
+    .filter((name) => name in reading_schema.properties && isApt(name))
+    .map(optionOf);
 
   /** Offer the files that may hold the poses: they may come and go. */
   function setFiles() {
-    const names = drive?.look?.pose_files ?? [];
-    const wanted = poseFile.value || poses;
-    fill(poseFile, el("option", { value: "" }, FOUND), ...names.map((path) => el("option", { value: path }, path)));
-    poseFile.value = wanted && names.includes(wanted) ? wanted : "";
-    poseFileField.hidden = names.length < 2;
+    fill(
+      poseFiles,
+      (drive?.look.pose_files ?? []).map((path) => el("option", { value: path })),
+    );
   }
   setFiles();
 
-  const textOf = (/** @type {HTMLInputElement} */ input) => input.value.trim() || null;
-  function complaint() {
-    const topic = Object.values(topics).find((input) => input.value.trim() && !input.value.trim().startsWith("/"));
-    if (topic) return `The topic ${topic.value.trim()} does not begin with a slash.`;
-    if (crs.value.trim() && !/^[A-Za-z]+:\d+$/.test(crs.value.trim())) {
-      return "Write the coordinate system as EPSG:25832, or leave it empty.";
-    }
-    if (part.value.trim() && !/^\d{0,18}:\d{0,18}$/.test(part.value.trim())) {
-      return "Write the part of the drive as 200:1400, or leave it empty.";
-    }
-    return georeference.complaint();
-  }
-
   return {
-    element: el("div.stack-s", georeference.element, grid, more),
+    element: el(
+      "div.stack-s",
+      georeference.element,
+      options.map(({ element }) => element),
+      poseFiles,
+    ),
     setFiles,
-    read: () => ({
-      pose_frame: poseFrame.value,
-      layout: layout.value,
-      points: textOf(topics.points),
-      poses: textOf(topics.poses) ?? (poseFile.value || null),
-      fix: textOf(topics.fix),
-      crs: textOf(crs),
-      frames: textOf(part),
-    }),
+    /** @returns {Record<string, string | null>} */
+    read: () => Object.fromEntries(options.map(({ name, read }) => [name, read()])),
     georeference: georeference.file,
-    complaint,
+    /** @returns {string | null} */
+    complaint: () => options.map(({ complaint }) => complaint()).find(Boolean) ?? georeference.complaint(),
   };
 }
 
-/** @param {DriveFolder["layout"] | null} layout @param {() => void} onChange */
+/** @param {string | null} layout @param {() => void} onChange */
 function georeferenceField(layout, onChange) {
   /** @type {File | null} */
   let fix = null;
@@ -116,31 +131,21 @@ function georeferenceField(layout, onChange) {
     (status.textContent = `Reading ${formatCount(done)} of ${formatCount(total)} fixes`);
   const ofFile = { accept: ".txt,.csv,.gz", name: "georeference-file" };
   const asFile = filePicker("A file …", ([file]) => take(file), ofFile);
-  const asFolder = filePicker("A KITTI raw drive …", (list) => take(oxtsRows(folderOfInput(list), progress)), {
-    folder: true,
-    name: "raw-drive",
-  });
+  const ofRaw = { folder: true, name: "raw-drive" };
+  const asFolder = filePicker("A KITTI raw drive …", (list) => take(oxtsRows(folderOfInput(list), progress)), ofRaw);
   const pickers = el("div.stack-s", el("div.row", asFile, asFolder), status);
-  const inFolder = { title: "From the folder", hint: "oxts/ or geo.csv; without them, local metres only." };
   const inFiles = /** @type {Record<string, {title: string, hint: string}>} */ ({
     rosbag: { title: "From the bag", hint: "Its GNSS fixes; without them, local metres only." },
     las: { title: "From the files", hint: "Their coordinate system." },
   });
-  const ofOthers = "One row of OXTS per frame, a geo.csv, or the KITTI raw drive of an odometry sequence.";
-  const source = radios(
-    "Georeference",
-    [
-      { value: "drive", ...(inFiles[layout ?? ""] ?? inFolder) },
-      { value: "other", title: "From elsewhere", hint: ofOthers, more: pickers },
-    ],
-    "drive",
-    onChange,
-  );
-  const isMissing = () => source.value() === "other" && !fix;
-  return {
-    element: source.element,
-    file: () => (source.value() === "other" ? fix : null),
-    /** @returns {string | null} */
-    complaint: () => (isMissing() ? "Choose the georeference from elsewhere, or use that of the folder." : null),
-  };
+  const inFolder = { title: "From the folder", hint: "oxts/ or geo.csv; without them, local metres only." };
+  const hint = "One row of OXTS per frame, a geo.csv, or the KITTI raw drive of an odometry sequence.";
+  const choices = [
+    { value: "drive", ...(inFiles[layout ?? ""] ?? inFolder) },
+    { value: "other", title: "From elsewhere", hint, more: pickers },
+  ];
+  const source = radios("Georeference", choices, "drive", onChange);
+  const file = () => (source.value() === "other" ? fix : null);
+  const missing = "Choose the georeference from elsewhere, or use that of the folder.";
+  return { element: source.element, file, complaint: () => (source.value() === "other" && !fix ? missing : null) };
 }

@@ -1,10 +1,10 @@
 /** The files of a drive to be sent to the service: small files in batches, scans as they are, or reduced. */
 
 import { getConfig, sha256 } from "../api.js";
-import { pathOf } from "./drive_folder.js";
+import { inFolder, numberedFiles, pathOf } from "./drive_folder.js";
 import { DIGEST_MAX_BYTES, PARALLEL, Turns } from "./transfer.js";
 
-/** @import { DriveFolder, NumberedFiles } from "./drive_folder.js" */
+/** @import { DriveFolder, LabelsMeaning, NumberedLook } from "./drive_folder.js" */
 /** @import { Transfer } from "./transfer.js" */
 /** @typedef {Map<string, {size_bytes: number, sha256: string}>} Present Files that the service has, by path. */
 
@@ -116,22 +116,6 @@ export async function sendFiles(transfer, files, present, isTrusted, onDone) {
   });
 }
 
-/** @param {DriveFolder} drive @param {string[]} folders @returns {[string, File][]} Scan by scan. */
-export function rawFiles(drive, folders) {
-  const labels = folders.map((folder) => drive.labels[folder]);
-  if (!drive.scans) {
-    const ofLabels = labels.flatMap((kind) => [...kind.files].map(([frame, file]) => [pathOf(kind, frame), file]));
-    return [...drive.recorded, .../** @type {[string, File][]} */ (ofLabels)];
-  }
-  const kinds = [drive.scans, ...labels];
-  return [...drive.scans.files.keys()].flatMap((frame) =>
-    kinds.flatMap((kind) => {
-      const file = kind.files.get(frame);
-      return file ? [/** @type {[string, File]} */ ([pathOf(kind, frame), file])] : [];
-    }),
-  );
-}
-
 /**
  * Reduce scans in workers and send what is left of them.
  *
@@ -139,17 +123,18 @@ export function rawFiles(drive, folders) {
  * @param {object} what
  * @param {DriveFolder} what.drive
  * @param {number[]} what.frames Scans to send.
- * @param {Map<string, import("./upload.js").JudgedLabels>} what.schemes By label folder.
- * @param {number} what.groundBytes About the size of what is left of a scan.
+ * @param {string[]} what.folders Of labels.
+ * @param {number} what.groundBytes About the size of what is left of a scan, by all folders.
  * @param {Present} what.present
  * @param {Set<string>} what.trusted Label folders whose files on the service are known to be good.
  * @param {(done: number) => void} onDone
  */
-export async function sendReduced(transfer, { drive, frames, schemes, groundBytes, present, trusted }, onDone) {
-  const scans = /** @type {NumberedFiles} */ (drive.scans);
-  const items = frames.flatMap((frame) => [...schemes.keys()].map((folder) => ({ frame, folder })));
+export async function sendReduced(transfer, { drive, frames, folders, groundBytes, present, trusted }, onDone) {
+  const { scans, labels } = drive.look;
+  const items = frames.flatMap((frame) => folders.map((folder) => ({ frame, folder })));
   const pool = new WorkerPool();
-  const estimate = new Estimate(transfer.meter, items.length, groundBytes * items.length);
+  const estimate = new Estimate(transfer.meter, items.length, groundBytes * frames.length);
+  const fileOf = (/** @type {string} */ path) => drive.folder.files.get(inFolder(drive, path));
   let done = 0;
   try {
     await transfer.each(items, pool.size + PARALLEL, async ({ frame, folder }) => {
@@ -159,15 +144,12 @@ export async function sendReduced(transfer, { drive, frames, schemes, groundByte
         estimate.add(there.size_bytes);
         skip(transfer, there.size_bytes);
       } else {
-        const labels = drive.labels[folder];
-        const files = {
-          scan: scans.files.get(frame),
-          labels: labels.files.get(frame),
-          scanName: pathOf(scans, frame),
-          labelName: pathOf(labels, frame),
-        };
-        if (!files.labels) throw new Error(`${files.labelName}: is missing. Expected one .label file per scan.`);
-        const { bytes, digest } = await pool.run({ files, scheme: schemes.get(folder) });
+        const scanName = pathOf(/** @type {NumberedLook} */ (scans), frame);
+        const labelName = pathOf(labels[folder], frame);
+        const files = { scan: fileOf(scanName), labels: fileOf(labelName), scanName, labelName };
+        if (!files.labels) throw new Error(`${labelName}: is missing. Expected one .label file per scan.`);
+        const { road, confusable } = labels[folder];
+        const { bytes, digest } = await pool.run({ files, scheme: { road, confusable } });
         estimate.add(bytes.byteLength);
         if (there && there.sha256 === (await sha256(bytes, "hex"))) skip(transfer, bytes.byteLength);
         else await transfer.put(path, bytes, digest);
@@ -204,27 +186,32 @@ class Estimate {
 }
 
 /**
- * The manifest of the reduced drive: what the service planned, with the sizes that only the browser knows.
+ * The manifest of the reduced drive: what the service planned, with the name and the sizes that only the browser knows.
  *
- * @param {any} planned
  * @param {DriveFolder} drive
+ * @param {string} name
+ * @param {string[]} folders Of labels.
  */
-export function manifestBytes(planned, drive) {
-  const scans = /** @type {NumberedFiles} */ (drive.scans);
-  const points = [...scans.files.values()].map((file) => Math.floor(file.size / 16)).sort((a, b) => a - b);
+export function manifestBytes(drive, name, folders) {
+  const { look } = drive;
+  const planned = look.plan?.manifest;
+  const scans = /** @type {NumberedLook} */ (look.scans);
+  const points = numberedFiles(drive, scans)
+    .map(([, file]) => Math.floor(file.size / 16))
+    .sort((a, b) => a - b);
   const middle = points.length / 2;
   const median = points.length % 2 ? points[Math.floor(middle)] : (points[middle - 1] + points[middle]) / 2;
-  const labels = planned.labels.map((/** @type {any} */ each) => ({
-    ...each,
-    label_bytes: drive.labels[each.folder].bytes,
-  }));
+  const labels = planned.labels
+    .filter((/** @type {any} */ { folder }) => folders.includes(folder))
+    .map((/** @type {any} */ each) => ({ ...each, label_bytes: look.labels[each.folder].size_bytes }));
   const source = {
-    scan_bytes: scans.bytes,
+    scan_bytes: scans.size_bytes,
     points_per_scan: Math.floor(median),
     least_points: points[0],
     most_points: points.at(-1),
   };
-  return new TextEncoder().encode(`${JSON.stringify({ ...planned, labels, source }, null, 1)}\n`);
+  const manifest = { ...planned, name: name.replaceAll("/", "_"), labels, source };
+  return new TextEncoder().encode(`${JSON.stringify(manifest, null, 1)}\n`);
 }
 
 const STOPPED = new Error("Stopped.");

@@ -1,10 +1,9 @@
 /** One upload from the first file to the job: every step can be repeated, so it goes on where it stopped. */
 
 import { ApiError, isMap, sleep } from "../api.js";
-import { runsOf, sorted } from "./drive_folder.js";
+import { bytesOf, lookInto, numbersOf, rawFiles, sorted } from "./drive_folder.js";
 import { forget, remember, remembered } from "./memory.js";
-import { countLabels } from "./reduce.js";
-import { listPresent, manifestBytes, rawFiles, sendFiles, sendReduced, sendSmallFiles } from "./sending.js";
+import { listPresent, manifestBytes, sendFiles, sendReduced, sendSmallFiles } from "./sending.js";
 import { Transfer } from "./transfer.js";
 
 /** @import { FileProblem } from "../api.js" */
@@ -22,20 +21,7 @@ import { Transfer } from "./transfer.js";
  * @property {JobSettings | null} job null: only upload.
  */
 
-/**
- * @typedef {object} ReadingOptions How the service reads the files.
- * @property {string} label_scheme
- * @property {string} pose_frame
- * @property {string} layout
- * @property {string | null} oxts
- * @property {string | null} poses File of the poses, or their topic in a bag.
- * @property {string | null} points Topic of the scans in a bag.
- * @property {string | null} fix Topic of the GNSS fixes in a bag.
- * @property {string | null} crs Coordinate system of LAS files.
- * @property {string | null} frames Part of the drive, as FROM:TO.
- * @property {"geometry"} [labels] Labels that the service makes of the points.
- * @property {string} [model] Network of the service that labels the scans.
- */
+/** @typedef {Record<string, any>} ReadingOptions How the service reads the files: `DriveOptionsModel` of the API. */
 
 /**
  * @typedef {object} Source What was picked.
@@ -46,23 +32,11 @@ import { Transfer } from "./transfer.js";
  * @property {string} fingerprint
  */
 
-/**
- * @typedef {object} JudgedLabels What the service makes of the label ids of a folder.
- * @property {string} folder
- * @property {string | null} scheme
- * @property {number[]} road
- * @property {number[]} confusable
- * @property {number | null} road_share
- * @property {number | null} ground_share Of road, sidewalk, parking and other ground: what is left of a scan.
- * @property {FileProblem[]} problems
- */
-
 /** @param {ReadingOptions} options @returns {"geometry" | "predictions" | null} Labels that the service makes. */
 export const madeFolder = ({ labels, model }) => labels ?? (model ? "predictions" : null);
 
 /** @typedef {"files" | "plan" | "scans" | "archive" | "check" | "run"} Step */
 /** @typedef {"ready" | "running" | "paused" | "failed" | "stopped" | "done"} Status */
-/** @typedef {Record<string, Record<string, number>>} LabelCounts Folder -> label id -> number of points. */
 
 const COMMIT_WAIT_S = 3;
 const POLL_MS = 700;
@@ -102,8 +76,6 @@ export class Upload {
     this.problems = [];
     /** @type {{title: string, detail: string} | null} */
     this.error = null;
-    /** What the service made of the small files and the labels. @type {any} */
-    this.plan = null;
     /** @type {string | null} */
     this.jobId = null;
     this.transfer = new Transfer(onChange);
@@ -121,8 +93,8 @@ export class Upload {
   get steps() {
     const { archive, drive } = this.source;
     /** @type {Step[]} */
-    const sending = archive ? ["archive"] : ["files", "plan", "scans"];
-    if (drive && !drive.scans) sending.splice(1, 1); // nothing to plan: only the service reads it, or it is reduced
+    const sending = archive ? ["archive"] : ["plan", "files", "scans"];
+    if (drive && !drive.look.scans) sending.shift(); // nothing to plan: only the service reads it, or it is reduced
     return [...sending, "check", ...(this.settings.job ? [/** @type {Step} */ ("run")] : [])];
   }
 
@@ -204,99 +176,80 @@ export class Upload {
     const before = remembered(driveId);
     const at = before?.at ?? new Date().toISOString();
     const { settings } = this;
-    const root = drive?.root ?? "";
+    const root = drive?.look.root ?? "";
     schemes ??= before?.schemes;
-    const isLoose = drive?.isLoose;
+    const isLoose = drive?.folder.isLoose;
     remember({ driveId, fingerprint, name: settings.name, at, root, isLoose, settings, schemes }, handle);
   }
 
   async #send() {
     const { archive, drive, extras } = this.source;
     const { meter } = this.transfer;
-    meter.total = [...(drive?.small.values() ?? []), ...extras.values()].reduce((sum, file) => sum + file.size, 0);
     if (archive) {
+      meter.total = bytesOf(extras.values());
       await this.#sendArchive(archive);
       await sendSmallFiles(this.transfer, extras, new Map());
       return;
     }
     if (!drive) throw new Refusal("Nothing to send", "Pick the folder of a drive.");
-    const present = await listPresent(this.transfer);
+    const { folders, sending, options } = this.settings;
+    const isReduced = drive.look.layout === "reduced";
+    if (drive.look.scans) await this.#lookAgain(drive);
+    this.#update({ step: "files", message: "" });
     const small = new Map([...drive.small, ...extras]);
     small.delete("reduced.json"); // it makes a drive of the rest, so it goes last
+    meter.total = bytesOf(small.values());
+    const present = await listPresent(this.transfer);
     await sendSmallFiles(this.transfer, small, present);
     // The very same files were sent before: what the service has of them is good.
     const isSame = remembered(/** @type {string} */ (this.driveId))?.fingerprint === this.source.fingerprint;
     if (!isSame) this.#remember(""); // old and new files are mixed until all is sent
-    if (drive.layout === "reduced") await this.#sendAll([...drive.ground], present, isSame);
-    else if (!drive.scans) await this.#sendAll(rawFiles(drive, this.settings.folders), present, isSame);
-    else await this.#sendScans(drive, present, isSame);
+    if (drive.look.plan && sending !== "raw" && !madeFolder(options)) await this.#sendScans(drive, present, isSame);
+    else await this.#sendAll(rawFiles(drive, isReduced || madeFolder(options) ? [] : folders), present, isSame);
     const manifest = drive.small.get("reduced.json");
-    if (drive.layout === "reduced" && manifest) await this.transfer.put("reduced.json", manifest);
+    if (isReduced && manifest) await this.transfer.put("reduced.json", manifest);
     this.#remember(this.source.fingerprint);
   }
 
   /** @param {DriveFolder} drive @param {Present} present @param {boolean} isSame */
   async #sendScans(drive, present, isSame) {
-    const { folders, sending, options } = this.settings;
-    this.#update({ step: "plan", message: "Reading poses and georeference" });
-    const made = madeFolder(options);
-    const labels = made ? [] : folders;
-    if (drive.look?.has_poses === false) {
-      await this.#sendAll(rawFiles(drive, labels), present, isSame);
-      return;
-    }
-    const plan = await this.#askPlan(drive, await countFolders(drive, labels));
-    if (made || sending === "raw") {
-      await this.#sendAll(rawFiles(drive, labels), present, isSame);
-      return;
-    }
-    /** @type {Map<string, JudgedLabels>} */
-    const schemes = new Map(plan.labels.map((/** @type {JudgedLabels} */ each) => [each.folder, each]));
-    const key = (/** @type {JudgedLabels} */ { road, confusable }) => JSON.stringify([road, confusable]);
-    const keys = Object.fromEntries([...schemes].map(([folder, scheme]) => [folder, key(scheme)]));
+    const { folders, name } = this.settings;
+    const { labels, plan } = drive.look;
+    const keyOf = (/** @type {string} */ folder) => JSON.stringify([labels[folder].road, labels[folder].confusable]);
+    const keys = Object.fromEntries(folders.map((folder) => [folder, keyOf(folder)]));
     const before = remembered(/** @type {string} */ (this.driveId))?.schemes ?? {};
     const trusted = new Set(isSame ? folders.filter((folder) => before[folder] === keys[folder]) : []);
     this.#remember(isSame ? this.source.fingerprint : "", keys);
-    const { frames, manifest } = plan;
-    this.#update({ step: "scans", message: "", done: 0, total: frames.length * schemes.size });
-    const groundBytes = groundBytesOf(drive, plan.labels) / schemes.size;
-    const what = { drive, frames, schemes, groundBytes, present, trusted };
+    const frames = numbersOf(plan?.kept ?? []);
+    this.#update({ step: "scans", message: "", done: 0, total: frames.length * folders.length });
+    const what = { drive, frames, folders, groundBytes: groundBytesOf(drive, folders), present, trusted };
     await sendReduced(this.transfer, what, (done) => this.#update({ done }));
-    await this.transfer.put("reduced.json", manifestBytes(manifest, drive));
+    await this.transfer.put("reduced.json", manifestBytes(drive, name, folders));
   }
 
   /** @param {[string, File][]} files @param {Present} present @param {boolean} isSame */
   async #sendAll(files, present, isSame) {
-    this.transfer.meter.total += files.reduce((sum, [, file]) => sum + file.size, 0);
+    this.transfer.meter.total += bytesOf(files.map(([, file]) => file));
     this.#update({ step: "scans", message: "", done: 0, total: files.length });
     await sendFiles(this.transfer, files, present, isSame, (done) => this.#update({ done }));
   }
 
-  /**
-   * Let the service read the small files, and judge the labels.
-   *
-   * @param {DriveFolder} drive
-   * @param {LabelCounts} label_counts Of the scans that are looked into.
-   */
-  async #askPlan(drive, label_counts) {
-    const { folders, options, sending } = this.settings;
-    const made = madeFolder(options);
-    const { files, folder } = /** @type {import("./drive_folder.js").NumberedFiles} */ (drive.scans);
-    const [[first, count], ...others] = runsOf(files.keys());
-    const json = {
-      scans: others.length ? [...files.keys()] : { first, last: first + count - 1 },
-      label_folders: made ? [made] : folders,
-      label_counts,
-      options,
-      keyframes: sending === "scans" ? null : this.settings.keyframes,
-      scan_folder: folder,
-    };
-    const { body: plan } = await this.transfer.ask(`drives/${this.driveId}/plan`, { method: "POST", json });
-    const ofLabels = plan.labels.flatMap((/** @type {JudgedLabels} */ each) => each.problems);
-    this.#update({ plan, problems: sorted([...plan.problems, ...ofLabels]) });
+  /** Let the service say what to send, by the settings as they are now. @param {DriveFolder} drive */
+  async #lookAgain(drive) {
+    this.#update({ step: "plan", message: "Reading poses and georeference" });
+    const { folders, options, sending, keyframes } = this.settings;
+    const extras = new Map([...this.source.extras].filter(([path]) => path === options.oxts));
+    const wish = { root: drive.look.root, options, extras, keyframes: sending === "scans" ? null : keyframes };
+    const ask = async (/** @type {object} */ json) =>
+      (await this.transfer.ask("drives/look", { method: "POST", json })).body;
+    const { drive: found } = await lookInto(drive.folder, wish, ask);
+    if (!found) throw new Refusal("The folder has changed", "It holds no drive any more. Pick it again.");
+    Object.assign(drive, found);
+    const ofLabels = madeFolder(options) ? [] : folders.flatMap((name) => found.look.labels[name]?.problems ?? []);
+    this.#update({ problems: sorted([...found.look.problems, ...ofLabels]) });
     const isBad = (/** @type {FileProblem[]} */ problems) => problems.some(({ severity }) => severity === "error");
-    const sent = "Nothing but small files was sent so far.";
-    if (isBad(plan.problems) || !plan.manifest) {
+    const sent = "Nothing was sent so far.";
+    if (isBad(found.look.problems)) {
       const detail = `${sent} Correct what is listed, then go on.`;
       throw new Refusal("This drive cannot be used yet", detail, this.problems);
     }
@@ -304,7 +257,6 @@ export class Upload {
       const detail = `${sent} Choose another label scheme, then go on.`;
       throw new Refusal("The labels do not fit", detail, this.problems);
     }
-    return plan;
   }
 
   /** @param {File} archive */
@@ -369,38 +321,15 @@ export class Upload {
 }
 
 /**
- * Count the label ids in some scans; only the browser has them.
+ * About how large the ground points of a scan are, by all label folders together.
  *
  * @param {DriveFolder} drive
  * @param {string[]} folders
  */
-export async function countFolders(drive, folders) {
-  const frames = drive.look?.frames_to_look_into ?? [];
-  /** @type {LabelCounts} */
-  const all = {};
-  for (const folder of folders) {
-    const labels = drive.labels[folder];
-    all[folder] = {};
-    for (const frame of frames) {
-      const file = labels.files.get(frame);
-      if (!file) continue;
-      for (const [id, count] of await countLabels(file, `${folder}/${file.name}`)) {
-        all[folder][id] = (all[folder][id] ?? 0) + count;
-      }
-    }
-  }
-  return all;
-}
-
-/**
- * About how large the ground points of a scan are, by all label folders together.
- *
- * @param {DriveFolder} drive
- * @param {JudgedLabels[]} labels
- */
-export function groundBytesOf({ scans }, labels) {
-  const points = scans ? scans.bytes / 16 / scans.files.size : 0;
-  return labels.reduce((sum, { ground_share }) => sum + (ground_share ?? 0) * points * GROUND_POINT_BYTES, 0);
+export function groundBytesOf({ look }, folders) {
+  const points = look.points_per_scan ?? 0;
+  const shares = folders.reduce((sum, name) => sum + (look.labels[name]?.ground_share ?? 0), 0);
+  return shares * points * GROUND_POINT_BYTES;
 }
 
 /** Something that prevents the upload and that the person can correct. */

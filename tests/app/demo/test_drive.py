@@ -8,6 +8,9 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import httpx
+import pytest
+
+from app.settings import Settings
 
 API = "/api/v1"
 
@@ -23,8 +26,11 @@ def until(client: httpx.Client, address: str, state: str) -> dict[str, Any]:
     return told
 
 
-def test_the_demo_runs_from_one_click_to_a_report(serve: Callable[..., httpx.Client]) -> None:
-    client = serve(max_demo_scans=50)
+def test_the_demo_runs_from_one_click_to_a_report(
+    serve: Callable[..., httpx.Client], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Settings, "max_demo_scans", 50)
+    client = serve()
     impatient = {"prefer": "wait=0"}
     with ThreadPoolExecutor(4) as threads:
         answers = list(threads.map(lambda _: client.post(f"{API}/demo", headers=impatient), range(4)))

@@ -502,10 +502,10 @@ def test_a_small_archive_of_very_many_empty_files(client: httpx.Client, home: Pa
 
 
 def test_too_large_files_and_archives(serve: Callable[..., httpx.Client], tmp_path: Path) -> None:
-    client = serve(max_file_bytes=1_000_000, max_archive_bytes=200_000, max_drive_bytes=1_500_000)
+    client = serve(max_file_bytes=1_000_000, max_drive_bytes=1_500_000)
     refuse(client, tmp_path, zipped({"07/poses.txt": bytes(1_000_001)}), "larger than 1 MB")
     refuse(client, tmp_path, zipped({f"07/{n}": bytes(900_000) for n in range(2)}), "the limit for a drive")
-    refuse(client, tmp_path, bytes(200_001), "An archive may have", status=413)
+    refuse(client, tmp_path, bytes(1_500_001), "An archive may have", status=413)
 
 
 def test_a_full_disk(serve: Callable[..., httpx.Client], tmp_path: Path) -> None:

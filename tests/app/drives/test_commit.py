@@ -6,7 +6,6 @@ import json
 import os
 import shutil
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor, wait
 from pathlib import Path
 from typing import Any
 
@@ -387,65 +386,6 @@ def test_a_name_with_slashes(client: httpx.Client, street: Path) -> None:
     assert commit(client, address)["name"] == "sequences/07: a test"
 
 
-def test_a_client_that_reduces_asks_what_to_send(client: httpx.Client, street: Path, tmp_path: Path) -> None:
-    drive = str(client.post("/api/v1/drives", json={"name": "07"}).headers["location"])
-    request = {"scans": {"first": 0, "last": 39}, "label_folders": ["labels", "predictions"]}
-    early = client.post(f"{drive}/plan", json=request).json()
-    assert early["manifest"] is None
-    assert early["frames"] == []
-    assert any(problem["severity"] == "error" for problem in early["problems"])
-    for name in ("poses.txt", "times.txt", "geo.csv"):
-        assert client.put(f"{drive}/files/{name}", content=(street / name).read_bytes()).status_code == 201
-    answer = client.post(f"{drive}/plan", json=request)
-    assert answer.status_code == 200
-    plan = answer.json()
-    assert (plan["layout"], plan["scans"], plan["pose_frame"]) == ("semantickitti", 40, "lidar")
-    assert plan["georeference"].startswith("geo.csv")
-    assert plan["length_m"] == pytest.approx(39 * 2.1)
-    assert plan["frames"] == list(range(40))
-    manifest = reduce_drive(street, tmp_path / "07", keyframes=KeyframeConfig()).model_dump(mode="json")
-    assert plan["manifest"] == {**manifest, "labels": [], "source": None}
-    gaps = client.post(f"{drive}/plan", json={"scans": [0, 1, 2, 10]}).json()
-    assert "7 scans are missing between 0 and 10" in gaps["problems"][0]["message"]
-    assert gaps["problems"][0]["severity"] == "error"
-
-
-def test_a_client_that_reduces_asks_what_its_labels_mean(client: httpx.Client, street: Path) -> None:
-    drive = str(client.post("/api/v1/drives", json={"name": "07"}).headers["location"])
-    assert client.put(f"{drive}/files/poses.txt", content=(street / "poses.txt").read_bytes()).status_code == 201
-    counts = {"labels": {"9": 50, "11": 30, "15": 20}, "predictions": {"70": 5}}
-    request = {"scans": {"first": 0, "last": 39}, "label_folders": list(counts), "label_counts": counts}
-    plan = client.post(f"{drive}/plan", json=request).json()
-    labels, predictions = plan["labels"]
-    (note,) = labels.pop("problems")
-    assert labels == {
-        "folder": "labels",
-        "scheme": "learning",
-        "road": [9],
-        "confusable": [10, 11, 12],
-        "road_share": 0.5,
-        "ground_share": 0.8,
-    }
-    assert note["severity"] == "note"
-    assert [(each["severity"], each["path"]) for each in predictions["problems"]] == [("error", "predictions")]
-    assert "no point of the scans looked at is road" in predictions["problems"][0]["message"]
-    assert [each["folder"] for each in plan["manifest"]["labels"]] == ["labels", "predictions"]
-    assert plan["manifest"]["labels"][0]["counts"] == counts["labels"]
-    assert client.post(f"{drive}/plan", json={**request, "label_counts": {"labels": {"65536": 1}}}).status_code == 422
-
-
-def test_a_plan_is_made_by_a_worker(client: httpx.Client, street: Path) -> None:
-    """It reads files of any size; the server goes on answering meanwhile, whatever becomes of the workers."""
-    drive = str(client.post("/api/v1/drives", json={"name": "07"}).headers["location"])
-    assert client.put(f"{drive}/files/poses.txt", content=(street / "poses.txt").read_bytes()).status_code == 201
-    with ThreadPoolExecutor(1) as pool:
-        with suspended(workers_of(os.getpid())):
-            answer = pool.submit(client.post, f"{drive}/plan", json={"scans": {"first": 0, "last": 39}})
-            assert not wait([answer], timeout=1).done
-            assert client.get(drive).status_code == 200
-        assert answer.result().json()["frames"] == list(range(40))
-
-
 def test_a_check_under_way_is_joined_only_by_who_asks_for_the_same(client: httpx.Client, street: Path) -> None:
     def says(**other: Any) -> str:
         answer = client.post(f"{address}/commit", json=other)
@@ -462,23 +402,6 @@ def test_a_check_under_way_is_joined_only_by_who_asks_for_the_same(client: httpx
         assert "keep_raw is False, not True" in says(check_only=True, keep_raw=True)
     assert client.post(f"{address}/commit", json={"check_only": True}).json()["state"] == "uploading"
     commit(client, address, keep_raw=True)
-
-
-@pytest.mark.parametrize(
-    "body",
-    [
-        {},
-        {"scans": {"first": 5, "last": 4}},
-        {"scans": {"first": 0, "last": 10_000_000}},
-        {"scans": [-1]},
-        {"scans": [0], "label_folders": []},
-        {"scans": [0], "label_folders": ["velodyne"]},
-        {"scans": [0], "scan_folder": "../x"},
-    ],
-)
-def test_a_bad_plan_is_refused(client: httpx.Client, body: dict[str, Any]) -> None:
-    drive = str(client.post("/api/v1/drives", json={"name": "07"}).headers["location"])
-    assert client.post(f"{drive}/plan", json=body).status_code == 422
 
 
 def test_a_drive_that_is_deleted_while_it_is_checked(client: httpx.Client, street: Path, home: Path) -> None:

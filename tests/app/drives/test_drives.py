@@ -77,32 +77,3 @@ def test_a_deleted_drive_leaves_nothing(client: httpx.Client, shared_data: Path)
         assert answer.status_code == 404
         assert answer.json()["title"] == "Drive not found"
     assert not list(shared_data.rglob(drive))
-
-
-@pytest.mark.parametrize(
-    ("counts", "options", "scheme", "severities"),
-    [
-        ({40: 30, 60: 2, 48: 10, 70: 58}, {}, "semantickitti", []),
-        ({9: 3, 11: 2, 15: 5}, {}, "learning", ["note"]),
-        ({7: 3, 8: 2, 21: 5}, {"layout": "kitti360"}, "kitti360", ["note"]),
-        ({9: 3, 11: 2, 15: 5}, {"label_scheme": "semantickitti"}, "semantickitti", ["error"]),
-        ({3: 5, 4: 5}, {"label_scheme": "3"}, "custom", []),
-        ({50: 5, 70: 5}, {}, "semantickitti", ["error"]),
-        ({40: 1, 70: 999}, {}, "semantickitti", ["warning"]),
-    ],
-)
-def test_label_ids_are_judged_before_a_drive_is_there(
-    client: httpx.Client, counts: dict[int, int], options: dict[str, str], scheme: str, severities: list[str]
-) -> None:
-    answer = client.post("/api/v1/drives/labels", json={"label_counts": {"labels": counts}, "options": options})
-    (labels,) = answer.raise_for_status().json()["labels"]
-    assert (labels["folder"], labels["scheme"]) == ("labels", scheme)
-    assert [problem["severity"] for problem in labels["problems"]] == severities
-    road = sum(count for label, count in counts.items() if label in labels["road"])
-    assert labels["road_share"] == pytest.approx(road / sum(counts.values()))
-
-
-def test_an_unknown_label_scheme_is_refused(client: httpx.Client) -> None:
-    answer = client.post("/api/v1/drives/labels", json={"label_counts": {}, "options": {"label_scheme": "road"}})
-    assert answer.status_code == 422
-    assert "expected auto" in answer.text

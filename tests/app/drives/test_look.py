@@ -10,7 +10,9 @@ from typing import Any
 import httpx
 import pytest
 
+from interloc.config import KeyframeConfig
 from interloc.reduction.look import look_into
+from interloc.reduction.reduce import reduce_drive
 from tests.app.processes import files_below
 from tests.app.street import write_street
 
@@ -105,3 +107,18 @@ def test_a_folder_without_a_drive_is_explained(client: httpx.Client) -> None:
     look = client.post(LOOK, json={"name": "photos", "files": {"a.jpg": 9}}).json()
     assert (look["drives"], look["drive"]) == ([], None)
     assert look["reason"].startswith("photos is not a drive. Expected the folder of one drive")
+
+
+def test_a_client_that_reduces_is_told_what_to_send_and_what_its_labels_mean(
+    client: httpx.Client, tmp_path: Path
+) -> None:
+    street = write_street(tmp_path / "street", 8)
+    counts = {"labels": {"40": 50, "48": 30, "70": 20}}
+    look = client.post(LOOK, json={**told(street), "label_counts": counts}).raise_for_status().json()["drive"]
+    assert (look["plan"]["scans"], look["plan"]["kept"]) == (8, [[0, 8]])
+    labels = look["labels"]["labels"]
+    assert (labels["scheme"], labels["road_share"], labels["ground_share"]) == ("semantickitti", 0.5, 0.8)
+    whole = reduce_drive(street, tmp_path / "reduced", keyframes=KeyframeConfig()).model_dump(mode="json")
+    (written,) = look["plan"]["manifest"].pop("labels")
+    assert written["counts"] == counts["labels"]
+    assert look["plan"]["manifest"] == {name: whole[name] for name in whole if name != "labels"} | {"source": None}

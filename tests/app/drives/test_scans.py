@@ -11,6 +11,7 @@ from typing import Any
 import httpx
 import pytest
 
+from app.settings import Settings
 from tests.app.processes import files_below
 
 Parts = list[tuple[str, tuple[str | None, bytes]]]
@@ -176,8 +177,9 @@ def test_a_refused_batch_leaves_no_folder_in_the_way(client: httpx.Client, drive
     assert client.put(f"{drive}/files/a", content=b"3").status_code == 201
 
 
-def test_limits_of_a_batch(serve: Callable[..., httpx.Client], tmp_path: Path) -> None:
-    client = serve(max_batch_files=3, max_batch_bytes=500_000, max_file_bytes=200_000)
+def test_limits_of_a_batch(serve: Callable[..., httpx.Client], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Settings, "max_batch_files", 3)
+    client = serve(max_file_bytes=200_000)
     drive = str(client.post("/api/v1/drives", json={"name": "town"}).headers["location"])
 
     def scans(count: int, size: int) -> Parts:
@@ -186,12 +188,12 @@ def test_limits_of_a_batch(serve: Callable[..., httpx.Client], tmp_path: Path) -
     for parts, title in (
         (scans(4, 10), "Too many files"),
         (scans(1, 200_001), "Too large"),
-        (scans(3, 170_000), "Too large"),
+        (scans(3, 140_000), "Too large"),
     ):
         answer = send(client, drive, parts)
         assert (answer.status_code, answer.json()["title"]) == (413, title)
     assert left(tmp_path / "data", drive) == []
-    assert send(client, drive, scans(3, 160_000)).status_code == 200
+    assert send(client, drive, scans(3, 130_000)).status_code == 200
 
 
 def test_there_must_be_a_drive(client: httpx.Client) -> None:

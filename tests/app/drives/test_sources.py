@@ -55,18 +55,18 @@ def test_a_drive_is_read_where_it_lies_and_goes_on_after_a_kill(street: Path, tm
         made = make(server.client, f"s3://{BUCKET}/open/07").json()
         drive = f"{API}/drives/{made['id']}"
         assert server.client.post(f"{drive}/commit", headers={"Prefer": "wait=0"}).status_code in {200, 202}
-        wait_until(lambda: list((tmp_path / "data").rglob("objects.json")), "the listing")
+        wait_until(lambda: list((tmp_path / "data/jobs").rglob("*.bin")), "the first scans")
         server.kill()
     with started(tmp_path / "data", tmp_path / "2.log", **SETTINGS) as server:
         wait_until(lambda: server.client.get(drive).json()["state"] != "checking", "the end of the commit")
         shown = server.client.get(drive).json()
         assert (shown["state"], shown["source"], shown["size_bytes"]) == ("ready", made["source"], 0)
         assert shown["report"]["path"] == "07"
+        wait_until(lambda: not list((tmp_path / "data/jobs").rglob("*.bin")), "the clean-up")
     reduce_drive(street, tmp_path / "07", keyframes=None)
     kept = tmp_path / "data/drives" / made["id"] / "reduced"
     for file in sorted((tmp_path / "07/ground").rglob("*.ground")):
         assert (kept / file.relative_to(tmp_path / "07")).read_bytes() == file.read_bytes()
-    assert not list((tmp_path / "data/jobs").rglob("*.bin"))
 
 
 @pytest.mark.parametrize(

@@ -215,7 +215,7 @@ def test_a_drive_that_is_not_committed_has_no_jobs(client: httpx.Client) -> None
 
 
 def test_overpass_can_be_switched_off(serve: Serve, street: Path) -> None:
-    own = serve(overpass=False)
+    own = serve(overpass_url="")
     drive_id = own.post(f"{API}/drives", json={"name": "new"}).json()["id"]
     answer = own.post(f"{API}/jobs", json={"drive_id": drive_id, "osm": {"overpass": True}})
     assert "Upload the map as a file" in problem(answer, 422)
@@ -287,8 +287,11 @@ def test_a_job_that_runs_is_cancelled(client: httpx.Client, drive: str, street: 
     assert client.get(job["links"]["intersections"]).status_code == 404, "a result goes with its job"
 
 
-def test_a_stage_or_a_request_that_takes_too_long_fails(serve: Serve, street: Path, tmp_path: Path) -> None:
-    own = serve(job_stage_s=15.0, request_work_s=2.0)
+def test_a_stage_or_a_request_that_takes_too_long_fails(
+    serve: Serve, street: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Settings, "request_work_s", 2.0)
+    own = serve(job_stage_s=15.0)
     drive_id = upload(own, street)
     gate = Gate(tmp_path / "data", drive_id, MIDDLE)
     job = ended(own, submit(own, drive_id))
@@ -308,8 +311,11 @@ def test_a_stage_or_a_request_that_takes_too_long_fails(serve: Serve, street: Pa
     assert answer.json()["limit"] == "request_work_s"
 
 
-def test_a_job_that_takes_too_long_fails(serve: Serve, street: Path, tmp_path: Path) -> None:
-    own = serve(job_s=4.0)
+def test_a_job_that_takes_too_long_fails(
+    serve: Serve, street: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Settings, "job_s", 4.0)
+    own = serve()
     drive_id = upload(own, street)
     gate = Gate(tmp_path / "data", drive_id, MIDDLE)
     job = ended(own, submit(own, drive_id))

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from app.http.problems import Problem
-from app.jobs.queue import Claim, JobQueue, LeaseClock, cancel, submit
+from app.jobs.queue import Claim, JobQueue, cancel, submit
 from app.store.database import Database
 from app.store.models import Drive, Job
 from tests import forks
@@ -169,59 +169,6 @@ def test_a_silent_server_loses_its_job_and_changes_nothing_more(database: Databa
     assert not finish(database, other, new)
     job = read_job(database, job_id)
     assert (job.state, job.done, job.summary) == ("successful", 0, {"by": new.lease})
-
-
-class Clocks:
-    """The clock of the database and that of a server, both set by hand."""
-
-    def __init__(self, database: Database, queue: JobQueue, monkeypatch: pytest.MonkeyPatch) -> None:
-        self.database_s, self.server_s = 1e9, 50.0
-        monkeypatch.setattr(database, "clock", lambda _session: self.database_s)
-        queue._clock = LeaseClock(10, lambda: self.server_s)
-
-    def pass_(self, seconds: float) -> None:
-        self.database_s += seconds
-        self.server_s += seconds
-
-
-@pytest.mark.parametrize("jump_s", [6 * 3600.0, -6 * 3600.0])
-def test_a_clock_that_jumps_takes_no_job_from_a_server_that_lives(
-    database: Database, drive: str, monkeypatch: pytest.MonkeyPatch, jump_s: float
-) -> None:
-    add_job(database, drive)
-    add_job(database, drive)
-    holder, other = JobQueue(database, 10), JobQueue(database, 10)
-    clocks = Clocks(database, other, monkeypatch)
-    held, dead = holder.claim(), holder.claim()
-    assert held is not None
-    assert dead is not None
-    assert other.claim() is None
-    clocks.pass_(2)
-    clocks.database_s += jump_s
-    assert other.claim() is None
-    for _ in range(4):  # the holder renews one of its leases
-        assert holder.heartbeat([held.lease]) == {held.lease: "held"}
-        assert other.claim() is None
-        clocks.pass_(2.5)
-    taken_over = other.claim()  # the time of a lease has passed since: the other one is of the dead
-    assert taken_over is not None
-    assert taken_over.job.id == dead.job.id
-    assert other.claim() is None
-
-
-def test_a_server_that_starts_after_the_clock_was_set_back_takes_over_soon(
-    database: Database, drive: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    job_id = add_job(database, drive)
-    other = JobQueue(database, 10)
-    clocks = Clocks(database, other, monkeypatch)
-    assert JobQueue(database, 10).claim() is not None
-    clocks.database_s -= 6 * 3600  # it died, and the lease of its job lies six hours ahead
-    assert other.claim() is None
-    clocks.pass_(9)
-    assert other.claim() is None
-    clocks.pass_(1.5)
-    assert taken(other) == job_id
 
 
 def test_a_server_that_speaks_up_keeps_its_job(database: Database, drive: str) -> None:

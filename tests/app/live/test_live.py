@@ -15,6 +15,7 @@ import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
+from app.settings import Settings
 from interloc.client.live import LiveSender
 from interloc.config import DetectorConfig
 from interloc.drives.folder import FolderDrive
@@ -188,8 +189,9 @@ def test_a_session_begins_properly_or_not_at_all(client: httpx.Client, word: dic
         assert reason in answer["reason"]
 
 
-def test_a_client_has_so_many_sessions(serve: Callable[..., httpx.Client]) -> None:
-    client = serve(max_live_sessions=1)
+def test_a_client_has_so_many_sessions(serve: Callable[..., httpx.Client], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Settings, "max_live_sessions", 1)
+    client = serve()
     with begun(client), opened(client) as connection:
         assert "1 live sessions at a time" in say(connection, type="begin", name="one more")["reason"]
     with begun(client):

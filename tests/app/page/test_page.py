@@ -195,7 +195,7 @@ def test_the_real_page_and_documentation_load_from_here_only(client: httpx.Clien
 
 
 def test_what_the_page_needs_to_know(serve: Callable[..., httpx.Client]) -> None:
-    told = serve(tile_url="", max_file_bytes=12345, overpass=False).get("/config.json").json()
+    told = serve(tile_url="", max_file_bytes=12345, overpass_url="").get("/config.json").json()
     assert told["tile_url"] is None
     assert told["overpass"] is False
     assert told["needs_token"] is False

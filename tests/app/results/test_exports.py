@@ -107,13 +107,7 @@ def test_vector_tiles_are_read_by_ranges(finished: Finished, tmp_path: Path) -> 
     assert set(layers_of(whole.content, tmp_path / "a.pmtiles")) == {*SCORED, *DERIVED}
 
 
-def test_tracks_and_columns(finished: Finished, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    track = finished.get("/jobs/default/export.gpx")
-    assert track.headers["content-type"] == "application/gpx+xml"
-    (tmp_path / "a.gpx").write_bytes(track.content)
-    assert len(pyogrio.read_dataframe(tmp_path / "a.gpx", layer="waypoints")) > 0
-    assert len(pyogrio.read_dataframe(tmp_path / "a.gpx", layer="track_points")) > 10
-    assert finished.get("/jobs/default/export.gpx?layer=matches").status_code == 400
+def test_columns(finished: Finished, monkeypatch: pytest.MonkeyPatch) -> None:
     columns = finished.get("/jobs/plain/export.parquet?layer=keyframes")
     assert columns.headers["content-type"] == "application/vnd.apache.parquet"
     assert columns.content[:4] == columns.content[-4:] == b"PAR1"
@@ -166,7 +160,8 @@ def test_it_is_built_once_and_leaves_nothing_else(finished: Finished) -> None:
     ("/jobs/local/export.fgb?layer=matches", 404, "Not georeferenced"),
     ("/jobs/plain/export.fgb?layer=matches", 404, "Not scored"),
     ("/jobs/default/export.fgb?layer=roofs", 422, "Request not valid"),
-    ("/jobs/default/export.shp", 404, "Not Found"),
+    ("/jobs/default/export.shp", 422, "Request not valid"),
+    ("/jobs/default/export.qgz?layer=matches", 422, "Bad setting"),
     ("/jobs/failed/export.gpkg", 409, "Result not ready"),
 ])  # fmt: skip
 def test_why_there_is_none(address: str, status: int, title: str, finished: Finished) -> None:

@@ -30,9 +30,10 @@ HOUR_S = 3600.0
 
 
 @pytest.fixture
-def context(url: str, tmp_path: Path) -> Iterator[Context]:
+def context(url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Context]:
     """A service that is not running, whose uploads expire after 2 hours."""
-    opened = Context.open(Settings(data_dir=tmp_path / "data", database_url=url, min_free_bytes=0, upload_expires_h=2))
+    monkeypatch.setattr(Settings, "upload_expires_h", 2.0)
+    opened = Context.open(Settings(data_dir=tmp_path / "data", database_url=url, min_free_bytes=0))
     yield opened
     opened.close()
 

@@ -2,11 +2,24 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 
 import { setConfig } from "../../../static/js/api.js";
-import { driveOf, lookInto, oxtsRows, problemsOf, runsOf } from "../../../static/js/upload/drive_folder.js";
+import {
+  driveOf,
+  lookInto,
+  numberedFiles,
+  numbersOf,
+  oxtsRows,
+  problemsOf,
+} from "../../../static/js/upload/drive_folder.js";
 import { fingerprintOf } from "../../../static/js/upload/memory.js";
 
 setConfig({
-  file_kinds: { maps: [".osm", ".osm.gz"], archives: [".zip"], recordings: [".bag"], scans: [".pcd"] },
+  file_kinds: {
+    maps: [".osm", ".osm.gz"],
+    archives: [".zip"],
+    recordings: [".bag"],
+    scans: [".pcd"],
+    small: [".txt", ".csv"],
+  },
   raw_first_frames: { "2011_09_30_drive_0028": 1100 },
 });
 
@@ -19,7 +32,14 @@ function folder(files, name = "picked") {
 
 const LOOK = {
   ...{ root: "07", name: "07", layout: "semantickitti", scans: null, labels: {}, whole: {}, small: {}, wanted: {} },
-  ...{ problems: [], unlabelled: [], georeference_reason: null, track: null, frames_to_look_into: [] },
+  ...{
+    wanted_ranges: {},
+    problems: [],
+    unlabelled: [],
+    georeference_reason: null,
+    track: null,
+    frames_to_look_into: [],
+  },
 };
 const numbered = (name, suffix, runs) => ({ folder: name, suffix, digits: 6, runs });
 
@@ -47,19 +67,16 @@ test("the files of a drive are those that the service names", () => {
     labels: { labels: { ...numbered("labels", ".label", [[0, 1]]), problems: [] } },
     small: { "poses.txt": "poses/07.txt", "georeference/from elsewhere.txt": "07/georeference/from elsewhere.txt" },
   });
-  assert.deepEqual([...drive.scans.files.keys()], [0, 4]);
-  assert.equal(drive.scans.bytes, 80);
-  assert.deepEqual([...drive.labels.labels.files.keys()], [0]);
+  assert.deepEqual(numbersOf(drive.look.scans.runs), [0, 4]);
+  const pathsOf = (numbered) => numberedFiles(drive, numbered).map(([path]) => path);
+  assert.deepEqual(pathsOf(drive.look.scans), ["velodyne/000000.bin", "velodyne/000004.bin"]);
+  assert.deepEqual(pathsOf(drive.look.labels.labels), ["labels/000000.label"]);
   assert.deepEqual(
     [...drive.small].map(([path, { size }]) => [path, size]),
     [["poses.txt", 2]],
   );
   assert.deepEqual([...drive.maps.keys()], ["map.osm"]);
   assert.deepEqual(drive.unused, { files: 2, bytes: 101 }); // the picture, and poses that do not count
-  assert.deepEqual(runsOf(drive.scans.files.keys()), [
-    [0, 1],
-    [4, 1],
-  ]);
 });
 
 test("names, sizes and small files are sent, and then what is wanted", async () => {
@@ -71,7 +88,7 @@ test("names, sizes and small files are sent, and then what is wanted", async () 
   assert.deepEqual(asked[0].files, { "07/9.pcd": 6, "07/poses.txt": 3, "07/geo.csv": 1 });
   assert.deepEqual(asked[0].contents, { "07/poses.txt": btoa("1 0"), "07/geo.csv": btoa("f") });
   assert.deepEqual(asked[1].contents, { ...asked[0].contents, "07/9.pcd": btoa("FIEL") });
-  assert.deepEqual([...drive.recorded.keys()], ["9.pcd"]);
+  assert.deepEqual([...drive.whole.keys()], ["9.pcd"]);
   assert.equal(asked.length, 2);
 });
 
@@ -80,28 +97,29 @@ test("a folder that is no drive is explained by the service", async () => {
   assert.deepEqual(await lookInto(folder({})), { drives: [], drive: null, reason: "picked is empty." });
 });
 
-test("without an answer the page says what it would send", async () => {
-  serve(new TypeError("offline"));
-  const { drive } = await lookInto(folder({ "velodyne/000000.bin": 48, "map.osm": "x", "a.png": 5 }));
-  assert.deepEqual([...drive.recorded.keys()], ["velodyne/000000.bin"]);
-  assert.deepEqual([...drive.maps.keys()], ["map.osm"]);
-  assert.equal(drive.layout, "unknown");
-  const [{ severity, message }] = problemsOf(drive, [], false);
-  assert.equal(severity, "warning");
-  assert.match(message, /does not answer.* all 1 file \(48.B\) would be sent as they are/);
+test("label ids are counted in the scans that the service names", async () => {
+  const labels = { labels: { ...numbered("labels", ".label", [[0, 2]]), problems: [] } };
+  const answer = { drives: [], drive: { ...LOOK, labels, frames_to_look_into: [0, 1] }, reason: null };
+  const asked = serve(answer, answer);
+  const ids = (...values) => new Uint8Array(new Uint32Array(values).buffer);
+  const names = ["07/labels/000000.label", "07/labels/000001.label"];
+  const files = new Map(names.map((name, i) => [name, new File([ids(40, 70, 40 + 10 * i)], name)]));
+  await lookInto({ name: "picked", files, handle: null }, { root: "07" });
+  assert.deepEqual(asked[1].label_counts, { labels: { 40: 3, 50: 1, 70: 2 } });
+  assert.equal(asked.length, 2);
 });
 
 test("labels count where they are sent, and their lack where the service makes none", () => {
   const [bad, none] = ["bad labels", "no labels"].map((message) => ({ severity: "error", path: "labels", message }));
   const texts = (drive, folders, labelling) => problemsOf(drive, folders, labelling).map(({ message }) => message);
   const look = { ...LOOK, unlabelled: [none], labels: { labels: { problems: [bad] } } };
-  const labelled = { look, labels: { labels: {} }, layout: "semantickitti", problems: [] };
+  const labelled = { look };
   assert.deepEqual(texts(labelled, ["labels"], false), ["bad labels"]);
   assert.deepEqual(texts(labelled, [], false), []);
-  const bare = { ...labelled, labels: {} };
+  const bare = { look: { ...look, labels: {} } };
   assert.deepEqual(texts(bare, [], true), []);
   assert.deepEqual(texts(bare, [], false), ["no labels"]);
-  const local = { ...labelled, look: { ...look, georeference_reason: "there is no oxts/" } };
+  const local = { look: { ...look, georeference_reason: "there is no oxts/" } };
   assert.match(texts(local, [], false)[0], /there is no oxts\/.*local metres/);
 });
 

@@ -13,10 +13,9 @@ from interloc.drives.georeference.fixes import MIN_EXTENT_M, MIN_FIXES, Fixes, e
 from interloc.drives.georeference.geodetic import check_georeference, in_degrees
 from interloc.drives.georeference.shift import Shift, fit_shift, misfit_m
 from interloc.drives.scans.rosbag.bag import Bag, BagTopic
-from interloc.drives.scans.rosbag.frames import FrameTree, latest_of_each
 from interloc.drives.scans.rosbag.messages import NO_FIX, read_fix
-from interloc.drives.scans.rosbag.motion import LidarMotion
-from interloc.drives.scans.rosbag.stamps import clock_lead_s, clock_shift
+from interloc.drives.scans.rosbag.motion import FrameTree, LidarMotion, latest_of_each
+from interloc.drives.scans.rosbag.topics import clock_lead_s, clock_shift
 from interloc.geometry import enu_from_lonlat, from_first
 
 _ARM_STD_M = 1.0

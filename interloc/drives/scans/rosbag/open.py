@@ -15,13 +15,19 @@ from interloc.drives.findings import DriveFileError, Findings
 from interloc.drives.layouts import SCAN_FOLDERS, DriveParts
 from interloc.drives.options import DriveOptions
 from interloc.drives.scans.recorded import Recording, ScanPoints, Topic
-from interloc.drives.scans.rosbag.bag import Bag, BagTopic, find_bag, open_bag, read_messages
-from interloc.drives.scans.rosbag.messages import TRANSFORMS
+from interloc.drives.scans.rosbag.bag import Bag, BagTopic, find_bag, open_bag
+from interloc.drives.scans.rosbag.files import read_messages
+from interloc.drives.scans.rosbag.messages import TRANSFORMS, Encoding, Wire, WireError, read_header
 from interloc.drives.scans.rosbag.pointcloud2 import read_points
-from interloc.drives.scans.rosbag.stamps import ScanTimes, read_scan_times
-from interloc.drives.scans.rosbag.topics import PointsTopic, choose_points, is_static, pose_topics
+from interloc.drives.scans.rosbag.topics import (
+    PointsTopic,
+    ScanTimes,
+    choose_points,
+    is_static,
+    pose_topics,
+    read_scan_times,
+)
 from interloc.drives.scans.rosbag.trajectory import BagMotion, find_motion, read_bag_trajectory
-from interloc.drives.scans.rosbag.wire import Encoding, Wire, WireError, read_header
 from interloc.files import reason_of
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from interloc.arrays import Float32Array, StructuredArray, UInt32Array
 from interloc.drives.scans.point_times import TIME_FIELDS, point_times
 from interloc.drives.scans.recorded import ScanPoints
-from interloc.drives.scans.rosbag.wire import Encoding, Header, Wire, WireError, read_header
+from interloc.drives.scans.rosbag.messages import Encoding, Header, Wire, WireError, read_header
 
 POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
 LIVOX = ("livox_ros_driver/msg/CustomMsg", "livox_ros_driver2/msg/CustomMsg", "livox_interfaces/msg/CustomMsg")
@@ -187,13 +187,7 @@ def _livox_layout(wire: Wire, header: Header, *, complete: bool) -> CloudLayout:
 
 
 def read_points(data: bytes, kind: str, encoding: Encoding) -> ScanPoints:
-    """Read the points of a message; those without a return (not finite, or zero) are left out, with their labels.
-
-    Raises
-    ------
-    WireError
-        As `read_layout`.
-    """
+    """Read the points of a message; those without a return (not finite, or zero) are left out, with their labels."""
     layout = read_layout(data, kind, encoding)
     _refuse_other_order(layout)
     cells: StructuredArray = (

@@ -17,11 +17,17 @@ from interloc.drives.poses.motion import body_motion, longest_piece
 from interloc.drives.poses.timed import TimedPoses
 from interloc.drives.scans.rosbag.bag import Bag, BagTopic
 from interloc.drives.scans.rosbag.fixes import BagFixes
-from interloc.drives.scans.rosbag.frames import LONGEST_GAP_S, Edge, FrameTree, read_tree
 from interloc.drives.scans.rosbag.messages import TRANSFORMS
-from interloc.drives.scans.rosbag.motion import LidarMotion, first_child_frame, read_motion
-from interloc.drives.scans.rosbag.stamps import ScanTimes, clock_shift
-from interloc.drives.scans.rosbag.topics import PointsTopic, fix_topics, pose_topics, topic_list
+from interloc.drives.scans.rosbag.motion import (
+    LONGEST_GAP_S,
+    Edge,
+    FrameTree,
+    LidarMotion,
+    first_child_frame,
+    read_motion,
+    read_tree,
+)
+from interloc.drives.scans.rosbag.topics import PointsTopic, ScanTimes, clock_shift, fix_topics, pose_topics, topic_list
 from interloc.drives.trajectory import LidarPoses, Trajectory, read_trajectory
 from interloc.errors import InterLocError
 from interloc.geometry import from_first
@@ -209,13 +215,7 @@ def read_bag_trajectory(
     options: DriveOptions,
     findings: Findings,
 ) -> Trajectory:
-    """Return poses and times of some scans, by their numbers, and their georeference.
-
-    Raises
-    ------
-    DriveError, GeoreferenceError
-        The first fault, where `findings` stops at it.
-    """
+    """Return poses and times of some scans, by their numbers, and their georeference."""
     rows = np.searchsorted(found.frames, frames)
     found = replace(found, frames=frames, times_s=found.times_s[rows])
     if found.pose_file is not None:

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from interloc.drives.scans.rosbag.messages import read_fix, read_pose
+from interloc.drives.scans.rosbag.messages import Encoding, Wire, WireError, read_fix, read_header, read_pose
 from interloc.drives.scans.rosbag.pointcloud2 import LIVOX, POINT_CLOUD, read_points
-from interloc.drives.scans.rosbag.wire import Encoding, Wire, WireError, read_header
 from tests.bags import LIVOX as LIVOX_DEFINITION
 from tests.bags import BagWriter
 

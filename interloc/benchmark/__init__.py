@@ -1,1 +1,0 @@
-"""The paper's tables by one command: drives by presets by label errors by seeds, measured, pooled, and shown."""

@@ -1,0 +1,404 @@
+"""One drive, one preset, one level of label errors: detect, evaluate, and keep in a file what the tables need of it."""
+
+from __future__ import annotations
+
+import re
+import time
+from collections import Counter
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from interloc.arrays import FloatArray, IntArray
+from interloc.config import DetectorConfig
+from interloc.detection.keyframes import select_keyframes
+from interloc.drive import Drive
+from interloc.drives.label_errors import MislabelledDrive
+from interloc.errors import OutputError
+from interloc.evaluation.evaluate import Evaluation, evaluate
+from interloc.evaluation.label_errors import parse_level
+from interloc.evaluation.matching import UNMATCHED
+from interloc.evaluation.metrics import STANDARD_THRESHOLD_M
+from interloc.evaluation.reliability import squared_errors
+from interloc.files import atomic_write, reason_of
+from interloc.geometry import enu_from_lonlat, middle_of
+from interloc.osm.graph import RoadGraph
+from interloc.osm.policies import Policy
+from interloc.output.geojson import DEGREE_DECIMALS, rounded
+from interloc.pipeline import detect, detect_range
+from interloc.processes import Progress
+
+GROUP_M = 6.0
+"""False detections nearer than this to each other are one group."""
+
+Explain = Callable[[int], list[str]]
+"""Returns the command lines that show a frame."""
+
+
+class _Record(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class Cell(_Record):
+    """Which measurement a row is."""
+
+    drive: str
+    """Name in the tables."""
+    preset: str
+    """Name of the settings."""
+    noise: str
+    """Label errors, r-FPR / r-FNR in percent: "20/20"."""
+    seed: int
+    """Of the label errors and, where it is simulated, of the drive."""
+
+    @property
+    def file_name(self) -> str:
+        """Name of its files, without an ending."""
+        parts = (self.drive, self.preset, self.noise, f"seed{self.seed}")
+        return "_".join(re.sub(r"[^\w.+-]+", "-", part).strip("-") for part in parts)
+
+
+class Place(_Record):
+    """What was found of a node of the map, over all keyframes of a drive.
+
+    Attributes
+    ----------
+    node : int
+        Of OpenStreetMap; -1 for detections without any node in their region of interest.
+    detections, right : int
+        Matched to the node; within 5 m of it.
+    missed : int
+        Keyframes that had it in their relevant zone and no detection of it.
+    error_m : float
+        Sum of the distances of the detections from the node.
+    axes_error_m : float or None
+        Sum of their distances from where the axes of the roads meet; None where that is not known.
+    """
+
+    node: int
+    detections: int
+    right: int
+    missed: int
+    error_m: float
+    axes_error_m: float | None
+
+
+class Row(_Record):
+    """A drive measured once."""
+
+    cell: Cell
+    fingerprint: str
+    """Of everything that the figures depend on: settings, inputs, program."""
+    policy: str
+    keyframes: int
+    errors_m: tuple[float, ...]
+    """Center errors of all matched detections, metres."""
+    places: tuple[Place, ...]
+    """The same by the nodes of the map."""
+    unmatched: int
+    """Detections without any node in their ROI."""
+    fn: int
+    """Nodes in the relevant zone without a detection, summed over the keyframes."""
+    nodes_found: int
+    nodes_in_zone: int
+    map_true: int
+    map_false: int
+    map_missed: int
+    map_nodes: int
+    """Fused intersections in the zone with and without a node; nodes in the zone without one; nodes in the zone."""
+    map_errors_m: tuple[float, ...]
+    """Of the assigned pairs, metres."""
+    map_axes_errors_m: tuple[tuple[float, float], ...]
+    """Of those pairs at whose node somebody read where the axes of the roads meet: from the node, and from there."""
+    map_squared: tuple[float, ...]
+    """Of the assigned pairs: errors in units of their covariances, squared (`evaluation.reliability`)."""
+    map_confidence: tuple[float, ...]
+    """Of the fused intersections in the zone."""
+    map_right: tuple[bool, ...]
+    """Whether these have a node."""
+    compute_s: float
+    """Processor time from files to intersections."""
+    warnings: tuple[str, ...]
+    made_up_map: bool
+    """A simulator made the map up: it is not of OpenStreetMap."""
+    failures: dict[str, Any]
+    """See `find_failures`."""
+
+
+def write_row(row: Row, folder: Path) -> None:
+    """Keep a row in a folder.
+
+    Raises
+    ------
+    OutputError
+        It could not be written.
+    """
+    with atomic_write(folder / f"{row.cell.file_name}.json") as handle:
+        handle.write(row.model_dump_json(exclude_none=False).encode() + b"\n")
+
+
+def read_row(cell: Cell, fingerprint: str, folder: Path) -> Row | None:
+    """Read the row of a cell, if one is kept that was measured with the same settings, inputs and program.
+
+    Raises
+    ------
+    OutputError
+        The file cannot be read.
+    """
+    path = folder / f"{cell.file_name}.json"
+    try:
+        row = Row.model_validate_json(path.read_bytes())
+    except FileNotFoundError:
+        return None
+    except ValidationError:  # of another version of this program
+        return None
+    except OSError as error:
+        raise OutputError(f"{path} could not be read: {reason_of(error)}.") from error
+    return row if row.cell == cell and row.fingerprint == fingerprint else None
+
+
+@dataclass(frozen=True)
+class Scoring:
+    """How detections are scored."""
+
+    policy: Policy = "drive"
+    tolerance_m: float = 15.0
+    """Of policy `consolidated`."""
+
+
+def measure(
+    cell: Cell,
+    fingerprint: str,
+    drive: Drive,
+    graph: RoadGraph,
+    config: DetectorConfig,
+    truth: Scoring,
+    explain: Explain,
+    *,
+    axes: Mapping[int, tuple[float, float]] | None = None,
+    progress: Progress | None = None,
+) -> Row:
+    """Measure a cell of the benchmark.
+
+    Parameters
+    ----------
+    cell, fingerprint
+        Which measurement this is.
+    drive, graph
+        Drive without label errors, and its map.
+    config, truth
+    explain
+        Gives the command lines that show a frame.
+    axes
+        Longitude and latitude of where the axes of the roads meet, by node; None: at the nodes.
+    progress
+        See `interloc.pipeline.detect`.
+
+    Raises
+    ------
+    DriveError, GeoreferenceError, MapError
+        The drive is damaged, or does not fit its map.
+    """
+    r_fpr, r_fnr = parse_level(cell.noise)
+    source = MislabelledDrive(drive, r_fpr, r_fnr, cell.seed) if r_fpr or r_fnr else drive
+    _warm_up(source, config)
+    began = time.process_time()
+    result = detect(source, config, progress=progress)
+    used_s = time.process_time() - began  # of this process: what else runs on the machine does not count
+    evaluation = evaluate(result, graph, policy=truth.policy, tolerance_m=truth.tolerance_m)
+    matching, level = evaluation.matching, evaluation.map_level
+    squared = squared_errors(evaluation.intersections, level, evaluation.nodes.lonlat)
+    return Row(
+        cell=cell,
+        fingerprint=fingerprint,
+        policy=truth.policy,
+        keyframes=len(evaluation.keyframes),
+        errors_m=_rounded(matching.error_m[matching.is_matched]),
+        places=_places(evaluation, axes),
+        unmatched=int(np.count_nonzero(~matching.is_matched)),
+        fn=evaluation.scores.fn,
+        nodes_found=evaluation.nodes_found,
+        nodes_in_zone=evaluation.nodes_in_zone,
+        map_true=int(level.right.sum()),
+        map_false=int(level.wrong.sum()),
+        map_missed=int(level.missed.sum()),
+        map_nodes=int(level.node_in_zone.sum()),
+        map_errors_m=_rounded(level.errors_m),
+        map_axes_errors_m=_from_axes(evaluation, axes or {}),
+        map_squared=_rounded(squared[np.isfinite(squared)]),
+        map_confidence=_rounded(evaluation.intersections.confidence[level.counts]),
+        map_right=tuple(level.right[level.counts].tolist()),
+        compute_s=round(used_s, 4),
+        warnings=evaluation.warnings,
+        made_up_map=graph.is_made_up,
+        failures=find_failures(evaluation, explain),
+    )
+
+
+def _places(evaluation: Evaluation, axes: Mapping[int, tuple[float, float]] | None) -> tuple[Place, ...]:
+    matching, lonlat, ids = evaluation.matching, evaluation.detections.lonlat, evaluation.nodes.osm_id
+    assert lonlat is not None
+    missed = np.bincount(matching.zone_node[~matching.zone_found], minlength=len(ids))
+    places = []
+    for node in np.unique([*matching.node.tolist(), *np.flatnonzero(missed).tolist()]).tolist():
+        rows = np.flatnonzero(matching.node == node)
+        known = node != UNMATCHED
+        errors = matching.error_m[rows] if known else np.zeros(0)
+        number = int(ids[node]) if known else UNMATCHED
+        off = float(errors.sum()) if known and axes is None else None
+        if axes is not None and number in axes:
+            off = float(np.hypot(*enu_from_lonlat(*axes[number][::-1], lonlat[rows]).T).sum())
+        places.append(
+            Place(
+                node=number,
+                detections=len(rows),
+                right=int((errors < STANDARD_THRESHOLD_M).sum()),
+                missed=int(missed[node]) if known else 0,
+                error_m=round(float(errors.sum()), 4),
+                axes_error_m=None if off is None else round(off, 4),
+            )
+        )
+    return tuple(places)
+
+
+def _from_axes(evaluation: Evaluation, axes: Mapping[int, tuple[float, float]]) -> tuple[tuple[float, float], ...]:
+    level, lonlat, nodes = evaluation.map_level, evaluation.intersections.lonlat, evaluation.nodes
+    assert lonlat is not None
+    found = []
+    for row in np.flatnonzero(level.node != UNMATCHED).tolist():
+        node = level.node[row]
+        if (place := axes.get(int(nodes.osm_id[node]))) is not None:
+            origins = np.array([nodes.lonlat[node], place])
+            errors = np.hypot(*enu_from_lonlat(origins[:, 1], origins[:, 0], np.broadcast_to(lonlat[row], (2, 2))).T)
+            found.append((round(float(errors[0]), 4), round(float(errors[1]), 4)))
+    return tuple(found)
+
+
+def _warm_up(drive: Drive, config: DetectorConfig) -> None:
+    """Detect around a keyframe in the middle, so that no compiling is timed."""
+    keyframes = select_keyframes(drive.T_world_lidar, config.keyframes)
+    middle = len(keyframes) // 2
+    detect_range(drive, keyframes, middle, min(middle + 1, len(keyframes)), config)
+
+
+def _rounded(values: FloatArray) -> tuple[float, ...]:
+    return tuple(np.round(values, 4).tolist())
+
+
+def find_failures(evaluation: Evaluation, explain: Explain) -> dict[str, Any]:
+    """Gather the false detections and the missed nodes of a drive.
+
+    Parameters
+    ----------
+    evaluation
+    explain
+        Gives the command lines that show the steps of the method at a frame.
+
+    Returns
+    -------
+    dict
+        `false_detections`: groups, largest first: `lon`, `lat`, `detections`, `frames`, `error_m` (median),
+        `nearest_node` (`osm_id`, `degree`, `distance_m`), `kind`, `see`.
+        Kinds: those of a wrong detection in `interloc.evaluation.reasons.KINDS`, the most frequent one of a group.
+        `missed_nodes`: those with most missed keyframes first: `osm_id`, `lon`, `lat`, `degree`, `found`,
+        `keyframes_in_zone`, `keyframes_missed`, `frames`, `best_error_m`, `kind`, `see`.
+        Kinds: those of a missed node; "part_of_the_time" (found, but not at every keyframe); "on_the_map" (by no
+        detection within 5 m, but by an intersection of the map within 10 m).
+    """
+    return {
+        "false_detections": _false_detections(evaluation, explain),
+        "missed_nodes": _missed_nodes(evaluation, explain),
+    }
+
+
+def _false_detections(evaluation: Evaluation, explain: Explain) -> list[dict[str, Any]]:
+    detections, matching = evaluation.detections, evaluation.matching
+    assert detections.lonlat is not None
+    false = np.flatnonzero(~(matching.error_m < STANDARD_THRESHOLD_M))
+    if len(false) == 0:
+        return []
+    lon, lat = middle_of(detections.lonlat)
+    xy = enu_from_lonlat(lat, lon, detections.lonlat[false])
+    nodes_xy = enu_from_lonlat(lat, lon, evaluation.nodes.lonlat)
+    kinds = evaluation.verdicts.false_kind
+    groups = []
+    for rows in _groups(xy):
+        place = np.median(xy[rows], axis=0)
+        node, distance = _nearest(nodes_xy, place)
+        members = false[rows]
+        frames = evaluation.keyframes.frame[detections.keyframe[members]]
+        ((kind, _),) = Counter(kinds[row] for row in members.tolist()).most_common(1)
+        lonlat = np.median(detections.lonlat[members], axis=0)
+        errors = matching.error_m[members]
+        groups.append(
+            {
+                "lon": rounded(lonlat[0], DEGREE_DECIMALS),
+                "lat": rounded(lonlat[1], DEGREE_DECIMALS),
+                "detections": len(members),
+                "frames": sorted(set(frames.tolist())),
+                "error_m": rounded(np.median(errors), 2),
+                "nearest_node": None if node < 0 else _node(evaluation, node) | {"distance_m": rounded(distance, 2)},
+                "kind": kind,
+                "see": explain(_middle(frames)),
+            }
+        )
+    return sorted(groups, key=lambda group: -int(group["detections"]))
+
+
+def _missed_nodes(evaluation: Evaluation, explain: Explain) -> list[dict[str, Any]]:
+    table, matching, nodes = evaluation.node_table, evaluation.matching, evaluation.nodes
+    if len(nodes) == 0:
+        return []
+    missed = []
+    for node in np.flatnonzero(table.in_zone & (~table.found | (table.missed_keyframes > 0))).tolist():
+        at_node = matching.zone_node == node
+        misses = matching.zone_keyframe[at_node & ~matching.zone_found]
+        frames = evaluation.keyframes.frame[misses if len(misses) else matching.zone_keyframe[at_node]]
+        kind = "part_of_the_time" if table.found[node] else evaluation.verdicts.miss_kind[node] or "on_the_map"
+        missed.append(
+            {
+                **_node(evaluation, node),
+                "lon": rounded(nodes.lonlat[node, 0], DEGREE_DECIMALS),
+                "lat": rounded(nodes.lonlat[node, 1], DEGREE_DECIMALS),
+                "found": bool(table.found[node]),
+                "keyframes_in_zone": int(table.zone_keyframes[node]),
+                "keyframes_missed": int(table.missed_keyframes[node]),
+                "frames": frames.tolist(),
+                "best_error_m": rounded(table.best_error_m[node], 2),
+                "kind": kind,
+                "see": explain(_middle(frames)),
+            }
+        )
+    return sorted(missed, key=lambda entry: (entry["found"], -entry["keyframes_missed"]))
+
+
+def _node(evaluation: Evaluation, node: int) -> dict[str, Any]:
+    return {"osm_id": int(evaluation.nodes.osm_id[node]), "degree": int(evaluation.nodes.degree[node])}
+
+
+def _nearest(places: FloatArray, place: FloatArray) -> tuple[int, float]:
+    if len(places) == 0:
+        return -1, np.inf
+    distance = np.hypot(*(places - place).T)
+    nearest = int(np.argmin(distance))
+    return nearest, float(distance[nearest])
+
+
+def _middle(frames: IntArray) -> int:
+    return int(np.sort(frames)[len(frames) // 2])
+
+
+def _groups(xy: FloatArray) -> list[IntArray]:
+    """Return the rows of each group of (N, 2) points that steps of at most `GROUP_M` join."""
+    from scipy.sparse import coo_array  # noqa: PLC0415 - slow to import
+    from scipy.sparse.csgraph import connected_components  # noqa: PLC0415
+    from scipy.spatial import cKDTree  # noqa: PLC0415
+
+    pairs = cKDTree(xy).query_pairs(GROUP_M, output_type="ndarray")
+    links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(xy), len(xy)))
+    count, group = connected_components(links, directed=False)
+    return [np.flatnonzero(group == each) for each in range(count)]

@@ -1,0 +1,245 @@
+"""Running a benchmark: every drive with every preset, level of label errors and seed. Finished rows are kept."""
+
+from __future__ import annotations
+
+import logging
+import shutil
+from collections.abc import Callable, Iterable
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from interloc.config import DetectorConfig
+from interloc.errors import InterLocError, OutputError
+from interloc.files import reason_of
+from interloc.lab.cases import fingerprint, measuring_program
+from interloc.lab.measure import Cell, Row, Scoring, measure, read_row, write_row
+from interloc.lab.tables import MISSING, NO_NOISE, Measured, figures, metres, percent
+from interloc.lab.twins import Case
+from interloc.osm.reader import read_osm
+from interloc.pipeline import versions
+from interloc.processes import Progress, run_in_processes, send_message
+
+logger = logging.getLogger(__name__)
+
+ROWS = "rows"
+_DRIVE_POLICY = Scoring()
+_REPORT_EVERY = 10  # keyframes or scans: the progress of a worker process is not sent more often
+
+Report = Callable[[str, str, int, int], None]
+"""Called with a task, what it is doing, and how much of how much is done; with 0 of 0 at its end."""
+
+Log = Callable[[str], None]
+
+
+def _no_report(task: str, what: str, done: int, total: int) -> None:
+    """Do nothing."""
+
+
+@dataclass(frozen=True)
+class NamedConfig:
+    """A configuration of the method under a name."""
+
+    name: str
+    """Name in the tables."""
+    config: DetectorConfig
+    arguments: tuple[str, ...] = ()
+    """The same as options of the command line."""
+
+
+@dataclass(frozen=True)
+class Benchmark:
+    """What is to be measured."""
+
+    cases: tuple[Case, ...]
+    """Simulated drives once for each seed, recorded ones once."""
+    configs: tuple[NamedConfig, ...]
+    noises: tuple[str, ...] = (NO_NOISE,)
+    """Levels of label errors, r-FPR / r-FNR in percent; "0/0": without."""
+    seeds: int = 1
+    """Number of seeds of the label errors on recorded drives; a simulated drive has its own seed."""
+    truth: Scoring = _DRIVE_POLICY
+    title: str = ""
+    about: str = ""
+    """What is measured, for the head of the page."""
+    labels: str = "labels"
+    """"labels" (by hand, or exact) or "predictions" (of a network)."""
+
+    @property
+    def drives(self) -> list[str]:
+        """Names of the drives, each once, in order."""
+        return list(dict.fromkeys(case.name for case in self.cases))
+
+    def measured(self, rows: Iterable[Row]) -> Measured:
+        """Return the rows of this benchmark for its tables."""
+        presets = tuple(each.name for each in self.configs)
+        return Measured(tuple(rows), tuple(self.drives), presets, self.noises, self.labels)
+
+    def cells(self, case: Case) -> list[tuple[Cell, NamedConfig]]:
+        """Return what is to be measured on a drive."""
+        found = []
+        for config in self.configs:
+            for noise in self.noises:
+                # Without label errors nothing is random in a recorded drive.
+                seeds = [case.seed] if case.seed is not None else range(self.seeds if noise != NO_NOISE else 1)
+                found += [(Cell(drive=case.name, preset=config.name, noise=noise, seed=s), config) for s in seeds]
+        return found
+
+
+@dataclass(frozen=True)
+class _Task:
+    """The cells of one drive that are not measured yet: the unit of parallel work."""
+
+    case: Case
+    cells: tuple[tuple[Cell, NamedConfig, str], ...]
+    truth: Scoring
+    out: Path
+
+    @property
+    def name(self) -> str:
+        return self.case.name if self.case.seed is None else f"{self.case.name} seed {self.case.seed}"
+
+
+def run_benchmark(
+    benchmark: Benchmark, out: Path, *, workers: int = 1, fresh: bool = False, report: Report = _no_report
+) -> list[Row]:
+    """Measure everything that is planned, and keep each row in `out/rows` as soon as it is there.
+
+    Parameters
+    ----------
+    benchmark
+    out
+        Folder of the benchmark; is made if it is missing.
+    workers : int
+        Number of drives at a time, each in a process. The rows do not depend on it.
+    fresh : bool
+        Measure kept rows again.
+    report
+        Called with what is being done.
+
+    Returns
+    -------
+    list of Row
+        In the order of the benchmark.
+
+    Raises
+    ------
+    InterLocError
+        Whatever is wrong with a drive, its map, or the output; rows that were finished before are kept.
+    """
+    rows_dir = _make_folder(out)
+    done: dict[Cell, Row] = {}
+    tasks = []
+    for case in benchmark.cases:
+        facts: dict[str, Any] = {"drive": case.facts(), "program": [measuring_program(), versions()]}
+        facts |= {"truth": [benchmark.truth.policy, benchmark.truth.tolerance_m]}
+        missing = []
+        for cell, named in benchmark.cells(case):
+            mark = fingerprint({**facts, "cell": cell.model_dump(), "config": named.config.model_dump(mode="json")})
+            row = None if fresh else read_row(cell, mark, rows_dir)
+            if row is None:
+                missing.append((cell, named, mark))
+            else:
+                done[cell] = row
+        if missing:
+            tasks.append((case, missing))
+    if done:
+        logger.info("%d of the rows are kept from before (%s); --fresh measures them again", len(done), rows_dir)
+    try:
+        for case, _ in tasks:  # all of them before any long work
+            case.check()
+    except InterLocError:
+        _remove_if_empty(rows_dir, out)
+        raise
+    at_once = max(1, min(workers, len(tasks)))
+    full = [_Task(case, tuple(cells), benchmark.truth, out) for case, cells in tasks]
+    try:
+        if at_once > 1:
+            found = run_in_processes(
+                _run_task_in_process,
+                full,
+                at_once,
+                on_message=lambda message: logger.info(message) if isinstance(message, str) else report(*message),
+                hint="Finished rows are kept: the same command goes on from there.",
+            )
+        else:
+            found = [_run_task(task, report, logger.info) for task in full]
+    finally:
+        for leftover in out.glob(".twin-*"):
+            shutil.rmtree(leftover, ignore_errors=True)
+    done |= {row.cell: row for rows in found for row in rows}
+    return [done[cell] for case in benchmark.cases for cell, _ in benchmark.cells(case)]
+
+
+def _make_folder(out: Path) -> Path:
+    rows = out / ROWS
+    try:
+        if out.is_dir() and not rows.is_dir() and any(out.iterdir()):
+            raise OutputError(
+                f"{out} exists and is not a benchmark: it has no {ROWS}/. It was not touched. "
+                "Give the name of a new or an empty folder."
+            )
+        rows.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputError(f"{out} could not be written: {reason_of(error)}.") from error
+    for leftover in out.glob(".twin-*"):  # of a run that was killed
+        shutil.rmtree(leftover, ignore_errors=True)
+    return rows
+
+
+def _remove_if_empty(*folders: Path) -> None:
+    with suppress(OSError):
+        for folder in folders:
+            folder.rmdir()
+
+
+def _run_task_in_process(task: _Task) -> list[Row]:
+    def report(name: str, what: str, done: int, total: int) -> None:
+        if done == total or done % _REPORT_EVERY == 0:
+            send_message((name, what, done, total))
+
+    return _run_task(task, report, send_message)
+
+
+def _run_task(task: _Task, report: Report, log: Log) -> list[Row]:
+    def progress(what: str) -> Progress:
+        return partial(report, task.name, what)
+
+    rows = []
+    graph = read_osm(task.case.osm)
+    with task.case.opened(task.out, progress("simulate")) as drive:
+        for cell, named, mark in task.cells:
+            row = measure(
+                cell,
+                mark,
+                drive,
+                graph,
+                named.config,
+                task.truth,
+                partial(task.case.explain, settings=named.arguments),
+                axes=task.case.axes(),
+                progress=progress(f"{cell.preset} {cell.noise}"),
+            )
+            write_row(row, task.out / ROWS)
+            rows.append(row)
+            log(describe(row))
+    report(task.name, "", 0, 0)
+    return rows
+
+
+def describe(row: Row) -> str:
+    """Return the main figures of a row in one line."""
+    cell, found = row.cell, figures([row])
+
+    def written(name: str, write: Callable[[float], str], unit: str) -> str:
+        return MISSING if np.isnan(found[name]) else f"{write(found[name])} {unit}"
+
+    return (
+        f"{cell.drive} seed {cell.seed}, {cell.preset}, label errors {cell.noise}: "
+        f"ACE {written('ace_m', metres, 'm')}, Pre@5 {written('precision_at_5', percent, '%')}, "
+        f"Rec@5 {written('recall_at_5', percent, '%')}, nodes {row.nodes_found}/{row.nodes_in_zone}"
+    )

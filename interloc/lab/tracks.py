@@ -1,0 +1,366 @@
+"""Where the LiDAR is at every scan: along OXTS rows, or along a line of longitudes and latitudes; read from files."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+from pyproj import Proj
+from scipy.ndimage import gaussian_filter1d
+
+from interloc.arrays import FloatArray
+from interloc.drives.files import SourceFile, list_numbered
+from interloc.drives.georeference.oxts import georeference_of_lidar, read_oxts_folder, read_oxts_rows
+from interloc.drives.poses.calibration import KITTI_T_VELO_IMU
+from interloc.drives.scans.las.tracks import read_table
+from interloc.errors import DriveError
+from interloc.geometry import (
+    enu_from_lonlat,
+    invert_transform,
+    lonlat_from_enu,
+    rigid_transforms,
+    rotation_from_rpy,
+    rpy_from_rotation,
+)
+from interloc.gpx import read_gpx
+from interloc.lab.config import TrackConfig
+
+
+class LocalFrame:
+    """Frame M of a scene: x, y in metres, conformal, true to scale within 1e-7 some kilometres around its origin.
+
+    Parameters
+    ----------
+    lat_deg, lon_deg
+        Origin on WGS84.
+    """
+
+    def __init__(self, lat_deg: float, lon_deg: float) -> None:
+        self.lat_deg = float(lat_deg)
+        self.lon_deg = float(lon_deg)
+        self._projection = Proj(proj="tmerc", lat_0=self.lat_deg, lon_0=self.lon_deg, k=1, ellps="WGS84")
+
+    def xy(self, lonlat: FloatArray) -> FloatArray:
+        """Project (..., 2) longitudes, latitudes in degrees to (..., 2) metres."""
+        lonlat = np.asarray(lonlat, dtype=np.float64)
+        return np.stack(self._projection(lonlat[..., 0], lonlat[..., 1]), axis=-1)
+
+    def lonlat(self, xy: FloatArray) -> FloatArray:
+        """Return (..., 2) longitudes, latitudes in degrees of (..., 2) metres."""
+        xy = np.asarray(xy, dtype=np.float64)
+        return np.stack(self._projection(xy[..., 0], xy[..., 1], inverse=True), axis=-1)
+
+    def R_map_enu(self, lat_deg: ArrayLike, lon_deg: ArrayLike) -> FloatArray:
+        """Return (..., 3, 3) rotations from the east-north-up frame at fixes to M: the meridian convergence."""
+        lon, lat = np.asarray(lon_deg, dtype=np.float64), np.asarray(lat_deg, dtype=np.float64)
+        here = self.xy(np.stack([lon, lat], axis=-1))
+        north = self.xy(np.stack([lon, lat + 1e-5], axis=-1)) - here
+        yaw = np.arctan2(-north[..., 0], north[..., 1])
+        return rotation_from_rpy(0.0, 0.0, yaw)
+
+
+IMU_TO_VELO_TEXT = (
+    "R: 9.999976e-01 7.553071e-04 -2.035826e-03 -7.854027e-04 9.998898e-01 -1.482298e-02 "
+    "2.024406e-03 1.482454e-02 9.998881e-01\nT: -8.086759e-01 3.195559e-01 -7.997231e-01\n"
+)
+"""`calib_imu_to_velo.txt` of KITTI's recording car."""
+
+CALIB_TEXT = "".join(
+    f"P{camera}: 7.070912000000e+02 0.000000000000e+00 6.018873000000e+02 {shift:.12e} 0.000000000000e+00 "
+    "7.070912000000e+02 1.831104000000e+02 0.000000000000e+00 0.000000000000e+00 0.000000000000e+00 "
+    "1.000000000000e+00 0.000000000000e+00\n"
+    for camera, shift in enumerate((0.0, -379.8145, 46.88783, -333.4597))
+) + (
+    "Tr: 0.000000000000e+00 -1.000000000000e+00 0.000000000000e+00 0.000000000000e+00 "
+    "0.000000000000e+00 0.000000000000e+00 -1.000000000000e+00 -8.000000000000e-02 "
+    "1.000000000000e+00 0.000000000000e+00 0.000000000000e+00 -2.700000000000e-01\n"
+)
+"""A `calib.txt` for drives that have none: a camera that looks ahead, 0.27 m before and 0.08 m below the LiDAR."""
+
+
+def parse_tr(text: str) -> FloatArray:
+    """Return Tr = T_camera_velo (4, 4) float64 of the text of a `calib.txt`."""
+    transform = np.eye(4)
+    line = next(line for line in text.splitlines() if line.startswith("Tr:"))
+    transform[:3] = np.array(line.split()[1:], dtype=np.float64).reshape(3, 4)
+    return transform
+
+
+def oxts_rows(
+    lat_deg: FloatArray, lon_deg: FloatArray, alt_m: FloatArray, R_enu_lidar: FloatArray, times_s: FloatArray
+) -> FloatArray:
+    """Return (N, 30) OXTS values of an IMU that is mounted as in KITTI: the inverse of `georeference_of_lidar`.
+
+    Velocities are differences; accelerations and rates that nothing here reads are zero.
+    """
+    R = R_enu_lidar @ KITTI_T_VELO_IMU[:3, :3]
+    offset = R_enu_lidar @ KITTI_T_VELO_IMU[:3, 3]
+    lonlat = lonlat_from_enu(lat_deg, lon_deg, offset[:, :2])
+    rows = np.zeros((len(lat_deg), 30))
+    rows[:, 0], rows[:, 1], rows[:, 2] = lonlat[:, 1], lonlat[:, 0], alt_m + offset[:, 2]
+    rows[:, 3:6] = rpy_from_rotation(R)
+    if len(rows) > 1:
+        enu = enu_from_lonlat(rows[0, 0], rows[0, 1], lonlat)
+        velocity = np.gradient(np.column_stack([enu, rows[:, 2]]), times_s, axis=0)
+        rows[:, 6], rows[:, 7] = velocity[:, 1], velocity[:, 0]
+        rows[:, 8:11] = np.einsum("nji,nj->ni", R, velocity)
+    rows[:, 13] = 9.81
+    rows[:, 23:25] = 0.02
+    rows[:, 25:30] = [4, 10, 6, 6, 6]
+    return rows
+
+
+def format_oxts(row: FloatArray) -> str:
+    """Write 30 values as one OXTS file: 25 numbers and 5 counts."""
+    return " ".join([*(f"{v:.13g}" for v in row[:25]), *(str(int(v)) for v in row[25:30])]) + "\n"
+
+
+_STEP_M = 0.25
+_MAX_ROUNDS = 500
+
+
+@dataclass(frozen=True)
+class LidarTrack:
+    """The poses of a drive to be."""
+
+    lat_deg: FloatArray
+    lon_deg: FloatArray
+    alt_m: FloatArray
+    """(N,) float64: position of the LiDAR on WGS84."""
+    R_enu_lidar: FloatArray
+    """(N, 3, 3) float64: its attitude in the east-north-up frame at the fix."""
+    times_s: FloatArray
+    """(N,) float64."""
+    oxts: FloatArray
+    """(N, 30) float64: OXTS values of the IMU, written with the drive."""
+    poses_camera: FloatArray | None = None
+    """(N, 3, 4) float64 or None: camera-frame poses to be written; None: those of the track itself."""
+    calib_text: str = CALIB_TEXT
+    """The `calib.txt` that goes with them."""
+    altitude_known: bool = True
+    """False where `alt_m` says nothing about the ground."""
+
+    def __len__(self) -> int:
+        return len(self.lat_deg)
+
+    def frame(self) -> LocalFrame:
+        """Return a plane about the middle of the track."""
+        return LocalFrame((self.lat_deg.min() + self.lat_deg.max()) / 2, (self.lon_deg.min() + self.lon_deg.max()) / 2)
+
+    def T_map_lidar(self, frame: LocalFrame) -> FloatArray:
+        """Return (N, 4, 4) poses in the plane of a scene, with the altitude as height."""
+        xy = frame.xy(np.column_stack([self.lon_deg, self.lat_deg]))
+        R_map_lidar = frame.R_map_enu(self.lat_deg, self.lon_deg) @ self.R_enu_lidar
+        return rigid_transforms(R_map_lidar, np.column_stack([xy, self.alt_m]))
+
+
+def track_from_oxts(rows: FloatArray, times_s: FloatArray | None = None, *, rate_hz: float = 10.0) -> LidarTrack:
+    """Take the track of a GNSS/INS.
+
+    Parameters
+    ----------
+    rows : (N, 30) float64
+        OXTS values of the IMU, one row per scan.
+    times_s : (N,) float64
+        Times; None: at `rate_hz`.
+
+    Raises
+    ------
+    DriveError
+        Rows of another shape, not finite, or not on the earth.
+    """
+    rows = np.atleast_2d(np.asarray(rows, dtype=np.float64))
+    if rows.ndim != 2 or rows.shape[1] < 6 or len(rows) == 0:
+        raise DriveError(
+            f"OXTS rows: found an array of shape {rows.shape}. Expected 30 values per row, one row per scan."
+        )
+    if rows.shape[1] < 30:
+        rows = np.hstack([rows, np.zeros((len(rows), 30 - rows.shape[1]))])
+    if not np.isfinite(rows[:, :6]).all() or np.abs(rows[:, 0]).max() > 90 or np.abs(rows[:, 1]).max() > 180:
+        bad = int(np.argmax(~np.isfinite(rows[:, :6]).all(axis=1) | (np.abs(rows[:, 0]) > 90)))
+        raise DriveError(
+            f"OXTS rows: row {bad} is not a pose on the earth: {rows[bad, :6]}. Expected lat, lon, alt, r, p, y."
+        )
+    times = np.arange(len(rows)) / rate_hz if times_s is None else np.asarray(times_s, dtype=np.float64)
+    fixes = georeference_of_lidar(rows, KITTI_T_VELO_IMU, "OXTS")
+    return LidarTrack(fixes.lat_deg, fixes.lon_deg, fixes.alt_m, fixes.R_enu_lidar, times, rows[:, :30])
+
+
+def track_from_line(
+    lonlat: FloatArray, alt_m: FloatArray | None = None, config: TrackConfig | None = None
+) -> LidarTrack:
+    """Drive along a line at a constant speed, looking ahead.
+
+    Parameters
+    ----------
+    lonlat : (N, 2) float64
+        Longitude, latitude in degrees of at least two points, metres to tens of metres apart.
+    alt_m : (N,) float64
+        Heights of the LiDAR; None: flat ground.
+    config
+        Speed, scans a second, smoothing, lateral offset.
+
+    Returns
+    -------
+    LidarTrack
+        The LiDAR follows the smoothed line; yaw along it, pitch along its slope, no roll.
+
+    Raises
+    ------
+    DriveError
+        Fewer than two different points, or a gap in the line.
+    """
+    config = config or TrackConfig()
+    lonlat = np.asarray(lonlat, dtype=np.float64).reshape(-1, 2)
+    if len(lonlat) < 2:
+        raise DriveError(f"The track has {len(lonlat)} point(s). Expected at least two.")
+    frame = LocalFrame(lonlat[:, 1].mean(), lonlat[:, 0].mean())
+    xyz = np.column_stack([frame.xy(lonlat), np.zeros(len(lonlat)) if alt_m is None else alt_m])
+    steps = np.hypot(*np.diff(xyz[:, :2], axis=0).T)
+    if not steps.sum() > 1.0:
+        raise DriveError("All points of the track lie at one place. Expected a line to drive along.")
+    if steps.max() > config.max_gap_m:
+        where = int(np.argmax(steps))
+        raise DriveError(
+            f"Points {where} and {where + 1} of the track are {steps[where]:,.0f} m apart. "
+            f"Expected at most {config.max_gap_m:g} m. Usual cause: lon and lat swapped, or two recordings."
+        )
+    path = widen_bends(smooth_path(xyz, config.smoothing_m, config.offset_m), config.min_radius_m)
+    along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path[:, :2], axis=0).T))])
+    wanted = np.arange(0.0, along[-1], config.speed_mps / config.rate_hz)
+    places = np.column_stack([np.interp(wanted, along, path[:, i]) for i in range(3)])
+    reach = 1.0
+    ahead = np.column_stack([np.interp(np.minimum(wanted + reach, along[-1]), along, path[:, i]) for i in range(3)])
+    behind = np.column_stack([np.interp(np.maximum(wanted - reach, 0.0), along, path[:, i]) for i in range(3)])
+    run = ahead - behind
+    yaw = np.unwrap(np.arctan2(run[:, 1], run[:, 0]))
+    pitch = -np.arctan2(run[:, 2], np.hypot(run[:, 0], run[:, 1]))
+    back = frame.lonlat(places[:, :2])
+    lon, lat = back[:, 0], back[:, 1]
+    R_map_lidar = rotation_from_rpy(0.0, pitch, yaw)
+    R_enu_lidar = np.swapaxes(frame.R_map_enu(lat, lon), -1, -2) @ R_map_lidar
+    times = np.arange(len(wanted)) / config.rate_hz
+    rows = oxts_rows(lat, lon, places[:, 2], R_enu_lidar, times)
+    return LidarTrack(lat, lon, places[:, 2], R_enu_lidar, times, rows, altitude_known=alt_m is not None)
+
+
+def smooth_path(xyz: FloatArray, smoothing_m: float, offset_m: float = 0.0) -> FloatArray:
+    """Resample a line finely, move it to the right by an offset, and round its corners by a Gaussian along its length.
+
+    Parameters
+    ----------
+    xyz : (N, 3) float64
+        Points in a plane, metres.
+
+    Returns
+    -------
+    (M, 3) float64
+        Points some 0.25 m apart. The ends stay.
+    """
+    keep = np.concatenate([[True], np.hypot(*np.diff(xyz[:, :2], axis=0).T) > 1e-6])
+    xyz = xyz[keep]
+    along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(xyz[:, :2], axis=0).T))])
+    fine = np.linspace(0.0, along[-1], max(int(along[-1] / _STEP_M) + 1, 2))
+    path = np.column_stack([np.interp(fine, along, xyz[:, i]) for i in range(3)])
+    if offset_m:
+        run = np.gradient(gaussian_filter1d(path[:, :2], 4, axis=0, mode="nearest"), axis=0)
+        run /= np.maximum(np.hypot(run[:, 0], run[:, 1]), 1e-9)[:, None]
+        path[:, :2] += offset_m * np.column_stack([run[:, 1], -run[:, 0]])
+    if smoothing_m > 0:
+        # Mirrored about its ends as points, so that the line keeps them.
+        width = min(smoothing_m / _STEP_M, len(path) / 4)
+        reach = min(int(4 * width) + 1, len(path) - 1)
+        head = 2 * path[0] - path[reach:0:-1]
+        tail = 2 * path[-1] - path[-2 : -reach - 2 : -1]
+        path = gaussian_filter1d(np.concatenate([head, path, tail]), width, axis=0, mode="nearest")[reach:-reach]
+    return path
+
+
+def widen_bends(path: FloatArray, radius_m: float) -> FloatArray:
+    """Smooth a path, (N, 3) points some 0.25 m apart, where it bends more tightly than a radius; its ends stay."""
+    path = path.copy()
+    for _ in range(_MAX_ROUNDS if radius_m else 0):
+        run = np.diff(path[:, :2], axis=0)
+        yaw = np.unwrap(np.arctan2(run[:, 1], run[:, 0]))
+        bend = np.abs(gaussian_filter1d(np.gradient(yaw), 2)) / np.maximum(np.hypot(run[:, 0], run[:, 1]), 1e-6)
+        tight = gaussian_filter1d((bend > 1 / radius_m).astype(float), radius_m / _STEP_M / 2)
+        if not (bend > 1 / radius_m).any():
+            break
+        share = np.clip(4 * np.interp(np.arange(len(path)), np.arange(len(bend)) + 0.5, tight), 0, 1)[:, None]
+        path[1:-1] += (share * (gaussian_filter1d(path, 4, axis=0, mode="nearest") - path))[1:-1]
+    return path
+
+
+def camera_poses(T_map_lidar: FloatArray, tr: FloatArray) -> FloatArray:
+    """Return (N, 3, 4) KITTI poses: camera at each scan in the frame of the first camera."""
+    T_world_lidar = invert_transform(T_map_lidar[:1]) @ T_map_lidar
+    poses: FloatArray = (tr @ T_world_lidar @ invert_transform(tr))[:, :3]
+    return poses
+
+
+def lidar_poses(poses_camera: FloatArray, tr: FloatArray) -> FloatArray:
+    """Return (N, 4, 4) T_world_lidar of (N, 3, 4) KITTI poses."""
+    full = np.tile(np.eye(4), (len(poses_camera), 1, 1))
+    full[:, :3] = poses_camera
+    result: FloatArray = invert_transform(tr) @ full @ tr
+    return result
+
+
+def open_track(path: Path, config: TrackConfig | None = None) -> LidarTrack:
+    """Read a track of any kind: .gpx, .csv, or else OXTS rows (a file, .gz too, or a folder `oxts/data`).
+
+    Raises
+    ------
+    DriveError
+        The file is none of these, or damaged.
+    """
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if suffix == ".gpx":
+        line = read_gpx(path)
+        return track_from_line(line.lonlat, line.alt_m, config)
+    if suffix == ".csv":
+        return track_from_line(*read_csv(path), config)
+    rate = (config or TrackConfig()).rate_hz
+    return track_from_oxts(read_oxts(path), rate_hz=rate)
+
+
+def read_csv(path: Path) -> tuple[FloatArray, FloatArray | None]:
+    """Read a track from a CSV file whose header names `lat`, `lon` and, if known, `alt`; other columns are skipped.
+
+    Returns
+    -------
+    lonlat : (N, 2) float64
+        Degrees.
+    alt_m : (N,) float64 or None
+        Heights, where every point has one.
+
+    Raises
+    ------
+    DriveError
+        The header lacks a column, there are no rows, or a value is not a number or not on the earth.
+    """
+    file = SourceFile(path, Path())
+    expected = "Expected a header that names the columns lat and lon (degrees), and alt (metres) if known."
+    table = read_table(file, [("lon", "lat", "z"), ("lon", "lat")], expected, blank="z")
+    lonlat, alt = table.values[:, :2], table.values[:, 2:]
+    beyond = np.abs(lonlat) > (180.0, 90.0)
+    if beyond.any():
+        row = int(np.argmax(beyond.any(axis=1)))
+        lon, lat = lonlat[row]
+        raise file.fault(f"latitude {lat:g}, longitude {lon:g}. Expected degrees on the earth.", table.at[row])
+    return lonlat.copy(), alt[:, 0].copy() if alt.size and np.isfinite(alt).all() else None
+
+
+def read_oxts(path: Path) -> FloatArray:
+    """Read OXTS rows: a text file (may be .gz) of one row per scan, or a folder of one file per scan (`oxts/data`).
+
+    Raises
+    ------
+    DriveError
+        There is no such file, or it does not hold such rows.
+    """
+    file = SourceFile(path, Path())
+    return read_oxts_folder(file, list_numbered(file, ".txt").numbers) if path.is_dir() else read_oxts_rows(file)

@@ -1,0 +1,154 @@
+"""Naming what went wrong on drives made by hand, and rows in their files."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from interloc.errors import OutputError
+from interloc.evaluation.evaluate import evaluate
+from interloc.geometry import lonlat_from_enu
+from interloc.lab.measure import Cell, Row, find_failures, read_row, write_row
+from interloc.osm.graph import RoadGraph, Ways
+from interloc.results import DetectionTable, DriveResult, IntersectionTable, KeyframeTable
+
+LAT, LON = 49.0, 8.4
+
+
+def lonlat(enu: Any) -> np.ndarray:
+    return lonlat_from_enu(LAT, LON, np.asarray(enu, dtype=np.float64).reshape(-1, 2))
+
+
+def crossings(*places: tuple[float, float, str]) -> RoadGraph:
+    """One node of four arms at each (east, north), of some class of highway."""
+    centres = np.array([place[:2] for place in places], dtype=np.float64)
+    arms = 50.0 * np.array([[0, 0], [1, 0], [0, 1], [-1, 0], [0, -1]])
+    first = 5 * np.repeat(np.arange(len(places)), 4)
+    edges = np.stack([first, first + np.tile([1, 2, 3, 4], len(places))], axis=-1)
+    highway = tuple(np.repeat([place[2] for place in places], 4).tolist())
+    ways = Ways(np.arange(len(edges)), highway, ("",) * len(edges), np.zeros(len(edges), dtype=np.bool_))
+    enu = (centres[:, None] + arms).reshape(-1, 2)
+    return RoadGraph(100 + np.arange(len(enu)), lonlat(enu), edges, np.arange(len(edges)), ways, "made-up.osm")
+
+
+def failures(detections: list[tuple[int, float, float]], *places: tuple[float, float, str]) -> dict[str, Any]:
+    """Drive from (0, 0) 100 m east, a keyframe every 10 m; detections are (keyframe, east, north)."""
+    keys = np.stack([np.arange(11) * 10.0, np.zeros(11)], axis=1)
+    found = np.array(detections, dtype=np.float64).reshape(-1, 3)
+    row, none = found[:, 0].astype(np.int64), np.zeros(0)
+    flat = np.zeros(11)
+    result = DriveResult(
+        "made-up",
+        KeyframeTable(10 * np.arange(11), flat, keys, flat, lonlat(keys), flat),
+        DetectionTable(
+            row,
+            found[:, 1:] - keys[row],
+            found[:, 1:],
+            lonlat(found[:, 1:]),
+            [none] * len(row),
+            np.ones(len(row)),
+            np.full(len(row), -1),
+            [none] * len(row),
+        ),
+        IntersectionTable(
+            none.astype(np.int64),
+            none.reshape(0, 2),
+            none.reshape(0, 2),
+            none,
+            none.astype(np.int64),
+            none,
+            [],
+            none.astype(np.int64),
+            none.astype(np.int64),
+            [],
+        ),
+        keys,
+        lonlat(keys),
+    )
+    return find_failures(evaluate(result, crossings(*places)), lambda frame: [f"show {frame}"])
+
+
+def kinds(group: list[dict[str, Any]]) -> list[str]:
+    return [entry["kind"] for entry in group]
+
+
+HERE = (51.0, 0.0, "residential")
+
+
+def test_false_detections_of_one_place_are_one_group() -> None:
+    detections = [(k, 50.0, 0.0) for k in range(3, 8)] + [(2, 20.0, 30.0), (3, 22.0, 30.0), (4, 24.0, 33.0)]
+    (group,) = failures(detections, HERE)["false_detections"]
+    assert group["detections"] == 3
+    assert group["frames"] == [20, 30, 40]
+    assert group["see"] == ["show 30"]
+    assert group["kind"] == "nothing"
+    assert group["nearest_node"]["osm_id"] == 100
+    assert abs(group["nearest_node"]["distance_m"] - np.hypot(29, 30)) < 0.1
+
+
+def test_kinds_of_false_detections() -> None:
+    places = (HERE, (0.0, 40.0, "service"), (90.0, -40.0, "footway"))
+    detections = [(1, 1.0, 41.0), (4, 50.0, 0.0), (4, 58.0, 0.0), (8, 42.0, -10.0), (9, 91.0, -40.0)]
+    found = failures(detections, *places)["false_detections"]
+    assert sorted(kinds(found)) == ["left_out", "nothing", "off", "second"]
+
+
+def test_a_node_that_nothing_was_matched_to() -> None:
+    (node,) = failures([], HERE)["missed_nodes"]
+    assert (node["kind"], node["found"]) == ("not_seen", False)
+    assert node["keyframes_in_zone"] == node["keyframes_missed"] == 4  # within 20 m: those at 40, 50, 60, 70 m
+    assert node["frames"] == [40, 50, 60, 70]
+    assert node["best_error_m"] is None
+
+
+def test_a_node_found_at_some_keyframes_only() -> None:
+    (node,) = failures([(3, 50.0, 1.0), (4, 50.0, 1.0)], HERE)["missed_nodes"]
+    assert (node["kind"], node["found"]) == ("part_of_the_time", True)
+    assert node["frames"] == [50, 60, 70]
+
+
+def test_a_node_seen_in_the_wrong_place() -> None:
+    (node,) = failures([(k, 51.0, 7.0) for k in range(3, 8)], HERE)["missed_nodes"]
+    assert (node["kind"], node["keyframes_missed"], node["best_error_m"]) == (
+        "too_few",
+        0,
+        7.0,
+    )
+
+
+def test_a_missed_node_beside_another() -> None:
+    found = failures([(k, 50.0, 0.0) for k in range(2, 9)], HERE, (62.0, 0.0, "residential"))
+    (node,) = (node for node in found["missed_nodes"] if not node["found"])
+    assert node["kind"] == "not_seen"
+
+
+def test_nothing_went_wrong() -> None:
+    found = failures([(k, 50.0, 0.0) for k in range(3, 8)], HERE)
+    assert found == {"false_detections": [], "missed_nodes": []}
+
+
+def test_a_row_comes_back_as_it_was_unless_something_is_new(row: Callable[..., Row], tmp_path: Path) -> None:
+    made = row(errors_m=[0.1234, 5.0])
+    assert read_row(made.cell, "f", tmp_path) is None
+    write_row(made, tmp_path)
+    assert read_row(made.cell, "f", tmp_path) == made
+    assert read_row(made.cell, "another", tmp_path) is None
+    (path,) = tmp_path.iterdir()
+    path.write_bytes(path.read_bytes()[:50])
+    assert read_row(made.cell, "f", tmp_path) is None
+
+
+def test_a_row_that_cannot_be_read_is_named(row: Callable[..., Row], tmp_path: Path) -> None:
+    cell = row().cell
+    (tmp_path / f"{cell.file_name}.json").mkdir()
+    with pytest.raises(OutputError, match=r"00_default_0-0_seed0\.json could not be read"):
+        read_row(cell, "f", tmp_path)
+
+
+def test_file_names_hold_no_paths() -> None:
+    cell = Cell(drive="../monday/00", preset="default bev.resolution_m=0.25", noise="20/20", seed=3)
+    assert cell.file_name == "..-monday-00_default-bev.resolution_m-0.25_20-20_seed3"

@@ -1,0 +1,163 @@
+"""A benchmark over a small simulated drive, from files to files."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from interloc.config import DEFAULT, PAPER
+from interloc.drives.options import DriveOptions
+from interloc.errors import OutputError
+from interloc.lab import run as running
+from interloc.lab.cases import FolderCase, folder_cases
+from interloc.lab.measure import Cell, Row
+from interloc.lab.report import write_benchmark
+from interloc.lab.run import Benchmark, NamedConfig, run_benchmark
+from interloc.lab.twins import TwinCase, twin_cases
+
+DEFAULTS = NamedConfig("default", DEFAULT, ("--preset", "default"))
+PAPERS = NamedConfig("paper", PAPER, ("--preset", "paper"))
+
+
+def figures(rows: list[Row]) -> list[dict]:
+    """All of the rows but their times."""
+    return [row.model_dump(exclude={"compute_s"}) for row in rows]
+
+
+@pytest.fixture(scope="module")
+def benchmark(town: Path) -> Benchmark:
+    cases = folder_cases([town], [town / "map.osm"])
+    return Benchmark(tuple(cases), (DEFAULTS, PAPERS), ("0/0", "20/20"), seeds=2)
+
+
+@pytest.fixture(scope="module")
+def finished(benchmark: Benchmark, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Row]]:
+    out = tmp_path_factory.mktemp("benchmark") / "out"
+    return out, run_benchmark(benchmark, out)
+
+
+def test_every_cell_is_measured_once(finished: tuple[Path, list[Row]]) -> None:
+    _, rows = finished
+    cells = [(row.cell.preset, row.cell.noise, row.cell.seed) for row in rows]
+    assert cells == [
+        (preset, *rest) for preset in ("default", "paper") for rest in (("0/0", 0), ("20/20", 0), ("20/20", 1))
+    ]
+    assert all(row.keyframes == 60 and row.compute_s > 0 for row in rows)
+    assert sum(row.nodes_found for row in rows) > 0
+
+
+def test_finished_rows_are_kept(
+    benchmark: Benchmark, finished: tuple[Path, list[Row]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out, rows = finished
+    monkeypatch.setattr(running, "measure", None)  # nothing may be measured
+    assert run_benchmark(benchmark, out) == rows
+
+
+def test_a_run_goes_on_where_it_stopped(
+    benchmark: Benchmark, finished: tuple[Path, list[Row]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _, rows = finished
+    measure, calls = running.measure, []
+    paper = replace(benchmark, configs=(PAPERS,), seeds=1)
+
+    def stop_at_second(cell: Cell, *rest: Any, **options: Any) -> Row:
+        calls.append(cell)
+        if len(calls) == 2:
+            raise KeyboardInterrupt
+        return measure(cell, *rest, **options)
+
+    monkeypatch.setattr(running, "measure", stop_at_second)
+    with pytest.raises(KeyboardInterrupt):
+        run_benchmark(paper, tmp_path / "out")
+    assert len(list((tmp_path / "out" / "rows").iterdir())) == 1
+    again = run_benchmark(paper, tmp_path / "out")
+    assert len(calls) == 2 + 1
+    assert figures(again) == figures(rows[3:5])
+
+
+def test_other_settings_are_measured_anew(
+    benchmark: Benchmark, finished: tuple[Path, list[Row]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out, _ = finished
+    monkeypatch.setattr(running, "measure", None)
+    other = NamedConfig("paper", DEFAULT.model_copy(update={"preset": "other"}))
+    with pytest.raises(TypeError):
+        run_benchmark(Benchmark(benchmark.cases, (other,)), out)
+    with pytest.raises(TypeError):
+        run_benchmark(benchmark, out, fresh=True)
+
+
+def test_a_folder_of_something_else_is_not_touched(benchmark: Benchmark, tmp_path: Path) -> None:
+    (tmp_path / "thesis.txt").write_text("years of work")
+    with pytest.raises(OutputError, match=r"is not a benchmark: it has no rows/\. It was not touched"):
+        run_benchmark(benchmark, tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["thesis.txt"]
+
+
+def test_files_of_a_benchmark(benchmark: Benchmark, finished: tuple[Path, list[Row]]) -> None:
+    out, rows = finished
+    benchmark = replace(benchmark, title="Town & country", about="A test.")
+    write_benchmark(benchmark, benchmark.measured(rows), out)
+    record = json.loads((out / "benchmark.json").read_text())
+    (pooled,) = (
+        entry
+        for entry in record["results"]
+        if (entry["preset"], entry["noise"], entry["drive"]) == ("paper", "20/20", "all")
+    )
+    assert pooled["ace_m"]["seeds"] == 2
+    assert pooled["ace_m"]["spread"] is not None
+    assert record["published"]["performance"]["all"] == {"ace_m": 1.92, "precision": 0.8948, "recall": 0.7674}
+    assert len(record["rows"]) == 6
+    for entry in record["rows"]:
+        failures = json.loads((out / entry["failures"]).read_text())
+        for place in failures["false_detections"] + failures["missed_nodes"]:
+            assert place["see"][0].startswith("interloc explain ")
+        assert failures["attribution"] == record["attribution"]
+    page = (out / "benchmark.html").read_text()
+    assert "made up by a simulator" in record["attribution"]
+    assert "The map was made up by a simulator" in page
+    assert "contributors" not in page
+    assert "Town &amp; country" in page
+    assert page.count("data:image/") == 1  # label errors
+    assert "http" not in page.replace("http://www.w3.org", "")
+    assert "IV. Errors of the labels" in (out / "benchmark.txt").read_text()
+    assert {path.name for path in (out / "figures").iterdir()} == {"label_errors.svg", "label_errors.png"}
+
+
+def test_the_command_that_shows_a_frame_names_what_is_not_usual() -> None:
+    case = FolderCase("a b", Path("data/a b"), Path("m.osm"), DriveOptions(labels="predictions"))
+    (line,) = case.explain(7, ("--preset", "paper"))
+    assert shlex.split(line) == [
+        *("interloc", "explain", "data/a b", "--frame", "7", "-o", "explain_a b_7", "--osm", "m.osm"),
+        *("--labels", "predictions", "--preset", "paper"),
+    ]
+
+
+def test_the_command_that_shows_a_frame_of_a_twin_makes_the_twin_first() -> None:
+    make, show = TwinCase(Path("kitti"), "07", seed=2, poses="gt").explain(5, ())
+    assert make == "interloc simulate twin 07 --kitti kitti --seed 2 --poses gt -o twin_07"
+    assert show.startswith("interloc explain twin_07 --frame 5 ")
+    (show,) = TwinCase(Path("kitti"), "07", seed=2, keep=Path("k")).explain(5, ())
+    assert "k/07_suma_seed2" in show
+
+
+def test_twins_in_processes_are_the_same_and_leave_nothing_behind(kitti: Path, tmp_path: Path) -> None:
+    """Two twins at once in processes, one of them again here, from the folder where it was kept."""
+    cases = twin_cases(kitti, ["07", "10"], max_scans=8)
+    at_once = run_benchmark(Benchmark(tuple(cases), (DEFAULTS,)), tmp_path / "a", workers=2)
+    assert [row.cell.drive for row in at_once] == ["07", "10"]
+    assert sorted(path.name for path in (tmp_path / "a").iterdir()) == ["rows"]
+
+    kept = twin_cases(kitti, ["10"], max_scans=8, keep=tmp_path / "keep")
+    (first,) = run_benchmark(Benchmark(tuple(kept), (DEFAULTS,)), tmp_path / "b")
+    scan = tmp_path / "keep/10_suma_seed0/velodyne/000000.bin"
+    made = scan.stat().st_mtime_ns
+    (second,) = run_benchmark(Benchmark(tuple(kept), (DEFAULTS,)), tmp_path / "c")
+    assert scan.stat().st_mtime_ns == made
+    assert figures([first])[0]["errors_m"] == figures([second])[0]["errors_m"] == at_once[1].errors_m

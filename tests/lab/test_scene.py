@@ -1,0 +1,196 @@
+"""Maps that become scenes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from interloc.errors import MapError
+from interloc.lab.config import RoadsideConfig, SceneConfig, StreetConfig, TrackConfig
+from interloc.lab.ground import Surface, beyond_ends, fit_heights, without_drift
+from interloc.lab.raycast import surface_at
+from interloc.lab.scene import Scene, build_scene
+from interloc.lab.streets import read_map, road_width_m
+from interloc.lab.tracks import LidarTrack, LocalFrame, track_from_line
+
+WriteMap = Callable[..., Path]
+BARE = SceneConfig(roadside=RoadsideConfig(buildings="none", parked_car_density=0, hedge_share=0), flat=True)
+
+
+def surface(scene: Scene, frame: LocalFrame, x: float, y: float, level: int = 0) -> Surface:
+    px, py = scene.frame.xy(frame.lonlat([x, y]))
+    scene.ground.show(px, py, 5.0, plan=level)
+    return Surface(surface_at(scene.ground.tiles, scene.ground.index, *scene.ground.frame, px, py))
+
+
+def test_the_vehicle_stands_on_road(street_scene: Scene, frame: LocalFrame) -> None:
+    for x in (-59.0, 0.0, 59.0):
+        assert surface(street_scene, frame, x, 0.0) == Surface.ROAD
+
+
+def test_it_stands_on_road_even_where_the_map_is_off(frame: LocalFrame, write_map: WriteMap) -> None:
+    path = write_map(([(-80.0, 5.0), (80.0, 5.0)], {"highway": "residential"}))
+    track = track_from_line(frame.lonlat([[-50, 0], [50, 0]]))
+    assert surface(build_scene(track, read_map(path), config=BARE), frame, 0.0, 0.0) == Surface.ROAD
+
+
+def test_the_cross_section_of_a_street(street_scene: Scene, frame: LocalFrame) -> None:
+    found = [surface(street_scene, frame, 30.0, y) for y in (3.0, 4.0, 5.0, 6.0, -4.0, -6.0)]
+    assert found == [Surface.ROAD, *[Surface.SIDEWALK] * 2, Surface.TERRAIN, Surface.SIDEWALK, Surface.TERRAIN]
+
+
+def test_sidewalks_as_high_as_the_road(straight_track: LidarTrack, frame: LocalFrame, write_map: WriteMap) -> None:
+    path = write_map(([(-150.0, 0.0), (150.0, 0.0)], {"highway": "residential"}))
+
+    def along(**streets: float) -> list[Surface]:
+        config = BARE.model_copy(update={"streets": StreetConfig(parking_bay_share=0, **streets)})
+        scene = build_scene(straight_track, read_map(path), config=config)
+        return [surface(scene, frame, x, 4.0) for x in np.arange(-50.0, 50.0, 2.0)]
+
+    assert set(along(flush_sidewalk_share=1.0)) == {Surface.FLUSH_SIDEWALK}
+    pieces = along(lowered_kerb_share=0.5)
+    assert 10 < pieces.count(Surface.FLUSH_SIDEWALK) < 40
+    assert set(pieces) == {Surface.FLUSH_SIDEWALK, Surface.SIDEWALK}
+
+
+def test_drives_that_the_map_does_not_have_are_road(
+    straight_track: LidarTrack, frame: LocalFrame, write_map: WriteMap
+) -> None:
+    path = write_map(([(-150.0, 0.0), (150.0, 0.0)], {"highway": "residential"}))
+
+    def beside(seed: int, **streets: float) -> list[Surface]:
+        config = BARE.model_copy(update={"streets": StreetConfig(**streets)})
+        scene = build_scene(straight_track, read_map(path), config=config, seed=seed)
+        return [surface(scene, frame, x, y) for x in np.arange(-50.0, 50.0, 2.0) for y in (-12.0, 12.0)]
+
+    assert Surface.ROAD not in beside(0)
+    assert Surface.ROAD in beside(0, private_drives_per_km=40.0)
+    assert beside(0, private_drives_per_km=40.0) == beside(1, private_drives_per_km=40.0)
+
+
+def test_posts_and_trees_stand_beside_the_road_and_off_the_track(
+    straight_track: LidarTrack, write_map: WriteMap
+) -> None:
+    path = write_map(([(-150.0, 0.0), (150.0, 0.0)], {"highway": "residential"}))
+
+    def walls(posts_per_km: float, seed: int = 0) -> np.ndarray:
+        roadside = BARE.roadside.model_copy(update={"posts_per_km": posts_per_km})
+        scene = build_scene(
+            straight_track, read_map(path), config=BARE.model_copy(update={"roadside": roadside}), seed=seed
+        )
+        return scene.obstacles.near(0.0, 0.0, 150.0)[0]
+
+    found = walls(100.0)
+    assert len(walls(0.0)) == 0
+    np.testing.assert_array_equal(walls(100.0), found)
+    assert not np.array_equal(walls(100.0, seed=1), found)
+    assert 4 * 30 < len(found) < 8 * 80  # four sides of some 60 posts, as many of crowns
+    posts = found[found[:, 4] < 0]  # bottoms
+    assert np.abs(posts[:, [1, 3]]).min() > 3.0
+
+
+def test_kerbs_are_round_at_a_junction(straight_track: LidarTrack, frame: LocalFrame, write_map: WriteMap) -> None:
+    path = write_map(
+        ([(-150.0, 0.0), (0.0, 0.0), (150.0, 0.0)], {"highway": "residential", "sidewalk": "no"}),
+        ([(0.0, 0.0), (0.0, 90.0)], {"highway": "residential", "sidewalk": "no"}),
+    )
+    scene = build_scene(straight_track, read_map(path), config=BARE)
+    corner = 3.25  # of the straight kerbs; the arc of radius 5.5 m cuts it off by 2.3 m
+    assert surface(scene, frame, corner + 0.9, corner + 0.9) == Surface.ROAD
+    assert surface(scene, frame, corner + 2.0, corner + 2.0) == Surface.TERRAIN
+    assert surface(scene, frame, corner + 0.9, 30.0) == Surface.TERRAIN
+
+
+def test_the_strip_between_two_carriageways_is_no_road(
+    straight_track: LidarTrack, frame: LocalFrame, write_map: WriteMap
+) -> None:
+    tags = {"highway": "secondary", "oneway": "yes"}
+    path = write_map(
+        ([(-150.0, 0.0), (0.0, 0.0), (150.0, 0.0)], tags),
+        ([(150.0, 12.0), (0.0, 12.0), (-150.0, 12.0)], tags),
+        ([(0.0, 0.0), (0.0, 12.0)], {"highway": "secondary"}),
+    )
+    scene = build_scene(straight_track, read_map(path), config=BARE)
+    assert surface(scene, frame, 60.0, 6.0) == Surface.TERRAIN
+    assert surface(scene, frame, 60.0, 4.0) == Surface.OTHER_GROUND
+    assert surface(scene, frame, 0.0, 6.0) == Surface.ROAD
+
+
+def test_who_drives_over_a_bridge_does_not_see_the_road_below(frame: LocalFrame, write_map: WriteMap) -> None:
+    path = write_map(
+        ([(-150.0, 0.0), (-20.0, 0.0)], {"highway": "residential"}),
+        ([(-20.0, 0.0), (20.0, 0.0)], {"highway": "residential", "bridge": "yes", "layer": "1"}),
+        ([(20.0, 0.0), (150.0, 0.0)], {"highway": "residential"}),
+        ([(0.0, -150.0), (0.0, 150.0)], {"highway": "residential"}),
+    )
+    over = build_scene(track_from_line(frame.lonlat([[-100, 0], [100, 0]])), read_map(path), config=BARE)
+    under = build_scene(track_from_line(frame.lonlat([[0, -100], [0, 100]])), read_map(path), config=BARE)
+    middle = len(over.level) // 2
+    assert over.level[middle] == 1
+    assert over.level[0] == 0
+    assert not under.level.any()
+    assert surface(over, frame, 0.0, 15.0, level=1) == Surface.TERRAIN
+    assert surface(over, frame, 15.0, 0.0, level=1) == Surface.ROAD
+    assert surface(under, frame, 0.0, 15.0) == Surface.ROAD
+    assert surface(under, frame, 15.0, 0.0) == Surface.TERRAIN
+
+
+@pytest.mark.parametrize(
+    ("tags", "width"),
+    [
+        ({"highway": "residential"}, 6.5),
+        ({"highway": "residential", "width": "5.2 m"}, 5.2),
+        ({"highway": "residential", "width": "wide"}, 6.5),
+        ({"highway": "residential", "lanes": "1"}, 4.5),
+        ({"highway": "primary", "lanes": "4"}, 13.0),
+        ({"highway": "primary", "oneway": "yes"}, 7.0),
+        ({"highway": "tertiary", "oneway": "yes", "lanes": "1"}, 5.0),
+        ({"highway": "service", "service": "driveway"}, 3.5),
+    ],
+)
+def test_widths(tags: dict[str, str], width: float) -> None:
+    assert road_width_m(tags, StreetConfig()) == pytest.approx(width)
+
+
+def test_heights_follow_the_track_and_spread() -> None:
+    x = np.linspace(0, 200, 201)
+    field = fit_heights(np.column_stack([x, 0 * x, 50 + 0.05 * x]), margin_m=60)
+    assert field.at(100, 0) == pytest.approx(55.0, abs=0.1)
+    assert field.at(100, 50) == pytest.approx(55.0, abs=1.0)
+    assert 49.5 < field.at(-50, -50) < 52
+
+
+def test_the_ground_ahead_of_the_end_of_a_track_goes_on_as_it_rises() -> None:
+    x = np.linspace(0, 100, 101)
+    track = np.column_stack([x, 0 * x, 0.05 * x])
+    ahead = beyond_ends(track)
+    assert ahead[:, 2] == pytest.approx(0.05 * ahead[:, 0])
+    assert (ahead[:, 0].min(), ahead[:, 0].max()) == pytest.approx((-36.0, 136.0), abs=0.1)
+    assert len(beyond_ends(track[:5])) == 0
+
+
+def test_heights_that_settle_are_no_hill() -> None:
+    x = np.linspace(0, 100, 201)
+    true = np.column_stack([x, 0 * x, 0.05 * x])
+    drifted = true - np.where(x < 30, 30 - x, 0)[:, None] * [0.0, 0.0, 0.5]
+    assert without_drift(drifted, np.full(201, 0.05)) == pytest.approx(true, abs=0.05)
+    assert without_drift(true, np.full(201, 0.02)) == pytest.approx(true, abs=1e-12)
+
+
+def test_a_map_of_another_place_is_refused(frame: LocalFrame, write_map: WriteMap) -> None:
+    path = write_map(([(-150.0, 0.0), (150.0, 0.0)], {"highway": "residential"}))
+    far = track_from_line(frame.lonlat([[5000, 0], [5100, 0]]))
+    with pytest.raises(MapError, match=r"no street within reach of the track.*Usual cause"):
+        build_scene(far, read_map(path))
+    beside = track_from_line(frame.lonlat([[-50, 70], [50, 70]]), None, TrackConfig())
+    with pytest.raises(MapError, match=r"70 m \(median\) from the nearest street"):
+        build_scene(beside, read_map(path))
+
+
+def test_a_map_without_streets_is_refused(straight_track: LidarTrack, write_map: WriteMap) -> None:
+    path = write_map(([(-150.0, 0.0), (150.0, 0.0)], {"highway": "footway"}))
+    with pytest.raises(MapError, match="no street"):
+        build_scene(straight_track, read_map(path))

@@ -1,0 +1,203 @@
+"""Figures from literal rows, worked out by eye, and the tables as a person reads them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from interloc.evaluation.published import SEQUENCES
+from interloc.lab.measure import Row
+from interloc.lab.tables import (
+    Measured,
+    Table,
+    axes_table,
+    comparison_table,
+    figures,
+    noise_table,
+    performance_table,
+    table_of,
+    tables,
+)
+
+Rows = Callable[..., Row]
+
+
+def lines_of(table: Table) -> dict[tuple[str, ...], tuple[str, ...]]:
+    """Cells of a table by the words of their row."""
+    return {words: tuple(line) for words, line in zip(table.frame.index, table.frame.values.tolist(), strict=True)}
+
+
+def test_drives_are_pooled_not_averaged(row: Rows) -> None:
+    """The paper's column "Average" is no mean of its columns: long drives weigh more."""
+    rows = [row("00", [1.0, 1.0, 1.0, 5.0], fn=1), row("02", [2.0, 8.0], fn=4)]
+    assert figures(rows)["ace_m"] == pytest.approx(18 / 6)
+    assert figures(rows)["precision_at_5"] == pytest.approx(4 / 6)  # 5.0 is not under 5
+    assert figures(rows)["recall_at_5"] == pytest.approx(4 / 9)
+    assert figures(rows)["f1_at_5"] == pytest.approx(2 * 4 / (4 + 6 + 5))
+
+
+def test_a_detection_without_any_node_is_false_but_has_no_error(row: Rows) -> None:
+    rows = [row(errors_m=[1.0, 3.0], unmatched=2)]
+    assert figures(rows)["ace_m"] == pytest.approx(2.0)
+    assert figures(rows)["precision_at_5"] == pytest.approx(0.5)
+
+
+def test_pairs_far_apart_count_in_one_average_only(row: Rows) -> None:
+    rows = [row(errors_m=[1.0, 3.0, 50.0])]
+    assert figures(rows)["ace_m"] == pytest.approx(18.0)
+    assert figures(rows)["ace_under_10_m"] == pytest.approx(2.0)
+
+
+def test_thresholds_of_the_comparison(row: Rows) -> None:
+    rows = [row(errors_m=[1.0, 6.0, 13.0, 20.0], fn=1)]
+    assert figures(rows)["precision_at_6_9"] == pytest.approx(2 / 4)
+    assert figures(rows)["recall_at_13_3"] == pytest.approx(3 / 4)
+
+
+def test_map_level_is_pooled(row: Rows) -> None:
+    rows = [row(fused=(3, 1, 0, 3), map_errors_m=[0.1, 0.2, 0.9]), row("02", fused=(0, 0, 2, 2), map_errors_m=[])]
+    assert figures(rows)["map_precision"] == pytest.approx(3 / 4)
+    assert figures(rows)["map_recall"] == pytest.approx(3 / 5)
+    assert figures(rows)["map_median_m"] == pytest.approx(0.2)
+
+
+def test_uncertainty_and_confidence_are_counted_over_places(row: Rows) -> None:
+    rows = [
+        row(map_squared=[0.5, 5.9], outcomes=[(0.85, True), (0.85, False)]),
+        row("02", map_squared=[6.1, 7.5], outcomes=[(0.35, True), (0.95, True)]),
+    ]
+    assert figures(rows)["map_within_95"] == pytest.approx(2 / 4)
+    assert figures(rows)["map_nees"] == pytest.approx(20 / 4 / 2)
+    assert figures(rows)["map_calibration_error"] == pytest.approx((2 * 0.35 + 0.65 + 0.05) / 4)
+
+
+def test_time_is_per_keyframe(row: Rows) -> None:
+    rows = [row(keyframes=100, compute_s=0.5), row("02", keyframes=300, compute_s=0.7)]
+    assert figures(rows)["ms_a_keyframe"] == pytest.approx(3.0)
+
+
+def test_nothing_measured_is_undefined_or_none_found() -> None:
+    assert all(value == 0.0 if name.startswith("nodes") else np.isnan(value) for name, value in figures([]).items())
+
+
+def test_seeds_give_mean_and_spread_where_a_figure_is_defined(row: Rows) -> None:
+    errors = ([1.0], [2.0], [3.0], [])
+    rows = tuple(row(errors_m=values, seed=seed) for seed, values in enumerate(errors))
+    estimate = Measured(rows, ("00",), ("default",), ("0/0",)).estimates.loc["default", "0/0", "00"]["ace_m"]
+    assert estimate.tolist() == pytest.approx([2.0, 1.0, 3])
+    (one,) = Measured(rows[:1], ("00",), ("default",), ("0/0",)).estimates["ace_m"].drop_duplicates().values
+    assert one.tolist() == pytest.approx([1.0, np.nan, 1], nan_ok=True)
+
+
+def test_a_drive_with_one_seed_takes_part_in_every_pool(row: Rows) -> None:
+    rows = (row("00", [0.0]), row("02", [2.0], seed=0), row("02", [4.0], seed=1))
+    estimates = Measured(rows, ("00", "02"), ("default",), ("0/0",)).estimates
+    assert estimates.loc["default", "0/0", "all"]["ace_m", "mean"] == pytest.approx((1.0 + 2.0) / 2)
+
+
+def test_text_is_aligned() -> None:
+    table = table_of("T", {("published",): ["1.28"], ("ours",): ["0.50 ± 0.10"]}, ["ACE [m]"], ("A note.",))
+    assert table.text().splitlines() == [
+        "T",
+        "",
+        "               ACE [m]",
+        "published         1.28",
+        "ours       0.50 ± 0.10",
+        "",
+        "A note.",
+    ]
+
+
+def test_performance_stands_beside_the_published_figures(row: Rows) -> None:
+    measured = Measured((row("00", [1.0, 2.0], fn=1), row("town", [7.0])), ("00", "town"), ("default",), ("0/0",))
+    table = performance_table(measured, "0/0")
+    lines = lines_of(table)
+    assert [*table.frame.columns] == ["00", "town", "all"]
+    assert lines["ACE [m]", "published"] == ("1.28", "–", "–")  # noqa: RUF001
+    assert lines["ACE [m]", "preset default"] == ("1.50", "7.00", "3.33")
+    assert lines["Pre@5 [%]", "published"] == ("97.2", "–", "–")  # noqa: RUF001
+    assert lines["Pre@5 [%]", "preset default"] == ("100.0", "0.0", "66.7")
+    assert lines["Rec@5 [%]", "preset default"] == ("66.7", "–", "66.7")  # noqa: RUF001
+    assert lines["nodes found / in zone", "preset default"] == ("1/1", "1/1", "2/2")
+    assert lines["ms per keyframe", "preset default"] == ("5.0", "5.0", "5.0")
+
+
+def test_the_published_average_stands_only_beside_its_own_eight_sequences(row: Rows) -> None:
+    measured = Measured(tuple(row(name) for name in SEQUENCES), SEQUENCES, ("default",), ("0/0",))
+    assert lines_of(performance_table(measured, "0/0"))["ACE [m]", "published"][-1] == "1.92"
+    assert not any("all eight" in note for note in comparison_table(measured).notes)
+    some = Measured((row("07"),), ("07",), ("default",), ("0/0",))
+    assert [*performance_table(some, "0/0").frame.columns] == ["07"]
+    assert comparison_table(some).notes == ("Published: all eight sequences of SemanticKITTI; this run: 07.",)
+
+
+def test_drives_of_no_known_sequence_have_no_published_row(row: Rows) -> None:
+    measured = Measured((row("town"),), ("town",), ("default",), ("0/0",))
+    assert "published" not in performance_table(measured, "0/0").text().lower()
+
+
+def test_comparison(row: Rows) -> None:
+    measured = Measured((row("00", [1.0, 6.0, 8.0, 20.0], fn=1),), ("00",), ("default",), ("0/0",))
+    assert lines_of(comparison_table(measured)) == {
+        ("MMInsectDet",): ("4.25", "89.2", "83.1"),
+        ("InterLoc, published",): ("1.92", "94.4", "84.3"),
+        ("InterLoc, preset default",): ("8.75", "50.0", "75.0"),
+    }
+
+
+def test_levels_of_label_errors(row: Rows) -> None:
+    rows = [
+        row(errors_m=[error], preset=preset, noise=noise)
+        for preset, noise, error in (
+            ("default", "0/0", 1.0),
+            ("default", "20/20", 2.0),
+            ("paper", "0/0", 3.0),
+            ("paper", "20/20", 9.0),
+        )
+    ]
+    measured = Measured(tuple(rows), ("00",), ("default", "paper"), ("0/0", "20/20"))
+    lines = lines_of(noise_table(measured))
+    assert lines["0/0", "published"] == ("1.86", "90.1", "80.7")
+    assert lines["20/20", "published"] == ("3.23", "78.8", "68.0")
+    assert lines["20/20", "preset default"] == ("2.00", "100.0", "100.0")
+    assert lines["20/20", "preset paper"] == ("9.00", "0.0", "–")  # noqa: RUF001
+
+
+def test_predicted_labels_stand_beside_the_published_network(row: Rows) -> None:
+    measured = Measured((row(),), ("00",), ("default",), ("0/0",), labels="predictions")
+    assert lines_of(noise_table(measured))["0/0", "published"] == ("1.92", "89.5", "76.7")
+
+
+def test_a_level_that_the_paper_does_not_have(row: Rows) -> None:
+    measured = Measured((row(), row(noise="10/10")), ("00",), ("default",), ("0/0", "10/10"))
+    assert ("10/10", "published") not in lines_of(noise_table(measured))
+
+
+def test_seeds_show_their_spread(row: Rows) -> None:
+    rows = (row(errors_m=[1.0], seed=0, nodes=(1, 2)), row(errors_m=[2.0], seed=1, nodes=(2, 2)))
+    table = performance_table(Measured(rows, ("00",), ("default",), ("0/0",)), "0/0")
+    lines = lines_of(table)
+    assert lines["ACE [m]", "preset default"] == ("1.50 ± 0.71",)
+    assert lines["nodes found / in zone", "preset default"] == ("1.5/2.0",)
+    assert table.notes[-1] == "2 seeds: mean ± standard deviation over the seeds."
+
+
+def test_a_drive_without_detections_shows_dashes(row: Rows) -> None:
+    measured = Measured((row("00", [], fused=(0, 0, 0, 0), map_errors_m=[]),), ("00",), ("default",), ("0/0",))
+    lines = lines_of(performance_table(measured, "0/0"))
+    for name in ("ACE [m]", "Pre@5 [%]", "Rec@5 [%]", "map precision [%]", "map recall [%]", "map median error [m]"):
+        assert lines[name, "preset default"] == ("–",)  # noqa: RUF001
+    assert all(table.text() for table in tables(measured))
+
+
+def test_errors_from_the_axes_stand_beside_those_from_the_nodes(row: Rows) -> None:
+    known = row("real", map_axes_errors_m=[(2.0, 0.5), (1.0, 0.2), (3.0, 2.0)])
+    measured = Measured((known, row("town")), ("real", "town"), ("default",), ("0/0",))
+    lines = lines_of(axes_table(measured))
+    assert lines["real", "preset default"] == ("3", "2.00", "2.00", "3.00", "0.90", "0.50", "2.00")
+    assert lines["town", "preset default"][:2] == ("0", "–")  # noqa: RUF001
+    assert axes_table(measured).title in {table.title for table in tables(measured)}
+    unknown = Measured((row("town"),), ("town",), ("default",), ("0/0",))
+    assert not [table for table in tables(unknown) if table.title.startswith("Errors from")]
