@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from app.store.features import FOOTPRINTS, RESULT_LAYERS, own_attributes
+from app.work.layers import FOOTPRINTS, RESULT_LAYERS, own_attributes
 from interloc.arrays import FloatArray
 from interloc.output.credits import OWN_CREDIT
 from interloc.output.derived import derived_features
