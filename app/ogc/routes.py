@@ -10,11 +10,10 @@ from functools import wraps
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Path, Request, Response
-from pydantic import BaseModel
 
 from app.context import ContextDep
 from app.http.delivery import answer_tagged, service_address
-from app.http.openapi import TAGGED, Responses, get_and_head, problems
+from app.http.openapi import TAGGED, get_and_head, problems
 from app.http.parameters import OF_ITS_DATA, refuse_others
 from app.http.patterns import ID
 from app.http.problem_types import NO_SUCH_COLLECTION, NO_SUCH_FEATURE, NO_SUCH_MAP
@@ -24,16 +23,6 @@ from app.ogc.collections import Collection
 from app.ogc.documents import GEOJSON, OPENAPI, SCHEMA, Place
 from app.ogc.index import Extent, Source, extents, find_feature, find_page
 from app.ogc.indexing import index_job, is_indexed
-from app.ogc.models import (
-    OgcCollection,
-    OgcCollections,
-    OgcConformance,
-    OgcFeature,
-    OgcFeatures,
-    OgcInterface,
-    OgcLandingPage,
-    OgcSchema,
-)
 from app.ogc.parameters import MAX_LIMIT, AskedDep, page_token
 from app.results.folder import ResultsDep
 from app.results.routes.results import PROBLEMS, JobId
@@ -114,10 +103,6 @@ def _one_map(map_id: MapId, request: Request, context: ContextDep) -> _Served:
     return _Served(request, context, Source(map=map_id), place)
 
 
-def _answers(model: type[BaseModel], description: str) -> Responses:
-    return {**TAGGED, 200: {"model": model, "description": description, **TAGGED[200]}}
-
-
 def _landing(served: _Served) -> Response:
     """Lead to everything else: give this address to QGIS (OGC API - Features) or to GDAL (`OAPIF:` before it)."""
     return served.answer(served.place.landing())
@@ -196,18 +181,19 @@ def _feature(collection_id: _CollectionId, feature_id: _FeatureId, served: _Serv
     return served.answer(served.place.feature(found, feature_id, content), GEOJSON)
 
 
+_JSON = "application/json"
 _ONE = "/collections/{collection_id}"
-_ADDRESSES: tuple[tuple[str, Callable[..., Response], type[BaseModel], str], ...] = (
-    ("", _landing, OgcLandingPage, "Where a GIS begins"),
-    ("/api", _interface, OgcInterface, "Describe what can be asked"),
-    ("/conformance", _conformance, OgcConformance, "What the interface keeps to"),
-    ("/collections", _collections, OgcCollections, "List the layers"),
-    (_ONE, _collection, OgcCollection, "Describe a layer"),
-    (f"{_ONE}/schema", _schema, OgcSchema, "Describe the features of a layer"),
-    (f"{_ONE}/feature-schema", _feature_schema, OgcSchema, "Describe the GeoJSON of a layer"),
-    (f"{_ONE}/queryables", _queryables, OgcSchema, "Describe what filters may name"),
-    (f"{_ONE}/items", _items, OgcFeatures, "Give the features of a layer"),
-    (f"{_ONE}/items/{{feature_id}}", _feature, OgcFeature, "Give one feature"),
+_ADDRESSES: tuple[tuple[str, Callable[..., Response], str, str], ...] = (
+    ("", _landing, _JSON, "Where a GIS begins"),
+    ("/api", _interface, OPENAPI, "Describe what can be asked"),
+    ("/conformance", _conformance, _JSON, "What the interface keeps to"),
+    ("/collections", _collections, _JSON, "List the layers"),
+    (_ONE, _collection, _JSON, "Describe a layer"),
+    (f"{_ONE}/schema", _schema, SCHEMA, "Describe the features of a layer"),
+    (f"{_ONE}/feature-schema", _feature_schema, SCHEMA, "Describe the GeoJSON of a layer"),
+    (f"{_ONE}/queryables", _queryables, SCHEMA, "Describe what filters may name"),
+    (f"{_ONE}/items", _items, GEOJSON, "Give the features of a layer"),
+    (f"{_ONE}/items/{{feature_id}}", _feature, GEOJSON, "Give one feature"),
 )
 _MISSING = problems({404: "No such collection or feature."})
 
@@ -216,18 +202,17 @@ def _add(
     router: APIRouter, prefix: str, name: str, source: Callable[..., _Served], problems: dict[int | str, Any]
 ) -> None:
     """Register all addresses of a source of features."""
-    for path, endpoint, model, summary in _ADDRESSES:
-        missing = _MISSING if "{" in path else {}
-        extra = OF_ITS_DATA if endpoint is _items else None
+    for path, endpoint, media_type, summary in _ADDRESSES:
+        answer = {**TAGGED[200], "description": f"{summary}.", "content": {media_type: {"schema": {"type": "object"}}}}
         get_and_head(
             router,
             f"{prefix}{path}",
             summary=summary,
             operation_id=f"read_{name}{endpoint.__name__}",
-            openapi_extra=extra,
+            openapi_extra=OF_ITS_DATA if endpoint is _items else None,
             dependencies=IN_TURN if endpoint in {_items, _feature} else [],
             response_class=Response,
-            responses={**_answers(model, f"{summary}."), **missing, **problems},
+            responses={**TAGGED, 200: answer, **(_MISSING if "{" in path else {}), **problems},
         )(_bound(endpoint, source))
 
 
