@@ -13,7 +13,7 @@ from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from interloc.drives.poses.timed import quaternions_from_rotations
+from interloc.drives.poses.motion import quaternions_from_rotations
 
 FORMATS = ("bag", "db3", "mcap")
 """All formats; "bag" is ROS 1."""

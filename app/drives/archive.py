@@ -8,7 +8,7 @@ from app.context import Context
 from app.drives.models import UnpackedArchive
 from app.drives.records import drive_key, lock_drive
 from app.drives.upload import refuse_unless_open
-from app.drives.work.archive_files import MAGIC_BYTES, archive_kind
+from app.drives.work.unpack import MAGIC_BYTES, archive_kind
 from app.http.intake import Arrival
 from app.http.limits import check_quota, job_limit
 from app.http.problem_types import NOT_AN_ARCHIVE

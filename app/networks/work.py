@@ -8,7 +8,7 @@ from pathlib import Path
 
 from interloc.errors import ModelError
 from interloc.files import atomic_write
-from interloc.labelling.model import ModelDescription, describe_models
+from interloc.labelling.networks import ModelDescription, describe_networks
 
 _FOLDER = "models"
 _MAX_SCAN_S = 3600.0
@@ -16,7 +16,7 @@ _MAX_SCAN_S = 3600.0
 
 def available(folder: Path | None) -> list[ModelDescription]:
     """List the networks of the service; those that cannot be used with the reason."""
-    return [] if folder is None else describe_models(folder)
+    return [] if folder is None else describe_networks(folder)
 
 
 def find(folder: Path | None, name: str) -> Path:
@@ -27,7 +27,7 @@ def find(folder: Path | None, name: str) -> Path:
     ModelError
         There is none of this name.
     """
-    names = [] if folder is None else [each.name for each in describe_models(folder)]
+    names = [] if folder is None else [each.name for each in describe_networks(folder)]
     if folder is None or name not in names:
         there = ", ".join(names) or "none; INTERLOC_MODELS names the folder that they are in"
         raise ModelError(f"model {name!r}: the service has no such network. There are: {there}.")

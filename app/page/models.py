@@ -10,7 +10,7 @@ from app.jobs.models import MAX_COMPARED_JOBS, Near
 from app.paths import ARCHIVE_ENDINGS
 from app.settings import Settings
 from interloc.drives.formats import FORMATS, installed_formats
-from interloc.drives.georeference.oxts import ODOMETRY_OF_RAW
+from interloc.drives.georeference.read import ODOMETRY_OF_RAW
 from interloc.drives.kinds import RECORDING_ENDINGS, SMALL_ENDINGS, TRACK_ENDINGS
 from interloc.drives.labels import SCHEMES
 from interloc.drives.layouts import PCD_ENDINGS

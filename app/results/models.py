@@ -62,10 +62,6 @@ class _Collection(BaseModel):
     attribution: str = Field("", description="Whose data it is.")
     license: str = Field("", description="Address of the licence of OpenStreetMap, where it holds data of it.")
     bbox: list[float] = Field([], description="West, south, east, north of all features; absent where there are none.")
-    numberMatched: int = Field(
-        0, description="Number of features in `bbox` before `limit`; only where one of them was given."
-    )
-    numberReturned: int = Field(0, description="Number of features in this answer; likewise.")
 
 
 def collection_model(layer: Layer) -> type[BaseModel]:

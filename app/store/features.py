@@ -43,7 +43,7 @@ def _table(prefix: str, layer: Layer) -> Table:
 
 
 OF_RESULTS = {name: _table("features", layer) for name, layer in RESULT_LAYERS.items()}
-OF_MAPS = {name: _table("map_features", layer) for name, layer in CITY_LAYERS.items()}
+OF_MAPS = {name: _table("features_of_map", layer) for name, layer in CITY_LAYERS.items()}
 _TABLES = {table.name: table for table in (*OF_RESULTS.values(), *OF_MAPS.values())}
 
 

@@ -99,7 +99,7 @@ def command(
 
 def _write(out: Path | None, drive: Drive, georeference: Georeference) -> list[tuple[str, str]]:
     """Write the geo.csv, if one is asked for, and return what to say of it."""
-    from interloc.drives.georeference.geo_csv import write_geo_csv
+    from interloc.drives.georeference.read import write_geo_csv
 
     if out is None:
         return []

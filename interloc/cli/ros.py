@@ -70,10 +70,9 @@ def command(
         settings = (*settings, f"keyframes.lookahead={lookahead}")
     label = None
     if model is not None:
-        from interloc.labelling.labeller import Labeller
-        from interloc.labelling.model import read_model
+        from interloc.labelling.networks import open_network
 
-        label = Labeller(read_model(model), provider)
+        label = open_network(model, provider)
         label.load()
     scheme = named_scheme(label_scheme) or SEMANTICKITTI
     config = options.configure(preset, settings)

@@ -100,23 +100,11 @@ class SourceFile:
         return self.fault(f"cannot be read: {reason_of(error)}.")
 
     def text(self) -> str:
-        """Read a small text file (or its .gz) whole.
-
-        Raises
-        ------
-        DriveError
-            It is missing, a folder, empty, unreadable, not text, or larger than any such file can be.
-        """
+        """Read a small text file (or its .gz) whole."""
         return self._decoded(self._read(MAX_SMALL_BYTES))
 
     def lines(self) -> list[str]:
-        """Read the lines of a text file, or of its .gz, with one per frame; without blank ones at its end.
-
-        Raises
-        ------
-        DriveError
-            As `text`; or it has more lines than any drive has frames, or one that is too long for any.
-        """
+        """Read the lines of a text file, or of its .gz, with one per frame; without blank ones at its end."""
         text = self._decoded(self._data())
         if "\r" in text:
             text = text.replace("\r\n", "\n").replace("\r", "\n")
@@ -188,13 +176,7 @@ class SourceFile:
         return text
 
     def numbers(self, fields: list[str], line: int) -> list[float]:
-        """Turn the fields of a line into finite numbers.
-
-        Raises
-        ------
-        DriveError
-            One of them is not a number, or not finite.
-        """
+        """Turn the fields of a line into finite numbers."""
         try:
             values = [float(field) for field in fields]
         except ValueError:
@@ -262,13 +244,7 @@ class NumberedFiles:
 
 
 def list_numbered(folder: SourceFile, suffix: str) -> NumberedFiles:
-    """List the numbered files of a folder, by their names and sizes only.
-
-    Raises
-    ------
-    DriveError
-        The folder cannot be read, holds no such file, or names that are not plain numbers of one width.
-    """
+    """List the numbered files of a folder, by their names and sizes only."""
 
     def fault(stem: str, message: str) -> InterLocError:
         return replace(folder, path=folder.path / (stem + suffix)).fault(message)
@@ -346,19 +322,9 @@ def others_like_it(numbers: IntArray, of: int) -> str:
 
 
 def rows_by_frame(frames: IntArray, rows: int) -> IntArray | None:
-    """Map scans to rows by the frame number, or one to one where a drive starts later and has one row per scan.
+    """Return the row of each of (N,) ascending scan numbers in a file: that of its number, or one to one.
 
-    Parameters
-    ----------
-    frames : (N,) int64
-        Scan numbers, ascending.
-    rows : int
-        Rows of the file.
-
-    Returns
-    -------
-    (N,) int64 or None
-        Row of every scan; None where there are too few.
+    The latter where a drive starts later and has one row per scan. None where there are too few rows.
     """
     if frames[-1] < rows:
         return frames
@@ -379,13 +345,7 @@ def in_part(part: str | None, frames: IntArray) -> BoolArray:
 
 
 def rows_of_part(part: str, frames: IntArray, name: str) -> slice:
-    """Return which scans are in a part of a drive, as `in_part`.
-
-    Raises
-    ------
-    DriveError
-        None is; `name` is what holds the scans.
-    """
+    """Return which scans are in a part of a drive, as `in_part`."""
     rows = np.flatnonzero(in_part(part, frames))
     if not len(rows):
         raise DriveFileError(

@@ -83,11 +83,5 @@ class FolderDrive:
         return replace(self, georeference=None)
 
     def ground_points(self, index: int) -> GroundPoints:
-        """Read the road points, and the points most often confused with them, of the scan at a position 0..N-1.
-
-        Raises
-        ------
-        DriveError
-            The files of the scan are missing, damaged or do not fit together, or a reduced drive did not keep it.
-        """
+        """Read the road points, and the points most often confused with them, of the scan at a position 0..N-1."""
         return self.scans.read(int(self.frames[index]))

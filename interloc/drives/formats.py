@@ -39,13 +39,7 @@ class ScanFormat:
         object.__setattr__(self, "title", self.title or self.name)
 
     def open(self, *arguments: Any) -> Any:  # noqa: ANN401 - loaded by its name
-        """Call the function that opens a drive of this format.
-
-        Raises
-        ------
-        DriveError
-            There is no such function: the package that brings it is damaged.
-        """
+        """Call the function that opens a drive of this format."""
         try:
             opener: Any = EntryPoint(self.name, self.opener, GROUP).load()
         except (ImportError, AttributeError) as error:

@@ -75,12 +75,6 @@ def track_of(
         Opened without poses.
     progress
         Called with the scans done and the scans in all.
-
-    Raises
-    ------
-    DriveError
-        The scans cannot be followed for long (it names the first that cannot, and how far the drive had come), a file
-        is damaged, or small_gicp is not installed.
     """
     source, frames = recording.points, recording.frames
     if source is None or frames is None:

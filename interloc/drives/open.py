@@ -9,7 +9,7 @@ from functools import cache
 from pathlib import Path
 from typing import Unpack, cast
 
-from interloc.drives.checks import NEAR_M, check_flat_road, sample_indices
+from interloc.drives.checks import NEAR_M, RoadSeen, check_flat_road, check_motion, check_points, sample_indices
 from interloc.drives.files import each_read_once, rows_of_part
 from interloc.drives.findings import Findings
 from interloc.drives.folder import FolderDrive, Scans
@@ -18,7 +18,6 @@ from interloc.drives.georeference.geodetic import check_against_poses
 from interloc.drives.labels import SEMANTICKITTI, LabelJudgement
 from interloc.drives.layouts import SCAN_FOLDERS, not_a_drive, recognise_layout
 from interloc.drives.options import LABEL_FILES, ODOMETRY, DriveArguments, DriveOptions, LabelFolder, ReadingOptions
-from interloc.drives.plausibility import RoadSeen, check_motion, check_points
 from interloc.drives.scan_motion import check_scan_motion
 from interloc.drives.scans.deskewed import deskewed, is_to_deskew
 from interloc.drives.scans.raw import RawScans, trajectory_of
@@ -211,13 +210,7 @@ def _cut(recording: Recording, part: slice | None) -> Recording:
 
 
 def open_recording(root: Path, options: DriveOptions, findings: Findings) -> Recording:
-    """Open the scans of a drive in whichever of the `interloc.drives.formats` they are.
-
-    Raises
-    ------
-    DriveError
-        The path is not a drive, or not of the layout asked for.
-    """
+    """Open the scans of a drive in whichever of the `interloc.drives.formats` they are."""
 
     def first_of(formats: Iterable[ScanFormat]) -> Recording | None:
         asked = (each for each in formats if options.layout in {"auto", each.name})

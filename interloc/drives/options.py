@@ -125,13 +125,7 @@ class ReadingOptions(BaseModel):
 
     @classmethod
     def of(cls, given: ReadingOptions | None = None, /, **arguments: Any) -> Self:  # noqa: ANN401 - they are checked
-        """Return the options of `given`, but for those that the arguments (`DriveArguments`) name.
-
-        Raises
-        ------
-        ConfigError
-            An unknown option or choice.
-        """
+        """Return the options of `given`, but for those that the arguments (`DriveArguments`) name."""
         scheme = arguments.get("label_scheme", "auto")
         if not isinstance(scheme, str):
             arguments["label_scheme"] = ",".join(str(label) for label in sorted(scheme))

@@ -11,15 +11,12 @@ from interloc.drive import Georeference
 from interloc.drives.files import SourceFile, gaps, listed, rows_by_frame, seconds_of
 from interloc.drives.findings import DriveFileError, Findings
 from interloc.drives.georeference.geodetic import poses_of
-from interloc.drives.georeference.kitti360 import georeference_of_kitti360, is_karlsruhe
-from interloc.drives.georeference.read import AS_PUBLISHED, read_georeference
+from interloc.drives.georeference.read import AS_PUBLISHED, georeference_of_kitti360, is_karlsruhe, read_georeference
 from interloc.drives.layouts import NUMBERED_ANYHOW, DriveParts, PoseOwner
 from interloc.drives.options import DriveOptions, PoseFrame
-from interloc.drives.poses.calibration import IMU_CALIBRATION
-from interloc.drives.poses.frame import to_lidar
-from interloc.drives.poses.lines import PoseLines, read_poses
+from interloc.drives.poses.files import PoseLines, is_tum, read_poses, read_tum
+from interloc.drives.poses.frame import IMU_CALIBRATION, to_lidar
 from interloc.drives.poses.motion import longest_piece
-from interloc.drives.poses.tum import is_tum, read_tum
 from interloc.errors import InterLocError
 from interloc.geometry import enu_from_lonlat, from_first
 
@@ -72,19 +69,8 @@ class Trajectory:
     ) -> tuple[slice | None, Trajectory]:
         """Cut where the poses jump; a warning says what is left out.
 
-        Parameters
-        ----------
-        frames : (N,) int64 or None
-            Scan numbers; None: from 0 on.
-        pose_file : str
-            Name of the pose file in messages.
-
-        Returns
-        -------
-        rows : slice or None
-            The longest piece between two jumps; None where there are none.
-        Trajectory
-            Of these rows.
+        Returns the rows of the longest piece between two jumps (None where there are none) and its trajectory; scan
+        numbers that are None count from 0.
         """
         if self.poses is None or self.times_s is None:
             return None, self
@@ -116,19 +102,9 @@ def read_trajectory(
     *,
     times_s: FloatArray | None = None,
 ) -> Trajectory:
-    """Read georeference, poses and times of the scans of a drive; no scan is needed for that.
+    """Read georeference, poses and times of scans, by their (N,) ascending numbers; no scan is needed for that.
 
-    Parameters
-    ----------
-    frames : (N,) int64
-        Scan numbers, ascending.
-    times_s : (N,) float64 or None
-        Times of the scans, where they are known without a file of times.
-
-    Raises
-    ------
-    DriveError, GeoreferenceError
-        The first fault, where `findings` stops at it.
+    `times_s` are those of the scans, where they are known without a file of times.
     """
     georeference, reason = None, "the drive has neither oxts/ nor geo.csv"
     poses, pose_count = None, 0
@@ -262,21 +238,7 @@ def _check_speed(poses: LidarPoses, times_s: FloatArray, parts: DriveParts, find
 def posed_frames(parts: DriveParts, frames: IntArray, findings: Findings) -> IntArray:
     """Leave out the scans of KITTI-360 that have no pose: it has none where the GNSS failed, and at the ends.
 
-    Parameters
-    ----------
-    frames : (N,) int64
-        Scan numbers, ascending.
-
-    Returns
-    -------
-    (M,) int64
-        Numbers of the scans to use; all of them in any other layout, and where the poses cannot be read (which their
-        reader says later).
-
-    Raises
-    ------
-    DriveError
-        None of them has a pose, and `findings` stops at that.
+    In any other layout all are used, and where the poses cannot be read, which their reader says later.
     """
     if parts.layout != "kitti360" or parts.poses is None:
         return frames

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import csv
 import hashlib
 import json
@@ -17,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from interloc.drive import Drive
-from interloc.drives.georeference.oxts import ODOMETRY_OF_RAW
+from interloc.drives.georeference.read import ODOMETRY_OF_RAW
 from interloc.drives.open import open_drive
 from interloc.drives.options import DriveOptions, LabelFolder
 from interloc.errors import ConfigError, DriveError, GeoreferenceError, MapError
@@ -32,6 +31,8 @@ about 0.5 m (docs/accuracy.md says how). Places that could not be told have no c
 _PACKAGE = Path(__file__).resolve().parents[1]
 _WITHOUT_INFLUENCE = ("cli", "client", "explain")
 """Parts of this package that no figure depends on."""
+_SIMULATOR = ("config", "drive", "ground", "lidar", "raycast", "scene", "streets", "tracks", "twins")
+"""Modules that a simulated drive depends on."""
 
 
 @dataclass(frozen=True)
@@ -250,29 +251,8 @@ def measuring_program() -> str:
 
 @cache
 def simulating_program() -> str:
-    """Return a fingerprint of the program that simulates drives: the simulator and all that it imports."""
-    lab = _PACKAGE / "lab"
-    return _contents(imported_by({lab / "drive.py"}) | {lab / "twins.py"})
-
-
-def imported_by(modules: set[Path]) -> set[Path]:
-    """Return some modules of this package, and those of the package that they import, directly or not."""
-    found, waiting = set[Path](), set(modules)
-    while waiting:
-        path = waiting.pop()
-        found.add(path)
-        waiting |= set(_imports(path)) - found
-    return found
-
-
-def _imports(path: Path) -> Iterator[Path]:
-    """Yield the modules of this package that a module imports, and the packages that they are in."""
-    for node in ast.walk(ast.parse(path.read_bytes())):
-        if isinstance(node, ast.ImportFrom) and node.module and node.module.partition(".")[0] == _PACKAGE.name:
-            module = _PACKAGE.joinpath(*node.module.split(".")[1:])
-            for name in (module, *(module / alias.name for alias in node.names)):
-                places = [name.with_suffix(".py"), *(each / "__init__.py" for each in (name, *name.parents))]
-                yield from (place for place in places if place.is_relative_to(_PACKAGE) and place.is_file())
+    """Return a fingerprint of the simulator."""
+    return _contents(path for path in Path(__file__).parent.glob("*.py") if path.stem in _SIMULATOR)
 
 
 def _contents(files: Iterable[Path]) -> str:

@@ -12,8 +12,8 @@ from scipy.ndimage import gaussian_filter1d
 
 from interloc.arrays import FloatArray
 from interloc.drives.files import SourceFile, list_numbered
-from interloc.drives.georeference.oxts import georeference_of_lidar, read_oxts_folder, read_oxts_rows
-from interloc.drives.poses.calibration import KITTI_T_VELO_IMU
+from interloc.drives.georeference.read import georeference_of_lidar, read_oxts_folder, read_oxts_rows
+from interloc.drives.poses.frame import KITTI_T_VELO_IMU
 from interloc.drives.scans.las.tracks import read_table
 from interloc.errors import DriveError
 from interloc.geometry import (

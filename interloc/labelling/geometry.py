@@ -38,9 +38,20 @@ from interloc.arrays import BoolArray, Float32Array, FloatArray, IntArray, UInt8
 from interloc.kernels.ground import BEAMS
 from interloc.kernels.surface import FEATURES, add_brightness, add_features, label_points
 from interloc.labelling.doubts import WindowQuality
-from interloc.labelling.ground import CELL_M, RANGE_M, ScanGround, find_ground
 from interloc.labelling.growth import classes_of, contrast_of, evenness_of, grow_road, score_cells, width_of
-from interloc.labelling.surface import SURFACE_CELL_M, Grid, PlacedScan, find_surface, lay_on, place, up_of
+from interloc.labelling.surface import (
+    CELL_M,
+    RANGE_M,
+    SURFACE_CELL_M,
+    Grid,
+    PlacedScan,
+    ScanGround,
+    find_ground,
+    find_surface,
+    lay_on,
+    place,
+    up_of,
+)
 from interloc.labelling.track import WINDOW_M, Track
 
 METHOD = "geometry 1"
@@ -110,11 +121,6 @@ class GeometryLabeller:
         (N,) uint32
             Label ids of SemanticKITTI: 40 road, 48 ground 1 to 3 m beside it, 72 other ground; 0 for what is too far
             away or no ground.
-
-        Raises
-        ------
-        DriveError
-            A scan around is damaged.
         """
         window = self.window(self.track.window_of(row))
         if window is None:

@@ -9,8 +9,7 @@ import numpy as np
 
 from interloc.arrays import BoolArray, Float32Array, UInt8Array
 from interloc.kernels.surface import BRIGHTNESS, HEIGHT, ROUGH, ROUGH_WEIGHT, STEEP, WEIGHT
-from interloc.labelling.ground import CELL_M
-from interloc.labelling.surface import PLANE_TIMES, STRIP_M
+from interloc.labelling.surface import CELL_M, PLANE_TIMES, STRIP_M
 
 # What a cell as good as the strip scores, and what each excess over the strip takes from that.
 _SCORE = 4.7

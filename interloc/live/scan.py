@@ -19,7 +19,7 @@ _OWN: tuple[Literal["C", "W"], ...] = ("C", "W")
 """Arrays as the kernels are compiled for: those of a message can only be read."""
 
 Label = Callable[[Float32Array], UInt32Array]
-"""Gives (N, 4) points, x y z in L and remission, their (N,) labels, as `interloc.labelling.labeller.Labeller.label`."""
+"""Gives (N, 4) points, x y z in L and remission, their (N,) labels, as `label` of a network does."""
 
 
 @dataclass(frozen=True)

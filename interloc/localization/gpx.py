@@ -15,7 +15,7 @@ import numpy as np
 
 from interloc.arrays import FloatArray
 from interloc.drive import Drive, Georeference
-from interloc.drives.georeference.shift import fit_shift
+from interloc.drives.georeference.fixes import fit_shift
 from interloc.errors import LocationError
 from interloc.geometry import enu_from_lonlat, rotate_2d, thin
 from interloc.gpx import GpxTrack

@@ -81,12 +81,6 @@ class Odometry:
         -------
         (4, 4) float64
             T_world_lidar; W is the LiDAR at the first scan.
-
-        Raises
-        ------
-        DriveError
-            The motion cannot be followed: scans too far apart, too few points that fit, or nothing that holds it; or
-            small_gicp is not installed.
         """
         rows, middle = usable_rows(xyz), 0.0
         xyz, times_s = xyz[rows], None if times_s is None or not self._deskew or not len(rows) else times_s[rows]
@@ -194,13 +188,7 @@ class _UnheldError(DriveError):
 
 
 def _searched(cloud: Cloud, before: Cloud, expected: FloatArray) -> FloatArray:
-    """Return the motion between two scans, wherever around the expected one it is.
-
-    Raises
-    ------
-    DriveError
-        They do not fit, or as well at several places.
-    """
+    """Return the motion between two scans, wherever around the expected one it is."""
     found = search(cloud, before, expected, _SEARCHED_M)
     if not found.is_certain:
         _check(found.best, found.best.T_target_source)

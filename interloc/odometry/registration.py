@@ -69,13 +69,7 @@ class Cloud:
 
     @classmethod
     def of(cls, xyz: Float32Array | FloatArray) -> Cloud:
-        """Prepare (N, 3) points in L, metres, of which `usable_rows` were taken.
-
-        Raises
-        ------
-        DriveError
-            small_gicp is not installed.
-        """
+        """Prepare (N, 3) points in L, metres, of which `usable_rows` were taken."""
         return cls(*require_small_gicp().preprocess_points(xyz.astype(np.float64), _RESOLUTION_M, _NEIGHBOURS, 1))
 
     def __len__(self) -> int:
@@ -102,11 +96,6 @@ def register(
         In the LiDAR at either scan, metres; points without a return (not finite, or zero) do not matter.
     guess : (4, 4) float64 or None
         T_target_source, within about 2 m and 10 degrees; None: the LiDAR has not moved.
-
-    Raises
-    ------
-    DriveError
-        small_gicp is not installed.
     """
     source, target = (Cloud.of(xyz[usable_rows(xyz)]) for xyz in (source_points, target_points))
     return register_clouds(source, target, np.eye(4) if guess is None else guess)
@@ -196,13 +185,7 @@ def _registration(found: Any, count: int) -> Registration:  # noqa: ANN401 - sma
 
 
 def require_small_gicp() -> Any:  # noqa: ANN401 - a module without types
-    """Import small_gicp.
-
-    Raises
-    ------
-    DriveError
-        It is not installed.
-    """
+    """Import small_gicp."""
     try:
         return importlib.import_module("small_gicp")
     except ImportError:

@@ -17,7 +17,7 @@ from interloc.drives.scans.raw import RawScans
 from interloc.drives.scans.reduced_format import is_reduced
 from interloc.errors import ConfigError
 from interloc.files import atomic_folder
-from interloc.labelling.projection import remission_scale
+from interloc.labelling.networks import remission_scale
 from interloc.processes import Progress, cores
 from interloc.reduction.plan import is_contiguous, make_small_files
 from interloc.reduction.reduce import in_threads

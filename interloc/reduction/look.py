@@ -23,7 +23,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from interloc.arrays import FloatArray, IntArray
 from interloc.config import KeyframeConfig
 from interloc.detection.keyframes import select_keyframes
-from interloc.drives.checks import sample_indices
+from interloc.drives.checks import check_motion, sample_indices
 from interloc.drives.files import EMPTY, NumberedFiles, SourceFile, each_read_once, list_numbered, rows_of_part
 from interloc.drives.findings import Finding, Findings, by_severity
 from interloc.drives.georeference.geodetic import check_against_poses
@@ -32,7 +32,6 @@ from interloc.drives.labels import LabelScheme, judge_labels
 from interloc.drives.layouts import PCD_ENDINGS, POSE_FILES, DriveParts, find_layout
 from interloc.drives.open import NO_POSES, SAMPLED_SCANS
 from interloc.drives.options import LABEL_FILES, ODOMETRY, DriveOptions, LabelFolder, LayoutName
-from interloc.drives.plausibility import check_motion
 from interloc.drives.scans.bin_files import BinScans, open_bin_files
 from interloc.drives.scans.las.tracks import find_tracks
 from interloc.drives.scans.pcd import LABEL_FIELDS, PcdScans, number_scans, open_pcd_files, read_pcd_header

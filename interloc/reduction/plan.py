@@ -14,10 +14,9 @@ from interloc.config import KeyframeConfig
 from interloc.detection.keyframes import select_keyframes
 from interloc.drives.files import MAX_ROWS, GeoreferenceFile, list_numbered
 from interloc.drives.findings import DriveFileError, Findings
-from interloc.drives.georeference.geo_csv import geo_csv_text
-from interloc.drives.georeference.read import locate_georeference
+from interloc.drives.georeference.read import geo_csv_text, locate_georeference
 from interloc.drives.layouts import DriveParts
-from interloc.drives.poses.calibration import CAMERA_CALIBRATIONS, CAMERA_TO_POSE, IMU_CALIBRATION, locate_calibration
+from interloc.drives.poses.frame import CAMERA_CALIBRATIONS, CAMERA_TO_POSE, IMU_CALIBRATION, locate_calibration
 from interloc.drives.scans.reduced_format import ReducedManifest, Thinning, make_manifest, to_runs
 from interloc.drives.trajectory import Trajectory
 from interloc.files import reason_of

@@ -7,7 +7,7 @@ from collections import deque
 import numpy as np
 
 from interloc.arrays import FloatArray
-from interloc.drives.poses.timed import TimedPoses, rotations_from_quaternions
+from interloc.drives.poses.motion import TimedPoses, rotations_from_quaternions
 from interloc.drives.scans.rosbag.messages import StampedPose
 
 _KEPT = 1000  # poses of each frame: ten seconds at 100 Hz

@@ -29,7 +29,7 @@ from interloc.drives.labels import LabelScheme
 from interloc.drives.scans.rosbag.messages import ODOMETRY, WireError, read_pose, read_transforms
 from interloc.drives.scans.rosbag.pointcloud2 import POINT_CLOUD, read_layout, read_points
 from interloc.errors import ConfigError
-from interloc.labelling.projection import remission_scale
+from interloc.labelling.networks import remission_scale
 from interloc.live.scan import Label, LiveScan
 from interloc.live.session import Answer, LiveSession
 from interloc.live.worker import LiveWorker

@@ -11,7 +11,7 @@ from interloc import open_drive
 from interloc.drive import Georeference
 from interloc.drives.findings import Findings
 from interloc.drives.georeference.geodetic import poses_of
-from interloc.drives.georeference.kitti360 import ORIGIN_LAT_DEG, ORIGIN_LON_DEG, georeference_of_kitti360
+from interloc.drives.georeference.read import ORIGIN_LAT_DEG, ORIGIN_LON_DEG, georeference_of_kitti360
 from interloc.drives.layouts import find_layout
 from interloc.drives.options import DriveOptions
 from interloc.drives.trajectory import posed_frames

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from interloc.arrays import FloatArray
+from interloc.drives.checks import turning_with_path
 from interloc.drives.inspect import inspect_drive
 from interloc.drives.open import open_drive
-from interloc.drives.plausibility import turning_with_path
 from interloc.geometry import invert_transform, rotation_from_rpy
 from tests import streets
 from tests.small_drives import geo_csv

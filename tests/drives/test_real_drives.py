@@ -14,7 +14,7 @@ from interloc.drives.files import SourceFile
 from interloc.drives.findings import Findings
 from interloc.drives.inspect import inspect_drive
 from interloc.drives.open import open_drive
-from interloc.drives.poses.lines import read_poses
+from interloc.drives.poses.files import read_poses
 from interloc.errors import DriveError, GeoreferenceError
 from interloc.geometry import invert_transform
 

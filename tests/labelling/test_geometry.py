@@ -11,7 +11,7 @@ import pytest
 
 from interloc.arrays import Float32Array, FloatArray
 from interloc.labelling.geometry import BESIDE, OTHER_GROUND, ROAD, GeometryLabeller, brightness_of_strip
-from interloc.labelling.ground import RANGE_M
+from interloc.labelling.surface import RANGE_M
 from tests.kerbs import ROAD_M, SIDEWALK_M, Street
 
 ALONG = np.arange(-40.0, 20.0, 2.5)

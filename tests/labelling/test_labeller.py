@@ -18,10 +18,10 @@ import pytest
 
 from interloc.arrays import Float32Array, UInt32Array
 from interloc.errors import ConfigError, ModelError
-from interloc.labelling.labeller import Labeller
-from interloc.labelling.model import read_model
-from interloc.labelling.network import Network, available_providers
-from interloc.labelling.projection import project
+from interloc.labelling.rangenet.graph import Network, available_providers
+from interloc.labelling.rangenet.image import project
+from interloc.labelling.rangenet.labeller import Labeller
+from interloc.labelling.rangenet.model import read_model
 from tests.networks import (
     CHANNELS,
     MEANS,
@@ -269,7 +269,7 @@ def test_a_graph_that_does_not_end_is_ended(tmp_path: Path, monkeypatch: pytest.
     graph = onnx.load(folder / "model.onnx")
     add_endless_loop(graph)
     onnx.save(graph, folder / "model.onnx")
-    monkeypatch.setattr("interloc.labelling.network._SCAN_LIMIT_S", 0.2)
+    monkeypatch.setattr("interloc.labelling.rangenet.graph._SCAN_LIMIT_S", 0.2)
     with pytest.raises(ModelError, match=r"took more than 0\.2 s for a range image"):
         Labeller(read_model(folder), threads=1).label(street())
 
@@ -303,8 +303,8 @@ def test_number_of_threads_does_not_change_labels(tmp_path: Path) -> None:
 FORK = """
 import os, sys
 import numpy as np
-from interloc.labelling.labeller import Labeller
-from interloc.labelling.model import read_model
+from interloc.labelling.rangenet.labeller import Labeller
+from interloc.labelling.rangenet.model import read_model
 
 points = np.random.default_rng(0).normal(0, 5, (500, 4)).astype(np.float32)
 labeller = Labeller(read_model(sys.argv[1]), threads=2)

@@ -13,8 +13,9 @@ import onnx
 import pytest
 
 from interloc.errors import ModelError
-from interloc.labelling.model import ModelDescription, describe_models, read_model
-from interloc.labelling.neighbours import KnnSettings
+from interloc.labelling.networks import ModelDescription, describe_networks
+from interloc.labelling.rangenet.image import KnnSettings
+from interloc.labelling.rangenet.model import read_model
 from tests.networks import LEARNING_MAP_INV, write_model
 
 SMALL: dict[str, Any] = {"height": 16, "width": 128}
@@ -287,7 +288,7 @@ def test_models_of_a_folder_are_listed_with_those_that_are_broken(tmp_path: Path
     (tmp_path / "d-half" / "data_cfg.yaml").touch()
     (tmp_path / "notes.txt").touch()
     (tmp_path / ".hidden").mkdir()
-    broken, listed, half = describe_models(tmp_path)
+    broken, listed, half = describe_networks(tmp_path)
     assert listed == ModelDescription(
         name="b-good",
         bytes=(good / "model.onnx").stat().st_size,
@@ -303,7 +304,7 @@ def test_models_of_a_folder_are_listed_with_those_that_are_broken(tmp_path: Path
 
 def test_list_of_a_folder_that_is_not_there(tmp_path: Path) -> None:
     with pytest.raises(ModelError, match="cannot be read: no such file"):
-        describe_models(tmp_path / "nowhere")
+        describe_networks(tmp_path / "nowhere")
 
 
 def test_identity_is_that_of_the_content(tmp_path: Path) -> None:

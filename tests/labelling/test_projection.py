@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from interloc.labelling.projection import remission_scale
+from interloc.labelling.networks import remission_scale
 
 
 @pytest.mark.parametrize(

@@ -24,11 +24,10 @@ import numpy as np
 from bench import Row, facts
 
 from interloc.arrays import Float32Array
-from interloc.labelling.labeller import Labeller
-from interloc.labelling.model import Model, read_model
-from interloc.labelling.neighbours import KnnSettings, vote
-from interloc.labelling.network import Network
-from interloc.labelling.projection import normalise, project, range_image
+from interloc.labelling.rangenet.graph import Network
+from interloc.labelling.rangenet.image import KnnSettings, normalise, project, range_image, vote
+from interloc.labelling.rangenet.labeller import Labeller
+from interloc.labelling.rangenet.model import Model, read_model
 from interloc.processes import peak_memory_bytes
 from tests.networks import write_model
 

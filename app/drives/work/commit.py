@@ -38,6 +38,7 @@ from interloc.osm.container import is_map
 from interloc.output.geojson import write_collection
 from interloc.output.write import trajectory_feature
 from interloc.reduction.elsewhere import fetch_drive
+from interloc.reduction.listing import find_drives
 from interloc.reduction.reduce import Reduction, label_folders_in, prepare_reduction, reduction_of
 
 PART_SCANS = 200
@@ -198,23 +199,20 @@ def _unknown_files(task: Task[CommitJob], problems: list[Finding]) -> list[Findi
     if task.request.keep_raw or any(problem.severity == "error" for problem in problems):
         return []
     try:
-        known = _known_files(task)
+        if is_reduced(root):
+            known = {path.relative_to(root).as_posix() for path in _small_files(root)}
+        else:
+            known = set(_reduction(task).plan.copies.sources)
     except InterLocError:
         return []
-    folders = tuple(f"{name}/" for name in ("velodyne", "velodyne_points/data", "labels", "predictions", "ground"))
-    found = (os.path.relpath(Path(folder, name), root) for folder, _, names in os.walk(root) for name in names)
-    unknown = sorted(path for path in found if path not in known and not path.startswith(folders) and not is_map(path))
+    paths = [os.path.relpath(Path(folder, name), root) for folder, _, names in os.walk(root) for name in names]
+    for drive in find_drives(dict.fromkeys(paths, 0), task.drive_name):
+        known |= {*drive.scans.values(), *drive.labels.values()}
+    unknown = sorted(path for path in paths if path not in known and not is_map(path))
     if not unknown:
         return []
     names = ", ".join(unknown[:_MAX_NAMES_SHOWN]) + (", ..." if len(unknown) > _MAX_NAMES_SHOWN else "")
     return [Finding("note", unknown[0], f"not needed, so not kept ({len(unknown):,} in all: {names}).")]
-
-
-def _known_files(task: Task[CommitJob]) -> set[str]:
-    root = _files(task)
-    if not is_reduced(root):
-        return set(_reduction(task).plan.copies.sources)
-    return {path.relative_to(root).as_posix() for path in _small_files(root)}
 
 
 def _tidied(problems: list[Finding], root: Path, name: str) -> list[Finding]:

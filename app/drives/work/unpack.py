@@ -1,39 +1,104 @@
-"""Unpacking of an archive: nothing in it is trusted, and nothing of it is kept if anything is wrong."""
+"""Unpacking of an archive (.zip, .tar, .tar.gz, .tar.zst): nothing in it is trusted, and all of it comes or nothing.
+
+The libraries read one member after the other. What they unpack is counted against the limits of a drive and of a ratio,
+time and memory are limited as those of all workers, and names of files are used only once the archive was read.
+"""
 
 from __future__ import annotations
 
+import errno
+import gzip
 import hashlib
-import re
+import io
 import shutil
-from collections.abc import Callable, Collection
-from contextlib import ExitStack
-from dataclasses import replace
-from pathlib import Path, PurePosixPath
-from typing import BinaryIO
+import stat
+import struct
+import tarfile
+import zipfile
+import zlib
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import IO, BinaryIO, Literal, Self, cast
 
-from app.drives.work.archive_files import ArchiveError, Member, members, too_many_files
+import zstandard
+
 from app.paths import BadNameError, check_path
 from app.work.documents import FilesOutcome, UnpackJob
 from app.work.places import LISTING, UnpackedFile, place_unpacked, read_listing
 from app.work.task import Part, Plan, Report, Task
-from interloc.drives.kinds import is_recording
-from interloc.errors import OutputError
+from interloc.drives.kinds import is_part, is_recording
+from interloc.errors import InterLocError, OutputError
 from interloc.osm.container import is_map
+from interloc.reduction.listing import find_drives
+
+ArchiveKind = Literal["zip", "tar", "tar.gz", "tar.zst"]
+
+MAGIC_BYTES = 262
+"""Number of bytes at the beginning of a file that determine its kind."""
 
 _PIECE = 1 << 20
 _MB = 1 << 20
+_BLOCK = 512  # of a tar file
 _LOOK_BYTES = 64 * _MB
 _FREE_RATIO_BYTES = 64 * _MB  # small archives may unpack to this much, whatever their ratio
 _FREE_FILES = 10_000  # small archives may hold as many files, whatever their size
 _BYTES_PER_FILE = 32  # each further file takes at least this much of an archive, however well it is packed
+_MAX_FOLDERS = 10_000  # which an archive may list beside its files
+_MAX_ENTRY_BYTES = 256  # of the list in a zip file, on average: 46 and the name
+_MAX_HEADER_BYTES = 1 << 14  # of a long name or extended header of a tar file, which are read into memory
+_MAX_WINDOW_BYTES = 1 << 27  # of zstandard: the limit of its own tools unless an option raises it
+_HEADERS = (
+    tarfile.XHDTYPE,
+    tarfile.XGLTYPE,
+    tarfile.SOLARIS_XHDTYPE,
+    tarfile.GNUTYPE_LONGNAME,
+    tarfile.GNUTYPE_LONGLINK,
+)
+_DAMAGE = (
+    zipfile.BadZipFile,
+    tarfile.TarError,
+    zlib.error,
+    zstandard.ZstdError,
+    struct.error,
+    EOFError,
+    OverflowError,
+    ValueError,
+    LookupError,
+    NotImplementedError,  # a zip file of a later version
+    RecursionError,  # thousands of headers in a row, which tarfile reads by recursion
+    OSError,
+)
 
-_SIGNS = re.compile(
-    r"(?P<root>(?:.*/)?)"
-    r"(?:velodyne/[^/]+\.bin|velodyne_points/data/[^/]+\.bin|(?:labels|predictions)/[^/]+\.label|reduced\.json)"
-)
-_PARTS = frozenset(
-    ["velodyne", "velodyne_points", "labels", "predictions", "oxts", "ground", "georeference", "image_2", "image_3"]
-)
+
+class ArchiveError(InterLocError):
+    """The archive is damaged, or holds what a drive cannot have."""
+
+    http_status = 422
+
+
+@dataclass(frozen=True)
+class Member:
+    """A file of an archive."""
+
+    name: str
+    """As written in the archive; not checked."""
+    size_bytes: int
+    """As written in the archive; not to be trusted."""
+    open: Callable[[], IO[bytes]]
+    """Returns its contents; they must be read before the next member is asked for."""
+
+
+def archive_kind(head: bytes) -> ArchiveKind | None:
+    """Return the kind of an archive by its first `MAGIC_BYTES`; None if it is not an archive."""
+    if head.startswith((b"PK\x03\x04", b"PK\x05\x06")):
+        return "zip"
+    if head.startswith(b"\x1f\x8b"):
+        return "tar.gz"
+    if head.startswith(b"\x28\xb5\x2f\xfd"):
+        return "tar.zst"
+    return "tar" if head[257:262] == b"ustar" else None
 
 
 def prepare(task: Task[UnpackJob]) -> Plan:
@@ -89,10 +154,7 @@ class _Unpacking:
         self.max_files = min(self._limits.max_drive_files, max(_FREE_FILES, packed_bytes // _BYTES_PER_FILE))
         self._look_up = look_up
         self._files: dict[str, tuple[Path, UnpackedFile]] = {}
-        self._unpacked = 0
-        self._streamed = 0
-        self._looked_at = 0
-        self._members = 0
+        self._unpacked = self._streamed = self._looked_at = self._members = 0
 
     def count(self, size: int) -> None:
         """Count decompressed bytes, headers and padding included."""
@@ -100,16 +162,10 @@ class _Unpacking:
         self._check_size(self._streamed, "the archive")
 
     def take(self, member: Member) -> None:
-        """Unpack a file.
-
-        Raises
-        ------
-        ArchiveError
-            Its name is not valid or comes twice, or there is too much.
-        """
+        """Unpack a file; refuse it where its name is not valid or comes twice, or there is too much."""
         self._members += 1
         if self._members > self.max_files:
-            raise too_many_files(self.max_files)
+            raise _too_many_files(self.max_files)
         name = member.name.removeprefix("./")
         if _is_litter(name):
             return
@@ -120,14 +176,15 @@ class _Unpacking:
         if name in self._files:
             raise ArchiveError(f"{name}: comes twice in the archive. Pack it anew.")
         place = self._folder / str(len(self._files))
-        digest = hashlib.sha256()
-        size = 0
+        limit = self._limits.max_recording_bytes if is_recording(name) else self._limits.max_file_bytes
+        digest, size = hashlib.sha256(), 0
         with member.open() as source, ExitStack() as stack:
             target: BinaryIO | None = None  # of an empty file nothing is made before the whole archive is known
             while piece := source.read(_PIECE):
                 size += len(piece)
                 self._unpacked += len(piece)
-                self._check_file(name, size)
+                if size > limit:
+                    raise ArchiveError(f"{name}: is larger than {limit / _MB:,.0f} MB, the limit of a file.")
                 self._check_size(self._unpacked, name)
                 target = target or stack.enter_context(place.open("xb"))
                 target.write(piece)
@@ -137,17 +194,11 @@ class _Unpacking:
         self._files[name] = place, UnpackedFile(name, size, digest.hexdigest())
 
     def sort(self) -> list[UnpackedFile]:
-        """Give the files of the drive their names, and return a list of them.
-
-        Raises
-        ------
-        ArchiveError
-            There is nothing in the archive, or two drives, or a name is both file and folder.
-        """
+        """Give the files of the drive their names, and return a list of them."""
         if not self._files:
             raise ArchiveError("the archive holds no files.")
         listing = []
-        for name, path in drive_paths(self._files).items():
+        for name, path in drive_paths({name: file.size_bytes for name, (_, file) in self._files.items()}).items():
             place, file = self._files[name]
             target = self._folder / "drive" / path
             try:
@@ -161,11 +212,6 @@ class _Unpacking:
             listing.append(replace(file, path=path))
         return listing
 
-    def _check_file(self, name: str, size: int) -> None:
-        limit = self._limits.max_recording_bytes if is_recording(name) else self._limits.max_file_bytes
-        if size > limit:
-            raise ArchiveError(f"{name}: is larger than {limit / _MB:,.0f} MB, the limit of a file.")
-
     def _check_size(self, size: int, name: str) -> None:
         """Refuse what unpacks to too much; check from time to time for free space and for a cancelled job."""
         if size > self._max_bytes:
@@ -173,8 +219,8 @@ class _Unpacking:
                 f"{name}: the archive unpacks to more than {self._max_bytes / _MB:,.0f} MB, the limit for a drive or "
                 f"{self._limits.max_archive_ratio:g} times its own size. Send the files one by one instead."
             )
-        if self._unpacked + self._streamed - self._looked_at > _LOOK_BYTES:
-            self._looked_at = self._unpacked + self._streamed
+        if size - self._looked_at > _LOOK_BYTES:
+            self._looked_at = size
             self._look_up()
             if shutil.disk_usage(self._folder).free < self._limits.min_free_bytes:
                 raise OutputError("the disk of the service is full. Nothing of the archive was kept.")
@@ -187,44 +233,175 @@ def _is_litter(name: str) -> bool:
     return (hidden and not {"", ".", ".."} & set(segments)) or segments[0] == "__MACOSX" or segments[-1] == "Thumbs.db"
 
 
-def drive_paths(names: Collection[str]) -> dict[str, str]:
-    """Find the drive among the files of an archive, by their paths.
+def drive_paths(sizes: Mapping[str, int]) -> dict[str, str]:
+    """Find the drive among the files of an archive, by their paths and sizes.
 
     Returns
     -------
     dict of str to str
-        Path in the archive -> path in the drive, of the files that belong to it: those in its folder, and calibration
-        files and maps that lie above it.
+        Path in the archive -> path in the drive, of all files in its folder, and of what belongs to it beside that.
+        Without a drive, all files, without the one folder that they may lie in.
 
     Raises
     ------
     ArchiveError
         There are two drives.
     """
-    root = _root(names)
-    paths = {name: name[len(root) :] for name in names if name.startswith(root)}
+    drives = find_drives(sizes, "archive")
+    if len(drives) > 1:
+        raise ArchiveError(
+            f"the archive holds {len(drives)} drives: {drives[0].root or '.'}/ and {drives[1].root}/"
+            f"{' and more' if len(drives) > 2 else ''}. Pack one drive per archive, and make a drive for each."
+        )
+    if drives:
+        front = f"{drives[0].root}/" if drives[0].root else ""
+    else:
+        folders = {name.partition("/")[0] if "/" in name else "" for name in sizes}
+        is_packed = len(folders) == 1 and "" not in folders and not any(map(is_part, sizes))
+        front = f"{folders.pop()}/" if is_packed else ""
+    paths = {name: name[len(front) :] for name in sizes if name.startswith(front)}
+    beside = {path: inside for drive in drives for inside, path in drive.files.items()}
+    above = {name: name.rpartition("/")[2] for name in sizes if is_map(name) and front.startswith(_folder_of(name))}
     taken = set(paths.values())
-    for name in names:
-        place = PurePosixPath(name)
-        above = root.startswith(f"{place.parent}/") or place.parent == PurePosixPath()
-        is_shared = is_map(name) or re.fullmatch(r"calib\w*\.txt", place.name)
-        if name not in paths and above and is_shared and place.name not in taken:
-            paths[name] = place.name
-            taken.add(place.name)
+    for name, inside in {**beside, **above}.items():
+        if name not in paths and inside not in taken:
+            paths[name] = inside
+            taken.add(inside)
     return paths
 
 
-def _root(names: Collection[str]) -> str:
-    """Return the folder of the drive, with a slash at its end, or nothing."""
-    roots = sorted({match["root"] for name in names if (match := _SIGNS.fullmatch(name))})
-    if len(roots) > 1:
-        raise ArchiveError(
-            f"the archive holds {len(roots)} drives: {roots[0] or './'} and {roots[1]}"
-            f"{' and more' if len(roots) > 2 else ''}. Pack one drive per archive, and make a drive for each."
-        )
-    if roots:
-        return roots[0]
-    first = {name.split("/", 1)[0] for name in names}
-    folder = first.pop() if len(first) == 1 else ""
-    is_packed = folder not in _PARTS and all("/" in name for name in names)
-    return f"{folder}/" if folder and is_packed else ""
+def _folder_of(name: str) -> str:
+    return name[: name.rfind("/") + 1]
+
+
+@contextmanager
+def members(path: Path, count: Callable[[int], None], max_files: int) -> Iterator[Iterator[Member]]:
+    """Open an archive.
+
+    Parameters
+    ----------
+    count
+        Called with the bytes that come out of its decompressor beside the contents of members: what is skipped counts.
+    max_files
+        Of a zip file that lists many more, the list is not even looked into; folders beyond some thousands count too.
+
+    Yields
+    ------
+    iterator of Member
+        Files only; folders are passed over.
+
+    Raises
+    ------
+    ArchiveError
+        The file is not an archive, is damaged or cut short, or holds links, devices or encrypted files. Also raised
+        within the block.
+    """
+    with path.open("rb") as file:
+        kind = archive_kind(file.read(MAGIC_BYTES))
+        file.seek(0)
+        try:
+            if kind is None:
+                raise ArchiveError("the archive is neither .zip nor .tar, .tar.gz or .tar.zst.")
+            yield _zip_members(file, max_files) if kind == "zip" else _tar_members(file, kind, count, max_files)
+        except _DAMAGE as error:
+            if isinstance(error, OSError) and error.errno not in {None, errno.EINVAL}:
+                raise  # the disk, not the archive: a position before its beginning is "invalid argument"
+            raise ArchiveError(
+                f"the archive is damaged or cut short ({error}). Usual cause: a transfer that did not finish."
+            ) from error
+
+
+def _too_many_files(max_files: int) -> ArchiveError:
+    return ArchiveError(f"the archive holds more than {max_files:,} files.")
+
+
+def _zip_members(file: BinaryIO, max_files: int) -> Iterator[Member]:
+    end = zipfile._EndRecData(file)  # type: ignore[attr-defined] # noqa: SLF001 - the size of the list, before it is read
+    if end is not None and end[zipfile._ECD_SIZE] > (max_files + _MAX_FOLDERS) * _MAX_ENTRY_BYTES:  # type: ignore[attr-defined] # noqa: SLF001
+        raise _too_many_files(max_files)
+    with zipfile.ZipFile(file) as archive:
+        if len(archive.infolist()) > max_files + _MAX_FOLDERS:
+            raise _too_many_files(max_files)
+        for info in archive.infolist():
+            if info.is_dir():
+                continue
+            if stat.S_IFMT(info.external_attr >> 16) not in {0, stat.S_IFREG}:
+                raise _special(info.filename)
+            if info.flag_bits & 0x1:
+                raise ArchiveError(f"{info.filename!a}: is encrypted. Make the archive without a password.")
+            if info.compress_type not in {
+                zipfile.ZIP_STORED,
+                zipfile.ZIP_DEFLATED,
+            }:  # others unpack all they can at once
+                raise ArchiveError(f"{info.filename!a}: is packed by a method that is not read here. Use deflate.")
+            yield Member(info.filename, info.file_size, lambda info=info: archive.open(info))  # type: ignore[misc]
+
+
+def _special(name: str) -> ArchiveError:
+    return ArchiveError(
+        f"{name!a}: is a link or a device. A drive has plain files only; pack the files themselves (tar --dereference)."
+    )
+
+
+def _tar_members(file: BinaryIO, kind: ArchiveKind, count: Callable[[int], None], max_files: int) -> Iterator[Member]:
+    watched = _Watched(_decompressed(file, kind), count)
+    with tarfile.open(
+        fileobj=watched, mode="r|", bufsize=1 << 16, tarinfo=_BoundedTarInfo, encoding="utf-8", errors="surrogateescape"
+    ) as archive:
+        entries = 0
+        while (info := archive.next()) is not None:
+            archive.members.clear()  # type: ignore[attr-defined] # it keeps them for others than us
+            entries += 1
+            if entries > max_files + _MAX_FOLDERS:
+                raise _too_many_files(max_files)
+            if info.isdir():
+                continue
+            if not info.isreg() or info.issparse():
+                raise _special(info.name)
+            if info.size < 0:
+                raise ArchiveError(f"{info.name!a}: its header announces {info.size:,} bytes, which no file has.")
+            yield Member(info.name, info.size, lambda info=info: cast("IO[bytes]", archive.extractfile(info)))  # type: ignore[misc]
+        watched.drain()
+
+
+def _decompressed(file: BinaryIO, kind: ArchiveKind) -> BinaryIO:
+    if kind == "tar.gz":
+        return cast("BinaryIO", gzip.GzipFile(fileobj=file))
+    if kind == "tar.zst":
+        decompressor = zstandard.ZstdDecompressor(max_window_size=_MAX_WINDOW_BYTES)
+        return cast("BinaryIO", decompressor.stream_reader(file, read_across_frames=True))
+    return file
+
+
+class _BoundedTarInfo(tarfile.TarInfo):
+    """A header that is refused where `tarfile` would need much memory or time for what follows it."""
+
+    @classmethod
+    def frombuf(cls, buf: bytes | bytearray, encoding: str, errors: str) -> Self:
+        """Read a header."""
+        info = super().frombuf(buf, encoding, errors)
+        if info.type in _HEADERS and info.size > _MAX_HEADER_BYTES:
+            raise tarfile.ReadError(f"a header of {info.size:,} bytes")
+        return info
+
+
+class _Watched(io.RawIOBase):
+    """The bytes of a tar file, counted and read to the end, which a complete one marks by a block of zeros."""
+
+    def __init__(self, stream: BinaryIO, count: Callable[[int], None]) -> None:
+        self._stream = stream
+        self._count = count
+        self._last = b""
+
+    def read(self, size: int = -1, /) -> bytes:
+        data = self._stream.read(size)
+        self._count(len(data))
+        self._last = (self._last + data[-_BLOCK:])[-_BLOCK:]
+        return data
+
+    def drain(self) -> None:
+        """Read what follows the last member, so that checksums at the end are verified."""
+        while self.read(1 << 16):
+            pass
+        if self._last != bytes(_BLOCK):
+            raise EOFError("its end mark is missing")

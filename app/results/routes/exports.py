@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Annotated, Literal
 from xml.sax.saxutils import escape
 
-from fastapi import APIRouter, Query, Request, Response
+from fastapi import APIRouter, Path, Query, Request, Response
 from fastapi.concurrency import run_in_threadpool
 
 from app.http.delivery import MEDIA_TYPES, answer_tagged, deliver, service_address
@@ -74,7 +74,7 @@ router = APIRouter(tags=["Exports"])
     "/jobs/{job_id}/export.{file_format}",
     summary="Download the result for other programs",
     description=_DESCRIPTION,
-    operation_id="export",
+    operation_id="read_export",
     response_class=Response,
     responses={
         **_FILE,
@@ -84,7 +84,10 @@ router = APIRouter(tags=["Exports"])
 )
 async def export(
     job_id: JobId,
-    file_format: Literal["gpkg", "qgz", "qgs", "kmz", "pmtiles", "fgb", "kml", "csv", "geojson", "parquet"],
+    file_format: Annotated[
+        Literal["gpkg", "qgz", "qgs", "kmz", "pmtiles", "fgb", "kml", "csv", "geojson", "parquet"],
+        Path(description="Format, as in names of files."),
+    ],
     request: Request,
     results: ResultsDep,
     on_demand: OnDemandDep,

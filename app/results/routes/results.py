@@ -7,21 +7,15 @@ from pathlib import Path as FilePath
 from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Path, Query, Request, Response
-from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import StreamingResponse
 from zipstream import ZIP_DEFLATED, ZIP_STORED, ZipStream
 
-from app.http.delivery import REVALIDATE, answer_tagged, deliver, media_type_of, not_modified
+from app.http.delivery import REVALIDATE, deliver, media_type_of, not_modified
 from app.http.headers import prefers_html
 from app.http.openapi import BINARY, Responses, get_and_head, headers_named, problems
-from app.http.parameters import BoxFilter
 from app.http.patterns import ID
-from app.http.turns import TurnsDep
-from app.jobs.runner import RunnerDep
 from app.results.folder import Result, ResultsDep
-from app.results.models import MEDIA_TYPE as GEOJSON
 from app.results.models import ResultFile, ResultFileList, collection_model
-from app.results.selection import MAX_BYTES_AT_ONCE, MAX_FEATURES, select_features
 from interloc.errors import OutputError
 from interloc.files import atomic_write
 from interloc.output.layers import LAYERS, Layer
@@ -69,36 +63,9 @@ router = APIRouter(tags=["Results"])
 
 
 def _add_layer(layer: Layer) -> None:
-    async def read_layer(
-        job_id: JobId,
-        request: Request,
-        results: ResultsDep,
-        turns: TurnsDep,
-        runner: RunnerDep,
-        box: BoxFilter,
-        limit: Annotated[
-            int | None, Query(ge=1, le=MAX_FEATURES, description="Maximum number of features; all by default.")
-        ] = None,
-    ) -> Response:
-        def whole() -> Response:
-            result = results.open(job_id)
-            name = f"{result.slug}-{layer.address}.geojson"
-            return deliver(request, result.layer(layer.address), name=name)
-
-        def small_part(path: FilePath) -> Response | None:
-            is_small = path.stat().st_size <= MAX_BYTES_AT_ONCE
-            return answer_tagged(request, select_features(path, box, limit), GEOJSON) if is_small else None
-
-        if box is None and limit is None:
-            return await run_in_threadpool(whole)
-        async with turns.of(request):
-            path = await run_in_threadpool(lambda: results.open(job_id).layer(layer.address))
-            answer = await run_in_threadpool(small_part, path)
-            if answer is None:
-                client = request.state.holder.name
-                content = await runner.run_in_worker(select_features, path, box, limit, client=client)
-                answer = await run_in_threadpool(answer_tagged, request, content, GEOJSON)
-            return answer
+    def read_layer(job_id: JobId, request: Request, results: ResultsDep) -> Response:
+        result = results.open(job_id)
+        return deliver(request, result.layer(layer.address), name=f"{result.slug}-{layer.address}.geojson")
 
     properties = "\n".join(f"- `{each.name}`: {each.description}" for each in layer.attributes)
     get_and_head(
@@ -106,7 +73,7 @@ def _add_layer(layer: Layer) -> None:
         f"/jobs/{{job_id}}/{layer.address}",
         summary=layer.title,
         description=f"{layer.description}\n\n{properties}\n\n{layer.attribution} "
-        "The same bytes as the command line writes, unless `bbox` or `limit` selects: RFC 7946, longitude first.",
+        "The same bytes as the command line writes: RFC 7946, longitude first.",
         operation_id=f"read_{layer.name}",
         response_class=Response,
         responses={

@@ -43,24 +43,12 @@ class BinScans:
         return (self.scan_files.path(frame),)
 
     def read(self, frame: int) -> ScanPoints:
-        """Read the points of a scan.
-
-        Raises
-        ------
-        DriveError
-            The file cannot be read, or was cut short.
-        """
+        """Read the points of a scan."""
         return ScanPoints(read_points(self.scan_files.file(frame), self.point_bytes))
 
 
 def open_bin_files(parts: DriveParts, options: DriveOptions, findings: Findings) -> Recording:
-    """List the .bin files of a drive, and check their sizes.
-
-    Raises
-    ------
-    DriveError
-        There are none, or one is of the wrong size; where `findings` stops at it.
-    """
+    """List the .bin files of a drive, and check their sizes."""
     scans = None
     with findings.stage():
         scans = list_numbered(parts.file(parts.scans), ".bin")
@@ -101,13 +89,7 @@ def open_bin_files(parts: DriveParts, options: DriveOptions, findings: Findings)
 
 
 def read_points(file: SourceFile, point_bytes: int = POINT_BYTES) -> Float32Array:
-    """Read the (N, 4) float32 points of a file: x y z in L, metres, and remission.
-
-    Raises
-    ------
-    DriveError
-        It cannot be read, or was cut short.
-    """
+    """Read the (N, 4) float32 points of a file: x y z in L, metres, and remission."""
     try:
         size = file.path.stat().st_size
         values = np.fromfile(file.path, dtype="<f4")

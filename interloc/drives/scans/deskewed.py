@@ -1,13 +1,18 @@
-"""Scans whose points are moved to where they would have been seen at one instant, by the motion of the drive."""
+"""When each point of a scan was measured, and scans whose points are moved to where they were at one instant.
+
+Drivers write the times in units and from zeros of their own; the motion is that of the drive.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from interloc.arrays import FloatArray, IntArray
+from interloc.arrays import Float32Array, FloatArray, IntArray
 from interloc.drives.findings import Findings
 from interloc.drives.options import DriveOptions
 from interloc.drives.scans.recorded import PointSource, Recording, ScanPoints
@@ -15,10 +20,44 @@ from interloc.drives.trajectory import Trajectory
 from interloc.geometry import invert_transform
 from interloc.odometry.deskew import Velocity, is_bent
 
+TIME_FIELDS = ("t", "time", "timestamp", "time_stamp", "offset_time", "time_offset", "point_time", "ts")
+"""Names, in lower case, under which drivers write the time of a point."""
+
+_USUAL_SCAN_S = 0.1
+_SCAN_S = (0.01, 1.0)
+_UNITS = 4  # seconds, ms, microseconds, ns
+_SAME_CLOCK_S = 1.0
+
 _MAX_GAP_S = 1.0
 """Between scans farther apart in time the velocity is not known."""
 
 _SAMPLED = 12  # scans, evenly spread
+
+
+def point_times(values: NDArray[Any], stamp_s: float | None = None) -> Float32Array | None:
+    """Return the (N,) float32 times of the points of a scan, seconds after the time of the scan.
+
+    A scan takes about a tenth of a second, which tells seconds from milli-, micro- and nanoseconds. Times of the clock
+    of `stamp_s`, the time of the scan, count from there; those of another clock from the first point. None where these
+    are no times of a scan: all the same, not finite, or over longer than any scan takes.
+    """
+    times = values.astype(np.float64)
+    if not len(times) or not np.isfinite(times).all():
+        return None
+    first, span = float(times.min()), float(np.ptp(times))
+    if span <= 0:
+        return None
+    power = round(float(np.log(span / _USUAL_SCAN_S) / np.log(1000.0)))
+    unit = 1000.0**power
+    if not 0 <= power < _UNITS or not _SCAN_S[0] <= span / unit <= _SCAN_S[1]:
+        return None
+    if stamp_s is not None and abs(first / unit - stamp_s) < _SAME_CLOCK_S:
+        zero = stamp_s * unit
+    elif -1.5 * span <= first <= 0.5 * span:  # counted from the time of the scan
+        zero = 0.0
+    else:
+        zero = first
+    return ((times - zero) / unit).astype(np.float32)
 
 
 @dataclass(frozen=True)
@@ -42,13 +81,7 @@ class DeskewedScans:
         return self.source.files(frame)
 
     def read(self, frame: int) -> ScanPoints:
-        """Read the points of a scan, and take the motion within it out of them.
-
-        Raises
-        ------
-        DriveError
-            As of the source.
-        """
+        """Read the points of a scan, and take the motion within it out of them."""
         points = self.source.read(frame)
         times_s = points.times_s
         if times_s is None:

@@ -86,13 +86,7 @@ class _PointsOf:
 
 
 def open_geometry(recording: Recording, trajectory: Trajectory, findings: Findings) -> GeometryLabels:
-    """Prepare labels by geometry for the scans of a recording.
-
-    Raises
-    ------
-    DriveError
-        There are no poses.
-    """
+    """Prepare labels by geometry for the scans of a recording."""
     where = recording.parts.file(recording.parts.scans).name
     if trajectory.poses is None or recording.points is None or recording.frames is None:
         raise DriveFileError(

@@ -10,9 +10,8 @@ from typing import Any
 from interloc.arrays import UInt32Array
 from interloc.drives.findings import Findings
 from interloc.drives.scans.recorded import Recording, ScanPoints
-from interloc.labelling.labeller import Labeller
-from interloc.labelling.model import read_model
-from interloc.labelling.projection import remission_scale
+from interloc.labelling import networks
+from interloc.labelling.networks import ScanLabeller, remission_scale
 
 _REMEMBERED = 16  # scans: those that the checks look into come up again
 
@@ -21,7 +20,7 @@ _REMEMBERED = 16  # scans: those that the checks look into come up again
 class NetworkLabels:
     """What a network makes of the scans, in ids of SemanticKITTI."""
 
-    labeller: Labeller
+    labeller: ScanLabeller
     remission_scale: float
     """What the remission of the drive is divided by to lie between 0 and 1."""
     scheme = "semantickitti"
@@ -35,12 +34,12 @@ class NetworkLabels:
     @property
     def name(self) -> str:
         """Name of the network."""
-        return f"network {self.labeller.model.name}"
+        return f"network {self.labeller.name}"
 
     @property
     def identity(self) -> tuple[str, ...]:
         """Which network, by which remission: labels of the same scan by the same identity are equal."""
-        return (self.labeller.model.identity, repr(self.remission_scale))
+        return (self.labeller.identity, repr(self.remission_scale))
 
     def files(self, frame: int) -> tuple[Path, ...]:  # noqa: ARG002 - as of `LabelFiles`
         """Return none: they are made."""
@@ -63,19 +62,11 @@ class NetworkLabels:
 
 
 def open_network(folder: Path, provider: str, recording: Recording, findings: Findings) -> NetworkLabels:
-    """Read a network, and find out what the remission of a recording has to be divided by for it.
-
-    Raises
-    ------
-    ModelError
-        The network cannot be used.
-    DriveError
-        A scan is damaged.
-    """
-    model, where = read_model(folder), recording.parts.file(recording.parts.scans).name
-    for note in model.notes:
-        findings.note(model.name, note)
-    labeller = Labeller(model, provider, threads=1)  # several scans are labelled at once
+    """Read a network, and find out what the remission of a recording has to be divided by for it."""
+    where = recording.parts.file(recording.parts.scans).name
+    labeller = networks.open_network(folder, provider, threads=1)  # several scans are labelled at once
+    for note in labeller.notes:
+        findings.note(labeller.name, note)
     labeller.load()  # what is wrong with it is told now
     remission = recording.sampled_remission()
     scale = remission_scale(remission)

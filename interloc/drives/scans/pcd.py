@@ -24,7 +24,7 @@ from interloc.drives.findings import Findings
 from interloc.drives.layouts import PCD_ENDINGS, DriveParts, pcd_ending
 from interloc.drives.options import DriveOptions
 from interloc.drives.scans.bin_files import RING_POINT_BYTES, read_points
-from interloc.drives.scans.point_times import TIME_FIELDS, point_times
+from interloc.drives.scans.deskewed import TIME_FIELDS, point_times
 from interloc.drives.scans.recorded import Recording, ScanPoints
 from interloc.drives.scans.reduced_format import MAX_POINTS
 from interloc.errors import InterLocError
@@ -71,13 +71,7 @@ class PcdScans:
         return (self._file(frame).path,)
 
     def read(self, frame: int) -> ScanPoints:
-        """Read the points of a scan; those without a return stay in their place, with label 0.
-
-        Raises
-        ------
-        DriveError
-            The file cannot be read, is damaged, or has no x, y and z.
-        """
+        """Read the points of a scan; those without a return stay in their place, with label 0."""
         file = self._file(frame)
         if file.path.name.endswith(PCD_ENDINGS[1]):
             return ScanPoints(read_points(file, RING_POINT_BYTES))
@@ -103,13 +97,7 @@ class PcdHeader:
 
 
 def open_pcd_files(parts: DriveParts, options: DriveOptions, findings: Findings) -> Recording:
-    """List the .pcd files of a drive.
-
-    Raises
-    ------
-    DriveError
-        The first of them cannot be read, and `findings` stops at that.
-    """
+    """List the .pcd files of a drive."""
     folder = parts.file(parts.scans)
     names, sizes = _listed(folder)
     order, frames, times_s, how = number_scans(names)
@@ -144,11 +132,8 @@ def open_pcd_files(parts: DriveParts, options: DriveOptions, findings: Findings)
 def number_scans(names: Sequence[str]) -> tuple[IntArray, IntArray, FloatArray | None, str]:
     """Give numbers to the files of scans by their names.
 
-    Parameters
-    ----------
-    names : sequence of str
-        000010.pcd, street_0000000010.pcd (scan 10), 1305031102.175304.pcd or cloud_1583836591_182590976.pcd (times),
-        whatever stands before.
+    000010.pcd and street_0000000010.pcd are scan 10, 1305031102.175304.pcd and cloud_1583836591_182590976.pcd are
+    times.
 
     Returns
     -------
@@ -216,13 +201,7 @@ def _split_times(stems: Sequence[str]) -> FloatArray | None:
 
 
 def read_pcd(file: SourceFile) -> ScanPoints:
-    """Read the points of a PCD file; nothing in it is trusted.
-
-    Raises
-    ------
-    DriveError
-        It cannot be read, is no PCD file, is cut short or damaged, or has no x, y and z.
-    """
+    """Read the points of a PCD file; nothing in it is trusted."""
     header, data = read_pcd_header(file, with_data=True)
     points = _points_of(header, data, file)
     values = np.zeros((header.points, 4), np.float32)
@@ -244,13 +223,7 @@ def read_pcd(file: SourceFile) -> ScanPoints:
 
 
 def read_pcd_header(file: SourceFile, *, with_data: bool = False) -> tuple[PcdHeader, UInt8Array]:
-    """Read the header of a PCD file, and the bytes behind it where they are wanted.
-
-    Raises
-    ------
-    DriveError
-        It cannot be read, is no PCD file, or promises what no scan is.
-    """
+    """Read the header of a PCD file, and the bytes behind it where they are wanted."""
     try:
         with file.path.open("rb") as handle:
             head = handle.read(_MAX_HEADER_BYTES)

@@ -121,18 +121,7 @@ class RawScans:
         *,
         needs_labels: bool = True,
     ) -> RawScans:
-        """Find the labels of a recording, and check that every scan has them.
-
-        Parameters
-        ----------
-        trajectory
-            Reads where the LiDAR was: some labels need it.
-
-        Raises
-        ------
-        DriveError, ModelError
-            There are none, or they do not fit; where `findings` stops at that.
-        """
+        """Find the labels of a recording, and check that every scan has them; some need to know where the LiDAR was."""
         labels: LabelSource | None = None
         has_labels = recording.carries_labels or options.model is not None or folder == "geometry"
         with findings.stage():
@@ -279,13 +268,7 @@ class RawScans:
         return scan_once((id(source), frame), lambda: source.read(frame), lambda points: points.nbytes)
 
     def read(self, frame: int) -> GroundPoints:
-        """Read the ground points of a scan.
-
-        Raises
-        ------
-        DriveError
-            A file is missing or cut short, labels and points differ in number, or a point that is kept is not finite.
-        """
+        """Read the ground points of a scan."""
         source, labels = self.sources
         points, name = self.points_of(frame), source.name(frame)
         ids = labels.of(frame, points, name)
@@ -321,13 +304,7 @@ _CONVERT = (
 
 
 def read_labels(file: SourceFile) -> UInt32Array:
-    """Read the (N,) uint32 labels of a file.
-
-    Raises
-    ------
-    DriveError
-        It cannot be read, or holds floating-point numbers.
-    """
+    """Read the (N,) uint32 labels of a file."""
     try:
         labels: UInt32Array = np.fromfile(file.path, dtype="<u4")
     except OSError as error:
@@ -382,18 +359,7 @@ def _labels_of(
 def _check_label_files(
     recording: Recording, sound: IntArray, labels: NumberedFiles, findings: Findings, *, sizes: bool
 ) -> IntArray:
-    """Check that every scan has its labels, and that their sizes fit, by names and sizes only.
-
-    Parameters
-    ----------
-    sound : (S,) int64
-        Positions of the scans that nothing is wrong with so far.
-
-    Returns
-    -------
-    (M,) int64
-        Positions of the scans that can be read.
-    """
+    """Return the positions of the scans whose labels are there and fit, by names and sizes only, among `sound` ones."""
     frames, points = recording.frames, recording.points
     assert frames is not None
     assert points is not None

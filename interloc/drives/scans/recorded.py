@@ -35,7 +35,7 @@ class ScanPoints:
         Label ids, where the points carry them themselves.
     times_s : (N,) float32 or None
         When each point was measured, seconds after the time of the scan, where the points carry that
-        (`interloc.drives.scans.point_times`).
+        (`interloc.drives.scans.deskewed`).
     """
 
     values: Float32Array

@@ -30,13 +30,7 @@ from interloc.drives.trajectory import Trajectory, read_trajectory
 
 
 def read_ground(root: Path, folder: LabelFolder, frame: int) -> GroundPoints:
-    """Read the ground points of a scan of a reduced drive, chosen by the labels of a folder.
-
-    Raises
-    ------
-    DriveError
-        Its file is missing or damaged.
-    """
+    """Read the ground points of a scan of a reduced drive, chosen by the labels of a folder."""
     file = SourceFile(root / ground_path(folder, frame), root)
     try:
         with file.path.open("rb") as handle:
@@ -69,14 +63,7 @@ class ReducedScans:
     def of(
         cls, manifest: ReducedManifest, root: Path, folder: LabelFolder, options: DriveOptions, findings: Findings
     ) -> ReducedScans:
-        """Choose the labels of a folder, and see whether all scans that were kept are there.
-
-        Raises
-        ------
-        DriveError
-            The drive was made of another layout than the one asked for; or labels or scans are missing or damaged, and
-            `findings` stops at that.
-        """
+        """Choose the labels of a folder, and see whether all scans that were kept are there."""
         if options.layout not in {"auto", manifest.layout}:
             raise DriveFileError(
                 MANIFEST, f"is a drive of layout {manifest.layout}, not {options.layout}. Give layout 'auto'."
@@ -152,13 +139,7 @@ class ReducedScans:
         return ground_path(self._labels.folder, frame)
 
     def read(self, frame: int) -> GroundPoints:
-        """Read the ground points of a scan.
-
-        Raises
-        ------
-        DriveError
-            Its file is missing or damaged, or the scan was not kept.
-        """
+        """Read the ground points of a scan."""
         row = int(np.searchsorted(self.kept, frame))
         if row == len(self.kept) or self.kept[row] != frame:
             by = f"thinned to {self.manifest.keyframes}" if self.manifest.keyframes is not None else "thinned"

@@ -274,13 +274,7 @@ def is_reduced(root: Path) -> bool:
 
 
 def read_manifest(root: Path) -> ReducedManifest:
-    """Read the manifest of a reduced drive; nothing in it is trusted.
-
-    Raises
-    ------
-    DriveError
-        It cannot be read, is not of this format or version, or names files outside the folder.
-    """
+    """Read the manifest of a reduced drive; nothing in it is trusted."""
     path = root / MANIFEST
     try:
         with path.open("rb") as file:
@@ -298,25 +292,13 @@ def read_manifest(root: Path) -> ReducedManifest:
 
 
 def parse_manifest(data: bytes) -> ReducedManifest:
-    """Read the text of a manifest.
-
-    Raises
-    ------
-    DriveError
-        It is not of this format or version.
-    """
+    """Read the text of a manifest."""
     with _refusals():
         return ReducedManifest.model_validate_json(data)
 
 
 def make_manifest(fields: dict[str, Any]) -> ReducedManifest:
-    """Make a manifest of its fields.
-
-    Raises
-    ------
-    DriveError
-        One of them cannot be, such as a name with line breaks.
-    """
+    """Make a manifest of its fields."""
     with _refusals():
         return ReducedManifest.model_validate(fields)
 
@@ -352,13 +334,7 @@ _CUT = "Usual cause: an upload or copy that did not finish."
 
 
 def encode_ground(points: GroundPoints) -> bytes:
-    """Write the ground points of a scan.
-
-    Raises
-    ------
-    ValueError
-        More than `MAX_POINTS` points, or not (N, 3) float32.
-    """
+    """Write the ground points of a scan."""
     xyz = np.ascontiguousarray(points.xyz)
     if xyz.dtype != np.float32 or xyz.ndim != 2 or xyz.shape[1] != 3 or not 0 <= points.road_count <= len(xyz):
         raise ValueError(f"expected (N, 3) float32 points, at most N of them road; got {xyz.shape} {xyz.dtype}")
@@ -371,19 +347,7 @@ def encode_ground(points: GroundPoints) -> bytes:
 
 
 def decode_ground(data: bytes, name: str) -> GroundPoints:
-    """Read what `encode_ground` wrote; nothing in it is trusted.
-
-    Parameters
-    ----------
-    data : bytes
-    name : str
-        Of the file, in messages.
-
-    Raises
-    ------
-    DriveError
-        It is not such a file, cut short, damaged, or holds a point that is not finite.
-    """
+    """Read what `encode_ground` wrote, from a file of this name; nothing in it is trusted."""
     count, road_count, is_doubtful = _head(data, name)
     size = count * _POINT_BYTES
     inflate = zlib.decompressobj()

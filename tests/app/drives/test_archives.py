@@ -18,7 +18,7 @@ import httpx
 import pytest
 import zstandard
 
-from app.drives.work.archive_files import ArchiveError, members
+from app.drives.work.unpack import ArchiveError, members
 from app.jobs.failures import too_slow
 from app.jobs.processes import WorkerLimitError
 from app.work import kinds
@@ -113,7 +113,6 @@ KINDS = {
     "zip": zipped(in_folder("sequences/07", FILES)),
     "zip without a folder": zipped(FILES),
     "stored zip": zipped(in_folder("07", FILES), zipfile.ZIP_STORED),
-    "lzma zip": zipped(in_folder("07", FILES), zipfile.ZIP_LZMA),
     "tar": TARRED,
     "tar with dots": tarred(in_folder("./07", FILES)),
     "old tar": tarred(in_folder("07", FILES), format=tarfile.GNU_FORMAT),
@@ -213,8 +212,6 @@ def test_parts_of_a_drive(client: httpx.Client, drive: str, names: list[str], pl
 def test_two_drives_are_refused_by_name(client: httpx.Client, home: Path) -> None:
     both = {**in_folder("sequences/00", FILES), **in_folder("sequences/07", FILES)}
     refuse(client, home, zipped(both), "2 drives: sequences/00/ and sequences/07/")
-    apart = {"a/velodyne/000000.bin": b"1", "b/labels/000000.label": b"1"}
-    refuse(client, home, tarred(apart), "2 drives: a/ and b/")
 
 
 @pytest.mark.parametrize(
@@ -406,8 +403,6 @@ HEADERS = {
     "megabyte": pax(tarfile.XHDTYPE, record(b"comment", b"1" * 1_000_000)),
     "lengths": pax(tarfile.XHDTYPE, b"2 " * 30_000 + b"="),
     "digits": pax(tarfile.XHDTYPE, b"1" * 60_000),
-    "global": pax(tarfile.XGLTYPE, record(b"comment", b"a" * 2000)),
-    "two global ones": pax(tarfile.XGLTYPE, record(b"comment", b"a")) * 2,
 }
 
 
@@ -437,15 +432,11 @@ def test_a_frame_that_is_none_of_the_contents_is_skipped(client: httpx.Client, d
     assert listed(client, drive) == digests(FILES)
 
 
-@pytest.mark.parametrize("kind", ["tar.zst", "lzma zip"])
-def test_little_is_unpacked_at_a_time(tmp_path: Path, kind: str) -> None:
+def test_little_is_unpacked_at_a_time(tmp_path: Path) -> None:
     """However much comes of a few bytes: blocks of one byte again and again become 32,768 times as much."""
     path = tmp_path / "archive"
-    if kind == "tar.zst":
-        block = ((128 * 1024) << 3 | 1 << 1).to_bytes(3, "little") + b"\0"
-        path.write_bytes(b"\x28\xb5\x2f\xfd\x00\x38" + block * 2000)
-    else:
-        path.write_bytes(zipped({"a": bytes(100_000_000)}, zipfile.ZIP_LZMA))
+    block = ((128 * 1024) << 3 | 1 << 1).to_bytes(3, "little") + b"\0"
+    path.write_bytes(b"\x28\xb5\x2f\xfd\x00\x38" + block * 2000)
     tracemalloc.start()
     try:
         with suppress(ArchiveError), members(path, lambda _: None, 10) as found:
@@ -458,8 +449,9 @@ def test_little_is_unpacked_at_a_time(tmp_path: Path, kind: str) -> None:
         tracemalloc.stop()
 
 
-def test_a_zip_of_a_method_that_cannot_be_bounded(client: httpx.Client, home: Path) -> None:
-    refuse(client, home, zipped({"poses.txt": b"1"}, zipfile.ZIP_BZIP2), "poses.txt", "Use deflate")
+@pytest.mark.parametrize("method", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
+def test_a_zip_of_a_method_that_cannot_be_bounded(client: httpx.Client, home: Path, method: int) -> None:
+    refuse(client, home, zipped({"poses.txt": b"1"}, method), "poses.txt", "Use deflate")
 
 
 def test_a_part_may_take_as_long_as_its_size_explains() -> None:
@@ -486,11 +478,7 @@ def test_a_zip_that_lists_very_many_files_is_not_looked_into(
     serve: Callable[..., httpx.Client], tmp_path: Path
 ) -> None:
     """However few the end record names: `zipfile` goes by the size of the list."""
-    entry = struct.pack("<4s6H3L5H2L", b"PK\x01\x02", 20, 20, 0, 0, 0, 33, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0) + b"a"
-    many = entry * 10_100 + bytes(46)  # which is no entry
-    end = struct.pack("<4s4H2LH", b"PK\x05\x06", 0, 0, 1, 1, len(many), 0, 0)
     client = serve(max_drive_files=50)
-    refuse(client, tmp_path, b"PK\x03\x04" + many + end, "more than 50 files")
     large = 11_000 * 1024
     end = struct.pack("<4s4H2LH", b"PK\x05\x06", 0, 0, 1, 1, large, 0, 0)
     refuse(client, tmp_path, b"PK\x03\x04" + bytes(large) + end, "more than 50 files")

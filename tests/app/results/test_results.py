@@ -14,12 +14,8 @@ from urllib.parse import urlsplit
 
 import pytest
 
-from app.http.parameters import Box
-from app.results.routes import results
-from app.results.selection import select_features
 from app.store.database import Database
 from app.store.models import Job
-from interloc.output.geojson import write_collection
 from tests.app.results.conftest import Finished, add_job
 
 LAYERS = ["intersections", "detections", "trajectory", "keyframes", "roads", "junctions", "road-surface"]
@@ -249,64 +245,7 @@ def test_a_job_that_was_removed_has_no_results_any_more(finished: Finished) -> N
     assert not (finished.data_dir / "jobs/shortlived").exists()
 
 
-def test_a_part_of_a_layer(finished: Finished) -> None:
-    whole = finished.get("/jobs/default/detections").json()
-    lons = sorted(feature["geometry"]["coordinates"][0] for feature in whole["features"])
-    west, east = lons[1], lons[-2]
-    inside = [each for each in whole["features"] if west <= each["geometry"]["coordinates"][0] <= east]
-    box = finished.get("/jobs/default/detections", params={"bbox": f"{west},-90,{east},90"})
-    assert box.headers["content-type"] == "application/geo+json"
-    assert box.json()["features"] == inside
-    assert (box.json()["bbox"][0], box.json()["bbox"][2]) == (west, east)
-    few = finished.get("/jobs/default/detections", params={"bbox": f"{west},-90,{east},90", "limit": "2"}).json()
-    assert few["features"] == inside[:2]
-    assert (few["numberMatched"], few["numberReturned"]) == (len(inside), 2)
-    nothing = finished.get("/jobs/default/detections?bbox=170,-10,-170,10").json()
-    assert (nothing["features"], nothing["numberMatched"], "bbox" in nothing) == ([], 0, False)
-    known = {"If-None-Match": box.headers["etag"]}
-    assert finished.get("/jobs/default/detections", params=box.request.url.params, headers=known).status_code == 304
-    assert finished.get("/jobs/default/detections", headers=known).status_code == 200
-
-
-@pytest.mark.parametrize("layer", ["intersections", "trajectory", "keyframes", "osm-nodes", "matches", "osm-roads"])
-def test_every_layer_can_be_cut_out(finished: Finished, layer: str) -> None:
-    whole = finished.get(f"/jobs/default/{layer}").json()["features"]
-    assert finished.get(f"/jobs/default/{layer}?bbox=-180,-90,180,90&limit=9999").json()["features"] == whole
-    assert finished.get(f"/jobs/default/{layer}?bbox=8,40,9,41").json()["features"] == []
-
-
-def test_a_part_of_a_large_layer_is_the_same(finished: Finished, monkeypatch: pytest.MonkeyPatch) -> None:
-    """It is read by a worker."""
-    query = "/jobs/default/detections?bbox=-180,-90,180,90&limit=3"
-    small = finished.get(query)
-    monkeypatch.setattr(results, "MAX_BYTES_AT_ONCE", 0)
-    assert finished.get(query).content == small.content
-
-
-@pytest.mark.parametrize(("box", "found"), [
-    ((179, -17, -179, -16), "line polygon"), ((179, -17, 180, -16), "line polygon"), ((-180, -17, -179.6, -16), "line"),
-    ((-179, -17, 179, -16), ""), ((0, 0, 1, 1), ""),
-])  # fmt: skip
-def test_lines_and_polygons_are_found_on_both_sides_of_the_antimeridian(
-    box: tuple[float, ...], found: str, tmp_path: Path
-) -> None:
-    line = [[179.9, -16.5], [-179.9, -16.5]]
-    ring = [[179.2, -16.2], [179.3, -16.2], [179.3, -16.1], [179.2, -16.2]]
-    shapes = [("line", "LineString", line), ("polygon", "Polygon", [ring])]
-    write_collection(
-        tmp_path / "a.geojson",
-        [
-            {"type": "Feature", "id": name, "geometry": {"type": kind, "coordinates": where}, "properties": {}}
-            for name, kind, where in shapes
-        ],
-        local=False,
-    )
-    kept = json.loads(select_features(tmp_path / "a.geojson", Box(*box), None))["features"]
-    assert " ".join(each["id"] for each in kept) == found
-
-
-@pytest.mark.parametrize("query", ["bbox=1,2,3", "bbox=1,2,3,nan", "limit=0", "limit=10001", "bbox=9,50,8,-91"])
-def test_a_bad_part_of_a_layer_is_refused(finished: Finished, query: str) -> None:
-    answer = finished.get(f"/jobs/default/detections?{query}")
-    assert answer.status_code == 422
-    assert answer.json()["problems"][0]["path"] == f"query.{query.partition('=')[0]}"
+def test_a_layer_is_given_whole(finished: Finished) -> None:
+    """Parts of it are at `/ogc`; a parameter that would select one is refused, not ignored."""
+    answer = finished.get("/jobs/default/detections?limit=3")
+    assert (answer.status_code, answer.json()["type"]) == (400, "/problems/unknown-parameter")

@@ -15,14 +15,20 @@ import pytest
 from interloc.arrays import FloatArray
 from interloc.drive import Georeference
 from interloc.drives.files import GeoreferenceFile, SourceFile
-from interloc.drives.georeference.geo_csv import geo_csv_text, read_geo_csv
 from interloc.drives.georeference.geodetic import ecef_poses, poses_of
-from interloc.drives.georeference.oxts import ODOMETRY_OF_RAW, raw_offset, read_oxts_rows
-from interloc.drives.georeference.read import georeference_of_lidar, read_georeference
+from interloc.drives.georeference.read import (
+    ODOMETRY_OF_RAW,
+    geo_csv_text,
+    georeference_of_lidar,
+    raw_offset,
+    read_geo_csv,
+    read_georeference,
+    read_oxts_rows,
+)
 from interloc.drives.inspect import inspect_drive
 from interloc.drives.layouts import DriveParts
-from interloc.drives.poses.calibration import KITTI_T_VELO_IMU
-from interloc.drives.poses.lines import read_poses
+from interloc.drives.poses.files import read_poses
+from interloc.drives.poses.frame import KITTI_T_VELO_IMU
 from interloc.errors import GeoreferenceError
 from interloc.geometry import invert_transform
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from interloc.arrays import FloatArray
-from interloc.drives.georeference.shift import fit_shift
+from interloc.drives.georeference.fixes import fit_shift
 from interloc.geometry import rotate_2d
 
 TIMES = np.arange(0.0, 120.0, 0.1)

@@ -14,9 +14,8 @@ from hypothesis import strategies as st
 from interloc.drives.files import SourceFile
 from interloc.drives.findings import Findings
 from interloc.drives.layouts import DriveParts
-from interloc.drives.poses.calibration import find_camera_calibration
-from interloc.drives.poses.frame import guess_frame, to_lidar
-from interloc.drives.poses.lines import read_poses
+from interloc.drives.poses.files import read_poses
+from interloc.drives.poses.frame import find_camera_calibration, guess_frame, to_lidar
 from interloc.drives.poses.motion import body_motion
 from interloc.errors import DriveError
 from interloc.geometry import invert_transform, rotation_from_rpy

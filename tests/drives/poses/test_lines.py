@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from interloc.drives.files import SourceFile
-from interloc.drives.poses.lines import PoseLines, read_poses
+from interloc.drives.poses.files import PoseLines, read_poses
 from interloc.errors import DriveError
 
 

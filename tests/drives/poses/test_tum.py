@@ -8,8 +8,8 @@ import pytest
 from interloc import open_drive
 from interloc.drives.files import SourceFile
 from interloc.drives.folder import FolderDrive
-from interloc.drives.poses.timed import TimedPoses, quaternions_from_rotations, rotations_from_quaternions
-from interloc.drives.poses.tum import looks_like_tum, read_tum
+from interloc.drives.poses.files import looks_like_tum, read_tum
+from interloc.drives.poses.motion import TimedPoses, quaternions_from_rotations, rotations_from_quaternions
 from interloc.errors import DriveError
 from interloc.geometry import rotation_from_rpy, yaw_of
 

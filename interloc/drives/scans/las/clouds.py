@@ -78,24 +78,12 @@ class Cloud:
         return -(-self.points // BLOCK_POINTS)
 
     def crs(self) -> Any | None:  # noqa: ANN401 - pyproj is imported late
-        """Return the pyproj.CRS that the header states, or None where it states none.
-
-        Raises
-        ------
-        DriveError
-            The statement is damaged.
-        """
+        """Return the pyproj.CRS that the header states, or None where it states none."""
         with self._opened(read_evlrs=self.read_evlrs) as reader, in_words(self.file):
             return reader.header.parse_crs()
 
     def read(self, first: int = 0, last: int | None = None) -> Iterator[Points]:
-        """Yield the blocks from one on up to another (None: to the end), one after the other.
-
-        Raises
-        ------
-        DriveError
-            The file cannot be read, or is damaged there.
-        """
+        """Yield the blocks from one on up to another (None: to the end), one after the other."""
         with self._opened() as reader:
             for block in range(first, self.blocks if last is None else last):
                 start = block * BLOCK_POINTS
@@ -143,13 +131,7 @@ def all_of(clouds: Sequence[Cloud]) -> SourceFile:
 
 
 def require_laspy(name: str) -> ModuleType:
-    """Import laspy with the part that unpacks LAZ.
-
-    Raises
-    ------
-    DriveError
-        One of them is not installed.
-    """
+    """Import laspy with the part that unpacks LAZ."""
     try:
         import laspy  # noqa: PLC0415 - an extra
         import lazrs  # noqa: F401, PLC0415
@@ -182,13 +164,7 @@ def in_words(file: SourceFile, place: str = "") -> Iterator[None]:
 
 
 def open_cloud(file: SourceFile) -> Cloud:
-    """Read the header of a file, and check what it promises against the size of the file.
-
-    Raises
-    ------
-    DriveError
-        It is not a LAS or LAZ file of version 1.0 to 1.5, cut short, empty, or promises what cannot be.
-    """
+    """Read the header of a file, and check what it promises against the size of the file."""
     laspy = require_laspy(file.name)
     with in_words(file), file.path.open("rb") as stream:
         size = stream.seek(0, 2)

@@ -6,24 +6,23 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from interloc.arrays import FloatArray, IntArray
 from interloc.drive import Georeference
 from interloc.drives.files import SourceFile
-from interloc.drives.findings import Findings
+from interloc.drives.findings import DriveFileError, Findings
 from interloc.drives.georeference.geodetic import poses_of
 from interloc.drives.layouts import DriveParts
 from interloc.drives.options import DriveOptions
 from interloc.drives.poses.motion import rows_apart
-from interloc.drives.scans.las.clocks import match_clocks
 from interloc.drives.scans.las.clouds import BLOCK_POINTS, ROAD_SURFACE, Cloud, Points, all_of, in_words
-from interloc.drives.scans.las.grid import Grid, grid_of
-from interloc.drives.scans.las.tracks import SurveyTrack, find_tracks, read_track
+from interloc.drives.scans.las.tracks import SurveyTrack, find_tracks, match_clocks, read_track
 from interloc.drives.scans.recorded import Recording, ScanPoints
 from interloc.drives.trajectory import LidarPoses, Trajectory
-from interloc.geometry import from_first, rigid_transforms, rotation_from_rpy
+from interloc.geometry import WGS84_A_M, enu_from_lonlat, from_first, rigid_transforms, rotation_from_rpy
 
 SLICE_M = 2.1
 """Distance driven from scan to scan. A little more than that of keyframes (2 m), so that each scan is one, and no point
@@ -50,15 +49,11 @@ _NO_SCANS = (
     "where the vehicle was then."
 )
 
+_STEP_M = 10.0
+
 
 def open_mapping(clouds: tuple[Cloud, ...], parts: DriveParts, options: DriveOptions, findings: Findings) -> Recording:
-    """Cut the clouds of a mobile mapping vehicle into scans.
-
-    Raises
-    ------
-    DriveError
-        They have no times, no trajectory or no coordinate system, or these do not fit together.
-    """
+    """Cut the clouds of a mobile mapping vehicle into scans."""
     folder = all_of(clouds)
     track = _find_track(clouds, parts, options)
     times, points, has_intensity = _sample(clouds, folder)
@@ -239,15 +234,9 @@ class Cuts:
 
 
 def cut(times_s: FloatArray, position: FloatArray) -> Cuts:
-    """Cut a drive into intervals of about `SLICE_M` driven.
+    """Cut a drive, by (P,) ascending times and (P, 3) positions, into intervals of about `SLICE_M` driven.
 
     The poses are those of the trajectory; where these lie further apart, more are put evenly between.
-
-    Parameters
-    ----------
-    times_s : (P,) float64
-        Of the trajectory, strictly ascending.
-    position : (P, 3) float64
     """
     rows = np.array(rows_apart(position, SLICE_M))
     step = np.linalg.norm(np.diff(position[rows], axis=0), axis=1)
@@ -285,13 +274,7 @@ class Slices(Cuts):
 def _index(
     clouds: tuple[Cloud, ...], cuts: Cuts, track: SurveyTrack, folder: SourceFile, findings: Findings
 ) -> tuple[Slices, IntArray]:
-    """Go through all points once; return the scans, and the (256,) counts of the classes of their points.
-
-    Raises
-    ------
-    DriveError
-        A file is damaged, the trajectory misses most points, or their order would make every scan take for ever.
-    """
+    """Go through all points once; return the scans, and the (256,) counts of the classes of their points."""
     counts, classes = np.zeros(len(cuts.times_s), np.int64), np.zeros(256, np.int64)
     bounds, outside = [], 0
     for points in (points for cloud in clouds for points in cloud.read()):
@@ -390,13 +373,7 @@ class CutClouds:
         return tuple(dict.fromkeys(cloud.file.path for cloud, _ in self._blocks(frame)))
 
     def read(self, frame: int) -> ScanPoints:
-        """Read the points of a scan.
-
-        Raises
-        ------
-        DriveError
-            A file is missing or damaged.
-        """
+        """Read the points of a scan."""
         start, end, step = self.slices.start_s[frame], self.slices.end_s[frame], int(self.slices.steps[frame])
         values, labels, seen = [], [], 0
         for cloud, block in self._blocks(frame):
@@ -427,3 +404,74 @@ class CutClouds:
 def _read_block(cloud: Cloud, block: int, _state: tuple[int, int]) -> Points:
     """Read a block of a file in a state; scans are mostly read one after the other, and share them."""
     return next(cloud.read(block, block + 1))
+
+
+@dataclass(frozen=True)
+class Grid:
+    """A projected coordinate system in metres."""
+
+    crs: Any
+    """Its horizontal part."""
+    source: str
+    """Where it is stated."""
+
+    @property
+    def name(self) -> str:
+        """Its code or name."""
+        code = self.crs.to_epsg(min_confidence=70)
+        return f"EPSG:{code}" if code else str(self.crs.name)
+
+    def from_lonlat(self, lonlat: FloatArray) -> FloatArray:
+        """Return (N, 2) easting, northing of (N, 2) longitudes and latitudes; infinite where the system ends."""
+        return _transform("EPSG:4326", self.crs, lonlat)
+
+    def to_lonlat(self, xy: FloatArray) -> FloatArray:
+        """Return (N, 2) longitudes, latitudes on WGS84 of (N, 2) easting, northing; infinite where there are none."""
+        return _transform(self.crs, "EPSG:4326", xy)
+
+    def axes(self, xyz: FloatArray) -> FloatArray:
+        """Return how the axes lie on the ground near (N, 3) points: (N, 2, 2), ``enu_xy = axes @ grid_xy``.
+
+        It holds the scale of the projection, the meridian convergence, and the height over the ellipsoid.
+        """
+        here = self.to_lonlat(xyz[:, :2])
+        columns = []
+        for step in ((_STEP_M, 0.0), (0.0, _STEP_M)):
+            ahead, behind = self.to_lonlat(xyz[:, :2] + step), self.to_lonlat(xyz[:, :2] - step)
+            there = enu_from_lonlat(here[:, 1], here[:, 0], ahead) - enu_from_lonlat(here[:, 1], here[:, 0], behind)
+            columns.append(there / (2 * _STEP_M))
+        axes: FloatArray = np.stack(columns, axis=-1) * (1 + xyz[:, 2] / WGS84_A_M)[:, None, None]
+        return axes
+
+
+def _transform(source: Any, target: Any, xy: FloatArray) -> FloatArray:  # noqa: ANN401 - pyproj.CRS
+    from pyproj import Transformer  # noqa: PLC0415 - slow to import
+
+    first, second = Transformer.from_crs(source, target, always_xy=True).transform(xy[:, 0], xy[:, 1])
+    return np.stack([first, second], axis=-1)
+
+
+def grid_of(crs: Any, source: str, file: SourceFile) -> Grid:  # noqa: ANN401 - pyproj.CRS or its name
+    """Check a coordinate system, and take its horizontal part."""
+    from pyproj import CRS  # noqa: PLC0415 - slow to import
+    from pyproj.exceptions import CRSError  # noqa: PLC0415
+
+    try:
+        crs = CRS.from_user_input(crs)
+    except CRSError as error:
+        raise DriveFileError(
+            f"crs {crs!r}", "is not known. Expected a coordinate system such as EPSG:25832 (--crs)."
+        ) from error
+    horizontal = crs
+    while horizontal.is_bound or (horizontal.is_compound and horizontal.sub_crs_list):
+        horizontal = horizontal.source_crs if horizontal.is_bound else horizontal.sub_crs_list[0]
+    advice = "Reproject the cloud, with pdal translate IN OUT reprojection --filters.reprojection.out_srs=EPSG:25832."
+    if not horizontal.is_projected:
+        raise file.fault(
+            f"is in {crs.name} ({source}), which is not projected. Expected easting, northing and height in metres, "
+            f"such as UTM. {advice}"
+        )
+    units = {axis.unit_name for axis in crs.axis_info if axis.unit_conversion_factor != 1.0}
+    if units:
+        raise file.fault(f"is in {crs.name} ({source}), in units of {', '.join(units)}. Expected metres. {advice}")
+    return Grid(horizontal.to_2d(), source)

@@ -15,12 +15,12 @@ from interloc.drives.files import SourceFile
 from interloc.drives.findings import DriveFileError, Findings
 from interloc.drives.layouts import POSE_FILES, SCAN_FOLDERS, DriveParts
 from interloc.drives.options import DriveOptions
-from interloc.drives.poses.tum import looks_like_tum
+from interloc.drives.poses.files import looks_like_tum
+from interloc.drives.scans.deskewed import point_times
 from interloc.drives.scans.las.clouds import ROAD_SURFACE, Cloud, Points, all_of, open_cloud
 from interloc.drives.scans.las.mapping import MAX_SCAN_POINTS, open_mapping
 from interloc.drives.scans.las.tracks import find_tracks, is_table
 from interloc.drives.scans.pcd import number_scans
-from interloc.drives.scans.point_times import point_times
 from interloc.drives.scans.recorded import Recording, ScanPoints
 
 SUFFIXES = frozenset({".las", ".laz"})
@@ -35,21 +35,7 @@ _SAMPLED = 5
 def open_las(root: Path, options: DriveOptions, findings: Findings) -> Recording | None:
     """Open LAS or LAZ files: one per scan in sensor coordinates, or a cloud of mobile mapping with its trajectory.
 
-    Parameters
-    ----------
-    root : Path
-        A .las or .laz file, or a folder that holds such: directly, or in las/ or laz/.
-
-    Returns
-    -------
-    Recording or None
-        None where these are no LAS files.
-
-    Raises
-    ------
-    DriveError
-        laspy is not installed; a file is damaged; or there is no trajectory, time or coordinate system where one is
-        needed, or these do not fit together.
+    The root is one file, or a folder that holds such: directly, or in las/ or laz/. None where these are no LAS files.
     """
     other = any((root / folder).is_dir() for folder in SCAN_FOLDERS)  # a map may lie beside the scans
     if options.layout != "las" and (options.layout != "auto" or other):
@@ -166,13 +152,7 @@ class ScanClouds:
         return (self._cloud(frame).file.path,)
 
     def read(self, frame: int) -> ScanPoints:
-        """Read the points of a scan; points that are marked as withheld stay in their place, with label 0.
-
-        Raises
-        ------
-        DriveError
-            The file is missing or damaged.
-        """
+        """Read the points of a scan; points that are marked as withheld stay in their place, with label 0."""
         cloud = self._cloud(frame)
         points = Points(*map(np.concatenate, zip(*cloud.read(), strict=True)))
         values = np.column_stack([points.xyz, points.intensity]).astype(np.float32)

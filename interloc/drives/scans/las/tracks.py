@@ -1,4 +1,9 @@
-"""The trajectory of a mobile mapping vehicle: a table with a header (CSV), SBET, or TUM poses in world coordinates."""
+"""The trajectory of a mobile mapping vehicle: a table with a header (CSV), SBET, or TUM poses in world coordinates.
+
+GPS times come as seconds of the week, as seconds since 6 January 1980, as these less 1e9 (adjusted standard time of
+LAS), and as seconds since 1970 with or without leap seconds. Headers name the clock of a cloud, often wrongly, and
+trajectories do not name theirs: so each is tried, and the one taken by which the vehicle was where the points are.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +18,8 @@ import numpy as np
 
 from interloc.arrays import FloatArray
 from interloc.drives.files import SourceFile, is_number
-from interloc.drives.poses.tum import looks_like_tum, read_tum
+from interloc.drives.poses.files import looks_like_tum, read_tum
+from interloc.drives.scans.las.clouds import Cloud
 
 SBET_BYTES = 136
 """17 float64: time, latitude, longitude, altitude, three velocities, roll, pitch, heading, wander angle, ..."""
@@ -34,6 +40,15 @@ _NAMES = {  # in lower case, without units
 }
 _UNIT = re.compile(r"_(s|sec|seconds|m|deg|degrees|rad|radians)$")
 
+MAX_DISTANCE_M = 300.0
+"""Median horizontal distance of the points from the vehicle at their time; scanners of streets see 100 to 200 m."""
+
+_WEEK_S = 604_800.0
+_GPS_EPOCH_UNIX_S = 315_964_800.0
+_FIRST_LEAP_SECONDS = 13  # by which GPS is ahead of UTC before the first of these, and one more from each on (IERS)
+_LEAPS_S = (1_136_073_600.0, 1_230_768_000.0, 1_341_100_800.0, 1_435_708_800.0, 1_483_228_800.0)  # UNIX time
+_COVERED = 0.5
+
 
 @dataclass(frozen=True)
 class SurveyTrack:
@@ -43,8 +58,7 @@ class SurveyTrack:
     times_s: FloatArray
     """(P,) float64: strictly ascending, in whichever clock."""
     position: FloatArray
-    """(P, 3) float64: easting, northing and height; or longitude, latitude in degrees and altitude where `geographic`.
-    """
+    """(P, 3) float64: easting, northing, height; or longitude and latitude in degrees, altitude where `geographic`."""
     geographic: bool
 
 
@@ -78,13 +92,7 @@ def is_table(path: Path) -> bool:
 
 
 def read_track(file: SourceFile) -> SurveyTrack:
-    """Read a trajectory, whichever its format.
-
-    Raises
-    ------
-    DriveError
-        It is missing, of no known format, damaged, or its times run backwards.
-    """
+    """Read a trajectory, whichever its format."""
     if not file.path.is_file():
         raise file.fault(
             "is missing. Expected the trajectory of the vehicle: a table with a header "
@@ -149,20 +157,8 @@ class Table(NamedTuple):
 def read_table(file: SourceFile, kinds: Sequence[Sequence[str]], expected: str, blank: str = "") -> Table:
     """Read a table of numbers with a header; the columns may have any of the usual names, and units.
 
-    Parameters
-    ----------
-    file : SourceFile
-    kinds : sequence of sequence of str
-        Quantities (time, x, y, z, lat, lon): the first of which there are all are read.
-    expected : str
-        What messages say that the header should be.
-    blank : str
-        The quantity that may be missing in a row: NaN.
-
-    Raises
-    ------
-    DriveError
-        It has no header, none of the kinds of columns, no rows, or one that holds something else.
+    Of the kinds of quantities (time, x, y, z, lat, lon), the first of which there are all is read; `expected` is what
+    messages say that the header should be, and the quantity `blank` may be missing in a row (NaN).
     """
     lines = file.lines()
     start = next(row for row, text in enumerate(lines) if text.strip())
@@ -241,3 +237,70 @@ def _check_place(position: FloatArray, file: SourceFile, *, geographic: bool) ->
         raise file.fault("a latitude, longitude or altitude is no place to drive. Expected degrees and metres.")
     if ((position[:, 0] == 0) & (position[:, 1] == 0)).any():
         raise file.fault("latitude and longitude are 0 somewhere: the receiver had no fix. Leave those rows out.")
+
+
+class ClockMatch(NamedTuple):
+    """How the clock of a trajectory is turned into that of the cloud."""
+
+    distance_m: float
+    """Median horizontal distance of the points from the vehicle."""
+    offset_s: float
+    """To be added to the times of the trajectory."""
+    reason: str
+    """Which clocks these are."""
+
+
+def match_clocks(
+    times_s: FloatArray, points: FloatArray, cloud: Cloud, track_s: FloatArray, track_xy: FloatArray, file: SourceFile
+) -> ClockMatch:
+    """Find the clock by which the vehicle, (P,) times and (P, 2) places, was where some points of the cloud are."""
+    matches = []
+    for offset, reason in _candidates(float(np.median(times_s)), float(track_s[0]), cloud.time_offset_s).items():
+        shifted = times_s - offset
+        inside = (shifted >= track_s[0]) & (shifted <= track_s[-1])
+        if inside.mean() >= _COVERED:
+            at = np.stack([np.interp(shifted[inside], track_s, axis) for axis in track_xy.T], axis=1)
+            distance = float(np.median(np.linalg.norm(points[inside, :2] - at, axis=1)))
+            matches.append(ClockMatch(distance, offset, reason))
+    if not matches:
+        raise file.fault(
+            f"covers {track_s[0]:.3f} s to {track_s[-1]:.3f} s, and the points of {cloud.file.name} were measured from "
+            f"{times_s.min():.3f} s to {times_s.max():.3f} s. They have nothing in common as seconds of the GPS week, "
+            "adjusted standard time or UNIX time. Usual cause: the trajectory of another drive or day."
+        )
+    best = min(matches, key=lambda match: match.distance_m)
+    if best.distance_m > MAX_DISTANCE_M:
+        raise file.fault(
+            f"was {best.distance_m:,.0f} m away from the points of {cloud.file.name} when they were measured (median, "
+            f"in the best clock: {best.reason}); expected at most {MAX_DISTANCE_M:g} m. Usual cause: the trajectory "
+            "of another drive, or a cloud in another coordinate system than stated (--crs)."
+        )
+    return best
+
+
+def _candidates(middle_s: float, first_s: float, time_offset_s: float) -> dict[float, str]:
+    """Return offsets that would lead from the clock of a trajectory to that of a cloud, the likeliest first."""
+    leap = float(_FIRST_LEAP_SECONDS + np.searchsorted(_LEAPS_S, first_s, side="right"))
+    clocks = {  # what turns each into the seconds of GPS since 1980
+        "GPS seconds since 1980": 0.0,
+        "adjusted standard time": time_offset_s,
+        "UNIX time (UTC)": leap - _GPS_EPOCH_UNIX_S,
+        "UNIX time without leap seconds": -_GPS_EPOCH_UNIX_S,
+    }
+    candidates = {0.0: "the same clock"}
+    for seconds in (leap, -leap, 18.0, -18.0):
+        candidates.setdefault(seconds, f"clocks that differ by {seconds:+g} leap seconds")
+    for theirs, to_gps in clocks.items():
+        for ours, of_cloud in clocks.items():
+            candidates.setdefault(to_gps - of_cloud, f"the trajectory in {theirs}, the cloud in {ours}")
+        if 0 <= middle_s <= _WEEK_S + 3600:
+            weeks = round((middle_s - first_s - to_gps) / _WEEK_S)
+            candidates.setdefault(
+                to_gps + weeks * _WEEK_S, f"the trajectory in {theirs}, the cloud in seconds of the GPS week"
+            )
+        if 0 <= first_s <= _WEEK_S + 3600:
+            weeks = round((middle_s + to_gps - first_s) / _WEEK_S)
+            candidates.setdefault(
+                weeks * _WEEK_S - to_gps, f"the trajectory in seconds of the GPS week, the cloud in {theirs}"
+            )
+    return candidates

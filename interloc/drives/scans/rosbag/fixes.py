@@ -9,9 +9,17 @@ import numpy as np
 from interloc.arrays import BoolArray, FloatArray, IntArray
 from interloc.drive import Georeference
 from interloc.drives.findings import Findings
-from interloc.drives.georeference.fixes import MIN_EXTENT_M, MIN_FIXES, Fixes, extent_m, georeference_from_fixes
+from interloc.drives.georeference.fixes import (
+    MIN_EXTENT_M,
+    MIN_FIXES,
+    Fixes,
+    Shift,
+    extent_m,
+    fit_shift,
+    georeference_from_fixes,
+    misfit_m,
+)
 from interloc.drives.georeference.geodetic import check_georeference, in_degrees
-from interloc.drives.georeference.shift import Shift, fit_shift, misfit_m
 from interloc.drives.scans.rosbag.bag import Bag, BagTopic
 from interloc.drives.scans.rosbag.messages import NO_FIX, read_fix
 from interloc.drives.scans.rosbag.motion import FrameTree, LidarMotion, latest_of_each

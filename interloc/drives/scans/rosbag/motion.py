@@ -12,7 +12,7 @@ import numpy as np
 from interloc.arrays import BoolArray, FloatArray, IntArray
 from interloc.drives.files import MAX_NUMBER
 from interloc.drives.findings import DriveFileError, Findings
-from interloc.drives.poses.timed import TimedPoses, rotations_from_quaternions
+from interloc.drives.poses.motion import TimedPoses, rotations_from_quaternions
 from interloc.drives.scans.rosbag.bag import Bag, BagTopic
 from interloc.drives.scans.rosbag.messages import TRANSFORMS, StampedPose, read_pose, read_transforms
 from interloc.drives.scans.rosbag.topics import clock_lead_s

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from interloc.arrays import Float32Array, StructuredArray, UInt32Array
-from interloc.drives.scans.point_times import TIME_FIELDS, point_times
+from interloc.drives.scans.deskewed import TIME_FIELDS, point_times
 from interloc.drives.scans.recorded import ScanPoints
 from interloc.drives.scans.rosbag.messages import Encoding, Header, Wire, WireError, read_header
 

@@ -13,8 +13,7 @@ from interloc.drives.findings import DriveFileError, Findings
 from interloc.drives.georeference.read import read_georeference
 from interloc.drives.layouts import DriveParts
 from interloc.drives.options import ODOMETRY, DriveOptions
-from interloc.drives.poses.motion import body_motion, longest_piece
-from interloc.drives.poses.timed import TimedPoses
+from interloc.drives.poses.motion import TimedPoses, body_motion, longest_piece
 from interloc.drives.scans.rosbag.bag import Bag, BagTopic
 from interloc.drives.scans.rosbag.fixes import BagFixes
 from interloc.drives.scans.rosbag.messages import TRANSFORMS

@@ -1,16 +1,19 @@
-"""Pose lines: 12 or 16 numbers, with or without the frame number in front."""
+"""Pose files: KITTI's lines of 12 or 16 numbers, with or without the frame number in front, and TUM's with a time."""
 
 from __future__ import annotations
 
 from array import array
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
 from interloc.arrays import FloatArray, IntArray
-from interloc.drives.files import MAX_NUMBER, SourceFile
+from interloc.drives.files import MAX_NUMBER, SourceFile, is_number
 from interloc.drives.layouts import INDEXED_LENGTHS
+from interloc.drives.poses.motion import TimedPoses, rotations_from_quaternions
+from interloc.geometry import rigid_transforms
 
 SEPARATED_BY_COMMAS = "numbers are separated by commas; spaces were expected. Usual cause: a CSV export."
 CUT_OFF = "a file cut off while it was written or copied, or a line edited by hand"
@@ -19,6 +22,18 @@ CUT_OFF = "a file cut off while it was written or copied, or a line edited by ha
 _LENGTHS = (12, 13, 16, 17)
 _ORTHONORMAL = 1e-3
 _MAX_FRAME = 10**15
+
+TUM_FIELDS = 8
+"""Numbers of a line: time x y z qx qy qz qw."""
+
+_SPLIT_FIELDS = 9
+"""Numbers of a line of the Newer College data set and others: sec nsec x y z qx qy qz qw."""
+
+_STAMPS_US, _STAMPS_NS = 1e14, 1e17
+"""Times from here on are microseconds and nanoseconds, not seconds, since 1970."""
+
+_OFF_UNIT = 1e-2
+_HEAD_BYTES = 65536
 
 
 @dataclass(frozen=True)
@@ -32,14 +47,7 @@ class PoseLines:
 
 
 def read_poses(file: SourceFile) -> PoseLines:
-    """Read and check pose lines.
-
-    Raises
-    ------
-    DriveError
-        A line has another count of numbers than 12, 13, 16 or 17 or than the first, a number is not finite or absurd,
-        a 3x3 part is not a rotation, or a frame number comes twice.
-    """
+    """Read and check pose lines."""
     if not file.path.exists():
         raise file.fault(
             "is missing. Expected one line of 12 numbers per scan: the pose of the camera (KITTI) or of the LiDAR "
@@ -79,18 +87,9 @@ def refuse_far(positions: FloatArray, lines: IntArray, file: SourceFile) -> None
 
 
 def orthonormalised(poses: FloatArray) -> tuple[FloatArray, int | None]:
-    """Bring nearly proper rotations to SO(3).
+    """Bring nearly proper rotations of (P, 4, 4) poses to SO(3).
 
-    Parameters
-    ----------
-    poses : (P, 4, 4) float64
-
-    Returns
-    -------
-    (P, 4, 4) float64
-        With the nearest proper rotations.
-    int or None
-        The first row whose rotation is further than 1e-3 from orthonormal, or mirrors; None where all are fine.
+    Returns also the first row whose rotation is further than 1e-3 from orthonormal, or mirrors; or None.
     """
     rotation = poses[:, :3, :3]
     gram = np.einsum("nji,njk->nik", rotation, rotation)
@@ -127,26 +126,9 @@ def read_rows(
 ) -> tuple[FloatArray, IntArray]:
     """Read the lines of numbers of a file of poses; blank lines and comments (#) are passed over.
 
-    Parameters
-    ----------
-    file : SourceFile
-    lengths : collection of int
-        How many numbers a line may hold; all hold as many as the first.
-    complain : callable
-        Says what is wrong with the fields of a line, given them and the length of the lines before (0: there are none).
-    plain : callable
-        Brings the lines to numbers separated by spaces.
-
-    Returns
-    -------
-    (P, L) float64
-    (P,) int64
-        Number of the line, from 1.
-
-    Raises
-    ------
-    DriveError
-        The file cannot be read, holds no such line, or a line holds something else.
+    All lines hold as many numbers as the first, one of `lengths`; `complain` says what is wrong with the fields of a
+    line, given them and the length of the lines before (0: there are none); `plain` brings lines to numbers separated
+    by spaces. Returns (P, L) float64 and the (P,) numbers of the lines, from 1.
     """
     texts = plain(file.lines())
     if (table := _plain_table(texts, lengths)) is not None:
@@ -211,3 +193,81 @@ def _split_frames(values: FloatArray, lines: IntArray, file: SourceFile) -> IntA
     if (counts > 1).any():
         raise file.fault(f"frame {unique[np.argmax(counts > 1)]} has two poses. Expected one per frame.")
     return frames
+
+
+def looks_like_tum(path: Path) -> bool:
+    """Return whether a file, by its first line that is neither blank nor a comment, holds poses of TUM."""
+    try:
+        with path.open("rb") as file:
+            return is_tum(file.read(_HEAD_BYTES))
+    except OSError:
+        return False
+
+
+def is_tum(head: bytes) -> bool:
+    """Return the same of the first bytes of a file."""
+    for line in _plain(head.decode("utf-8-sig", errors="replace").splitlines()):
+        fields = line.split()
+        if fields and not fields[0].startswith("#"):
+            split = len(fields) == _SPLIT_FIELDS and "." not in "".join(fields[:2])
+            return (len(fields) == TUM_FIELDS or split) and all(map(is_number, fields))
+    return False
+
+
+def _plain(lines: list[str]) -> list[str]:
+    """Write lines with spaces instead of commas, and a first line of column names as a comment."""
+    lines = [line.replace(",", " ") for line in lines]
+    first = next((row for row, line in enumerate(lines) if line.strip() and not line.lstrip().startswith("#")), None)
+    if first is not None and not any(map(is_number, lines[first].split())):
+        lines[first] = f"# {lines[first]}"
+    return lines
+
+
+def read_tum(file: SourceFile) -> TimedPoses:
+    """Read and check the lines ``time x y z qx qy qz qw`` of a file; lines that start with # are comments."""
+    if not file.path.exists():
+        raise file.fault("is missing. Expected one line per pose: time x y z qx qy qz qw (TUM).")
+    values, lines = read_rows(file, (TUM_FIELDS, _SPLIT_FIELDS), _tum_complaint, plain=_plain)
+    if values.shape[1] == _SPLIT_FIELDS:
+        values = np.column_stack([values[:, 0] + values[:, 1] * 1e-9, values[:, 2:]])
+    elif values[0, 0] > _STAMPS_US:
+        values = np.column_stack([values[:, 0] * (1e-6 if values[0, 0] < _STAMPS_NS else 1e-9), values[:, 1:]])
+    values, lines = _without_repetitions(values, lines, file)
+    refuse_far(values[:, 1:4], lines, file)
+    norm = np.linalg.norm(values[:, 4:], axis=1)
+    wrong = np.abs(norm - 1) > _OFF_UNIT
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        raise file.fault(
+            f"the quaternion is {norm[row]:.4g} long; expected 1. Expected time x y z qx qy qz qw. "
+            "Usual cause: another order of the columns, or angles instead of a quaternion.",
+            lines[row],
+        )
+    poses = rigid_transforms(rotations_from_quaternions(values[:, 4:]), values[:, 1:4])
+    return TimedPoses(values[:, 0].copy(), poses, file.name)
+
+
+def _without_repetitions(values: FloatArray, lines: IntArray, file: SourceFile) -> tuple[FloatArray, IntArray]:
+    """Leave out lines that repeat the one before; refuse times that do not ascend."""
+    repeated = (np.diff(values, axis=0) == 0).all(axis=1)
+    kept = np.concatenate([[True], ~repeated])
+    values, lines = values[kept], lines[kept]
+    steps = np.diff(values[:, 0])
+    if (steps <= 0).any():
+        row = int(np.argmax(steps <= 0)) + 1
+        before, after = values[row - 1, 0], values[row, 0]
+        what = "has the time of the line before, but another pose" if before == after else "runs backwards in time"
+        raise file.fault(
+            f"{what} ({before:.6f} s, then {after:.6f} s). Expected ascending times, in seconds. "
+            "Usual cause: two recordings in one file, or times written with too few digits.",
+            lines[row],
+        )
+    return values, lines
+
+
+def _tum_complaint(fields: list[str], length: int) -> str:
+    """Return what is wrong with the count of numbers in a line (all lines before are of the one length)."""
+    usual = CUT_OFF
+    if len(fields) in {12, 13, 16, 17} and not length:
+        usual = "poses as matrices (KITTI), which are read under their own format"
+    return f"{len(fields)} numbers; expected {TUM_FIELDS}: time x y z qx qy qz qw (TUM). Usual cause: {usual}."

@@ -1,20 +1,17 @@
-"""The range image of a scan, and what a network is given of it."""
+"""The range image of a scan, what a network is given of it, and classes of points from classes of pixels."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from interloc.arrays import BoolArray, Float32Array, Int32Array
+from interloc.arrays import BoolArray, Float32Array, Int32Array, UInt8Array
+from interloc.kernels.neighbours import vote_of_neighbours
 from interloc.kernels.projection import fill_image, normalise_image, project_points
 
 CHANNELS = ("range", "x", "y", "z", "remission", "mask")
 """What a network can be given, in the order of the range image; the mask is 1 where a pixel has a point."""
-
-_SCALES = (1.0, 255.0, 65535.0)
-_TOLERANCE = 1.5
 
 
 @dataclass(frozen=True)
@@ -87,33 +84,65 @@ def normalise(
     return normalise_image(image, projection.index, rows, np.array(means, np.float32), np.array(stds, np.float32))
 
 
-def remission_scale(values: ArrayLike) -> float:
-    """Guess what remission has to be divided by.
+@dataclass(frozen=True)
+class KnnSettings:
+    """How neighbours vote (``post.KNN.params`` of arch_cfg.yaml)."""
 
-    A network of the family that is given 0..255 instead of 0..1 finds no road at all. To be decided once per drive,
-    from some of its scans: a single scan may be dark.
+    neighbours: int = 5
+    """How many vote (`knn`)."""
+    search: int = 5
+    """Side of the window in which they are looked for, pixels, odd."""
+    sigma: float = 1.0
+    """Standard deviation of the Gaussian that prefers pixels close by, pixels."""
+    cutoff: float = 1.0
+    """Neighbours whose weighted difference of range is larger do not vote, metres; 0 for no limit."""
+
+
+def window_weights(search: int, sigma: float) -> Float32Array:
+    """Return the (search, search) float32 factors of differences of range: 1 less a Gaussian of sum 1."""
+    away = np.arange(search) - search // 2
+    gaussian = np.exp(-(away**2) / (2 * sigma**2))
+    window = np.outer(gaussian, gaussian)
+    weights: Float32Array = (1 - window / window.sum()).astype(np.float32)
+    return weights
+
+
+def vote(classes: UInt8Array, projection: Projection, settings: KnnSettings, *, first_class: int = 1) -> UInt8Array:
+    """Let the nearest neighbours of every point in the range image vote on its class (RangeNet++, section III-D).
+
+    Points behind the nearest one of their pixel would else inherit its class: the wall behind a pole would be pole.
 
     Parameters
     ----------
-    values : array of float
-        Remission (intensity, reflectivity) of some scans; what is not finite does not count.
+    classes : (H, W) uint8
+        Of the pixels.
+    projection
+    settings
+    first_class : int
+        Lower classes have no vote: 1 where class 0 means "no class", as published.
 
     Returns
     -------
-    float
-        1.0, 255.0 or 65535.0: the smallest scale that holds all but the brightest 0.1 % of the values, which may be
-        single wrong ones. 1.0 too where there are no values, or only zeros (then remission is missing).
-
-    Notes
-    -----
-    The scales are [0, 1] (KITTI, SemanticKITTI, KITTI-360), 8 bits (Velodyne, Hesai, RoboSense, Livox, nuScenes) and
-    16 bits (Ouster's signal, LAS). Values of the first may exceed 1 by half: no sensor of 8 bits is that dark.
+    (N,) uint8
+        Of the points; 0 for points without a pixel. What differs from the published code stands at
+        `interloc.kernels.neighbours.vote_of_neighbours`.
     """
-    array = np.asarray(values, dtype=np.float64).ravel()
-    array = array[np.isfinite(array)]
-    if not array.size:
-        return _SCALES[0]
-    high = float(np.quantile(array, 0.999, method="lower"))
-    if high <= _TOLERANCE:
-        return _SCALES[0]
-    return _SCALES[1] if high <= _SCALES[1] else _SCALES[2]
+    weights = window_weights(settings.search, settings.sigma)
+    cutoff = np.float32(settings.cutoff)
+    limit = float(np.nextafter(cutoff, np.float32(np.inf))) if cutoff > 0 else np.inf
+    return vote_of_neighbours(
+        classes,
+        projection.index,
+        projection.pixel,
+        projection.depth,
+        weights,
+        settings.neighbours,
+        limit,
+        first_class,
+    )
+
+
+def by_pixel(classes: UInt8Array, projection: Projection) -> UInt8Array:
+    """Return the (N,) uint8 class of the pixel of every point; 0 for points without a pixel."""
+    found: UInt8Array = classes.reshape(-1)[projection.pixel]
+    return np.where(projection.pixel < 0, np.uint8(0), found)

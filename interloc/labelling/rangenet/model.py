@@ -1,19 +1,22 @@
-"""Models: folders that hold a network and the settings that it was trained with."""
+"""Models: folders that hold a network and the settings that it was trained with; nothing in them is trusted."""
 
 from __future__ import annotations
 
 import hashlib
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
+from typing import Annotated, Any, Generic, TypeVar
 
-from interloc.errors import ModelError
+from pydantic import BeforeValidator, Field, StrictBool, StrictStr, TypeAdapter, ValidationError
+
+from interloc.errors import ModelError, install
 from interloc.files import reason_of
-from interloc.labelling.graph import Expected, GraphForm, match_graph
-from interloc.labelling.neighbours import KnnSettings
-from interloc.labelling.network import describe_graph
-from interloc.labelling.projection import CHANNELS
-from interloc.labelling.settings import FLAG, WORDS, SettingsFile, number, numbers, read_settings, table, whole
+from interloc.labelling.networks import ModelDescription
+from interloc.labelling.rangenet.graph import Expected, GraphForm, describe_graph, match_graph
+from interloc.labelling.rangenet.image import CHANNELS, KnnSettings
 
 GRAPH, ARCH, DATA = "model.onnx", "arch_cfg.yaml", "data_cfg.yaml"
 
@@ -21,8 +24,6 @@ MAX_HEIGHT, MAX_WIDTH, MAX_PIXELS = 1024, 16384, 1 << 22
 MAX_CLASSES = 256
 MAX_SEARCH = 31
 MAX_GRAPH_BYTES = 2 << 30
-MAX_MODELS = 1000
-"""Sub-folders that are looked at."""
 
 PUBLISHED = ("range", "x", "y", "z", "remission")
 """Order of the channels, and of their means and standard deviations, where the settings name none."""
@@ -72,24 +73,6 @@ class Model:
 
 
 @dataclass(frozen=True)
-class ModelDescription:
-    """A model in a list: what can be told without loading its network."""
-
-    name: str
-    """Of the folder."""
-    problem: str | None = None
-    """Why it cannot be used; everything else is then as far as it is known."""
-    bytes: int | None = None
-    """Size of the network on disk."""
-    height: int | None = None
-    width: int | None = None
-    classes: int | None = None
-    """Of the range image, and how many classes there are."""
-    identity: str | None = None
-    """As `Model.identity`."""
-
-
-@dataclass(frozen=True)
 class _Sensor:
     """The image, of arch_cfg.yaml."""
 
@@ -108,13 +91,6 @@ def read_model(folder: str | Path) -> Model:
         Holds `model.onnx`, `arch_cfg.yaml` (sensor, image, normalisation, post-processing) and `data_cfg.yaml`
         (classes). Where the input of the network is not range, x, y, z, remission, arch_cfg.yaml lists its channels
         under ``dataset.sensor.channels``; `img_means` and `img_stds` are then in that order.
-
-    Raises
-    ------
-    ModelError
-        A file is missing, damaged or too large, a field is missing or has no meaning, the graph does not fit the
-        settings, or onnxruntime or PyYAML is not installed. Names the file, the field, what the graph has and what was
-        expected.
     """
     folder = Path(folder)
     _check_files(folder)
@@ -156,47 +132,21 @@ def read_model(folder: str | Path) -> Model:
     )
 
 
-def describe_models(folder: str | Path) -> list[ModelDescription]:
-    """List the models of a folder, sorted by name, without loading their networks.
+def describe(folder: Path) -> ModelDescription | None:
+    """Tell what can be told of a model without loading its network; None where a folder holds no file of one.
 
-    Parameters
-    ----------
-    folder
-        Its sub-folders that hold any of the three files of a model are listed, broken ones with the reason.
-
-    Returns
-    -------
-    list of ModelDescription
-        Whether a graph fits its settings is found out by `read_model`, which takes a second or more.
-
-    Raises
-    ------
-    ModelError
-        The folder cannot be read.
+    Whether a graph fits its settings is found out by `read_model`, which takes a second or more.
     """
-    folder = Path(folder)
-    try:
-        names = sorted(entry.name for entry in folder.iterdir() if entry.is_dir() and not entry.name.startswith("."))
-    except OSError as error:
-        raise ModelError(f"{folder}, the folder of the models, cannot be read: {reason_of(error)}.") from error
-    candidates = [folder / name for name in names[:MAX_MODELS]]
-    return [_describe(each) for each in candidates if any((each / name).exists() for name in (GRAPH, ARCH, DATA))]
-
-
-def _describe(folder: Path) -> ModelDescription:
+    if not any((folder / name).exists() for name in (GRAPH, ARCH, DATA)):
+        return None
     try:
         _check_files(folder)
         arch, data = read_settings(folder / ARCH), read_settings(folder / DATA)
         sensor, (class_ids, _) = _read_sensor(arch), _read_classes(data)
         _read_knn(arch, sensor)
-        return ModelDescription(
-            name=folder.name,
-            bytes=sum(path.stat().st_size for path in _graph_files(folder)),
-            height=sensor.height,
-            width=sensor.width,
-            classes=len(class_ids),
-            identity=_identity(folder),
-        )
+        size = sum(path.stat().st_size for path in _graph_files(folder))
+        identity = _identity(folder)
+        return ModelDescription(folder.name, None, size, sensor.height, sensor.width, len(class_ids), identity)
     except ModelError as error:
         return ModelDescription(folder.name, problem=str(error))
     except OSError as error:
@@ -353,3 +303,163 @@ def _identity(folder: Path) -> str:
                 file.seek(max(size - _SAMPLE_BYTES, 0) * sample // (_SAMPLES - 1))
                 digest.update(file.read(_SAMPLE_BYTES))
     return digest.hexdigest()
+
+
+# Settings from YAML
+
+
+MAX_BYTES = 64 * 1024
+"""Of a file of settings; published ones have 3 to 6 KB."""
+
+MAX_DEPTH = 20
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Kind(Generic[T]):
+    """What a field must be."""
+
+    type: Any
+    """Of pydantic."""
+    expected: str
+    """How messages call it."""
+    each: str = ""
+    """How they call a part of it, where it is a list or a table."""
+
+
+def _no_flag(value: Any) -> Any:  # noqa: ANN401 - whatever the file says
+    if isinstance(value, bool):
+        raise ValueError("a flag is no number")  # noqa: TRY004 - pydantic turns it into its own error
+    return value
+
+
+@cache
+def whole(lowest: int, highest: int) -> Kind[int]:
+    """Return the kind of whole numbers within bounds."""
+    bounded = Annotated[int, Field(ge=lowest, le=highest), BeforeValidator(_no_flag)]
+    return Kind(bounded, f"a whole number from {lowest:,} to {highest:,}")
+
+
+@cache
+def number(lowest: float, highest: float) -> Kind[float]:
+    """Return the kind of numbers within bounds; to YAML, 1e-3 is a word."""
+    bounded = Annotated[float, Field(ge=lowest, le=highest, allow_inf_nan=False), BeforeValidator(_no_flag)]
+    return Kind(bounded, f"a number from {lowest:g} to {highest:g}")
+
+
+def numbers(lowest: float, highest: float) -> Kind[list[float]]:
+    """Return the kind of lists of numbers within bounds."""
+    each = number(lowest, highest)
+    return Kind(list[each.type], "a list of numbers", each.expected)  # type: ignore[name-defined]
+
+
+def table(highest_key: int, highest_value: int) -> Kind[dict[int, int]]:
+    """Return the kind of tables from whole numbers to whole numbers, both from 0 on."""
+    key, value = whole(0, highest_key), whole(0, highest_value)
+    rows = Annotated[dict[key.type, value.type], Field(min_length=1)]  # type: ignore[name-defined]
+    return Kind(rows, "a table of ids (0: 0, 1: 10, ...)", value.expected)
+
+
+FLAG: Kind[bool] = Kind(StrictBool, "true or false")
+WORDS: Kind[list[str]] = Kind(list[StrictStr], "a list of words", "a word")
+
+
+@dataclass(frozen=True)
+class SettingsFile:
+    """What stands in a YAML file, asked for field by field."""
+
+    path: Path
+    values: dict[Any, Any]
+    """As parsed."""
+
+    def find(self, field: str) -> Any:  # noqa: ANN401 - whatever the file says
+        """Return what stands in a field such as ``post.KNN.use``; None where it is missing or empty."""
+        value: Any = self.values
+        for name in field.split("."):
+            value = value.get(int(name) if name.isdigit() else name) if isinstance(value, dict) else None
+        return value
+
+    def read(self, field: str, kind: Kind[T], default: T | None = None) -> T:
+        """Return a field of a kind."""
+        value = self.find(field)
+        if value is None and default is not None:
+            return default
+        if value is None:
+            raise self.fault(
+                field,
+                f"is missing; expected {kind.expected}. Usual cause: a file of another kind "
+                "(arch_cfg.yaml describes the sensor and the image, data_cfg.yaml the classes).",
+            )
+        try:
+            found: T = TypeAdapter(kind.type).validate_python(value)
+        except ValidationError as error:
+            wrong = error.errors(include_url=False)[0]
+            at, expected = wrong["loc"], kind.each if wrong["loc"] else kind.expected
+            if at:
+                field += ", a key" if at[-1] == "[key]" else f"[{at[0]}]"
+            raise self.fault(field, f"{_shown(wrong['input'])}; expected {expected}.") from None
+        return found
+
+    def fault(self, field: str, message: str) -> ModelError:
+        """Return the error to raise about a field: what was found, what was expected, the usual mistake."""
+        return ModelError(f"{self.path}: {field}: {message}")
+
+
+def read_settings(path: Path) -> SettingsFile:
+    """Read a YAML file of settings."""
+    try:
+        import yaml  # noqa: PLC0415 - an extra
+    except ImportError as error:
+        raise ModelError(f"labels by a network need PyYAML, which is not installed: {install('label')}") from error
+
+    data = _read_bytes(path)
+    try:
+        _check_structure(path, yaml.parse(data, yaml.SafeLoader), yaml)
+        values = yaml.safe_load(data)
+    except (yaml.YAMLError, ValueError, OverflowError, TypeError, AttributeError, KeyError, IndexError) as error:
+        raise ModelError(f"{path} is not YAML that can be read: {' '.join(str(error).split())[:300]}") from None
+    if not isinstance(values, dict):
+        raise ModelError(f"{path}: expected a table of settings (name: value); {_shown(values)}.")
+    return SettingsFile(path, values)
+
+
+def _check_structure(path: Path, events: Iterator[Any], yaml: Any) -> None:  # noqa: ANN401 - a module without types
+    """Refuse, before anything is made of it, what could unfold or take very long."""
+    depth = 0
+    for event in events:
+        if isinstance(event, yaml.events.AliasEvent):
+            raise ModelError(f"{path} uses aliases (*name), which can unfold without bounds. Write the values out.")
+        depth += isinstance(event, yaml.events.CollectionStartEvent) - isinstance(event, yaml.events.CollectionEndEvent)
+        if depth > MAX_DEPTH:
+            raise ModelError(f"{path} is nested more than {MAX_DEPTH} deep, which no file of settings is.")
+
+
+def _read_bytes(path: Path) -> bytes:
+    try:
+        if path.exists() and not path.is_file():
+            raise ModelError(f"{path} is a folder, pipe or device; a file of settings was expected.")
+        with path.open("rb") as file:
+            data = file.read(MAX_BYTES + 1)
+    except FileNotFoundError:
+        raise ModelError(
+            f"{path} is missing. A model is a folder with model.onnx, arch_cfg.yaml and data_cfg.yaml, as the "
+            "RangeNet++ / lidar-bonnetal family publishes it."
+        ) from None
+    except OSError as error:
+        raise ModelError(f"{path} cannot be read: {reason_of(error)}.") from error
+    if len(data) > MAX_BYTES:
+        raise ModelError(f"{path} is larger than {MAX_BYTES // 1024} KB; settings of a model have a few KB.")
+    return data
+
+
+def _shown(value: object) -> str:
+    """Return a value as messages show it, shortened."""
+    if isinstance(value, int) and not isinstance(value, bool) and value.bit_length() > 64:
+        return "a number of many digits"
+    text = (
+        repr(value)
+        if not isinstance(value, list | dict) or len(value) <= 8
+        else f"{type(value).__name__} of {len(value)}"
+    )
+    return f"found {text if len(text) <= 60 else text[:57] + '...'}"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from pathlib import Path
 from threading import Lock
 from typing import Any
 
@@ -10,10 +11,9 @@ import numpy as np
 
 from interloc.arrays import Float32Array, UInt32Array
 from interloc.errors import ConfigError, ModelError
-from interloc.labelling.model import Model
-from interloc.labelling.neighbours import by_pixel, vote
-from interloc.labelling.network import Network
-from interloc.labelling.projection import normalise, project, range_image
+from interloc.labelling.rangenet.graph import Network
+from interloc.labelling.rangenet.image import by_pixel, normalise, project, range_image, vote
+from interloc.labelling.rangenet.model import Model, read_model
 from interloc.processes import cores
 from interloc.stopwatch import Stopwatch
 
@@ -60,6 +60,21 @@ class Labeller:
         self._network: Network | None = None
         self._process = 0
         self._lock = Lock()
+
+    @property
+    def name(self) -> str:
+        """Name of the network."""
+        return self.model.name
+
+    @property
+    def identity(self) -> str:
+        """The same for the same files of a model."""
+        return self.model.identity
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was assumed of the network."""
+        return self.model.notes
 
     def load(self) -> None:
         """Load the network, where this process has not done so yet: to have what is wrong with it reported early.
@@ -143,3 +158,8 @@ def _checked(points: Float32Array) -> Float32Array:
     if points.ndim != 2 or points.shape[1] != 4:
         raise ModelError(f"points of shape {points.shape} are no scan; expected (N, 4): x, y, z and remission.")
     return np.ascontiguousarray(points, np.float32)
+
+
+def open_labeller(folder: Path, provider: str, threads: int | None) -> Labeller:
+    """Read the model of a folder; its network is loaded when it is needed."""
+    return Labeller(read_model(folder), provider, threads)
