@@ -33,27 +33,18 @@ _MIN_KEYFRAMES_PER_PROCESS = 400  # keyframes for each process: fewer are done b
 
 @dataclass(frozen=True)
 class RangeResult:
-    """What one process found in its range of keyframes.
-
-    Attributes
-    ----------
-    start : int
-        Number of the first keyframe of the range.
-    detections : list of KeyframeDetections
-        One for each keyframe of the range.
-    seconds : dict of str to float
-        Time spent in each step.
-    peak_memory_bytes : int
-        Of the process so far.
-    road : tuple of RoadPatch
-        The road around the keyframes of the range that `patch_keyframes` names.
-    """
+    """What one process found in its range of keyframes."""
 
     start: int
+    """Number of the first keyframe of the range."""
     detections: list[KeyframeDetections]
+    """One for each keyframe of the range."""
     seconds: dict[str, float]
+    """Seconds spent in each step."""
     peak_memory_bytes: int
+    """Of the process so far."""
     road: tuple[RoadPatch, ...] = ()
+    """The road around the keyframes of the range that `patch_keyframes` names."""
 
 
 FindRange = Callable[[Drive, IntArray, int, int, DetectorConfig, Progress | None], RangeResult]

@@ -27,26 +27,17 @@ DRIVABLE_OR_SERVICE = DRIVABLE | {"service"}
 
 @dataclass(frozen=True)
 class IntersectionNodes:
-    """The N ground truth intersections of a map under a policy.
-
-    Attributes
-    ----------
-    policy : Policy
-    osm_id : (N,) int64
-        Node ids; of a consolidated intersection, the smallest of its nodes.
-    lonlat : (N, 2) float64
-        Longitude, latitude, degrees.
-    degree : (N,) int64
-        Distinct neighbours; of a consolidated intersection, those outside it.
-    tolerance_m : float or None
-        Radius of the merging, metres; None under all policies but `consolidated`.
-    """
+    """The N ground truth intersections of a map under a policy."""
 
     policy: Policy
     osm_id: IntArray
+    """(N,) int64: node ids; of a consolidated intersection, the smallest of its nodes."""
     lonlat: FloatArray
+    """(N, 2) float64: longitude, latitude, degrees."""
     degree: IntArray
+    """(N,) int64: distinct neighbours; of a consolidated intersection, those outside it."""
     tolerance_m: float | None = None
+    """Radius of the merging, metres; None under all policies but `consolidated`."""
 
     def __len__(self) -> int:
         return len(self.osm_id)
