@@ -28,7 +28,7 @@ class Ways:
     highway: tuple[str, ...]
     """W values of the tag `highway`."""
     name: tuple[str, ...]
-    """W names: else the reference number, else ""."""
+    """W names, else reference numbers, else ""."""
     is_area: BoolArray
     """(W,) bool: true where the way outlines a square (area=yes), not a line to drive along."""
     layer: IntArray | None = None

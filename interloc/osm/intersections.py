@@ -56,28 +56,9 @@ def road_ways(graph: RoadGraph, policy: Policy) -> BoolArray:
 def intersection_nodes(graph: RoadGraph, policy: Policy = "drive", tolerance_m: float = 15.0) -> IntersectionNodes:
     """Find the ground truth intersections: nodes with at least three distinct neighbours along roads.
 
-    Parameters
-    ----------
-    graph
-        Roads of the map.
-    policy
-        What counts; see `interloc.osm.policies`.
-    tolerance_m
-        Radius of the merging under policy `consolidated`; see `consolidate`.
-
-    Returns
-    -------
-    IntersectionNodes
-        Only nodes within the bounds of the map: beyond them the crossing roads may be missing.
-
-    Raises
-    ------
-    ConfigError
-        The policy is unknown, or the tolerance is not positive.
-
-    Notes
-    -----
-    Paper, section V-A: "graph nodes with at least three connected edges".
+    Only nodes within the bounds of the map: beyond them the crossing roads may be missing. The tolerance is the radius
+    of the merging under policy `consolidated`, metres. Paper, section V-A: "graph nodes with at least three connected
+    edges".
     """
     if policy not in POLICIES:
         raise ConfigError(f"policy {policy!r} is unknown. Expected one of: {', '.join(POLICIES)}.")
