@@ -1,4 +1,4 @@
-"""What all parts of the service share: settings, database, storage, tokens, metrics, the reserve, and signals."""
+"""What all parts of the service share: settings, database, storage, tokens, metrics, and signals."""
 
 from __future__ import annotations
 
@@ -16,13 +16,9 @@ from app.settings import SQLITE_FILE, Settings
 from app.store.database import Database
 from app.store.installation import FILE as INSTALLATION
 from app.store.installation import bind, mark_folder, refuse_lost_database
-from app.store.reserve import Bookings, Reserve
-from app.store.storage import Storage
+from app.store.storage import Bookings, Storage
 from app.store.tokens import TokenBook
 from interloc.errors import ConfigError, OutputError
-
-RESTORING = "restoring.json"
-"""File of a data folder into which a backup is being restored."""
 
 
 @dataclass(frozen=True)
@@ -34,8 +30,6 @@ class Context:
     storage: Storage
     tokens: TokenBook
     metrics: Metrics
-    reserve: Reserve
-    """Disk space that is given up when there is no other."""
     stopping: threading.Event = field(default_factory=threading.Event)
     """Set when the server begins to stop: streams and waits that would go on must end."""
     jobs_changed: threading.Event = field(default_factory=threading.Event)
@@ -50,16 +44,15 @@ class Context:
     """Disk space for bodies under way."""
 
     @classmethod
-    def open(cls, settings: Settings, *, bound: bool = True) -> Context:
+    def open(cls, settings: Settings) -> Context:
         """Open database and storage, as `open_database` does."""
-        database = open_database(settings, bound=bound)
-        reserve = reserve_of(settings)
+        database = open_database(settings)
         storage = Storage(settings.data_dir)
-        database.disk_is_full, database.check_place = reserve.give_up, storage.check
-        return cls(settings, database, storage, TokenBook(database, settings), Metrics(), reserve)
+        database.check_place = storage.check
+        return cls(settings, database, storage, TokenBook(database, settings), Metrics())
 
     @classmethod
-    def open_existing(cls, settings: Settings, *, bound: bool = True) -> Context:
+    def open_existing(cls, settings: Settings) -> Context:
         """Open a service that is there already: for its operator, whose mistyped folder must not become a new one.
 
         Raises
@@ -74,7 +67,7 @@ class Context:
                 f"the folder {settings.data_dir} holds no drives of a service. --data-dir (INTERLOC_DATA_DIR) and "
                 "INTERLOC_DATABASE_URL must be those that the service runs with."
             )
-        return cls.open(settings, bound=bound)
+        return cls.open(settings)
 
     def close(self) -> None:
         """Close database and storage."""
@@ -82,18 +75,11 @@ class Context:
         self.storage.close()
 
 
-def open_database(settings: Settings, *, bound: bool = True) -> Database:
+def open_database(settings: Settings) -> Database:
     """Create the data folder where it is missing, bring the database up to date, see that the two belong together.
-
-    Parameters
-    ----------
-    bound
-        False opens them even if they do not belong together, to bind them.
 
     Raises
     ------
-    ConfigError
-        A backup is being restored into the data folder.
     OutputError
         The data folder cannot be written.
     InterLocError
@@ -101,35 +87,18 @@ def open_database(settings: Settings, *, bound: bool = True) -> Database:
     InstallationError
         Data folder and database do not belong together; neither was changed.
     """
-    _refuse_half_restored(settings.data_dir)
     _check_writable(settings.data_dir)
     folder = Path(os.path.realpath(settings.data_dir))
-    reserve_of(settings).give_up_if_full()  # bringing the tables up to date needs some space
     database = Database(settings.sqlalchemy_url)
     ids: list[str] = []
     try:
-        if bound:
-            refuse_lost_database(database, folder)
-        database.upgrade((lambda session: ids.append(bind(session, database, folder))) if bound else None)
-        for id_ in ids:
-            mark_folder(folder, id_)
+        refuse_lost_database(database, folder)
+        database.upgrade(lambda session: ids.append(bind(session, database, folder)))
+        mark_folder(folder, ids[0])
     except BaseException:
         database.close()
         raise
     return database
-
-
-def _refuse_half_restored(folder: Path) -> None:
-    if (folder / RESTORING).exists():
-        raise ConfigError(
-            f"a backup is being restored into the data folder {folder}, and that has not ended. Run the same "
-            "`interloc restore` again: it goes on where it stopped."
-        )
-
-
-def reserve_of(settings: Settings) -> Reserve:
-    """Return the reserve of disk space that the settings ask for."""
-    return Reserve(settings.data_dir, settings.disk_reserve_bytes, settings.min_free_bytes)
 
 
 def _check_writable(folder: Path) -> None:

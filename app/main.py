@@ -13,9 +13,7 @@ from app import system
 from app.context import Context
 from app.demo import routes as demo
 from app.drives.finish import finish_drive
-from app.drives.reconcile import reconcile_all
 from app.drives.routes import archive, commit, drives, files, scans
-from app.http.limits import make_room_to_delete
 from app.http.middleware import add_middleware
 from app.http.openapi import DESCRIPTION, TAGS, Description, operation_id, problems
 from app.http.parameters import refuse_unknown_parameters
@@ -58,7 +56,7 @@ def _assemble() -> APIRouter:
     )
     of_drives = (drives, overview, files, scans, archive, commit, demo, networks)
     of_jobs = (jobs, results, keyframes, road, exports, compare)
-    shared = [Depends(client_of), Depends(refuse_unknown_parameters), Depends(make_room_to_delete)]
+    shared = [Depends(client_of), Depends(refuse_unknown_parameters)]
     for module in (*of_drives, *of_jobs, live, maps, queue, trash):
         router.include_router(module.router, prefix=API, dependencies=shared)
     for more in (ogc.of_job, ogc.of_map, trash.of_items):
@@ -94,7 +92,6 @@ def create_app(settings: Settings | None = None, context: Context | None = None)
             opened = context or Context.open(settings)
             parts.context = opened
             await run_in_threadpool(opened.storage.incoming)  # its lock shows that a server is at work here
-            await run_in_threadpool(reconcile_all, opened)  # before the first request: what a kill has left apart
             await run_in_threadpool(make_server_map, opened)
             parts.runner = runner = Runner(opened, finish_drive=finish_drive, index_result=index_result)
             parts.watcher = JobWatcher(opened)

@@ -20,12 +20,12 @@ from app.store.storage import Storage
 CONTENT_TYPE = "text/plain; version=0.0.4; charset=utf-8"
 
 _BUCKETS_S = (0.002, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1, 2.5, 5, 10, 30, 60, 300)
-Removal = Literal["deleted", "expired", "purged", "reduced", "incoming", "archive", "lost"]
-"""Why something was removed or set aside."""
+Removal = Literal["deleted", "expired", "purged", "reduced", "incoming", "archive", "unknown"]
+"""Why something was removed or, for `expired`, went to the trash."""
 
 _REMOVALS = (
     "Removed: deleted (files, by clients), purged (from the trash), reduced (raw files of ready drives), incoming (of "
-    "dead servers), archive (unpacked). Set aside: expired (uploads, to the trash), lost (unknown, to lost+found)."
+    "dead servers), archive (unpacked), unknown (without a row, and empty). To the trash: expired (uploads)."
 )
 _RECENT = 200  # jobs whose stages are summed up
 
@@ -49,7 +49,9 @@ class Metrics:
         self.listeners = Gauge("interloc_event_listeners", "Streams of events that are open.", registry=self.registry)
         self.worker_restarts = counter("interloc_worker_restarts", "Worker processes that died and were replaced.")
         self._removals = counter("interloc_removals", _REMOVALS, ("reason",))
-        self._removed = counter("interloc_removed_bytes", "Bytes of what was removed or set aside.", ("reason",))
+        self._removed = counter(
+            "interloc_removed_bytes", "Bytes of what was removed or went to the trash.", ("reason",)
+        )
         self.webhooks = counter("interloc_webhooks", "Calls of subscribers, by outcome.", ("outcome",))
         refused = "Requests refused for their token: unknown, too many, expired, read only."
         self.refused_tokens = counter("interloc_refused_tokens", refused, ("reason",))

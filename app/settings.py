@@ -125,11 +125,6 @@ class Settings(BaseSettings):
     )
     max_drive_files: int = Field(200_000, ge=1, description="Maximum number of files of a drive.")
     min_free_bytes: int = Field(1 * GB, ge=0, description="Free disk space below which no upload and no job begins.")
-    disk_reserve_bytes: int = Field(
-        16 * MB,
-        ge=0,
-        description="Size of a file that is given up when the disk is full, so that deleting still works; 0 for none.",
-    )
     max_queued_jobs: int = Field(100, ge=1, description="Maximum number of jobs of one client that wait or run.")
     trash_h: float = Field(
         72.0,

@@ -3,16 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
+from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from app.context import Context
 from app.drives.models import CommitRequest, DriveModel, DriveOptionsModel
-from app.drives.reconcile import reconcile
-from app.drives.records import drive_model, find_drive, lock_drive
+from app.drives.records import drive_model, files_key, find_drive, lock_drive, remove_empty
 from app.http.limits import check_free_space, job_limit
-from app.http.problem_types import ARCHIVE_IS_BEING_UNPACKED, DRIVE_IS_BEING_CHECKED, DRIVE_IS_CLOSED, DRIVE_NOT_USABLE
+from app.http.problem_types import (
+    ARCHIVE_IS_BEING_UNPACKED,
+    DRIVE_IS_BEING_CHECKED,
+    DRIVE_IS_CLOSED,
+    DRIVE_NOT_USABLE,
+)
 from app.http.problems import Problem
 from app.jobs.failures import raise_failure
 from app.jobs.queue import active_job, submit
@@ -20,7 +26,7 @@ from app.jobs.webhooks import check_subscriber
 from app.networks import work as models
 from app.states import DriveState, JobKind
 from app.store.database import Database
-from app.store.models import Drive, Job
+from app.store.models import Drive, DriveFile, Job
 from app.work.documents import CommitJob, CommitOutcome
 from interloc.drives.inspect import DriveReport
 
@@ -32,10 +38,12 @@ def begin_commit(context: Context, drive_id: str, owner: str, request: CommitReq
     ------
     Problem
         404: no such drive. 409: an archive is still being unpacked, or the drive was or is being committed otherwise.
+        422: files that are listed are no longer on the disk.
         429: too many checks of this client wait. 507: the disk is full.
     """
     check_free_space(context, 0)
-    reconcile(context, drive_id)  # what is checked is what is listed, also after a server was killed
+    root = context.storage.folder(files_key(drive_id))
+    found = {path.relative_to(root).as_posix() for path in root.rglob("*") if path.is_file()}
     with context.database.writing() as session:
         drive = lock_drive(session, drive_id)
         if drive.state == DriveState.READY:
@@ -54,6 +62,7 @@ def begin_commit(context: Context, drive_id: str, owner: str, request: CommitReq
                 f"GET /api/v1/jobs/{unpacking.id} shows that it has ended.",
                 headers={"Retry-After": "5"},
             )
+        _compare_files(session, drive, root, found)
         if request.options is not None:
             drive.options = {**_options_of(drive), **_given(request)}
             if (model := drive.options.get("model")) is not None:
@@ -67,6 +76,22 @@ def begin_commit(context: Context, drive_id: str, owner: str, request: CommitReq
         )
     context.jobs_changed.set()
     return job
+
+
+def _compare_files(session: Session, drive: Drive, root: Path, found: set[str]) -> None:
+    """Remove files that no row lists, of uploads that were cut off; refuse (422) a drive that lacks files it lists."""
+    listed = set(session.scalars(select(DriveFile.path).where(DriveFile.drive_id == drive.id)))
+    for path in found - listed:
+        (root / path).unlink(missing_ok=True)
+        remove_empty((root / path).parent, root)
+    gone = sorted(path for path in listed - found if not (root / path).is_file())  # some have come meanwhile
+    if gone:
+        more = f" and {len(gone) - 1:,} more" if len(gone) > 1 else ""
+        raise Problem(
+            DRIVE_NOT_USABLE,
+            f"{gone[0]}{more}: listed, but no longer on the disk of the service. Send what is missing again (PUT), or "
+            "DELETE it; the operator finds all of it with `interloc check`.",
+        )
 
 
 def _options_of(drive: Drive) -> dict[str, Any]:

@@ -8,7 +8,7 @@ import secrets
 from contextlib import suppress
 from pathlib import Path
 
-from sqlalchemy import event, select
+from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from app.context import Context
@@ -19,7 +19,6 @@ from app.http.intake import Arrival
 from app.http.limits import check_quota
 from app.http.problems import Problem
 from app.states import DriveState, JobKind, JobState
-from app.store import sidecars
 from app.store.database import afterwards
 from app.store.incoming import size_of
 from app.store.models import Drive, DriveFile, Job
@@ -61,10 +60,6 @@ def finish_drive(session: Session, context: Context, job: Job, outcome: Outcome 
     job_id, drive_id, keep_raw, state = job.id, drive.id, drive.keep_raw, drive.state
     archive = UnpackJob.model_validate(job.request).archive if job.kind == JobKind.UNPACK else None
 
-    def write_sidecar(_session: Session) -> None:
-        with suppress(OSError):  # the clean-up writes what is missing
-            sidecars.write(context.storage, drive)
-
     def tidy() -> None:
         try:
             context.storage.delete(f"jobs/{job_id}/result")  # its contents were moved into the drive
@@ -75,7 +70,6 @@ def finish_drive(session: Session, context: Context, job: Job, outcome: Outcome 
         except OSError:  # the clean-up tries again
             _log.exception("drive %s: not all could be tidied up", drive_id)
 
-    event.listen(session, "after_commit", write_sidecar, once=True)
     afterwards(session, tidy)  # thousands of files, and it waits for the disk
 
 

@@ -36,7 +36,6 @@ from app.jobs.queue import key_used, no_drive
 from app.paths import check_path
 from app.settings import Settings
 from app.states import ACTIVE, DriveState, JobKind, JobState
-from app.store import sidecars
 from app.store.database import moment
 from app.store.models import Drive, DriveFile, Job, columns_for
 from app.store.storage import Storage
@@ -101,9 +100,7 @@ def create_drive(context: Context, owner: str, new: NewDrive, key: str | None = 
         )
         session.add(drive)
         session.flush()
-        model = drive_model(drive, context.settings)
-    sidecars.write(context.storage, drive)
-    return model, True
+        return drive_model(drive, context.settings), True
 
 
 def _check_source(settings: Settings, source: str | None) -> None:
@@ -229,8 +226,8 @@ def open_file(context: Context, drive_id: str, path: str) -> tuple[BinaryIO, str
             file.close()
     raise Problem(
         BUSY,
-        f"{path} is being replaced, or its bytes are no longer those that were uploaded: the operator finds out with "
-        "`interloc check`.",
+        f"{path} is being replaced, or its bytes are not those that are listed, as after an upload that was cut off: "
+        "send it again. The operator finds what else is wrong with `interloc check`.",
         headers={"Retry-After": "1"},
     )
 
@@ -313,10 +310,13 @@ def delete_file(context: Context, drive_id: str, path: str) -> None:
         drive.stored_bytes -= row.size_bytes
         drive.touched_at = context.database.clock(session)
         session.delete(row)
-        session.flush()
-        root = context.storage.folder(files_key(drive_id))
-        (root / path).unlink(missing_ok=True)
-        remove_empty((root / path).parent, root)
+    # The file goes after its row, unless another one has taken its name meanwhile: no row is ever without its file.
+    with suppress(Problem), context.database.writing() as session:
+        lock_drive(session, drive_id)
+        if session.get(DriveFile, (drive_id, path)) is None:
+            root = context.storage.folder(files_key(drive_id))
+            (root / path).unlink(missing_ok=True)
+            remove_empty((root / path).parent, root)
     context.metrics.count_removal("deleted", row.size_bytes)
 
 

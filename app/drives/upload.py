@@ -12,6 +12,7 @@ from types import TracebackType
 from typing import Any, Self, cast
 
 from sqlalchemy import Table, bindparam, delete, insert, select, update
+from sqlalchemy.exc import DBAPIError
 from sqlalchemy.orm import Session
 
 from app.context import Context
@@ -211,7 +212,11 @@ def register(
 
 
 class Placement:
-    """Moves files to their places; if the block or its transaction fails, the old files are restored."""
+    """Moves files to their places; if the block or its transaction fails, the old files are restored.
+
+    A server that is killed between the moves and the end of the transaction leaves files without rows, never a row
+    without its file. So does a database that goes away at that end: whether the rows are there is not known then.
+    """
 
     def __init__(self, storage: Storage, drive_id: str) -> None:
         self._incoming = storage.incoming
@@ -253,7 +258,7 @@ class Placement:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
-        if kind is not None:
+        if kind is not None and not (isinstance(error, DBAPIError) and error.connection_invalidated):
             self._restore()
         for _, old in self._moved:
             if old is not None:

@@ -7,7 +7,6 @@ from typing import Self
 
 from sqlalchemy import func, or_, select
 from sqlalchemy.orm import Session
-from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 
 from app.context import Context
@@ -111,13 +110,6 @@ class Booking:
         with self._context.bookings.lock:
             self._context.bookings.size_bytes += size
             self._left += size
-
-
-async def make_room_to_delete(request: Request) -> None:
-    """Give up the reserve where the disk is full and a request is to delete something, which needs some space."""
-    if request.method == "DELETE":
-        context: Context = request.app.state.context
-        await run_in_threadpool(context.reserve.give_up_if_full)
 
 
 def check_drive(context: Context, files: int, size: int) -> None:

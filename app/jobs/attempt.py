@@ -22,7 +22,6 @@ from app.jobs.folders import place_result, progress_files, task_of, tidy, withou
 from app.jobs.processes import WorkerLimitError, WorkerLostError
 from app.jobs.queue import Claim, JobQueue, not_ready
 from app.states import DriveState, JobKind, JobState
-from app.store import sidecars
 from app.store.models import Drive, Job
 from app.work import kinds
 from app.work.documents import JobRequest, Outcome
@@ -263,8 +262,6 @@ class Attempt:
         if job is None:
             return self._leave()
         tidy(storage, job_id, keep_result=job.state == JobState.SUCCESSFUL)
-        if job.state == JobState.SUCCESSFUL and not self._kind.changes_drive:
-            sidecars.write(storage, job)  # of a server that is killed before this, the clean-up writes it
         return job.state
 
     def _features(self) -> WriteFeatures | None:

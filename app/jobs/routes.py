@@ -26,7 +26,6 @@ from app.jobs.submission import check_request
 from app.jobs.view import find_job, is_alive, job_models
 from app.jobs.watcher import Change, WatcherDep, wait_for_job
 from app.states import FINAL, JobKind, JobState
-from app.store import sidecars
 from app.store.models import Drive, Job
 from interloc.config import PRESETS, DetectorConfig
 
@@ -229,8 +228,6 @@ def change_job(job_id: JobId, changes: JobChanges, context: ContextDep, _client:
             setattr(job, name, value)
         (model,) = job_models(session, context, [(job, drive_name)])
         content = model.model_dump_json().encode()
-    if job.state == JobState.SUCCESSFUL and job.kind == JobKind.INTERSECTIONS:
-        sidecars.write(context.storage, job)
     return Response(content, headers={"ETag": tag_of(content)}, media_type="application/json")
 
 

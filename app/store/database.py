@@ -16,7 +16,7 @@ from alembic import command
 from alembic.config import Config
 from alembic.runtime.migration import MigrationContext
 from alembic.script import ScriptDirectory
-from sqlalchemy import URL, Connection, ExceptionContext, create_engine, event, inspect, make_url, text
+from sqlalchemy import URL, Connection, create_engine, event, inspect, make_url, text
 from sqlalchemy.exc import ArgumentError, DBAPIError, OperationalError
 from sqlalchemy.exc import TimeoutError as WaitedTooLong
 from sqlalchemy.orm import Session, sessionmaker
@@ -90,11 +90,8 @@ class Database:
         self._sessions = sessionmaker(self.engine, expire_on_commit=False)
         self.waits = Waits()
         self._turns = _Turns(self.waits)
-        self.disk_is_full: Callable[[], None] = lambda: None
-        """Called when nothing could be written for lack of space, before the error goes on its way."""
         self.check_place: Callable[[], None] = lambda: None
         """Called before a transaction that writes, and before its commit: where it raises, nothing is acknowledged."""
-        event.listen(self.engine, "handle_error", self._look_at_error)
 
     @contextmanager
     def reading(self) -> Iterator[Session]:
@@ -132,6 +129,15 @@ class Database:
             session.commit()
         for call in session.info.get(_AFTERWARDS, ()):
             call()
+
+    @contextmanager
+    def snapshot(self) -> Iterator[Connection]:
+        """Open a connection that reads everything as of one moment, while others write."""
+        with self.engine.connect() as connection:
+            if not self.is_sqlite:  # which does so by itself
+                connection.execution_options(isolation_level="REPEATABLE READ")
+            with connection.begin():
+                yield connection
 
     def check_writable(self) -> None:
         """Write something that changes nothing, and take it back.
@@ -223,10 +229,6 @@ class Database:
             arguments[0] = f"{Path(path).absolute().as_uri()}?mode=rw"
             options["uri"] = True
         self._was_there = True
-
-    def _look_at_error(self, context: ExceptionContext) -> None:
-        if is_disk_full(context.original_exception):
-            self.disk_is_full()
 
 
 class _Writer:

@@ -100,14 +100,6 @@ def dead(root: Path) -> list[Path]:
         return []
 
 
-def is_used(root: Path) -> bool:
-    """Return whether a living process receives files there."""
-    try:
-        return any((path / _LOCK).is_file() and not _is_dead(path) for path in root.iterdir())
-    except FileNotFoundError:
-        return False
-
-
 def is_old(path: Path) -> bool:
     """Return whether something was last changed so long ago that no upload can still need it."""
     try:

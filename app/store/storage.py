@@ -2,9 +2,8 @@
 
 Keys are paths below one root: ``drives/<id>/files/...`` (as uploaded), ``drives/<id>/reduced/...`` (what jobs read),
 ``jobs/<id>/scratch/...`` (checkpoints, progress), ``jobs/<id>/result/...``, ``incoming/<process>/...`` (what is being
-received), ``trash/...`` (what is being deleted for good), ``lost+found/...`` (folders that no row knows). The library
-reads and writes folders, so a storage can show a key as one (`Storage.folder`); a storage of objects would do so by a
-local copy.
+received). The library reads and writes folders, so a storage can show a key as one (`Storage.folder`); a storage of
+objects would do so by a local copy.
 """
 
 from __future__ import annotations
@@ -12,6 +11,7 @@ from __future__ import annotations
 import os
 import secrets
 import shutil
+import threading
 from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryFile
@@ -22,8 +22,6 @@ from app.store.incoming import Incoming, remove
 from interloc.errors import InterLocError
 
 INCOMING = "incoming"
-LOST = "lost+found"
-TRASH = "trash"
 
 
 class DataFolderGoneError(SQLAlchemyError):
@@ -95,21 +93,6 @@ class Storage:
         else:
             path.unlink(missing_ok=True)
 
-    def set_aside(self, key: str) -> str | None:
-        """Move what no row knows to ``lost+found/``, whole; return its new key, or None if it is gone."""
-        source = self.folder(key)
-        for number in range(1, 1000):
-            place = f"{LOST}/{key}" if number == 1 else f"{LOST}/{key}-{number}"
-            target = self.folder(place)
-            if not target.exists():
-                target.parent.mkdir(parents=True, exist_ok=True)
-                try:
-                    source.rename(target)
-                except FileNotFoundError:
-                    return None
-                return place
-        raise InterLocError(f"{self.root / LOST}: holds a thousand folders of the name {key}; clear it up")
-
     def check_writable(self) -> None:
         """Write something that nobody sees.
 
@@ -128,3 +111,21 @@ class Storage:
         """Return the space that is left."""
         self.check()
         return shutil.disk_usage(self.root).free
+
+
+class Bookings:
+    """The sum of what is announced and has not come yet.
+
+    Bodies are booked when they are announced, and their space is free again when they have come. Without that many
+    could begin at once where there is room for one, each not knowing of the others.
+
+    Attributes
+    ----------
+    lock
+        Held while the free space is looked at and a booking is made: no two see the same space.
+    size_bytes : int
+    """
+
+    def __init__(self) -> None:
+        self.lock = threading.RLock()
+        self.size_bytes = 0

@@ -116,5 +116,4 @@ def restore_item(kind: Kind, item_id: Id, context: ContextDep, _client: ClientDe
 @router.delete("/{kind}/{item_id}", status_code=204, responses=NOT_THERE, summary="Delete for good")
 def purge_item(kind: Kind, item_id: Id, context: ContextDep, _client: ClientDep) -> None:
     """Delete a drive or a job of the trash for good, now."""
-    trash.find_purgeable(context, kind, item_id)
-    trash.purge(context, kind, item_id)
+    trash.purge_item(context, kind, item_id)

@@ -1,67 +1,59 @@
-"""Backups, made while servers run: every drive as it was at one moment, with its jobs and their results.
+"""Backups, made while servers run, and their restoration.
 
-A backup is a folder in the layout of a data folder (``drives/<id>/...``, ``jobs/<id>/result/...``), with the rows in
-``backup.sqlite3``, whatever database the service uses, and ``backup.json``, which says what it is a backup of and
-whether it is complete.
+A backup is a folder in the layout of a data folder, with all rows in ``backup.sqlite3``, whatever database the service
+uses, and ``backup.json``, which says of what it is a backup and whether it is complete.
 
-Each drive is locked for the moment that it takes to give its files a second name, in the folder of this process below
-``incoming/``, and to read its rows: uploads name files under the same lock, so within it rows and files agree. The
-bytes are brought to the backup afterwards. There, the rows of a drive are written once its files are in place, and what
-it no longer has is removed last: a backup that was stopped half-way is as good as it can be, and the next one goes on
-from there.
+The rows come first, as of one moment, then the files that they stand for, as second names (hard links) or copies. No
+file of a data folder is ever changed in place: each is written under another name, then renamed, and its row is written
+before anybody is told that it is there. So what the rows of that moment stand for was whole on disk at that moment, and
+the only way to miss it is that the service has removed or replaced it since: a drive was committed or purged, a file
+deleted or sent anew. Such a file is missed, or its size or time is not that of its row. Then rows and files are taken
+once more; what is there already stays, so each round is shorter than the one before, and what a service removes is soon
+outrun. What two rounds in a row miss is not there in the service itself: the backup names it, and is complete without.
+
+``backup.json`` says that the backup is not complete until all of that has come to its end and is on disk.
 """
 
 from __future__ import annotations
 
 import os
 import shutil
-import time
-from collections.abc import Callable, Collection, Iterator
+import tempfile
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Literal, Self, TypeVar
+from typing import Literal, Self
 
 from filelock import FileLock, Timeout
 from pydantic import BaseModel, ValidationError
-from sqlalchemy import Table, select
-from sqlalchemy.exc import OperationalError
-from sqlalchemy.exc import TimeoutError as WaitedTooLong
+from sqlalchemy import Connection, func, insert, inspect, select, update
+from sqlalchemy.exc import DBAPIError, SQLAlchemyError
+from sqlalchemy.orm import Session
 
 from app.context import Context
-from app.drives.records import drive_key
+from app.settings import Settings
+from app.states import DriveState, JobState
 from app.store.database import Database
-from app.store.incoming import remove_dead
-from app.store.installation import id_of_database
-from app.store.models import Drive, Job
-from app.store.storage import INCOMING
-from app.upkeep.content import (
-    DriveContent,
-    Held,
-    Row,
-    back_in_queue,
-    delete_content,
-    find_files,
-    read_content,
-    read_shared,
-    reason_of,
-    write_content,
-    write_shared,
-    writing_rows,
-)
-from app.upkeep.transfer import Advance, Transfer, no_progress, prune, writing
+from app.store.installation import id_of_database, mark_folder
+from app.store.models import Base, Drive, Job
+from app.upkeep.check import Wanted, wanted_files
 from interloc.errors import ConfigError, InterLocError, OutputError
-from interloc.files import atomic_write
+from interloc.files import atomic_write, reason_of
 from interloc.pipeline import versions
 
 DATABASE = "backup.sqlite3"
 RECORD = "backup.json"
 
-LOCK = "lock"
-_PAUSES_S = (0.2, 0.5, 1, 2, 4, 8)
+_LOCK = "lock"
+_PARTIAL = "partial"  # file that is being brought
+_ROUNDS = 10
+_ROWS_AT_ONCE = 1000
+_SHOWN = 3
 
-Returned = TypeVar("Returned")
+Advance = Callable[[int, int, str], None]
+"""Called with how many files are done, of how many, and the name of what is at hand."""
 
 
 class BackupRecord(BaseModel):
@@ -80,6 +72,8 @@ class BackupRecord(BaseModel):
     jobs: int = 0
     files: int = 0
     size_bytes: int = 0
+    missing: list[str] = []
+    """Files that rows stand for, and that were missing in the service already."""
 
     @classmethod
     def read(cls, folder: Path) -> Self | None:
@@ -92,7 +86,7 @@ class BackupRecord(BaseModel):
         """
         try:
             return cls.model_validate_json((folder / RECORD).read_bytes())
-        except FileNotFoundError:
+        except (FileNotFoundError, NotADirectoryError):
             return None
         except (OSError, ValidationError) as error:
             raise InterLocError(
@@ -101,28 +95,25 @@ class BackupRecord(BaseModel):
             ) from error
 
     def write(self, folder: Path) -> None:
-        """Write the record of a backup."""
+        """Write the record of a backup, once all else is on disk."""
+        os.sync()
         with atomic_write(folder / RECORD) as file:
             file.write(self.model_dump_json(indent=2).encode() + b"\n")
 
 
-@dataclass
+@dataclass(frozen=True)
 class BackupReport:
     """What a backup has done."""
 
     record: BackupRecord
-    brought_files: int = 0
-    brought_bytes: int = 0
+    brought_files: int
+    brought_bytes: int
     """What was not there from an earlier backup."""
-    removed_files: int = 0
+    removed_files: int
     """What an earlier backup had and the service has no longer."""
-    longest_lock_s: float = 0.0
-    """Longest time for which a drive was locked."""
-    faults: list[str] = field(default_factory=list)
-    """What is missing in the data folder, or not as listed."""
 
 
-def back_up(context: Context, out: Path, advance: Advance = no_progress) -> BackupReport:
+def back_up(context: Context, out: Path, advance: Advance) -> BackupReport:
     """Make a backup, or bring an older one up to date.
 
     Parameters
@@ -137,223 +128,293 @@ def back_up(context: Context, out: Path, advance: Advance = no_progress) -> Back
     ConfigError
         `out` is something else, or lies where it cannot be a backup of this data folder.
     InterLocError
-        Another backup of the data folder is being made; or the database does not answer.
+        Another process makes this backup; the database does not answer; or the service changes too quickly.
     OutputError
         The backup cannot be written, as on a full disk; the next one goes on from there.
     """
     out = Path(os.path.realpath(out))
-    _check_place(context, out)
-    with writing(out):
+    with context.database.reading() as session:
+        installation = id_of_database(session)
+    assert installation is not None  # it has one since it was opened
+    _check_place(context.storage.root, out, installation)
+    with _written(f"The backup {out} is not complete; the next one goes on where it stopped."):
         out.mkdir(parents=True, exist_ok=True)
-    with _alone(out):
-        try:
-            return _Backup(context, out, advance).run()
-        except OutputError as error:
-            raise OutputError(f"{error} The backup is not complete; the next one goes on where it stopped.") from error
+        with _alone(out):
+            return _make(context, out, installation, advance)
 
 
-class _Backup:
-    """A backup that is being made."""
-
-    def __init__(self, context: Context, out: Path, advance: Advance) -> None:
-        self._context = context
-        self._out = out
-        self._advance = advance
-        record = BackupRecord(
-            installation=installation_of(context), version=str(versions()["interloc"]), begun_at=datetime.now(UTC)
+def _make(context: Context, out: Path, installation: str, advance: Advance) -> BackupReport:
+    record = BackupRecord(installation=installation, version=str(versions()["interloc"]), begun_at=datetime.now(UTC))
+    record.write(out)  # it is not complete from here on
+    bringer = _Bringer(context.storage.root, out)
+    removed, missed = 0, set[str]()
+    for number in range(_ROUNDS):
+        for path in out.glob(f"{DATABASE}*"):
+            path.unlink()
+        with _rows_in(out / DATABASE) as rows:
+            with context.database.snapshot() as source, rows.writing() as session:
+                copy_rows(source, session.connection())
+            with rows.reading() as session:
+                record.drives, record.jobs = (
+                    session.scalar(select(func.count()).select_from(table)) or 0 for table in (Drive, Job)
+                )
+                wanted = list(wanted_files(session, context.storage.root, all_of_folders=True))
+        removed += _prune(out, {each.key for each in wanted})
+        before, missed = missed, bringer.bring(wanted, advance)
+        if not missed or (number and missed == before):
+            break
+    else:
+        raise InterLocError(
+            f"the service changes faster than the backup {out} follows: {_named(missed)}. Make it again when less is "
+            "going on; what was brought so far is kept."
         )
-        self._report = BackupReport(record)
-        record.write(out)  # it is not complete from here on
-        remove_dead(context.storage.folder(INCOMING))  # what a backup that was killed has staged
-        self._database = Database(f"sqlite:///{(out / DATABASE).as_posix()}")
-        self._staging = Transfer(context.storage.incoming() / "backup")
-        self._transfer = Transfer(out)
-        self._done_bytes = self._total_bytes = 0
+    record.missing = sorted(key for key in missed if not (out / key).is_file())
+    record.files = len(wanted) - len(record.missing)
+    record.size_bytes = sum((out / each.key).stat().st_size for each in wanted if each.key not in record.missing)
+    record.ended_at, record.complete = datetime.now(UTC), True
+    record.write(out)
+    return BackupReport(record, bringer.files, bringer.size_bytes, removed)
 
-    def run(self) -> BackupReport:
-        """Make it."""
-        record = self._report.record
-        try:
-            self._database.upgrade()
-            shared = _patiently(self._read_shared)
-            with writing_rows(self._database) as session:
-                write_shared(session, shared)
-            drives = _patiently(self._read_drives)
-            self._total_bytes = sum(drives.values())
-            held = set()
-            for drive_id, size in drives.items():
-                before = self._done_bytes
-                if self._back_up_drive(drive_id):
-                    held.add(drive_id)
-                self._done_bytes = before + size
-            self._forget_all_but(held)
-        finally:
-            self._database.close()
-            self._transfer.close()
-        os.sync()
-        self._report.brought_files, self._report.brought_bytes = self._transfer.files, self._transfer.size_bytes
-        record.ended_at = datetime.now(UTC)
-        record.complete = True
-        record.write(self._out)
-        return self._report
 
-    def _read_shared(self) -> dict[Table, list[Row]]:
-        with self._context.database.reading() as session:
-            return read_shared(session)
+def restore(settings: Settings, backup: Path, advance: Advance) -> BackupRecord:
+    """Restore a backup into a new data folder and a new database, of whatever kind; return its record.
 
-    def _read_drives(self) -> dict[str, int]:
-        """Return the ids of all drives, the oldest first, and how much is stored of each."""
-        with self._context.database.reading() as session:
-            rows = session.execute(select(Drive.id, Drive.stored_bytes).order_by(Drive.created_at, Drive.id))
-            return {row.id: row.stored_bytes for row in rows}
+    All is looked at before anything is written. Rows come last, in one transaction, then the id of the data folder: no
+    server starts on what a restoration has left that was stopped.
 
-    def _back_up_drive(self, drive_id: str) -> bool:
-        """Bring the backup of a drive up to date; False if there is no such drive any more."""
-        held = _patiently(lambda: self._hold(drive_id))
-        if held is None:
-            return False
-        content, keys = held
-        record = self._report.record
-        end = self._done_bytes + int(content.drive["stored_bytes"])
-        for key in keys:
-            size = self._transfer.bring(self._staging.root / key, key)
-            record.size_bytes += size
-            self._done_bytes = min(end, self._done_bytes + size)
-            self._advance(self._done_bytes, self._total_bytes, str(content.drive["name"]))
-        self._transfer.finish()
-        jobs = [back_in_queue(job) for job in content.jobs]
-        with writing_rows(self._database) as session:
-            write_content(session, DriveContent(content.drive, content.files, jobs))
-        known = set(keys)
-        for folder in (drive_key(drive_id), *(f"jobs/{job['id']}" for job in jobs)):
-            self._report.removed_files += prune(self._out, folder, known)
-        record.drives += 1
-        record.jobs += len(jobs)
-        record.files += len(keys)
-        shutil.rmtree(self._staging.root, ignore_errors=True)
-        return True
+    Parameters
+    ----------
+    settings
+        Those with which the service will run: data folder and database.
+    backup
+        Folder of the backup; it stays as it is.
 
-    def _hold(self, drive_id: str) -> tuple[DriveContent, list[str]] | None:
-        """Read the rows of a drive, and give its files a second name, all as of one moment; None if it is deleted."""
-        held = Held()
-        with self._context.database.reading() as session:
-            content = read_content(session, drive_id)
-        if content is not None:
-            self._stage(content, held)  # so that under the lock only that is left which changes from here on
-        with self._context.database.writing() as session:
-            began = time.monotonic()
-            content = read_content(session, drive_id, lock=True)
-            if content is None:
-                return None
-            keys, faults = self._stage(content, held)
-            if faults:  # a job may have been removed since its row was read
-                content = read_content(session, drive_id) or content
-                keys, faults = self._stage(content, held)
-        self._report.longest_lock_s = max(self._report.longest_lock_s, time.monotonic() - began)
-        self._report.faults += faults
-        return content, keys
-
-    def _stage(self, content: DriveContent, held: Held) -> tuple[list[str], list[str]]:
-        """Give the files of a drive a second name; returns their keys, and what is wrong with them."""
-        root = self._context.storage.root
-        found = find_files(self._context.storage, content, held)
-        gone = set()
-        for key in found.new:
+    Raises
+    ------
+    ConfigError
+        The folder is not a backup, or not a whole one; the data folder or the database is not empty.
+    InterLocError
+        The backup was written by a newer version; or the database does not answer.
+    OutputError
+        The data folder cannot be written, as on a full disk.
+    """
+    backup, folder = Path(os.path.realpath(backup)), settings.data_dir
+    record = BackupRecord.read(backup)
+    if record is None or not (backup / DATABASE).is_file():
+        lacks = RECORD if record is None else DATABASE
+        raise ConfigError(f"{backup} is not a backup: it has no {lacks}. `interloc backup` makes backups.")
+    if not record.complete:
+        raise ConfigError(f"the backup {backup} was not made to its end. Make it again with `interloc backup`.")
+    _refuse_unless_empty(folder, "and a backup is restored into a new data folder only")
+    with tempfile.TemporaryDirectory() as temporary:
+        copy = Path(temporary, DATABASE)
+        shutil.copyfile(backup / DATABASE, copy)
+        with _rows_in(copy, name=f"{backup / DATABASE}, written by InterLoc {record.version}") as rows:
+            with rows.reading() as session:
+                wanted = list(wanted_files(session, backup, all_of_folders=True))
+            wanted = [each for each in wanted if each.key not in record.missing]
+            gone = {each.key for each in wanted if not (backup / each.key).is_file()}
+            if gone:
+                raise ConfigError(f"the backup {backup} is not whole: {_named(gone)}. Make it again, or take another.")
+            database = Database(settings.sqlalchemy_url)
             try:
-                self._staging.bring(root / key, key)
+                _refuse_unless_new(database)
+                with _written(f"What was restored so far is of no use: remove {folder}, and restore again."):
+                    _Bringer(backup, folder).bring(wanted, advance)
+                    os.sync()
+                    with rows.snapshot() as source:
+                        database.upgrade(lambda session: _fill(database, session, source))
+                    mark_folder(folder, record.installation)
+            finally:
+                database.close()
+    return record
+
+
+def copy_rows(source: Connection, target: Connection) -> None:
+    """Copy the rows of all tables but those of the index of features, which a start of the service makes anew."""
+    for table in Base.metadata.sorted_tables:
+        if table.name.startswith("feature"):
+            continue
+        columns = [column for column in table.columns if column is not table.autoincrement_column]
+        query = select(*columns).order_by(*table.primary_key)
+        with source.execution_options(yield_per=_ROWS_AT_ONCE).execute(query) as found:
+            for rows in found.mappings().partitions():
+                target.execute(insert(table), [dict(row) for row in rows])
+
+
+def _fill(database: Database, session: Session, source: Connection) -> None:
+    """Copy rows into a new database; jobs go back into the queue, and what goes for its age is young again."""
+    copy_rows(source, session.connection())
+    now = database.clock(session)
+    anew = {"done": 0, "total": None, "attempts": 0, "lease_owner": None, "lease_until": None, "started_at": None}
+    waiting = {"state": JobState.ACCEPTED, "stage": "waiting", "message": None, "version": Job.version + 1}
+    session.execute(update(Job).where(Job.state == JobState.RUNNING).values(**anew, **waiting))
+    session.execute(update(Drive).where(Drive.state != DriveState.READY).values(touched_at=now))
+    for table in (Drive, Job):
+        session.execute(update(table).where(table.deleted_at > 0).values(deleted_at=now))
+
+
+class _Bringer:
+    """Brings files into a folder: as second names where that is possible, else as copies.
+
+    Attributes
+    ----------
+    files, size_bytes : int
+        What was brought so far, without what was there.
+    """
+
+    def __init__(self, root: Path, out: Path) -> None:
+        self._root = root
+        self._out = out
+        self._can_link = True
+        self.files = 0
+        self.size_bytes = 0
+
+    def bring(self, wanted: Sequence[Wanted], advance: Advance) -> set[str]:
+        """Bring files; return the keys of those that are not there, or are not what their rows say."""
+        missed = set()
+        for number, each in enumerate(wanted):
+            advance(number, len(wanted), "")
+            try:
+                found = self._bring(each.key)
+            except (FileNotFoundError, NotADirectoryError):
+                missed.add(each.key)
+                continue
+            if each.size_bytes not in {None, found.st_size} or each.mtime_ns not in {None, found.st_mtime_ns}:
+                missed.add(each.key)
+        return missed
+
+    def _bring(self, key: str) -> os.stat_result:
+        source, target, partial = self._root / key, self._out / key, self._out / _PARTIAL
+        found = source.stat()
+        with suppress(FileNotFoundError):
+            there = target.stat()
+            is_copy = (found.st_size, found.st_mtime_ns) == (there.st_size, there.st_mtime_ns)
+            if os.path.samestat(found, there) or (is_copy and not self._can_link):
+                return there
+        target.parent.mkdir(parents=True, exist_ok=True)
+        partial.unlink(missing_ok=True)
+        if not self._link(source, partial):
+            with source.open("rb") as file, partial.open("wb") as copy:
+                found = os.fstat(file.fileno())
+                shutil.copyfileobj(file, copy, 2**20)
+            os.utime(partial, ns=(found.st_atime_ns, found.st_mtime_ns))
+        partial.replace(target)
+        brought = target.stat()
+        self.files += 1
+        self.size_bytes += brought.st_size
+        return brought
+
+    def _link(self, source: Path, target: Path) -> bool:
+        if self._can_link:
+            try:
+                os.link(source, target)
             except FileNotFoundError:
-                gone.add(key)
-        self._staging.finish()
-        for key in found.new:
-            if key not in gone:  # known by what has the second name: the first may be another file by now
-                stat = (self._staging.root / key).stat()
-                held.files[key] = stat.st_size, stat.st_mtime_ns
-        held.folders.update({known: keys for known, keys in found.folders.items() if gone.isdisjoint(keys)})
-        keys = [key for key in found.keys if key not in gone]
-        return keys, [*found.faults, *(f"{key} is not there" for key in gone)]
-
-    def _forget_all_but(self, drives: Collection[str]) -> None:
-        """Remove drives and jobs that the service has no longer."""
-        with writing_rows(self._database) as session:
-            for drive_id in session.scalars(select(Drive.id)).all():
-                if drive_id not in drives:
-                    delete_content(session, drive_id)
-        with self._database.reading() as session:
-            known = {
-                "drives": set(session.scalars(select(Drive.id))),
-                "jobs": set(session.scalars(select(Job.id))),
-            }
-        for folder, ids in known.items():
-            for path in (self._out / folder).glob("*"):
-                if path.name not in ids:
-                    self._report.removed_files += prune(self._out, f"{folder}/{path.name}", ())
+                raise
+            except OSError:  # another file system, or one without links; else the copy finds out what is wrong
+                self._can_link = False
+        return self._can_link
 
 
-def _check_place(context: Context, out: Path) -> None:
+def _prune(out: Path, keys: Collection[str]) -> int:
+    """Remove the files of a backup that are not among the keys, and folders that are empty then; return how many."""
+    removed = 0
+    for kind in ("drives", "jobs"):
+        for parent, folders, names in os.walk(out / kind, topdown=False):
+            for path in (Path(parent, name) for name in names):
+                if path.relative_to(out).as_posix() not in keys:
+                    path.unlink()
+                    removed += 1
+            for name in folders:
+                with suppress(OSError):
+                    Path(parent, name).rmdir()
+    return removed
+
+
+def _check_place(root: Path, out: Path, installation: str) -> None:
     """Refuse a folder that cannot hold a backup of this service."""
-    root = context.storage.root
     if out.is_relative_to(root):
         raise ConfigError(f"{out} lies in the data folder {root}; a backup belongs elsewhere, best on another disk.")
     if root.is_relative_to(out):
         raise ConfigError(f"{out} holds the data folder {root}; a backup needs a folder of its own.")
-    if not out.exists():
-        return
-    if not out.is_dir():
-        raise ConfigError(f"{out} is a file; a backup needs a folder. Give the name of a new or an empty one.")
     record = BackupRecord.read(out)
     if record is None:
-        refuse_unless_empty(out, f"and no {RECORD}, so it is not a backup", but=LOCK)
-    elif record.installation != installation_of(context):
+        _refuse_unless_empty(out, f"and no {RECORD}, so it is not a backup")
+    elif record.installation != installation:
         raise ConfigError(
-            f"{out} is the backup of another service (installation {record.installation}, this one is "
-            f"{installation_of(context)}). It was not touched. Give the name of a new or an empty folder."
+            f"{out} is the backup of another service (installation {record.installation}, this one is {installation}). "
+            "It was not touched. Give the name of a new or an empty folder."
         )
 
 
-def refuse_unless_empty(folder: Path, remark: str, *, but: str = "lost+found") -> None:
-    """Refuse a folder that holds something; the root of a disk always holds lost+found."""
-    names = sorted(entry.name for entry in folder.iterdir() if entry.name not in {"lost+found", but})
+def _refuse_unless_empty(folder: Path, remark: str) -> None:
+    """Refuse a file, or a folder that holds something; the root of a disk always holds lost+found."""
+    if folder.exists() and not folder.is_dir():
+        raise ConfigError(f"{folder} is a file. Give the name of a new or an empty folder.")
+    names = sorted(entry.name for entry in folder.iterdir()) if folder.exists() else []
+    names = [name for name in names if name not in {"lost+found", _LOCK}]
     if names:
-        shown = ", ".join(names[:3]) + (", ..." if len(names) > 3 else "")
+        shown = ", ".join(names[:_SHOWN]) + (", ..." if len(names) > _SHOWN else "")
         raise ConfigError(
             f"{folder} is not empty: it holds {shown} {remark}. It was not touched. Give the name of a new or an empty "
             "folder."
         )
 
 
+def _refuse_unless_new(database: Database) -> None:
+    path = database.url.database
+    if database.is_sqlite and path is not None and not Path(path).exists():
+        return
+    with _written("Nothing was restored."):
+        tables = set(inspect(database.engine).get_table_names()) & Base.metadata.tables.keys()
+    if tables:
+        raise ConfigError(
+            f"the database {database.url.render_as_string(hide_password=True)} is not new: it holds the tables "
+            f"{_named(tables)}. A backup is restored into a new one only: set INTERLOC_DATABASE_URL to one, or leave "
+            "it out for a SQLite file in the data folder."
+        )
+
+
+@contextmanager
+def _rows_in(path: Path, name: str | None = None) -> Iterator[Database]:
+    """Open the rows of a backup, made or brought up to date."""
+    rows = Database(f"sqlite:///{path.as_posix()}")
+    try:
+        try:
+            rows.upgrade()
+        except InterLocError as error:
+            raise InterLocError(f"{name or path} cannot be read: {error}") from error
+        yield rows
+    finally:
+        rows.close()
+
+
 @contextmanager
 def _alone(out: Path) -> Iterator[None]:
     """Keep others from making the same backup."""
-    lock = FileLock(out / LOCK, timeout=0)
+    lock = FileLock(out / _LOCK, timeout=0)
     try:
         with suppress(NotImplementedError):  # a file system without locks
             lock.acquire()
+        yield
     except Timeout as error:
         raise InterLocError(f"the backup {out} is being made by another process; wait for it.") from error
-    try:
-        yield
     finally:
         lock.release()
 
 
-def _patiently(work: Callable[[], Returned]) -> Returned:
-    """Do work with the database of the service; again where it was busy or restarted."""
-    for pause_s in (*_PAUSES_S, None):
-        try:
-            return work()
-        except (OperationalError, WaitedTooLong) as error:
-            if pause_s is None:
-                raise InterLocError(
-                    f"the database of the service does not answer: {reason_of(error)}. Make the backup again when it "
-                    "does; what was brought so far is kept."
-                ) from error
-            time.sleep(pause_s)
-    raise AssertionError
+@contextmanager
+def _written(remark: str) -> Iterator[None]:
+    """Say what could not be written, and what that means."""
+    try:
+        yield
+    except SQLAlchemyError as error:
+        reason = " ".join(str(error.orig if isinstance(error, DBAPIError) else error).split())
+        raise InterLocError(f"the database could not be read or written: {reason}. {remark}") from error
+    except OSError as error:
+        raise OutputError(f"{error.filename} could not be written: {reason_of(error)}. {remark}") from error
 
 
-def installation_of(context: Context) -> str:
-    """Return the id of a service."""
-    with context.database.reading() as session:
-        found = id_of_database(session)
-    assert found is not None  # it has one since it was opened
-    return found
+def _named(keys: Collection[str]) -> str:
+    more = f" and {len(keys) - _SHOWN:,} more" if len(keys) > _SHOWN else ""
+    return ", ".join(sorted(keys)[:_SHOWN]) + more

@@ -327,7 +327,7 @@ def _measure(
     **described: Any,
 ) -> None:
     """Run a benchmark by the values of `measuring_options`; `described` are further fields of `Benchmark`."""
-    from interloc.evaluation.label_errors import parse_level
+    from interloc.drives.label_errors import parse_level
     from interloc.lab.measure import Scoring
     from interloc.lab.report import PAGE, benchmark_record, write_benchmark
     from interloc.lab.run import Benchmark
@@ -353,22 +353,20 @@ def _measure(
 
 
 def _run(benchmark: Benchmark, out: Path, *, workers: int | None, fresh: bool) -> list[Row]:
-    """Measure, with a progress bar for each drive."""
+    """Measure, with a progress bar over the rows."""
     from interloc.errors import InterLocError, is_interruption
     from interloc.lab.run import run_benchmark
     from interloc.processes import cores
 
-    bars = _Bars()
     try:
-        return run_benchmark(benchmark, out, workers=workers or cores(), fresh=fresh, report=bars)
+        with console.progress("measure", "row") as bar:
+            return run_benchmark(benchmark, out, workers=workers or cores(), fresh=fresh, progress=bar)
     except (KeyboardInterrupt, SystemError) as error:
         if not is_interruption(error):
             raise
         raise InterLocError(
             f"interrupted; finished rows are kept in {out / 'rows'}, and the same command goes on from there"
         ) from None
-    finally:
-        bars.close()
 
 
 def _named_config(preset: str, settings: tuple[str, ...]) -> NamedConfig:
@@ -377,29 +375,3 @@ def _named_config(preset: str, settings: tuple[str, ...]) -> NamedConfig:
     name = preset + "".join(f" {setting}" for setting in settings)
     arguments = ("--preset", preset, *(part for setting in settings for part in ("--set", setting)))
     return NamedConfig(name, options.configure(preset, settings), arguments)
-
-
-class _Bars:
-    """One progress bar per task, removed when the task ends."""
-
-    def __init__(self) -> None:
-        self._bars: dict[str, tuple[str, console.Bar]] = {}
-
-    def __call__(self, task: str, what: str, done: int, total: int) -> None:
-        """Show what a task is doing, and how much of it is done."""
-        known = self._bars.get(task)
-        if known is not None and (known[0] != what or total == 0):
-            known[1].close()
-            del self._bars[task]
-        if total == 0:
-            return
-        if task not in self._bars:
-            unit = "scan" if what == "simulate" else "keyframe"
-            self._bars[task] = (what, console.Bar(f"{task}: {what}", unit))
-        self._bars[task][1](done, total)
-
-    def close(self) -> None:
-        """Remove all bars."""
-        for _, bar in self._bars.values():
-            bar.close()
-        self._bars.clear()

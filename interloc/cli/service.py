@@ -217,12 +217,12 @@ def _database(data_dir: Path | None) -> Iterator[Database]:
 
 
 @contextmanager
-def open_service(data_dir: Path | None, *, bound: bool = True) -> Iterator[Context]:
-    """Open the service that has a data folder, as its operator; `bound`: database and folder must belong together."""
+def open_service(data_dir: Path | None) -> Iterator[Context]:
+    """Open the service that has a data folder, as its operator."""
     settings = read_settings({"data_dir": data_dir})
     from app.context import Context
 
-    with closing(Context.open_existing(settings, bound=bound)) as context:
+    with closing(Context.open_existing(settings)) as context:
         yield context
 
 

@@ -1,101 +1,128 @@
-"""`interloc check`, `adopt` and `trash`: what the operator of a service does with its data."""
+"""`interloc check`, `backup`, `restore` and `trash`: what the operator of a service does with its data."""
 
 from __future__ import annotations
 
 from collections import Counter
-from contextlib import closing
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
-from interloc.cli.console import progress, say_json, set_quiet, size
+from interloc.cli import console, options
+from interloc.cli.console import size
 from interloc.cli.service import DATA_DIR, open_service, read_settings
-from interloc.errors import ConfigError
-
-if TYPE_CHECKING:
-    from app.upkeep.check import Discrepancy
+from interloc.errors import ConfigError, InterLocError
 
 _SHOWN = 10  # findings of one kind in one folder
-
-QUIET = click.option("--quiet", "-q", is_flag=True, expose_value=False, callback=set_quiet, help="Show no progress.")
 
 
 @click.command(short_help="Compare the database of the service with its files.")
 @DATA_DIR
-@click.option("--repair", is_flag=True, help="Also do what is safe: nothing of a drive or of a result is removed.")
-@click.option("--quick", is_flag=True, help="Compare sizes and times only, without reading the files.")
-@click.option("--json", "as_json", is_flag=True, help="Print all findings as one JSON object.")
-@QUIET
-def check(data_dir: Path | None, *, repair: bool, quick: bool, as_json: bool) -> int:
-    """Compare all rows of the database with all files: presence, size, digest; results; what belongs to nobody.
+@options.JSON
+def check(data_dir: Path | None) -> int:
+    """Say what is missing on either side: rows of the database without their files, files and folders without rows.
 
-    The server may go on meanwhile. Exit code 0: nothing was found; 1: something was.
+    Names and sizes are compared, and nothing is changed. The server may go on meanwhile. Exit code 0: nothing was
+    found; 1: something was.
 
     \b
-    Examples:
-      interloc check --quick
-      interloc check --repair
+    Example:
+      interloc check --data-dir /srv/interloc
     """
-    settings = read_settings({"data_dir": data_dir})
-    from app.context import Context
-    from app.store.installation import InstallationError
-    from app.upkeep.check import Discrepancy
-    from app.upkeep.check import check as check_all
+    with open_service(data_dir) as context:
+        from app.upkeep.check import check as check_all
 
-    try:
-        with closing(Context.open_existing(settings)) as context, progress("checking", " folders") as bar:
-            found = check_all(context, repair=repair, quick=quick, progress=bar)
-    except InstallationError as error:
-        found = [Discrepancy("installation", ".", str(error))]
-    if as_json:
-        say_json({"ok": not found, "findings": [asdict(each) for each in found]})
-    else:
-        _say_findings(found)
-    return int(bool(found))
-
-
-def _say_findings(found: list[Discrepancy]) -> None:
-    if not found:
-        click.echo("nothing found: rows and files agree")
-        return
+        found = check_all(context)
+    rows = [] if found else [("check", "rows and files agree")]
     shown: Counter[tuple[str, str]] = Counter()
     for each in found:
         group = each.kind, "/".join(each.place.split("/")[:3])
         shown[group] += 1
         if shown[group] <= _SHOWN:
-            click.echo(f"{each.place}: {each.message}" + (f" -> {each.repair}" if each.repair else ""))
+            rows.append((each.kind, f"{each.place}: {each.message}"))
     for (kind, folder), count in shown.items():
         if count > _SHOWN:
-            click.echo(f"{folder}: and {count - _SHOWN:,} more of the kind {kind} (--json lists all)")
-    repaired = sum(each.repair is not None for each in found)
-    click.echo(f"{len(found):,} found, {repaired:,} repaired" + ("" if repaired else "; --repair does what is safe"))
+            rows.append((kind, f"{folder}: and {count - _SHOWN:,} more (--json lists all)"))
+    console.say({"ok": not found, "findings": [asdict(each) for each in found]}, rows)
+    return int(bool(found))
 
 
-@click.command(short_help="Make rows for drives and jobs whose rows are lost.")
+@click.command(short_help="Back up the web service while it runs.")
+@click.argument("out", type=click.Path(path_type=Path))
 @DATA_DIR
-@click.option("--dry-run", is_flag=True, help="Only list what would be done.")
-@QUIET
-def adopt(data_dir: Path | None, *, dry_run: bool) -> None:
-    """Make rows in the database for folders of drives and jobs that have none, and bind database and data folder.
+@options.QUIET
+@options.JSON
+def backup(out: Path, data_dir: Path | None) -> None:
+    """Back up drives, jobs, results and tokens of the web service to the folder OUT, while its servers run.
 
-    For a database that was lost, and for what the service has moved to lost+found. Tokens are not in the folder: make
-    new ones with `interloc token add`.
+    OUT is a new folder, or the backup of before: then only what has changed is brought, and what is deleted in the
+    service is gone from OUT. On the disk of the data folder a backup is made of hard links and takes no space. One
+    that was stopped is not complete; the next one goes on where it stopped.
 
     \b
     Example:
-      interloc adopt --dry-run
+      interloc backup /mnt/backup/interloc --data-dir /srv/interloc
     """
-    with open_service(data_dir, bound=False) as context, progress("adopting", " folders") as bar:
-        from app.upkeep.adopt import adopt as adopt_all
+    with open_service(data_dir) as context, console.progress("backup", " files") as bar:
+        from app.upkeep.backup import back_up
 
-        outcomes = adopt_all(context, dry_run=dry_run, progress=bar)
-    for each in outcomes:
-        click.echo(f"{each.place}: {each.text}")
-    adopted = sum(each.is_adopted for each in outcomes)
-    verb = "would be adopted" if dry_run else "adopted; database and data folder belong together now"
-    click.echo(f"{adopted} of {len(outcomes)} {verb}")
+        report = back_up(context, out, bar)
+    record = report.record
+    assert record.ended_at is not None
+    brought = f"{report.brought_files:,} files, {size(report.brought_bytes)}"
+    rows = [
+        ("backup", str(out)),
+        ("drives", f"{record.drives:,}, with {record.jobs:,} jobs"),
+        ("size", f"{record.files:,} files, {size(record.size_bytes)}"),
+        ("brought", brought if report.brought_files else "nothing: all was there"),
+        ("removed", f"{report.removed_files:,} files that the service has no longer"),
+        ("time", f"{(record.ended_at - record.begun_at).total_seconds():.1f} s"),
+    ]
+    console.say({"out": str(out), **record.model_dump(mode="json"), **asdict(report, dict_factory=_but_record)}, rows)
+    if record.missing:
+        raise InterLocError(
+            f"all that there is was backed up, but files are missing in the service itself: "
+            f"{_some(record.missing)}. `interloc check` names all."
+        )
+
+
+def _but_record(items: list[tuple[str, object]]) -> dict[str, object]:
+    return {name: value for name, value in items if name != "record"}
+
+
+@click.command(short_help="Restore a backup of the web service.")
+@click.argument("backup", type=click.Path(path_type=Path))
+@DATA_DIR
+@options.QUIET
+@options.JSON
+def restore(backup: Path, data_dir: Path | None) -> None:
+    """Restore BACKUP into a new data folder and a new database: SQLite, or PostgreSQL by INTERLOC_DATABASE_URL.
+
+    The database need not be of the kind that the backup was made of: this is also the way from one to the other.
+
+    \b
+    Example:
+      interloc restore /mnt/backup/interloc --data-dir /srv/interloc
+    """
+    settings = read_settings({"data_dir": data_dir})
+    from app.upkeep.backup import restore as restore_backup
+
+    with console.progress("restore", " files") as bar:
+        record = restore_backup(settings, backup, bar)
+    rows = [
+        ("restored", f"the backup of {record.begun_at:%Y-%m-%d %H:%M} UTC to {settings.data_dir}"),
+        ("drives", f"{record.drives:,}, with {record.jobs:,} jobs"),
+        ("size", f"{record.files:,} files, {size(record.size_bytes)}"),
+    ]
+    console.say({"backup": str(backup), "data_dir": str(settings.data_dir), **record.model_dump(mode="json")}, rows)
+    if record.missing:
+        raise InterLocError(
+            f"the backup was restored as it is; files were missing in the service already: {_some(record.missing)}."
+        )
+
+
+def _some(names: list[str]) -> str:
+    return ", ".join(names[:_SHOWN]) + (f" and {len(names) - _SHOWN:,} more" if len(names) > _SHOWN else "")
 
 
 @click.group(short_help="Deleted drives and jobs: list, restore, empty.")
@@ -131,20 +158,20 @@ def list_(data_dir: Path | None) -> None:
         click.echo("the trash is empty", err=True)
 
 
-@trash.command()
+@trash.command("restore")
 @click.argument("item", metavar="ID")
 @DATA_DIR
-def restore(item: str, data_dir: Path | None) -> None:
+def restore_item(item: str, data_dir: Path | None) -> None:
     """Take the drive or the job ID out of the trash, a drive with its jobs and their results."""
     from app.http.problems import Problem
-    from app.trash.deletion import restore as restore_item
+    from app.trash import deletion
 
     with open_service(data_dir) as context:
         try:
-            restored = restore_item(context, "drives", item)
+            restored = deletion.restore(context, "drives", item)
         except Problem:
             try:
-                restored = restore_item(context, "jobs", item)
+                restored = deletion.restore(context, "jobs", item)
             except Problem as problem:
                 text = f"{item}: it is not in the trash; `interloc trash list` shows what is"
                 raise ConfigError(problem.detail if problem.status == 409 else text) from problem

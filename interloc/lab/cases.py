@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import csv
 import hashlib
 import json
@@ -32,6 +31,8 @@ about 0.5 m (docs/accuracy.md says how). Places that could not be told have no c
 _PACKAGE = Path(__file__).resolve().parents[1]
 _WITHOUT_INFLUENCE = ("cli", "client", "explain")
 """Parts of this package that no figure depends on."""
+_SIMULATOR = ("config", "drive", "ground", "lidar", "raycast", "scene", "streets", "tracks", "twins")
+"""Modules that a simulated drive depends on."""
 
 
 @dataclass(frozen=True)
@@ -51,11 +52,6 @@ class FolderCase:
         """Return longitude and latitude of where the axes of the roads meet, by the id of the node of OpenStreetMap.
 
         They stand in `axes.csv` of the drive (osm_id, lon, lat), or are those of `KNOWN_AXES`.
-
-        Raises
-        ------
-        DriveError
-            A file is damaged.
         """
         own = self.path / AXES
         found: dict[int, tuple[float, float]] = {}
@@ -80,13 +76,7 @@ class FolderCase:
         }
 
     def check(self) -> None:
-        """Raise what is wrong with the drive, as far as that shows without reading all of it.
-
-        Raises
-        ------
-        DriveError, GeoreferenceError
-            The drive is damaged, or has no georeference to compare it with a map by.
-        """
+        """Raise what is wrong with the drive, as far as that shows without reading all of it."""
         try:
             drive = open_drive(self.path, self.options)
         except GeoreferenceError as error:
@@ -126,24 +116,10 @@ def semantickitti_cases(
     *,
     labels: LabelFolder = "labels",
 ) -> list[FolderCase]:
-    """Return sequences of SemanticKITTI with their georeference and maps.
+    """Return sequences of SemanticKITTI with their georeference and maps; a message says what is missing.
 
-    Parameters
-    ----------
-    root
-        Folder with `sequences/NN` or `dataset/sequences/NN`.
-    oxts
-        Folder with `NN.txt[.gz]`, or with the KITTI raw drives under their published names, at any of two depths.
-    osm
-        Folder with `NN.osm[.gz|.bz2|.pbf]`.
-    sequences
-    labels
-        Folder of the labels.
-
-    Raises
-    ------
-    DriveError, GeoreferenceError, MapError
-        Something is missing; the message says what was looked for.
+    `root` holds `sequences/NN` or `dataset/sequences/NN`; `oxts` holds `NN.txt[.gz]`, or the KITTI raw drives under
+    their published names, at any of two depths; `osm` holds `NN.osm[.gz|.bz2|.pbf]`.
     """
     base = next((folder for folder in (root / "sequences", root / "dataset" / "sequences") if folder.is_dir()), None)
     if base is None:
@@ -163,15 +139,7 @@ def folder_cases(
     maps: Sequence[Path],
     options: DriveOptions | None = None,
 ) -> list[FolderCase]:
-    """Return any drives, with one map for all, or one map per drive in their order.
-
-    Raises
-    ------
-    ConfigError
-        There are neither one map nor as many as drives.
-    DriveError, MapError
-        A folder or a map is missing.
-    """
+    """Return any drives, with one map for all, or one map per drive in their order."""
     if len(maps) not in {1, len(drives)}:
         raise ConfigError(
             f"--osm: {len(maps)} maps for {len(drives)} drives. Expected one for all, or one per drive in their order."
@@ -250,29 +218,8 @@ def measuring_program() -> str:
 
 @cache
 def simulating_program() -> str:
-    """Return a fingerprint of the program that simulates drives: the simulator and all that it imports."""
-    lab = _PACKAGE / "lab"
-    return _contents(imported_by({lab / "drive.py"}) | {lab / "twins.py"})
-
-
-def imported_by(modules: set[Path]) -> set[Path]:
-    """Return some modules of this package, and those of the package that they import, directly or not."""
-    found, waiting = set[Path](), set(modules)
-    while waiting:
-        path = waiting.pop()
-        found.add(path)
-        waiting |= set(_imports(path)) - found
-    return found
-
-
-def _imports(path: Path) -> Iterator[Path]:
-    """Yield the modules of this package that a module imports, and the packages that they are in."""
-    for node in ast.walk(ast.parse(path.read_bytes())):
-        if isinstance(node, ast.ImportFrom) and node.module and node.module.partition(".")[0] == _PACKAGE.name:
-            module = _PACKAGE.joinpath(*node.module.split(".")[1:])
-            for name in (module, *(module / alias.name for alias in node.names)):
-                places = [name.with_suffix(".py"), *(each / "__init__.py" for each in (name, *name.parents))]
-                yield from (place for place in places if place.is_relative_to(_PACKAGE) and place.is_file())
+    """Return a fingerprint of the simulator."""
+    return _contents(path for path in Path(__file__).parent.glob("*.py") if path.stem in _SIMULATOR)
 
 
 def _contents(files: Iterable[Path]) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,14 +13,13 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from interloc.arrays import FloatArray, IntArray
+from interloc.arrays import FloatArray
 from interloc.config import DetectorConfig
 from interloc.detection.keyframes import select_keyframes
 from interloc.drive import Drive
-from interloc.drives.label_errors import MislabelledDrive
+from interloc.drives.label_errors import MislabelledDrive, parse_level
 from interloc.errors import OutputError
 from interloc.evaluation.evaluate import Evaluation, evaluate
-from interloc.evaluation.label_errors import parse_level
 from interloc.evaluation.matching import UNMATCHED
 from interloc.evaluation.metrics import STANDARD_THRESHOLD_M
 from interloc.evaluation.reliability import squared_errors
@@ -125,30 +124,18 @@ class Row(_Record):
     warnings: tuple[str, ...]
     made_up_map: bool
     """A simulator made the map up: it is not of OpenStreetMap."""
-    failures: dict[str, Any]
+    failures: tuple[dict[str, Any], ...]
     """See `find_failures`."""
 
 
 def write_row(row: Row, folder: Path) -> None:
-    """Keep a row in a folder.
-
-    Raises
-    ------
-    OutputError
-        It could not be written.
-    """
+    """Keep a row in a folder."""
     with atomic_write(folder / f"{row.cell.file_name}.json") as handle:
         handle.write(row.model_dump_json(exclude_none=False).encode() + b"\n")
 
 
 def read_row(cell: Cell, fingerprint: str, folder: Path) -> Row | None:
-    """Read the row of a cell, if one is kept that was measured with the same settings, inputs and program.
-
-    Raises
-    ------
-    OutputError
-        The file cannot be read.
-    """
+    """Read the row of a cell, if one is kept that was measured with the same settings, inputs and program."""
     path = folder / f"{cell.file_name}.json"
     try:
         row = Row.model_validate_json(path.read_bytes())
@@ -197,11 +184,6 @@ def measure(
         Longitude and latitude of where the axes of the roads meet, by node; None: at the nodes.
     progress
         See `interloc.pipeline.detect`.
-
-    Raises
-    ------
-    DriveError, GeoreferenceError, MapError
-        The drive is damaged, or does not fit its map.
     """
     r_fpr, r_fnr = parse_level(cell.noise)
     source = MislabelledDrive(drive, r_fpr, r_fnr, cell.seed) if r_fpr or r_fnr else drive
@@ -235,7 +217,7 @@ def measure(
         compute_s=round(used_s, 4),
         warnings=evaluation.warnings,
         made_up_map=graph.is_made_up,
-        failures=find_failures(evaluation, explain),
+        failures=tuple(find_failures(evaluation, explain)),
     )
 
 
@@ -289,116 +271,77 @@ def _rounded(values: FloatArray) -> tuple[float, ...]:
     return tuple(np.round(values, 4).tolist())
 
 
-def find_failures(evaluation: Evaluation, explain: Explain) -> dict[str, Any]:
-    """Gather the false detections and the missed nodes of a drive.
-
-    Parameters
-    ----------
-    evaluation
-    explain
-        Gives the command lines that show the steps of the method at a frame.
+def find_failures(evaluation: Evaluation, explain: Explain) -> list[dict[str, Any]]:
+    """List what went wrong on a drive, place by place: what cost most first.
 
     Returns
     -------
-    dict
-        `false_detections`: groups, largest first: `lon`, `lat`, `detections`, `frames`, `error_m` (median),
-        `nearest_node` (`osm_id`, `degree`, `distance_m`), `kind`, `see`.
-        Kinds: those of a wrong detection in `interloc.evaluation.reasons.KINDS`, the most frequent one of a group.
-        `missed_nodes`: those with most missed keyframes first: `osm_id`, `lon`, `lat`, `degree`, `found`,
-        `keyframes_in_zone`, `keyframes_missed`, `frames`, `best_error_m`, `kind`, `see`.
-        Kinds: those of a missed node; "part_of_the_time" (found, but not at every keyframe); "on_the_map" (by no
-        detection within 5 m, but by an intersection of the map within 10 m).
+    list of dict
+        `what`: "false" for a group of false detections, "missed" for a node that was missed at keyframes; `kind`: one
+        of `interloc.evaluation.reasons.KINDS`, of a group the most frequent one, or of a node "part_of_the_time"
+        (found, but not at every keyframe) and "on_the_map" (by no detection within 5 m, but by an intersection of the
+        map within 10 m); `times`: detections, or keyframes (one at least where it was never found); `off_m`: distance
+        of the group from the nearest node, smallest error at the node; `osm_id`, `degree` of that node, None where
+        there is none; `lon`, `lat`, `frames`; `see`: the command lines that draw the frame in the middle.
     """
-    return {
-        "false_detections": _false_detections(evaluation, explain),
-        "missed_nodes": _missed_nodes(evaluation, explain),
-    }
+    found = [*_false_detections(evaluation), *_missed_nodes(evaluation)]
+    for failure in found:
+        node, (lon, lat), frames = failure.pop("node"), failure.pop("lonlat"), failure["frames"]
+        nodes = evaluation.nodes
+        failure |= {
+            "osm_id": None if node is None else int(nodes.osm_id[node]),
+            "degree": None if node is None else int(nodes.degree[node]),
+            "lon": rounded(lon, DEGREE_DECIMALS),
+            "lat": rounded(lat, DEGREE_DECIMALS),
+            "off_m": rounded(failure["off_m"], 2),
+            "see": explain(sorted(frames)[len(frames) // 2]),
+        }
+        failure["frames"] = sorted(set(frames))
+    return sorted(found, key=lambda failure: -failure["times"])
 
 
-def _false_detections(evaluation: Evaluation, explain: Explain) -> list[dict[str, Any]]:
-    detections, matching = evaluation.detections, evaluation.matching
-    assert detections.lonlat is not None
-    false = np.flatnonzero(~(matching.error_m < STANDARD_THRESHOLD_M))
-    if len(false) == 0:
-        return []
-    lon, lat = middle_of(detections.lonlat)
-    xy = enu_from_lonlat(lat, lon, detections.lonlat[false])
-    nodes_xy = enu_from_lonlat(lat, lon, evaluation.nodes.lonlat)
-    kinds = evaluation.verdicts.false_kind
-    groups = []
-    for rows in _groups(xy):
-        place = np.median(xy[rows], axis=0)
-        node, distance = _nearest(nodes_xy, place)
-        members = false[rows]
-        frames = evaluation.keyframes.frame[detections.keyframe[members]]
-        ((kind, _),) = Counter(kinds[row] for row in members.tolist()).most_common(1)
-        lonlat = np.median(detections.lonlat[members], axis=0)
-        errors = matching.error_m[members]
-        groups.append(
-            {
-                "lon": rounded(lonlat[0], DEGREE_DECIMALS),
-                "lat": rounded(lonlat[1], DEGREE_DECIMALS),
-                "detections": len(members),
-                "frames": sorted(set(frames.tolist())),
-                "error_m": rounded(np.median(errors), 2),
-                "nearest_node": None if node < 0 else _node(evaluation, node) | {"distance_m": rounded(distance, 2)},
-                "kind": kind,
-                "see": explain(_middle(frames)),
-            }
-        )
-    return sorted(groups, key=lambda group: -int(group["detections"]))
-
-
-def _missed_nodes(evaluation: Evaluation, explain: Explain) -> list[dict[str, Any]]:
-    table, matching, nodes = evaluation.node_table, evaluation.matching, evaluation.nodes
-    if len(nodes) == 0:
-        return []
-    missed = []
-    for node in np.flatnonzero(table.in_zone & (~table.found | (table.missed_keyframes > 0))).tolist():
-        at_node = matching.zone_node == node
-        misses = matching.zone_keyframe[at_node & ~matching.zone_found]
-        frames = evaluation.keyframes.frame[misses if len(misses) else matching.zone_keyframe[at_node]]
-        kind = "part_of_the_time" if table.found[node] else evaluation.verdicts.miss_kind[node] or "on_the_map"
-        missed.append(
-            {
-                **_node(evaluation, node),
-                "lon": rounded(nodes.lonlat[node, 0], DEGREE_DECIMALS),
-                "lat": rounded(nodes.lonlat[node, 1], DEGREE_DECIMALS),
-                "found": bool(table.found[node]),
-                "keyframes_in_zone": int(table.zone_keyframes[node]),
-                "keyframes_missed": int(table.missed_keyframes[node]),
-                "frames": frames.tolist(),
-                "best_error_m": rounded(table.best_error_m[node], 2),
-                "kind": kind,
-                "see": explain(_middle(frames)),
-            }
-        )
-    return sorted(missed, key=lambda entry: (entry["found"], -entry["keyframes_missed"]))
-
-
-def _node(evaluation: Evaluation, node: int) -> dict[str, Any]:
-    return {"osm_id": int(evaluation.nodes.osm_id[node]), "degree": int(evaluation.nodes.degree[node])}
-
-
-def _nearest(places: FloatArray, place: FloatArray) -> tuple[int, float]:
-    if len(places) == 0:
-        return -1, np.inf
-    distance = np.hypot(*(places - place).T)
-    nearest = int(np.argmin(distance))
-    return nearest, float(distance[nearest])
-
-
-def _middle(frames: IntArray) -> int:
-    return int(np.sort(frames)[len(frames) // 2])
-
-
-def _groups(xy: FloatArray) -> list[IntArray]:
-    """Return the rows of each group of (N, 2) points that steps of at most `GROUP_M` join."""
+def _false_detections(evaluation: Evaluation) -> Iterator[dict[str, Any]]:
+    """Yield the false detections in groups, which steps of at most `GROUP_M` join."""
     from scipy.sparse import coo_array  # noqa: PLC0415 - slow to import
     from scipy.sparse.csgraph import connected_components  # noqa: PLC0415
     from scipy.spatial import cKDTree  # noqa: PLC0415
 
+    detections, kinds = evaluation.detections, evaluation.verdicts.false_kind
+    assert detections.lonlat is not None
+    false = np.flatnonzero(~(evaluation.matching.error_m < STANDARD_THRESHOLD_M))
+    if len(false) == 0:
+        return
+    lon, lat = middle_of(detections.lonlat)
+    xy = enu_from_lonlat(lat, lon, detections.lonlat[false])
+    nodes_xy = enu_from_lonlat(lat, lon, evaluation.nodes.lonlat)
     pairs = cKDTree(xy).query_pairs(GROUP_M, output_type="ndarray")
     links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(xy), len(xy)))
     count, group = connected_components(links, directed=False)
-    return [np.flatnonzero(group == each) for each in range(count)]
+    for number in range(count):
+        members = false[group == number]
+        away = np.hypot(*(nodes_xy - np.median(xy[group == number], axis=0)).T)
+        yield {
+            "what": "false",
+            "kind": Counter(kinds[row] for row in members.tolist()).most_common(1)[0][0],
+            "times": len(members),
+            "off_m": away.min() if len(away) else np.nan,
+            "node": int(away.argmin()) if len(away) else None,
+            "lonlat": np.median(detections.lonlat[members], axis=0),
+            "frames": evaluation.keyframes.frame[detections.keyframe[members]].tolist(),
+        }
+
+
+def _missed_nodes(evaluation: Evaluation) -> Iterator[dict[str, Any]]:
+    table, matching = evaluation.node_table, evaluation.matching
+    for node in np.flatnonzero(table.in_zone & (~table.found | (table.missed_keyframes > 0))).tolist():
+        at_node = matching.zone_node == node
+        misses = matching.zone_keyframe[at_node & ~matching.zone_found]
+        yield {
+            "what": "missed",
+            "kind": "part_of_the_time" if table.found[node] else evaluation.verdicts.miss_kind[node] or "on_the_map",
+            "times": max(int(table.missed_keyframes[node]), 0 if table.found[node] else 1),
+            "off_m": table.best_error_m[node],
+            "node": node,
+            "lonlat": evaluation.nodes.lonlat[node],
+            "frames": evaluation.keyframes.frame[misses if len(misses) else matching.zone_keyframe[at_node]].tolist(),
+        }

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections import Counter
 from dataclasses import asdict
-from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,7 +22,6 @@ from interloc.lab.tables import (
     ALL,
     NO_NOISE,
     Measured,
-    Table,
     figures,
     ours,
     outcomes,
@@ -32,7 +29,6 @@ from interloc.lab.tables import (
     pooled,
     pools,
     scores,
-    table_of,
     tables,
 )
 from interloc.output.credits import joint_credit, map_credit
@@ -46,6 +42,7 @@ PAGE = "benchmark.html"
 F1_THRESHOLDS_M = np.arange(0.5, 10.1, 0.5)
 _MEANINGS = {str(kind): meaning for kind, meaning in KINDS.items()}
 _WORST = 40  # places of each preset on the page
+_SHOWN = ("off_m", "osm_id", "lon", "lat", "frames", "see")
 
 
 def benchmark_record(benchmark: Benchmark, measured: Measured) -> dict[str, Any]:
@@ -119,19 +116,13 @@ def _row(row: Row) -> dict[str, Any]:
 
 
 def write_benchmark(benchmark: Benchmark, measured: Measured, out: Path) -> None:
-    """Write the outcome of a benchmark into its folder, each file whole or not at all.
-
-    Raises
-    ------
-    OutputError
-        A file could not be written.
-    """
+    """Write the outcome of a benchmark into its folder, each file whole or not at all."""
     make_folder(out / "failures")
     for row in measured.rows:
         record = {**row.cell.model_dump(), "policy": row.policy}
         if row.cell.noise != NO_NOISE:
             record["note"] = "`see` draws the frame without the label errors"
-        record |= {**row.failures, **map_credit(is_made_up=row.made_up_map).members}
+        record |= {"failures": row.failures, **map_credit(is_made_up=row.made_up_map).members}
         write_file(out / "failures" / f"{row.cell.file_name}.json", encode(record, indent=1) + "\n")
     picture = ""
     if len(measured.noises) > 1:
@@ -141,7 +132,7 @@ def write_benchmark(benchmark: Benchmark, measured: Measured, out: Path) -> None
         write_file(out / "figures" / "label_errors.svg", svg)
         write_file(out / "figures" / "label_errors.png", image(figure, "png"))
         picture = data_address(svg, "image/svg+xml")
-    record = benchmark_record(benchmark, measured)
+    record, failures = benchmark_record(benchmark, measured), failures_of(measured)
     shown = tables(measured)
     page = template("benchmark.html", "interloc.lab").render(
         title=benchmark.title,
@@ -150,8 +141,8 @@ def write_benchmark(benchmark: Benchmark, measured: Measured, out: Path) -> None
         warnings=dict.fromkeys(f"{row.cell.drive}: {warning}" for row in measured.rows for warning in row.warnings),
         tables=[*shown, *(performance_table(measured, level) for level in measured.noises[1:])],
         picture=picture,
-        kinds=kinds_table(measured),
-        places=[(ours(preset), worst_places(measured, preset)) for preset in measured.presets],
+        kinds=kinds_table(failures),
+        places=[(ours(preset), worst_places(failures, preset, measured.noises[0])) for preset in measured.presets],
         made_up_maps=sorted({row.made_up_map for row in measured.rows}),
         configs=[(name, json.dumps(config, indent=2)) for name, config in record["config"].items()],
         versions=", ".join(f"{name} {version}" for name, version in record["versions"].items()),
@@ -183,54 +174,25 @@ def label_errors_figure(measured: Measured) -> Figure:
     return figure
 
 
-def kinds_table(measured: Measured) -> Table:
-    """Count the failures by kind: groups of false detections with the detections in them, nodes with their misses."""
-    places: Counter[tuple[str, ...]] = Counter()
-    times: Counter[tuple[str, ...]] = Counter()
-    for row in measured.rows:
-        for name, number, words in (
-            ("false_detections", "detections", "false detections: groups (detections)"),
-            ("missed_nodes", "keyframes_missed", "missed nodes: nodes (keyframes)"),
-        ):
-            for entry in row.failures[name]:
-                key = (words, _meaning(entry["kind"]), row.cell.preset, row.cell.noise)
-                places[key] += 1
-                times[key] += entry[number]
-    columns = list(product(measured.presets, measured.noises))
-    lines: dict[tuple[str, ...], list[str]] = {
-        (words, kind): [f"{places[key]} ({times[key]})" for each in columns for key in [(words, kind, *each)]]
-        for words, kind in sorted({key[:2] for key in places}) or [("nothing", "")]
-    }
-    return table_of("Failures by kind", lines, [f"{ours(preset)}, {noise}" for preset, noise in columns])
+def failures_of(measured: Measured) -> pd.DataFrame:
+    """Return every failure with the cell that it is of."""
+    found = [{**row.cell.model_dump(), **failure} for row in measured.rows for failure in row.failures]
+    frame = pd.DataFrame(found, columns=["drive", "preset", "noise", "seed", "what", "kind", "times", *_SHOWN])
+    frame["kind"] = [_MEANINGS.get(kind, str(kind).replace("_", " ")) for kind in frame["kind"]]
+    return frame
 
 
-def worst_places(measured: Measured, preset: str) -> pd.DataFrame:
-    """Return the failures of a preset without label errors that cost most, worst first."""
-    places = []
-    one_seed = len({row.cell.seed for row in measured.rows}) == 1
-    for row in measured.of(preset=preset, noise=measured.noises[0]):
-        drive = row.cell.drive if one_seed else f"{row.cell.drive} seed {row.cell.seed}"
-        for what, entries in row.failures.items():
-            for entry in entries:
-                if what == "false_detections":
-                    times, node = entry["detections"], entry["nearest_node"]
-                    off_m = node["distance_m"] if node else None
-                else:
-                    times, off_m = max(entry["keyframes_missed"], 0 if entry["found"] else 1), entry["best_error_m"]
-                places.append(
-                    {
-                        "drive": drive,
-                        "kind": f"{'false' if what == 'false_detections' else 'missed'}: {_meaning(entry['kind'])}",
-                        "times": times,
-                        "off node": "-" if off_m is None else f"{off_m:.2f} m",
-                        "lon, lat": f"{entry['lon']:.6f}, {entry['lat']:.6f}",
-                        "frames": f"{entry['frames'][0]}..{entry['frames'][-1]}",
-                        "see": " && ".join(entry["see"]),
-                    }
-                )
-    found = pd.DataFrame(places)
-    return found if found.empty else found.sort_values("times", ascending=False, kind="stable").head(_WORST)
+def kinds_table(failures: pd.DataFrame) -> pd.DataFrame:
+    """Count the failures by kind: places, and in brackets the detections or keyframes there."""
+    keys = ["what", "kind", "preset", "noise"]
+    counts = failures.groupby(keys, sort=False)["times"].agg(["size", "sum"]).astype(str)
+    return (counts["size"] + " (" + counts["sum"] + ")").rename("places").reset_index()
 
 
-def _meaning(kind: str) -> str:
-    return _MEANINGS.get(kind, kind.replace("_", " "))
+def worst_places(failures: pd.DataFrame, preset: str, noise: str) -> pd.DataFrame:
+    """Return the failures of a preset at a level of label errors that cost most, worst first."""
+    chosen = failures[(failures["preset"] == preset) & (failures["noise"] == noise)]
+    shown = chosen.sort_values("times", ascending=False, kind="stable").head(_WORST).drop(columns=["preset", "noise"])
+    shown["frames"] = [f"{frames[0]}..{frames[-1]}" for frames in shown["frames"]]
+    shown["see"] = [" && ".join(lines) for lines in shown["see"]]
+    return shown

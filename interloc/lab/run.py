@@ -28,16 +28,6 @@ logger = logging.getLogger(__name__)
 
 ROWS = "rows"
 _DRIVE_POLICY = Scoring()
-_REPORT_EVERY = 10  # keyframes or scans: the progress of a worker process is not sent more often
-
-Report = Callable[[str, str, int, int], None]
-"""Called with a task, what it is doing, and how much of how much is done; with 0 of 0 at its end."""
-
-Log = Callable[[str], None]
-
-
-def _no_report(task: str, what: str, done: int, total: int) -> None:
-    """Do nothing."""
 
 
 @dataclass(frozen=True)
@@ -99,38 +89,43 @@ class _Task:
     truth: Scoring
     out: Path
 
-    @property
-    def name(self) -> str:
-        return self.case.name if self.case.seed is None else f"{self.case.name} seed {self.case.seed}"
-
 
 def run_benchmark(
-    benchmark: Benchmark, out: Path, *, workers: int = 1, fresh: bool = False, report: Report = _no_report
+    benchmark: Benchmark, out: Path, *, workers: int = 1, fresh: bool = False, progress: Progress | None = None
 ) -> list[Row]:
     """Measure everything that is planned, and keep each row in `out/rows` as soon as it is there.
 
-    Parameters
-    ----------
-    benchmark
-    out
-        Folder of the benchmark; is made if it is missing.
-    workers : int
-        Number of drives at a time, each in a process. The rows do not depend on it.
-    fresh : bool
-        Measure kept rows again.
-    report
-        Called with what is being done.
-
-    Returns
-    -------
-    list of Row
-        In the order of the benchmark.
-
-    Raises
-    ------
-    InterLocError
-        Whatever is wrong with a drive, its map, or the output; rows that were finished before are kept.
+    With several workers, so many drives at a time, each in a process; the rows do not depend on it. `fresh` measures
+    kept rows again. `progress` is called with the number of rows that are there, and of all. Rows that were finished
+    before anything fails are kept.
     """
+    done, tasks = _plan(benchmark, out, fresh=fresh)
+    finished, total = len(done), len(done) + sum(len(task.cells) for task in tasks)
+
+    def tell(*_: int) -> None:
+        if progress is not None:
+            progress(finished, total)
+
+    def count(line: str) -> None:
+        nonlocal finished
+        logger.info(line)
+        finished += 1
+        tell()
+
+    try:
+        if min(workers, len(tasks)) > 1:
+            hint = "Finished rows are kept: the same command goes on from there."
+            found = run_in_processes(_run_task, tasks, workers, on_message=count, hint=hint)
+        else:
+            found = [_run_task(task, count, tell) for task in tasks]
+    finally:
+        _remove_leftovers(out)
+    done |= {row.cell: row for rows in found for row in rows}
+    return [done[cell] for case in benchmark.cases for cell, _ in benchmark.cells(case)]
+
+
+def _plan(benchmark: Benchmark, out: Path, *, fresh: bool) -> tuple[dict[Cell, Row], list[_Task]]:
+    """Return the rows that are kept from before, and what is to be measured; the drives of that are checked."""
     rows_dir = _make_folder(out)
     done: dict[Cell, Row] = {}
     tasks = []
@@ -146,33 +141,18 @@ def run_benchmark(
             else:
                 done[cell] = row
         if missing:
-            tasks.append((case, missing))
+            tasks.append(_Task(case, tuple(missing), benchmark.truth, out))
     if done:
         logger.info("%d of the rows are kept from before (%s); --fresh measures them again", len(done), rows_dir)
     try:
-        for case, _ in tasks:  # all of them before any long work
-            case.check()
+        for task in tasks:  # all of them before any long work
+            task.case.check()
     except InterLocError:
-        _remove_if_empty(rows_dir, out)
+        with suppress(OSError):  # it is not empty
+            rows_dir.rmdir()
+            out.rmdir()
         raise
-    at_once = max(1, min(workers, len(tasks)))
-    full = [_Task(case, tuple(cells), benchmark.truth, out) for case, cells in tasks]
-    try:
-        if at_once > 1:
-            found = run_in_processes(
-                _run_task_in_process,
-                full,
-                at_once,
-                on_message=lambda message: logger.info(message) if isinstance(message, str) else report(*message),
-                hint="Finished rows are kept: the same command goes on from there.",
-            )
-        else:
-            found = [_run_task(task, report, logger.info) for task in full]
-    finally:
-        for leftover in out.glob(".twin-*"):
-            shutil.rmtree(leftover, ignore_errors=True)
-    done |= {row.cell: row for rows in found for row in rows}
-    return [done[cell] for case in benchmark.cases for cell, _ in benchmark.cells(case)]
+    return done, tasks
 
 
 def _make_folder(out: Path) -> Path:
@@ -186,48 +166,26 @@ def _make_folder(out: Path) -> Path:
         rows.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise OutputError(f"{out} could not be written: {reason_of(error)}.") from error
-    for leftover in out.glob(".twin-*"):  # of a run that was killed
-        shutil.rmtree(leftover, ignore_errors=True)
+    _remove_leftovers(out)
     return rows
 
 
-def _remove_if_empty(*folders: Path) -> None:
-    with suppress(OSError):
-        for folder in folders:
-            folder.rmdir()
+def _remove_leftovers(out: Path) -> None:
+    for leftover in out.glob(".twin-*"):  # of a run that was stopped or killed
+        shutil.rmtree(leftover, ignore_errors=True)
 
 
-def _run_task_in_process(task: _Task) -> list[Row]:
-    def report(name: str, what: str, done: int, total: int) -> None:
-        if done == total or done % _REPORT_EVERY == 0:
-            send_message((name, what, done, total))
-
-    return _run_task(task, report, send_message)
-
-
-def _run_task(task: _Task, report: Report, log: Log) -> list[Row]:
-    def progress(what: str) -> Progress:
-        return partial(report, task.name, what)
-
+def _run_task(task: _Task, count: Callable[[str], None] = send_message, tell: Progress | None = None) -> list[Row]:
+    """Measure the cells of a drive; `count` is called with the figures of each row, `tell` again and again."""
     rows = []
-    graph = read_osm(task.case.osm)
-    with task.case.opened(task.out, progress("simulate")) as drive:
+    graph, axes = read_osm(task.case.osm), task.case.axes()
+    with task.case.opened(task.out, tell) as drive:
         for cell, named, mark in task.cells:
-            row = measure(
-                cell,
-                mark,
-                drive,
-                graph,
-                named.config,
-                task.truth,
-                partial(task.case.explain, settings=named.arguments),
-                axes=task.case.axes(),
-                progress=progress(f"{cell.preset} {cell.noise}"),
-            )
+            explain = partial(task.case.explain, settings=named.arguments)
+            row = measure(cell, mark, drive, graph, named.config, task.truth, explain, axes=axes, progress=tell)
             write_row(row, task.out / ROWS)
             rows.append(row)
-            log(describe(row))
-    report(task.name, "", 0, 0)
+            count(describe(row))
     return rows
 
 

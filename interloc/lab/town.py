@@ -1,9 +1,9 @@
-"""Made-up towns, and the exact truth about them."""
+"""Made-up towns, whose maps are their truth."""
 
 from __future__ import annotations
 
 import heapq
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Literal
@@ -13,7 +13,6 @@ import numpy as np
 
 from interloc.arrays import FloatArray
 from interloc.errors import ConfigError
-from interloc.geometry import bearing_deg
 from interloc.lab.config import SceneConfig, TrackConfig
 from interloc.lab.drive import Trip
 from interloc.lab.scene import Yard, made_up_houses
@@ -30,7 +29,6 @@ from interloc.lab.streets import (
 )
 from interloc.lab.tracks import LidarTrack, LocalFrame, track_from_line
 from interloc.osm.container import SIMULATOR
-from interloc.osm.intersections import DRIVABLE
 
 Part = Literal["plain", "full", "quarter"]
 
@@ -55,41 +53,15 @@ _TURN_RADIUS_M = 4.0
 _OWN_TAGS = "town:"  # explained in town.osm
 
 
-@dataclass(frozen=True)
-class TownJunction:
-    """The truth about a junction of the town."""
-
-    name: str
-    kind: str
-    """Its `town:name`; T, X, Y, staggered, roundabout, dual or compound."""
-    node_id: int
-    """Id in the .osm file."""
-    lon_deg: float
-    lat_deg: float
-    """As written to the .osm file."""
-    x_m: float
-    y_m: float
-    """Metres east and north in `Town.frame`."""
-    bearings_deg: tuple[float, ...]
-    """Directions of its arms, clockwise from north, ascending."""
-
-
 class Town:
-    """A made-up town.
+    """A made-up town; the seed decides its houses.
 
-    Parameters
-    ----------
-    part
-        "full": every shape of junction that matters, a route of some 5 km. "plain": its X, T and Y junctions of 45 to
-        120 degrees, some 670 m. "quarter": a town as one knows them, with curved streets, market square and park,
-        some 2 km.
-    seed
-        Decides the houses.
-    houses
-        False leaves the plots empty.
+    Part "full" has every shape of junction that matters, a route of some 5 km; "plain" its X, T and Y junctions of 45
+    to 120 degrees, some 670 m; "quarter" is a town as one knows them, with curved streets, market square and park, some
+    2 km.
     """
 
-    def __init__(self, part: Part = "full", *, seed: int = 0, houses: bool = True) -> None:
+    def __init__(self, part: Part = "full", *, seed: int = 0) -> None:
         if part not in ROUTES:
             raise ConfigError(f"Part of the town: {part!r}. Expected one of {', '.join(ROUTES)}.")
         self.part = part
@@ -101,8 +73,7 @@ class Town:
         self._areas = [way for way in ways if "highway" not in way.tags and part != "plain"]
         self._lonlat = {node: place for way in self._streets for node, place in zip(way.nodes, way.lonlat, strict=True)}
         self._xy = {node: self.frame.xy(place) for node, place in self._lonlat.items()}
-        self.junctions = self._find_junctions()
-        self._houses = self._build(seed) if houses else []
+        self._houses = self._build(seed)
 
     def map_data(self) -> MapData:
         """Return the streets with their tags, the houses and the areas."""
@@ -139,13 +110,7 @@ class Town:
         return "\n".join([*lines, "</osm>", ""])
 
     def trip(self, config: TrackConfig | None = None) -> Trip:
-        """Return the drive through the town, to be simulated; its map will lie beside the scans as `map.osm`.
-
-        Parameters
-        ----------
-        config
-            See `track`.
-        """
+        """Return the drive through the town, to be simulated; its map will lie beside the scans as `map.osm`."""
         about: dict[str, object] = {"town": self.part}
         return Trip(self.track(config), self.map_data(), about, {MAP_FILE: self.osm().encode()})
 
@@ -162,10 +127,7 @@ class Town:
     def track(self, config: TrackConfig | None = None) -> LidarTrack:
         """Return the drive through the town, on the right-hand side of its streets.
 
-        Parameters
-        ----------
-        config
-            Speed and so on; where it gives no offset, 1.6 m to the right of the centre line.
+        Where the configuration gives no offset, 1.6 m to the right of the centre line.
         """
         config = config or TrackConfig()
         if not config.offset_m:
@@ -185,27 +147,6 @@ class Town:
         )
         alt = 110.0 + hills_m(fine[:, :2]) + fine[:, 2]
         return track_from_line(self.frame.lonlat(fine[:, :2]), alt, config)
-
-    def _find_junctions(self) -> list[TownJunction]:
-        arms: dict[int, set[int]] = {}
-        for street in self._streets:
-            if street.tags["highway"] not in DRIVABLE:
-                continue
-            for a, b in pairwise(street.nodes):
-                arms.setdefault(a, set()).add(b)
-                arms.setdefault(b, set()).add(a)
-        result = []
-        for node, others in arms.items():
-            if len(others) < 3:
-                continue
-            towards = [self._xy[other] - self._xy[node] for other in others]
-            bearings = sorted(float(bearing_deg(np.arctan2(d[1], d[0]))) for d in towards)
-            tags = self._node_tags[node]
-            lon_deg, lat_deg = self._lonlat[node].tolist()
-            x_m, y_m = self._xy[node].tolist()
-            name, kind = tags["town:name"], tags["town:junction"]
-            result.append(TownJunction(name, kind, node, lon_deg, lat_deg, x_m, y_m, tuple(bearings)))
-        return result
 
     def _build(self, seed: int) -> list[FloatArray]:
         """Return the outlines of made-up houses in the frame of the town."""

@@ -38,7 +38,6 @@ def running_server(data_dir: Path, *, asked: list[str] | None = None, **settings
     forks.ready()
     options: dict[str, Any] = {
         "min_free_bytes": 0,
-        "disk_reserve_bytes": 0,
         "workers": 1,
         "log_level": "warning",
         **settings,

@@ -46,23 +46,17 @@ def receive(data_dir: Path, content: bytes) -> None:
 
 
 def remove_file(data_dir: Path, drive_id: str, path: str) -> None:
-    """Delete a file; die when it is gone and that its row is too is about to be committed."""
+    """Delete a file; die when that its row is gone is about to be committed."""
     context = _open(data_dir)
     event.listen(context.database.engine, "commit", _die)
     delete_file(context, drive_id, path)
 
 
-def purge_before_the_end(data_dir: Path, drive_id: str) -> None:
-    """Purge what is in the trash; die when the folders are renamed and that the rows are gone is to be committed."""
+def purge(data_dir: Path, drive_id: str) -> None:
+    """Purge a drive that is in the trash; die when its folder is gone and those of its jobs are not."""
     context = _open(data_dir)
-    event.listen(context.database.engine, "commit", _die)
-    trash.purge(context, "drives", drive_id)
-
-
-def purge_before_the_bytes(data_dir: Path, drive_id: str) -> None:
-    """Purge what is in the trash; die when the rows are gone and the bytes are not."""
-    context = _open(data_dir)
-    trash.remove = lambda path: path.exists() and _die()
+    delete = context.storage.delete
+    context.storage.delete = lambda key: _die() if key.startswith("jobs/") else delete(key)
     trash.purge(context, "drives", drive_id)
 
 

@@ -72,7 +72,6 @@ class ServerProcess:
         clean = {name: value for name, value in os.environ.items() if not name.startswith("INTERLOC_")}
         base = {
             "INTERLOC_MIN_FREE_BYTES": "0",
-            "INTERLOC_DISK_RESERVE_BYTES": "0",
             "INTERLOC_LEASE_S": "5",
             "INTERLOC_DATA_DIR": str(data_dir),
         }

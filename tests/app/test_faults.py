@@ -292,27 +292,3 @@ def test_a_job_on_a_full_disk_fails_in_words(start: Start, drive: Drive, small_d
     assert "space" in end["error"]["detail"]
     filler.unlink()
     assert ended(server.client, submit(server.client, drive_id))["state"] == "successful"
-
-
-def test_deleting_works_on_a_disk_that_is_full_to_the_last_byte(start: Start, small_disk: Path) -> None:
-    def fill() -> None:
-        subprocess.run(["dd", "if=/dev/zero", f"of={small_disk / 'filler'}", "bs=4k"], check=False, capture_output=True)
-
-    reserve, size = small_disk / "reserve", 8 * 1024**2
-    server = start(data_dir=small_disk, workers=1, disk_reserve_bytes=size)
-    drives = [server.client.post(f"{API}/drives", json={"name": name}).json()["id"] for name in ("first", "second")]
-    for drive in drives:
-        assert server.client.put(f"{API}/drives/{drive}/files/a.bin", content=bytes(1024**2)).status_code == 201
-    wait_until(reserve.is_file, "the reserve")
-    assert reserve.stat().st_blocks * 512 >= size
-    fill()
-    assert server.client.delete(f"{API}/drives/{drives[0]}").status_code == 204
-    assert [drive["id"] for drive in server.client.get(f"{API}/drives").json()["drives"]] == [drives[1]]
-    assert not reserve.exists()
-    (small_disk / "filler").unlink()
-    assert server.stop() == 0
-    assert reserve.is_file()  # made again as soon as there is room
-
-    fill()
-    again = start(data_dir=small_disk, workers=1, disk_reserve_bytes=size)  # its database needs space too
-    assert again.client.delete(f"{API}/drives/{drives[1]}").status_code == 204

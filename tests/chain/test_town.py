@@ -16,8 +16,9 @@ from interloc.lab.town import MAP_FILE, Town
 from interloc.osm.reader import read_osm
 from interloc.pipeline import detect
 from interloc.results import DriveResult
+from tests.towns import junctions_of
 
-JUNCTIONS = {junction.name: junction for junction in Town("plain", houses=False).junctions}
+JUNCTIONS = junctions_of(Town("plain"))
 RANGE_M = 20.0  # half of the relevant zone
 
 
@@ -29,7 +30,7 @@ def evaluation(town_drive: Path, town_result: DriveResult) -> Evaluation:
 def errors_m(name: str, lonlat: FloatArray | None) -> FloatArray:
     """Return the distances of places from where the plan has a junction."""
     assert lonlat is not None
-    errors: FloatArray = np.hypot(*enu_from_lonlat(JUNCTIONS[name].lat_deg, JUNCTIONS[name].lon_deg, lonlat).T)
+    errors: FloatArray = np.hypot(*enu_from_lonlat(*JUNCTIONS[name].lonlat[::-1], lonlat).T)
     return errors
 
 
@@ -67,7 +68,7 @@ def test_detections_nearby_are_good_to_a_metre(town_result: DriveResult, name: s
 @pytest.mark.parametrize("name", sorted(JUNCTIONS))
 def test_intersection_has_the_arms_of_the_plan(town_result: DriveResult, name: str) -> None:
     nearest = int(np.argmin(errors_m(name, town_result.intersections.lonlat)))
-    found, planned = town_result.intersections.bearings_deg[nearest], np.array(JUNCTIONS[name].bearings_deg)
+    found, planned = town_result.intersections.bearings_deg[nearest], JUNCTIONS[name].bearings_deg
     assert len(found) == len(planned)
     apart = np.abs((found[:, None] - planned[None] + 180) % 360 - 180)
     assert apart.min(axis=1).max() < 3

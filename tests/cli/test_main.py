@@ -36,7 +36,6 @@ COMMANDS = [
     "serve",
     "token",
     "check",
-    "adopt",
     "trash",
     "backup",
     "restore",

@@ -1,4 +1,4 @@
-"""`interloc check`, `adopt`, `trash`: what operators read, and the exit codes that their scripts look at."""
+"""`interloc check`, `backup`, `restore`, `trash`: what operators read, and the exit codes that scripts look at."""
 
 from __future__ import annotations
 
@@ -37,48 +37,61 @@ def fill(data: Path, files: int, *, deleted: bool = False) -> str:
     return drive
 
 
-def test_check_tells_repairs_and_is_content(interloc: Callable, data: Path) -> None:
+def test_check_names_what_is_missing(interloc: Callable, data: Path) -> None:
     drive = fill(data, 12)
     outcome = interloc("check")
-    assert (outcome.code, outcome.out) == (0, "nothing found: rows and files agree\n")
+    assert (outcome.code, outcome.out) == (0, "check  rows and files agree\n")
     for path in (data / f"drives/{drive}/files/velodyne").iterdir():
         path.unlink()
-    outcome = interloc("check", "--quick")
+    outcome = interloc("check")
     assert outcome.code == 1
     lines = outcome.out.splitlines()
-    assert lines[0] == (f"drives/{drive}/files/velodyne/000000.bin: its row says 10 bytes, but there is no such file.")
-    assert lines[10:] == [
-        f"drives/{drive}/files: and 2 more of the kind file-missing (--json lists all)",
-        "12 found, 0 repaired; --repair does what is safe",
-    ]
+    assert lines[0] == (
+        f"file-missing  drives/{drive}/files/velodyne/000000.bin: a row says that it is there. Bring it back from a "
+        "backup."
+    )
+    assert lines[10:] == [f"file-missing  drives/{drive}/files: and 2 more (--json lists all)"]
     found = interloc("check", "--json").json
     assert found["ok"] is False
     assert len(found["findings"]) == 12
-    outcome = interloc("check", "--repair")
-    assert outcome.code == 1
-    assert outcome.out.splitlines()[0].endswith("-> its row follows the file")
-    assert "12 found, 12 repaired" in outcome.out
-    assert interloc("check", "--json").json == {"ok": True, "findings": []}
-
-
-def test_a_lost_database_is_found_by_check_and_mended_by_adopt(interloc: Callable, data: Path) -> None:
-    drive = fill(data, 1)
     for path in data.glob("interloc.sqlite3*"):
         path.unlink()
-    found = interloc("check", "--repair", "--json")
-    assert found.code == 1
-    (finding,) = found.json["findings"]
-    assert (finding["kind"], finding["repair"]) == ("installation", None)
-    assert (data / f"drives/{drive}/files/velodyne/000000.bin").is_file()
-    planned = interloc("adopt", "--dry-run")
-    assert planned.out.splitlines() == [
-        f"drives/{drive}: drive 'town' of somebody, open for files: commit it",
-        "1 of 1 would be adopted",
-    ]
-    done = interloc("adopt")
-    assert (done.code, done.err) == (0, "")
-    assert done.out.splitlines()[-1] == "1 of 1 adopted; database and data folder belong together now"
-    assert interloc("check").code == 0
+    outcome = interloc("check")
+    assert (outcome.code, "the database was lost" in outcome.complaint) == (2, True)
+
+
+def test_from_a_backup_to_a_service(interloc: Callable, data: Path, tmp_path: Path) -> None:
+    fill(data, 2)
+    out = tmp_path / "backup"
+    first = interloc("backup", out).out
+    assert first.startswith(f"backup   {out}\ndrives   1, with 0 jobs\nsize     2 files, 20 bytes\n")
+    assert "nothing: all was there" in interloc("backup", out).out
+    report = interloc("backup", out, "--json").json
+    assert (report["complete"], report["drives"], report["files"], report["brought_files"]) == (True, 1, 2, 0)
+    assert interloc("backup", out, "--quiet").out == ""
+    restored = interloc("restore", out, "--data-dir", tmp_path / "restored")
+    assert restored.code == 0
+    assert "drives    1, with 0 jobs" in restored.out
+    assert interloc("check", "--data-dir", tmp_path / "restored").code == 0
+    again = interloc("restore", out, "--data-dir", tmp_path / "again", "--json").json
+    assert (again["drives"], again["missing"]) == (1, [])
+
+
+def test_a_service_that_is_not_whole_is_told(interloc: Callable, data: Path, tmp_path: Path) -> None:
+    fill(data, 2)
+    next(data.glob("drives/*/files/velodyne/000001.bin")).unlink()
+    outcome = interloc("backup", tmp_path / "backup", "--quiet")
+    assert (outcome.code, "000001.bin. `interloc check` names all" in outcome.complaint) == (1, True)
+    outcome = interloc("restore", tmp_path / "backup", "--data-dir", tmp_path / "restored")
+    assert (outcome.code, "000001.bin." in outcome.complaint) == (1, True)
+
+
+def test_refusals_of_backups_say_what_to_do(interloc: Callable, data: Path, tmp_path: Path) -> None:
+    fill(data, 1)
+    outcome = interloc("backup", data / "backup")
+    assert (outcome.code, "a backup belongs elsewhere" in outcome.complaint) == (2, True)
+    outcome = interloc("restore", data, "--data-dir", tmp_path / "restored")
+    assert (outcome.code, "is not a backup" in outcome.complaint) == (2, True)
 
 
 def test_the_trash_is_listed_restored_and_emptied(interloc: Callable, data: Path) -> None:
@@ -102,7 +115,7 @@ def test_the_trash_is_listed_restored_and_emptied(interloc: Callable, data: Path
 
 
 def test_a_mistyped_folder_does_not_become_a_service(interloc: Callable, tmp_path: Path) -> None:
-    for command in (["check"], ["adopt"], ["trash", "list"], ["trash", "empty"]):
+    for command in (["check"], ["backup", tmp_path / "out"], ["trash", "list"], ["trash", "empty"]):
         refused = interloc(*command, "--data-dir", str(tmp_path / "mistyped"))
         assert refused.code == 2
         assert "there is no data folder" in refused.complaint

@@ -130,7 +130,7 @@ def make_row(
         compute_s=compute_s,
         warnings=(),
         made_up_map=True,
-        failures={"false_detections": [], "missed_nodes": []},
+        failures=(),
     )
 
 

@@ -7,10 +7,9 @@ from pathlib import Path
 
 import pytest
 
-import interloc
 from interloc.drives.options import DriveOptions
 from interloc.errors import ConfigError, DriveError, GeoreferenceError, MapError
-from interloc.lab.cases import file_facts, fingerprint, folder_cases, imported_by, semantickitti_cases
+from interloc.lab.cases import file_facts, fingerprint, folder_cases, semantickitti_cases
 from interloc.lab.twins import twin_cases
 
 
@@ -122,13 +121,6 @@ def test_maps_are_one_for_all_or_one_a_drive(tmp_path: Path) -> None:
 def test_fingerprints_differ_with_the_facts() -> None:
     assert fingerprint({"a": 1, "b": 2}) == fingerprint({"b": 2, "a": 1})
     assert fingerprint({"a": 1}) != fingerprint({"a": 2})
-
-
-def test_a_simulated_drive_depends_on_all_that_the_simulator_imports() -> None:
-    package = Path(interloc.__file__).parent
-    found = {path.relative_to(package).as_posix() for path in imported_by({package / "lab/drive.py"})}
-    assert {"lab/scene.py", "lab/raycast.py", "osm/container.py", "geometry.py", "__init__.py"} <= found
-    assert not found & {"pipeline.py", "mapping/fusion.py", "lab/run.py"}
 
 
 def test_a_changed_file_is_noticed(tmp_path: Path) -> None:

@@ -35,7 +35,7 @@ def crossings(*places: tuple[float, float, str]) -> RoadGraph:
     return RoadGraph(100 + np.arange(len(enu)), lonlat(enu), edges, np.arange(len(edges)), ways, "made-up.osm")
 
 
-def failures(detections: list[tuple[int, float, float]], *places: tuple[float, float, str]) -> dict[str, Any]:
+def failures(detections: list[tuple[int, float, float]], *places: tuple[float, float, str]) -> list[dict[str, Any]]:
     """Drive from (0, 0) 100 m east, a keyframe every 10 m; detections are (keyframe, east, north)."""
     keys = np.stack([np.arange(11) * 10.0, np.zeros(11)], axis=1)
     found = np.array(detections, dtype=np.float64).reshape(-1, 3)
@@ -72,63 +72,45 @@ def failures(detections: list[tuple[int, float, float]], *places: tuple[float, f
     return find_failures(evaluate(result, crossings(*places)), lambda frame: [f"show {frame}"])
 
 
-def kinds(group: list[dict[str, Any]]) -> list[str]:
-    return [entry["kind"] for entry in group]
-
-
 HERE = (51.0, 0.0, "residential")
 
 
-def test_false_detections_of_one_place_are_one_group() -> None:
+def test_false_detections_of_one_place_are_one_failure() -> None:
     detections = [(k, 50.0, 0.0) for k in range(3, 8)] + [(2, 20.0, 30.0), (3, 22.0, 30.0), (4, 24.0, 33.0)]
-    (group,) = failures(detections, HERE)["false_detections"]
-    assert group["detections"] == 3
-    assert group["frames"] == [20, 30, 40]
-    assert group["see"] == ["show 30"]
-    assert group["kind"] == "nothing"
-    assert group["nearest_node"]["osm_id"] == 100
-    assert abs(group["nearest_node"]["distance_m"] - np.hypot(29, 30)) < 0.1
+    (failure,) = failures(detections, HERE)
+    assert (failure["what"], failure["kind"], failure["times"]) == ("false", "nothing", 3)
+    assert failure["frames"] == [20, 30, 40]
+    assert failure["see"] == ["show 30"]
+    assert failure["osm_id"] == 100
+    assert abs(failure["off_m"] - np.hypot(29, 30)) < 0.1
 
 
 def test_kinds_of_false_detections() -> None:
     places = (HERE, (0.0, 40.0, "service"), (90.0, -40.0, "footway"))
     detections = [(1, 1.0, 41.0), (4, 50.0, 0.0), (4, 58.0, 0.0), (8, 42.0, -10.0), (9, 91.0, -40.0)]
-    found = failures(detections, *places)["false_detections"]
-    assert sorted(kinds(found)) == ["left_out", "nothing", "off", "second"]
+    found = [failure["kind"] for failure in failures(detections, *places) if failure["what"] == "false"]
+    assert sorted(found) == ["left_out", "nothing", "off", "second"]
 
 
 def test_a_node_that_nothing_was_matched_to() -> None:
-    (node,) = failures([], HERE)["missed_nodes"]
-    assert (node["kind"], node["found"]) == ("not_seen", False)
-    assert node["keyframes_in_zone"] == node["keyframes_missed"] == 4  # within 20 m: those at 40, 50, 60, 70 m
-    assert node["frames"] == [40, 50, 60, 70]
-    assert node["best_error_m"] is None
+    (failure,) = failures([], HERE)
+    assert (failure["what"], failure["kind"], failure["times"]) == ("missed", "not_seen", 4)
+    assert failure["frames"] == [40, 50, 60, 70]  # within 20 m
+    assert failure["off_m"] is None
 
 
 def test_a_node_found_at_some_keyframes_only() -> None:
-    (node,) = failures([(3, 50.0, 1.0), (4, 50.0, 1.0)], HERE)["missed_nodes"]
-    assert (node["kind"], node["found"]) == ("part_of_the_time", True)
-    assert node["frames"] == [50, 60, 70]
+    (failure,) = failures([(3, 50.0, 1.0), (4, 50.0, 1.0)], HERE)
+    assert (failure["kind"], failure["frames"]) == ("part_of_the_time", [50, 60, 70])
 
 
 def test_a_node_seen_in_the_wrong_place() -> None:
-    (node,) = failures([(k, 51.0, 7.0) for k in range(3, 8)], HERE)["missed_nodes"]
-    assert (node["kind"], node["keyframes_missed"], node["best_error_m"]) == (
-        "too_few",
-        0,
-        7.0,
-    )
-
-
-def test_a_missed_node_beside_another() -> None:
-    found = failures([(k, 50.0, 0.0) for k in range(2, 9)], HERE, (62.0, 0.0, "residential"))
-    (node,) = (node for node in found["missed_nodes"] if not node["found"])
-    assert node["kind"] == "not_seen"
+    (failure,) = (each for each in failures([(k, 51.0, 7.0) for k in range(3, 8)], HERE) if each["what"] == "missed")
+    assert (failure["kind"], failure["times"], failure["off_m"]) == ("too_few", 1, 7.0)
 
 
 def test_nothing_went_wrong() -> None:
-    found = failures([(k, 50.0, 0.0) for k in range(3, 8)], HERE)
-    assert found == {"false_detections": [], "missed_nodes": []}
+    assert failures([(k, 50.0, 0.0) for k in range(3, 8)], HERE) == []
 
 
 def test_a_row_comes_back_as_it_was_unless_something_is_new(row: Callable[..., Row], tmp_path: Path) -> None:

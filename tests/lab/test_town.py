@@ -10,13 +10,13 @@ import shapely
 from shapely.geometry import LineString, Polygon
 
 from interloc.errors import ConfigError
-from interloc.geometry import enu_from_lonlat
 from interloc.lab.config import LidarConfig, SimulationOptions, TrackConfig
 from interloc.lab.drive import simulate
 from interloc.lab.streets import read_map, street_map_of
 from interloc.lab.town import ROUTES, Part, Town
 from interloc.osm.intersections import intersection_nodes
 from interloc.osm.reader import read_osm
+from tests.towns import junctions_of
 
 
 @pytest.mark.parametrize("part", ROUTES)
@@ -24,28 +24,27 @@ def test_the_junctions_of_the_map_are_those_of_the_plan(part: Part, tmp_path: Pa
     town = Town(part)
     (tmp_path / "town.osm").write_text(town.osm())
     nodes = intersection_nodes(read_osm(tmp_path / "town.osm"), "drive")
-    truth = {j.node_id: (j.lon_deg, j.lat_deg) for j in town.junctions}
+    truth = {junction.node_id: junction.lonlat for junction in junctions_of(town).values()}
     assert set(nodes.osm_id.tolist()) == set(truth)
     for node_id, lonlat in zip(nodes.osm_id.tolist(), nodes.lonlat, strict=True):
         assert np.allclose(lonlat, truth[node_id], atol=1e-9)
 
 
 def test_every_shape_is_there() -> None:
-    town = Town("full", houses=False)
-    kinds = {junction.kind for junction in town.junctions}
+    town = Town("full")
+    junctions = junctions_of(town)
+    kinds = {junction.kind for junction in junctions.values()}
     assert kinds == {"X", "T", "Y", "staggered", "roundabout", "dual", "compound"}
-    stag = {j.name: j for j in town.junctions if j.kind == "staggered"}
-    assert 15 <= np.hypot(stag["stagS"].x_m - stag["stagN"].x_m, stag["stagS"].y_m - stag["stagN"].y_m) <= 25
+    assert 15 <= np.hypot(*(junctions["stagS"].xy - junctions["stagN"].xy)) <= 25
     text = town.osm()
     for tag in ("junction", "bridge", "layer", "oneway", "turning_circle", "parking_aisle", "driveway", 'v="parking"'):
         assert tag in text
 
 
 def test_angles_between_arms_of_the_plain_part() -> None:
-    for junction in Town("plain", houses=False).junctions:
-        bearings = np.array(junction.bearings_deg)
-        gaps = np.diff(np.append(bearings, bearings[0] + 360))
-        assert gaps.min() >= 44.9, junction.name
+    for name, junction in junctions_of(Town("plain")).items():
+        gaps = np.diff(np.append(junction.bearings_deg, junction.bearings_deg[0] + 360))
+        assert gaps.min() >= 44.9, name
 
 
 @pytest.mark.parametrize(
@@ -57,13 +56,12 @@ def test_angles_between_arms_of_the_plain_part() -> None:
     ],
 )
 def test_the_route_runs_along_the_streets(part: Part, low: float, high: float, not_passed: set[str]) -> None:
-    town = Town(part, houses=False)
+    town = Town(part)
     track = town.track(TrackConfig(rate_hz=2))
     xy = town.frame.xy(np.column_stack([track.lon_deg, track.lat_deg]))
     assert low < np.hypot(*np.diff(xy, axis=0).T).sum() < high
-    for junction in town.junctions:
-        if junction.name not in not_passed:
-            assert np.hypot(*(xy - [junction.x_m, junction.y_m]).T).min() < 18, junction.name
+    for name, junction in junctions_of(town).items():
+        assert name in not_passed or np.hypot(*(xy - junction.xy).T).min() < 18, name
 
 
 def test_streets_of_the_quarter_are_free_and_the_route_stays_on_them() -> None:
@@ -76,16 +74,6 @@ def test_streets_of_the_quarter_are_free_and_the_route_stays_on_them() -> None:
     track = town.track(TrackConfig(rate_hz=2))
     assert roads.contains(LineString(town.frame.xy(np.column_stack([track.lon_deg, track.lat_deg]))))
     assert all(street.tags["name"] for street in drawn.streets)
-
-
-def test_the_plan_in_metres_and_in_degrees_agree() -> None:
-    town = Town("plain", houses=False)
-    for junction in town.junctions:
-        east, north = enu_from_lonlat(
-            town.frame.lat_deg, town.frame.lon_deg, np.array([junction.lon_deg, junction.lat_deg])
-        )
-        assert abs(east - junction.x_m) < 0.02
-        assert abs(north - junction.y_m) < 0.02
 
 
 @pytest.mark.parametrize("part", ROUTES)

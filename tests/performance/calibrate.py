@@ -31,9 +31,8 @@ import interloc
 from interloc.arrays import BoolArray, FloatArray
 from interloc.config import PRESETS, CalibrationConfig, DetectorConfig
 from interloc.drive import Drive
-from interloc.drives.label_errors import MislabelledDrive
+from interloc.drives.label_errors import MislabelledDrive, parse_level
 from interloc.evaluation.evaluate import evaluate
-from interloc.evaluation.label_errors import parse_level
 from interloc.evaluation.reliability import (
     Interval,
     calibration_error,
@@ -43,7 +42,7 @@ from interloc.evaluation.reliability import (
     with_interval,
 )
 from interloc.geometry import enu_from_lonlat
-from interloc.lab.cases import FolderCase, file_facts, fingerprint, imported_by
+from interloc.lab.cases import FolderCase, file_facts, fingerprint
 from interloc.lab.twins import TwinCase
 from interloc.mapping.estimation import SightingStats, fix_variance, junction_probability, position_covariance
 from interloc.mapping.fusion import evidence, fuse
@@ -144,7 +143,7 @@ def opened(case: Case, level: str, out: Path) -> Iterator[Drive]:
 def detected(case: Case, name: str, level: str, config: DetectorConfig, out: Path) -> DriveResult:
     """Detect on a drive, or take what is kept of it."""
     package = Path(interloc.__file__).parent
-    program = imported_by({*(package / "detection").glob("*.py")}) - {package / "config.py"}  # its part is below
+    program = [*(package / "detection").glob("*.py"), *(package / "kernels").glob("*.py")]
     facts = {
         "drive": case.facts(),
         "level": level,

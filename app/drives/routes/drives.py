@@ -21,7 +21,6 @@ from app.http.patterns import ID
 from app.http.security import ClientDep
 from app.jobs.runner import RunnerDep
 from app.states import DriveState
-from app.store import sidecars
 from app.store.models import Drive
 from app.work.documents import UploadOptions
 from app.work.task import WorkSettings
@@ -147,5 +146,4 @@ def change_drive(drive_id: DriveId, changes: DriveChanges, context: ContextDep, 
         for name, value in values.items():
             setattr(drive, name, value)
         content = _shown(session, context, drive)
-    sidecars.write(context.storage, drive)
     return Response(content, headers={"ETag": tag_of(content)}, media_type="application/json")

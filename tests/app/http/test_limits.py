@@ -260,7 +260,7 @@ def test_bodies_under_way_know_of_each_other(
 
 def test_what_is_booked_is_free_again_whatever_happens(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Storage, "free_bytes", lambda _: 100)
-    context = Context.open(Settings(data_dir=tmp_path, min_free_bytes=20, disk_reserve_bytes=0))
+    context = Context.open(Settings(data_dir=tmp_path, min_free_bytes=20))
     with Booking(context) as first, Booking(context) as second:
         first.announce(50)
         with pytest.raises(Problem, match="no disk space left"):

@@ -139,7 +139,7 @@ def test_heavy_filters_of_one_client_hold_no_other(
     serve: Serve, tmp_path: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """100 filters that take as long as the test wants, of a token that may only read: more than there are threads."""
-    context = Context.open(Settings(data_dir=tmp_path / "data", min_free_bytes=0, disk_reserve_bytes=0))
+    context = Context.open(Settings(data_dir=tmp_path / "data", min_free_bytes=0))
     scopes = {"eve": Scope.READ, "ann": Scope.WRITE}
     tokens = {name: add_token(context.database, name, scope=scope) for name, scope in scopes.items()}
     context.close()

@@ -23,7 +23,6 @@ from app.store.models import Drive, Installation
 from app.upkeep.cleanup import sweep
 from interloc.cli.main import run
 from tests import forks
-from tests.app.upkeep.test_cleanup import make_old
 
 
 def settings(data: Path, url: str | None = None) -> Settings:
@@ -59,7 +58,6 @@ def refuse(data: Path, url: str | None = None) -> str:
     assert contents(data) == before
     message = str(refusal.value)
     assert "Nothing was changed" in message
-    assert "interloc adopt" in message
     assert "interloc restore" in message
     assert str(data.resolve()) in message
     assert "\n" not in message
@@ -78,7 +76,7 @@ def test_another_database_is_refused(tmp_path: Path, url: str) -> None:
     """Moved to PostgreSQL by setting its address, or a typo in the address."""
     drive = fill(tmp_path / "data")
     message = refuse(tmp_path / "data", url)
-    assert f"belongs to installation {id_of_folder(tmp_path / 'data')} (folders of 1 drives and 0 jobs)" in message
+    assert f"(id {id_of_folder(tmp_path / 'data')}" in message
     assert "INTERLOC_DATABASE_URL was changed or mistyped" in message
     assert "db.sqlite3" in message or "postgresql" in message
     database = Database(url)
@@ -105,7 +103,7 @@ def test_a_volume_that_is_not_mounted_is_noticed(tmp_path: Path, url: str) -> No
     fill(tmp_path / "data", url)
     shutil.move(tmp_path / "data", tmp_path / "volume")
     message = refuse(tmp_path / "data", url)
-    assert "(1 drives and 0 jobs)" in message
+    assert ", 1 drives and 0 jobs)" in message
     assert "is not mounted" in message
     assert "geheim" not in message
     shutil.rmtree(tmp_path / "data")
@@ -119,11 +117,10 @@ def test_two_services_cannot_have_one_folder(tmp_path: Path, url: str) -> None:
     ids = id_of_folder(tmp_path / "one"), id_of_folder(tmp_path / "two")
     message = refuse(tmp_path / "one", url)
     assert all(str(id_) in message for id_ in ids)
-    assert "that of another service" in message
 
 
 def test_an_older_database_of_the_same_service_removes_nothing(tmp_path: Path) -> None:
-    """A restored backup: what came after it has no rows, and is set aside whole."""
+    """What came after it has no rows, and stays where it is."""
     data = tmp_path / "data"
     first = fill(data)
     backup = tmp_path / "backup.sqlite3"
@@ -137,13 +134,11 @@ def test_an_older_database_of_the_same_service_removes_nothing(tmp_path: Path) -
     backup.rename(data / "interloc.sqlite3")
     context = Context.open(settings(data))
     before = {path.name: path.read_bytes() for path in data.rglob("*.bin")}
-    assert sweep(context)["lost"] == 0  # young: perhaps somebody is at work on it
     os.utime(data / "drives" / second, (0, 0))
-    assert sweep(context)["lost"] == 1
+    sweep(context)
     context.close()
     assert {path.name: path.read_bytes() for path in data.rglob("*.bin")} == before
     assert (data / "drives" / first / "files/velodyne/000000.bin").is_file()
-    assert (data / "lost+found/drives" / second / "files/velodyne/000000.bin").is_file()
 
 
 def test_a_copy_of_a_service_opens_with_its_copy_of_the_database(tmp_path: Path) -> None:
@@ -197,18 +192,8 @@ def test_services_that_start_together_on_one_folder_do_not_both_get_it(tmp_path:
 def test_a_file_that_is_no_id_is_named(tmp_path: Path) -> None:
     fill(tmp_path / "data")
     (tmp_path / "data/installation").write_text("nonsense\n")
-    with pytest.raises(InstallationError, match=r"installation: its first line is 'nonsense'"):
+    with pytest.raises(InstallationError, match="id nonsense"):
         open_database(settings(tmp_path / "data"))
-
-
-def test_no_clean_up_where_the_volume_has_gone_meanwhile(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    context = Context.open(settings(tmp_path / "data"))
-    (tmp_path / "data/installation").unlink()
-    stranger = make_old(tmp_path / "data/drives/0123456789abcdef", folder=True)
-    assert sweep(context).total() == 0
-    assert stranger.is_dir()
-    assert "no clean-up" in caplog.text
-    context.close()
 
 
 def test_the_command_line_says_it_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

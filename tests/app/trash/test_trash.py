@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -231,41 +230,16 @@ def test_the_trash_is_emptied_when_its_time_has_come(context: Context) -> None:
     assert [kept(context, *each) for each in (fresh, alive)] == [False, True]
 
 
-@pytest.mark.parametrize("act", [kills.purge_before_the_end, kills.purge_before_the_bytes])
-def test_a_purge_that_was_killed_is_completed(tmp_path: Path, act: Callable[..., None]) -> None:
-    settings = Settings(data_dir=tmp_path / "data", min_free_bytes=0)
-    context = Context.open(settings)
+def test_a_purge_that_was_killed_is_completed_and_cannot_be_taken_back(tmp_path: Path) -> None:
+    context = Context.open(Settings(data_dir=tmp_path / "data", min_free_bytes=0))
     drive, other = make_drive(context, deleted_h=0), make_drive(context)
-    kills.killed(act, tmp_path / "data", drive[0])
-    assert (tmp_path / f"data/trash/drives-{drive[0]}/files/poses.txt").is_file()
+    kills.killed(kills.purge, tmp_path / "data", drive[0])
+    with pytest.raises(Problem, match="in the trash; it may have been restored"):
+        trash.restore(context, "drives", drive[0])
+    assert trash.list_trash(context, None, 10).items == []
     sweep(context)
     assert [kept(context, *each) for each in (drive, other)] == [False, True]
-    assert not list((tmp_path / "data/trash").iterdir())
     context.close()
-
-
-def test_a_drive_whose_purge_was_killed_can_still_be_restored(tmp_path: Path) -> None:
-    context = Context.open(Settings(data_dir=tmp_path / "data", min_free_bytes=0))
-    drive = make_drive(context, deleted_h=0)
-    kills.killed(kills.purge_before_the_end, tmp_path / "data", drive[0])
-    trash.restore(context, "drives", drive[0])
-    sweep(context)
-    assert kept(context, *drive)
-    context.close()
-
-
-def test_a_folder_whose_row_is_alive_is_taken_back(context: Context) -> None:
-    """As after an older database was brought back."""
-    drive, job = make_drive(context)
-    for kind, id_ in (("drives", drive), ("jobs", job)):
-        target = context.storage.folder(f"trash/{kind}-{id_}")
-        target.parent.mkdir(exist_ok=True)
-        shutil.move(context.storage.folder(f"{kind}/{id_}"), target)
-    foreign = context.storage.folder("trash/notes")
-    foreign.write_bytes(b"of the operator")
-    sweep(context)
-    assert kept(context, drive, job)
-    assert foreign.is_file()
 
 
 def test_a_job_that_has_not_ended_stays(context: Context) -> None:

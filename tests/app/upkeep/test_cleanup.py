@@ -13,7 +13,7 @@ from sqlalchemy import update
 from app.context import Context
 from app.drives.finish import finish_drive
 from app.drives.models import NewDrive
-from app.drives.records import create_drive, delete_file, drive_model, find_drive, list_drives, list_files
+from app.drives.records import create_drive, delete_file, find_drive, list_drives, list_files
 from app.drives.upload import keep
 from app.http.intake import Arrival
 from app.jobs.queue import submit
@@ -59,21 +59,13 @@ def unpack(context: Context, drive: str, archive: str) -> None:
         submit(session, context.database, kind="unpack", drive_id=drive, owner="somebody", request=request)
 
 
-def make_old(path: Path, *, folder: bool = False) -> Path:
-    """Make a file or a folder that was last changed before all of this."""
+def make_old(path: Path) -> Path:
+    """Make a file that was last changed before all of this."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    if folder:
-        path.mkdir()
-        (path / "file").write_bytes(b"1")
-    else:
-        path.write_bytes(b"1")
+    path.write_bytes(b"1")
     old = time.time() - LEFT_ALONE_S - 60
     os.utime(path, (old, old))
     return path
-
-
-def metric(context: Context, name: str, reason: str) -> float | None:
-    return context.metrics.registry.get_sample_value(name, {"reason": reason})
 
 
 def drives(context: Context) -> set[str]:
@@ -108,32 +100,26 @@ def test_drives_in_use_do_not_expire(context: Context) -> None:
 def test_stale_pieces_of_uploads_go(context: Context) -> None:
     """As older versions left them, without a lock."""
     incoming = context.storage.folder("incoming")
-    old, trash = make_old(incoming / "old"), make_old(incoming / "trash", folder=True)
+    make_old(incoming / "old")
     (incoming / "new").write_bytes(b"1")
-    assert sweep(context)["incoming"] == 2
-    assert not old.exists()
-    assert not trash.exists()
+    assert sweep(context)["incoming"] == 1
     assert [path.name for path in incoming.iterdir()] == ["new"]
 
 
-def test_folders_that_no_row_knows_are_set_aside(context: Context, caplog: pytest.LogCaptureFixture) -> None:
+def test_only_empty_folders_that_no_row_knows_go(context: Context, caplog: pytest.LogCaptureFixture) -> None:
+    """What holds files or a result stays, as where an older database was brought back."""
     known = make_drive(context)
-    folder = context.storage.folder(f"drives/{known}")
-    os.utime(folder, (0, 0))
-    make_old(context.storage.folder("drives/0123456789abcdef"), folder=True)
-    make_old(context.storage.folder("jobs/0123456789abcdef"), folder=True)
-    context.storage.folder("drives/fedcba9876543210").mkdir()  # of an upload that just begins
-    assert sweep(context)["lost"] == 2
-    assert {path.name for path in folder.parent.iterdir()} == {known, "fedcba9876543210"}
-    lost = context.storage.folder("lost+found")
-    for kind in ("drives", "jobs"):
-        assert (lost / kind / "0123456789abcdef/file").read_bytes() == b"1"
-        assert f"{kind}/0123456789abcdef: no row knows it (1 bytes, 24 h old)" in caplog.text
-    make_old(context.storage.folder("drives/0123456789abcdef"), folder=True)
-    assert sweep(context)["lost"] == 1
-    assert (lost / "drives/0123456789abcdef-2/file").is_file()
-    assert metric(context, "interloc_removals_total", "lost") == 3
-    assert metric(context, "interloc_removed_bytes_total", "lost") == 3
+    os.utime(context.storage.folder(f"drives/{known}"), (0, 0))
+    empty, young, full = "jobs/0123456789abcdef", "drives/fedcba9876543210", ("drives/1", "jobs/2")
+    for key, name in ((empty, "scratch"), (young, ""), (full[0], "files"), (full[1], "result")):
+        (context.storage.folder(key) / name).mkdir(parents=True)
+        if key != young:
+            os.utime(context.storage.folder(key), (0, 0))
+    assert sweep(context, by_age=False)["unknown"] == 0
+    assert "no row knows 2 folders of drives and jobs: drives/1, jobs/2." in caplog.text
+    assert sweep(context)["unknown"] == 1
+    there = [context.storage.folder(key).exists() for key in (empty, young, *full, f"drives/{known}")]
+    assert there == [False, True, True, True, True]
 
 
 def test_archives_that_nobody_unpacks_go(context: Context) -> None:
@@ -240,24 +226,3 @@ def test_nothing_goes_for_its_age_while_the_clock_is_in_doubt(context: Context) 
     assert drives(context) == {old}
     assert sweep(context)["expired"] == 1
     assert not drives(context)
-
-
-def test_where_a_drive_of_an_older_version_is_gets_written(context: Context) -> None:
-    """Its row has no extent; one without georeference, with metres of its own frame, gets none."""
-    placed, local = make_drive(context, state="ready"), make_drive(context, state="ready")
-    for drive, name in ((placed, "trajectory.geojson"), (local, "trajectory.local.json")):
-        track = '{"type":"FeatureCollection","bbox":[8.4,49.0,8.5,49.1],"features":[]}'
-        (context.storage.folder(f"drives/{drive}") / name).write_text(track)
-    sweep(context)
-    with context.database.reading() as session:
-        rows = {drive: session.get_one(Drive, drive) for drive in (placed, local)}
-        found = drive_model(rows[placed], context.settings).bbox, drive_model(rows[local], context.settings).bbox
-    assert found == ([8.4, 49.0, 8.5, 49.1], None)
-
-
-def test_folders_without_a_row_are_named_soon_after_a_start(context: Context, caplog: pytest.LogCaptureFixture) -> None:
-    for number in range(4):
-        context.storage.folder(f"drives/{number:016x}").mkdir(parents=True)
-    sweep(context, by_age=False)
-    assert "no row knows 4 folders of drives and jobs: drives/0000000000000000" in caplog.text
-    assert len(list(context.storage.folder("drives").iterdir())) == 4
