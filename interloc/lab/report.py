@@ -116,13 +116,7 @@ def _row(row: Row) -> dict[str, Any]:
 
 
 def write_benchmark(benchmark: Benchmark, measured: Measured, out: Path) -> None:
-    """Write the outcome of a benchmark into its folder, each file whole or not at all.
-
-    Raises
-    ------
-    OutputError
-        A file could not be written.
-    """
+    """Write the outcome of a benchmark into its folder, each file whole or not at all."""
     make_folder(out / "failures")
     for row in measured.rows:
         record = {**row.cell.model_dump(), "policy": row.policy}
