@@ -129,25 +129,13 @@ class Row(_Record):
 
 
 def write_row(row: Row, folder: Path) -> None:
-    """Keep a row in a folder.
-
-    Raises
-    ------
-    OutputError
-        It could not be written.
-    """
+    """Keep a row in a folder."""
     with atomic_write(folder / f"{row.cell.file_name}.json") as handle:
         handle.write(row.model_dump_json(exclude_none=False).encode() + b"\n")
 
 
 def read_row(cell: Cell, fingerprint: str, folder: Path) -> Row | None:
-    """Read the row of a cell, if one is kept that was measured with the same settings, inputs and program.
-
-    Raises
-    ------
-    OutputError
-        The file cannot be read.
-    """
+    """Read the row of a cell, if one is kept that was measured with the same settings, inputs and program."""
     path = folder / f"{cell.file_name}.json"
     try:
         row = Row.model_validate_json(path.read_bytes())
@@ -196,11 +184,6 @@ def measure(
         Longitude and latitude of where the axes of the roads meet, by node; None: at the nodes.
     progress
         See `interloc.pipeline.detect`.
-
-    Raises
-    ------
-    DriveError, GeoreferenceError, MapError
-        The drive is damaged, or does not fit its map.
     """
     r_fpr, r_fnr = parse_level(cell.noise)
     source = MislabelledDrive(drive, r_fpr, r_fnr, cell.seed) if r_fpr or r_fnr else drive
