@@ -126,7 +126,7 @@ _HTML = {"text/html": {"schema": {"type": "string"}}}
 
 
 def _answers(model: type[BaseModel], description: str) -> Responses:
-    return {**TAGGED, 200: {"model": model, "description": description, "content": _HTML, **TAGGED[200]}}
+    return {**TAGGED, 200: {"model": model, "description": description, "content": _HTML}}
 
 
 def _landing(served: _Served, form: FormatDep) -> Response:
