@@ -468,7 +468,7 @@ class _Look:
         try:
             seen = peek(self._listing[path], self._ranges.get(path, {}))
         except MissingRangeError as missing:
-            found.wanted_ranges[path] = [(missing.start, missing.stop)]
+            found.wanted_ranges[path] = missing.ranges
             return
         if seen is None:
             return
@@ -566,15 +566,7 @@ def _sample_of(labels: LookedLabels | None) -> list[int]:
 
 
 def _laid_over(poses: LidarPoses, lonlat: FloatArray) -> tuple[FloatArray, float]:
-    """Lay the poses over fixes by a turn and a shift (least squares).
-
-    Returns
-    -------
-    (N, 2) float64
-        Longitude and latitude of the poses.
-    float
-        Median distance of the two, metres.
-    """
+    """Lay the poses over fixes by a turn and a shift (least squares)."""
     lon, lat = lonlat[0]
     target = enu_from_lonlat(lat, lon, lonlat) @ (1, 1j)
     source = poses.T_world_lidar[:, :2, 3] @ (1, 1j)
