@@ -31,9 +31,9 @@ from app.maps import routes as maps
 from app.maps.merging import Merger
 from app.maps.records import make_server_map
 from app.networks import routes as networks
+from app.ogc import overview
 from app.ogc import routes as ogc
 from app.ogc.indexing import index_result
-from app.overview import routes as overview
 from app.page import routes as page
 from app.page.files import PageFiles
 from app.results.folder import Results

@@ -16,21 +16,14 @@ from interloc.arrays import BoolArray, Float32Array, FloatArray, IntArray
 
 @dataclass(frozen=True)
 class GroundPoints:
-    """The points of one scan that the method can use.
-
-    Attributes
-    ----------
-    xyz : (N, 3) float32
-        Points in L, metres: road points first, then the points most often confused with them.
-    road_count : int
-        How many of them are road; the rest is sidewalk, parking and other ground.
-    is_doubtful : bool
-        Labels made by geometry say that they may be wrong here.
-    """
+    """The points of one scan that the method can use."""
 
     xyz: Float32Array
+    """(N, 3) float32: points in L, metres: road points first, then the points most often confused with them."""
     road_count: int
+    """How many of them are road; the rest is sidewalk, parking and other ground."""
     is_doubtful: bool = False
+    """Labels made by geometry say that they may be wrong here."""
 
     @classmethod
     def split(cls, xyz: Float32Array, is_road: BoolArray) -> GroundPoints:
@@ -55,27 +48,19 @@ class GroundPoints:
 
 @dataclass(frozen=True)
 class Georeference:
-    """Geodetic pose of the LiDAR at every scan of a drive.
-
-    Attributes
-    ----------
-    lat_deg, lon_deg, alt_m : (N,) float64
-        Position of the LiDAR on WGS84.
-    R_enu_lidar : (N, 3, 3) float64
-        Attitude: L axes in the local east-north-up frame at the fix.
-    source : str
-        Where it came from, in words ("oxts/data, lever arm of calib_imu_to_velo.txt").
-    position_std_m : (N,) float64 or None
-        One-sigma uncertainty of the position along each horizontal axis, as its source states it; NaN where it does
-        not.
-    """
+    """Geodetic pose of the LiDAR at every scan of a drive."""
 
     lat_deg: FloatArray
     lon_deg: FloatArray
     alt_m: FloatArray
+    """(N,) float64: position of the LiDAR on WGS84."""
     R_enu_lidar: FloatArray
+    """(N, 3, 3) float64: attitude, L axes in the local east-north-up frame at the fix."""
     source: str
+    """Where it came from, in words ("oxts/data, lever arm of calib_imu_to_velo.txt")."""
     position_std_m: FloatArray | None = None
+    """(N,) float64 or None: one-sigma uncertainty of the position along each horizontal axis, as its source states it;
+    NaN where it does not."""
 
     def part(self, rows: slice) -> Georeference:
         """Return that of some of the scans."""

@@ -33,27 +33,18 @@ _MIN_KEYFRAMES_PER_PROCESS = 400  # keyframes for each process: fewer are done b
 
 @dataclass(frozen=True)
 class RangeResult:
-    """What one process found in its range of keyframes.
-
-    Attributes
-    ----------
-    start : int
-        Number of the first keyframe of the range.
-    detections : list of KeyframeDetections
-        One for each keyframe of the range.
-    seconds : dict of str to float
-        Time spent in each step.
-    peak_memory_bytes : int
-        Of the process so far.
-    road : tuple of RoadPatch
-        The road around the keyframes of the range that `patch_keyframes` names.
-    """
+    """What one process found in its range of keyframes."""
 
     start: int
+    """Number of the first keyframe of the range."""
     detections: list[KeyframeDetections]
+    """One for each keyframe of the range."""
     seconds: dict[str, float]
+    """Seconds spent in each step."""
     peak_memory_bytes: int
+    """Of the process so far."""
     road: tuple[RoadPatch, ...] = ()
+    """The road around the keyframes of the range that `patch_keyframes` names."""
 
 
 FindRange = Callable[[Drive, IntArray, int, int, DetectorConfig, Progress | None], RangeResult]
@@ -70,17 +61,8 @@ def detect_range(
 ) -> RangeResult:
     """Find the intersections around the keyframes of a range: a pure function, the unit of parallel work.
 
-    Parameters
-    ----------
-    drive
-    keyframes : (K,) int64
-        Positions of all keyframes in the drive.
-    start, stop : int
-        The range. The keyframes before and behind it that reach into its windows (its halo) are read too, so the
-        result is exactly that of a run over the whole drive.
-    config
-    progress
-        Called with the keyframes of the range that are done, and with all of them.
+    The keyframes, (K,) positions in the drive, before and behind the range that reach into its windows (its halo) are
+    read too, so the result is exactly that of a run over the whole drive.
     """
     detector = Detector(config)
     first = max(0, start - config.keyframes.window)
@@ -206,20 +188,9 @@ def assemble(
     workers: int,
     seconds: float,
 ) -> DriveResult:
-    """Join what was found in the ranges of a drive to the tables of its result.
+    """Join what was found in the ranges of a drive, in their order, to the tables of its result.
 
-    Parameters
-    ----------
-    drive
-    keyframes : (K,) int64
-        Positions of all keyframes in the drive.
-    parts
-        The ranges in their order; together they are all keyframes.
-    config
-    workers : int
-        Number of processes used; recorded in run.json only.
-    seconds : float
-        Time that this took so far.
+    The number of processes, and the seconds that this took so far, are recorded in run.json.
     """
     began = time.perf_counter()
     stopwatch = Stopwatch()

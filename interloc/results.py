@@ -52,37 +52,25 @@ class _Table:
 
 @dataclass(frozen=True)
 class KeyframeTable(_Table):
-    """The K keyframes of a run, in the order of the drive.
-
-    Attributes
-    ----------
-    frame : (K,) int64
-        Scan numbers, ascending.
-    time_s : (K,) float64
-        As the drive gives them, see `moment`; NaN where it has none.
-    world_xy : (K, 2) float64
-        Position of the LiDAR in W, metres.
-    world_yaw_rad : (K,) float64
-        Heading of the LiDAR in W, counter-clockwise from +x.
-    lonlat : (K, 2) float64 or None
-        Longitude, latitude of the LiDAR, degrees; None without georeference.
-    enu_yaw_rad : (K,) float64 or None
-        Heading of the LiDAR, counter-clockwise from east; None without georeference.
-    position_std_m : (K,) float64 or None
-        One-sigma uncertainty of `lonlat` along each axis, as the georeference states it, NaN where it does not; None
-        without georeference, and where the run was read from a folder.
-    is_doubtful : (K,) bool or None
-        Where labels, made by geometry, may be wrong; None where the run was read from a folder.
-    """
+    """The K keyframes of a run, in the order of the drive."""
 
     frame: IntArray
+    """(K,) int64: scan numbers, ascending."""
     time_s: FloatArray
+    """(K,) float64: as the drive gives them, see `moment`; NaN where it has none."""
     world_xy: FloatArray
+    """(K, 2) float64: position of the LiDAR in W, metres."""
     world_yaw_rad: FloatArray
+    """(K,) float64: heading of the LiDAR in W, counter-clockwise from +x."""
     lonlat: FloatArray | None = None
+    """(K, 2) float64 or None: longitude, latitude of the LiDAR, degrees; None without georeference."""
     enu_yaw_rad: FloatArray | None = None
+    """(K,) float64 or None: heading of the LiDAR, counter-clockwise from east; None without georeference."""
     position_std_m: FloatArray | None = None
+    """(K,) float64 or None: one-sigma uncertainty of `lonlat` along each axis, as the georeference states it, NaN where
+    it does not; None without georeference, and where the run was read from a folder."""
     is_doubtful: BoolArray | None = None
+    """(K,) bool or None: where labels, made by geometry, may be wrong; None where the run was read from a folder."""
 
     def __len__(self) -> int:
         return len(self.frame)
@@ -98,36 +86,24 @@ class KeyframeTable(_Table):
 
 @dataclass(frozen=True)
 class DetectionTable(_Table):
-    """The D detections of a run, in the order of their keyframes.
-
-    Attributes
-    ----------
-    keyframe : (D,) int64
-        Row of the keyframe table.
-    lidar_xy : (D, 2) float64
-        Position in L of its keyframe (levelled), metres (paper, eq. 11).
-    world_xy : (D, 2) float64
-        Position in W, metres.
-    lonlat : (D, 2) float64 or None
-        Longitude, latitude, degrees, from the fix of its own keyframe (paper, eq. 12).
-    bearings_deg : list of (B,) float64
-        Bearing of each branch, leaving the intersection.
-    score : (D,) float64
-        0..1, how sure the detector is.
-    intersection : (D,) int64
-        Row of the fused intersection that the detection belongs to, -1 for none.
-    widths_m : list of (B,) float64
-        Width of the road across each branch, metres; NaN where it is not known.
-    """
+    """The D detections of a run, in the order of their keyframes."""
 
     keyframe: IntArray
+    """(D,) int64: row of the keyframe table."""
     lidar_xy: FloatArray
+    """(D, 2) float64: position in L of its keyframe (levelled), metres (paper, eq. 11)."""
     world_xy: FloatArray
+    """(D, 2) float64: position in W, metres."""
     lonlat: FloatArray | None
+    """(D, 2) float64 or None: longitude, latitude, degrees, from the fix of its own keyframe (paper, eq. 12)."""
     bearings_deg: list[FloatArray]
+    """List of (B,) float64: bearing of each branch, leaving the intersection."""
     score: FloatArray
+    """(D,) float64: 0..1, how sure the detector is."""
     intersection: IntArray
+    """(D,) int64: row of the fused intersection that the detection belongs to, -1 for none."""
     widths_m: list[FloatArray]
+    """List of (B,) float64: width of the road across each branch, metres; NaN where it is not known."""
 
     def __len__(self) -> int:
         return len(self.keyframe)
@@ -148,21 +124,16 @@ class DetectionTable(_Table):
 
 @dataclass(frozen=True)
 class PositionParts:
-    """What the covariance of M positions is the sum of, since each part averages out over something else.
-
-    Attributes
-    ----------
-    fix_std_m : (M,) float64
-        Of the georeference along each axis: all intersections of a drive share it, drives do not. NaN: not known.
-    shape_cov_m2 : (M, 3) float64
-        Of the shape of the intersection, as `IntersectionTable.position_cov_m2`: all drives share it. NaN: not known.
-    scatter_std_m : (M,) float64
-        Of the scatter between sightings along each axis, which nothing shares. NaN: not known.
-    """
+    """What the covariance of M positions is the sum of, since each part averages out over something else."""
 
     fix_std_m: FloatArray
+    """(M,) float64: of the georeference along each axis: all intersections of a drive share it, drives do not. NaN: not
+    known."""
     shape_cov_m2: FloatArray
+    """(M, 3) float64: of the shape of the intersection, as `IntersectionTable.position_cov_m2`: all drives share it.
+    NaN: not known."""
     scatter_std_m: FloatArray
+    """(M,) float64: of the scatter between sightings along each axis, which nothing shares. NaN: not known."""
 
     @classmethod
     def unknown(cls, count: int) -> PositionParts:
@@ -172,48 +143,36 @@ class PositionParts:
 
 @dataclass(frozen=True)
 class IntersectionTable:
-    """The M physical intersections that the detections were fused into.
-
-    Attributes
-    ----------
-    id : (M,) int64
-        1..M, in the order of first sight.
-    world_xy : (M, 2) float64
-        Position in W, metres; with georeference the W of the first observation (drift makes W ambiguous).
-    lonlat : (M, 2) float64 or None
-        Longitude, latitude, degrees.
-    position_std_m : (M,) float64
-        One-sigma uncertainty of the position (root of the mean variance of x and y of the estimate).
-    observations : (M,) int64
-        Number of detections fused.
-    confidence : (M,) float64
-        0..1: probability that a road junction lies within 10 m where `DetectorConfig.calibration` is set, else how
-        often it was seen when it could have been.
-    bearings_deg : list of (B,) float64
-    first_frame, last_frame : (M,) int64
-        Scan numbers of the first and the last keyframe that saw it.
-    widths_m : list of (B,) float64
-        Width of the road across each branch, metres; NaN where it is not known.
-    position_cov_m2 : (M, 3) float64 or None
-        Covariance of the position: variance to the east, covariance of east and north, variance to the north, square
-        metres (of x and y of W without georeference). None in results of versions before: use `covariances`.
-    parts : PositionParts or None
-        What that is the sum of. None, or NaN, where it is not known: in results of versions before, and where
-        `DetectorConfig.calibration` is not set.
-    """
+    """The M physical intersections that the detections were fused into."""
 
     id: IntArray
+    """(M,) int64: 1..M, in the order of first sight."""
     world_xy: FloatArray
+    """(M, 2) float64: position in W, metres; with georeference the W of the first observation (drift makes W
+    ambiguous)."""
     lonlat: FloatArray | None
+    """(M, 2) float64 or None: longitude, latitude, degrees."""
     position_std_m: FloatArray
+    """(M,) float64: one-sigma uncertainty of the position (root of the mean variance of x and y of the estimate)."""
     observations: IntArray
+    """(M,) int64: number of detections fused."""
     confidence: FloatArray
+    """(M,) float64: 0..1: probability that a road junction lies within 10 m where `DetectorConfig.calibration` is set,
+    else how often it was seen when it could have been."""
     bearings_deg: list[FloatArray]
+    """List of (B,) float64."""
     first_frame: IntArray
     last_frame: IntArray
+    """(M,) int64: scan numbers of the first and the last keyframe that saw it."""
     widths_m: list[FloatArray]
+    """List of (B,) float64: width of the road across each branch, metres; NaN where it is not known."""
     position_cov_m2: FloatArray | None = None
+    """(M, 3) float64 or None: covariance of the position: variance to the east, covariance of east and north, variance
+    to the north, square metres (of x and y of W without georeference). None in results of versions before: use
+    `covariances`."""
     parts: PositionParts | None = None
+    """What that is the sum of. None, or NaN, where it is not known: in results of versions before, and where
+    `DetectorConfig.calibration` is not set."""
 
     @property
     def covariances(self) -> FloatArray:
@@ -231,24 +190,16 @@ class IntersectionTable:
 
 @dataclass(frozen=True)
 class Verdicts:
-    """What an evaluation says about each of the N rows of a table.
-
-    Attributes
-    ----------
-    outcome : list of N str
-        right, wrong or unscored.
-    osm_id : list of N int or None
-        OpenStreetMap node that the row was compared with.
-    error_m : (N,) float64
-        Distance to it, metres; not finite where there is none.
-    reason : list of N str or None
-        Why it is not right.
-    """
+    """What an evaluation says about each of the N rows of a table."""
 
     outcome: list[str]
+    """List of N str: right, wrong or unscored."""
     osm_id: list[int | None]
+    """List of N int or None: OpenStreetMap node that the row was compared with."""
     error_m: FloatArray
+    """(N,) float64: distance to it, metres; not finite where there is none."""
     reason: list[str | None]
+    """List of N str or None: Why it is not right."""
 
     @classmethod
     def unscored(cls, count: int) -> Verdicts:
@@ -261,30 +212,20 @@ class Verdicts:
 
 @dataclass(frozen=True)
 class RoadPatch:
-    """The road around one keyframe, aligned with W: a square of cells, packed.
-
-    Attributes
-    ----------
-    keyframe : int
-        Row of the keyframe table.
-    corner_xy : (2,) float64
-        Upper left corner (least x, greatest y) in W, metres.
-    resolution_m : float
-        Side of a cell.
-    size : int
-        Cells per side.
-    packed : bytes
-        The cells row by row, top row first, eight per byte, deflated: 1 where the ground is road.
-    packed_other : bytes
-        The same of other ground, such as a sidewalk: 1 where it was seen and is no road. Empty where nobody can tell.
-    """
+    """The road around one keyframe, aligned with W: a square of cells, packed."""
 
     keyframe: int
+    """Row of the keyframe table."""
     corner_xy: FloatArray
+    """(2,) float64: upper left corner (least x, greatest y) in W, metres."""
     resolution_m: float
+    """Side of a cell."""
     size: int
+    """Cells per side."""
     packed: bytes
+    """The cells row by row, top row first, eight per byte, deflated: 1 where the ground is road."""
     packed_other: bytes = b""
+    """The same of other ground, such as a sidewalk: 1 where it was seen and is no road. Empty where nobody can tell."""
 
     @classmethod
     def pack(
@@ -318,33 +259,24 @@ def _deflated(cells: UInt8Array) -> bytes:
 
 @dataclass(frozen=True)
 class DriveResult:
-    """Everything that `detect` found on a drive.
-
-    Attributes
-    ----------
-    drive : str
-        Name of the drive.
-    trajectory_lonlat : (N, 2) float64 or None
-        Longitude, latitude of the LiDAR at every scan, degrees.
-    trajectory_world_xy : (N, 2) float64
-        The same in W, metres.
-    run : dict
-        What `run.json` holds: configuration, versions, input identity, timings, peak memory.
-    road : tuple of RoadPatch
-        The road around some of the keyframes, for the mosaic; empty where the run kept none or was read from a folder.
-    road_file : Path or None
-        The mosaic of a run that was read from a folder, where it has one.
-    """
+    """Everything that `detect` found on a drive."""
 
     drive: str
+    """Name of the drive."""
     keyframes: KeyframeTable
     detections: DetectionTable
     intersections: IntersectionTable
     trajectory_world_xy: FloatArray
+    """(N, 2) float64: the same in W, metres."""
     trajectory_lonlat: FloatArray | None
+    """(N, 2) float64 or None: longitude, latitude of the LiDAR at every scan, degrees."""
     run: dict[str, Any] = field(default_factory=dict)
+    """What `run.json` holds: configuration, versions, input identity, timings, peak memory."""
     road: tuple[RoadPatch, ...] = ()
+    """The road around some of the keyframes, for the mosaic; empty where the run kept none or was read from a
+    folder."""
     road_file: Path | None = None
+    """The mosaic of a run that was read from a folder, where it has one."""
 
     @property
     def is_georeferenced(self) -> bool:

@@ -468,9 +468,9 @@ def fetch_older(path: Path, is_wanted: Callable[[str], bool] = lambda _: True) -
     return path
 
 
-def take_result(path: Path) -> ResultPlace | None:
-    """Return where a `result_place` belongs, for whoever sends its parts; None for any other folder."""
-    return _results.pop(path, None)
+def send_part(path: Path, name: str) -> None:
+    """Bring a file of a `result_place` to its address now."""
+    _results[path].send(name)
 
 
 def send_results() -> None:

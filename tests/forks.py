@@ -40,8 +40,8 @@ def _ready_context(_: object) -> Any:
 interloc.processes._context = _ready_context  # type: ignore[assignment]
 
 
-class Command:
-    """`interloc ...` in a process of its own, with the methods of `subprocess.Popen`; it writes into files.
+class Command(context.Process):  # type: ignore[name-defined, misc]
+    """`interloc ...` in a process of its own, with the methods of `subprocess.Popen` too; it writes into files.
 
     No file can get larger than `max_file_bytes`, if that is given.
     """
@@ -56,29 +56,26 @@ class Command:
         *,
         max_file_bytes: int | None = None,
     ) -> None:
+        super().__init__()
         self.out, self.err = out, err
-        words = [str(each) for each in arguments]
-        self._process = context.Process(target=_run, args=(words, dict(environment), out, err, cwd, max_file_bytes))
-        self._process.start()
-
-    @property
-    def pid(self) -> int:
-        assert self._process.pid is not None
-        return self._process.pid
+        self._words, self._environment = [str(each) for each in arguments], dict(environment)
+        self._cwd, self._max_file_bytes = cwd, max_file_bytes
+        self.start()
 
     @property
     def returncode(self) -> int | None:
-        return self._process.exitcode
+        return self.poll()
 
     def poll(self) -> int | None:
-        return self._process.exitcode
+        code: int | None = self.exitcode
+        return code
 
     def wait(self, timeout: float | None = None) -> int:
         """Wait for the end; returns the exit code."""
-        self._process.join(timeout)
-        if self._process.exitcode is None:
+        self.join(timeout)
+        if (code := self.poll()) is None:
             raise subprocess.TimeoutExpired("interloc", timeout or 0)
-        return self._process.exitcode
+        return code
 
     def communicate(self, timeout: float | None = None) -> tuple[str, str]:
         """Wait for the end; returns what was written."""
@@ -90,38 +87,24 @@ class Command:
         if self.poll() is None:
             os.kill(self.pid, number)
 
-    def terminate(self) -> None:
-        self.send_signal(signal.SIGTERM)
-
-    def kill(self) -> None:
-        self.send_signal(signal.SIGKILL)
-
-
-def _run(
-    arguments: list[str],
-    environment: dict[str, str],
-    out: Path,
-    err: Path,
-    cwd: Path | None,
-    max_file_bytes: int | None,
-) -> None:
-    """Become the command: its variables, its folder, its streams, its limit."""
-    os.environ.clear()
-    os.environ.update(environment)
-    if cwd is not None:
-        os.chdir(cwd)
-    for path, stream in ((out, 1), (err, 2)):
-        target = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600)
-        os.dup2(target, stream)
-        os.close(target)
-    sys.argv = ["interloc", *arguments]
-    if environment.get("PYTHONWARNINGS") == "error":
-        warnings.simplefilter("error")
-    if max_file_bytes is not None:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (max_file_bytes, max_file_bytes))
-    if {"serve", "batch"} & set(arguments):
-        _prepare_workers()
-    main()
+    def run(self) -> None:
+        """Become the command: its variables, its folder, its streams, its limit."""
+        os.environ.clear()
+        os.environ.update(self._environment)
+        if self._cwd is not None:
+            os.chdir(self._cwd)
+        for path, stream in ((self.out, 1), (self.err, 2)):
+            target = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600)
+            os.dup2(target, stream)
+            os.close(target)
+        sys.argv = ["interloc", *self._words]
+        if self._environment.get("PYTHONWARNINGS") == "error":
+            warnings.simplefilter("error")
+        if self._max_file_bytes is not None:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (self._max_file_bytes, self._max_file_bytes))
+        if {"serve", "batch"} & set(self._words):
+            _prepare_workers()
+        main()
 
 
 def _prepare_workers() -> None:
@@ -129,15 +112,14 @@ def _prepare_workers() -> None:
     before = _open_files()
 
     def fork(_: object, arguments: Sequence[str], passed: Sequence[int]) -> int:
-        pid = os.fork()
-        if pid == 0:
-            for file in _open_files() - before - set(passed):
-                os.close(file)
-            try:
-                exec(arguments[-1])  # noqa: S102 - what it would run as `python -c`
-            finally:
-                os._exit(0)
-        return pid
+        if pid := os.fork():
+            return pid
+        for file in _open_files() - before - set(passed):
+            os.close(file)
+        try:
+            exec(arguments[-1])  # noqa: S102 - what it would run as `python -c`
+        finally:
+            os._exit(0)
 
     start, util.spawnv_passfds = util.spawnv_passfds, fork  # type: ignore[attr-defined]
     try:
@@ -147,12 +129,4 @@ def _prepare_workers() -> None:
 
 
 def _open_files() -> set[int]:
-    return {file for file in range(256) if _is_open(file)}
-
-
-def _is_open(file: int) -> bool:
-    try:
-        os.fstat(file)
-    except OSError:
-        return False
-    return True
+    return {int(path.name) for path in sorted(Path("/dev/fd").iterdir()) if path.exists()}

@@ -24,7 +24,7 @@ from tests.networks import write_model
 
 gc.disable()  # so much is imported that looking for garbage takes a quarter of the time
 commands = iter_modules(cli.__path__)
-late = ("app.server", "app.work.warm", "interloc.client.connection", "interloc.client.answers", "rich.console")
+late = ("app.server", "app.work.warm", "interloc.client.connection", "interloc.client.jobs", "rich.console")
 for name in (*late, *(f"interloc.cli.{each.name}" for each in commands)):
     import_module(name)
 

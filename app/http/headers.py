@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from typing import Annotated, cast
+from typing import Annotated, Any, cast
 
 import http_sf
 from fastapi import Depends, Header, Response
@@ -33,40 +33,25 @@ def wait_of(prefer: str | None, default_s: int = DEFAULT_WAIT_S) -> int:
     return seconds
 
 
-def _granted(response: Response, prefer: str | None, default_s: int) -> int:
-    seconds = wait_of(prefer, default_s)
-    if prefer:
-        response.headers["Preference-Applied"] = f"wait={seconds}"
-    return seconds
+def _wait(default_s: int, description: str) -> Any:  # noqa: ANN401 - as FastAPI's Depends
+    header = Header(None, description=description, examples=["wait=10"])
+
+    async def seconds(response: Response, prefer: str | None = header) -> int:
+        granted = wait_of(prefer, default_s)
+        if prefer:
+            response.headers["Preference-Applied"] = f"wait={granted}"
+        return granted
+
+    return Depends(seconds)
 
 
-async def _wait_seconds(
-    response: Response,
-    prefer: Annotated[
-        str | None,
-        Header(
-            description="wait=SECONDS, at most 300, 50 by default; respond-async not to wait (RFC 7240).",
-            examples=["wait=10"],
-        ),
-    ] = None,
-) -> int:
-    return _granted(response, prefer, DEFAULT_WAIT_S)
-
-
-async def _wait_if_asked(
-    response: Response,
-    prefer: Annotated[
-        str | None,
-        Header(description="wait=SECONDS, at most 300, to wait for the end (RFC 7240).", examples=["wait=10"]),
-    ] = None,
-) -> int:
-    return _granted(response, prefer, 0)
-
-
-WaitSeconds = Annotated[int, Depends(_wait_seconds)]
+WaitSeconds = Annotated[
+    int,
+    _wait(DEFAULT_WAIT_S, "wait=SECONDS, at most 300, 50 by default; respond-async not to wait (RFC 7240)."),
+]
 """The time that a request may wait for its work, from its header Prefer."""
 
-WaitIfAsked = Annotated[int, Depends(_wait_if_asked)]
+WaitIfAsked = Annotated[int, _wait(0, "wait=SECONDS, at most 300, to wait for the end (RFC 7240).")]
 """The same where a request that does not ask for it does not wait."""
 
 

@@ -68,7 +68,13 @@ def add_middleware(app: FastAPI, settings: Settings) -> None:
     app.add_middleware(Gate, settings=settings)
     app.add_middleware(Faults)
     if settings.origins:
-        app.add_middleware(OtherOrigins, origins=settings.origins)
+        app.add_middleware(  # pages of other sites read, with a token of their own: browsers add nothing by themselves
+            CORSMiddleware,
+            allow_origins=settings.origins,
+            allow_methods=("GET", "HEAD"),
+            allow_headers=("Authorization", "If-None-Match", "If-Modified-Since", "Last-Event-ID", "Range"),
+            expose_headers=tuple(HEADERS),
+        )
     app.add_middleware(
         GZipMiddleware, minimum_size=_MIN_PACKED_BYTES, compresslevel=1, exclude_content_types=_PACKED_ALREADY
     )
@@ -230,28 +236,6 @@ def page_policy(settings: Settings) -> str:
         f"default-src 'self'; img-src 'self' data: blob:{tiles}; worker-src 'self'; connect-src 'self'; "
         "object-src 'none'; form-action 'self'; frame-src 'self'; frame-ancestors 'none'; base-uri 'none'"
     )
-
-
-class OtherOrigins:
-    """Lets pages of listed origins read the API. They send tokens themselves; browsers add nothing (no credentials)."""
-
-    def __init__(self, app: ASGIApp, origins: tuple[str, ...]) -> None:
-        self._app = app
-        self._readable = CORSMiddleware(
-            app,
-            allow_origins=origins,
-            allow_methods=("GET", "HEAD"),
-            allow_headers=("Authorization", "If-None-Match", "If-Modified-Since", "Last-Event-ID", "Range"),
-            expose_headers=tuple(HEADERS),
-        )
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Go on; with the headers of CORS where something is read, or a browser asks whether it may."""
-        is_read = scope["type"] == "http" and scope["method"] in {"GET", "HEAD", "OPTIONS"}
-        if is_read and (is_api(path_of(scope)) or path_of(scope) == "/openapi.json"):
-            await self._readable(scope, receive, send)
-        else:
-            await self._app(scope, receive, send)
 
 
 class Faults:

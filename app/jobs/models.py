@@ -110,41 +110,6 @@ class Progress(BaseModel):
 class JobModel(BaseModel):
     """A job."""
 
-    model_config = ConfigDict(
-        json_schema_extra={
-            "examples": [
-                {
-                    "id": "9b1e44f00c7a2d53",
-                    "kind": "intersections",
-                    "drive_id": "5f0c2b7d9a41e386",
-                    "drive_name": "town",
-                    "title": "default, drive",
-                    "name": None,
-                    "note": None,
-                    "own_settings": {"bev.resolution_m": 0.25},
-                    "owner": "anonymous",
-                    "state": "running",
-                    "stage": "detecting",
-                    "message": None,
-                    "progress": {"done": 120, "total": 281, "fraction": 0.427, "seconds_left": 2.1},
-                    "request": {
-                        "preset": "default",
-                        "config": {"bev": {"resolution_m": 0.25}},
-                        "osm": {"file": "map.osm.gz"},
-                    },
-                    "created_at": "2026-01-31T12:00:00Z",
-                    "started_at": "2026-01-31T12:00:01Z",
-                    "finished_at": None,
-                    "attempts": 1,
-                    "error": None,
-                    "summary": None,
-                    "links": {"self": "/api/v1/jobs/9b1e44f00c7a2d53"},
-                    "version": 7,
-                }
-            ]
-        }
-    )
-
     id: str = Field(examples=["9b1e44f00c7a2d53"])
     kind: JobKind
     drive_id: str

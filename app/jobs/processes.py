@@ -17,7 +17,6 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from importlib import import_module
-from itertools import chain, repeat
 from multiprocessing import get_all_start_methods, get_context
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -35,7 +34,7 @@ _PROC, _CGROUPS = Path("/proc"), Path("/sys/fs/cgroup")
 _UNKNOWN = 255  # code of a process whose end nobody can tell, because the process that forked it is dead
 _LOOK_S = 0.2  # interval at which time and memory of a piece of work are looked at
 _START_S = 120.0  # within which a process is ready, however busy the machine: one that hangs is replaced
-_PAUSES_S = (0.1, 0.2, 0.5, 1.0, 2.0)  # before the start of a process is tried again; the last one from then on
+_PAUSE_S = 0.5  # before the start of a process is tried again
 _log = logging.getLogger(__name__)
 # A worker inherits none of the threads, locks and connections of the server. Forked from a process that has imported
 # everything, and does nothing else, it is there at once, also in the place of one that was killed.
@@ -334,19 +333,18 @@ class _Slot:
         WorkerLostError
             It is not wanted any more, or the executor is being stopped.
         """
-        for pause_s in chain(_PAUSES_S, repeat(_PAUSES_S[-1])):
+        while True:
             try:
                 worker = self._try_to_start()
             except Exception as error:  # whatever it is: the slot goes on
                 if self.can_start:
                     _log.warning("no worker process could be started, and it is tried again: %r", error)
                 self.can_start = False
-                if self._executor.stopping.wait(pause_s) or not is_wanted():
+                if self._executor.stopping.wait(_PAUSE_S) or not is_wanted():
                     raise WorkerLostError(f"could not be started ({error})") from error
             else:
                 self.can_start = True
                 return worker
-        raise AssertionError
 
     def _try_to_start(self) -> tuple[Any, Connection]:
         with self._lock:

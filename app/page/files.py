@@ -1,7 +1,4 @@
-"""Files of the page, and the documentation of the API as a page that needs nothing from other hosts.
-
-With the page installed the documentation is Swagger UI, from the npm package; without it, a list of the addresses.
-"""
+"""Files of the page, and the documentation of the API: Swagger UI, from the npm package, not from other hosts."""
 
 from __future__ import annotations
 
@@ -9,9 +6,7 @@ import hashlib
 import json
 import os
 from contextlib import suppress
-from html import escape
 from pathlib import Path
-from typing import Any
 
 import app
 from app.http.delivery import MEDIA_TYPES
@@ -57,25 +52,6 @@ DOCS_POLICY = (
     "connect-src 'self'; frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
 )
 """Swagger UI writes style attributes; scripts come from this service only."""
-
-_LIST = """<!doctype html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<meta name="color-scheme" content="light dark">
-<title>InterLoc API</title>
-</head>
-<body>
-<h1>InterLoc API</h1>
-<p>For programs: <a href="openapi.json">openapi.json</a>. The page of the service is not installed
-(<code>npm ci --omit=dev</code> in its folder <code>static</code>); the API works without it.</p>
-<table>
-{rows}
-</table>
-</body>
-</html>
-"""
 
 
 class PageFiles:
@@ -144,13 +120,3 @@ class PageFiles:
         except OSError:  # no file system has names so long
             is_there = False
         return path if is_there else None
-
-
-def list_addresses(openapi: dict[str, Any]) -> str:
-    """Return the addresses of an OpenAPI document as a page without scripts."""
-    rows = [
-        f"<tr><td>{verb.upper()}</td><td><code>{escape(path)}</code></td><td>{escape(operation['summary'])}</td></tr>"
-        for path, operations in openapi["paths"].items()
-        for verb, operation in operations.items()
-    ]
-    return _LIST.format(rows="\n".join(rows))

@@ -20,7 +20,6 @@ from app.page.files import (
     SWAGGER_START,
     VERSION_MARK,
     PageFiles,
-    list_addresses,
 )
 from app.page.models import PageConfig
 
@@ -59,11 +58,10 @@ def read_asset(path: str, request: Request, files: PageFilesDep) -> Response:
 
 @get_and_head(router, "/docs", **_HIDDEN)
 def read_docs(request: Request, files: PageFilesDep) -> Response:
-    """Give the documentation of the API."""
-    headers = {"content-security-policy": DOCS_POLICY, "cache-control": _ASK}
-    if files.find(SWAGGER) is not None:
-        return HTMLResponse(SWAGGER_PAGE, headers=headers)
-    return HTMLResponse(list_addresses(request.app.openapi()), headers=headers)
+    """Give the documentation of the API; where the page is not installed, its description for programs."""
+    if files.find(SWAGGER) is None:
+        return RedirectResponse(f"{request.scope.get('root_path', '')}/openapi.json")
+    return HTMLResponse(SWAGGER_PAGE, headers={"content-security-policy": DOCS_POLICY, "cache-control": _ASK})
 
 
 @get_and_head(router, "/docs/start.js", **_HIDDEN)

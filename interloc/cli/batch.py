@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,19 +12,28 @@ import click
 
 from interloc.cli import console, locating, options
 from interloc.errors import ConfigError, GeoreferenceError, InterLocError, is_interruption
+from interloc.files import write_file
 from interloc.wording import counted
 
 if TYPE_CHECKING:
-    from interloc.cli.units import Ended, Unit
+    from interloc.cli.units import Records, Row, Unit
 
 CITY = "city"
+TABLE, PAGE = "batch.csv", "batch.html"
 _OF_MAP = ("osm", "overpass", "policy", "tolerance_m", "locate", "near", "radius_km")
 _TRUE, _FALSE = ("true", "yes", "1"), ("false", "no", "0")
 
 
+def _plain(_: object, __: object, out: str) -> str:
+    """Return a path, or an address, without slashes at its end."""
+    return out.rstrip("/") or out
+
+
 @click.command(cls=options.Command, short_help="Work on many drives: one result folder each, and a table of all.")
 @click.argument("drives", nargs=-1, required=True)
-@click.option("-o", "--out", required=True, type=options.PATH, help="Folder of the batch: result folders and table.")
+@click.option(
+    "-o", "--out", required=True, metavar="PATH", callback=_plain, help="Folder of the batch: result folders and table."
+)
 @options.map_options
 @options.config_options
 @options.drive_options
@@ -42,7 +52,7 @@ def command(
     context: click.Context,
     /,
     drives: tuple[str, ...],
-    out: Path,
+    out: str,
     workers: int | None,
     dask: str | None,
     as_map: bool,
@@ -62,39 +72,37 @@ def command(
       interloc batch drives.csv -o results --osm region.osm.pbf --dask tcp://cluster:8786
       interloc batch s3://bucket/drives -o s3://bucket/results --osm s3://bucket/region.osm.pbf --dask tcp://cluster:8786
     """
-    from interloc.cli.batch_table import PAGE, TABLE, row_of, write_table
     from interloc.cli.units import Records, do_all
     from interloc.processes import cores
 
     options.configure(given["preset"], given["settings"])  # a mistake in it would fail every drive
     units = _units(drives, {name: given[name] for name in given if _is_given(context, name)})
-    records = Records(out, whole=as_map)
+    records = Records(out)
     if fresh:
         records.forget()
-    ended = {unit.name: before for unit in units if (before := records.done(unit)) is not None}
-    if ended:
-        console.note(f"{counted(len(ended), 'drive')} of {len(units)} done already (--fresh does them again)")
-    missing = [unit for unit in units if unit.name not in ended]
-    kept = len(ended)
+    done = {unit.name: row for unit in units if (row := records.done(unit)) is not None}
+    if done:
+        console.note(f"{counted(len(done), 'drive')} of {len(units)} done already (--fresh does them again)")
+    missing = [unit for unit in units if unit.name not in done]
+    kept = len(done)
     try:
         with console.progress("batch", "drive") as bar:
-            count = min(workers or cores(), len(missing) or 1)
+            processes = min(workers or cores(), len(missing) or 1)
             if missing:
-                ended |= do_all(missing, records, count, dask, lambda done: bar(kept + done, len(units)))
+                done |= do_all(missing, records, processes, dask, lambda count: bar(kept + count, len(units)))
     except BaseException as error:
         if not is_interruption(error):
             raise
         raise InterLocError("interrupted; the drives that are done are kept: the same command does the rest") from error
-    left_out = _merge(units, ended, out) if as_map else []
-    rows = [row_of(unit, ended[unit.name], out) for unit in units]
-    write_table(rows, out)
-    records.send(CITY, TABLE, PAGE)
+    rows = [done[unit.name] for unit in units]
+    left_out = _merge(rows, records) if as_map else []
+    _write_table(rows, records.place)
     failed = [row for row in rows if row["error"] is not None]
     if not console.wants_json():
         for line in left_out:
             console.note(f"not on the map: {line}")
-    record = {"out": str(out), "drives": rows, "failed": len(failed), "not_on_map": left_out}
-    console.say(record, _facts(rows, out / PAGE))
+    record = {"out": out, "drives": rows, "failed": len(failed), "not_on_map": left_out}
+    console.say(record, _facts(rows, f"{out}/{PAGE}"))
     if failed:
         first = failed[0]
         raise InterLocError(
@@ -213,7 +221,20 @@ def _names(drives: Sequence[str], given: Sequence[str | None]) -> list[str]:
     return names
 
 
-def _merge(units: Sequence[Unit], ended: Mapping[str, Ended], out: Path) -> list[str]:
+def _write_table(rows: Sequence[Row], place: Path) -> None:
+    from interloc.cli.units import COLUMNS
+    from interloc.evaluation.report import template
+
+    text = io.StringIO()
+    writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    has_map = (place / CITY / "city.geojson").is_file()
+    write_file(place / TABLE, text.getvalue())
+    write_file(place / PAGE, template("batch.html", "interloc.cli").render(rows=rows, has_map=has_map))
+
+
+def _merge(rows: Sequence[Row], records: Records) -> list[str]:
     """Put what was found together to one map; return which drives are not on it, and why."""
     from dataclasses import replace
 
@@ -224,29 +245,27 @@ def _merge(units: Sequence[Unit], ended: Mapping[str, Ended], out: Path) -> list
 
     left_out: list[str] = []
     passes: dict[str, Pass] = {}
-    for unit in units:
-        if ended[unit.name].error is not None:
-            continue
+    for name in (row["name"] for row in rows if row["error"] is None):
         try:
-            one = Pass.of(read_results(out / unit.name))
+            one = Pass.of(read_results(options.PATH.convert(f"{records.out}/{name}", None, None)))
         except GeoreferenceError as error:
-            left_out.append(f"{unit.name}: {error}")
+            left_out.append(f"{name}: {error}")
             continue
-        same = passes.setdefault(one.key, replace(one, name=unit.name))
-        if same.name != unit.name:
-            left_out.append(f"{unit.name}: it holds the same as {same.name}")
+        same = passes.setdefault(one.key, replace(one, name=name))
+        if same.name != name:
+            left_out.append(f"{name}: it holds the same as {same.name}")
     if passes:
         city = CityMap()
         city.add(*passes.values())
-        write_city(city, out / CITY)
+        write_city(city, records.place / CITY)
     return left_out
 
 
-def _facts(rows: Sequence[dict[str, Any]], page: Path) -> list[tuple[str, str]]:
+def _facts(rows: Sequence[Row], page: str) -> list[tuple[str, str]]:
     done = [row for row in rows if row["error"] is None]
     return [
         ("drives", f"{len(done)} of {len(rows)} successful"),
         ("intersections", str(sum(row["intersections"] or 0 for row in done))),
         ("time", f"{sum(row['seconds'] for row in rows):.1f} s of work"),
-        ("table", str(page)),
+        ("table", page),
     ]

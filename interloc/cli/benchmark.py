@@ -327,7 +327,7 @@ def _measure(
     **described: Any,
 ) -> None:
     """Run a benchmark by the values of `measuring_options`; `described` are further fields of `Benchmark`."""
-    from interloc.evaluation.label_errors import parse_level
+    from interloc.drives.label_errors import parse_level
     from interloc.lab.measure import Scoring
     from interloc.lab.report import PAGE, benchmark_record, write_benchmark
     from interloc.lab.run import Benchmark

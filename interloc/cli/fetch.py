@@ -10,8 +10,8 @@ import click
 from interloc.cli import console, options, summary
 
 if TYPE_CHECKING:
-    from interloc.client.answers import JobAnswer
     from interloc.client.connection import Connection
+    from interloc.client.jobs import JobAnswer
 
 
 @click.command(short_help="Fetch a result from a server.")
@@ -55,7 +55,7 @@ def wait_for(connection: Connection, job: str) -> JobAnswer:
 
 def bring(connection: Connection, job: JobAnswer, out: Path) -> None:
     """Write the result folder, with progress."""
-    from interloc.client.fetch import fetch
+    from interloc.client.jobs import fetch
 
     with console.progress("fetch", "B") as bar:
         fetch(connection, job.id, out, on_bytes=bar)

@@ -13,10 +13,9 @@ from interloc.cli import console, locating, options
 from interloc.cli.fetch import bring, result_facts, result_summary, wait_for
 
 if TYPE_CHECKING:
-    from interloc.client.answers import JobAnswer
     from interloc.client.connection import Connection
-    from interloc.client.prepare import PreparedDrive, PushOptions
-    from interloc.client.push import Pushed
+    from interloc.client.jobs import JobAnswer
+    from interloc.client.push import PreparedDrive, Pushed, PushOptions
     from interloc.client.upload import UploadProgress
     from interloc.drives.options import LabelFolder
     from interloc.osm.policies import Policy
@@ -96,7 +95,7 @@ def command(
         raise click.UsageError("the map of which place is to be fetched? Say it by --near LAT,LON, or give --osm FILE")
     from interloc.client.connection import Connection
     from interloc.client.jobs import JobRequest, finished, placing, submit
-    from interloc.client.prepare import PushOptions, prepare
+    from interloc.client.push import PushOptions, prepare
     from interloc.drives.options import ReadingOptions
 
     config = options.configure(preset, settings)

@@ -17,10 +17,6 @@ if TYPE_CHECKING:
     from interloc.lab.twins import Poses
 
 
-_SHOT_BYTES, _GROUND_SHARE = 18, 0.5  # bytes: those shots that return, with their labels
-_SHOT_S = 8e-7
-_LARGE_BYTES = 100_000_000
-
 DRIVE = click.option(
     "-o",
     "--out",
@@ -167,7 +163,7 @@ def town(drive: Path, part: Part, every_scan: bool, speed_mps: float, min_radius
     options = _options(every_scan=every_scan, **common)
     with console.progress("simulate", "scan") as bar:
         trip = Town(part, seed=options.seed).trip(_track_config(speed_mps, min_radius_m=min_radius_m))
-        scans = simulate(trip, drive, options, progress=_Announced(bar, options))
+        scans = simulate(trip, drive, options, progress=bar)
     _go_on(scans, drive, drive / MAP_FILE)
 
 
@@ -302,25 +298,6 @@ def _options(
         scene=SceneConfig(**scene, streets=StreetConfig(**streets)),
         sensor=LidarConfig(**{**SENSORS[sensor].model_dump(), **changed, **no_noise}),
     )
-
-
-class _Announced:
-    """A progress bar that first says how much there will be, where it is much."""
-
-    def __init__(self, bar: console.Bar, options: SimulationOptions) -> None:
-        self._bar, self._options, self._is_said = bar, options, False
-
-    def __call__(self, done: int, total: int) -> None:
-        """Show how many scans are done."""
-        if not self._is_said:
-            shots = total * self._options.sensor.columns * self._options.sensor.rings
-            size = int(shots * _SHOT_BYTES * (_GROUND_SHARE if self._options.ground_only else 1.0))
-            minutes = max(1, round(shots * _SHOT_S / 60))
-            if size > _LARGE_BYTES:
-                long = f"{minutes} minute{'' if minutes == 1 else 's'}"
-                console.note(f"{total:,} scans, about {console.size(size)} and {long} on one core")
-            self._is_said = True
-        self._bar(done, total)
 
 
 def _track_config(speed_mps: float, offset_m: float = 0.0, min_radius_m: float = 0.0) -> TrackConfig:

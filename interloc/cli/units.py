@@ -9,15 +9,12 @@ from __future__ import annotations
 import hashlib
 import io
 import json
-import re
 import shutil
-import tarfile
-import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager, redirect_stderr, suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from threading import Event
@@ -26,6 +23,7 @@ from typing import Any
 import click
 
 from interloc import storage
+from interloc.cli.summary import wrong_detections
 from interloc.errors import ConfigError, InterLocError, install
 from interloc.files import write_file
 from interloc.processes import in_own_process, stop_processes
@@ -58,56 +56,70 @@ class Unit:
         return {"command": self.command, "arguments": list(self.arguments), "files": files}
 
 
-@dataclass(frozen=True)
-class Ended:
-    """What became of a unit."""
+COLUMNS = (
+    "name",
+    "state",
+    "verdict",
+    "precision",
+    "recall",
+    "ace_m",
+    "reasons",
+    "intersections",
+    "keyframes",
+    "seconds",
+    "warnings",
+    "error",
+    "drive",
+)
+"""Precision and recall are those of the detections at D = 5 m; reasons say why detections are wrong, with numbers."""
 
-    seconds: float
-    error: str | None = None
-    """Why it failed; None if it did not."""
-    warnings: tuple[str, ...] = ()
-    content: bytes | None = None
-    """The result folder as a tar, where the worker shares no folder with whoever asked."""
+Row = dict[str, Any]
+"""What became of a unit: a value for each of the `COLUMNS`; its error is None where it was successful."""
+
+Submit = Callable[[Unit, str], "Future[Row]"]
+"""Has a unit of the batch in a folder, or at an address, done."""
 
 
-def work(unit: Unit, out: str | None) -> Ended:
-    """Do a unit, in a worker process.
-
-    Parameters
-    ----------
-    unit
-    out
-        Result folder to write; None gives it back.
-    """
-    if out is None:
-        with tempfile.TemporaryDirectory(prefix="interloc-batch-") as folder:
-            ended = work(unit, f"{folder}/{unit.name}")
-            return ended if ended.error is not None else replace(ended, content=_packed(Path(folder) / unit.name))
+def work(unit: Unit, out: str) -> Row:
+    """Do a unit, in a worker process, and write its result to its place in the batch."""
     from interloc.cli.main import cli
 
     command = cli.get_command(click.Context(cli), unit.command)
     assert command is not None
     began = time.monotonic()
     notes = io.StringIO()
-    error: str | None = None
-    arguments = [unit.drive, "-o", out, *unit.arguments, "--workers", "1", "--quiet"]
+    row: Row = {**dict.fromkeys(COLUMNS), "name": unit.name, "drive": unit.drive}
+    arguments = [unit.drive, "-o", f"{out}/{unit.name}", *unit.arguments, "--workers", "1", "--quiet"]
     with redirect_stderr(notes):
         try:
             with command.make_context(unit.command, arguments) as context:
                 command.invoke(context)
+                row |= _figures(context.params["out"])
+            storage.send_results()
         except click.ClickException as failure:
-            error = failure.format_message()
+            row["error"] = failure.format_message()
         except InterLocError as failure:
-            error = storage.shown(str(failure))
+            row["error"] = storage.shown(str(failure))
         except Exception as failure:  # noqa: BLE001 - the other drives go on, whatever it is
-            error = f"a fault of InterLoc itself: {type(failure).__name__}: {failure}"
+            row["error"] = f"a fault of InterLoc itself: {type(failure).__name__}: {failure}"
     storage.clear()
-    warnings = tuple(line.removeprefix("warning: ") for line in notes.getvalue().splitlines() if line)
-    return Ended(time.monotonic() - began, error, warnings)
+    said = [line.removeprefix("warning: ") for line in notes.getvalue().splitlines() if line]
+    row["warnings"] = "; ".join(dict.fromkeys([*(row["warnings"] or []), *said]))
+    return row | {"seconds": round(time.monotonic() - began, 1), "state": "failed" if row["error"] else "successful"}
 
 
-Submit = Callable[[Unit, Path], "Future[Ended]"]
-"""Has a unit of the batch in a folder done."""
+def _figures(folder: Path) -> Row:
+    """Return the figures of a result."""
+    run, report, *intersections = (
+        json.loads(path.read_bytes()) if (path := folder / name).is_file() else {}
+        for name in ("run.json", "report.json", "intersections.geojson", "intersections.local.json")
+    )
+    row = {"keyframes": run["keyframes"], "intersections": sum(len(each.get("features", [])) for each in intersections)}
+    if report:
+        row |= {"verdict": report["map_line"], "ace_m": report["ace_m"], "reasons": wrong_detections(report)[1]}
+        row |= {name: report[name]["5.0"] for name in ("precision", "recall")}
+        row["warnings"] = report["warnings"]
+    return row
 
 
 class Records:
@@ -116,61 +128,49 @@ class Records:
     Parameters
     ----------
     out
-        Folder of the batch.
-    whole
-        Whether what is in object storage already is needed whole: else the records and the figures of the table.
+        Folder of the batch, or its address in object storage.
     """
 
-    def __init__(self, out: Path, *, whole: bool = False) -> None:
+    def __init__(self, out: str) -> None:
         self.out = out
-        self._folder = out / RECORDS
-        if out.exists() and not self._folder.is_dir() and (not out.is_dir() or any(out.iterdir())):
+        self.place = storage.result_place(out) if storage.is_url(out) else Path(out)
+        self._folder = self.place / RECORDS
+        if self.place.exists() and not self._folder.is_dir() and (not self.place.is_dir() or any(self.place.iterdir())):
             raise ConfigError(
                 f"{out} exists and is not the folder of a batch. It was not touched. Give a new or empty folder (-o)."
             )
         self._folder.mkdir(parents=True, exist_ok=True)
-        needed = re.compile(rf"{re.escape(RECORDS)}/|.*/(run\.json|report\.json|intersections\.[a-z.]*json)$")
-        storage.fetch_older(out, lambda name: whole or needed.match(name) is not None)
-        self._place = storage.take_result(out)
-
-    def send(self, *names: str) -> None:
-        """Bring files and folders of the batch to where it belongs, if that is object storage."""
-        for name in names:
-            if self._place is not None and (self.out / name).exists():
-                self._place.send(name)
+        storage.fetch_older(self.place, lambda name: name.startswith(f"{RECORDS}/"))
 
     def forget(self) -> None:
         """Forget what was done: every unit is done again."""
         shutil.rmtree(self._folder)
         self._folder.mkdir()
 
-    def done(self, unit: Unit) -> Ended | None:
-        """Return how a unit ended that need not be done again."""
+    def done(self, unit: Unit) -> Row | None:
+        """Return what became of a unit that need not be done again."""
         try:
             record = json.loads((self._folder / f"{unit.name}.json").read_bytes())
-            is_there = (self.out / unit.name / "run.json").is_file() and record["unit"] == unit.identity
-            ended = Ended(**{**record["ended"], "warnings": tuple(record["ended"]["warnings"])})
+            row: Row = record["row"]
+            is_there = (self.place / unit.name / "run.json").is_file() and record["unit"] == unit.identity
         except (OSError, ValueError, TypeError, KeyError):
             return None
-        return ended if is_there and ended.error is None else None
+        return row if is_there and row["error"] is None else None
 
-    def write(self, unit: Unit, identity: dict[str, Any], ended: Ended) -> Ended:
-        """Record how a unit ended; what it brings goes to its folder first."""
-        if ended.content is not None:
-            from interloc.output.layout import result_folder
-
-            content = io.BytesIO(ended.content)
-            with result_folder(self.out / unit.name) as folder, tarfile.open(fileobj=content) as archive:
-                archive.extractall(folder, filter="data")
-            ended = replace(ended, content=None)
-        write_file(self._folder / f"{unit.name}.json", json.dumps({"unit": identity, "ended": asdict(ended)}, indent=1))
-        self.send(unit.name, f"{RECORDS}/{unit.name}.json")
-        return ended
+    def write(self, unit: Unit, identity: dict[str, Any], row: Row) -> Row:
+        """Record what became of a unit."""
+        name = f"{RECORDS}/{unit.name}.json"
+        write_file(self.place / name, json.dumps({"unit": identity, "row": row}, indent=1))
+        if storage.is_url(self.out):
+            storage.send_part(self.place, name)
+        elif row["error"] is None and not (self.place / unit.name / "run.json").is_file():
+            row = row | {"state": "failed", "error": f"its worker wrote no result here: it must see {self.out} too."}
+        return row
 
 
 def do_all(
     units: Sequence[Unit], records: Records, workers: int, dask: str | None, progress: Callable[[int], None]
-) -> dict[str, Ended]:
+) -> dict[str, Row]:
     """Do units; one that fails stops nothing, one whose process dies is tried again.
 
     Parameters
@@ -184,20 +184,25 @@ def do_all(
     progress
         Called several times per second with how many are done; whatever it raises ends the batch.
     """
-    ended: dict[str, Ended] = {}
+    rows: dict[str, Row] = {}
     with _dask(dask) if dask is not None else _processes(workers) as submit:
         running = {submit(unit, records.out): (unit, unit.identity) for unit in units}
         while running:
             for future in wait(running, timeout=0.2, return_when=FIRST_COMPLETED).done:
                 unit, identity = running.pop(future)
                 try:
-                    outcome = future.result()
+                    row = future.result()
                 except Exception as error:  # noqa: BLE001 - of Dask, whose workers or scheduler died
-                    why = f"the Dask cluster gave it up ({type(error).__name__}: {error})"
-                    outcome = Ended(0.0, f"{unit.drive}: {why}. Usual cause: workers with too little memory.")
-                ended[unit.name] = records.write(unit, identity, outcome)
-            progress(len(ended))
-    return ended
+                    row = _lost(unit, f"the Dask cluster gave it up ({type(error).__name__}: {error})")
+                rows[unit.name] = records.write(unit, identity, row)
+            progress(len(rows))
+    return rows
+
+
+def _lost(unit: Unit, why: str) -> Row:
+    error = f"{unit.drive}: {why}. Usual cause: too little memory."
+    lost = {"name": unit.name, "drive": unit.drive, "state": "failed", "seconds": 0.0, "warnings": "", "error": error}
+    return {**dict.fromkeys(COLUMNS), **lost}
 
 
 @contextmanager
@@ -205,12 +210,12 @@ def _processes(workers: int) -> Iterator[Submit]:
     """Do units in a process each, again where that dies; what runs is stopped where the batch ends early."""
     stopping = Event()
 
-    def do(unit: Unit, out: Path) -> Ended:
+    def do(unit: Unit, out: str) -> Row:
         for _ in range(_TRIES):
             with suppress(InterLocError):  # it died: what is wrong with the drive is an outcome
                 if not stopping.is_set():
-                    return in_own_process(partial(work, out=str(out / unit.name)), unit)
-        return Ended(0.0, f"{unit.drive}: its worker died {_TRIES} times. Usual cause: too little memory.")
+                    return in_own_process(partial(work, out=out), unit)
+        return _lost(unit, f"its worker died {_TRIES} times")
 
     with ThreadPoolExecutor(workers, "batch") as threads:
         try:
@@ -224,7 +229,6 @@ def _processes(workers: int) -> Iterator[Submit]:
 
 @contextmanager
 def _dask(address: str) -> Iterator[Submit]:
-    """Have units done by the workers of a cluster, which give the results back."""
     try:
         from distributed import Client
 
@@ -237,11 +241,11 @@ def _dask(address: str) -> Iterator[Submit]:
     except (OSError, ValueError, TimeoutError) as error:
         raise ConfigError(
             f"no Dask scheduler answers at {address} ({error or type(error).__name__}). "
-            "Start one (`dask scheduler`), and workers (`dask worker ADDRESS`)."
+            "Start one (`dask scheduler`), and workers (`dask worker ADDRESS`) that see the same files."
         ) from error
     try:
         executor = client.get_executor(pure=False)  # a repeated call must be executed again
-        yield lambda unit, _: executor.submit(work, unit, None)
+        yield lambda unit, out: executor.submit(work, unit, out)
     finally:
         client.close(timeout=5)
 
@@ -259,11 +263,3 @@ def _stamps(name: str) -> list[list[Any]]:
         return [[entry.name, entry.stat().st_size, entry.stat().st_mtime_ns] for entry in entries]
     except (OSError, InterLocError):
         return []
-
-
-def _packed(folder: Path) -> bytes:
-    content = io.BytesIO()
-    with tarfile.open(fileobj=content, mode="w:gz", compresslevel=1) as archive:
-        for entry in sorted(folder.iterdir()):
-            archive.add(entry, entry.name)
-    return content.getvalue()

@@ -1,4 +1,4 @@
-"""A connection to a service: its address, the token, and retries while a server is busy or restarts."""
+"""A connection to a service: its address, the token, its answers, and retries while it is busy or restarts."""
 
 from __future__ import annotations
 
@@ -11,23 +11,68 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from importlib.metadata import version
-from types import TracebackType
-from typing import Any, Self
+from typing import Any, Self, TypeVar
 
 import httpx
+from pydantic import BaseModel, ValidationError
 
-from interloc.client.answers import DrivesAnswer, Model, check, parse
 from interloc.errors import ConfigError, NetworkError
 
 API = "/api/v1"
 DEFAULT_SERVER = "http://127.0.0.1:8000"
 
+_PROBLEM_TYPE = "application/problem+json"
+_SHOWN_PROBLEMS = 20
 _BUSY = frozenset({429, 502, 503, 504})
 _NOT_DONE = frozenset({429, 503})  # the request was not worked on; 502 and 504 of a proxy leave that open
 _FIRST_PATIENCE_S = 2.0  # while a server has never answered: most likely there is no server
 _LONGEST_PAUSE_S = 10.0
 
 _log = logging.getLogger(__name__)
+
+Model = TypeVar("Model", bound=BaseModel)
+"""An answer, as far as the client reads it; members that it does not know are ignored."""
+
+
+class FileProblem(BaseModel):
+    """A problem with one file of a drive."""
+
+    severity: str = "error"
+    path: str = ""
+    message: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.path}: {self.message}" if self.path else self.message
+
+
+class ProblemAnswer(BaseModel):
+    """A problem document (RFC 9457)."""
+
+    title: str = ""
+    status: int = 0
+    detail: str = ""
+    problems: list[FileProblem] | None = None
+
+    def __str__(self) -> str:
+        text = ": ".join(dict.fromkeys(part for part in (self.title, self.detail) if part)) or f"status {self.status}"
+        errors = [str(problem) for problem in self.problems or () if problem.severity == "error"]
+        new = [error for error in errors if error.rstrip(".") not in text]
+        rest = len(new) - _SHOWN_PROBLEMS
+        more = [f"and {rest} more"] if rest > 0 else []
+        return "\n  ".join([text, *new[:_SHOWN_PROBLEMS], *more])
+
+
+class Refusal(NetworkError):  # noqa: N818 - an answer of the server, not a fault
+    """The service did not do what was asked, and says why."""
+
+    def __init__(self, status: int, problem: ProblemAnswer, hint: str = "") -> None:
+        super().__init__(f"{problem} {hint}".strip())
+        self.status = status
+        self.problem = problem
+
+
+class _Anything(BaseModel):
+    """Any object of JSON."""
 
 
 class Connection:
@@ -83,25 +128,17 @@ class Connection:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.closing.set()
         self._client.close()
 
     def check_server(self) -> None:
-        """Check that there is a service at the address, and that it accepts the token.
-
-        Raises
-        ------
-        NetworkError
-            There is no service, or it needs another token.
-        """
-        self.ask("GET", "/drives", DrivesAnswer, params={"limit": 1})
+        """Check that there is a service at the address, and that it accepts the token."""
+        self.ask("GET", "/drives", _Anything, params={"limit": 1})
 
     def ask(self, method: str, path: str, model: type[Model], **options: Any) -> Model:  # noqa: ANN401 - see request
         """Send a request, and read the JSON of its answer; `options`: see `request`."""
-        return parse(self.request(method, path, **options), model, self.server)
+        return self._parse(self.request(method, path, **options), model)
 
     def request(
         self,
@@ -132,85 +169,85 @@ class Connection:
         NetworkError
             No service answered in time.
         """
-        waiting = _Waiting(self._patience_s)
+        began, pauses = time.monotonic(), 0
         while True:
+            asked_s: float | None = None
             try:
                 response = self._client.request(
                     method, path.lstrip("/"), json=json, params=params, content=body and body(), headers=headers
                 )
             except httpx.TransportError as error:
+                reason = _reason(error)
                 may_repeat = repeatable or isinstance(error, httpx.ConnectError | httpx.ConnectTimeout)
-                self._pause(waiting, _reason(error), None, may_repeat=may_repeat and not _is_hopeless(error))
-                continue
-            self._answered = True
-            if response.status_code in _BUSY and (repeatable or response.status_code in _NOT_DONE):
-                pause_s = _retry_after(response)
-                if waiting.allows(pause_s):
-                    self._pause(waiting, f"busy ({response.status_code})", pause_s, may_repeat=True)
-                    continue
-            self._is_out.clear()
-            return check(response, self.server)
+                may_repeat = may_repeat and not _is_hopeless(error)
+            else:
+                self._answered = True
+                asked_s = _retry_after(response)
+                reason = f"busy ({response.status_code})"
+                may_repeat = response.status_code in (_BUSY if repeatable else _NOT_DONE)
+                if not may_repeat or time.monotonic() - began + (asked_s or 0.0) >= self._patience_s:
+                    self._is_out.clear()
+                    return self._check(response)
+            self._check_patience(reason, time.monotonic() - began, may_repeat=may_repeat)
+            pauses += 1
+            spread = random.uniform(0.75, 1.25)  # noqa: S311 - threads shall not repeat their requests all at once
+            pause_s = min(0.25 * 2.0 ** min(pauses, 8), _LONGEST_PAUSE_S) * spread if asked_s is None else asked_s
+            if self.closing.wait(pause_s):
+                raise NetworkError(f"{self.server}: stopped waiting.")
 
     @contextmanager
-    def stream(
-        self, path: str, *, headers: Mapping[str, str] | None = None, timeout_s: float | None = None
-    ) -> Iterator[httpx.Response]:
-        """Open an answer that is read in chunks; it is not requested again when it breaks off.
-
-        Raises
-        ------
-        Refusal, NetworkError
-            As `request`; also when the connection breaks.
-        """
-        timeout = httpx.USE_CLIENT_DEFAULT if timeout_s is None else httpx.Timeout(timeout_s, connect=10.0, pool=None)
+    def stream(self, path: str) -> Iterator[httpx.Response]:
+        """Open an answer that is read in chunks; it is not requested again when it breaks off."""
         try:
-            with self._client.stream("GET", path.lstrip("/"), headers=headers, timeout=timeout) as response:
+            with self._client.stream("GET", path.lstrip("/")) as response:
                 self._answered = True
                 if not response.is_success:
                     response.read()
-                yield check(response, self.server)
+                yield self._check(response)
         except httpx.TransportError as error:
             raise NetworkError(f"{self.server}: {_reason(error)}.") from error
 
-    def _pause(self, waiting: _Waiting, reason: str, pause_s: float | None, *, may_repeat: bool) -> None:
-        """Wait before the next attempt, or raise NetworkError."""
-        if not self._answered:
-            waiting.patience_s = min(waiting.patience_s, _FIRST_PATIENCE_S)
-        if not may_repeat or self.closing.is_set() or not waiting.allows(pause_s):
-            tried = f" (for {waiting.waited_s:.0f} s)" if waiting.waited_s >= 1 else ""
+    def _check_patience(self, reason: str, waited_s: float, *, may_repeat: bool) -> None:
+        """Raise NetworkError where another attempt makes no sense; log the first failure of an outage."""
+        patience_s = self._patience_s if self._answered else min(self._patience_s, _FIRST_PATIENCE_S)
+        if not may_repeat or self.closing.is_set() or waited_s >= patience_s:
+            tried = f" (for {waited_s:.0f} s)" if waited_s >= 1 else ""
             hint = "" if self._answered else " Is it running there? Give its address by --server or INTERLOC_SERVER."
             raise NetworkError(f"{self.server}: {reason}{tried}.{hint}")
         if self._answered and not self._is_out.is_set():  # once per outage, whatever the number of threads
             self._is_out.set()
-            _log.info("%s: %s; trying again for up to %.0f s", self.server, reason, waiting.patience_s)
-        if self.closing.wait(waiting.next_pause(pause_s)):
-            raise NetworkError(f"{self.server}: stopped waiting.")
+            _log.info("%s: %s; trying again for up to %.0f s", self.server, reason, patience_s)
 
+    def _check(self, response: httpx.Response) -> httpx.Response:
+        """Return an answer that is a success; raise Refusal, or NetworkError where no service of InterLoc answered."""
+        if response.is_success:
+            return response
+        if _media_type(response) == _PROBLEM_TYPE:
+            problem = self._parse(response, ProblemAnswer)
+            hint = "Give a token of this server by INTERLOC_TOKEN or --token." if response.status_code == 401 else ""
+            raise Refusal(response.status_code, problem, hint)
+        if response.is_redirect:
+            target = response.headers.get("location", "elsewhere")
+            raise NetworkError(f"{self.server} redirects to {target}. Give the address that it moved to as the server.")
+        raise NetworkError(
+            f"{self.server} answered {response.status_code} {response.reason_phrase} to {response.request.method} "
+            f"{response.request.url.path}, which is not how an InterLoc server answers. Expected the address of one, "
+            "such as http://127.0.0.1:8000. Usual cause: the address of another server, or a proxy before it that "
+            "refuses large bodies or is restarting."
+        )
 
-class _Waiting:
-    """The pauses of one request: they get longer, until its time is over."""
-
-    def __init__(self, patience_s: float) -> None:
-        self.patience_s = patience_s
-        self._since = time.monotonic()
-        self._pauses = 0
-
-    @property
-    def waited_s(self) -> float:
-        """Time since the request was first sent."""
-        return time.monotonic() - self._since
-
-    def allows(self, pause_s: float | None) -> bool:
-        """Tell whether there is time for one more pause; one that the server asked for must fit in whole."""
-        return self.waited_s + (pause_s or 0.0) < self.patience_s
-
-    def next_pause(self, pause_s: float | None) -> float:
-        """Return the length of the next pause."""
-        self._pauses += 1
-        if pause_s is not None:
-            return pause_s
-        spread = random.uniform(0.75, 1.25)  # noqa: S311 - threads shall not repeat their requests all at once
-        return min(0.25 * 2.0 ** min(self._pauses, 8), _LONGEST_PAUSE_S) * spread
+    def _parse(self, response: httpx.Response, model: type[Model]) -> Model:
+        try:
+            return model.model_validate_json(response.content)
+        except ValidationError as error:
+            found = _media_type(response) or "nothing"
+            first = error.errors()[0]
+            where = ".".join(str(part) for part in first["loc"])
+            raise NetworkError(
+                f"{self.server} answered {response.request.method} {response.request.url.path} with {found} that is "
+                f"not what an InterLoc server answers ({where + ': ' if where else ''}{first['msg']}). Usual cause: "
+                "the address of another server, or one of another version."
+            ) from None
 
 
 def _address(server: str) -> httpx.URL:
@@ -232,13 +269,7 @@ def _address(server: str) -> httpx.URL:
 
 
 def authorization(token: str | None) -> dict[str, str]:
-    """Return the header of a token.
-
-    Raises
-    ------
-    ConfigError
-        It cannot be one.
-    """
+    """Return the header of a token; raise ConfigError where it cannot be one."""
     if not token:
         return {}
     if not (token.isascii() and token.isprintable() and " " not in token):
@@ -254,6 +285,10 @@ def is_loopback(host: str) -> bool:
         return host == "localhost" or ipaddress.ip_address(host).is_loopback
     except ValueError:
         return False
+
+
+def _media_type(response: httpx.Response) -> str:
+    return str(response.headers.get("content-type", "")).partition(";")[0].strip().lower()
 
 
 def _retry_after(response: httpx.Response) -> float | None:

@@ -1,26 +1,69 @@
-"""Jobs of the service: submitting them, and following them to their end."""
+"""Jobs of the service: submitting them, following them to their end, and fetching what they found."""
 
 from __future__ import annotations
 
 import secrets
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from http import HTTPStatus
+from pathlib import Path, PurePosixPath
+from typing import Any, Literal
 from urllib.parse import quote
 
-from pydantic import ValidationError
+from pydantic import BaseModel, Field
 
-from interloc.client.answers import JobAnswer, JobsAnswer, media_type
-from interloc.client.connection import Connection
+from interloc.client.connection import Connection, ProblemAnswer, Refusal
 from interloc.config import DetectorConfig, preset
 from interloc.errors import InterLocError, NetworkError
 from interloc.osm.policies import Policy
+from interloc.output.layout import RUN_FILE, result_folder
 
-OnChange = Callable[[JobAnswer], None]
+OnBytes = Callable[[int, int], None]
+"""Called with the bytes fetched and the bytes in all; may raise an exception to stop."""
 
 _POLL_S = 1.0
-_MAX_EVENT_BYTES = 4 * 1024**2
-_SILENCE_S = 45.0  # a stream of events is never silent for so long: the service sends comments in between
+_ATTEMPTS = 4
+
+
+class ProgressAnswer(BaseModel):
+    """The progress of a job."""
+
+    done: int = 0
+    total: int | None = None
+
+
+class JobAnswer(BaseModel):
+    """A job."""
+
+    id: str = Field(pattern=r"^[\w-]{1,64}$")
+    drive_id: str
+    drive_name: str = ""
+    state: Literal["accepted", "running", "successful", "failed", "dismissed"]
+    stage: str = ""
+    message: str | None = None
+    progress: ProgressAnswer = ProgressAnswer()
+    error: ProblemAnswer | None = None
+    summary: dict[str, Any] | None = None
+    request: dict[str, Any] = {}
+
+
+class JobsAnswer(BaseModel):
+    """Some jobs."""
+
+    jobs: list[JobAnswer] = Field(max_length=1000)
+
+
+class ResultFileAnswer(BaseModel):
+    """A file of a result."""
+
+    name: str = Field(min_length=1, max_length=512)
+    size_bytes: int = Field(ge=0)
+
+
+class ResultFilesAnswer(BaseModel):
+    """All files of a result."""
+
+    files: list[ResultFileAnswer] = Field(max_length=100_000)
 
 
 @dataclass(frozen=True)
@@ -96,18 +139,13 @@ def finished(connection: Connection, drive_id: str, wanted: JobRequest) -> JobAn
     return next((job for job in jobs if {name: job.request.get(name) for name in done} == done), None)
 
 
-def follow(connection: Connection, job_id: str, on_change: OnChange | None = None) -> JobAnswer:
-    """Wait for the end of a job.
+def follow(connection: Connection, job_id: str, on_change: Callable[[JobAnswer], None] | None = None) -> JobAnswer:
+    """Wait for the end of a job, and return it.
 
     Parameters
     ----------
     on_change
-        Called with the job at every change.
-
-    Returns
-    -------
-    JobAnswer
-        The successful job.
+        Called with the job every second.
 
     Raises
     ------
@@ -116,79 +154,18 @@ def follow(connection: Connection, job_id: str, on_change: OnChange | None = Non
     Refusal, NetworkError
         There is no such job, or the service does not answer.
     """
-    for job in _changes(connection, job_id):
+    while True:
+        job = connection.ask("GET", f"/jobs/{quote(job_id, safe='')}", JobAnswer)
         if on_change is not None:
             on_change(job)
-        if job.is_final:
-            return _successful(job)
-    raise AssertionError  # changes come until the end
-
-
-def _changes(connection: Connection, job_id: str) -> Iterator[JobAnswer]:
-    """Yield the job, and again at each change: by events, and by asking wherever those fail."""
-    address = f"/jobs/{quote(job_id, safe='')}"
-    while True:
-        job = connection.ask("GET", address, JobAnswer)
-        yield job
-        if job.is_final:
-            return
-        try:
-            for changed in _events(connection, f"{address}/events", job.version):
-                yield changed
-                if changed.is_final:
-                    return
-        except NetworkError:
-            pass  # the next request shows what is wrong
+        if job.state == "successful":
+            return job
+        if job.state == "dismissed":
+            raise InterLocError(f"job {job.id} was cancelled.")
+        if job.state == "failed":
+            raise InterLocError(f"job {job.id} failed: {job.error or 'the server does not say why'}")
         if connection.closing.wait(_POLL_S):
             raise NetworkError(f"{connection.server}: stopped waiting.")
-
-
-def _events(connection: Connection, address: str, version: int) -> Iterator[JobAnswer]:
-    headers = {"Accept": "text/event-stream", "Last-Event-ID": str(version)}
-    with connection.stream(address, headers=headers, timeout_s=_SILENCE_S) as response:
-        if media_type(response) != "text/event-stream":
-            raise NetworkError(f"{connection.server}: {address} does not send events.")
-        for data in read_events(response.iter_raw()):
-            if not data:  # nothing new for a while, or an event was lost: the next request shows which
-                return
-            try:
-                yield JobAnswer.model_validate_json(data)
-            except ValidationError as error:
-                raise NetworkError(f"{connection.server}: {address} sends events that are not jobs.") from error
-
-
-def read_events(pieces: Iterable[bytes]) -> Iterator[bytes]:
-    """Yield the data of each server-sent event of a stream, and ``b""`` for each comment (a sign of life).
-
-    An event cut off at the end is dropped.
-
-    Raises
-    ------
-    NetworkError
-        An event is longer than 4 MB.
-    """
-    pending, data = b"", []
-    for piece in pieces:
-        *lines, pending = (pending + piece).replace(b"\r\n", b"\n").split(b"\n")
-        for line in lines:
-            name, _, value = line.partition(b":")
-            if name == b"data":
-                data.append(value.removeprefix(b" "))
-            elif line.startswith(b":"):
-                yield b""
-            elif not line and data:
-                yield b"\n".join(data)
-                data = []
-        if len(pending) + sum(map(len, data)) > _MAX_EVENT_BYTES:
-            raise NetworkError("the server sent an event without an end")
-
-
-def _successful(job: JobAnswer) -> JobAnswer:
-    if job.state == "successful":
-        return job
-    if job.state == "dismissed":
-        raise InterLocError(f"job {job.id} was cancelled.")
-    raise InterLocError(f"job {job.id} failed: {job.error or 'the server does not say why'}")
 
 
 def _differences(config: DetectorConfig) -> dict[str, Any]:
@@ -204,3 +181,77 @@ def _differences(config: DetectorConfig) -> dict[str, Any]:
         else:
             changed[section] = values
     return {"config": changed} if changed else {}
+
+
+def fetch(connection: Connection, job_id: str, out: Path, *, on_bytes: OnBytes | None = None) -> list[Path]:
+    """Fetch the result folder of a successful job.
+
+    Parameters
+    ----------
+    out
+        The folder to write. It must not exist, be empty, or hold an older result, which is replaced.
+
+    Returns
+    -------
+    list of Path
+        The files, relative to the folder.
+
+    Raises
+    ------
+    Refusal
+        There is no such job, or it was not successful.
+    NetworkError
+        The service cannot be reached, or what it sends does not fit what it lists.
+    OutputError
+        The folder cannot be written.
+    """
+    address = f"/jobs/{quote(job_id, safe='')}/files"
+    files = connection.ask("GET", address, ResultFilesAnswer).files
+    names = [_checked(connection, file.name) for file in files]
+    if Path(RUN_FILE) not in names:
+        raise NetworkError(f"{connection.server}: job {job_id} has no {RUN_FILE}, so it is not the result of a drive.")
+    total, done = sum(file.size_bytes for file in files), 0
+    with result_folder(out) as folder:
+        for file, name in zip(files, names, strict=True):
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            _fetch_file(connection, f"{address}/{quote(file.name)}", file, folder / name)
+            done += file.size_bytes
+            if on_bytes is not None:
+                on_bytes(done, total)
+    return names
+
+
+def _fetch_file(connection: Connection, address: str, file: ResultFileAnswer, path: Path) -> None:
+    """Write one file; an answer that breaks off is asked for again."""
+    for attempt in range(1, _ATTEMPTS + 1):
+        try:
+            written = _write(connection, address, path, file.size_bytes)
+        except NetworkError as error:
+            if attempt == _ATTEMPTS or (isinstance(error, Refusal) and error.status < HTTPStatus.INTERNAL_SERVER_ERROR):
+                raise
+            connection.check_server()  # waits for a server that is busy or restarts
+            continue
+        if written == file.size_bytes:
+            return
+    raise NetworkError(
+        f"{connection.server}: {file.name} came with {written:,} bytes, but is listed with {file.size_bytes:,}. "
+        "Usual cause: a proxy that changes answers."
+    )
+
+
+def _write(connection: Connection, address: str, path: Path, size: int) -> int:
+    """Write an answer to a file, but not much more than expected; return the bytes written."""
+    with connection.stream(address) as response, path.open("wb") as target:
+        for piece in response.iter_bytes():
+            target.write(piece)
+            if target.tell() > size:
+                break
+        return target.tell()
+
+
+def _checked(connection: Connection, name: str) -> Path:
+    """Return the name of a file if it stays within the folder."""
+    path = PurePosixPath(name)
+    if path.is_absolute() or ".." in path.parts or not path.parts or any(c in name for c in "\\:\0"):
+        raise NetworkError(f"{connection.server} lists a file of the result as {name!r}, which was not written.")
+    return Path(path)

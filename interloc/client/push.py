@@ -2,27 +2,282 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import secrets
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from http import HTTPStatus
 from pathlib import Path
 from typing import Any
 
-from interloc.client.answers import DriveAnswer, FileAnswer, Refusal, parse
-from interloc.client.connection import Connection
-from interloc.client.prepare import PreparedDrive, PushOptions
-from interloc.client.upload import OnProgress, UploadFile, file_address, files_of, upload
-from interloc.client.upload_log import Sent, UploadLog, log_folder
-from interloc.errors import NetworkError
-from interloc.osm.container import is_map
+from pydantic import BaseModel, Field
+
+from interloc.client.connection import Connection, Refusal
+from interloc.client.upload import (
+    FileAnswer,
+    OnProgress,
+    Sent,
+    UploadFile,
+    UploadLog,
+    file_address,
+    files_of,
+    log_folder,
+    upload,
+)
+from interloc.config import DEFAULT, KeyframeConfig
+from interloc.drives.findings import Findings
+from interloc.drives.formats import find_format
+from interloc.drives.open import read_drive
+from interloc.drives.options import DriveOptions, LabelFolder, ReadingOptions
+from interloc.drives.scans.raw import RawScans
+from interloc.drives.scans.reduced_format import MANIFEST, ReducedManifest, ground_path, is_reduced, read_manifest
+from interloc.errors import ConfigError, DriveError, InterLocError, NetworkError
+from interloc.osm.container import MAP_ENDINGS, is_map
+from interloc.reduction.reduce import Reduction, label_folders_in, prepare_reduction, reduce_scan
 
 OnStage = Callable[[str], None]
 """Called with what begins, in words."""
 
 _COMMIT_WAIT_S = 30
+
+
+class DriveAnswer(BaseModel):
+    """A drive on the server."""
+
+    id: str = Field(pattern=r"^[\w-]{1,64}$")
+    name: str
+    state: str
+    report: dict[str, Any] | None = None
+
+
+@dataclass(frozen=True)
+class PushOptions:
+    """How a drive is read and sent."""
+
+    name: str | None = None
+    """Name of the drive on the server; that of its folder by default."""
+    label_folders: tuple[LabelFolder, ...] = ()
+    """"labels", "predictions" or both; empty: all that are there."""
+    reading: ReadingOptions = field(default_factory=ReadingOptions)
+    """How the drive is read."""
+    keyframes: KeyframeConfig | None = DEFAULT.keyframes
+    """Which scans to send; None: all of them."""
+    raw: bool = False
+    """Send scans and labels as they are; the server reduces them."""
+    keep_raw: bool = False
+    """Let the server keep them; needs `raw`."""
+    maps: tuple[Path, ...] = ()
+    """OpenStreetMap files that go along."""
+    model: Path | None = None
+    """Folder of a network that labels the scans here; label files do not count."""
+    provider: str = "cpu"
+    """What the network runs on."""
+    network: str | None = None
+    """Name of a network of the server that labels the scans there; needs `raw`."""
+
+    @property
+    def for_drive(self) -> DriveOptions:
+        """How the drive is read."""
+        frames = None if self.raw else self.reading.frames  # the server takes the part of what is sent as it is
+        return DriveOptions.of(self.reading, name=self.name, model=self.model, provider=self.provider, frames=frames)
+
+    def __post_init__(self) -> None:
+        if self.model is not None and (self.raw or self.label_folders):
+            raise ConfigError(
+                "--model labels the scans here: it goes neither with --labels nor with --raw, by which the server "
+                "gets scans without labels."
+            )
+        if self.network is not None and not self.raw:
+            raise ConfigError("--network labels the scans on the server, which needs them as they are: give --raw too.")
+        if self.keep_raw and not self.raw:
+            raise ConfigError("--keep-raw: the server has no raw scans to keep unless they are sent (--raw).")
+        if self.name is not None and (not self.name.strip() or len(self.name) > 200 or not _is_plain(self.name)):
+            raise ConfigError(f"--name {self.name!r}: expected 1 to 200 characters without slashes and line breaks.")
+        for path in self.maps:
+            if not is_map(path.name) or path.name.startswith("."):
+                endings = ", ".join(MAP_ENDINGS)
+                raise ConfigError(f"{path}: is not an OpenStreetMap file by its name. Expected one of {endings}.")
+
+
+@dataclass(frozen=True)
+class PreparedDrive:
+    """A drive that is ready to be sent."""
+
+    name: str
+    scans: int
+    scans_sent: int
+    """In the drive, and how many of them go to the server."""
+    source_bytes: int | None
+    """Size of scans and labels of the drive."""
+    is_georeferenced: bool
+    files: list[UploadFile]
+    """The drive itself."""
+    options: dict[str, Any] = field(default_factory=dict)
+    """How the server is to read what it gets."""
+    maps: list[UploadFile] = field(default_factory=list)
+    """OpenStreetMap files that go along."""
+
+
+def prepare(root: Path, options: PushOptions) -> PreparedDrive:
+    """Check a drive as `interloc info` does, and get it ready.
+
+    Raises
+    ------
+    DriveError, GeoreferenceError
+        It cannot be used; all problems are named.
+    ConfigError
+        An option does not fit the drive.
+    """
+    maps = [UploadFile(path.name, path) for path in options.maps]
+    for path in options.maps:
+        if not path.is_file():
+            raise DriveError(f"{path}: no such file. Expected an OpenStreetMap file.")
+    try:
+        if is_reduced(root):
+            return _as_reduced(root, options, maps)
+        reduction = prepare_reduction(
+            root,
+            options.for_drive,
+            label_folders=options.label_folders or None,
+            keyframes=None if options.raw else options.keyframes,
+        )
+    except ConfigError:
+        raise
+    except InterLocError as error:
+        raise _with_all_problems(error, root, options) from error
+    return _as_it_is(root, reduction, options, maps) if options.raw else _reduced_on_the_way(reduction, maps)
+
+
+def _reduced_on_the_way(reduction: Reduction, maps: list[UploadFile]) -> PreparedDrive:
+    plan, manifest = reduction.plan, reduction.manifest
+    scans = [
+        UploadFile(
+            ground_path(labels, int(frame)),
+            partial(reduce_scan, source, int(frame)),
+            made_from=source.files(int(frame)),
+            made_by=_mark_of(source),
+        )
+        for frame in plan.kept
+        for labels, source in reduction.scans.items()
+    ]
+    small = [_small_file(name, source) for name, source in plan.copies.sources.items()]
+    return PreparedDrive(
+        name=manifest.name,
+        scans=len(plan.frames),
+        scans_sent=len(plan.kept),
+        source_bytes=_source_bytes(manifest),
+        is_georeferenced=reduction.is_georeferenced,
+        files=[*small, *scans, _manifest_file(manifest)],
+        maps=maps,
+    )
+
+
+def _as_it_is(root: Path, reduction: Reduction, options: PushOptions, maps: list[UploadFile]) -> PreparedDrive:
+    plan, manifest = reduction.plan, reduction.manifest
+    scan_format = find_format(manifest.layout)
+    if scan_format is None or not scan_format.is_folders:
+        raise ConfigError(
+            f"{root}: --raw sends drives with one file per scan. Leave it out: bags and LAS files are reduced here."
+        )
+    scans: dict[str, Path] = {}
+    for source in reduction.scans.values():
+        for frame in plan.frames:
+            for path in source.files(int(frame)):
+                scans[path.relative_to(root).as_posix()] = path
+    labelled: dict[str, str] = {"labels": "geometry"} if "geometry" in reduction.scans else {}
+    if options.network is not None:
+        labelled = {"model": options.network}
+    given = manifest.files.geo or manifest.files.oxts if options.reading.oxts is not None else None
+    return PreparedDrive(
+        name=manifest.name,
+        scans=len(plan.frames),
+        scans_sent=len(plan.frames),
+        source_bytes=_source_bytes(manifest),
+        is_georeferenced=reduction.is_georeferenced,
+        files=[
+            *(_small_file(name, source) for name, source in plan.copies.sources.items()),
+            *(UploadFile(name, path) for name, path in scans.items()),
+        ],
+        options={**options.reading.model_dump(), "oxts": given, **labelled},
+        maps=maps,
+    )
+
+
+def _as_reduced(root: Path, options: PushOptions, maps: list[UploadFile]) -> PreparedDrive:
+    manifest = read_manifest(root)
+    thins_otherwise = options.keyframes is None and manifest.keyframes is not None
+    is_other = options.reading.oxts is not None or options.reading.frames is not None
+    if is_other or options.model is not None or options.keep_raw or thins_otherwise:
+        raise ConfigError(
+            f"{root} is a reduced drive: --oxts, --frames, --model, --raw, --keep-raw and --all-scans belong to the "
+            "drive that it was made from. Give that drive, or leave these options out."
+        )
+    chosen = options.label_folders or tuple(labels.folder for labels in manifest.labels)
+    opened = read_drive(root, DriveOptions.of(options.reading), Findings(stop_at_first=True), label_folders=chosen)
+    kept = [labels for labels in manifest.labels if labels.folder in chosen]
+    sent = ReducedManifest.model_validate({**dict(manifest), "name": options.name or manifest.name, "labels": kept})
+    names = [name for path in manifest.files.paths for name in _files_below(root, path)]
+    frames = manifest.kept_frames
+    ground = [ground_path(labels, int(frame)) for frame in frames for labels in chosen]
+    return PreparedDrive(
+        name=sent.name,
+        scans=len(manifest.frames),
+        scans_sent=len(frames),
+        source_bytes=_source_bytes(sent),
+        is_georeferenced=next(iter(opened.values())).trajectory.georeference is not None,
+        files=[
+            *(UploadFile(name, root / name) for name in names),
+            *(UploadFile(name, root / name) for name in ground),
+            _manifest_file(sent),
+        ],
+        maps=maps,
+    )
+
+
+def _manifest_file(manifest: ReducedManifest) -> UploadFile:
+    return _small_file(MANIFEST, manifest.to_bytes())
+
+
+def _small_file(name: str, source: Path | bytes) -> UploadFile:
+    if isinstance(source, Path):
+        return UploadFile(name, source)
+    return UploadFile(name, lambda: source, made_by=hashlib.sha256(source).hexdigest())
+
+
+def _mark_of(source: RawScans) -> str:
+    """Tell label schemes, and networks, apart."""
+    ids = (sorted(source.scheme.road), sorted(source.scheme.confusable), *source.sources[1].identity)
+    return hashlib.sha256(repr(ids).encode()).hexdigest()[:12]
+
+
+def _source_bytes(manifest: ReducedManifest) -> int | None:
+    if manifest.source is None:
+        return None
+    return manifest.source.scan_bytes + sum(labels.label_bytes or 0 for labels in manifest.labels)
+
+
+def _files_below(root: Path, name: str) -> list[str]:
+    path = root / name
+    if not path.is_dir():
+        return [name]
+    return sorted(file.relative_to(root).as_posix() for file in path.rglob("*") if file.is_file())
+
+
+def _with_all_problems(error: InterLocError, root: Path, options: PushOptions) -> InterLocError:
+    folders = options.label_folders or label_folders_in(root, options.for_drive)
+    findings = Findings(stop_at_first=False)
+    read_drive(root, options.for_drive, findings, label_folders=folders)
+    problems = [f"{each.path}: {each.message}" for each in findings.found if each.severity == "error"]
+    if len(problems) < 2:
+        return error
+    return DriveError("\n  ".join([f"{root} cannot be used as it is; nothing was sent:", *problems]))
+
+
+def _is_plain(name: str) -> bool:
+    return "/" not in name and name.isprintable()
 
 
 @dataclass(frozen=True)
@@ -139,8 +394,7 @@ def commit(connection: Connection, drive_id: str) -> DriveAnswer:
     """
     headers = {"Prefer": f"wait={_COMMIT_WAIT_S}"}
     while True:
-        response = connection.request("POST", f"/drives/{drive_id}/commit", json={}, headers=headers)
-        drive = parse(response, DriveAnswer, connection.server)
+        drive = connection.ask("POST", f"/drives/{drive_id}/commit", DriveAnswer, json={}, headers=headers)
         if drive.state == "ready":
             return drive
         if connection.closing.wait(0.5):

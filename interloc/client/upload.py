@@ -1,27 +1,59 @@
-"""Sending many files over several connections; what the server already has is left out."""
+"""Sending many files over several connections; what the server already has is left out, also after a kill.
+
+A push is identified by the server, the folder of the drive and the options that decide what is sent. The service lists
+the files that it has with their digests, but the digest of a reduced scan is known only once the scan was read and
+reduced. A log spares that: beside every digest it keeps sizes and times of the files that the scan was made from. It
+also keeps the id of the drive: names of drives need not be unique, and other clients may use the same.
+
+One line per file is added as soon as the server has accepted it, so nothing is lost when the process is killed; a line
+cut short is ignored. Without a log (another machine, an emptied cache) the whole drive is sent again.
+"""
 
 from __future__ import annotations
 
 import base64
 import hashlib
+import json
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from multiprocessing import TimeoutError as NothingFinishedError
 from multiprocessing.pool import ThreadPool
 from pathlib import Path
+from threading import Lock
+from typing import Any, Self, TextIO
 from urllib.parse import quote
 
-from interloc.client.answers import FileAnswer, FilesAnswer, Refusal
-from interloc.client.connection import Connection
-from interloc.client.upload_log import Sent, UploadLog
-from interloc.errors import DriveError, NetworkError
+from filelock import FileLock, Timeout
+from platformdirs import user_cache_path
+from pydantic import BaseModel
+
+from interloc.client.connection import Connection, Refusal
+from interloc.errors import DriveError, NetworkError, OutputError
 from interloc.files import reason_of
 
 _CHUNK_BYTES = 1024 * 1024
 _PAGE_FILES = 10_000
 _REPORT_EVERY_S = 0.1
+_KEPT_DAYS = 60
+_KEY_DIGITS = 32
+
+
+class FileAnswer(BaseModel):
+    """A file of a drive on the server."""
+
+    path: str
+    size_bytes: int
+    sha256: str
+
+
+class FilesAnswer(BaseModel):
+    """A page of files."""
+
+    files: list[FileAnswer]
+    next: str | None = None
 
 
 @dataclass(frozen=True)
@@ -47,70 +79,108 @@ class UploadFile:
             raise _unreadable(error) from error
         return " ".join([*(f"{each.st_size}:{each.st_mtime_ns}" for each in status), self.made_by]).strip()
 
-    def load(self) -> Payload:
-        """Get the bytes ready to be sent; a file is read in chunks.
-
-        Raises
-        ------
-        DriveError
-            A file cannot be read, or is damaged.
-        """
-        try:
-            return Payload.of_file(self.content) if isinstance(self.content, Path) else Payload.of(self.content())
-        except OSError as error:
-            raise _unreadable(error) from error
-
 
 @dataclass(frozen=True)
-class Payload:
-    """Bytes to be sent."""
+class Sent:
+    """A file that the service accepted."""
 
-    size: int
-    digest: bytes
-    """SHA-256."""
-    body: Callable[[], bytes | Iterator[bytes]]
-    """Returns the bytes, or an iterator over chunks of them, each time it is called."""
-
-    @classmethod
-    def of(cls, data: bytes) -> Payload:
-        """Return the payload of bytes in memory."""
-        return cls(len(data), hashlib.sha256(data).digest(), lambda: data)
-
-    @classmethod
-    def of_file(cls, path: Path) -> Payload:
-        """Return the payload of a file, which is read again each time it is sent."""
-        with path.open("rb") as file:
-            digest = hashlib.file_digest(file, "sha256").digest()
-            size = file.tell()
-        return cls(size, digest, partial(_chunks, path, size))
-
-    @property
-    def sha256(self) -> str:
-        """The digest in hexadecimal."""
-        return self.digest.hex()
-
-    @property
-    def headers(self) -> dict[str, str]:
-        """Size and digest (RFC 9530)."""
-        return {
-            "Content-Type": "application/octet-stream",
-            "Content-Length": str(self.size),
-            "Content-Digest": f"sha-256=:{base64.b64encode(self.digest).decode()}:",
-        }
+    signature: str
+    """See `UploadFile.signature`."""
+    sha256: str
+    """Digest of what was sent."""
 
 
-def _chunks(path: Path, size: int) -> Iterator[bytes]:
-    left = size
-    with path.open("rb") as file:
-        while left and (chunk := file.read(min(_CHUNK_BYTES, left))):
-            left -= len(chunk)
-            yield chunk
-    if left:
-        raise DriveError(f"{path} became shorter while it was sent. Send it again when nothing writes to it.")
+class UploadLog:
+    """The log of one push.
+
+    Parameters
+    ----------
+    folder
+        Folder of all logs; created where missing.
+    identity
+        What distinguishes this push from others.
+
+    Raises
+    ------
+    OutputError
+        The folder cannot be used, or the same push runs in another process.
+    """
+
+    def __init__(self, folder: Path, identity: Mapping[str, Any]) -> None:
+        key = hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()[:_KEY_DIGITS]
+        self._path = folder / f"{key}.jsonl"
+        self._process_lock = FileLock(folder / f"{key}.lock")
+        self._thread_lock = Lock()
+        self.drive_id: str | None = None
+        self._sent: dict[str, Sent] = {}
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            _sweep(folder)
+            self._process_lock.acquire(blocking=False)
+            self._file: TextIO = self._path.open("a+", encoding="utf-8")
+            self._read()
+        except Timeout:
+            raise OutputError(
+                "the same drive is being pushed to the same server by another process. Wait for its end; then the same "
+                "command reports the id of the drive without sending it again."
+            ) from None
+        except OSError as error:
+            raise OutputError(f"{self._path} could not be used: {reason_of(error)}.") from error
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._file.close()
+        self._process_lock.release()
+
+    def begin(self, drive_id: str) -> None:
+        """Forget what was sent before: from now on it goes to this drive."""
+        self._file.seek(0)
+        self._file.truncate()
+        self._sent.clear()
+        self.drive_id = drive_id
+        self._add({"drive": drive_id})
+
+    def sent(self, path: str) -> Sent | None:
+        """Return what was sent of a file of the drive, if anything."""
+        return self._sent.get(path)
+
+    def add(self, path: str, sent: Sent) -> None:
+        """Remember that the service has accepted a file; threads may call this."""
+        with self._thread_lock:
+            self._sent[path] = sent
+            self._add({"path": path, "signature": sent.signature, "sha256": sent.sha256})
+
+    def _add(self, line: dict[str, str]) -> None:
+        self._file.write(json.dumps(line, separators=(",", ":")) + "\n")
+        self._file.flush()
+
+    def _read(self) -> None:
+        self._file.seek(0)
+        text = self._file.read()
+        for line in text.splitlines():
+            with suppress(ValueError, TypeError, KeyError):  # cut short when the process was killed
+                entry = json.loads(line)
+                if "drive" in entry:
+                    self.drive_id = str(entry["drive"])
+                else:
+                    self._sent[str(entry["path"])] = Sent(str(entry["signature"]), str(entry["sha256"]))
+        if text and not text.endswith("\n"):
+            self._file.write("\n")
 
 
-def _unreadable(error: OSError) -> DriveError:
-    return DriveError(f"{error.filename or 'a file'}: cannot be read: {reason_of(error)}.")
+def log_folder() -> Path:
+    """Return the folder of all logs, in the user's cache."""
+    return user_cache_path("interloc") / "push"
+
+
+def _sweep(folder: Path) -> None:
+    """Remove logs that nobody will come back to."""
+    for path in folder.glob(f"{'?' * _KEY_DIGITS}.*"):
+        with suppress(OSError):
+            if time.time() - path.stat().st_mtime > _KEPT_DAYS * 86400:
+                path.unlink()
 
 
 @dataclass
@@ -203,23 +273,60 @@ def _deliver(
     known, signature = there.get(file.path), file.signature
     if known is not None and log.sent(file.path) == Sent(signature, known.sha256):
         return None
-    payload = file.load()
-    is_there = known is not None and known.sha256 == payload.sha256
-    if not is_there:
-        _put(connection, file_address(drive_id, file.path), file.path, payload)
-    log.add(file.path, Sent(signature, payload.sha256))
-    return None if is_there else payload.size
-
-
-def _put(connection: Connection, address: str, path: str, payload: Payload) -> None:
     try:
-        answer = connection.ask("PUT", address, FileAnswer, body=payload.body, headers=payload.headers)
+        size, digest, body = _content_of(file)
+    except OSError as error:
+        raise _unreadable(error) from error
+    is_there = known is not None and known.sha256 == digest.hex()
+    if not is_there:
+        _put(connection, file_address(drive_id, file.path), file.path, size, digest, body)
+    log.add(file.path, Sent(signature, digest.hex()))
+    return None if is_there else size
+
+
+Body = Callable[[], bytes | Iterator[bytes]]
+"""Returns the bytes of a file, or an iterator over chunks of them, each time it is called."""
+
+
+def _content_of(file: UploadFile) -> tuple[int, bytes, Body]:
+    """Return size, SHA-256 and bytes of a file; one that is sent as it is is read again each time."""
+    if not isinstance(file.content, Path):
+        data = file.content()
+        return len(data), hashlib.sha256(data).digest(), lambda: data
+    with file.content.open("rb") as source:
+        digest = hashlib.file_digest(source, "sha256").digest()
+        size = source.tell()
+    return size, digest, partial(_chunks, file.content, size)
+
+
+def _chunks(path: Path, size: int) -> Iterator[bytes]:
+    left = size
+    with path.open("rb") as file:
+        while left and (chunk := file.read(min(_CHUNK_BYTES, left))):
+            left -= len(chunk)
+            yield chunk
+    if left:
+        raise DriveError(f"{path} became shorter while it was sent. Send it again when nothing writes to it.")
+
+
+def _unreadable(error: OSError) -> DriveError:
+    return DriveError(f"{error.filename or 'a file'}: cannot be read: {reason_of(error)}.")
+
+
+def _put(connection: Connection, address: str, path: str, size: int, digest: bytes, body: Body) -> None:
+    headers = {
+        "Content-Type": "application/octet-stream",
+        "Content-Length": str(size),
+        "Content-Digest": f"sha-256=:{base64.b64encode(digest).decode()}:",  # RFC 9530
+    }
+    try:
+        answer = connection.ask("PUT", address, FileAnswer, body=body, headers=headers)
     except Refusal as error:
-        raise Refusal(error.status, error.problem, f"(while sending {path}, {payload.size:,} bytes)") from error
-    if answer.sha256 != payload.sha256:
+        raise Refusal(error.status, error.problem, f"(while sending {path}, {size:,} bytes)") from error
+    if answer.sha256 != digest.hex():
         raise NetworkError(
             f"{connection.server} accepted {path}, but with other content than was sent (SHA-256 "
-            f"{answer.sha256[:12]}... instead of {payload.sha256[:12]}...). Usual cause: a proxy that changes bodies."
+            f"{answer.sha256[:12]}... instead of {digest.hex()[:12]}...). Usual cause: a proxy that changes bodies."
         )
 
 

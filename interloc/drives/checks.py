@@ -65,16 +65,7 @@ class RoadSeen:
 
 
 def check_points(T_world_lidar: FloatArray, seen: Sequence[RoadSeen], folder: str, findings: Findings) -> None:
-    """Check that points are metres in the frame of a sensor that stands upright.
-
-    Parameters
-    ----------
-    T_world_lidar : (N, 4, 4) float64
-    seen : sequence of RoadSeen
-        Of some scans.
-    folder : str
-        Of the scans, in messages.
-    """
+    """Check that points are metres in the frame of a sensor that stands upright; `seen` is the road of some scans."""
     if not seen:
         return
     if _follow_the_poses(T_world_lidar, seen):
@@ -122,14 +113,7 @@ def _follow_the_poses(T_world_lidar: FloatArray, seen: Sequence[RoadSeen]) -> bo
 
 
 def check_motion(T_world_lidar: FloatArray, pose_file: str, findings: Findings) -> None:
-    """Check that poses are metres, and that the body turns with the path that it takes.
-
-    Parameters
-    ----------
-    T_world_lidar : (N, 4, 4) float64
-    pose_file : str
-        Name of the pose file in messages.
-    """
+    """Check that (N, 4, 4) poses are metres, and that the body turns with the path that it takes."""
     steps = np.linalg.norm(np.diff(T_world_lidar[:, :3, 3], axis=0), axis=1)
     if len(steps) and (step_m := float(np.median(steps))) > MAX_STEP_M:
         findings.refuse(
@@ -151,12 +135,7 @@ def check_motion(T_world_lidar: FloatArray, pose_file: str, findings: Findings) 
 
 
 def turning_with_path(T_world_body: FloatArray) -> tuple[float, float]:
-    """Measure how a body turns where its path turns.
-
-    Parameters
-    ----------
-    T_world_body : (N, 4, 4) float64
-        The vertical of the world is its z axis.
+    """Measure how a body turns where its path turns, by (N, 4, 4) poses in a world whose z axis is vertical.
 
     Returns
     -------
@@ -191,18 +170,8 @@ def check_flat_road(
 ) -> float | None:
     """Check that the road of neighbouring scans is one level surface: it is not if the poses are in another frame.
 
-    Parameters
-    ----------
-    usable : sequence of int
-        Positions of the scans that can be read.
-    pose_file : str
-        Name of the pose file in messages.
-
-    Returns
-    -------
-    float or None
-        Median difference in height of the road of two scans in the same cells, metres, at the worst place; None where
-        no two scans saw the same road.
+    Returns the median difference in height of the road of two of the usable scans (positions) in the same cells,
+    metres, at the worst place; None where no two scans saw the same road.
     """
     position = drive.T_world_lidar[:, :3, 3]
     steps: list[tuple[float, float, int, int]] = []  # in height, its share of what is allowed, the two scans

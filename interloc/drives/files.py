@@ -322,19 +322,9 @@ def others_like_it(numbers: IntArray, of: int) -> str:
 
 
 def rows_by_frame(frames: IntArray, rows: int) -> IntArray | None:
-    """Map scans to rows by the frame number, or one to one where a drive starts later and has one row per scan.
+    """Return the row of each of (N,) ascending scan numbers in a file: that of its number, or one to one.
 
-    Parameters
-    ----------
-    frames : (N,) int64
-        Scan numbers, ascending.
-    rows : int
-        Rows of the file.
-
-    Returns
-    -------
-    (N,) int64 or None
-        Row of every scan; None where there are too few.
+    The latter where a drive starts later and has one row per scan. None where there are too few rows.
     """
     if frames[-1] < rows:
         return frames

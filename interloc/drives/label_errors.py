@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 
 import numpy as np
@@ -75,3 +76,12 @@ class MislabelledDrive:
         )
         is_road = points.is_road
         return GroundPoints.split(points.xyz, np.where(is_road, draw >= self.r_fnr, draw < self.r_fpr))
+
+
+def parse_level(level: str) -> tuple[float, float]:
+    """Return r-FPR and r-FNR as shares, 0..1, of a level in percent such as "5/20"; another text is a ConfigError."""
+    match = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*/\s*(\d+(?:\.\d+)?)\s*", level)
+    shares = tuple(float(part) / 100.0 for part in match.groups()) if match else ()
+    if len(shares) != 2 or max(shares) > 1.0:
+        raise ConfigError(f"level {level!r} is not valid. Expected r-FPR/r-FNR in percent, such as 5/20.")
+    return shares[0], shares[1]

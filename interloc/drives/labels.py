@@ -103,17 +103,8 @@ def named_scheme(choice: str) -> LabelScheme | None:
 
 
 def guess_scheme(ids: Iterable[int], *, kitti360: bool) -> LabelScheme:
-    """Guess the scheme from the ids that occur.
+    """Guess the scheme from the distinct ids of some scans; `kitti360`: the pose lines are KITTI-360's.
 
-    Parameters
-    ----------
-    ids : iterable of int
-        Distinct label ids of some scans.
-    kitti360 : bool
-        The pose lines are KITTI-360's.
-
-    Notes
-    -----
     Raw ids have gaps: 2 to 9 are no SemanticKITTI ids. Ids up to 19 with a 9 (road) are the learning scheme; in a
     KITTI-360 drive ids up to 44 are its own, unless SemanticKITTI explains them all (a network trained on it).
     """
@@ -169,20 +160,9 @@ class LabelJudgement:
 def judge_labels(
     folder: str, counts: dict[int, int], choice: str, *, kitti360: bool, check: bool, findings: Findings
 ) -> LabelJudgement:
-    """Find out what the label ids of some scans mean, and whether that makes sense.
+    """Find out what the label ids of some scans mean, by how many points carry each, and whether that makes sense.
 
-    Parameters
-    ----------
-    folder : str
-        Of the labels, in messages.
-    counts : dict of int to int
-        How many points carry each id.
-    choice
-        The scheme that was asked for, or "auto".
-    kitti360 : bool
-        The pose lines are KITTI-360's.
-    check : bool
-        Check the share of road, and that the ids belong to the scheme.
+    `choice` is the scheme that was asked for, or "auto"; `kitti360`: the pose lines are KITTI-360's.
     """
     scheme = named_scheme(choice)
     if scheme is None and counts:
@@ -196,13 +176,7 @@ def judge_labels(
 
 
 def check_labels(folder: str, judgement: LabelJudgement, findings: Findings) -> None:
-    """Check the share of road, and that the ids belong to the scheme.
-
-    Parameters
-    ----------
-    folder : str
-        Of the labels, in messages.
-    """
+    """Check the share of road, and that the ids belong to the scheme."""
     scheme, counts, total = judgement.scheme, judgement.counts, sum(judgement.counts.values())
     if scheme is None or not total:
         return
@@ -258,17 +232,7 @@ def ids_below(points: Float32Array, labels: UInt32Array) -> Counter[int]:
 
 
 def check_below(folder: str, below: Counter[int], scheme: LabelScheme, ids: set[int], findings: Findings) -> None:
-    """Check that the ground around the vehicle is road.
-
-    Parameters
-    ----------
-    folder : str
-        Of the labels, in messages.
-    below : Counter
-        `ids_below` of some scans.
-    ids : set of int
-        All ids of these scans.
-    """
+    """Check that the ground around the vehicle, by `ids_below` of some scans, is road; `ids` are all of these scans."""
     total = sum(below.values())
     if not total or not ids & scheme.road:  # without any road, that is said already
         return

@@ -108,17 +108,9 @@ class PlanMatch:
         return distance_m
 
     def off_m(self, motions: FloatArray) -> FloatArray:
-        """Return how far the cells of the source are from those of the target: the mean, each up to 2 m.
+        """Return how far the cells of the source, moved by (K, 3) motions, lie from those of the target.
 
-        Parameters
-        ----------
-        motions : (K, 3) float64
-            By which the source is moved; NaN where it is not known.
-
-        Returns
-        -------
-        (K,) float64
-            NaN of a motion that is not known.
+        (K,) float64: the means, each cell up to 2 m; NaN of a motion that is NaN.
         """
         known = np.isfinite(motions).all(axis=1)
         moved = rotate_2d(self.source, motions[known, 2:]) + motions[known, None, :2]

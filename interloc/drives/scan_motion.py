@@ -92,15 +92,6 @@ class _Explanation:
 def check_scan_motion(drive: FolderDrive, usable: IntArray, pose_file: str, findings: Findings) -> None:
     """Check that the scans move as the poses do: in scale, direction, to the right side, at the right time.
 
-    Parameters
-    ----------
-    usable : (M,) int64
-        Positions of the scans that can be read.
-    pose_file : str
-        Name of the pose file in messages.
-
-    Notes
-    -----
     Pairs some metres apart, spread over the drive and where its motion changes most, are laid onto each other by all
     turns and shifts at once (`interloc.drives.plans`). On real drives the motion of the poses fits as well as the best
     one. Where it does not at several places, usual mistakes are tried on the poses, and the one that explains all is

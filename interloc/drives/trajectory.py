@@ -69,19 +69,8 @@ class Trajectory:
     ) -> tuple[slice | None, Trajectory]:
         """Cut where the poses jump; a warning says what is left out.
 
-        Parameters
-        ----------
-        frames : (N,) int64 or None
-            Scan numbers; None: from 0 on.
-        pose_file : str
-            Name of the pose file in messages.
-
-        Returns
-        -------
-        rows : slice or None
-            The longest piece between two jumps; None where there are none.
-        Trajectory
-            Of these rows.
+        Returns the rows of the longest piece between two jumps (None where there are none) and its trajectory; scan
+        numbers that are None count from 0.
         """
         if self.poses is None or self.times_s is None:
             return None, self
@@ -113,14 +102,9 @@ def read_trajectory(
     *,
     times_s: FloatArray | None = None,
 ) -> Trajectory:
-    """Read georeference, poses and times of the scans of a drive; no scan is needed for that.
+    """Read georeference, poses and times of scans, by their (N,) ascending numbers; no scan is needed for that.
 
-    Parameters
-    ----------
-    frames : (N,) int64
-        Scan numbers, ascending.
-    times_s : (N,) float64 or None
-        Times of the scans, where they are known without a file of times.
+    `times_s` are those of the scans, where they are known without a file of times.
     """
     georeference, reason = None, "the drive has neither oxts/ nor geo.csv"
     poses, pose_count = None, 0
@@ -254,16 +238,7 @@ def _check_speed(poses: LidarPoses, times_s: FloatArray, parts: DriveParts, find
 def posed_frames(parts: DriveParts, frames: IntArray, findings: Findings) -> IntArray:
     """Leave out the scans of KITTI-360 that have no pose: it has none where the GNSS failed, and at the ends.
 
-    Parameters
-    ----------
-    frames : (N,) int64
-        Scan numbers, ascending.
-
-    Returns
-    -------
-    (M,) int64
-        Numbers of the scans to use; all of them in any other layout, and where the poses cannot be read (which their
-        reader says later).
+    In any other layout all are used, and where the poses cannot be read, which their reader says later.
     """
     if parts.layout != "kitti360" or parts.poses is None:
         return frames

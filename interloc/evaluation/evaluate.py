@@ -44,52 +44,34 @@ PAPER_OUTER_RADIUS_M = 40.0
 
 @dataclass(frozen=True)
 class Evaluation:
-    """A run scored against OpenStreetMap.
-
-    Attributes
-    ----------
-    roi_m, relevant_zone_m : float
-        Sides of the two squares, metres.
-    graph : RoadGraph
-        The map.
-    nodes : IntersectionNodes
-        Its ground truth intersections, with the policy that chose them.
-    detection_row : (E,) int64
-        Rows of the detections that were scored: all that lie on the map.
-    matching : Matching
-        Of `detections` with `nodes`.
-    errors : ErrorSummary
-    scores : Scores
-    node_table : NodeTable
-    map_level : MapLevel
-        Of the fused intersections with `nodes`.
-    track_to_road_m : float
-        Median distance of the track from the nearest drivable road, metres.
-    warnings : tuple of str
-        Reasons to read the figures with care.
-    result : DriveResult
-        The run that was scored, with the positions of its files.
-    given : DriveResult
-        The same as it was given.
-    network : RoadNetwork or None
-        Its roads, where they were made before.
-    """
+    """A run scored against OpenStreetMap."""
 
     roi_m: float
     relevant_zone_m: float
+    """Sides of the two squares, metres."""
     graph: RoadGraph
+    """The map."""
     nodes: IntersectionNodes
+    """Its ground truth intersections, with the policy that chose them."""
     detection_row: IntArray
+    """(E,) int64: rows of the detections that were scored: all that lie on the map."""
     matching: Matching
+    """Of `detections` with `nodes`."""
     errors: ErrorSummary
     scores: Scores
     node_table: NodeTable
     map_level: MapLevel
+    """Of the fused intersections with `nodes`."""
     track_to_road_m: float
+    """Median distance of the track from the nearest drivable road, metres."""
     warnings: tuple[str, ...]
+    """Reasons to read the figures with care."""
     result: DriveResult
+    """The run that was scored, with the positions of its files."""
     given: DriveResult
+    """The same as it was given."""
     network: RoadNetwork | None = None
+    """Its roads, where they were made before."""
 
     @property
     def drive(self) -> str:

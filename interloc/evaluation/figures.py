@@ -36,8 +36,7 @@ from interloc.osm.intersections import road_ways
 from interloc.results import DriveResult
 from interloc.wording import metres, percent
 
-PERCENTILES = (5.0, 25.0, 50.0, 75.0, 95.0)
-"""Of the paper's box plots: whiskers, box, median."""
+_PERCENTILES = (5.0, 25.0, 50.0, 75.0, 95.0)  # of the paper's box plots: whiskers, box, median
 
 _MAP_MARGIN_M = 70.0
 _PLANE_DEG = 1.0  # how far from the drive its plane reaches
@@ -150,27 +149,13 @@ def error_figure(evaluation: Evaluation) -> Figure:
     histogram.set_ylabel("detections")
     entitle(histogram, "Center error: detection to nearest OSM node")
     quiet(histogram)
-    draw_boxes(box, [errors], horizontal=True)
-    box.set(
-        yticks=[], xlim=(0.0, NEAR_PAIR_M), xlabel="center error [m]      box: 5th, 25th, 50th, 75th, 95th percentile"
-    )
-    quiet(box, grid="x")
-    box.spines["left"].set_visible(False)
-    return figure
-
-
-def draw_boxes(axes: Axes, samples: list[FloatArray], *, horizontal: bool = False) -> None:
-    """Draw one box per sample with the paper's percentiles; a sample without values leaves its place empty."""
-    for position, values in enumerate(samples, start=1):
-        if len(values) == 0:
-            continue
-        low, first, middle, third, high = np.percentile(values, PERCENTILES)
-        stats = {"whislo": low, "q1": first, "med": middle, "q3": third, "whishi": high, "fliers": []}
-        axes.bxp(
-            [stats],
-            positions=[position],
+    if len(errors):
+        low, first, middle, third, high = np.percentile(errors, _PERCENTILES)
+        box.bxp(
+            [{"whislo": low, "q1": first, "med": middle, "q3": third, "whishi": high, "fliers": []}],
+            positions=[1],
             widths=0.55,
-            orientation="horizontal" if horizontal else "vertical",
+            orientation="horizontal",
             showfliers=False,
             patch_artist=True,
             boxprops={"facecolor": "#cfe3f1", "edgecolor": BLUE, "linewidth": 1.2},
@@ -178,6 +163,12 @@ def draw_boxes(axes: Axes, samples: list[FloatArray], *, horizontal: bool = Fals
             whiskerprops={"color": BLUE, "linewidth": 1.2},
             capprops={"color": BLUE, "linewidth": 1.2},
         )
+    box.set(
+        yticks=[], xlim=(0.0, NEAR_PAIR_M), xlabel="center error [m]      box: 5th, 25th, 50th, 75th, 95th percentile"
+    )
+    quiet(box, grid="x")
+    box.spines["left"].set_visible(False)
+    return figure
 
 
 def comparison_figure(names: Sequence[str], reports: Sequence[Mapping[str, Any]]) -> Figure:
@@ -191,7 +182,7 @@ def comparison_figure(names: Sequence[str], reports: Sequence[Mapping[str, Any]]
             values = [np.nan if value is None else 100.0 * value for _, value in points]
             axes.plot(thresholds, values, label=name, **series_style(run))
         entitle(axes, "F1" if measure == "f1" else measure)
-        scale_to_thresholds(axes)
+        _scale_to_thresholds(axes)
     panels[0].set_ylabel("[%]")
     legend = figure.legend(
         *panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=2, frameon=False, fontsize=9
@@ -221,14 +212,14 @@ def threshold_figure(evaluation: Evaluation) -> Figure:
             "linewidth": 1.8,
         }
         axes.plot(scores.threshold_m[shown], 100.0 * values[shown], label=label, **line)
-    scale_to_thresholds(axes)
+    _scale_to_thresholds(axes)
     axes.set_ylabel("[%]")
     entitle(axes, "Scores over the distance that still counts as found")
     axes.legend(loc="lower right", frameon=False, fontsize=10)
     return figure
 
 
-def scale_to_thresholds(axes: Axes) -> None:
+def _scale_to_thresholds(axes: Axes) -> None:
     """Prepare axes for percentages over the confidence threshold D; the usual threshold is marked."""
     axes.axvline(STANDARD_THRESHOLD_M, color=MUTED, linestyle=(0, (4, 3)), linewidth=1)
     axes.set(xlim=(0.0, NEAR_PAIR_M + 0.2), ylim=(0.0, 102.0), xticks=range(0, 11, 2))

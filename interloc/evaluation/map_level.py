@@ -21,19 +21,6 @@ GATE_M = 10.0
 class MapLevel:
     """The M fused intersections assigned to the N nodes.
 
-    Attributes
-    ----------
-    node : (M,) int64
-        Row of the node assigned to each intersection, -1 for none.
-    error_m : (M,) float64
-        Distance to it, infinite for none.
-    counts : (M,) bool
-        Intersections in the relevant zone of some keyframe: those that precision is about.
-    node_in_zone, node_found : (N,) bool
-        Nodes in the relevant zone of some keyframe; nodes with an intersection assigned.
-    gate_m : float
-        Largest distance of an assigned pair.
-
     Notes
     -----
     All intersections and all nodes take part in the assignment, so an intersection at the rim of what was driven may
@@ -42,11 +29,16 @@ class MapLevel:
     """
 
     node: IntArray
+    """(M,) int64: row of the node assigned to each intersection, -1 for none."""
     error_m: FloatArray
+    """(M,) float64: distance to it, infinite for none."""
     counts: BoolArray
+    """(M,) bool: intersections in the relevant zone of some keyframe: those that precision is about."""
     node_in_zone: BoolArray
     node_found: BoolArray
+    """(N,) bool: nodes in the relevant zone of some keyframe; nodes with an intersection assigned."""
     gate_m: float
+    """Largest distance of an assigned pair."""
 
     @property
     def right(self) -> BoolArray:

@@ -17,25 +17,17 @@ UNMATCHED = -1
 
 @dataclass(frozen=True)
 class Matching:
-    """The D detections of a run matched to nodes, and what the relevant zones held.
-
-    Attributes
-    ----------
-    node : (D,) int64
-        Row of the nearest node of the ROI of the detection's keyframe, -1 where the ROI holds none.
-    error_m : (D,) float64
-        Distance to that node, metres (paper: the center error d_k,j); infinite where there is none.
-    zone_keyframe, zone_node : (Z,) int64
-        Every occurrence of a node in the relevant zone of a keyframe, ordered by keyframe, then node.
-    zone_found : (Z,) bool
-        False for a false negative: no detection of the keyframe was matched to the node.
-    """
+    """The D detections of a run matched to nodes, and what the relevant zones held."""
 
     node: IntArray
+    """(D,) int64: row of the nearest node of the ROI of the detection's keyframe, -1 where the ROI holds none."""
     error_m: FloatArray
+    """(D,) float64: distance to that node, metres (paper: the center error d_k,j); infinite where there is none."""
     zone_keyframe: IntArray
     zone_node: IntArray
+    """(Z,) int64: every occurrence of a node in the relevant zone of a keyframe, ordered by keyframe, then node."""
     zone_found: BoolArray
+    """(Z,) bool: false for a false negative: no detection of the keyframe was matched to the node."""
 
     @property
     def is_matched(self) -> BoolArray:

@@ -21,51 +21,35 @@ NEAR_PAIR_M = 10.0
 
 @dataclass(frozen=True)
 class ErrorSummary:
-    """Distribution of the center errors of the matched pairs, metres; None where there is no such pair.
-
-    Attributes
-    ----------
-    ace_m : float or None
-        Average over all matched pairs: nearest node in the ROI, however far (the paper's ACE).
-    ace_tp_m : float or None
-        Average over the pairs under 5 m.
-    ace_under_10_m : float or None
-        Average over the pairs under 10 m.
-    median_m, p95_m, rmse_m : float or None
-        Over all matched pairs.
-    """
+    """Distribution of the center errors of the matched pairs, metres; None where there is no such pair."""
 
     ace_m: float | None
+    """Average over all matched pairs: nearest node in the ROI, however far (the paper's ACE)."""
     ace_tp_m: float | None
+    """Average over the pairs under 5 m."""
     ace_under_10_m: float | None
+    """Average over the pairs under 10 m."""
     median_m: float | None
     p95_m: float | None
     rmse_m: float | None
+    """Over all matched pairs."""
 
 
 @dataclass(frozen=True)
 class Scores:
-    """Counts and ratios at each of the T thresholds.
-
-    Attributes
-    ----------
-    threshold_m : (T,) float64
-        D, ascending.
-    tp, fp : (T,) int64
-        Detections closer than D to their node; all others.
-    fn : int
-        Nodes in a relevant zone without a detection matched to them; the same for every D.
-    precision, recall, f1 : (T,) float64
-        NaN where nothing was there to count.
-    """
+    """Counts and ratios at each of the T thresholds."""
 
     threshold_m: FloatArray
+    """(T,) float64: D, ascending."""
     tp: IntArray
     fp: IntArray
+    """(T,) int64: detections closer than D to their node; all others."""
     fn: int
+    """Nodes in a relevant zone without a detection matched to them; the same for every D."""
     precision: FloatArray
     recall: FloatArray
     f1: FloatArray
+    """(T,) float64: NaN where nothing was there to count."""
 
     def at(self, threshold_m: float, values: FloatArray) -> float | None:
         """Return one of `precision`, `recall`, `f1` at a threshold of the table; None where it is undefined."""
@@ -109,29 +93,20 @@ def score(matching: Matching, thresholds_m: tuple[float, ...] = THRESHOLDS_M) ->
 
 @dataclass(frozen=True)
 class NodeTable:
-    """What became of the N nodes of the map over the whole drive.
-
-    Attributes
-    ----------
-    in_zone : (N,) bool
-        In the relevant zone of some keyframe: a node that the drive should have found.
-    found : (N,) bool
-        Matched by a detection under 5 m at some keyframe.
-    zone_keyframes, missed_keyframes : (N,) int64
-        Keyframes with the node in their relevant zone; those of them without a detection matched to it.
-    detections : (N,) int64
-        Detections matched to the node.
-    best_error_m, median_error_m : (N,) float64
-        Over these detections; NaN where there is none.
-    """
+    """What became of the N nodes of the map over the whole drive."""
 
     in_zone: BoolArray
+    """(N,) bool: in the relevant zone of some keyframe: a node that the drive should have found."""
     found: BoolArray
+    """(N,) bool: matched by a detection under 5 m at some keyframe."""
     zone_keyframes: IntArray
     missed_keyframes: IntArray
+    """(N,) int64: keyframes with the node in their relevant zone; those of them without a detection matched to it."""
     detections: IntArray
+    """(N,) int64: detections matched to the node."""
     best_error_m: FloatArray
     median_error_m: FloatArray
+    """(N,) float64: over these detections; NaN where there is none."""
 
 
 def tabulate_nodes(matching: Matching, node_count: int) -> NodeTable:

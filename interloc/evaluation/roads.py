@@ -22,53 +22,35 @@ _AROUND_M = 100.0
 
 
 class WayScore(NamedTuple):
-    """What was seen of a way of OpenStreetMap.
-
-    Attributes
-    ----------
-    seen_m : float
-        Length of it that lies on ground that was seen as road.
-    mapped : float
-        Share of that which lies within `BUFFER_M` of a road, 0..1.
-    offset_m : float
-        Median distance of the road from it, positive to the left of the direction of the way; NaN for none.
-    width_m : float
-        Median width of the road beside it; NaN where it is not known.
-    is_driven : bool
-        The drive went along it; else the width is a minimum.
-    """
+    """What was seen of a way of OpenStreetMap."""
 
     seen_m: float
+    """Length of it that lies on ground that was seen as road."""
     mapped: float
+    """Share of that which lies within `BUFFER_M` of a road, 0..1."""
     offset_m: float
+    """Median distance of the road from it, positive to the left of the direction of the way; NaN for none."""
     width_m: float
+    """Median width of the road beside it; NaN where it is not known."""
     is_driven: bool
+    """The drive went along it; else the width is a minimum."""
 
 
 @dataclass(frozen=True)
 class RoadScores:
-    """Heipke et al. (1997): Evaluation of automatic road extraction; of what was seen as road.
-
-    Attributes
-    ----------
-    completeness : float
-        Share of the roads of the map that were seen and have a road within `BUFFER_M`.
-    correctness : float
-        Share of the roads within `BUFFER_M` of one of the map, service ways too.
-    quality : float
-        What is right, of that and all that is wrong or missing.
-    map_m, roads_m : float
-        Lengths of both.
-    ways : dict of int to WayScore
-        By row of the ways of the graph; those of which nothing was seen are left out.
-    """
+    """Heipke et al. (1997): Evaluation of automatic road extraction; of what was seen as road."""
 
     completeness: float
+    """Share of the roads of the map that were seen and have a road within `BUFFER_M`."""
     correctness: float
+    """Share of the roads within `BUFFER_M` of one of the map, service ways too."""
     quality: float
+    """What is right, of that and all that is wrong or missing."""
     map_m: float
     roads_m: float
+    """Lengths of both."""
     ways: dict[int, WayScore] = field(default_factory=dict)
+    """By row of the ways of the graph; those of which nothing was seen are left out."""
 
 
 def score_roads(network: RoadNetwork, graph: RoadGraph, policy: Policy) -> RoadScores | None:

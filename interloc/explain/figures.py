@@ -82,34 +82,11 @@ def explain(
     graph: RoadGraph | None = None,
     policy: Policy = "drive",
 ) -> list[Path]:
-    """Draw the steps of the method for the keyframe nearest to a scan number.
+    """Draw the steps of the method for the keyframe nearest to a scan number; return the files.
 
-    Parameters
-    ----------
-    drive
-    frame : int
-        Scan number. The keyframe taken is named in the log, in the pictures and in ``explain.json``.
-    config
-    out
-        Folder of the pictures, written whole or not at all; one of an earlier call is replaced.
-    graph
-        Roads of OpenStreetMap to draw on top, where the drive is georeferenced.
-    policy
-        Which of them are roads and ground truth.
-
-    Returns
-    -------
-    list of Path
-        The six steps of the paper's Fig. 2, the refinement of its Fig. 5, all of them on one sheet, and the numbers.
-
-    Raises
-    ------
-    ConfigError
-        The drive has no such scan; there is no such policy.
-    DriveError
-        The drive is empty, or a scan of the window is damaged.
-    OutputError
-        The folder is something else's, or writing failed; nothing is left behind.
+    They are the six steps of the paper's Fig. 2, the refinement of its Fig. 5, all of them on one sheet, and the
+    numbers, in a folder that is written whole or not at all; one of an earlier call is replaced. Roads of OpenStreetMap
+    are drawn on top where the drive is georeferenced; the policy says which of them are roads and ground truth.
     """
     explained = gather(drive, frame, config)
     logger.info(

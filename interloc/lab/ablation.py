@@ -39,13 +39,7 @@ class DriveSet:
     """Folders of recorded drives; their last two characters name the map, if none (`map.osm`) lies in them."""
 
     def cases(self, kitti: Path, recorded: Path | None, *, keep: Path | None, max_scans: int | None) -> list[Case]:
-        """Return the twins, and those of the recorded drives that are there.
-
-        Raises
-        ------
-        DriveError
-            A file of a twin is missing.
-        """
+        """Return the twins, and those of the recorded drives that are there."""
         found: list[Case] = [
             *twin_cases(kitti, self.sequences, seeds=self.seeds, keep=keep, max_scans=max_scans),
         ]
@@ -69,18 +63,7 @@ SETS = {
 def taken_out(preset: str, config: DetectorConfig, names: Sequence[str] = ()) -> list[NamedConfig]:
     """Return the preset, and the preset with each setting in which it differs from `paper` set back to that, alone.
 
-    Parameters
-    ----------
-    preset : str
-        Name of the settings.
-    config
-    names
-        Settings to take out; all by default. A section that `paper` leaves out counts as one, and so does `candidates`.
-
-    Raises
-    ------
-    ConfigError
-        A name is not among them.
+    A section that `paper` leaves out counts as one setting, and so does `candidates`; `names` chooses among them.
     """
     plain = dict(flatten(PAPER.model_dump(mode="json")))
     back: dict[str, str] = {}

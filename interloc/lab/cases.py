@@ -52,11 +52,6 @@ class FolderCase:
         """Return longitude and latitude of where the axes of the roads meet, by the id of the node of OpenStreetMap.
 
         They stand in `axes.csv` of the drive (osm_id, lon, lat), or are those of `KNOWN_AXES`.
-
-        Raises
-        ------
-        DriveError
-            A file is damaged.
         """
         own = self.path / AXES
         found: dict[int, tuple[float, float]] = {}
@@ -81,13 +76,7 @@ class FolderCase:
         }
 
     def check(self) -> None:
-        """Raise what is wrong with the drive, as far as that shows without reading all of it.
-
-        Raises
-        ------
-        DriveError, GeoreferenceError
-            The drive is damaged, or has no georeference to compare it with a map by.
-        """
+        """Raise what is wrong with the drive, as far as that shows without reading all of it."""
         try:
             drive = open_drive(self.path, self.options)
         except GeoreferenceError as error:
@@ -127,24 +116,10 @@ def semantickitti_cases(
     *,
     labels: LabelFolder = "labels",
 ) -> list[FolderCase]:
-    """Return sequences of SemanticKITTI with their georeference and maps.
+    """Return sequences of SemanticKITTI with their georeference and maps; a message says what is missing.
 
-    Parameters
-    ----------
-    root
-        Folder with `sequences/NN` or `dataset/sequences/NN`.
-    oxts
-        Folder with `NN.txt[.gz]`, or with the KITTI raw drives under their published names, at any of two depths.
-    osm
-        Folder with `NN.osm[.gz|.bz2|.pbf]`.
-    sequences
-    labels
-        Folder of the labels.
-
-    Raises
-    ------
-    DriveError, GeoreferenceError, MapError
-        Something is missing; the message says what was looked for.
+    `root` holds `sequences/NN` or `dataset/sequences/NN`; `oxts` holds `NN.txt[.gz]`, or the KITTI raw drives under
+    their published names, at any of two depths; `osm` holds `NN.osm[.gz|.bz2|.pbf]`.
     """
     base = next((folder for folder in (root / "sequences", root / "dataset" / "sequences") if folder.is_dir()), None)
     if base is None:
@@ -164,15 +139,7 @@ def folder_cases(
     maps: Sequence[Path],
     options: DriveOptions | None = None,
 ) -> list[FolderCase]:
-    """Return any drives, with one map for all, or one map per drive in their order.
-
-    Raises
-    ------
-    ConfigError
-        There are neither one map nor as many as drives.
-    DriveError, MapError
-        A folder or a map is missing.
-    """
+    """Return any drives, with one map for all, or one map per drive in their order."""
     if len(maps) not in {1, len(drives)}:
         raise ConfigError(
             f"--osm: {len(maps)} maps for {len(drives)} drives. Expected one for all, or one per drive in their order."

@@ -46,24 +46,13 @@ def simulate_drive(
     out
         Folder to be made; complete or not at all. An older simulated drive is replaced.
     options
-        Scan k depends on the seed and k alone: any order and any selection gives the same scans. `options.scene`
-        has been used by `build_scene`.
+        Scan k depends on the seed and k alone: any order and any selection gives the same scans.
     extra_files
         More files to put into the folder: name and content.
     about
         Facts to keep in `simulation.json`.
     progress
         Called with the scans written and the number of scans.
-
-    Returns
-    -------
-    int
-        Scans written.
-
-    Raises
-    ------
-    OutputError
-        The folder holds something else, or could not be written.
     """
     tr = parse_tr(track.calib_text)
     poses_camera = camera_poses(scene.T_map_lidar, tr) if track.poses_camera is None else track.poses_camera

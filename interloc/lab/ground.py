@@ -120,20 +120,11 @@ def flat_field() -> HeightField:
 
 
 def fit_heights(xyz: FloatArray, *, margin_m: float) -> HeightField:
-    """Spread heights known along a track over its neighbourhood.
+    """Spread heights known along a track, (N, 3) ground points under the vehicle in M, over its neighbourhood.
 
-    Parameters
-    ----------
-    xyz : (N, 3) float64
-        Ground points under the vehicle in M. Where the track passes a place again at another height (drift of
-        satellite heights), the mean counts.
-    margin_m
-        How far around the track the field reaches.
-
-    Notes
-    -----
-    Push-pull interpolation: cell means are averaged into ever coarser grids, and empty cells take the value of the
-    finest coarser grid that knows one. Then one blur.
+    Where the track passes a place again at another height (drift of satellite heights), the mean counts. Push-pull
+    interpolation: cell means are averaged into ever coarser grids, and empty cells take the value of the finest coarser
+    grid that knows one. Then one blur.
     """
     low = xyz[:, :2].min(axis=0) - margin_m
     size = np.ceil((xyz[:, :2].max(axis=0) + margin_m - low) / _CELL_M).astype(int) + 2
@@ -150,17 +141,9 @@ def fit_heights(xyz: FloatArray, *, margin_m: float) -> HeightField:
 
 
 def beyond_ends(xyz: FloatArray) -> FloatArray:
-    """Lead a track on for 40 m beyond both ends, as it rises there: else the ground ahead has heights of elsewhere.
+    """Lead a track, (N, 3) ground points in M, on for 40 m beyond both ends, as it rises there.
 
-    Parameters
-    ----------
-    xyz : (N, 3) float64
-        Ground points under the vehicle in M.
-
-    Returns
-    -------
-    (M, 3) float64
-        Points before the first and after the last; none of a track that is hardly longer than a vehicle.
+    Else the ground ahead has heights of elsewhere. A track that is hardly longer than a vehicle has no ends to lead on.
     """
     found = [np.empty((0, 3))]
     for track in (xyz, xyz[::-1]):
@@ -176,18 +159,8 @@ def beyond_ends(xyz: FloatArray) -> FloatArray:
 def without_drift(xyz: FloatArray, pitch_rad: FloatArray) -> FloatArray:
     """Take out of a track what it rises and the vehicle does not: satellite heights that settle fall by many metres.
 
-    Parameters
-    ----------
-    xyz : (N, 3) float64
-        Ground points under the vehicle in M.
-    pitch_rad : (N,) float64
-        Of the vehicle, upwards.
-
-    Returns
-    -------
-    (N, 3) float64
-        The same points, but that pieces of 5 m that rise by 10 % more, or less, than the vehicle is pitched rise as it
-        is pitched.
+    Of (N, 3) ground points, pieces of 5 m that rise by 10 % more, or less, than the vehicle is pitched (N,) rise as it
+    is pitched.
     """
     driven = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(xyz[:, :2], axis=0), axis=1))])
     at = np.arange(0.0, driven[-1] + 2 * _PIECE_M, _PIECE_M)
@@ -251,21 +224,10 @@ def plan_ground(
     *,
     driven: BaseGeometry,
 ) -> list[Layer]:
-    """Lay out the ground.
+    """Lay out the ground along the visible part of each street's centre line.
 
-    Parameters
-    ----------
-    street_map, profiles, config
-    lines
-        The visible part of each street's centre line.
-    driven
-        What the vehicle drove over: road in any case.
-
-    Returns
-    -------
-    list of Layer
-        Bottom first: footways, car parks, drives, sidewalks and medians, bays, lanes of car parks, service roads,
-        roads with rounded kerbs, lane markings.
+    Where was `driven` is road in any case. Bottom first: footways, car parks, drives, sidewalks and medians, bays,
+    lanes of car parks, service roads, roads with rounded kerbs, lane markings.
     """
     paths, lots, drives = Layer(Surface.SIDEWALK), Layer(Surface.PARKING), Layer(Surface.PARKING)
     flush = Layer(Surface.FLUSH_SIDEWALK)
@@ -310,21 +272,9 @@ def _aside(profile: Profile, config: StreetConfig) -> Literal["drive", "aisle", 
 
 
 def paint(layers: Iterable[Layer], x0: float, y0: float, side_m: float, cells: int) -> UInt8Array:
-    """Paint a square of ground.
+    """Paint the square of ground whose corner of least x and y in M is (x0, y0).
 
-    Parameters
-    ----------
-    layers
-        Bottom first.
-    x0, y0, side_m
-        Its corner of least x and y in M, and its side.
-    cells
-        Cells along a side.
-
-    Returns
-    -------
-    (cells, cells) uint8
-        Surface codes; row 0 at y0, column 0 at x0.
+    Returns (cells, cells) uint8 surface codes; row 0 at y0, column 0 at x0.
     """
     image = np.zeros((cells, cells), np.uint8)
     box = shapely.box(x0, y0, x0 + side_m, y0 + side_m)
@@ -457,18 +407,9 @@ def _fillets(
 class GroundRaster:
     """The ground around the sensor as surface codes.
 
-    Parameters
-    ----------
-    plans : sequence of list of Layer
-        The ground as seen from the usual level, and (optional) from a street that it hides.
-    differences : BaseGeometry
-        Where the plans differ; elsewhere they share tiles.
-    box : (4,) float
-        Least x, least y, greatest x, greatest y of the world in M, metres.
-    tile_m, cell_m : float
-        Side of a tile (a whole number of cells is made) and of a cell.
-    capacity : int
-        Tiles kept in memory; grows if one scan needs more.
+    The plans are the ground as seen from the usual level, and (optional) from a street that it hides; where they do not
+    differ they share tiles. `box` is the world in M: least x, least y, greatest x, greatest y. `capacity` tiles are
+    kept in memory, more if one scan needs them.
     """
 
     def __init__(

@@ -38,8 +38,6 @@ class SimulatedScan:
 class Lidar:
     """A LiDAR by its configuration.
 
-    Notes
-    -----
     An HDL-64E is two blocks of lasers: the upper half of the rings a third of a degree apart, the lower half a half.
     The chance of a return falls with reflectance * cos(incidence) / range^2.
     """
@@ -80,19 +78,10 @@ class Lidar:
         level: int = 0,
         velocity: Velocity | None = None,
     ) -> SimulatedScan:
-        """Measure one turn.
+        """Measure one turn that begins at a pose (4, 4) in the scene, as seen from a level of it (`Scene.level`).
 
-        Parameters
-        ----------
-        scene
-        T_map_lidar : (4, 4) float64
-            Pose of the sensor in the scene, at the beginning of the turn.
-        rng
-            Decides noise and dropout; the same state gives the same scan.
-        level
-            From which level the scene is seen (`Scene.level`).
-        velocity
-            How the sensor moves meanwhile; None: a turn takes no time.
+        `rng` decides noise and dropout; the same state gives the same scan. `velocity` is how the sensor moves
+        meanwhile; None: a turn takes no time.
         """
         x, y = float(T_map_lidar[0, 3]), float(T_map_lidar[1, 3])
         reach = self.config.max_range_m

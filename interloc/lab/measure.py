@@ -17,10 +17,9 @@ from interloc.arrays import FloatArray
 from interloc.config import DetectorConfig
 from interloc.detection.keyframes import select_keyframes
 from interloc.drive import Drive
-from interloc.drives.label_errors import MislabelledDrive
+from interloc.drives.label_errors import MislabelledDrive, parse_level
 from interloc.errors import OutputError
 from interloc.evaluation.evaluate import Evaluation, evaluate
-from interloc.evaluation.label_errors import parse_level
 from interloc.evaluation.matching import UNMATCHED
 from interloc.evaluation.metrics import STANDARD_THRESHOLD_M
 from interloc.evaluation.reliability import squared_errors
@@ -130,25 +129,13 @@ class Row(_Record):
 
 
 def write_row(row: Row, folder: Path) -> None:
-    """Keep a row in a folder.
-
-    Raises
-    ------
-    OutputError
-        It could not be written.
-    """
+    """Keep a row in a folder."""
     with atomic_write(folder / f"{row.cell.file_name}.json") as handle:
         handle.write(row.model_dump_json(exclude_none=False).encode() + b"\n")
 
 
 def read_row(cell: Cell, fingerprint: str, folder: Path) -> Row | None:
-    """Read the row of a cell, if one is kept that was measured with the same settings, inputs and program.
-
-    Raises
-    ------
-    OutputError
-        The file cannot be read.
-    """
+    """Read the row of a cell, if one is kept that was measured with the same settings, inputs and program."""
     path = folder / f"{cell.file_name}.json"
     try:
         row = Row.model_validate_json(path.read_bytes())
@@ -197,11 +184,6 @@ def measure(
         Longitude and latitude of where the axes of the roads meet, by node; None: at the nodes.
     progress
         See `interloc.pipeline.detect`.
-
-    Raises
-    ------
-    DriveError, GeoreferenceError, MapError
-        The drive is damaged, or does not fit its map.
     """
     r_fpr, r_fnr = parse_level(cell.noise)
     source = MislabelledDrive(drive, r_fpr, r_fnr, cell.seed) if r_fpr or r_fnr else drive

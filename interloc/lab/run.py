@@ -95,27 +95,9 @@ def run_benchmark(
 ) -> list[Row]:
     """Measure everything that is planned, and keep each row in `out/rows` as soon as it is there.
 
-    Parameters
-    ----------
-    benchmark
-    out
-        Folder of the benchmark; is made if it is missing.
-    workers : int
-        Number of drives at a time, each in a process. The rows do not depend on it.
-    fresh : bool
-        Measure kept rows again.
-    progress
-        Called with the number of rows that are there, and of all.
-
-    Returns
-    -------
-    list of Row
-        In the order of the benchmark.
-
-    Raises
-    ------
-    InterLocError
-        Whatever is wrong with a drive, its map, or the output; rows that were finished before are kept.
+    With several workers, so many drives at a time, each in a process; the rows do not depend on it. `fresh` measures
+    kept rows again. `progress` is called with the number of rows that are there, and of all. Rows that were finished
+    before anything fails are kept.
     """
     done, tasks = _plan(benchmark, out, fresh=fresh)
     finished, total = len(done), len(done) + sum(len(task.cells) for task in tasks)

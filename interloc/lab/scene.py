@@ -39,7 +39,7 @@ from interloc.lab.streets import (
     street_profiles,
     visible_lines,
 )
-from interloc.lab.tracks import LidarTrack
+from interloc.lab.tracks import LidarTrack, LocalFrame
 
 MAX_WALL_M = 24.0
 _CELL_M = 24.0
@@ -77,14 +77,7 @@ class WallList:
 
 
 class Obstacles:
-    """All walls of a scene, found by place.
-
-    Parameters
-    ----------
-    walls : WallList
-    fields : sequence of HeightField
-        The ground on which they stand, one for each level from which the scene is seen.
-    """
+    """All walls of a scene, found by place, on the ground of each level from which the scene is seen."""
 
     def __init__(self, walls: WallList, fields: list[HeightField]) -> None:
         flat = np.array(walls.walls, dtype=np.float64).reshape(-1, 6)
@@ -134,17 +127,10 @@ def furnish(
     driven_xy: FloatArray,
     seed: int,
 ) -> WallList:
-    """Place everything that stands beside the road.
+    """Place everything that stands beside the road, along the visible part of each street's centre line.
 
-    Parameters
-    ----------
-    street_map, profiles, config
-    lines
-        The visible part of each street's centre line.
-    driven_xy : (N, 2) float64
-        Places of the vehicle, at most some metres apart: no obstacle comes nearer than its clearance.
-    seed
-        With the ids of the streets, decides everything: the same street looks the same in every run.
+    No obstacle comes nearer than its clearance to where the vehicle was, (N, 2) places at most some metres apart. The
+    seed, with the ids of the streets, decides everything: the same street looks the same in every run.
     """
     walls = WallList()
     yard = Yard(profiles, lines, driven_xy, [xy for _, xy in street_map.parking])
@@ -381,48 +367,28 @@ def _height_m(tags: dict[str, str], rng: np.random.Generator) -> float:
 LEVEL_REACH_M = 45.0
 
 
+@dataclass
 class Scene:
-    """Everything that a LiDAR can see along a track; `build_scene` makes one.
+    """Everything that a LiDAR can see along a track; `build_scene` makes one."""
 
-    Attributes
-    ----------
-    frame : LocalFrame
-        The plane M in which the scene is drawn.
-    street_map : StreetMap
-    profiles : list of Profile
-        Cross-sections of the streets.
-    ground : GroundRaster
-    heights : list of HeightField
-        As seen from the usual level and, where the track needs it, from streets that are hidden from there.
-    obstacles : Obstacles
-    T_map_lidar : (N, 4, 4) float64
-        The poses of the track, with the sensor at its height above this ground.
-    level : (N,) int64
-        From which level each pose sees the scene.
-    wear : float
-        Spread of the brightness of the ground from patch to patch.
-    """
+    street_map: StreetMap
+    profiles: list[Profile]
+    """Cross-sections of the streets."""
+    ground: GroundRaster
+    heights: list[HeightField]
+    """As seen from the usual level and, where the track needs it, from streets that are hidden from there."""
+    obstacles: Obstacles
+    T_map_lidar: FloatArray
+    """(N, 4, 4) float64: the poses of the track, with the sensor at its height above this ground."""
+    level: IntArray
+    """(N,) int64: from which level each pose sees the scene."""
+    wear: float = 0.0
+    """Spread of the brightness of the ground from patch to patch."""
 
-    def __init__(
-        self,
-        street_map: StreetMap,
-        profiles: list[Profile],
-        ground: GroundRaster,
-        heights: list[HeightField],
-        obstacles: Obstacles,
-        T_map_lidar: FloatArray,
-        level: IntArray,
-        wear: float = 0.0,
-    ) -> None:
-        self.wear = wear
-        self.frame = street_map.frame
-        self.street_map = street_map
-        self.profiles = profiles
-        self.ground = ground
-        self.heights = heights
-        self.obstacles = obstacles
-        self.T_map_lidar = T_map_lidar
-        self.level = level
+    @property
+    def frame(self) -> LocalFrame:
+        """The plane M in which the scene is drawn."""
+        return self.street_map.frame
 
 
 def build_scene(

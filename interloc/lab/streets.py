@@ -186,35 +186,16 @@ class MapData:
 
 
 def read_map(roads: Path, buildings: Path | None = None) -> MapData:
-    """Read what the simulator draws.
-
-    Parameters
-    ----------
-    roads
-        OSM file (.osm, .osm.gz, .osm.bz2, .osm.pbf) with the streets.
-    buildings
-        Another OSM file with the buildings and car parks; None: the same file.
-
-    Raises
-    ------
-    MapError
-        No OSM file, or damaged.
-    """
+    """Read what the simulator draws of an OSM file; buildings and car parks of another one, if it is given."""
     if buildings is None:
         return MapData(Path(roads), *read_ways(roads, {"highway", "building", "amenity"}))
     return MapData(Path(roads), *read_ways(roads, {"highway"}), read_ways(buildings, {"building", "amenity"})[0])
 
 
 def street_map_of(data: MapData, frame: LocalFrame, box: tuple[float, float, float, float] | None = None) -> StreetMap:
-    """Sort the ways of a map into streets, footways, car parks and buildings.
+    """Sort the ways of a map into streets, footways, car parks and buildings, in the plane of a frame.
 
-    Parameters
-    ----------
-    data
-    frame
-        Plane to draw in.
-    box
-        Least x, least y, greatest x, greatest y in M, metres: what lies wholly outside is left out.
+    What lies wholly outside of `box` (least x, least y, greatest x, greatest y in M, metres) is left out.
     """
     result = StreetMap(frame)
     driven = []
@@ -251,13 +232,7 @@ def _inside(
 
 
 def read_ways(path: Path, keys: set[str] | None = None) -> tuple[list[MapWay], dict[int, dict[str, str]]]:
-    """Return the ways with any of the keys (None: all ways), and the tags of their nodes.
-
-    Raises
-    ------
-    MapError
-        No OSM file, or damaged.
-    """
+    """Return the ways with any of the keys (None: all ways), and the tags of their nodes."""
     import osmium  # noqa: PLC0415 - half the start-up time of the command line
 
     container = read_prolog(path).container  # refuses what is not a map before a parser sees it
@@ -366,16 +341,10 @@ class Crossing:
 
 
 def street_profiles(street_map: StreetMap, config: StreetConfig, *, towns: bool, seed: int) -> list[Profile]:
-    """Decide the cross-section of every street.
+    """Decide the cross-section of every street; the seed chooses those with marked bays.
 
-    Parameters
-    ----------
-    street_map, config
-    towns
-        True: every street runs through a town (no buildings are known, or they are made up along the streets).
-        False: those near buildings of the map.
-    seed
-        Chooses the streets with marked bays.
+    With `towns` every street runs through a town (no buildings are known, or they are made up along the streets), else
+    those near buildings of the map.
     """
     lines = [LineString(s.xy) for s in street_map.streets]
     tree = shapely.STRtree(lines)

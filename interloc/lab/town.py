@@ -54,16 +54,11 @@ _OWN_TAGS = "town:"  # explained in town.osm
 
 
 class Town:
-    """A made-up town.
+    """A made-up town; the seed decides its houses.
 
-    Parameters
-    ----------
-    part
-        "full": every shape of junction that matters, a route of some 5 km. "plain": its X, T and Y junctions of 45 to
-        120 degrees, some 670 m. "quarter": a town as one knows them, with curved streets, market square and park,
-        some 2 km.
-    seed
-        Decides the houses.
+    Part "full" has every shape of junction that matters, a route of some 5 km; "plain" its X, T and Y junctions of 45
+    to 120 degrees, some 670 m; "quarter" is a town as one knows them, with curved streets, market square and park, some
+    2 km.
     """
 
     def __init__(self, part: Part = "full", *, seed: int = 0) -> None:
@@ -115,13 +110,7 @@ class Town:
         return "\n".join([*lines, "</osm>", ""])
 
     def trip(self, config: TrackConfig | None = None) -> Trip:
-        """Return the drive through the town, to be simulated; its map will lie beside the scans as `map.osm`.
-
-        Parameters
-        ----------
-        config
-            See `track`.
-        """
+        """Return the drive through the town, to be simulated; its map will lie beside the scans as `map.osm`."""
         about: dict[str, object] = {"town": self.part}
         return Trip(self.track(config), self.map_data(), about, {MAP_FILE: self.osm().encode()})
 
@@ -138,10 +127,7 @@ class Town:
     def track(self, config: TrackConfig | None = None) -> LidarTrack:
         """Return the drive through the town, on the right-hand side of its streets.
 
-        Parameters
-        ----------
-        config
-            Speed and so on; where it gives no offset, 1.6 m to the right of the centre line.
+        Where the configuration gives no offset, 1.6 m to the right of the centre line.
         """
         config = config or TrackConfig()
         if not config.offset_m:

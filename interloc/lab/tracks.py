@@ -29,13 +29,7 @@ from interloc.lab.config import TrackConfig
 
 
 class LocalFrame:
-    """Frame M of a scene: x, y in metres, conformal, true to scale within 1e-7 some kilometres around its origin.
-
-    Parameters
-    ----------
-    lat_deg, lon_deg
-        Origin on WGS84.
-    """
+    """Frame M of a scene: x, y in metres, conformal, true to scale within 1e-7 some kilometres around its origin."""
 
     def __init__(self, lat_deg: float, lon_deg: float) -> None:
         self.lat_deg = float(lat_deg)
@@ -157,35 +151,10 @@ class LidarTrack:
 
 
 def track_from_oxts(rows: FloatArray, times_s: FloatArray | None = None, *, rate_hz: float = 10.0) -> LidarTrack:
-    """Take the track of a GNSS/INS.
-
-    Parameters
-    ----------
-    rows : (N, 30) float64
-        OXTS values of the IMU, one row per scan.
-    times_s : (N,) float64
-        Times; None: at `rate_hz`.
-
-    Raises
-    ------
-    DriveError
-        Rows of another shape, not finite, or not on the earth.
-    """
-    rows = np.atleast_2d(np.asarray(rows, dtype=np.float64))
-    if rows.ndim != 2 or rows.shape[1] < 6 or len(rows) == 0:
-        raise DriveError(
-            f"OXTS rows: found an array of shape {rows.shape}. Expected 30 values per row, one row per scan."
-        )
-    if rows.shape[1] < 30:
-        rows = np.hstack([rows, np.zeros((len(rows), 30 - rows.shape[1]))])
-    if not np.isfinite(rows[:, :6]).all() or np.abs(rows[:, 0]).max() > 90 or np.abs(rows[:, 1]).max() > 180:
-        bad = int(np.argmax(~np.isfinite(rows[:, :6]).all(axis=1) | (np.abs(rows[:, 0]) > 90)))
-        raise DriveError(
-            f"OXTS rows: row {bad} is not a pose on the earth: {rows[bad, :6]}. Expected lat, lon, alt, r, p, y."
-        )
-    times = np.arange(len(rows)) / rate_hz if times_s is None else np.asarray(times_s, dtype=np.float64)
+    """Take the track of a GNSS/INS: (N, 30) OXTS values of the IMU, one row per scan, at times or at a rate."""
+    times = np.arange(len(rows)) / rate_hz if times_s is None else times_s
     fixes = georeference_of_lidar(rows, KITTI_T_VELO_IMU, "OXTS")
-    return LidarTrack(fixes.lat_deg, fixes.lon_deg, fixes.alt_m, fixes.R_enu_lidar, times, rows[:, :30])
+    return LidarTrack(fixes.lat_deg, fixes.lon_deg, fixes.alt_m, fixes.R_enu_lidar, times, rows)
 
 
 def track_from_line(
@@ -193,24 +162,9 @@ def track_from_line(
 ) -> LidarTrack:
     """Drive along a line at a constant speed, looking ahead.
 
-    Parameters
-    ----------
-    lonlat : (N, 2) float64
-        Longitude, latitude in degrees of at least two points, metres to tens of metres apart.
-    alt_m : (N,) float64
-        Heights of the LiDAR; None: flat ground.
-    config
-        Speed, scans a second, smoothing, lateral offset.
-
-    Returns
-    -------
-    LidarTrack
-        The LiDAR follows the smoothed line; yaw along it, pitch along its slope, no roll.
-
-    Raises
-    ------
-    DriveError
-        Fewer than two different points, or a gap in the line.
+    `lonlat` are (N, 2) longitudes, latitudes in degrees of at least two points, metres to tens of metres apart, `alt_m`
+    (N,) heights of the LiDAR (None: flat ground). It follows the smoothed line: yaw along it, pitch along its slope, no
+    roll.
     """
     config = config or TrackConfig()
     lonlat = np.asarray(lonlat, dtype=np.float64).reshape(-1, 2)
@@ -247,17 +201,9 @@ def track_from_line(
 
 
 def smooth_path(xyz: FloatArray, smoothing_m: float, offset_m: float = 0.0) -> FloatArray:
-    """Resample a line finely, move it to the right by an offset, and round its corners by a Gaussian along its length.
+    """Resample a line, (N, 3) metres, move it to the right by an offset, and round its corners by a Gaussian along it.
 
-    Parameters
-    ----------
-    xyz : (N, 3) float64
-        Points in a plane, metres.
-
-    Returns
-    -------
-    (M, 3) float64
-        Points some 0.25 m apart. The ends stay.
+    The points returned are some 0.25 m apart. The ends stay.
     """
     keep = np.concatenate([[True], np.hypot(*np.diff(xyz[:, :2], axis=0).T) > 1e-6])
     xyz = xyz[keep]
@@ -309,13 +255,7 @@ def lidar_poses(poses_camera: FloatArray, tr: FloatArray) -> FloatArray:
 
 
 def open_track(path: Path, config: TrackConfig | None = None) -> LidarTrack:
-    """Read a track of any kind: .gpx, .csv, or else OXTS rows (a file, .gz too, or a folder `oxts/data`).
-
-    Raises
-    ------
-    DriveError
-        The file is none of these, or damaged.
-    """
+    """Read a track of any kind: .gpx, .csv, or else OXTS rows (a file, .gz too, or a folder `oxts/data`)."""
     path = Path(path)
     suffix = path.suffix.lower()
     if suffix == ".gpx":
@@ -330,17 +270,7 @@ def open_track(path: Path, config: TrackConfig | None = None) -> LidarTrack:
 def read_csv(path: Path) -> tuple[FloatArray, FloatArray | None]:
     """Read a track from a CSV file whose header names `lat`, `lon` and, if known, `alt`; other columns are skipped.
 
-    Returns
-    -------
-    lonlat : (N, 2) float64
-        Degrees.
-    alt_m : (N,) float64 or None
-        Heights, where every point has one.
-
-    Raises
-    ------
-    DriveError
-        The header lacks a column, there are no rows, or a value is not a number or not on the earth.
+    Returns (N, 2) longitudes, latitudes in degrees and, where every point has one, (N,) heights in metres.
     """
     file = SourceFile(path, Path())
     expected = "Expected a header that names the columns lat and lon (degrees), and alt (metres) if known."
@@ -355,12 +285,6 @@ def read_csv(path: Path) -> tuple[FloatArray, FloatArray | None]:
 
 
 def read_oxts(path: Path) -> FloatArray:
-    """Read OXTS rows: a text file (may be .gz) of one row per scan, or a folder of one file per scan (`oxts/data`).
-
-    Raises
-    ------
-    DriveError
-        There is no such file, or it does not hold such rows.
-    """
+    """Read OXTS rows: a text file (may be .gz) of one row per scan, or a folder of one file per scan (`oxts/data`)."""
     file = SourceFile(path, Path())
     return read_oxts_folder(file, list_numbered(file, ".txt").numbers) if path.is_dir() else read_oxts_rows(file)

@@ -45,17 +45,7 @@ def twin_files(kitti_dir: Path, sequence: str, *, poses: Poses = "suma") -> dict
 
 
 def twin_track(kitti_dir: Path, sequence: str, *, poses: Poses = "suma") -> LidarTrack:
-    """Return the track of a sequence: places from OXTS, and the given poses to be written with the drive.
-
-    Parameters
-    ----------
-    kitti_dir
-        Folder with the `twin_files`; `twin_cases` says which are missing.
-    sequence
-        Two digits.
-    poses
-        Which poses go with the drive.
-    """
+    """Return the track of a sequence: places from OXTS, and the given poses to be written with the drive."""
     files = twin_files(kitti_dir, sequence, poses=poses)
     rows = read_oxts(files["oxts"])
     camera = np.loadtxt(files["poses"]).reshape(-1, 3, 4)
@@ -186,13 +176,7 @@ def twin_cases(
     keep: Path | None = None,
     max_scans: int | None = None,
 ) -> list[TwinCase]:
-    """Return the twins of some sequences, each with several seeds: so many of them, or these.
-
-    Raises
-    ------
-    DriveError
-        The folder, or a file of a sequence, is missing.
-    """
+    """Return the twins of some sequences, each with several seeds: so many of them, or these."""
     if not kitti.is_dir():
         raise DriveError(f"{kitti}: no such folder. Expected oxts/, poses_{poses}/, calib/, times/ and osm/ in it.")
 

@@ -164,24 +164,12 @@ def too_short(length_m: float) -> Decision:
 
 
 def decide(best: Evidence | None, runner_up: float, chance: float, length_m: float) -> Decision:
-    """Decide by the figures of the best place.
+    """Decide by the figures of the best place (None where nothing fitted at all).
 
-    Parameters
-    ----------
-    best
-        What speaks for the best place; None where nothing fitted at all.
-    runner_up : float
-        Score of the next best place, elsewhere.
-    chance : float
-        Score of the best place for the same drive seen in a mirror. That one was never driven (unless the drive is
-        straight), has as many curves and intersections, and shows how well this map explains such a drive by chance.
-    length_m : float
-        Of the drive.
-
-    Notes
-    -----
     The score of the best place alone proves nothing: a curve less, and a wrong place does as well. What counts is its
-    lead over the best wrong ones.
+    lead over the best wrong ones: over the next best place elsewhere, and over `chance`, the best place for the same
+    drive seen in a mirror. That one was never driven (unless the drive is straight), has as many curves and
+    intersections, and shows how well this map explains such a drive by chance.
     """
     longer = "A longer drive, labels (for the intersections along it) or roughly where it was (near) would help."
     if best is None or best.road < MIN_ROAD:

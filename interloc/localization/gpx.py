@@ -58,13 +58,7 @@ class GpxPlacement:
 
 
 def georeference_by_gpx(drive: Drive, gpx: GpxTrack) -> GpxPlacement:
-    """Place a drive by a track that was recorded along with it.
-
-    Raises
-    ------
-    LocationError
-        The track does not fit the drive, or fits it at several places.
-    """
+    """Place a drive by a track that was recorded along with it; refused where it fits nowhere, or at several places."""
     track = track_of(drive.T_world_lidar)
     if track.length_m < MIN_LENGTH_M:
         raise LocationError(

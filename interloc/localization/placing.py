@@ -54,15 +54,7 @@ def place_run(
     radius_m: float | None = None,
     progress: Progress | None = None,
 ) -> PlacedRun:
-    """Place a run of `detect` on a map, and make a fair copy of it to score on the same map, by a policy.
-
-    Raises
-    ------
-    LocationError
-        The drive was not placed.
-    MapError, ConfigError
-        See `locate`.
-    """
+    """Place a run of `detect` on a map, and make a fair copy of it to score on the same map, by a policy."""
     location = locate(drive, graph, result=result, near=near, radius_m=radius_m, leave_one_out=True, progress=progress)
     georeference = require_found(location, drive.name)
     about = {"source": "map", **location.record()}
@@ -72,13 +64,7 @@ def place_run(
 
 
 def write_places(placed: PlacedRun, graph: RoadGraph, folder: Path) -> None:
-    """Write the layer `places` into a result folder: the drive where it was found, and where it might have been.
-
-    Raises
-    ------
-    OutputError
-        The file could not be written.
-    """
+    """Write the layer `places` into a result folder: the drive where it was found, and where it might have been."""
     places, result = placed.location.places, placed.result
     features = LAYERS[PLACES].features(
         [positions(place.track_lonlat, local=False) for place in places],
@@ -95,13 +81,7 @@ def write_places(placed: PlacedRun, graph: RoadGraph, folder: Path) -> None:
 
 
 def require_found(location: Location, drive: str) -> Georeference:
-    """Return the georeference of a location.
-
-    Raises
-    ------
-    LocationError
-        The drive was not placed; the message lists the places and says what would help.
-    """
+    """Return the georeference of a location, or raise an error that lists the places and says what would help."""
     if location.georeference is not None:
         return location.georeference
     decision = location.decision

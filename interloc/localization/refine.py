@@ -148,18 +148,9 @@ def fit(
 ) -> Fit:
     """Bend a chain onto the roads.
 
-    Parameters
-    ----------
-    chain
-    start : (n, 3) float64
-        Where to begin, in M.
-    roads, nodes
-        The map; only these intersections of it, if given.
-    anchor
-        Pose around which `start` is good; the fit takes hold there and grows outwards, so that drift does not carry
-        the far ends to the wrong roads. None: it is good everywhere.
-    rounds : int
-        Rounds once the whole chain takes part.
+    Around `anchor` the `start`, (n, 3) in M, is good; the fit takes hold there and grows outwards, so that drift does
+    not carry the far ends to the wrong roads. None: it is good everywhere. So many rounds follow once the whole chain
+    takes part. Where `nodes` are given, only these intersections of the map are used.
     """
     low, high = (0, len(chain)) if anchor is None else (anchor - _WINDOW, anchor + _WINDOW + 1)
     pose, offset_m, scale, done = start, 0.0, 1.0, 0

@@ -46,15 +46,9 @@ _SAME_PLACE_M, _SAME_TURN_RAD = 12.0, np.radians(9.0)
 def guess(track: Track, sightings: Sightings, roads: RoadMap, *, kept: int) -> Iterator[tuple[float, FloatArray]]:
     """Search a map for a track: once per kilometre, three times at most, each around the straightest point there.
 
-    On a straight the heading of the vehicle is that of the road; in a curve it may be anything.
-
-    Yields
-    ------
-    at_m : float
-        Distance driven at the point around which was searched, the anchor.
-    pose : (C, 3) float64
-        Places and directions of motion of the anchor in M, best first: `kept` for one anchor, fewer for each of
-        several.
+    On a straight the heading of the vehicle is that of the road; in a curve it may be anything. Yields for each such
+    anchor the distance driven there, and (C, 3) places and directions of motion of it in M, best first: `kept` for one
+    anchor, fewer for each of several.
     """
     at_m, points = resample(track, STEP_M)
     bend = np.convolve(np.abs(np.gradient(points[:, 2])), np.ones(5), "same")

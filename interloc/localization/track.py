@@ -97,21 +97,11 @@ NO_SIGHTINGS = Sightings(np.zeros(0), np.zeros((0, 2)), np.zeros((0, MAX_BRANCHE
 
 
 def sightings_of(result: DriveResult, frames: IntArray, track: Track) -> Sightings:
-    """Return the passages of intersections that the detections of a run amount to.
+    """Return the passages of intersections that the detections of a run amount to; no georeference is used.
 
-    Parameters
-    ----------
-    result
-        Of `detect` on this drive. A georeference in it is not used.
-    frames : (N,) int64
-        Scan numbers of the drive.
-    track
-        Of the drive.
-
-    Notes
-    -----
-    The detections are fused in W, passage by passage: where the odometry drifted between two passages, they are two
-    landmarks. Fewer than three detections of a passage are not taken for an intersection.
+    `frames` are the scan numbers of the drive, (N,). The detections are fused in W, passage by passage: where the
+    odometry drifted between two passages, they are two landmarks. Fewer than three detections of a passage are not
+    taken for an intersection.
     """
     keyframes, table = result.keyframes, result.detections
     turn_deg = np.zeros(len(keyframes))

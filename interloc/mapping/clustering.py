@@ -86,31 +86,13 @@ def find_peaks(xy: FloatArray, weight: FloatArray, *, bandwidth_m: float, cell_m
 def join_peaks(
     labels: IntArray, xy: FloatArray, weight: FloatArray, keyframe: IntArray, *, radius_m: float, together: float
 ) -> IntArray:
-    """Join groups that lie close together and were not seen side by side.
+    """Join groups, (D,) from 0, that lie close together and were not seen side by side.
 
-    Parameters
-    ----------
-    labels : (D,) int64
-        Group of each detection, 0..P-1, none empty.
-    xy, weight : (D, 2), (D,) float64
-        Metres in one plane; positive weights.
-    keyframe : (D,) int64
-        Keyframe of each detection.
-    radius_m : float
-        Groups whose means lie further apart are not joined.
-    together : float
-        Two groups are two intersections if more than this share of the keyframes that saw the rarer one saw both.
-        One keyframe is not enough: a false detection beside a real one must not separate two passes.
-
-    Returns
-    -------
-    (D,) int64
-        The new groups, 0..G-1.
-
-    Notes
-    -----
-    Closest first. Joined groups move to their common mean and keep the keyframes of both, so chains do not grow
-    beyond `radius_m` and a pair that was seen side by side in one pass stays apart in the next.
+    Places are metres in one plane, with positive weights. Groups whose means lie further apart than the radius are not
+    joined; two are two intersections if more than the share `together` of the keyframes that saw the rarer one saw
+    both. One keyframe is not enough: a false detection beside a real one must not separate two passes. Closest first:
+    joined groups move to their common mean and keep the keyframes of both, so chains do not grow beyond the radius and
+    a pair that was seen side by side in one pass stays apart in the next.
     """
     from scipy.spatial import cKDTree  # noqa: PLC0415 - slow to import
 
@@ -149,23 +131,9 @@ def join_peaks(
 
 
 def assign(xy: FloatArray, keyframe: IntArray, centres: FloatArray, *, radius_m: float) -> IntArray:
-    """Give each detection to a centre: nearest pairs first, at most one detection per keyframe and centre.
+    """Give each detection the row of a centre, -1 for none: nearest pairs first, one detection per keyframe and centre.
 
-    Parameters
-    ----------
-    xy : (D, 2) float64
-        Detections, metres in one plane.
-    keyframe : (D,) int64
-        Keyframe of each detection.
-    centres : (M, 2) float64
-        Fused intersections.
-    radius_m : float
-        Further away nothing is assigned.
-
-    Returns
-    -------
-    (D,) int64
-        Row of the centre, -1 for none.
+    Further than the radius from a centre nothing is assigned.
     """
     from scipy.spatial import cKDTree  # noqa: PLC0415 - slow to import
 

@@ -98,13 +98,7 @@ def evidence(
     intersections: IntersectionTable,
     config: FusionConfig | None = None,
 ) -> tuple[SightingStats, FloatArray]:
-    """Return what a calibration is fitted to: the sightings of fused intersections, and their rates of seeing, (M,).
-
-    Parameters
-    ----------
-    keyframes, detections, intersections, config
-        As they went into `fuse`, and what came of it; the detections know their intersections.
-    """
+    """Return what a calibration is fitted to: the sightings of fused intersections, and their rates of seeing, (M,)."""
     config = config or FusionConfig()
     scene = _Scene.of(keyframes, detections, config)
     centres = intersections.world_xy

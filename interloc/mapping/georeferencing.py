@@ -20,30 +20,13 @@ def build_tables(
 ) -> tuple[KeyframeTable, DetectionTable]:
     """Bring the detections of a run into columns, each placed on the ellipsoid by the fix of its own keyframe.
 
-    Parameters
-    ----------
-    found
-        In the order of the drive; keyframes without detections too, since not seeing is an observation.
-    scans : (K,) int64
-        Positions of the keyframes among the scans of the drive.
-    georeference
-        Geodetic poses of all scans of the drive; None leaves the run in local coordinates.
+    Keyframes without detections take part, since not seeing is an observation. `scans` are the positions of the
+    keyframes among the scans of the drive; no detection belongs to an intersection yet. A keyframe without a fix is a
+    GeoreferenceError.
 
-    Returns
-    -------
-    KeyframeTable, DetectionTable
-        No detection belongs to an intersection yet (-1).
-
-    Raises
-    ------
-    GeoreferenceError
-        The georeference has no fix for a keyframe.
-
-    Notes
-    -----
-    Paper, eq. 12, with the fix as the origin of a local east-north-up frame: p_enu = R(yaw) p_L. The drift of the
-    poses over the drive thereby never reaches the map; only their error within one window does. Directions in W turn
-    into directions in ENU by the difference of the two headings of that keyframe.
+    Paper, eq. 12, with the fix as the origin of a local east-north-up frame: p_enu = R(yaw) p_L. The drift of the poses
+    over the drive thereby never reaches the map; only their error within one window does. Directions in W turn into
+    directions in ENU by the difference of the two headings of that keyframe.
     """
     poses = np.array([k.keyframe.T_world_lidar for k in found], dtype=np.float64).reshape(-1, 4, 4)
     world_yaw = yaw_of(poses[:, :3, :3])

@@ -147,8 +147,6 @@ class Mosaic:
 def build_mosaic(result: DriveResult) -> Mosaic:
     """Paste the patches of a run.
 
-    Notes
-    -----
     Each patch is placed as the detections of its keyframe are (paper, eq. 12): by the fix of that keyframe where the
     run is georeferenced, so the drift of the poses over the drive does not reach the raster. The coordinate system is
     then the UTM zone of the first keyframe; else it is W.

@@ -21,30 +21,21 @@ KEPT_TAGS = ("access", "motor_vehicle", "service", "junction", "oneway", "bridge
 
 @dataclass(frozen=True)
 class Ways:
-    """The W highways that the edges of a road graph are pieces of.
-
-    Attributes
-    ----------
-    id : (W,) int64
-        OSM way ids.
-    highway : tuple of W str
-        Value of the tag `highway`.
-    name : tuple of W str
-        Name, else the reference number, else "".
-    is_area : (W,) bool
-        True where the way outlines a square (area=yes), not a line to drive along.
-    layer : (W,) int64 or None
-        Level above (+) or below (-) the ground: the tag `layer`, else 1 of a bridge and -1 of a tunnel; None: all 0.
-    tags : tuple of W dict
-        Those of `KEPT_TAGS` that each way has; empty where nobody looked.
-    """
+    """The W highways that the edges of a road graph are pieces of."""
 
     id: IntArray
+    """(W,) int64: OSM way ids."""
     highway: tuple[str, ...]
+    """W values of the tag `highway`."""
     name: tuple[str, ...]
+    """W names, else reference numbers, else ""."""
     is_area: BoolArray
+    """(W,) bool: true where the way outlines a square (area=yes), not a line to drive along."""
     layer: IntArray | None = None
+    """(W,) int64 or None: level above (+) or below (-) the ground: the tag `layer`, else 1 of a bridge and -1 of a
+    tunnel; None: all 0."""
     tags: tuple[dict[str, str], ...] = ()
+    """W dictionaries: those of `KEPT_TAGS` that each way has; empty where nobody looked."""
 
     def __len__(self) -> int:
         return len(self.id)
@@ -52,24 +43,16 @@ class Ways:
 
 @dataclass(frozen=True)
 class Buildings:
-    """The B buildings of a map, for pictures only.
-
-    Attributes
-    ----------
-    id : (B,) int64
-        OSM ids; a relation of several outlines is several buildings.
-    is_relation : (B,) bool
-        Whether the id is that of a relation (a multipolygon), not of a way.
-    outlines : tuple of B (n, 2) float64
-        Closed rings of longitude and latitude, degrees.
-    holes : tuple of B tuples of (n, 2) float64
-        Courtyards: rings within the outline, as they.
-    """
+    """The B buildings of a map, for pictures only."""
 
     id: IntArray
+    """(B,) int64: OSM ids; a relation of several outlines is several buildings."""
     is_relation: BoolArray
+    """(B,) bool: whether the id is that of a relation (a multipolygon), not of a way."""
     outlines: tuple[FloatArray, ...]
+    """B (n, 2) float64: closed rings of longitude and latitude, degrees."""
     holes: tuple[tuple[FloatArray, ...], ...]
+    """B tuples of (n, 2) float64: courtyards: rings within the outline, as they."""
 
     def __len__(self) -> int:
         return len(self.id)
@@ -81,51 +64,35 @@ NO_LOOSE_ENDS: IntArray = np.empty((0, 3), dtype=np.int64)
 
 @dataclass(frozen=True)
 class RoadGraph:
-    """Highways as an undirected graph; every OSM node along a way is a node of it.
-
-    Attributes
-    ----------
-    node_id : (N,) int64
-        OSM node ids, ascending.
-    lonlat : (N, 2) float64
-        Longitude, latitude, degrees.
-    edges : (E, 2) int64
-        Rows of the two nodes of each edge.
-    edge_way : (E,) int64
-        Row of the way that each edge is a piece of.
-    ways : Ways
-    source : str
-        Where the map came from: a file name or a service.
-    date : str or None
-        State of the OSM data, ISO 8601: what the file declares, else the latest edit of a highway in it.
-    areas : tuple of Bounds
-        Boxes that the map covers, where the file says so. Ways that leave them are present to their ends, but what
-        they meet out there is not: a junction outside does not count as ground truth.
-    clipped_ways : int
-        Ways that refer to nodes which the file does not hold, and were cut into the pieces that exist.
-    loose_ends : (L, 3) int64
-        Where such ways were cut: row of the last node, id of the next one, which has no place, row of the way.
-    is_made_up : bool
-        The simulator made the map up: its ids are not those of OpenStreetMap.
-    buildings : Buildings
-        Those of the surroundings, where they were asked for and the map has any.
-    warnings : tuple of str
-        What is odd about the map, so that figures drawn from it want care.
-    """
+    """Highways as an undirected graph; every OSM node along a way is a node of it."""
 
     node_id: IntArray
+    """(N,) int64: OSM node ids, ascending."""
     lonlat: FloatArray
+    """(N, 2) float64: longitude, latitude, degrees."""
     edges: IntArray
+    """(E, 2) int64: rows of the two nodes of each edge."""
     edge_way: IntArray
+    """(E,) int64: row of the way that each edge is a piece of."""
     ways: Ways
     source: str
+    """Where the map came from: a file name or a service."""
     date: str | None = None
+    """State of the OSM data, ISO 8601: what the file declares, else the latest edit of a highway in it."""
     areas: tuple[Bounds, ...] = ()
+    """Boxes that the map covers, where the file says so. Ways that leave them are present to their ends, but what they
+    meet out there is not: a junction outside does not count as ground truth."""
     clipped_ways: int = 0
+    """Ways that refer to nodes which the file does not hold, and were cut into the pieces that exist."""
     loose_ends: IntArray = field(default_factory=lambda: NO_LOOSE_ENDS)
+    """(L, 3) int64: where such ways were cut: row of the last node, id of the next one, which has no place, row of the
+    way."""
     is_made_up: bool = False
+    """The simulator made the map up: its ids are not those of OpenStreetMap."""
     buildings: Buildings = NO_BUILDINGS
+    """Those of the surroundings, where they were asked for and the map has any."""
     warnings: tuple[str, ...] = ()
+    """What is odd about the map, so that figures drawn from it want care."""
 
     def __repr__(self) -> str:
         west, south, east, north = self.extent

@@ -27,26 +27,17 @@ DRIVABLE_OR_SERVICE = DRIVABLE | {"service"}
 
 @dataclass(frozen=True)
 class IntersectionNodes:
-    """The N ground truth intersections of a map under a policy.
-
-    Attributes
-    ----------
-    policy : Policy
-    osm_id : (N,) int64
-        Node ids; of a consolidated intersection, the smallest of its nodes.
-    lonlat : (N, 2) float64
-        Longitude, latitude, degrees.
-    degree : (N,) int64
-        Distinct neighbours; of a consolidated intersection, those outside it.
-    tolerance_m : float or None
-        Radius of the merging, metres; None under all policies but `consolidated`.
-    """
+    """The N ground truth intersections of a map under a policy."""
 
     policy: Policy
     osm_id: IntArray
+    """(N,) int64: node ids; of a consolidated intersection, the smallest of its nodes."""
     lonlat: FloatArray
+    """(N, 2) float64: longitude, latitude, degrees."""
     degree: IntArray
+    """(N,) int64: distinct neighbours; of a consolidated intersection, those outside it."""
     tolerance_m: float | None = None
+    """Radius of the merging, metres; None under all policies but `consolidated`."""
 
     def __len__(self) -> int:
         return len(self.osm_id)
@@ -65,28 +56,9 @@ def road_ways(graph: RoadGraph, policy: Policy) -> BoolArray:
 def intersection_nodes(graph: RoadGraph, policy: Policy = "drive", tolerance_m: float = 15.0) -> IntersectionNodes:
     """Find the ground truth intersections: nodes with at least three distinct neighbours along roads.
 
-    Parameters
-    ----------
-    graph
-        Roads of the map.
-    policy
-        What counts; see `interloc.osm.policies`.
-    tolerance_m
-        Radius of the merging under policy `consolidated`; see `consolidate`.
-
-    Returns
-    -------
-    IntersectionNodes
-        Only nodes within the bounds of the map: beyond them the crossing roads may be missing.
-
-    Raises
-    ------
-    ConfigError
-        The policy is unknown, or the tolerance is not positive.
-
-    Notes
-    -----
-    Paper, section V-A: "graph nodes with at least three connected edges".
+    Only nodes within the bounds of the map: beyond them the crossing roads may be missing. The tolerance is the radius
+    of the merging under policy `consolidated`, metres. Paper, section V-A: "graph nodes with at least three connected
+    edges".
     """
     if policy not in POLICIES:
         raise ConfigError(f"policy {policy!r} is unknown. Expected one of: {', '.join(POLICIES)}.")

@@ -468,7 +468,7 @@ class _Look:
         try:
             seen = peek(self._listing[path], self._ranges.get(path, {}))
         except MissingRangeError as missing:
-            found.wanted_ranges[path] = [(missing.start, missing.stop)]
+            found.wanted_ranges[path] = missing.ranges
             return
         if seen is None:
             return

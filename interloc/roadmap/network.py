@@ -26,68 +26,47 @@ PROFILE_STEP_M = 10.0
 
 @dataclass(frozen=True)
 class RoadNode:
-    """Where roads meet or end.
-
-    Attributes
-    ----------
-    id : int
-        From 1.
-    kind : str
-        See `NodeKind`.
-    xy : (2,) float64
-        Metres of the network's coordinate system.
-    intersections : tuple of int
-        Ids of the fused intersections that it is.
-    area : shapely.Polygon or None
-        The ground where its roads meet; None where one ends.
-    """
+    """Where roads meet or end."""
 
     id: int
+    """From 1."""
     kind: NodeKind
+    """See `NodeKind`."""
     xy: FloatArray
+    """(2,) float64: metres of the network's coordinate system."""
     intersections: tuple[int, ...] = ()
+    """Ids of the fused intersections that it is."""
     area: shapely.Polygon | None = None
+    """The ground where its roads meet; None where one ends."""
 
 
 @dataclass(frozen=True)
 class RoadEdge:
-    """A road between two nodes.
-
-    Attributes
-    ----------
-    id : int
-        From 1.
-    start, end : int
-        Ids of its nodes.
-    xy : (N, 2) float64
-        Centreline, metres of the network's coordinate system: from node to node, or to the edge of an open place.
-    width_m, width_p10_m, width_p90_m : float
-        Width from edge to edge: median along it, 10th and 90th percentile; NaN where it is too short to measure.
-    profile_m : (P,) float64
-        Width every `PROFILE_STEP_M` from the start; NaN where it was not measured.
-    seen : float
-        Share of its length that was seen, 0..1; the rest are gaps between two ends that face each other.
-    keyframes : int
-        Median number of the keyframes, 10 m apart, that saw its middle.
-    offset_std_m : float
-        One-sigma uncertainty of the centreline across its direction, without that of the georeference; NaN where the
-        width is not known.
-    is_driven : bool
-        The drive went along it. Of other roads one flank may be hidden: their width is a minimum.
-    """
+    """A road between two nodes."""
 
     id: int
+    """From 1."""
     start: int
     end: int
+    """Ids of its nodes."""
     xy: FloatArray
+    """(N, 2) float64: centreline, metres of the network's coordinate system: from node to node, or to the edge of an
+    open place."""
     width_m: float
     width_p10_m: float
     width_p90_m: float
+    """Width from edge to edge: median along it, 10th and 90th percentile; NaN where it is too short to measure."""
     profile_m: FloatArray
+    """(P,) float64: width every `PROFILE_STEP_M` from the start; NaN where it was not measured."""
     seen: float
+    """Share of its length that was seen, 0..1; the rest are gaps between two ends that face each other."""
     keyframes: int
+    """Median number of the keyframes, 10 m apart, that saw its middle."""
     offset_std_m: float
+    """One-sigma uncertainty of the centreline across its direction, without that of the georeference; NaN where the
+    width is not known."""
     is_driven: bool
+    """The drive went along it. Of other roads one flank may be hidden: their width is a minimum."""
 
     @property
     def length_m(self) -> float:
@@ -97,22 +76,14 @@ class RoadEdge:
 
 @dataclass(frozen=True)
 class RoadNetwork:
-    """The roads that a drive saw.
-
-    Attributes
-    ----------
-    nodes : list of RoadNode
-    edges : list of RoadEdge
-    surface : list of shapely.Polygon
-        The ground that was seen as road, in squares of 256 m (of 512 cells).
-    epsg : int or None
-        Coordinates are metres of this system; None: metres of W, without georeference.
-    """
+    """The roads that a drive saw."""
 
     nodes: list[RoadNode] = field(default_factory=list)
     edges: list[RoadEdge] = field(default_factory=list)
     surface: list[shapely.Polygon] = field(default_factory=list)
+    """The ground that was seen as road, in squares of 256 m (of 512 cells)."""
     epsg: int | None = None
+    """Coordinates are metres of this system; None: metres of W, without georeference."""
 
     def __repr__(self) -> str:
         km = sum(edge.length_m for edge in self.edges) / 1000.0

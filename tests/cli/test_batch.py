@@ -87,7 +87,7 @@ def test_mistakes_are_told_before_any_work(drive: Path, tmp_path: Path, interloc
     assert not (tmp_path / "a").exists()
 
 
-def die_once(unit: Unit, out: str | None) -> units.Ended:
+def die_once(unit: Unit, out: str) -> units.Row:
     """Die at the first try, then do the work."""
     mark = Path(unit.drive).parent / f"{unit.name}.tried"
     if not mark.exists():
@@ -101,15 +101,11 @@ def test_a_worker_that_dies_costs_another_try(
 ) -> None:
     monkeypatch.setattr(units, "work", die_once)
     unit = Unit("short", str(short_drive), "detect", ())
-    ended = do_all([unit], Records(tmp_path / "out"), 1, None, progress=lambda _: None)
-    assert ended["short"].error is None
+    records = Records(str(tmp_path / "out"))
+    row = do_all([unit], records, 1, None, progress=lambda _: None)["short"]
+    assert row["error"] is None
     assert (tmp_path / "out/short/run.json").is_file()
-    assert Records(tmp_path / "out").done(unit) == ended["short"]
-
-
-def test_results_of_workers_without_the_folder_are_brought_back(short_drive: Path, tmp_path: Path) -> None:
-    unit = Unit("short", str(short_drive), "detect", ())
-    records = Records(tmp_path / "out")
-    ended = records.write(unit, unit.identity, work(unit, None))
-    assert ended.content is None
-    assert (tmp_path / "out/short/run.json").is_file()
+    assert Records(str(tmp_path / "out")).done(unit) == row
+    shutil.rmtree(tmp_path / "out/short")
+    lost = records.write(unit, unit.identity, row)  # of a worker that does not see the folder
+    assert "its worker wrote no result here" in str(lost["error"])

@@ -72,13 +72,6 @@ def test_every_scan(tmp_path: Path, interloc: Callable) -> None:
     assert step == pytest.approx(0.5, abs=0.02)
 
 
-def test_the_same_seed_gives_the_same_drive(tmp_path: Path, interloc: Callable) -> None:
-    for name, seed in (("a", 1), ("b", 1), ("c", 2)):
-        assert interloc("simulate", "town", "--small", "-o", tmp_path / name, "--seed", seed, *FEW).code == 0
-    first, second, third = ((tmp_path / name / "velodyne/000002.bin").read_bytes() for name in "abc")
-    assert first == second != third
-
-
 def test_an_exact_and_bare_world(tmp_path: Path, interloc: Callable) -> None:
     drive = tmp_path / "drive"
     town = ("simulate", "town", "--part", "quarter", "-o", drive)
@@ -109,32 +102,7 @@ def test_a_track_of_another_place(tmp_path: Path, street: tuple[Path, Path], int
     assert not (tmp_path / "drive").exists()
 
 
-@pytest.mark.parametrize("missing", ["osm", "track"])
-def test_a_missing_file_is_named(tmp_path: Path, street: tuple[Path, Path], missing: str, interloc: Callable) -> None:
-    osm, track = street
-    {"osm": osm, "track": track}[missing].unlink()
-    outcome = interloc("simulate", "track", "--osm", osm, "--track", track, "-o", tmp_path / "drive")
-    assert outcome.code == 1
-    assert str({"osm": osm, "track": track}[missing]) in outcome.complaint
-
-
-def test_a_folder_of_something_else_is_not_replaced(tmp_path: Path, interloc: Callable) -> None:
-    (tmp_path / "thesis.txt").write_text("years of work")
-    outcome = interloc("simulate", "town", "--small", "-o", tmp_path, *FEW)
-    assert outcome.code == 1
-    assert "It was not touched" in outcome.complaint
-    assert [path.name for path in tmp_path.iterdir()] == ["thesis.txt"]
-
-
 def test_the_twin_of_an_unknown_sequence(tmp_path: Path, interloc: Callable) -> None:
     outcome = interloc("simulate", "twin", "03", "--kitti", tmp_path, "-o", tmp_path / "drive")
     assert outcome.code == 1
     assert "sequence 03 has no oxts/03.txt.gz" in outcome.complaint
-
-
-def test_a_twin(tmp_path: Path, interloc: Callable, data: Callable[[str], Path]) -> None:
-    kitti = data("kitti")
-    drive = tmp_path / "drive"
-    outcome = interloc("simulate", "twin", "07", "--kitti", kitti, "-o", drive, *FEW)
-    assert outcome.code == 0
-    assert len(open_drive(drive).frames) == 4

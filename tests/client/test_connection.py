@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 
-from interloc.client.answers import DrivesAnswer, FileAnswer, Refusal
-from interloc.client.connection import Connection
+from interloc.client.connection import Connection, Refusal
+from interloc.client.upload import FileAnswer
 from interloc.errors import ConfigError, NetworkError
 
 NO_DRIVES: dict[str, list[str]] = {"drives": []}
@@ -146,7 +146,7 @@ def test_waiting_ends_when_the_connection_closes(faulty: Any, make: ModuleType) 
 
         def ask() -> None:
             try:
-                connection.ask("GET", "/drives", DrivesAnswer)
+                connection.check_server()
             except NetworkError as error:
                 failures.append(error)
 

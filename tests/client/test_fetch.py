@@ -6,6 +6,7 @@ import json
 import shutil
 import signal
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -150,8 +151,8 @@ def test_a_folder_of_something_else_is_not_touched(here: Any, scored: Any, tmp_p
 def test_stopped_while_it_waits_the_job_goes_on(here: Any, server: ServerProcess, street: Path, tmp_path: Path) -> None:
     drive = here("push", street, "--json").json["drive_id"]
     with here.start("push", street, "--run", "--set", "keyframes.window=40", "-o", tmp_path / "out") as process:
-        waits = "interloc_event_listeners 1.0"
-        wait_until(lambda: process.poll() is not None or waits in server.client.get("/metrics").text, "it to wait")
+        jobs = partial(server.client.get, f"{API}/jobs", params={"drive": drive})
+        wait_until(lambda: process.poll() is not None or bool(jobs().json()["jobs"]), "its job")
         process.send_signal(signal.SIGINT)
         _, err = process.communicate(timeout=60)
     (job,) = server.client.get(f"{API}/jobs", params={"drive": drive}).json()["jobs"]
@@ -201,16 +202,13 @@ def test_an_answer_that_breaks_off_is_asked_for_again(faulty: Any, make: ModuleT
     assert (tmp_path / "out" / "run.json").read_bytes() == run
 
 
-def test_a_job_is_followed_by_asking_where_events_do_not_come(faulty: Any, make: ModuleType, tmp_path: Path) -> None:
-    """As behind a proxy that holds streams back or refuses them."""
+def test_a_job_is_followed_to_its_end(faulty: Any, make: ModuleType, tmp_path: Path) -> None:
     states = iter(["accepted", "running", "successful"])
     files = {"files": [{"name": "run.json", "size_bytes": 52}]}
     run = json.dumps({"scans": 1, "keyframes": 1, "georeference": None}).encode()
 
     def reply(handler: Any) -> None:
-        if handler.path.endswith("/events"):
-            make.answer(502, b"<html>", kind="text/html")(handler)
-        elif handler.path.endswith("/files"):
+        if handler.path.endswith("/files"):
             make.answer(200, {**files, "files": [{"name": "run.json", "size_bytes": len(run)}]})(handler)
         elif handler.path.endswith("run.json"):
             make.answer(200, run)(handler)

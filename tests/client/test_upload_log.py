@@ -10,8 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from interloc.client.upload import UploadFile
-from interloc.client.upload_log import Sent, UploadLog
+from interloc.client.upload import Sent, UploadFile, UploadLog
 from interloc.errors import OutputError
 
 IDENTITY = {"server": "http://127.0.0.1:8000", "drive": "/data/07"}
@@ -74,7 +73,7 @@ def test_rubbish_is_no_memory(tmp_path: Path) -> None:
 
 def test_the_same_push_twice_at_once_is_refused(tmp_path: Path) -> None:
     code = (
-        "import sys; from pathlib import Path; from interloc.client.upload_log import UploadLog;"
+        "import sys; from pathlib import Path; from interloc.client.upload import UploadLog;"
         f"log = UploadLog(Path({str(tmp_path)!r}), {IDENTITY!r}); print('holds', flush=True); sys.stdin.read()"
     )
     with subprocess.Popen(

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from interloc.drive import Drive
-from interloc.drives.label_errors import MislabelledDrive
+from interloc.drives.label_errors import MislabelledDrive, parse_level
 from interloc.drives.open import open_drive
 from interloc.errors import ConfigError
 
@@ -70,3 +70,10 @@ def test_it_is_a_drive(sequence: Path) -> None:
 def test_shares_that_are_none(sequence: Path, r_fpr: float, r_fnr: float, seed: int) -> None:
     with pytest.raises(ConfigError):
         MislabelledDrive(open_drive(sequence), r_fpr, r_fnr, seed)
+
+
+@pytest.mark.parametrize("level", ["", "5", "5/", "a/b", "5/101", "-1/5", "5/5/5"])
+def test_a_level_that_makes_no_sense_is_refused(level: str) -> None:
+    assert parse_level(" 7.5 / 0 ") == (0.075, 0.0)
+    with pytest.raises(ConfigError, match="such as 5/20"):
+        parse_level(level)

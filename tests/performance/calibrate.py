@@ -31,9 +31,8 @@ import interloc
 from interloc.arrays import BoolArray, FloatArray
 from interloc.config import PRESETS, CalibrationConfig, DetectorConfig
 from interloc.drive import Drive
-from interloc.drives.label_errors import MislabelledDrive
+from interloc.drives.label_errors import MislabelledDrive, parse_level
 from interloc.evaluation.evaluate import evaluate
-from interloc.evaluation.label_errors import parse_level
 from interloc.evaluation.reliability import (
     Interval,
     calibration_error,

@@ -30,16 +30,7 @@ _E7, _LEAST_E7 = 1e7, 2e7
 def in_degrees(lat: FloatArray, lon: FloatArray) -> tuple[FloatArray, FloatArray, bool]:
     """Bring latitudes and longitudes to degrees, longitudes to -180 up to 180.
 
-    Parameters
-    ----------
-    lat, lon : (N,) float64
-        Degrees, longitudes of any turn; or multiples of 1e-7 degrees, most of them.
-
-    Returns
-    -------
-    lat, lon : (N,) float64
-    bool
-        True where they were multiples of 1e-7 degrees.
+    They are degrees, longitudes of any turn, or most of them multiples of 1e-7 degrees: then the third value is True.
     """
     with np.errstate(invalid="ignore"):
         larger = np.maximum(np.abs(lat), np.abs(lon))
@@ -54,14 +45,8 @@ def in_degrees(lat: FloatArray, lon: FloatArray) -> tuple[FloatArray, FloatArray
 def checked_fixes(file: SourceFile, rows: FloatArray, frames: IntArray) -> FloatArray:
     """Refuse positions that are not on Earth, and angles in degrees; bring longitudes to -180 up to 180.
 
-    Parameters
-    ----------
-    file : SourceFile
-        Where they come from.
-    rows : (N, 6 or more) float64
-        Latitude, longitude in degrees, altitude in metres, roll, pitch, yaw in radians.
-    frames : (N,) int64
-        Scan numbers, for messages.
+    Rows are latitude, longitude in degrees, altitude in metres, roll, pitch, yaw in radians, and whatever follows; the
+    (N,) scan numbers are for messages.
     """
     rows = rows.copy()
     rows[:, 0], rows[:, 1], _ = in_degrees(rows[:, 0], rows[:, 1])
@@ -112,17 +97,10 @@ def check_against_poses(poses: FloatArray, georeference: Georeference, findings:
 
 
 def check_georeference(poses: FloatArray, georeference: Georeference, findings: Findings) -> float | None:
-    """Check that the georeference moves as the poses do, piece by piece (drift does not matter).
+    """Check that the georeference moves as (N, 4, 4) T_world_lidar do, piece by piece (drift does not matter).
 
-    Parameters
-    ----------
-    poses : (N, 4, 4) float64
-        T_world_lidar.
-
-    Returns
-    -------
-    float or None
-        Median error of the motion over pieces of some metres, as a share of their length; None where it hardly moves.
+    Returns the median error of the motion over pieces of some metres, as a share of their length; None where it hardly
+    moves.
     """
     rows = rows_apart(poses[:, :3, 3], 10.0)
     if len(rows) < 2:
@@ -182,13 +160,7 @@ def _check_turns(ours: FloatArray, theirs: FloatArray, source: str, findings: Fi
 
 
 def check_shift(poses: FloatArray, georeference: Georeference, findings: Findings) -> None:
-    """Check that the georeference is not late or early: its shape is that of the poses, some scans on.
-
-    Parameters
-    ----------
-    poses : (N, 4, 4) float64
-        T_world_lidar.
-    """
+    """Check that the georeference is not late or early: its shape is that of the poses, some scans on."""
     lonlat = np.stack([georeference.lon_deg, georeference.lat_deg], axis=-1)
     enu = enu_from_lonlat(lonlat[0, 1], lonlat[0, 0], lonlat)
     scans = np.arange(len(poses), dtype=np.float64)

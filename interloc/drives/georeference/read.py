@@ -89,20 +89,9 @@ class GeoreferenceFiles:
 
 
 def locate_georeference(parts: DriveParts, frames: IntArray, given: Path | None) -> GeoreferenceFiles | None:
-    """Find the files of the georeference of a drive, without reading them.
+    """Find the files of the georeference of a drive, without reading them; None where it has none.
 
-    Parameters
-    ----------
-    parts : DriveParts
-    frames : (N,) int64
-        Scan numbers.
-    given : Path or None
-        A georeference from elsewhere (file with one row per frame, KITTI raw drive, geo.csv); it comes first.
-
-    Returns
-    -------
-    GeoreferenceFiles or None
-        None where the drive has none.
+    The given one comes first: a file with one row per frame, a KITTI raw drive, or a geo.csv.
     """
     if given is not None:
         return _locate_given(given, parts, frames)
@@ -216,12 +205,7 @@ def raw_offset(raw_drive: Path, sequence: str, frames: IntArray) -> int:
 
 
 def read_oxts_folder(folder: SourceFile, frames: IntArray) -> FloatArray:
-    """Read one OXTS file per frame.
-
-    Returns
-    -------
-    (N, 30) float64
-    """
+    """Read one OXTS file per frame: (N, 30) float64."""
     files = list_numbered(folder, ".txt")
     missing = np.setdiff1d(frames, files.numbers)
     if len(missing):
@@ -237,12 +221,7 @@ def read_oxts_folder(folder: SourceFile, frames: IntArray) -> FloatArray:
 
 
 def read_oxts_rows(file: SourceFile, frames: IntArray | None = None) -> FloatArray:
-    """Read a file with one OXTS row per frame, plain or .gz: the rows of some frames, or all.
-
-    Returns
-    -------
-    (N, 30) float64
-    """
+    """Read a file with one OXTS row per frame, plain or .gz: (N, 30) float64 of some frames, or of all."""
     lines = file.lines()
     if frames is None:
         frames = np.arange(len(lines))
@@ -267,17 +246,7 @@ def _oxts_values(file: SourceFile, fields: list[str], line: int) -> list[float]:
 
 
 def georeference_of_lidar(rows: FloatArray, T_lidar_imu: FloatArray, source: str) -> Georeference:
-    """Move fixes of the IMU to the LiDAR.
-
-    Parameters
-    ----------
-    rows : (N, 30) float64
-        OXTS: latitude, longitude in degrees, altitude in metres, roll, pitch, yaw of the IMU in radians, ...
-    T_lidar_imu : (4, 4) float64
-        Its lever arm.
-    source : str
-        Where both came from, in words.
-    """
+    """Move the fixes of the IMU, (N, 30) OXTS rows, to the LiDAR by its lever arm; both came from `source`."""
     T_imu_lidar = invert_transform(T_lidar_imu)
     R_enu_imu = rotation_from_rpy(rows[:, 3], rows[:, 4], rows[:, 5])
     offset = R_enu_imu @ T_imu_lidar[:3, 3]
@@ -296,17 +265,7 @@ def georeference_of_lidar(rows: FloatArray, T_lidar_imu: FloatArray, source: str
 def rows_in_time(oxts: Path, parts: DriveParts, frames: IntArray) -> tuple[IntArray, str]:
     """Choose the row of OXTS for each scan: that of the same number, or the nearest in time where they disagree.
 
-    Parameters
-    ----------
-    oxts : Path
-        Folder of the rows, beside their timestamps.txt.
-    frames : (N,) int64
-
-    Returns
-    -------
-    rows : (N,) int64
-    why : str
-        What is odd about the times; empty where they agree, or where one of the two is not known.
+    Returns also what is odd about the times; empty where they agree, or where one of the two is not known.
     """
     theirs = parts.times is not None and parts.times.parent == oxts.parent
     rows_s = None if theirs else _times(oxts.parent / "timestamps.txt")
@@ -403,13 +362,7 @@ def read_geo_csv(file: GeoreferenceFile, frames: IntArray) -> Georeference:
 
 
 def geo_csv_text(frames: IntArray, georeference: Georeference, *, exact: bool = False) -> str:
-    """Return the text of a geo.csv with one row per scan: what `read_geo_csv` reads.
-
-    Parameters
-    ----------
-    exact : bool
-        Write all digits, for a copy that gives the same results; else a tenth of a millimetre.
-    """
+    """Return the text of a geo.csv with one row per scan: all digits (`exact`), or a tenth of a millimetre."""
     columns = (georeference.lat_deg, georeference.lon_deg, georeference.alt_m)
     angles = rpy_from_rotation(georeference.R_enu_lidar)
     stds = [] if georeference.position_std_m is None else georeference.position_std_m.tolist()
@@ -430,17 +383,8 @@ def write_geo_csv(path: Path, frames: IntArray, georeference: Georeference) -> N
 
 
 def georeference_of_kitti360(T_file_lidar: FloatArray, source: str) -> Georeference:
-    """Place poses of the LiDAR in the world of KITTI-360 on the ellipsoid.
+    """Place (N, 4, 4) poses of the LiDAR in the world of KITTI-360 (x east, y north, z altitude) on the ellipsoid.
 
-    Parameters
-    ----------
-    T_file_lidar : (N, 4, 4) float64
-        In the world of its poses.txt and cam0_to_world.txt: x east, y north, z the altitude.
-    source : str
-        Where they come from, in words.
-
-    Notes
-    -----
     The projection keeps angles, and its y axis looks north everywhere: rotations are those in the local east-north-up
     frame. It is that of a sphere: distances in the file are 0.2 % shorter to the east and 0.1 % longer to the north
     than on the ellipsoid, which adds up to metres within kilometres of the origin, and is undone here.

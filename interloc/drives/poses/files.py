@@ -87,18 +87,9 @@ def refuse_far(positions: FloatArray, lines: IntArray, file: SourceFile) -> None
 
 
 def orthonormalised(poses: FloatArray) -> tuple[FloatArray, int | None]:
-    """Bring nearly proper rotations to SO(3).
+    """Bring nearly proper rotations of (P, 4, 4) poses to SO(3).
 
-    Parameters
-    ----------
-    poses : (P, 4, 4) float64
-
-    Returns
-    -------
-    (P, 4, 4) float64
-        With the nearest proper rotations.
-    int or None
-        The first row whose rotation is further than 1e-3 from orthonormal, or mirrors; None where all are fine.
+    Returns also the first row whose rotation is further than 1e-3 from orthonormal, or mirrors; or None.
     """
     rotation = poses[:, :3, :3]
     gram = np.einsum("nji,njk->nik", rotation, rotation)
@@ -135,21 +126,9 @@ def read_rows(
 ) -> tuple[FloatArray, IntArray]:
     """Read the lines of numbers of a file of poses; blank lines and comments (#) are passed over.
 
-    Parameters
-    ----------
-    file : SourceFile
-    lengths : collection of int
-        How many numbers a line may hold; all hold as many as the first.
-    complain : callable
-        Says what is wrong with the fields of a line, given them and the length of the lines before (0: there are none).
-    plain : callable
-        Brings the lines to numbers separated by spaces.
-
-    Returns
-    -------
-    (P, L) float64
-    (P,) int64
-        Number of the line, from 1.
+    All lines hold as many numbers as the first, one of `lengths`; `complain` says what is wrong with the fields of a
+    line, given them and the length of the lines before (0: there are none); `plain` brings lines to numbers separated
+    by spaces. Returns (P, L) float64 and the (P,) numbers of the lines, from 1.
     """
     texts = plain(file.lines())
     if (table := _plain_table(texts, lengths)) is not None:
@@ -217,10 +196,7 @@ def _split_frames(values: FloatArray, lines: IntArray, file: SourceFile) -> IntA
 
 
 def looks_like_tum(path: Path) -> bool:
-    """Return whether the first line of a file that is neither blank nor a comment holds 8 numbers.
-
-    A file that cannot be read does not: its reader will say why.
-    """
+    """Return whether a file, by its first line that is neither blank nor a comment, holds poses of TUM."""
     try:
         with path.open("rb") as file:
             return is_tum(file.read(_HEAD_BYTES))
@@ -248,13 +224,7 @@ def _plain(lines: list[str]) -> list[str]:
 
 
 def read_tum(file: SourceFile) -> TimedPoses:
-    """Read and check the lines ``time x y z qx qy qz qw`` of a file; lines that start with # are comments.
-
-    Returns
-    -------
-    TimedPoses
-        Times in seconds; poses from the frame of the body into the world of the file, metres.
-    """
+    """Read and check the lines ``time x y z qx qy qz qw`` of a file; lines that start with # are comments."""
     if not file.path.exists():
         raise file.fault("is missing. Expected one line per pose: time x y z qx qy qz qw (TUM).")
     values, lines = read_rows(file, (TUM_FIELDS, _SPLIT_FIELDS), _tum_complaint, plain=_plain)

@@ -146,20 +146,7 @@ def _transform(file: SourceFile, fields: list[str], line: int) -> FloatArray:
 
 
 def guess_frame(poses: FloatArray) -> tuple[Frame | None, str]:
-    """Guess whose poses these are.
-
-    Parameters
-    ----------
-    poses : (P, 4, 4) float64
-        T_world_body, as they stand in the file.
-
-    Returns
-    -------
-    {"camera", "lidar"} or None
-        None where the motion leaves it open.
-    str
-        Why.
-    """
+    """Guess whose (P, 4, 4) poses of a file these are, and say why; None where the motion leaves it open."""
     motion = body_motion(poses)
     if motion is None:
         return None, f"the vehicle moves less than {MIN_MOTION_M:g} m, which does not distinguish camera from LiDAR"
@@ -179,28 +166,10 @@ def guess_frame(poses: FloatArray) -> tuple[Frame | None, str]:
 def to_lidar(
     poses: FloatArray, parts: DriveParts, file: SourceFile, declared: PoseFrame, findings: Findings
 ) -> tuple[FloatArray, PoseOwner, str]:
-    """Turn the poses of a file into those of the LiDAR.
+    """Turn the (P, 4, 4) poses of a file into those of the LiDAR in the world of the file.
 
-    Parameters
-    ----------
-    poses : (P, 4, 4) float64
-        As they stand in the file.
-    parts : DriveParts
-        Where calibrations are looked for, and whose poses these are where that is settled.
-    file : SourceFile
-        The pose file.
-    declared : {"auto", "camera", "lidar"}
-    findings : Findings
-        Gets the doubts about the guess.
-
-    Returns
-    -------
-    (P, 4, 4) float64
-        Poses of the LiDAR in the world of the file.
-    {"camera", "lidar", "imu"}
-        Whose poses the file holds.
-    str
-        Why that is thought.
+    Calibrations are looked for among the parts, which also say whose poses these are where that is settled; findings
+    get the doubts about the guess. Returns also whose poses the file holds, and why that is thought.
     """
     _look_for_inverted(poses, file, findings)
     owner: PoseOwner

@@ -64,18 +64,7 @@ class BodyMotion:
 
 
 def body_motion(poses: FloatArray) -> BodyMotion | None:
-    """Measure how a body moves in its own frame.
-
-    Parameters
-    ----------
-    poses : (P, 4, 4) float64
-        T_world_body; of very many only the first are looked at.
-
-    Returns
-    -------
-    BodyMotion or None
-        None where it moves less than a metre.
-    """
+    """Measure how a body moves in its own frame, by (P, 4, 4) T_world_body; None where it moves less than a metre."""
     poses = poses[:_JUDGED]
     position = poses[:, :3, 3]
     extent = float(np.linalg.norm(position - position[0], axis=1).max())
@@ -141,14 +130,6 @@ def _rotation_vectors(rotation: FloatArray) -> FloatArray:
 def longest_piece(positions: FloatArray, times_s: FloatArray, frames: IntArray) -> tuple[slice, str]:
     """Cut a drive where its poses jump: what lies beyond a jump would come to another place of the map.
 
-    Parameters
-    ----------
-    positions : (N, 3) float64
-    times_s : (N,) float64
-        Ascending.
-    frames : (N,) int64
-        Scan numbers.
-
     Returns
     -------
     rows : slice
@@ -194,17 +175,9 @@ class TimedPoses:
         return float(self.times_s[0]), float(self.times_s[-1])
 
     def covers(self, times_s: ArrayLike, *, longest_gap_s: float | None = None) -> BoolArray:
-        """Tell which of some times lie between two poses, or on one.
+        """Tell which of (N,) times lie between two poses, or on one.
 
-        Parameters
-        ----------
-        times_s : (N,) float
-        longest_gap_s : float or None
-            Times between two poses that lie further apart than this are not covered; None: however far.
-
-        Returns
-        -------
-        (N,) bool
+        Not between two that lie further apart than `longest_gap_s`; None: however far.
         """
         times = np.asarray(times_s, dtype=np.float64)
         first, last = self.span_s
@@ -216,17 +189,7 @@ class TimedPoses:
         return inside
 
     def at(self, times_s: ArrayLike) -> FloatArray:
-        """Return the poses at some times: positions on the straight line, rotations on the great arc between two.
-
-        Parameters
-        ----------
-        times_s : (N,) float
-            Seconds, in any order.
-
-        Returns
-        -------
-        (N, 4, 4) float64
-        """
+        """Return the poses at (N,) times: positions on the straight line, rotations on the great arc between."""
         times = np.asarray(times_s, dtype=np.float64)
         outside = ~self.covers(times)
         if outside.any():

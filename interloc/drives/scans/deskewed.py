@@ -35,21 +35,11 @@ _SAMPLED = 12  # scans, evenly spread
 
 
 def point_times(values: NDArray[Any], stamp_s: float | None = None) -> Float32Array | None:
-    """Return the times of the points of a scan, seconds after the time of the scan.
+    """Return the (N,) float32 times of the points of a scan, seconds after the time of the scan.
 
-    Parameters
-    ----------
-    values : (N,) number
-        As they are stored. A scan takes about a tenth of a second, which tells seconds from milli-, micro- and
-        nanoseconds.
-    stamp_s : float or None
-        Time of the scan, where it is known: times of the same clock count from there. Those of another clock count
-        from the first point.
-
-    Returns
-    -------
-    (N,) float32 or None
-        None where these are no times of a scan: all the same, not finite, or over longer than any scan takes.
+    A scan takes about a tenth of a second, which tells seconds from milli-, micro- and nanoseconds. Times of the clock
+    of `stamp_s`, the time of the scan, count from there; those of another clock from the first point. None where these
+    are no times of a scan: all the same, not finite, or over longer than any scan takes.
     """
     times = values.astype(np.float64)
     if not len(times) or not np.isfinite(times).all():

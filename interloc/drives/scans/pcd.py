@@ -132,11 +132,8 @@ def open_pcd_files(parts: DriveParts, options: DriveOptions, findings: Findings)
 def number_scans(names: Sequence[str]) -> tuple[IntArray, IntArray, FloatArray | None, str]:
     """Give numbers to the files of scans by their names.
 
-    Parameters
-    ----------
-    names : sequence of str
-        000010.pcd, street_0000000010.pcd (scan 10), 1305031102.175304.pcd or cloud_1583836591_182590976.pcd (times),
-        whatever stands before.
+    000010.pcd and street_0000000010.pcd are scan 10, 1305031102.175304.pcd and cloud_1583836591_182590976.pcd are
+    times.
 
     Returns
     -------

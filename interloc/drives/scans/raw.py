@@ -121,13 +121,7 @@ class RawScans:
         *,
         needs_labels: bool = True,
     ) -> RawScans:
-        """Find the labels of a recording, and check that every scan has them.
-
-        Parameters
-        ----------
-        trajectory
-            Reads where the LiDAR was: some labels need it.
-        """
+        """Find the labels of a recording, and check that every scan has them; some need to know where the LiDAR was."""
         labels: LabelSource | None = None
         has_labels = recording.carries_labels or options.model is not None or folder == "geometry"
         with findings.stage():
@@ -365,18 +359,7 @@ def _labels_of(
 def _check_label_files(
     recording: Recording, sound: IntArray, labels: NumberedFiles, findings: Findings, *, sizes: bool
 ) -> IntArray:
-    """Check that every scan has its labels, and that their sizes fit, by names and sizes only.
-
-    Parameters
-    ----------
-    sound : (S,) int64
-        Positions of the scans that nothing is wrong with so far.
-
-    Returns
-    -------
-    (M,) int64
-        Positions of the scans that can be read.
-    """
+    """Return the positions of the scans whose labels are there and fit, by names and sizes only, among `sound` ones."""
     frames, points = recording.frames, recording.points
     assert frames is not None
     assert points is not None

@@ -347,14 +347,7 @@ def encode_ground(points: GroundPoints) -> bytes:
 
 
 def decode_ground(data: bytes, name: str) -> GroundPoints:
-    """Read what `encode_ground` wrote; nothing in it is trusted.
-
-    Parameters
-    ----------
-    data : bytes
-    name : str
-        Of the file, in messages.
-    """
+    """Read what `encode_ground` wrote, from a file of this name; nothing in it is trusted."""
     count, road_count, is_doubtful = _head(data, name)
     size = count * _POINT_BYTES
     inflate = zlib.decompressobj()

@@ -231,7 +231,6 @@ def test_other_origins_and_other_methods_are_not_let_in(client: httpx.Client) ->
     assert "access-control-allow-origin" not in client.get("/drives", headers={"Origin": "null"}).headers
     sent = client.post("/drives", json={"name": "a"}, headers={"Origin": SITE})
     assert (sent.status_code, sent.json()["type"]) == (403, "/problems/request-of-another-site")
-    assert "access-control-allow-origin" not in sent.headers
 
 
 @pytest.mark.parametrize(

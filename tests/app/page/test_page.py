@@ -152,11 +152,8 @@ def test_without_the_page_the_documentation_is_there(serve: Callable[..., httpx.
     client = serve(static_dir=tmp_path / "nothing", root_path="/interloc")
     answer = client.get("/")
     assert (answer.status_code, answer.headers["location"]) == (307, "/interloc/docs")
-    listing = client.get("/docs")
-    assert listing.status_code == 200
-    for path in client.get("/openapi.json").json()["paths"]:
-        assert path in listing.text
-    assert not re.findall(r"<script|https?://", listing.text)
+    answer = client.get("/docs")
+    assert (answer.status_code, answer.headers["location"]) == (307, "/interloc/openapi.json")
 
 
 def test_a_page_without_its_packages_is_not_installed(serve: Callable[..., httpx.Client], static: Path) -> None:

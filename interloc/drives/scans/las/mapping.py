@@ -234,15 +234,9 @@ class Cuts:
 
 
 def cut(times_s: FloatArray, position: FloatArray) -> Cuts:
-    """Cut a drive into intervals of about `SLICE_M` driven.
+    """Cut a drive, by (P,) ascending times and (P, 3) positions, into intervals of about `SLICE_M` driven.
 
     The poses are those of the trajectory; where these lie further apart, more are put evenly between.
-
-    Parameters
-    ----------
-    times_s : (P,) float64
-        Of the trajectory, strictly ascending.
-    position : (P, 3) float64
     """
     rows = np.array(rows_apart(position, SLICE_M))
     step = np.linalg.norm(np.diff(position[rows], axis=0), axis=1)
@@ -436,19 +430,9 @@ class Grid:
         return _transform(self.crs, "EPSG:4326", xy)
 
     def axes(self, xyz: FloatArray) -> FloatArray:
-        """Return how the axes lie on the ground: steps east and north, in metres, of a step along each.
+        """Return how the axes lie on the ground near (N, 3) points: (N, 2, 2), ``enu_xy = axes @ grid_xy``.
 
         It holds the scale of the projection, the meridian convergence, and the height over the ellipsoid.
-
-        Parameters
-        ----------
-        xyz : (N, 3) float64
-            Points of the grid.
-
-        Returns
-        -------
-        (N, 2, 2) float64
-            ``enu_xy = axes @ grid_xy`` near each point.
         """
         here = self.to_lonlat(xyz[:, :2])
         columns = []

@@ -35,15 +35,7 @@ _SAMPLED = 5
 def open_las(root: Path, options: DriveOptions, findings: Findings) -> Recording | None:
     """Open LAS or LAZ files: one per scan in sensor coordinates, or a cloud of mobile mapping with its trajectory.
 
-    Parameters
-    ----------
-    root : Path
-        A .las or .laz file, or a folder that holds such: directly, or in las/ or laz/.
-
-    Returns
-    -------
-    Recording or None
-        None where these are no LAS files.
+    The root is one file, or a folder that holds such: directly, or in las/ or laz/. None where these are no LAS files.
     """
     other = any((root / folder).is_dir() for folder in SCAN_FOLDERS)  # a map may lie beside the scans
     if options.layout != "las" and (options.layout != "auto" or other):

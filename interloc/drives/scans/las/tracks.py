@@ -157,15 +157,8 @@ class Table(NamedTuple):
 def read_table(file: SourceFile, kinds: Sequence[Sequence[str]], expected: str, blank: str = "") -> Table:
     """Read a table of numbers with a header; the columns may have any of the usual names, and units.
 
-    Parameters
-    ----------
-    file : SourceFile
-    kinds : sequence of sequence of str
-        Quantities (time, x, y, z, lat, lon): the first of which there are all are read.
-    expected : str
-        What messages say that the header should be.
-    blank : str
-        The quantity that may be missing in a row: NaN.
+    Of the kinds of quantities (time, x, y, z, lat, lon), the first of which there are all is read; `expected` is what
+    messages say that the header should be, and the quantity `blank` may be missing in a row (NaN).
     """
     lines = file.lines()
     start = next(row for row, text in enumerate(lines) if text.strip())
@@ -260,22 +253,7 @@ class ClockMatch(NamedTuple):
 def match_clocks(
     times_s: FloatArray, points: FloatArray, cloud: Cloud, track_s: FloatArray, track_xy: FloatArray, file: SourceFile
 ) -> ClockMatch:
-    """Find the clock by which the vehicle was where the points are.
-
-    Parameters
-    ----------
-    times_s : (N,) float64
-        Of some points of a cloud, in its clock.
-    points : (N, 3) float64
-        Their easting, northing, height.
-    cloud : Cloud
-    track_s : (P,) float64
-        Of the trajectory, ascending.
-    track_xy : (P, 2) float64
-        Easting, northing of the vehicle.
-    file : SourceFile
-        The trajectory.
-    """
+    """Find the clock by which the vehicle, (P,) times and (P, 2) places, was where some points of the cloud are."""
     matches = []
     for offset, reason in _candidates(float(np.median(times_s)), float(track_s[0]), cloud.time_offset_s).items():
         shifted = times_s - offset

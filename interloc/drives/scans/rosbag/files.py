@@ -275,7 +275,8 @@ def mcap_channels(raw: BinaryIO) -> list[Channel]:
     except McapError as error:
         raise DamagedBagError(f"its summary cannot be read ({error or type(error).__name__})") from error
     schemas = {record.id: record for record in records if isinstance(record, kinds.Schema)}
-    statistics = next((record for record in records if isinstance(record, kinds.Statistics)), None)
+    channels = [record for record in records if isinstance(record, kinds.Channel)]
+    counts = next((each.channel_message_counts for each in records if isinstance(each, kinds.Statistics)), {})
     chunks = [record for record in records if isinstance(record, kinds.ChunkIndex)]
     places: dict[int, list[tuple[int, ...]]] = {}
     for chunk in chunks:
@@ -287,10 +288,10 @@ def mcap_channels(raw: BinaryIO) -> list[Channel]:
         place = (chunk.chunk_start_offset + head_bytes, chunk.compressed_size, codec_number(chunk.compression))
         for number, at in chunk.message_index_offsets.items():
             places.setdefault(number, []).append((*place, at))
-    if statistics is None and chunks and not places:
-        raise DamagedBagError("it has no index of its messages")
+    if chunks and not (channels and schemas and (counts or places)):
+        raise DamagedBagError("its summary lacks the channels, their schemas or the index of the messages")
     found = []
-    for record in (record for record in records if isinstance(record, kinds.Channel)):
+    for record in channels:
         schema = schemas.get(record.schema_id)
         encodings: dict[str, Encoding] = {"cdr": "cdr", "ros1": "ros1"}
         found.append(
@@ -298,7 +299,7 @@ def mcap_channels(raw: BinaryIO) -> list[Channel]:
                 record.topic,
                 ros2_spelling("" if schema is None else schema.name),
                 encodings.get(record.message_encoding),
-                None if statistics is None else statistics.channel_message_counts.get(record.id, 0),
+                counts.get(record.id, 0) if counts else None,
                 partial(_locate_in_mcap, record.id, places.get(record.id, []))
                 if chunks
                 else partial(_locate_without_chunks, record.id, start),

@@ -35,11 +35,11 @@ _MAX_STEPS = 1_000_000
 
 
 class MissingRangeError(Exception):
-    """Bytes that were not given: from `start` to `stop`."""
+    """Ranges of bytes that were not given: the first byte of each, and that after the last."""
 
-    def __init__(self, start: int, stop: int) -> None:
-        super().__init__(f"bytes {start} to {stop}")
-        self.start, self.stop = start, stop
+    def __init__(self, ranges: list[tuple[int, int]]) -> None:
+        super().__init__(f"bytes {ranges}")
+        self.ranges = ranges
 
 
 class _PartialFile(io.BytesIO):
@@ -65,8 +65,11 @@ class _PartialFile(io.BytesIO):
             pieces = (data[at - begin : stop - begin] for begin, data in self._known.items() if begin <= at)
             piece = next(filter(None, pieces), None)
             if piece is None:
-                last = -(-stop // _ASKED_BYTES) * _ASKED_BYTES
-                raise MissingRangeError(at // _ASKED_BYTES * _ASKED_BYTES, min(last, self.size))
+                first, last = at // _ASKED_BYTES * _ASKED_BYTES, -(-stop // _ASKED_BYTES) * _ASKED_BYTES
+                wanted = [(first, min(last, self.size))]
+                if not self._known and last < self.size:  # the index is at the end
+                    wanted.append((max(last, self.size - _ASKED_BYTES), self.size))
+                raise MissingRangeError(wanted)
             found += piece
         self._at += len(found)
         return found

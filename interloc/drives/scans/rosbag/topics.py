@@ -192,17 +192,9 @@ def clock_lead_s(stamps_ns: IntArray, log_ns: IntArray) -> float:
 
 
 def clock_shift(lead_s: float, other_lead_s: float) -> ClockShift | None:
-    """Compare the clocks of two topics that were recorded together.
+    """Compare the clocks of two topics by their `clock_lead_s`, which may be NaN.
 
-    Parameters
-    ----------
-    lead_s, other_lead_s : float
-        `clock_lead_s` of both; NaN where it is not known.
-
-    Returns
-    -------
-    ClockShift or None
-        None where the clocks are the same, or where one topic may only have been computed or recorded later.
+    None where the clocks are the same, or where one topic may only have been computed or recorded later.
     """
     ahead_s = lead_s - other_lead_s
     if not abs(ahead_s) > _ALIKE_S:

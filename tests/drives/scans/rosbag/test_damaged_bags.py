@@ -152,9 +152,10 @@ def test_an_mcap_may_be_written_in_any_way(tmp_path: Path, settings: dict[str, A
         assert np.array_equal(again.points.read(frame).values, recording.points.read(frame).values)
 
 
-def test_an_mcap_without_indexes_of_its_chunks_is_refused(tmp_path: Path) -> None:
+@pytest.mark.parametrize("settings", [{"index_types": IndexType.CHUNK}, {"repeat_channels": False}])
+def test_an_mcap_whose_summary_is_not_enough_is_refused(tmp_path: Path, settings: dict[str, Any]) -> None:
     file = small_bag(tmp_path / "drive", "mcap")
-    assert "mcap recover" in refusal(rewritten(file, tmp_path / "again.mcap", index_types=IndexType.CHUNK))
+    assert "mcap recover" in refusal(rewritten(file, tmp_path / "again.mcap", **settings))
 
 
 def test_a_bag_without_an_index_is_refused_with_the_cure(tmp_path: Path) -> None:
