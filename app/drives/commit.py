@@ -33,15 +33,7 @@ from interloc.drives.inspect import DriveReport
 
 
 def begin_commit(context: Context, drive_id: str, owner: str, request: CommitRequest) -> Job | None:
-    """Queue the check of a drive; return the running one if there is one, None if the drive is ready.
-
-    Raises
-    ------
-    Problem
-        404: no such drive. 409: an archive is still being unpacked, or the drive was or is being committed otherwise.
-        422: files that are listed are no longer on the disk.
-        429: too many checks of this client wait. 507: the disk is full.
-    """
+    """Queue the check of a drive; return the running one if there is one, None if the drive is ready."""
     check_free_space(context, 0)
     root = context.storage.folder(files_key(drive_id))
     found = set(files_below(root))
@@ -151,13 +143,7 @@ def queue_commit(
 
 
 def committed(context: Context, drive_id: str, job: Job | None) -> DriveModel:
-    """Return the drive when its check has ended, or while it goes on.
-
-    Raises
-    ------
-    Problem
-        422: it has errors, which `problems` lists. Or the check itself failed.
-    """
+    """Return the drive when its check has ended, or while it goes on."""
     with context.database.reading() as session:
         drive = find_drive(session, drive_id)
     if job is not None:

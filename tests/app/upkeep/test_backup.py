@@ -20,9 +20,9 @@ import pytest
 from sqlalchemy import select, text
 
 from app.context import Context
-from app.drives.archive import queue_archive
 from app.drives.commit import begin_commit
 from app.drives.models import CommitRequest
+from app.drives.upload import queue_archive
 from app.http.intake import Arrival
 from app.jobs import queue
 from app.settings import Settings
