@@ -12,8 +12,9 @@ from fastapi.concurrency import run_in_threadpool
 from app import system
 from app.context import Context
 from app.demo import routes as demo
+from app.drives import file_routes as files
+from app.drives import routes as drives
 from app.drives.finish import finish_drive
-from app.drives.routes import archive, commit, drives, files, scans
 from app.http.middleware import add_middleware
 from app.http.openapi import DESCRIPTION, TAGS, Description, operation_id, problems
 from app.http.parameters import refuse_unknown_parameters
@@ -31,9 +32,9 @@ from app.maps import routes as maps
 from app.maps.merging import Merger
 from app.maps.records import make_server_map
 from app.networks import routes as networks
+from app.ogc import overview
 from app.ogc import routes as ogc
 from app.ogc.indexing import index_result
-from app.overview import routes as overview
 from app.page import routes as page
 from app.page.files import PageFiles
 from app.results.folder import Results
@@ -54,7 +55,7 @@ def _assemble() -> APIRouter:
         generate_unique_id_function=operation_id,
         responses=problems({422: "The request is not valid; `problems` lists where."}),
     )
-    of_drives = (drives, overview, files, scans, archive, commit, demo, networks)
+    of_drives = (drives, overview, files, demo, networks)
     of_jobs = (jobs, results, keyframes, road, exports, compare)
     shared = [Depends(client_of), Depends(refuse_unknown_parameters)]
     for module in (*of_drives, *of_jobs, live, maps, queue, trash):

@@ -25,7 +25,7 @@ from app.jobs.runner import Runner
 from app.maps import work
 from app.maps.records import Standing, map_key, standing_of
 from app.maps.work import Audited, Merged, Register, Source
-from app.ogc.indexing import write_map_chunks
+from app.ogc.indexing import write_map_rows
 from app.store.models import CityMap, Drive, MapDrive, MapPlace
 from interloc.errors import InterLocError
 
@@ -104,7 +104,7 @@ class Merger:
 
         def write(session: Session, row: CityMap) -> None:
             _write_rows(session, city.id, standing, label_of, merged)
-            write_map_chunks(session, city.id, merged.chunks)
+            write_map_rows(session, city.id, merged.layers)
             row.revision, row.epsg, row.summary = row.revision + 1, merged.register.epsg, merged.record
             row.merged_at = self._context.database.clock(session)
 
@@ -126,7 +126,7 @@ class Merger:
             row.audited = standing.audit_key
             if isinstance(outcome, Audited):
                 row.audit = outcome.record
-                write_map_chunks(session, city.id, outcome.chunks)
+                write_map_rows(session, city.id, outcome.layers)
             else:
                 row.audit = {"problem": str(outcome).replace(f"{self._context.storage.root}/", "")}
 

@@ -20,7 +20,7 @@ from app.maps.models import MapModel
 from app.maps.work import AUDIT, CITY
 from app.states import JobKind, JobState
 from app.store.database import moment
-from app.store.models import CityMap, Drive, FeatureChunk, Job, MapDrive, MapVerdict
+from app.store.models import CityMap, Drive, FeatureLayer, Job, MapDrive, MapVerdict
 from app.store.storage import Storage
 from interloc.city.verdicts import Judgement, wrong_ones
 from interloc.osm.container import is_map
@@ -89,7 +89,7 @@ def standing_of(session: Session, context: Context, city: CityMap) -> Standing:
     folder = context.storage.folder(map_key(city.id))
     is_stale = held != {job.drive_id: job.id for job in jobs}
     if not is_stale and held:
-        is_indexed = session.scalar(select(exists().where(FeatureChunk.map_id == city.id)))
+        is_indexed = session.scalar(select(exists().where(FeatureLayer.map_id == city.id)))
         is_whole = is_indexed and "bbox" in (city.summary or {}) and (folder / CITY / "city.json").is_file()
         is_stale = not is_whole
     osm, key = _osm_of(context.storage, folder, jobs) if held else (None, None)

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from app.ogc.work import Chunk, chunks_of_layers
+from app.ogc.work import LayerRows, rows_of_map
 from interloc.errors import DamagedResultError, InterLocError, OutputError
 from interloc.files import atomic_write
 
@@ -57,8 +57,8 @@ class Merged:
     """Names that are new, and where all are that have moved."""
     record: dict[str, Any]
     """Of `city.json`, without its drives."""
-    chunks: list[Chunk]
-    """Its features, for the index."""
+    layers: list[LayerRows]
+    """Its features."""
 
 
 def merge(folder: Path, wanted: Mapping[str, Source], register: Register) -> Merged:
@@ -104,7 +104,7 @@ def merge(folder: Path, wanted: Mapping[str, Source], register: Register) -> Mer
         places = np.array([each["geometry"]["coordinates"] for each in layers["city"]])
         bbox = [*places.min(axis=0).tolist(), *places.max(axis=0).tolist()] if len(places) else None
         record = city_record(city) | {"drives": len(city.drives), "bbox": bbox}
-        return Merged(problems, _changes(city, register), record, list(chunks_of_layers(layers)))
+        return Merged(problems, _changes(city, register), record, rows_of_map(layers))
 
 
 def _opened(folder: Path, register: Register) -> tuple[CityMap, dict[str, str]]:
@@ -146,8 +146,8 @@ class Audited:
 
     record: dict[str, Any]
     """Of `audit.json`, and whether the OSM file is of a made-up town."""
-    chunks: list[Chunk]
-    """The findings, for the index."""
+    layers: list[LayerRows]
+    """The findings."""
 
 
 def audit(folder: Path, osm: Path, wrong: Sequence[dict[str, Any]]) -> Audited:
@@ -186,6 +186,6 @@ def audit(folder: Path, osm: Path, wrong: Sequence[dict[str, Any]]) -> Audited:
     write_audit(found, city, folder / AUDIT, config, source=osm.name, made_up=graph.is_made_up)
     collection = read_json(folder / AUDIT / FINDINGS_FILE)
     credit: dict[str, str] = {name: collection[name] for name in ("attribution", "license") if name in collection}
-    chunks = list(chunks_of_layers({"findings": collection["features"]}, credit))
+    layers = rows_of_map({"findings": collection["features"]}, credit)
     record = audit_record(found, config, osm.name) | {"is_made_up": graph.is_made_up}
-    return Audited(record, chunks)
+    return Audited(record, layers)

@@ -1,1 +1,1 @@
-"""OGC API - Features: results as a GIS asks for them, from the index of features."""
+"""OGC API - Features: results as rows that a GIS asks for."""

@@ -6,10 +6,16 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-from app.ogc.work import FOOTPRINTS, INDEXED, RESULT
+from sqlalchemy import Table
+
 from app.results.models import collection_id
+from app.store.features import OF_MAPS, OF_RESULTS
+from app.work.layers import FOOTPRINTS, RESULT_LAYERS
 from interloc.output.layers import CITY_LAYERS, Layer
-from interloc.output.properties import ORIGIN, Attribute
+from interloc.output.properties import ORIGIN, Attribute, ResultProperties, attributes_of
+
+RESULT = attributes_of(ResultProperties)
+"""The properties that every feature of a result has beside its own; its table does not hold them."""
 
 GEOMETRY = "geometry"
 """Name of the geometry in schemas and filters."""
@@ -46,9 +52,19 @@ class Collection:
         return [*(each for each in self.layer.attributes if each.name not in ORIGIN), *RESULT]
 
     @cached_property
+    def kinds(self) -> dict[str, str]:
+        """Its properties -> int, id, float, bool, text, time or list."""
+        return {each.name: _kind_of(each) for each in self.attributes}
+
+    @cached_property
     def queryables(self) -> dict[str, str]:
         """The properties that filters may name -> int, id, float, bool, text or time; the geometry is none of them."""
-        return {each.name: _kind_of(each) for each in self.attributes if each.kind != "list"}
+        return {name: kind for name, kind in self.kinds.items() if kind != "list"}
+
+    @property
+    def table(self) -> Table:
+        """The table of its features."""
+        return (OF_RESULTS if self.of_results else OF_MAPS)[self.layer.name]
 
     @property
     def is_point(self) -> bool:
@@ -123,7 +139,7 @@ def _collection(layer: Layer) -> Collection:
     return Collection(collection_id(layer), layer)
 
 
-OF_JOB = {each.id: each for each in map(_collection, INDEXED.values())}
+OF_JOB = {each.id: each for each in map(_collection, RESULT_LAYERS.values())}
 """The collections of one job, as far as its result has them, by their ids."""
 
 OF_ALL = {

@@ -8,10 +8,9 @@ from datetime import UTC, datetime
 from typing import Any
 from urllib.parse import quote, urlencode
 
-from app.ogc.candidates import Key
-from app.ogc.collections import Collection
+from app.ogc.collections import Collection, schema_of
 from app.ogc.filters import CRS84
-from app.ogc.index import Extent, Page
+from app.ogc.index import Extent, Key, Page
 from interloc.output.credits import ODBL
 from interloc.output.geojson import encode
 
@@ -28,7 +27,7 @@ _COMMON = "http://www.opengis.net/spec/ogcapi-common"
 CONFORMS_TO = [
     f"{_COMMON}-1/1.0/conf/core",
     f"{_COMMON}-2/1.0/conf/collections",
-    *(f"{_PART_1}/{name}" for name in ("core", "oas30", "geojson", "html")),
+    *(f"{_PART_1}/{name}" for name in ("core", "geojson")),
     *(f"{_PART_3}/{name}" for name in ("queryables", "filter", "features-filter")),
     *(f"{_PART_5}/{name}" for name in ("schemas", "core-roles-features")),
     *(
@@ -39,13 +38,8 @@ CONFORMS_TO = [
             "basic-cql2",
             "advanced-comparison-operators",
             "case-insensitive-comparison",
-            "accent-insensitive-comparison",
             "basic-spatial-functions",
-            "basic-spatial-functions-plus",
-            "spatial-functions",
-            "temporal-functions",
             "property-property",
-            "arithmetic",
         )
     ),
 ]
@@ -59,6 +53,8 @@ class Place:
     """Of the landing page."""
     title: str
     description: str
+    service: str
+    """Address of the service."""
 
     def landing(self) -> dict[str, Any]:
         """Return the landing page."""
@@ -66,22 +62,48 @@ class Place:
             "title": self.title,
             "description": self.description,
             "links": [
-                *_both(self.address, "This document"),
-                _link("service-desc", f"{self.address}/api", OPENAPI, "The interface"),
-                _link("service-doc", f"{self.address}/api?f=html", "text/html", "The interface, for people"),
+                _link("self", self.address, "application/json", "This document"),
+                _link("service-desc", f"{self.address}/api", OPENAPI, "What can be asked of the collections"),
+                _link("service-doc", f"{self.service}/docs", "text/html", "The interface, for people"),
                 _link("conformance", f"{self.address}/conformance", "application/json", "What this keeps to"),
                 _link("data", f"{self.address}/collections", "application/json", "The collections"),
             ],
         }
 
+    def interface(self, known: Iterable[Collection], max_limit: int) -> dict[str, Any]:
+        """Return as much of OpenAPI 3.0 as GDAL and QGIS look for: by which parameters they may ask for features.
+
+        Without it they fetch all of a collection, in small pages, and filter by themselves.
+        """
+        languages = {"type": "string", "enum": ["cql-text", "cql2-text", "cql2-json"]}
+        limit = {"name": "limit", "in": "query", "schema": {"type": "integer", "minimum": 1, "maximum": max_limit}}
+        texts = [(name, {"type": "string"}) for name in ("bbox", "datetime", "filter", "after")]
+        paths = {}
+        for each in known:
+            own = {attribute.name: schema_of(attribute) for attribute in each.attributes}
+            schemas = [("filter-lang", languages), *texts]
+            schemas += [(name, {"type": own[name]["type"]}) for name in each.queryables]
+            parameters: list[dict[str, Any]] = [{"$ref": "#/components/parameters/limit"}]  # as GDAL looks for it
+            parameters += [{"name": name, "in": "query", "schema": schema} for name, schema in schemas]
+            answers = {"200": {"description": "GeoJSON."}}
+            paths[f"/collections/{each.id}/items"] = {"get": {"parameters": parameters, "responses": answers}}
+        info = {"title": self.title, "version": "1"}
+        return {
+            "openapi": "3.0.3",
+            "info": info,
+            "servers": [{"url": self.address}],
+            "paths": paths,
+            "components": {"parameters": {"limit": limit}},
+        }
+
     def conformance(self) -> dict[str, Any]:
         """Return what the service keeps to."""
-        return {"links": _both(f"{self.address}/conformance", "This document"), "conformsTo": CONFORMS_TO}
+        return {"links": [_self(f"{self.address}/conformance")], "conformsTo": CONFORMS_TO}
 
     def collections(self, found: Mapping[str, Extent], known: Mapping[str, Collection]) -> dict[str, Any]:
         """Return the list of collections."""
         return {
-            "links": _both(f"{self.address}/collections", "This document"),
+            "links": [_self(f"{self.address}/collections")],
             "collections": [self._collection(known[name], extent) for name, extent in found.items()],
         }
 
@@ -89,7 +111,7 @@ class Place:
         """Return the description of a collection."""
         described = self._collection(collection, extent)
         address = f"{self.address}/collections/{collection.id}"
-        return {**described, "links": [*_both(address, "This document"), *described["links"][1:]]}
+        return {**described, "links": [_self(address), *described["links"][1:]]}
 
     def of_collection(self, collection: Collection, name: str) -> str:
         """Return the address of a document of a collection, for example of its schema."""
@@ -119,7 +141,6 @@ class Place:
             "links": [
                 _link("self", address, "application/json", collection.layer.title),
                 _link("items", f"{address}/items", GEOJSON, "The features"),
-                _link("items", f"{address}/items?f=html", "text/html", "The features, for people"),
                 _link("http://www.opengis.net/def/rel/ogc/1.0/schema", f"{address}/schema", SCHEMA, "Schema"),
                 _link("describedBy", f"{address}/feature-schema", SCHEMA, "Schema of the GeoJSON"),  # as GDAL spells it
                 _link("http://www.opengis.net/def/rel/ogc/1.0/queryables", f"{address}/queryables", SCHEMA, "Filters"),
@@ -128,27 +149,19 @@ class Place:
         }
 
     def items(
-        self, collection: Collection, page: Page, asked: Iterable[tuple[str, str]], *, token: Callable[[Key], str]
+        self, collection: Collection, page: Page, asked: list[tuple[str, str]], *, token: Callable[[Key], str]
     ) -> str:
         """Return a page of features; `asked` are the parameters of the request, `token` makes `after` of others."""
         address = f"{self.address}/collections/{collection.id}"
-        rest = [(name, value) for name, value in asked if name not in {"f", "after", "offset"}]
-
-        def page_link(relation: str, key: Key | None, title: str) -> dict[str, str]:
-            query = [*rest, *([] if key is None else [("after", token(key))])]
-            return _link(relation, f"{address}/items{_query(query)}", GEOJSON, title)
-
-        own = [(name, value) for name, value in asked if name != "f"]
         links = [
-            _link("self", f"{address}/items{_query(own)}", GEOJSON, "This document"),
-            _link("alternate", f"{address}/items{_query([*own, ('f', 'html')])}", "text/html", "For people"),
+            _link("self", f"{address}/items{_query(asked)}", GEOJSON, "This document"),
             _link("collection", address, "application/json", collection.layer.title),
             _link("describedby", f"{address}/feature-schema", SCHEMA, "Schema of the GeoJSON"),
         ]
         if page.next is not None:
-            links.append(page_link("next", page.next, "Next page"))
-        if not page.is_first:
-            links.append(page_link("prev", page.previous, "Previous page"))
+            rest = [(name, value) for name, value in asked if name not in {"after", "offset"}]
+            following = _query([*rest, ("after", token(page.next))])
+            links.append(_link("next", f"{address}/items{following}", GEOJSON, "Next page"))
         head = {
             "type": "FeatureCollection",
             "links": links,
@@ -161,7 +174,7 @@ class Place:
         """Return one feature."""
         address = f"{self.address}/collections/{collection.id}"
         links = [
-            *_both(f"{address}/items/{quote(feature_id, safe='')}", "This document", GEOJSON),
+            _self(f"{address}/items/{quote(feature_id, safe='')}", GEOJSON),
             _link("collection", address, "application/json", collection.layer.title),
         ]
         return f'{feature[:-1]},"links":{encode(links)}}}'
@@ -171,12 +184,8 @@ def _link(relation: str, href: str, media_type: str, title: str) -> dict[str, st
     return {"rel": relation, "href": href, "type": media_type, "title": title}
 
 
-def _both(address: str, title: str, media_type: str = "application/json") -> list[dict[str, str]]:
-    """Return the links to a document and to its HTML."""
-    return [
-        _link("self", address, media_type, title),
-        _link("alternate", f"{address}?f=html", "text/html", f"{title}, for people"),
-    ]
+def _self(address: str, media_type: str = "application/json") -> dict[str, str]:
+    return _link("self", address, media_type, "This document")
 
 
 def _query(parameters: list[tuple[str, str]]) -> str:

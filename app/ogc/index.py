@@ -1,43 +1,60 @@
-"""Features found in the index: of the result that stands for every drive, or of one job.
+"""Features found: of the result that stands for every drive, of one job, or of a map of many drives.
 
-A query first takes the chunks that come into question by their boxes and times, some thousand rows for a million
-features, then reads the columns that it needs of those, and decides for all their features at once. Only the features
-of the page that is answered are read themselves.
+A query first takes the layers that come into question by their boxes and times, some thousand rows for a million
+features, then the features of these.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import reduce
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
-from sqlalchemy import ColumnElement, Select, and_, func, literal, or_, select
+from sqlalchemy import ColumnElement, Row, Select, and_, case, false, func, literal, or_, select, text, true, tuple_
+from sqlalchemy.exc import OperationalError
 from sqlalchemy.orm import Session
 
 from app.http.parameters import Box
 from app.jobs.chosen import chosen_results
-from app.ogc.candidates import Candidates, Key
-from app.ogc.collections import OF_ALL, OF_JOB, OF_MAP, Collection
-from app.ogc.evaluation import Filter, matching
-from app.ogc.work import IDS, TIMES
-from app.store.models import Drive, FeatureChunk, Job
+from app.ogc.collections import GEOMETRY, OF_ALL, OF_JOB, OF_MAP, Collection
+from app.ogc.filters import Translator, bad_filter, equal_texts
+from app.ogc.work import shapes_of, time_text
+from app.store.database import moment
+from app.store.models import Drive, FeatureLayer, Job
+from interloc.output.geojson import encode
 
 Interval = tuple[float, float]
 """First and last second since 1970; infinite where it is open."""
+
+_PATIENCE_S = 3.0
+_OF_RESULT = ("drive", "job", "preset", "labels")
 
 
 class Area(Box):
     """A box, and what longitudes it has."""
 
     @property
-    def parts(self) -> list[tuple[float, float]]:
-        """Its longitudes, as ranges among -180 to 540: what crosses the meridian lies beyond 180 degrees."""
+    def parts(self) -> list[tuple[float, float, float, float]]:
+        """Its boxes among -180 to 540 degrees: what crosses the meridian lies beyond 180."""
+        spans = [(self.west, self.east), (self.west + 360.0, self.east + 360.0)]
         if self.west > self.east:
-            return [(self.west, self.east + 360.0), (-180.0, self.east)]
-        return [(self.west, self.east), (self.west + 360.0, self.east + 360.0)]
+            spans = [(self.west, self.east + 360.0), (-180.0, self.east)]
+        return [(west, self.south, east, self.north) for west, east in spans]
+
+
+class Key(NamedTuple):
+    """The place of a feature in the order of pages."""
+
+    layer: int
+    number: int
+
+    def __str__(self) -> str:
+        """Return it as it stands in addresses."""
+        return f"{self.layer}.{self.number}"
 
 
 @dataclass(frozen=True)
@@ -46,7 +63,8 @@ class Query:
 
     area: Area | None = None
     interval: Interval | None = None
-    filter: Filter | None = None
+    filter: Any = None
+    """CQL2 JSON."""
     after: Key | None = None
     """Where the page begins: with the feature after this one."""
     offset: int = 0
@@ -64,9 +82,6 @@ class Page:
     """Number of all."""
     next: Key | None
     """`Query.after` of the next page."""
-    previous: Key | None
-    """The same of the previous one."""
-    is_first: bool
 
 
 @dataclass(frozen=True)
@@ -101,27 +116,16 @@ class Source:
         """Whether its features are of all drives, and their ids begin with the job."""
         return self.job is None and self.map is None
 
-    def feature_id(self, job: str, own: str) -> str:
-        """Return the id of a feature: it is the same as long as there is the job."""
-        return f"{job}.{own}" if self.is_of_all else own
-
-    def split_id(self, feature: str) -> tuple[str, str]:
-        """Return the job of a feature, and the id within its layer."""
-        if not self.is_of_all:
-            return self.job or "", feature
-        job, _, own = feature.partition(".")
-        return job, own
-
-    def chunks(self, *columns: Any) -> Select[Any]:  # noqa: ANN401 - of the tables below
-        """Return the query for chunks, joined with their drives."""
+    def layers(self, *columns: Any) -> Select[Any]:  # noqa: ANN401 - of the tables below
+        """Return the query for layers, joined with their drives."""
         if self.map is not None:
-            return select(*columns).select_from(FeatureChunk).where(FeatureChunk.map_id == self.map)
+            return select(*columns).select_from(FeatureLayer).where(FeatureLayer.map_id == self.map)
         found = select(Job).where(Job.id == self.job) if self.job is not None else self._chosen()
         jobs = found.with_only_columns(Job.id, Job.drive_id).subquery()
         return (
             select(*columns)
             .select_from(jobs)
-            .join(FeatureChunk, FeatureChunk.job_id == jobs.c.id)
+            .join(FeatureLayer, FeatureLayer.job_id == jobs.c.id)
             .join(Drive, Drive.id == jobs.c.drive_id)
         )
 
@@ -138,22 +142,22 @@ class Source:
 
 def extents(session: Session, source: Source) -> dict[str, Extent]:
     """Return what the collections of a source hold, by their ids; those of a job only as far as its result has them."""
-    chunk = FeatureChunk
+    of = FeatureLayer
     found = {}
     rows = session.execute(
-        source.chunks(
-            chunk.layer,
-            func.sum(chunk.count),
-            func.min(chunk.west),
-            func.min(chunk.south),
-            func.max(chunk.east),
-            func.max(chunk.north),
-            func.min(chunk.first_time),
-            func.max(chunk.last_time),
-            func.min(chunk.attribution),
-            func.max(chunk.attribution),
-            func.max(chunk.license),
-        ).group_by(chunk.layer)
+        source.layers(
+            of.layer,
+            func.sum(of.count),
+            func.min(of.west),
+            func.min(of.south),
+            func.max(of.east),
+            func.max(of.north),
+            func.min(of.first_time),
+            func.max(of.last_time),
+            func.min(of.attribution),
+            func.max(of.attribution),
+            func.max(of.license),
+        ).group_by(of.layer)
     )
     for layer, count, west, south, east, north, first, last, one, other, license_ in rows:
         box = None if west is None else (-180.0, south, 180.0, north) if east > 180.0 else (west, south, east, north)
@@ -174,90 +178,230 @@ def find_page(session: Session, source: Source, collection: Collection, query: Q
     Raises
     ------
     Problem
-        400: the filter takes too long.
+        400: the filter holds what it cannot, or takes too long.
     """
-    candidates = _candidates(session, source, collection, *_conditions(query, source))
-    masks = list(_masks(candidates, query))
-    matched = np.flatnonzero(reduce(np.logical_and, masks)) if masks else np.arange(len(candidates))
-    start = min(query.offset, len(matched))
-    if query.after is not None:
-        start = int(np.searchsorted(matched, candidates.place_after(query.after)))
-    stop = min(start + query.limit, len(matched))
-    page = matched[start:stop]
-    previous = start - query.limit - 1
-    return Page(
-        features=list(candidates.features(page, source.feature_id)),
-        matched=len(matched),
-        next=candidates.key_of(int(page[-1])) if stop < len(matched) and len(page) else None,
-        previous=candidates.key_of(int(matched[previous])) if previous >= 0 else None,
-        is_first=start == 0,
-    )
+    search = _Search(session, source, collection, query)
+    with _patience(session):
+        return search.page()
 
 
 def find_feature(session: Session, source: Source, collection: Collection, feature: str) -> str | None:
-    """Return a feature by its id; None where there is none."""
-    job, own = source.split_id(feature)
-    candidates = _candidates(session, source, collection, *([FeatureChunk.job_id == job] if job else []))
-    ids = candidates.texts(IDS)
-    if own not in ids.values:
-        return None
-    places = np.flatnonzero(ids.codes == ids.values.index(own))[:1]
-    return next(candidates.features(places, source.feature_id))
+    """Return a feature by its id, which is the same as long as there is the job; None where there is none."""
+    job, _, own = feature.partition(".") if source.is_of_all else (source.job, "", feature)
+    conditions = [] if job is None else [FeatureLayer.job_id == job]
+    layers = _layers(session, source, collection, *conditions)
+    table = collection.table
+    asked = select(table).where(table.c.layer_id.in_(layers), table.c.feature_id == own).limit(1)
+    return next(_features(source, collection, layers, session.execute(asked).all()), None)
 
 
-def _candidates(
+def _layers(
     session: Session, source: Source, collection: Collection, *conditions: ColumnElement[bool]
-) -> Candidates:
-    chunk = FeatureChunk
+) -> dict[int, Row[Any]]:
+    """Return the layers of a collection that have features, by their ids and in their order."""
+    of = FeatureLayer
     drive = literal(None) if source.map is not None else Drive.name
-    of_result = (drive.label("drive"), chunk.job_id.label("job"), chunk.preset, chunk.labels)
-    query = source.chunks(chunk.id, chunk.count, *of_result).order_by(chunk.id)
-    chunks = query.where(chunk.layer == collection.layer.name, chunk.count > 0, *conditions)
-    return Candidates(session, session.execute(chunks).all(), collection.is_point, collection.of_results)
+    columns = (of.id, of.count.label("features"), of.west, of.east, of.width)
+    query = source.layers(*columns, drive.label("drive"), of.job_id.label("job"), of.preset, of.labels)
+    query = query.where(of.layer == collection.layer.name, of.count > 0, *conditions).order_by(of.id)
+    return {row.id: row for row in session.execute(query)}
 
 
-def _masks(candidates: Candidates, query: Query) -> Iterator[NDArray[np.bool_]]:
-    """Yield for each part of a query which candidates it finds."""
-    if query.area is not None:
-        yield _inside(candidates, query.area)
-    if query.interval is not None:
-        times = candidates.packed_numbers(TIMES, 2)
-        yield (times[:, 0] <= query.interval[1]) & (times[:, 1] >= query.interval[0])
-    if query.filter is not None:
-        yield matching(query.filter, candidates)
+class _Search:
+    """A query on the table of a collection."""
 
+    def __init__(self, session: Session, source: Source, collection: Collection, query: Query) -> None:
+        self._session, self._source, self._collection, self._query = session, source, collection, query
+        self._table = table = collection.table
+        self._key = tuple_(table.c.layer_id, table.c.number)
+        self._layers = _layers(session, source, collection, *self._conditions_on_layers())
+        self._joined: Any = table
+        self._exact: list[tuple[Any, ColumnElement[bool] | None]] = []
+        """Geometries that features must touch, and where their boxes tell that they do."""
+        self._conditions = list(self._conditions_on_features())
 
-def _inside(candidates: Candidates, area: Area) -> NDArray[np.bool_]:
-    """Return which candidates an area touches."""
-    boxes = candidates.boxes()
-    touches = np.zeros(len(boxes), dtype=np.bool_)
-    surely = np.zeros(len(boxes), dtype=np.bool_)
-    for west, east in area.parts:
-        touches |= (boxes[:, 0] <= east) & (boxes[:, 2] >= west)
-        surely |= (boxes[:, 0] >= west) & (boxes[:, 2] <= east)
-    touches &= (boxes[:, 1] <= area.north) & (boxes[:, 3] >= area.south)
-    surely &= (boxes[:, 1] >= area.south) & (boxes[:, 3] <= area.north)
-    doubtful = np.flatnonzero(touches & ~surely)
-    if len(doubtful) and not candidates.is_point:
+    def _conditions_on_layers(self) -> Iterator[ColumnElement[bool]]:
+        """Yield conditions that hold where one feature of a layer matches."""
+        of = FeatureLayer
+        if (area := self._query.area) is not None:
+            yield or_(*(_touches((of.west, of.south, of.east, of.north), part) for part in area.parts))
+        if (interval := self._query.interval) is not None:
+            yield and_(of.first_time <= interval[1], of.last_time >= interval[0])
+        if self._source.map is None:
+            names: dict[str, Any] = {"drive": Drive.name, "job": of.job_id}
+            yield from (names[name] == value for name, value in equal_texts(self._query.filter) if name in names)
+
+    def _conditions_on_features(self) -> Iterator[ColumnElement[bool]]:
+        table = self._table.c
+        box = self._box
+        if (area := self._query.area) is not None:
+            near = [part for part in area.parts if any(_meet(part, layer) for layer in self._layers.values())]
+            yield or_(*(self._near(part) for part in near or area.parts[:1]))
+            if not self._collection.is_point:
+                import shapely  # noqa: PLC0415 - an eighth of a second of start-up time
+
+                within = or_(*(_within(box, part) for part in area.parts))
+                self._exact.append((shapely.union_all([shapely.box(*part) for part in area.parts]), within))
+        if (interval := self._query.interval) is not None:
+            first, last = ("time", "time") if "time" in table else ("first_time", "last_time")
+            if first in table:  # else all features have the times of their layer
+                begin, end = (_time_text(each) for each in interval)
+                yield and_(table[first] <= end, table[last] >= begin)
+        if self._query.filter is not None:
+            yield from self._filtered()
+
+    def _filtered(self) -> Iterator[ColumnElement[bool]]:
+        of_result = self._source.layers(
+            FeatureLayer.id, Drive.name.label("drive"), FeatureLayer.job_id.label("job"), FeatureLayer.preset,
+            FeatureLayer.labels,
+        ).subquery() if self._source.map is None else None  # fmt: skip
+        columns: dict[str, ColumnElement[Any]] = {GEOMETRY: self._table.c.west, **self._table.c}
+        if of_result is not None and self._collection.of_results:
+            columns |= {name: of_result.c[name] for name in _OF_RESULT}
+        is_sqlite = self._session.get_bind().dialect.name == "sqlite"
+        translator = Translator(self._collection, columns, self._near, is_sqlite=is_sqlite)
+        yield from translator.conditions(self._query.filter)
+        self._exact += [(shape, None) for shape in translator.exact]
+        if of_result is not None and not translator.used.isdisjoint(_OF_RESULT):
+            self._joined = self._table.join(of_result, of_result.c.id == self._table.c.layer_id)
+
+    @property
+    def _box(self) -> tuple[ColumnElement[Any], ...]:
+        table = self._table.c
+        return table.west, table.south, table.get("east", table.west), table.get("north", table.south)
+
+    def _near(self, part: Sequence[float]) -> ColumnElement[bool]:
+        """Return the condition that the box of a feature touches another one: a range of the index."""
+        widest = max((layer.width or 0.0 for layer in self._layers.values()), default=0.0)
+        return and_(self._table.c.west >= part[0] - widest - 1e-9, _touches(self._box, part))
+
+    def _asked(self, *columns: Any, where: Sequence[ColumnElement[bool]] = ()) -> Select[Any]:  # noqa: ANN401
+        among = self._table.c.layer_id.in_(list(self._layers))
+        return select(*columns).select_from(self._joined).where(among, *self._conditions, *where)
+
+    def page(self) -> Page:
+        """Return the page that is asked for."""
+        table, query = self._table, self._query
+        asked = select(table) if self._exact else self._asked(table)
+        matched: int | None = None if self._conditions else sum(layer.features for layer in self._layers.values())
+        if self._exact:
+            keys = self._touching()
+            start = query.offset if query.after is None else sum(key <= query.after for key in keys)
+            matched, some = len(keys), keys[start : start + query.limit + 1]
+            asked = asked.where(self._key.in_(some) if some else false())
+        else:
+            asked = asked.where(true() if query.after is None else self._key > tuple_(*query.after))
+            asked = asked.limit(query.limit + 1).offset(query.offset)
+        rows = self._session.execute(asked.order_by(table.c.layer_id, table.c.number)).all()
+        is_last, rows = len(rows) <= query.limit, rows[: query.limit]
+        if matched is None and is_last and query.after is None and (rows or not query.offset):
+            matched = query.offset + len(rows)
+        if matched is None:
+            matched = self._session.scalar(self._asked(func.count())) or 0
+        return Page(
+            features=list(_features(self._source, self._collection, self._layers, rows)),
+            matched=matched,
+            next=None if is_last or not rows else Key(rows[-1].layer_id, rows[-1].number),
+        )
+
+    def _touching(self) -> list[Key]:
+        """Return the keys of all features that touch the geometries that are asked for, in their order."""
         import shapely  # noqa: PLC0415 - an eighth of a second of start-up time
 
-        shapes = candidates.shapes(doubtful)
-        parts = [shapely.box(west, area.south, east, area.north) for west, east in area.parts]
-        touches[doubtful] = reduce(np.logical_or, (shapely.intersects(shapes, part) for part in parts))
-    return touches
+        table = self._table.c
+        surely = [false() if within is None else within for _, within in self._exact]
+        is_point = self._collection.is_point
+        own = [table.west, table.south] if is_point else [case((and_(*surely), None), else_=table.geometry)]
+        asked = self._asked(table.layer_id, table.number, *own).order_by(table.layer_id, table.number)
+        rows = self._session.execute(asked).all()
+        points: Any = np.array([row[2:] for row in rows], dtype=np.float64).reshape(-1, 2) if is_point else []
+        shapes: Any = shapely.points(points) if is_point else shapes_of([row[2] for row in rows])
+        touching = shapely.is_missing(shapes)  # surely
+        doubtful = ~touching
+        touching[doubtful] = reduce(np.logical_and, (_intersects(shape, shapes[doubtful]) for shape, _ in self._exact))
+        return [Key(row.layer_id, row.number) for row, is_in in zip(rows, touching.tolist(), strict=True) if is_in]
 
 
-def _conditions(query: Query, source: Source) -> Iterator[ColumnElement[bool]]:
-    """Yield conditions on chunks that hold where one of their features matches."""
-    chunk = FeatureChunk
-    areas = [] if query.area is None else [query.area]
-    if query.filter is not None and query.filter.area is not None:
-        areas.append(Area(*query.filter.area))
-    for area in areas:
-        yield and_(chunk.south <= area.north, chunk.north >= area.south)
-        yield or_(*(and_(chunk.west <= east, chunk.east >= west) for west, east in area.parts))
-    if query.interval is not None:
-        yield and_(chunk.first_time <= query.interval[1], chunk.last_time >= query.interval[0])
-    if query.filter is not None and source.map is None:
-        names = {"drive": Drive.name, "job": FeatureChunk.job_id}
-        yield from (names[name] == value for name, value in query.filter.equal.items() if name in names)
+def _touches(box: Sequence[Any], part: Sequence[float]) -> ColumnElement[bool]:
+    west, south, east, north = box
+    return and_(west <= part[2], east >= part[0], south <= part[3], north >= part[1])
+
+
+def _within(box: Sequence[Any], part: Sequence[float]) -> ColumnElement[bool]:
+    return and_(box[0] >= part[0], box[1] >= part[1], box[2] <= part[2], box[3] <= part[3])
+
+
+def _meet(part: Sequence[float], layer: Row[Any]) -> bool:
+    return layer.west is not None and bool(layer.west <= part[2] and layer.east >= part[0])
+
+
+def _intersects(shape: Any, shapes: Any) -> Any:  # noqa: ANN401 - of shapely
+    import shapely  # noqa: PLC0415 - an eighth of a second of start-up time
+
+    shapely.prepare(shape)
+    return shapely.intersects(shape, shapes)
+
+
+def _time_text(seconds: float) -> str:
+    try:
+        return time_text(moment(seconds))
+    except (OverflowError, ValueError):
+        return "" if seconds < 0 else "~"
+
+
+@contextmanager
+def _patience(session: Session) -> Iterator[None]:
+    """Stop what takes too long with a 400, so that nobody keeps the database busy."""
+    connection = session.connection()
+    is_sqlite = connection.dialect.name == "sqlite"
+    driver: Any = connection.connection.dbapi_connection
+    if is_sqlite:
+        end = time.thread_time() + _PATIENCE_S
+        driver.set_progress_handler(lambda: time.thread_time() > end, 100_000)
+    else:
+        session.execute(text(f"SET LOCAL statement_timeout = {round(1000 * _PATIENCE_S)}"))
+    try:
+        yield
+    except OperationalError as error:
+        if not any(sign in str(error.orig) for sign in ("interrupted", "statement timeout")):
+            raise
+        raise bad_filter("It takes too long. Ask for less of it at a time, or for a smaller bbox.") from None
+    finally:
+        if is_sqlite:
+            driver.set_progress_handler(None, 0)
+
+
+def _features(
+    source: Source, collection: Collection, layers: Mapping[int, Row[Any]], rows: Sequence[Row[Any]]
+) -> Iterator[str]:
+    """Yield rows as GeoJSON."""
+    table = collection.table.c
+    printed = [(name, f"{encode(name)}:", _PRINTED[kind]) for name, kind in collection.kinds.items() if name in table]
+    for row in rows:
+        values, layer = row._mapping, layers[row.layer_id]  # noqa: SLF001 - its public name
+        members = [
+            f"{key}null" if (value := values[name]) is None else f"{key}{print_(value)}"
+            for name, key, print_ in printed
+        ]
+        if collection.of_results:
+            members += [f"{encode(name)}:{encode(getattr(layer, name))}" for name in _OF_RESULT]
+        if not collection.is_point:
+            geometry = values[GEOMETRY] or "null"
+        elif values["west"] is None:
+            geometry = "null"
+        else:
+            geometry = f'{{"type":"Point","coordinates":[{values["west"]!r},{values["south"]!r}]}}'
+        own = f"{layer.job}.{row.feature_id}" if source.is_of_all else row.feature_id
+        head = f'{{"type":"Feature","id":{encode(own)},"geometry":{geometry},"properties"'
+        yield f"{head}:{{{','.join(members)}}}}}"
+
+
+_PRINTED: dict[str, Callable[[Any], str]] = {
+    "int": str,
+    "float": repr,
+    "text": encode,
+    "list": str,
+    **dict.fromkeys(("id", "time"), lambda value: f'"{value}"'),
+    "bool": lambda value: "true" if value else "false",
+}
+"""A value of a table -> JSON."""

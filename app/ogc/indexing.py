@@ -1,4 +1,4 @@
-"""The index of features follows the results: filled when a job ends, and for older ones later.
+"""The rows of features follow the results: written when a job ends or a map is merged, and for older jobs later.
 
 The features of a job that goes to the trash stay, and are not shown; they go with its row.
 """
@@ -6,8 +6,7 @@ The features of a job that goes to the trash stay, and are not shown; they go wi
 from __future__ import annotations
 
 import logging
-import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from sqlalchemy import delete, insert, select
@@ -15,112 +14,70 @@ from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.orm import Session
 
 from app.context import Context
-from app.ogc.work import CONTENT, FOOTPRINTS, Chunk, chunks_of, is_on_earth
+from app.ogc.work import LayerRows, is_on_earth, rows_of
 from app.states import JobKind, JobState
-from app.store.models import FeatureChunk, FeatureColumn, Job
+from app.store.features import OF_MAPS, OF_RESULTS
+from app.store.models import FeatureLayer, Job
 from interloc.errors import InterLocError
 
+_AT_ONCE = 10_000
 _log = logging.getLogger(__name__)
 
 
-def read_chunks(context: Context, job_id: str) -> list[Chunk]:
-    """Return the features of the result of a job.
-
-    Raises
-    ------
-    OutputError
-        A file of the result is damaged.
-    """
-    return list(chunks_of(context.storage.folder(f"jobs/{job_id}/result")))
+def write_job_rows(session: Session, job: Job, layers: Iterable[LayerRows]) -> None:
+    """Write the features of a job, in the place of those that it had."""
+    session.execute(delete(FeatureLayer).where(FeatureLayer.job_id == job.id))
+    preset, labels = job.request.get("preset"), job.request.get("labels")
+    for each in layers:
+        facts = {**each.facts, "preset": preset, "labels": each.facts["labels"] or labels}
+        _write(session, each, FeatureLayer(job_id=job.id, layer=each.layer, **facts))
 
 
-def write_chunks(session: Session, job: Job, chunks: list[Chunk]) -> None:
-    """Write the features of a job into the index, in the place of those that it had."""
-    session.execute(delete(FeatureChunk).where(FeatureChunk.job_id == job.id))
-    labels = job.request.get("labels")
-    for chunk in chunks:
-        _write(session, chunk, job_id=job.id, preset=job.request.get("preset"), labels=chunk.labels or labels)
+def write_map_rows(session: Session, map_id: str, layers: Iterable[LayerRows]) -> None:
+    """Write layers of a map of many drives, in the place of the same layers that it had."""
+    for each in layers:
+        session.execute(delete(FeatureLayer).where(FeatureLayer.map_id == map_id, FeatureLayer.layer == each.layer))
+        _write(session, each, FeatureLayer(map_id=map_id, layer=each.layer, **each.facts))
 
 
-def write_map_chunks(session: Session, map_id: str, chunks: list[Chunk]) -> None:
-    """Write layers of a map of many drives into the index, in the place of the same layers that it had."""
-    layers = {chunk.layer for chunk in chunks}
-    session.execute(delete(FeatureChunk).where(FeatureChunk.map_id == map_id, FeatureChunk.layer.in_(layers)))
-    for chunk in chunks:
-        _write(session, chunk, map_id=map_id)
-
-
-def _write(session: Session, chunk: Chunk, **of: str | None) -> None:
-    row = FeatureChunk(
-        layer=chunk.layer,
-        number=chunk.number,
-        count=chunk.count,
-        attribution=chunk.attribution,
-        license=chunk.license,
-        **of,
-        **chunk.extent,
-    )
+def _write(session: Session, layer: LayerRows, row: FeatureLayer) -> None:
     session.add(row)
     session.flush()
-    if chunk.columns:
-        columns = [{"chunk_id": row.id, "name": name, "content": content} for name, content in chunk.columns.items()]
-        session.execute(insert(FeatureColumn), columns)
+    table = OF_RESULTS[layer.layer] if row.map_id is None else OF_MAPS[layer.layer]
+    for start in range(0, len(layer.rows), _AT_ONCE):
+        rows = [{**each, "layer_id": row.id} for each in layer.rows[start : start + _AT_ONCE]]
+        session.connection().execute(insert(table), rows)
 
 
 def index_result(result: Path) -> Callable[[Session, Job], None]:
-    """Read the features of a new result; what is returned writes them into the index."""
-    chunks = list(chunks_of(result))
-    return lambda session, job: write_chunks(session, job, chunks)
+    """Read the features of a new result; what is returned writes them."""
+    layers = list(rows_of(result))
+    return lambda session, job: write_job_rows(session, job, layers)
 
 
 def index_job(context: Context, job_id: str) -> None:
-    """Write the features of a job into the index, as its result has them now.
+    """Write the features of a job as its result has them now.
 
     Raises
     ------
     OutputError
         A file of the result is damaged.
     """
-    chunks = read_chunks(context, job_id)
+    layers = list(rows_of(context.storage.folder(f"jobs/{job_id}/result")))
     with context.database.writing(patient=True) as session:
         job = session.get(Job, job_id, with_for_update=True)
         if job is not None:  # not purged meanwhile
-            write_chunks(session, job, chunks)
+            write_job_rows(session, job, layers)
 
 
 def is_indexed(session: Session, job_id: str) -> bool:
-    """Return whether the features of a job are in the index."""
-    return session.scalar(select(FeatureChunk.id).where(FeatureChunk.job_id == job_id).limit(1)) is not None
-
-
-def is_indexed_as(session: Session, job_id: str, chunks: list[Chunk]) -> bool:
-    """Return whether the index holds these features of a job, and no others."""
-    chunk, column = FeatureChunk, FeatureColumn
-    rows = session.execute(select(chunk.layer, chunk.number, chunk.count).where(chunk.job_id == job_id))
-    if sorted(tuple(row) for row in rows) != sorted((each.layer, each.number, each.count) for each in chunks):
-        return False
-    columns = session.execute(
-        select(chunk.layer, chunk.number, column.name, column.content)
-        .join(chunk, chunk.id == column.chunk_id)
-        .where(chunk.job_id == job_id, chunk.layer != FOOTPRINTS.name)  # made by a library, another way in each version
-    )
-    found = {(layer, number, name): _unpacked(name, content) for layer, number, name, content in columns}
-    return found == {
-        (each.layer, each.number, name): _unpacked(name, content)
-        for each in chunks
-        if each.layer != FOOTPRINTS.name
-        for name, content in each.columns.items()
-    }
-
-
-def _unpacked(name: str, content: bytes) -> bytes:
-    """Return a column without what the version of a library has made of it."""
-    return zlib.decompress(content) if name == CONTENT else content
+    """Return whether the features of a job are there as rows."""
+    return session.scalar(select(FeatureLayer.id).where(FeatureLayer.job_id == job_id).limit(1)) is not None
 
 
 def index_missing(context: Context) -> int:
-    """Write the features of jobs that are not in the index, of older versions and adopted ones; return of how many."""
-    indexed = select(FeatureChunk.job_id).where(FeatureChunk.job_id.is_not(None)).distinct()
+    """Write the features of jobs that have no rows, as of older versions; return of how many."""
+    indexed = select(FeatureLayer.job_id).where(FeatureLayer.job_id.is_not(None)).distinct()
     is_result = (Job.kind == JobKind.INTERSECTIONS, Job.state == JobState.SUCCESSFUL)
     with context.database.reading() as session:
         missing = session.scalars(

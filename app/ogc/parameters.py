@@ -7,19 +7,18 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
-from typing import Annotated, Literal, cast, get_args
+from typing import Annotated, cast, get_args
 
-from fastapi import Depends, Query, Request
+from fastapi import Depends, Query
 
-from app.http.headers import prefers_html
 from app.http.parameters import refusal
 from app.http.patterns import BOX, EXPECTED
 from app.http.problem_types import REQUEST_NOT_VALID
 from app.http.problems import Problem
 from app.ogc import index
-from app.ogc.candidates import Key
 from app.ogc.collections import Collection
 from app.ogc.filters import CRS84, Language, read_filter
+from app.ogc.index import Key
 
 DEFAULT_LIMIT = 1000
 """Features on a page: QGIS 3.22 and GDAL 3.6 take the types of properties from the first one."""
@@ -29,29 +28,7 @@ MAX_LIMIT = 10_000
 _NUMBER = r"[+-]?(\d{1,12}(\.\d{0,30})?|\.\d{1,30})([eE][+-]?\d{1,3})?"
 _CRS84H = "http://www.opengis.net/def/crs/OGC/0/CRS84h"
 _TIME = re.compile(r"\d{4}-\d\d-\d\d([Tt ]\d\d:\d\d:\d\d(\.\d{1,9})?([Zz]|[+-]\d\d:\d\d))?")
-_KEY = re.compile(r"(\d{1,9})\.(\d{1,4})(?:\.(\d{1,17}))?")
-
-Format = Literal["json", "html"]
-
-
-async def _format(
-    request: Request,
-    f: Annotated[
-        str | None,
-        Query(
-            description="json or html; by default what the header Accept prefers.",
-            json_schema_extra={"enum": list(get_args(Format))},
-        ),
-    ] = None,
-) -> Format:
-    if f is None:
-        return "html" if prefers_html(request.headers) else "json"
-    if f not in get_args(Format):
-        raise _wrong("f", f, "json or html")
-    return cast("Format", f)
-
-
-FormatDep = Annotated[Format, Depends(_format)]
+_KEY = re.compile(r"(\d{1,9})\.(\d{1,9})(?:\.(\d{1,17}))?")
 
 
 @dataclass(frozen=True)
@@ -116,14 +93,12 @@ async def _asked(
         ),
     ] = None,
     filter_crs: Annotated[str | None, Query(alias="filter-crs", description=f"{CRS84}, the only one.")] = None,
-    after: Annotated[
-        str | None, Query(description="Where the page begins: taken from the links `next`, `prev`.")
-    ] = None,
+    after: Annotated[str | None, Query(description="Where the page begins: taken from the link `next`.")] = None,
     offset: Annotated[
         str | None,
         Query(
-            description="Leave out so many features, for clients that count pages by themselves. The links `next` and "
-            "`prev` are better: they stay with the jobs of the first page though others end meanwhile.",
+            description="Leave out so many features, for clients that count pages by themselves. The link `next` is "
+            "better: it stays with the jobs of the first page though others end meanwhile.",
             json_schema_extra={"type": "integer", "minimum": 0},
         ),
     ] = None,
@@ -222,5 +197,5 @@ def page_token(key: Key, until: float | None) -> str:
 def _page_after(text: str) -> tuple[Key, float | None]:
     match = _KEY.fullmatch(text)
     if match is None:
-        raise _wrong("after", text, "what the links `next` and `prev` hold; leave it out to begin with the first page")
+        raise _wrong("after", text, "what the link `next` holds; leave it out to begin with the first page")
     return Key(int(match[1]), int(match[2])), None if match[3] is None else int(match[3]) / 1e6

@@ -10,33 +10,20 @@ from functools import wraps
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Path, Request, Response
-from pydantic import BaseModel
 
 from app.context import ContextDep
-from app.http.delivery import DOCUMENT_POLICY, answer_tagged, service_address
-from app.http.openapi import TAGGED, Responses, get_and_head, problems
+from app.http.delivery import answer_tagged, service_address
+from app.http.openapi import TAGGED, get_and_head, problems
 from app.http.parameters import OF_ITS_DATA, refuse_others
 from app.http.patterns import ID
 from app.http.problem_types import NO_SUCH_COLLECTION, NO_SUCH_FEATURE, NO_SUCH_MAP
 from app.http.problems import Problem
 from app.http.turns import IN_TURN
 from app.ogc.collections import Collection
-from app.ogc.description import describe_interface
 from app.ogc.documents import GEOJSON, OPENAPI, SCHEMA, Place
 from app.ogc.index import Extent, Source, extents, find_feature, find_page
 from app.ogc.indexing import index_job, is_indexed
-from app.ogc.models import (
-    OgcCollection,
-    OgcCollections,
-    OgcConformance,
-    OgcFeature,
-    OgcFeatures,
-    OgcInterface,
-    OgcLandingPage,
-    OgcSchema,
-)
-from app.ogc.pages import page_of
-from app.ogc.parameters import AskedDep, Format, FormatDep, page_token
+from app.ogc.parameters import MAX_LIMIT, AskedDep, page_token
 from app.results.folder import ResultsDep
 from app.results.routes.results import PROBLEMS, JobId
 from app.store.models import CityMap
@@ -55,11 +42,10 @@ _FeatureId = Annotated[str, Path(description="Id of the feature.", max_length=40
 
 
 class _Served:
-    """A source of features, where it is shown, by which path in the description of the service, and its database."""
+    """A source of features, where it is shown, and its database."""
 
-    def __init__(self, request: Request, context: ContextDep, source: Source, place: Place, path: str) -> None:
+    def __init__(self, request: Request, context: ContextDep, source: Source, place: Place) -> None:
         self.request = request
-        self.path = path
         self.database = context.database
         self.source = source
         self.place = place
@@ -77,17 +63,10 @@ class _Served:
             raise Problem(NO_SUCH_COLLECTION, f"There is no collection {name[:80]!r}. There are {known}.")
         return found
 
-    def answer(self, document: dict[str, Any] | str, form: Format, media_type: str = "application/json") -> Response:
-        """Answer with a document, as JSON or as HTML."""
-        headers = {"vary": "Accept"}
-        if form == "html":
-            document = json.loads(document) if isinstance(document, str) else document
-            headers["content-security-policy"] = DOCUMENT_POLICY
-            name = self.request.url.path.rpartition("/")[2].replace("-", " ").capitalize()
-            page = page_of(document, name)
-            return answer_tagged(self.request, page.encode(), "text/html; charset=utf-8", **headers)
+    def answer(self, document: dict[str, Any] | str, media_type: str = "application/json") -> Response:
+        """Answer with a document."""
         content = document if isinstance(document, str) else json.dumps(document, ensure_ascii=False)
-        return answer_tagged(self.request, content.encode(), media_type, **headers)
+        return answer_tagged(self.request, content.encode(), media_type)
 
 
 def _of_all(request: Request, context: ContextDep) -> _Served:
@@ -95,8 +74,9 @@ def _of_all(request: Request, context: ContextDep) -> _Served:
         f"{service_address(request)}/ogc",
         "InterLoc",
         "Road intersections found in LiDAR drives: the pinned job of every drive, else its best.",
+        service_address(request),
     )
-    return _Served(request, context, Source(), place, "/ogc")
+    return _Served(request, context, Source(), place)
 
 
 def _one_job(job_id: JobId, request: Request, context: ContextDep, results: ResultsDep) -> _Served:
@@ -107,9 +87,9 @@ def _one_job(job_id: JobId, request: Request, context: ContextDep, results: Resu
     if not is_there:  # of an older version, and the clean-up has not come to it yet
         index_job(context, job_id)
     description = f"Road intersections found by job {job_id} in drive {result.drive_name}."
-    address = f"{service_address(request)}{result.address}/ogc"
-    place = Place(address, f"InterLoc: {result.drive_name}", description)
-    return _Served(request, context, Source(job_id), place, f"{result.address}/ogc".replace(job_id, "{job_id}"))
+    service = service_address(request)
+    place = Place(f"{service}{result.address}/ogc", f"InterLoc: {result.drive_name}", description, service)
+    return _Served(request, context, Source(job_id), place)
 
 
 def _one_map(map_id: MapId, request: Request, context: ContextDep) -> _Served:
@@ -118,66 +98,57 @@ def _one_map(map_id: MapId, request: Request, context: ContextDep) -> _Served:
     if city is None:
         raise Problem(NO_SUCH_MAP, f"There is no map {map_id}. GET /api/v1/maps lists them.")
     description = f"Road intersections of many drives, fused, and what OpenStreetMap has wrong: map {city.name}."
-    place = Place(f"{service_address(request)}/api/v1/maps/{map_id}/ogc", f"InterLoc: {city.name}", description)
-    return _Served(request, context, Source(map=map_id), place, "/api/v1/maps/{map_id}/ogc")
+    service = service_address(request)
+    place = Place(f"{service}/api/v1/maps/{map_id}/ogc", f"InterLoc: {city.name}", description, service)
+    return _Served(request, context, Source(map=map_id), place)
 
 
-_HTML = {"text/html": {"schema": {"type": "string"}}}
-
-
-def _answers(model: type[BaseModel], description: str) -> Responses:
-    return {**TAGGED, 200: {"model": model, "description": description, "content": _HTML, **TAGGED[200]}}
-
-
-def _landing(served: _Served, form: FormatDep) -> Response:
+def _landing(served: _Served) -> Response:
     """Lead to everything else: give this address to QGIS (OGC API - Features) or to GDAL (`OAPIF:` before it)."""
-    return served.answer(served.place.landing(), form)
+    return served.answer(served.place.landing())
 
 
-def _conformance(served: _Served, form: FormatDep) -> Response:
+def _conformance(served: _Served) -> Response:
     """List the classes of OGC API - Features and CQL2 that the interface keeps to."""
-    return served.answer(served.place.conformance(), form)
+    return served.answer(served.place.conformance())
 
 
-def _interface(request: Request, served: _Served, form: FormatDep) -> Response:
-    """Describe the addresses below this one by OpenAPI 3.0, for GDAL and QGIS."""
-    known = {name: served.source.collections[name] for name in served.extents()}
-    document = describe_interface(request.app.openapi(), served.path, known, served.place.address)
-    return served.answer(document, form, OPENAPI)
+def _interface(served: _Served) -> Response:
+    """Describe by OpenAPI 3.0 what can be asked of the collections, as far as GDAL and QGIS look at it."""
+    known = [served.source.collections[name] for name in served.extents()]
+    return served.answer(served.place.interface(known, MAX_LIMIT), OPENAPI)
 
 
-def _collections(served: _Served, form: FormatDep) -> Response:
+def _collections(served: _Served) -> Response:
     """List the layers with their extents in space and time."""
-    return served.answer(served.place.collections(served.extents(), served.source.collections), form)
+    return served.answer(served.place.collections(served.extents(), served.source.collections))
 
 
-def _collection(collection_id: _CollectionId, served: _Served, form: FormatDep) -> Response:
+def _collection(collection_id: _CollectionId, served: _Served) -> Response:
     """Describe a layer: what a feature is, its extent in space and time, whose data it is."""
     found = served.collection(collection_id)
-    return served.answer(served.place.collection(found, served.extents()[found.id]), form)
+    return served.answer(served.place.collection(found, served.extents()[found.id]))
 
 
-def _schema(collection_id: _CollectionId, served: _Served, form: FormatDep) -> Response:
+def _schema(collection_id: _CollectionId, served: _Served) -> Response:
     """Describe the properties of the features: type, unit, title and meaning."""
     found = served.collection(collection_id)
-    return served.answer(found.schema(served.place.of_collection(found, "schema")), form, SCHEMA)
+    return served.answer(found.schema(served.place.of_collection(found, "schema")), SCHEMA)
 
 
-def _feature_schema(collection_id: _CollectionId, served: _Served, form: FormatDep) -> Response:
+def _feature_schema(collection_id: _CollectionId, served: _Served) -> Response:
     """Describe the features as they are in GeoJSON, for programs such as GDAL."""
     found = served.collection(collection_id)
-    return served.answer(found.feature_schema(served.place.of_collection(found, "feature-schema")), form, SCHEMA)
+    return served.answer(found.feature_schema(served.place.of_collection(found, "feature-schema")), SCHEMA)
 
 
-def _queryables(collection_id: _CollectionId, served: _Served, form: FormatDep) -> Response:
+def _queryables(collection_id: _CollectionId, served: _Served) -> Response:
     """Describe what filters may name."""
     found = served.collection(collection_id)
-    return served.answer(found.queryables_schema(served.place.of_collection(found, "queryables")), form, SCHEMA)
+    return served.answer(found.queryables_schema(served.place.of_collection(found, "queryables")), SCHEMA)
 
 
-def _items(
-    collection_id: _CollectionId, request: Request, served: _Served, asked: AskedDep, form: FormatDep
-) -> Response:
+def _items(collection_id: _CollectionId, request: Request, served: _Served, asked: AskedDep) -> Response:
     """Give features as GeoJSON, page by page: follow the link `next`.
 
     All conditions must hold. A filter that is too large, too deep or takes too long is refused.
@@ -192,10 +163,10 @@ def _items(
     content = served.place.items(
         found, page, request.query_params.multi_items(), token=lambda key: page_token(key, source.until)
     )
-    return served.answer(content, form, GEOJSON)
+    return served.answer(content, GEOJSON)
 
 
-def _feature(collection_id: _CollectionId, feature_id: _FeatureId, served: _Served, form: FormatDep) -> Response:
+def _feature(collection_id: _CollectionId, feature_id: _FeatureId, served: _Served) -> Response:
     """Give one feature; its id stays the same for as long as there is its job."""
     found = served.collection(collection_id)
     with served.database.reading() as session:
@@ -207,21 +178,22 @@ def _feature(collection_id: _CollectionId, feature_id: _FeatureId, served: _Serv
             else " Ids of features of all drives begin with the job: JOB.ID."
         )
         raise Problem(NO_SUCH_FEATURE, f"{found.id} has no feature {feature_id[:80]!r}.{hint}")
-    return served.answer(served.place.feature(found, feature_id, content), form, GEOJSON)
+    return served.answer(served.place.feature(found, feature_id, content), GEOJSON)
 
 
+_JSON = "application/json"
 _ONE = "/collections/{collection_id}"
-_ADDRESSES: tuple[tuple[str, Callable[..., Response], type[BaseModel], str], ...] = (
-    ("", _landing, OgcLandingPage, "Where a GIS begins"),
-    ("/api", _interface, OgcInterface, "Describe the interface"),
-    ("/conformance", _conformance, OgcConformance, "What the interface keeps to"),
-    ("/collections", _collections, OgcCollections, "List the layers"),
-    (_ONE, _collection, OgcCollection, "Describe a layer"),
-    (f"{_ONE}/schema", _schema, OgcSchema, "Describe the features of a layer"),
-    (f"{_ONE}/feature-schema", _feature_schema, OgcSchema, "Describe the GeoJSON of a layer"),
-    (f"{_ONE}/queryables", _queryables, OgcSchema, "Describe what filters may name"),
-    (f"{_ONE}/items", _items, OgcFeatures, "Give the features of a layer"),
-    (f"{_ONE}/items/{{feature_id}}", _feature, OgcFeature, "Give one feature"),
+_ADDRESSES: tuple[tuple[str, Callable[..., Response], str, str], ...] = (
+    ("", _landing, _JSON, "Where a GIS begins"),
+    ("/api", _interface, OPENAPI, "Describe what can be asked"),
+    ("/conformance", _conformance, _JSON, "What the interface keeps to"),
+    ("/collections", _collections, _JSON, "List the layers"),
+    (_ONE, _collection, _JSON, "Describe a layer"),
+    (f"{_ONE}/schema", _schema, SCHEMA, "Describe the features of a layer"),
+    (f"{_ONE}/feature-schema", _feature_schema, SCHEMA, "Describe the GeoJSON of a layer"),
+    (f"{_ONE}/queryables", _queryables, SCHEMA, "Describe what filters may name"),
+    (f"{_ONE}/items", _items, GEOJSON, "Give the features of a layer"),
+    (f"{_ONE}/items/{{feature_id}}", _feature, GEOJSON, "Give one feature"),
 )
 _MISSING = problems({404: "No such collection or feature."})
 
@@ -230,18 +202,17 @@ def _add(
     router: APIRouter, prefix: str, name: str, source: Callable[..., _Served], problems: dict[int | str, Any]
 ) -> None:
     """Register all addresses of a source of features."""
-    for path, endpoint, model, summary in _ADDRESSES:
-        missing = _MISSING if "{" in path else {}
-        extra = OF_ITS_DATA if endpoint is _items else None
+    for path, endpoint, media_type, summary in _ADDRESSES:
+        answer = {"description": f"{summary}.", "content": {media_type: {"schema": {"type": "object"}}}}
         get_and_head(
             router,
             f"{prefix}{path}",
             summary=summary,
             operation_id=f"read_{name}{endpoint.__name__}",
-            openapi_extra=extra,
+            openapi_extra=OF_ITS_DATA if endpoint is _items else None,
             dependencies=IN_TURN if endpoint in {_items, _feature} else [],
             response_class=Response,
-            responses={**_answers(model, f"{summary}."), **missing, **problems},
+            responses={**TAGGED, 200: answer, **(_MISSING if "{" in path else {}), **problems},
         )(_bound(endpoint, source))
 
 

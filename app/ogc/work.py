@@ -1,102 +1,55 @@
-"""The features of a result, cut into chunks for the index of the database.
-
-A chunk holds some hundred features of a layer in the order of its file, which is that of the drive: they lie close to
-each other. Its columns are the properties that can be asked for, each by itself, and these:
-
-- ``@id``: the ids of the features within their layer and job;
-- ``@box``: west, south, east, north of each, float64; across the 180th meridian east is more than 180;
-- ``@time``: first and last second since 1970 of each; left out where no feature has a time;
-- ``@shape``: geometries as WKB, of layers that are no points; across the 180th meridian longitudes go on beyond 180;
-- ``@content``: geometry and properties of each as the members of a GeoJSON object, one line per feature, packed.
-"""
+"""The features of a result, or of a map of many drives, as rows of the tables of features."""
 
 from __future__ import annotations
 
 import json
-import zlib
-from collections.abc import Iterator
+import math
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import UTC, datetime
 from itertools import islice
+from operator import index
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
-from pydantic import Field
 
-from app.ogc.columns import pack_blobs, pack_numbers, pack_texts
+from app.work.layers import FOOTPRINTS, RESULT_LAYERS, own_attributes
 from interloc.arrays import FloatArray
 from interloc.output.credits import OWN_CREDIT
 from interloc.output.derived import derived_features
-from interloc.output.geojson import DEGREE_DECIMALS, cut, damaged, encode, read_json
+from interloc.output.geojson import DEGREE_DECIMALS, cut, damaged, encode, joined, positions, read_json
 from interloc.output.layers import CITY_LAYERS, DERIVED, LAYERS, Layer
 from interloc.output.layout import RUN_FILE, file_names
-from interloc.output.properties import ORIGIN, Properties, ResultProperties, Time, attributes_of
 
-IDS, BOXES, TIMES, SHAPES, CONTENT = "@id", "@box", "@time", "@shape", "@content"
-
-CHUNK = 512
-"""Features in a chunk: few enough to read for a page, many enough that a million are some thousand chunks."""
+MAX_OUTLINE = 300
+"""Positions of the simplified line of a track."""
 
 _FOOTPRINT_M = 25.0
-_TOLERANCE_M = 2.0
+_FOOTPRINT_TOLERANCE_M = 2.0
+_OUTLINE_TOLERANCE_M = 1.0
+_OUTLINE_DECIMALS = 6  # 0.1 m
 _METRES_PER_DEGREE = 111_320.0
-_PACKED = 1  # level of zlib: text becomes five times smaller, and a page is unpacked within milliseconds
-
-
-class FootprintProperties(Properties):
-    """The surroundings of the track of a drive: up to 25 m from it."""
-
-    scans: int = Field(title="Scans", description="Number of scans of the drive.")
-    keyframes: int = Field(title="Keyframes", description="Number of keyframes.")
-    detections: int = Field(title="Detections", description="Number of detections.")
-    intersections: int = Field(title="Intersections", description="Number of intersections found.")
-    first_time: Time = Field(
-        title="Begin", description="Time of the first keyframe, RFC 3339; null where the drive has no times of day."
-    )
-    last_time: Time = Field(
-        title="End", description="Time of the last keyframe, RFC 3339; null where the drive has no times of day."
-    )
-
-
-RESULT = attributes_of(ResultProperties)
-"""The properties that every feature of the index has beside its own; they are not stored with it."""
-
-FOOTPRINTS = Layer("drives", "Areas that were driven through", "Polygon", FootprintProperties, "Drive")
-"""The layer that is made here of the others."""
-
-INDEXED = {**LAYERS, **DERIVED, FOOTPRINTS.name: FOOTPRINTS}
-"""The layers that are indexed, as far as a result has them."""
 
 
 @dataclass(frozen=True)
-class Chunk:
-    """Some hundred features of a layer, in the order of its file."""
+class LayerRows:
+    """The features of a layer as rows of its table."""
 
     layer: str
-    number: int
-    """From 0 within the layer."""
-    count: int
-    """Number of features."""
-    labels: str | None
-    """Labels that the run used."""
-    attribution: str
-    license: str | None
-    """Attribution and license are those of the layer."""
-    extent: dict[str, float]
-    """``west``, ``south``, ``east``, ``north`` around all, where one has a geometry; ``first_time``, ``last_time``,
-    seconds since 1970, where one has a time."""
-    columns: dict[str, bytes]
+    facts: dict[str, Any]
+    """Columns of `FeatureLayer`: count, labels, box, times, credit."""
+    rows: list[dict[str, Any]]
+    """Without the id of the layer, which it gets when it is written."""
 
 
 def is_on_earth(folder: Path) -> bool:
-    """Return whether a result has longitude and latitude, without which it has nothing to index."""
+    """Return whether a result has longitude and latitude, without which it has no features to ask for."""
     return (folder / file_names(georeferenced=True)["trajectory"]).is_file()
 
 
-def chunks_of(folder: Path) -> Iterator[Chunk]:
-    """Yield the features of a result folder in chunks, layer by layer; nothing without longitude and latitude.
+def rows_of(folder: Path) -> Iterator[LayerRows]:
+    """Yield the layers of a result folder; none without longitude and latitude.
 
     Raises
     ------
@@ -117,15 +70,17 @@ def chunks_of(folder: Path) -> Iterator[Chunk]:
             collections[name] = {"features": [{**each, "geometry": cut(each["geometry"])} for each in features]}
         collections[FOOTPRINTS.name] = _footprint(collections, run)
         for name, collection in collections.items():
-            yield from _cut(INDEXED[name], collection, run)
+            yield _layer_rows(RESULT_LAYERS[name], collection, run)
     except (KeyError, TypeError, ValueError, AttributeError, shapely.errors.ShapelyError) as error:
         raise damaged(folder, f"its layers are not as they were written ({error!r})") from error
 
 
-def chunks_of_layers(layers: dict[str, list[dict[str, Any]]], credit: dict[str, str] | None = None) -> Iterator[Chunk]:
-    """Yield the features of layers of a map of many drives in chunks."""
-    for name, features in layers.items():
-        yield from _cut(CITY_LAYERS[name], {"features": features, **(credit or {})}, {})
+def rows_of_map(layers: dict[str, list[dict[str, Any]]], credit: dict[str, str] | None = None) -> list[LayerRows]:
+    """Return layers of a map of many drives."""
+    return [
+        _layer_rows(CITY_LAYERS[name], {"features": features, **(credit or {})}, {})
+        for name, features in layers.items()
+    ]
 
 
 def seconds_of(time: str | None) -> float | None:
@@ -133,29 +88,71 @@ def seconds_of(time: str | None) -> float | None:
     return None if time is None else datetime.fromisoformat(time).timestamp()
 
 
-def _cut(layer: Layer, collection: dict[str, Any], run: dict[str, Any]) -> Iterator[Chunk]:
+def time_text(moment: datetime) -> str:
+    """Return a time as results have it: the order of such texts is that of the times."""
+    return moment.astimezone(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+
+
+def _text(value: str) -> str:
+    return value.replace("\0", "")  # names in a map may hold it, PostgreSQL takes none; not a text: AttributeError
+
+
+_VALUES: dict[str, Callable[[Any], Any]] = {
+    "int": index,
+    "float": float,
+    "bool": bool,
+    "text": _text,
+    "time": lambda value: time_text(datetime.fromisoformat(value)),
+    "list": encode,
+}
+
+
+def _layer_rows(layer: Layer, collection: dict[str, Any], run: dict[str, Any]) -> LayerRows:
     features = collection["features"]
-    order = _typed_first(layer, features)
     credit = OWN_CREDIT if "attribution" in collection else layer.credit(features)
     labels = run.get("labels")
-    for number, start in enumerate(range(0, max(len(features), 1), CHUNK)):
-        places = order[start : start + CHUNK]
-        some = [features[place] for place in places]
-        extent, columns = _columns(layer, some, places, run) if some else ({}, {})
-        yield Chunk(
-            layer=layer.name,
-            number=number,
-            count=len(some),
-            labels=labels if isinstance(labels, str) else None,
-            attribution=collection.get("attribution", credit.attribution),
-            license=collection.get("license", credit.license),
-            extent=extent,
-            columns=columns,
-        )
+    facts: dict[str, Any] = {
+        "count": len(features),
+        "labels": labels if isinstance(labels, str) else None,
+        "attribution": collection.get("attribution", credit.attribution),
+        "license": collection.get("license", credit.license),
+    }
+    boxes = _boxes(layer, [feature["geometry"] for feature in features])
+    known = boxes[np.isfinite(boxes[:, 0])]
+    if len(known):
+        facts |= dict(zip(("west", "south"), known[:, :2].min(axis=0).tolist(), strict=True))
+        facts |= dict(zip(("east", "north"), known[:, 2:].max(axis=0).tolist(), strict=True))
+        facts["width"] = float((known[:, 2] - known[:, 0]).max())
+    if layer.name == "trajectory" and (outline := outline_of(features)) is not None:
+        facts["outline"] = encode(outline)
+    rows = list(_rows(layer, features, boxes))
+    first, last = ("time", "time") if "time" in layer.fields else ("first_time", "last_time")
+    spans = rows if first in layer.fields else [run]  # what has no times of its own has those of the whole drive
+    begins = [row[first] for row in spans if row.get(first) is not None]
+    ends = [row[last] for row in spans if row.get(last) is not None]
+    if rows and begins and ends:
+        facts |= {"first_time": seconds_of(min(begins)), "last_time": seconds_of(max(ends))}
+    return LayerRows(layer.name, facts, rows)
+
+
+def _rows(layer: Layer, features: list[dict[str, Any]], boxes: FloatArray) -> Iterator[dict[str, Any]]:
+    attributes = [(each.name, _VALUES[each.kind]) for each in own_attributes(layer)]
+    sides = ("west", "south") if layer.geometry == "Point" else ("west", "south", "east", "north")
+    corners = boxes.tolist()
+    for number, place in enumerate(_typed_first(layer, features)):
+        feature, values = features[place], features[place]["properties"]
+        row = {name: None if (value := values.get(name)) is None else convert(value) for name, convert in attributes}
+        # Those of older versions have no id.
+        own_id = feature["id"] if "id" in feature else place + 1 if layer.key is None else row[layer.key]
+        row |= {"number": number, "feature_id": _text(str(own_id))}
+        row |= {side: None if math.isnan(at) else at for side, at in zip(sides, corners[place], strict=False)}
+        if layer.geometry != "Point":
+            row["geometry"] = None if feature["geometry"] is None else encode(feature["geometry"])
+        yield row
 
 
 def _typed_first(layer: Layer, features: list[dict[str, Any]]) -> list[int]:
-    """Return the places of features in the order of the index: first those that have a value where others have none.
+    """Return the places of features in the order of pages: first those that have a value where others have none.
 
     QGIS 3.22 takes the types of properties from the first ten features that a service gives.
     """
@@ -168,81 +165,52 @@ def _typed_first(layer: Layer, features: list[dict[str, Any]]) -> list[int]:
     return sorted(range(len(features)), key=lambda place: (place not in first, place))
 
 
-def _columns(
-    layer: Layer, features: list[dict[str, Any]], places: list[int], run: dict[str, Any]
-) -> tuple[dict[str, float], dict[str, bytes]]:
-    shared = ORIGIN if issubclass(layer.properties, ResultProperties) else ()  # as they are now: see `RESULT`
-    own = [each for each in layer.attributes if each.name not in shared]
-    rows = [{each.name: feature["properties"].get(each.name) for each in own} for feature in features]
-    columns = {}
-    for each in own:
-        values = [row[each.name] for row in rows]
-        if each.kind == "text":
-            columns[each.name] = pack_texts(values)
-        elif each.kind == "time":
-            columns[each.name] = pack_numbers(map(seconds_of, values))
-        elif each.kind != "list":
-            columns[each.name] = pack_numbers(values)
-    shapes, boxes = _shapes([feature["geometry"] for feature in features])
-    columns[BOXES] = boxes.astype("<f8").tobytes()
-    if layer.geometry != "Point":
-        columns[SHAPES] = pack_blobs([b"" if each is None else each.wkb for each in shapes.tolist()])
-    times = _times(rows, run)
-    if np.isfinite(times).any():
-        columns[TIMES] = times.astype("<f8").tobytes()
-    columns[IDS] = pack_texts(_ids(layer, features, rows, places))
-    lines = [
-        f'"geometry":{encode(feature["geometry"])},"properties":{encode(row)}'
-        for feature, row in zip(features, rows, strict=True)
-    ]
-    columns[CONTENT] = zlib.compress("\n".join(lines).encode(), _PACKED)
-    return _extent(boxes, times), columns
-
-
-def _ids(layer: Layer, features: list[dict[str, Any]], rows: list[dict[str, Any]], places: list[int]) -> list[str]:
-    """Return the ids of features; those of older versions had none."""
-    return [
-        str(feature["id"]) if "id" in feature else str(place + 1 if layer.key is None else row[layer.key])
-        for place, feature, row in zip(places, features, rows, strict=True)
-    ]
-
-
-def _times(rows: list[dict[str, Any]], run: dict[str, Any]) -> FloatArray:
-    """Return first and last time of each feature; what has no time of its own has that of the whole drive."""
-    whole = run.get("first_time"), run.get("last_time")
-    spans = []
-    for row in rows:
-        if "time" in row:
-            first = last = row["time"]
-        elif "first_time" in row:
-            first, last = row["first_time"], row["last_time"]
-        else:
-            first, last = whole
-        spans.append([seconds_of(first), seconds_of(last)])
-    return np.array(spans, dtype=np.float64).reshape(-1, 2)
-
-
-def _shapes(geometries: list[dict[str, Any] | None]) -> tuple[NDArray[np.object_], FloatArray]:
-    """Return geometries, and (N, 4) west, south, east, north of each; NaN where there is none."""
+def _boxes(layer: Layer, geometries: list[dict[str, Any] | None]) -> FloatArray:
+    """Return (N, 4) west, south, east, north of geometries; NaN where there is none."""
+    if layer.geometry == "Point":
+        nothing = [math.nan, math.nan]
+        points = [nothing if each is None else each["coordinates"][:2] for each in geometries]
+        return np.tile(np.array(points, dtype=np.float64).reshape(-1, 2), 2)
     import shapely  # noqa: PLC0415 - an eighth of a second of start-up time
 
-    shapes = shapely.from_geojson([None if each is None else json.dumps(each) for each in geometries])
+    return shapely.bounds(shapes_of([None if each is None else json.dumps(each) for each in geometries])).reshape(-1, 4)
+
+
+def shapes_of(texts: list[str | None]) -> Any:  # noqa: ANN401 - an array of geometries of shapely
+    """Return geometries of GeoJSON; those across the 180th meridian go on beyond 180 degrees."""
+    import shapely  # noqa: PLC0415 - an eighth of a second of start-up time
+
+    shapes = shapely.from_geojson(texts)
     boxes = shapely.bounds(shapes).reshape(-1, 4)
-    for row in np.flatnonzero(boxes[:, 2] - boxes[:, 0] > 180.0).tolist():  # across the 180th meridian
-        shape = shapely.transform(shapes[row], lambda xy: xy + [360.0, 0.0] * (xy[:, :1] < 0))
-        shapes[row], boxes[row] = shape, shapely.bounds(shape)
-    return shapes, boxes
+    for row in np.flatnonzero(boxes[:, 2] - boxes[:, 0] > 180.0).tolist():
+        shapes[row] = shapely.transform(shapes[row], lambda xy: xy + [360.0, 0.0] * (xy[:, :1] < 0))
+    return shapes
 
 
-def _extent(boxes: FloatArray, times: FloatArray) -> dict[str, float]:
-    """Return what is around those boxes and those times that are known."""
-    found: dict[str, float] = {}
-    for names, values in ((("west", "south", "east", "north"), boxes), (("first_time", "last_time"), times)):
-        known, half = values[np.isfinite(values).all(axis=1)], len(names) // 2
-        if len(known):
-            around = np.concatenate([known[:, :half].min(axis=0), known[:, half:].max(axis=0)])
-            found |= dict(zip(names, around.tolist(), strict=True))
-    return found
+def outline_of(features: list[dict[str, Any]]) -> dict[str, Any] | None:
+    """Return the track of a layer `trajectory`, simplified, as GeoJSON; None where it has no place on the Earth."""
+    (whole, *_) = [joined(each["geometry"]) for each in features] or [None]
+    if whole is None or whole["type"] != "LineString":
+        return None
+    lonlat = np.array(whole["coordinates"])[:, :2]
+    lonlat[:, 0] = np.unwrap(lonlat[:, 0], period=360.0)  # across the antimeridian without a jump
+    line = positions(np.round(simplified(lonlat), _OUTLINE_DECIMALS), local=False)
+    return cut({"type": "LineString", "coordinates": line})
+
+
+def simplified(lonlat: FloatArray) -> FloatArray:
+    """Return an (N, 2) line to within a metre, or more where that would leave more than `MAX_OUTLINE` positions."""
+    import shapely  # noqa: PLC0415 - an eighth of a second of start-up time
+
+    scale = _METRES_PER_DEGREE * np.array([math.cos(math.radians(lonlat[0, 1])), 1.0])
+    tolerance_m = _OUTLINE_TOLERANCE_M
+    while len(lonlat) > 2:
+        line = shapely.linestrings(lonlat * scale)
+        lonlat = shapely.get_coordinates(shapely.simplify(line, tolerance_m, preserve_topology=False)) / scale
+        if len(lonlat) <= MAX_OUTLINE:
+            break
+        tolerance_m *= 2
+    return lonlat
 
 
 def _footprint(collections: dict[str, dict[str, Any]], run: dict[str, Any]) -> dict[str, Any]:
@@ -262,11 +230,11 @@ def _footprint(collections: dict[str, dict[str, Any]], run: dict[str, Any]) -> d
 def _surroundings(track: dict[str, Any]) -> dict[str, Any]:
     import shapely  # noqa: PLC0415 - an eighth of a second of start-up time
 
-    (line,), boxes = _shapes([track])
-    west, south, east, north = boxes[0].tolist()
+    (line,) = shapes_of([json.dumps(track)])
+    west, south, east, north = line.bounds
     metres = _METRES_PER_DEGREE * np.array([max(np.cos(np.radians((south + north) / 2)), 1e-6), 1.0])
-    plane = shapely.transform(line, lambda xy: (xy - [west, south]) * metres).simplify(_TOLERANCE_M)
-    area = plane.buffer(_FOOTPRINT_M, quad_segs=3).simplify(_TOLERANCE_M)
+    plane = shapely.transform(line, lambda xy: (xy - [west, south]) * metres).simplify(_FOOTPRINT_TOLERANCE_M)
+    area = plane.buffer(_FOOTPRINT_M, quad_segs=3).simplify(_FOOTPRINT_TOLERANCE_M)
     area = shapely.orient_polygons(shapely.transform(area, lambda xy: xy / metres + [west, south]))
     if east > 180.0:
         area = _split(area)

@@ -21,6 +21,7 @@ from sqlalchemy.exc import ArgumentError, DBAPIError, OperationalError
 from sqlalchemy.exc import TimeoutError as WaitedTooLong
 from sqlalchemy.orm import Session, sessionmaker
 
+from app.store.features import make_tables
 from app.store.models import Base
 from interloc.errors import ConfigError, InterLocError
 
@@ -198,6 +199,7 @@ class Database:
             else:
                 self._refuse_unknown(MigrationContext.configure(connection).get_current_revision(), config)
                 command.upgrade(config, "head")
+                make_tables(connection)
             if then is not None:
                 with Session(connection) as session:
                     then(session)

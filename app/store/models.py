@@ -14,7 +14,6 @@ from sqlalchemy import (
     ForeignKey,
     Index,
     Integer,
-    LargeBinary,
     String,
     Text,
     UniqueConstraint,
@@ -260,24 +259,23 @@ class Delivery(Base):
     __table_args__ = (Index("ix_deliveries_next", "next_at"), Index("ix_deliveries_job", "job_id"))
 
 
-class FeatureChunk(Base):
-    """Some hundred features of a layer of a result, in the order of the file: what a query looks at first.
+class FeatureLayer(Base):
+    """A layer of a result or of a map of many drives; its features are rows of the table of the layer.
 
-    Successful jobs with longitude and latitude have at least one for each layer of their result, so that a layer
-    without features is known, too. The rows can be made anew from the result at any time.
+    Successful jobs with longitude and latitude have one for each layer of their result, also for those without
+    features. All of it can be made anew from the results at any time: see `app.store.features`.
     """
 
-    __tablename__ = "feature_chunks"
+    __tablename__ = "feature_layers"
 
     id: Mapped[int] = mapped_column(Integer, primary_key=True, autoincrement=True)
-    """Pages of features are in this order."""
+    """Pages of features are in this order; none is used twice."""
     job_id: Mapped[str | None] = mapped_column(ForeignKey("jobs.id", ondelete="CASCADE"))
-    """None: they are of a map of many drives."""
+    """None: it is of a map of many drives."""
     map_id: Mapped[str | None] = mapped_column(ForeignKey("maps.id", ondelete="CASCADE"))
     layer: Mapped[str]
-    number: Mapped[int] = mapped_column(Integer)
-    """From 0 within the layer."""
     count: Mapped[int] = mapped_column(Integer)
+    """Number of features."""
     preset: Mapped[str | None]
     labels: Mapped[str | None]
     west: Mapped[float | None]
@@ -285,29 +283,20 @@ class FeatureChunk(Base):
     south: Mapped[float | None]
     east: Mapped[float | None]
     north: Mapped[float | None]
+    width: Mapped[float | None]
+    """Of the widest feature, degrees of longitude."""
     first_time: Mapped[float | None]
     last_time: Mapped[float | None]
+    outline: Mapped[str | None] = mapped_column(Text)
+    """Of a trajectory: its line for the map of all drives, simplified, as GeoJSON."""
     attribution: Mapped[str] = mapped_column(Text)
     license: Mapped[str | None]
 
     __table_args__ = (
-        UniqueConstraint("job_id", "layer", "number", name="uq_feature_chunks"),
-        UniqueConstraint("map_id", "layer", "number", name="uq_feature_chunks_of_map"),
+        UniqueConstraint("job_id", "layer", name="uq_feature_layers"),
+        UniqueConstraint("map_id", "layer", name="uq_feature_layers_of_map"),
         {"sqlite_autoincrement": True},
     )
-
-
-class FeatureColumn(Base):
-    """The values of a property of all features of a chunk: see `app.ogc.columns`."""
-
-    __tablename__ = "feature_columns"
-
-    chunk_id: Mapped[int] = mapped_column(
-        Integer, ForeignKey("feature_chunks.id", ondelete="CASCADE"), primary_key=True, autoincrement=False
-    )
-    name: Mapped[str] = mapped_column(String(64), primary_key=True)
-    """Of the property; those with an @ are no properties: see `app.ogc.work`."""
-    content: Mapped[bytes] = mapped_column(LargeBinary)
 
 
 class Token(Base):

@@ -1,6 +1,15 @@
-"""Which sightings of several drives are of the same place."""
+"""Which sightings of several drives are of the same place, and how far the drives are off against each other.
+
+GNSS puts each drive a metre or several off. Before sightings of several drives can be told to be of one place, these
+offsets must be known roughly; they are found by voting, which needs no such assignment: the shift at which most of what
+two drives saw falls together.
+"""
 
 from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -15,6 +24,13 @@ CELL_M = 1.0
 """Sightings in one cell of this side are linked as one, and not told apart where their density is looked at."""
 
 _SIMPLE_M = 3.0  # radius within which sightings are one place whatever their density
+
+Votes = Mapping[tuple[str, str], tuple[float, float, float]]
+"""Two drives -> x and y of the first minus the second, metres, and how many pairs of sightings say so."""
+
+_CELLS_PER_KERNEL = 3
+_OFF_M = 3.0  # votes that contradict the others by more hardly count
+_ROUNDS = 3
 
 
 def linked(xy: FloatArray) -> IntArray:
@@ -73,3 +89,89 @@ def group(xy: FloatArray, drive: IntArray, neighbourhood: IntArray, config: City
     joined = join_peaks(peaks, xy[rest], ones, drive[rest], radius_m=config.gate_m, together=config.together)
     place[rest] = count + joined
     return np.unique(place, return_inverse=True)[1].reshape(-1).astype(np.int64)
+
+
+def vote(
+    xy: FloatArray, others: FloatArray, drive: IntArray, count: int, config: CityConfig
+) -> tuple[FloatArray, FloatArray]:
+    """Find the offset of a drive against each of several others.
+
+    Parameters
+    ----------
+    xy : (M, 2) float64
+        What it saw, metres in one plane.
+    others : (N, 2) float64
+        What the others saw.
+    drive : (N,) int64
+        Which of them, 0..count-1.
+    count : int
+    config
+
+    Returns
+    -------
+    offset : (count, 2) float64
+        Mode of the differences, metres.
+    pairs : (count,) float64
+        How many pairs of sightings agree with it; 0: the drives share nothing.
+
+    Notes
+    -----
+    Differences up to `vote_radius_m` are counted in a grid and smoothed by a Gaussian kernel. A shift of nothing is
+    preferred to a large one by a wide prior, which decides where two drives share two places or fewer.
+    """
+    from scipy.ndimage import gaussian_filter  # noqa: PLC0415 - slow to import
+    from scipy.spatial import cKDTree  # noqa: PLC0415
+
+    offset: FloatArray = np.zeros((count, 2))
+    pairs: FloatArray = np.zeros(count)
+    if not len(xy) or not len(others):
+        return offset, pairs
+    near = cKDTree(xy).sparse_distance_matrix(cKDTree(others), config.vote_radius_m, output_type="ndarray")
+    difference, of = xy[near["i"]] - others[near["j"]], drive[near["j"]]
+    cell = config.vote_kernel_m / _CELLS_PER_KERNEL
+    half = math.ceil(config.vote_radius_m / cell)
+    side = 2 * half + 1
+    index = np.rint(difference / cell).astype(np.int64) + half
+    grid = np.bincount((of * side + index[:, 0]) * side + index[:, 1], minlength=count * side * side)
+    smooth = gaussian_filter(
+        grid.reshape(count, side, side).astype(np.float64), (0, _CELLS_PER_KERNEL, _CELLS_PER_KERNEL), mode="constant"
+    )
+    axis = (np.arange(side) - half) * cell
+    far = (axis[:, None] ** 2 + axis[None] ** 2) / config.vote_radius_m**2
+    best = np.argmax((smooth * np.exp(-2.0 * far)).reshape(count, -1), axis=1)
+    offset = np.stack([axis[best // side], axis[best % side]], axis=-1)
+    for _ in range(_ROUNDS):
+        pull = np.exp(-0.5 * np.sum((difference - offset[of]) ** 2, axis=1) / config.vote_kernel_m**2)
+        pairs = np.bincount(of, pull, count).astype(np.float64)
+        moved = np.stack([np.bincount(of, pull * difference[:, i], count) for i in (0, 1)], axis=-1)
+        offset = np.where(pairs[:, None] > 0, moved / np.maximum(pairs, 1e-12)[:, None], offset)
+    return offset, pairs
+
+
+def offsets_of(keys: Sequence[str], votes: Votes) -> FloatArray:
+    """Return the offset of each drive that its votes agree on, (N, 2) metres, by least squares.
+
+    Of drives that overlap, directly or through others, the one with the smallest key has none: the offsets depend on
+    which drives there are, not on their order.
+    """
+    from scipy.sparse import coo_array  # noqa: PLC0415
+    from scipy.sparse.csgraph import connected_components  # noqa: PLC0415
+
+    count = len(keys)
+    row = {key: number for number, key in enumerate(keys)}
+    rows = np.array([(row[a], row[b]) for a, b in votes], dtype=np.int64).reshape(-1, 2)
+    said = np.array(list(votes.values()), dtype=np.float64).reshape(-1, 3)
+    a, b = rows.T
+    _, part = connected_components(coo_array((np.ones(len(rows)), (a, b)), shape=(count, count)), directed=False)
+    first = {int(group): number for number, group in reversed([(i, part[i]) for i in np.argsort(keys)])}
+    offset: FloatArray = np.zeros((count, 2))
+    weight, pinned = said[:, 2].copy(), list(first.values())
+    signs, each = np.tile([1.0, -1.0], len(rows)), np.repeat(np.arange(len(rows)), 2)
+    minus: Any = coo_array((signs, (each, rows.reshape(-1))), shape=(len(rows), count)).tocsr()
+    for _ in range(_ROUNDS if len(rows) else 0):
+        system = (minus.T @ minus.multiply(weight[:, None])).toarray()
+        system[pinned, pinned] += 1.0
+        offset = np.linalg.solve(system, minus.T @ (weight[:, None] * said[:, :2]))
+        rest = np.sum((minus @ offset - said[:, :2]) ** 2, axis=1)
+        weight = said[:, 2] * np.maximum(np.exp(-0.5 * rest / _OFF_M**2), 1e-3)
+    return offset

@@ -16,12 +16,11 @@ import numpy as np
 
 from interloc.arrays import BoolArray, FloatArray, IntArray, distinct
 from interloc.city.adjustment import Prior, adjust, knots_along
-from interloc.city.association import CELL_M, LINK_M, group, linked
+from interloc.city.association import CELL_M, LINK_M, group, linked, offsets_of, vote
 from interloc.city.drives import DriveOnMap, system_of
 from interloc.city.passes import Pass
 from interloc.city.places import Branches, PlaceTable, tabulate
 from interloc.city.settings import CityConfig
-from interloc.city.voting import offsets_of, vote
 from interloc.errors import ConfigError, GeoreferenceError
 from interloc.mapping.mosaic import utm_zone
 from interloc.results import DriveResult

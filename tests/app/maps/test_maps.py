@@ -14,7 +14,7 @@ import pytest
 from sqlalchemy import delete
 
 from app.store.database import Database
-from app.store.models import FeatureChunk
+from app.store.models import FeatureLayer
 from tests.app.conftest import running_server
 from tests.app.processes import wait_until
 from tests.app.results.conftest import add_drive, add_job, work
@@ -180,7 +180,7 @@ def test_what_is_lost_is_made_anew_with_the_same_names(street: Street, served: S
     (served.data / "maps/default/city/city.json").unlink()
     database = served.database()
     with database.writing() as session:
-        session.execute(delete(FeatureChunk).where(FeatureChunk.map_id == "default"))
+        session.execute(delete(FeatureLayer).where(FeatureLayer.map_id == "default"))
     database.close()
     after = served.until("/maps/default", lambda city: city["revision"] > before["revision"] and ready(city))
     assert served.get("/maps/default/files/city.geojson")["features"] == features

@@ -11,6 +11,8 @@ from typing import Any
 import httpx
 import pytest
 
+from app.ogc.indexing import write_job_rows
+from app.ogc.work import rows_of
 from app.store.database import Database
 from app.store.models import Drive, Job
 from interloc.config import preset
@@ -79,6 +81,8 @@ def add_job(database: Database, data_dir: Path, name: str, drive: str, result: P
         )
     if result is not None:
         shutil.copytree(result, data_dir / f"jobs/{name}/result")
+        with database.writing() as session:
+            write_job_rows(session, session.get_one(Job, name), rows_of(result))
 
 
 @pytest.fixture(scope="session")

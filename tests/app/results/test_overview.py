@@ -9,7 +9,7 @@ import httpx
 import numpy as np
 import shapely
 
-from app.overview.features import MAX_TRACK_POINTS, simplified
+from app.ogc.work import MAX_OUTLINE, simplified
 from app.store.database import Database
 from app.store.models import Job
 from interloc.geometry import enu_from_lonlat, lonlat_from_enu
@@ -93,7 +93,7 @@ def test_a_long_track_keeps_its_shape_in_few_points() -> None:
     angle = np.linspace(0, 6 * np.pi, 20_000)
     enu = np.stack([40 * angle * np.cos(angle), 40 * angle * np.sin(angle)], axis=-1)
     line = simplified(lonlat_from_enu(49.0, 8.4, enu))
-    assert len(line) <= MAX_TRACK_POINTS
+    assert len(line) <= MAX_OUTLINE
     kept = enu_from_lonlat(49.0, 8.4, line)
     assert np.abs(kept[[0, -1]] - enu[[0, -1]]).max() < 0.1
     assert np.linalg.norm(enu[:, None] - kept[None], axis=-1).min(axis=0).max() < 1.5

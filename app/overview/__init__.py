@@ -1,1 +1,0 @@
-"""All drives on one map."""
