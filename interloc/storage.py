@@ -35,6 +35,7 @@ _THREADS = 8
 _PIECE_BYTES = 8 * 1024 * 1024
 _TRIES, _PATIENCE_S = 4, 60
 _MAX_NAME_BYTES = 255
+_SAME_TIME_S = 1e-3  # not every file system keeps times as finely as they are given
 
 Argument = TypeVar("Argument")
 Returned = TypeVar("Returned")
@@ -321,7 +322,11 @@ def fetch(
 
 
 def _is_here(path: Path, each: StoredObject) -> bool:
-    return path.is_file() and path.stat().st_size == each.size and path.stat().st_mtime == each.modified_s
+    return path.is_file() and path.stat().st_size == each.size and _is_of_its_time(path, each)
+
+
+def _is_of_its_time(path: Path, each: StoredObject) -> bool:
+    return abs(path.stat().st_mtime - each.modified_s) < _SAME_TIME_S
 
 
 def _partial(path: Path) -> Path:
@@ -446,8 +451,7 @@ class ResultPlace:
     @staticmethod
     def _is_older(path: Path, each: StoredObject) -> bool:
         """Return whether a file is as it was put there: empty, or with its contents."""
-        found = path.stat()
-        return found.st_mtime == each.modified_s and found.st_size in {0, each.size}
+        return path.stat().st_size in {0, each.size} and _is_of_its_time(path, each)
 
 
 _results: dict[Path, ResultPlace] = {}
