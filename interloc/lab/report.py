@@ -164,7 +164,7 @@ def label_errors_figure(measured: Measured) -> Figure:
         boxes.set_ylim(bottom=0.0)
         entitle(boxes, f"{ours(preset)}: center error", 11.0)
         for number, (noise, rows) in enumerate(levels.items()):
-            f1 = [np.nanmean([scores(pool, each)[2] for _, pool in pools(rows)]) for each in F1_THRESHOLDS_M]
+            f1 = [pd.Series([scores(pool, each)[2] for _, pool in pools(rows)]).mean() for each in F1_THRESHOLDS_M]
             curves.plot(F1_THRESHOLDS_M, 100.0 * np.array(f1), label=noise, **series_style(number))
         curves.set(xlabel="threshold D [m]", ylabel="F1 [%]", ylim=(0.0, 102.0))
         curves.legend(loc="lower right", frameon=False, fontsize=9)
@@ -185,7 +185,7 @@ def failures_of(measured: Measured) -> pd.DataFrame:
 def kinds_table(failures: pd.DataFrame) -> pd.DataFrame:
     """Count the failures by kind: places, and in brackets the detections or keyframes there."""
     keys = ["what", "kind", "preset", "noise"]
-    counts = failures.groupby(keys, sort=False)["times"].agg(["size", "sum"]).astype(str)
+    counts = failures.groupby(keys)["times"].agg(["size", "sum"]).astype(str)
     return (counts["size"] + " (" + counts["sum"] + ")").rename("places").reset_index()
 
 
