@@ -12,8 +12,9 @@ from fastapi.concurrency import run_in_threadpool
 from app import system
 from app.context import Context
 from app.demo import routes as demo
+from app.drives import file_routes as files
+from app.drives import routes as drives
 from app.drives.finish import finish_drive
-from app.drives.routes import archive, commit, drives, files, scans
 from app.http.middleware import add_middleware
 from app.http.openapi import DESCRIPTION, TAGS, Description, operation_id, problems
 from app.http.parameters import refuse_unknown_parameters
@@ -38,7 +39,7 @@ from app.page import routes as page
 from app.page.files import PageFiles
 from app.results.folder import Results
 from app.results.on_demand import OnDemand
-from app.results.routes import compare, exports, keyframes, results, road
+from app.results.routes import compare, exports, pictures, results
 from app.settings import Settings
 from app.trash import routes as trash
 from app.upkeep.cleanup import Sweeper
@@ -54,8 +55,8 @@ def _assemble() -> APIRouter:
         generate_unique_id_function=operation_id,
         responses=problems({422: "The request is not valid; `problems` lists where."}),
     )
-    of_drives = (drives, overview, files, scans, archive, commit, demo, networks)
-    of_jobs = (jobs, results, keyframes, road, exports, compare)
+    of_drives = (drives, overview, files, demo, networks)
+    of_jobs = (jobs, results, pictures, exports, compare)
     shared = [Depends(client_of), Depends(refuse_unknown_parameters)]
     for module in (*of_drives, *of_jobs, live, maps, queue, trash):
         router.include_router(module.router, prefix=API, dependencies=shared)

@@ -27,23 +27,16 @@ from app.networks import work as models
 from app.states import DriveState, JobKind
 from app.store.database import Database
 from app.store.models import Drive, DriveFile, Job
+from app.store.storage import files_below
 from app.work.documents import CommitJob, CommitOutcome
 from interloc.drives.inspect import DriveReport
 
 
 def begin_commit(context: Context, drive_id: str, owner: str, request: CommitRequest) -> Job | None:
-    """Queue the check of a drive; return the running one if there is one, None if the drive is ready.
-
-    Raises
-    ------
-    Problem
-        404: no such drive. 409: an archive is still being unpacked, or the drive was or is being committed otherwise.
-        422: files that are listed are no longer on the disk.
-        429: too many checks of this client wait. 507: the disk is full.
-    """
+    """Queue the check of a drive; return the running one if there is one, None if the drive is ready."""
     check_free_space(context, 0)
     root = context.storage.folder(files_key(drive_id))
-    found = {path.relative_to(root).as_posix() for path in root.rglob("*") if path.is_file()}
+    found = set(files_below(root))
     with context.database.writing() as session:
         drive = lock_drive(session, drive_id)
         if drive.state == DriveState.READY:
@@ -150,13 +143,7 @@ def queue_commit(
 
 
 def committed(context: Context, drive_id: str, job: Job | None) -> DriveModel:
-    """Return the drive when its check has ended, or while it goes on.
-
-    Raises
-    ------
-    Problem
-        422: it has errors, which `problems` lists. Or the check itself failed.
-    """
+    """Return the drive when its check has ended, or while it goes on."""
     with context.database.reading() as session:
         drive = find_drive(session, drive_id)
     if job is not None:

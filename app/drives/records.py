@@ -65,13 +65,7 @@ def reduced_key(drive_id: str) -> str:
 
 
 def create_drive(context: Context, owner: str, new: NewDrive, key: str | None = None) -> tuple[DriveModel, bool]:
-    """Make a drive without files, or find the one that this key has made before; return it, and whether it is new.
-
-    Raises
-    ------
-    Problem
-        422: the key was used for another request, or the service does not read from this source.
-    """
+    """Make a drive without files, or find the one that this key has made before; return it, and whether it is new."""
     _check_source(context.settings, new.source)
     as_before = {"source"} if new.source is None else None  # keys of older versions stay valid
     request = None if key is None else hashlib.sha256(new.model_dump_json(exclude=as_before).encode()).hexdigest()
@@ -193,20 +187,6 @@ def open_file(context: Context, drive_id: str, path: str) -> tuple[BinaryIO, str
 
     A file has its name a moment before its row is committed: what was opened is compared with the row, and looked up
     again where they differ.
-
-    Returns
-    -------
-    BinaryIO
-        To be closed by the caller.
-    str
-        SHA-256 of its bytes.
-
-    Raises
-    ------
-    Problem
-        404: there is no such file. 410: it is not kept any more. 503: it is being replaced all the time.
-    BadNameError
-        There is none, and there cannot be one.
     """
     for pause_s in (0.0, *[_LOOK_S] * _LOOKS):
         time.sleep(pause_s)
@@ -268,13 +248,7 @@ def stays_uploaded(drive: Drive, path: str) -> bool:
 
 
 def find_trajectory(context: Context, drive_id: str) -> Path:
-    """Return the trajectory of a drive.
-
-    Raises
-    ------
-    Problem
-        404: no such drive. 409: it is not ready. 410: it was removed from outside.
-    """
+    """Return the trajectory of a drive."""
     with context.database.reading() as session:
         drive = find_drive(session, drive_id)
     if drive.state != DriveState.READY:
@@ -287,14 +261,7 @@ def find_trajectory(context: Context, drive_id: str) -> Path:
 
 
 def delete_file(context: Context, drive_id: str, path: str) -> None:
-    """Remove a file of a drive that is not committed yet, or a map of a ready one.
-
-    Raises
-    ------
-    Problem
-        404: no such drive or file. 409: the drive is being checked, or it is committed and the file is no map, or a job
-        that waits or runs has the map.
-    """
+    """Remove a file of a drive that is not committed yet, or a map of a ready one."""
     with context.database.writing() as session:
         drive = lock_drive(session, drive_id)
         if drive.state != DriveState.UPLOADING and not (drive.state == DriveState.READY and is_map(path)):

@@ -16,16 +16,20 @@ from sqlalchemy.exc import DBAPIError
 from sqlalchemy.orm import Session
 
 from app.context import Context
-from app.drives.records import files_key, find_drive, remove_empty
+from app.drives.models import UnpackedArchive
+from app.drives.records import drive_key, files_key, find_drive, lock_drive, remove_empty
+from app.drives.work.unpack import MAGIC_BYTES, archive_kind
 from app.http.intake import Arrival
-from app.http.limits import check_drive, check_quota
-from app.http.problem_types import DRIVE_IS_BEING_CHECKED, DRIVE_IS_CLOSED, NAMES_IN_CONFLICT
+from app.http.limits import check_drive, check_quota, job_limit
+from app.http.problem_types import DRIVE_IS_BEING_CHECKED, DRIVE_IS_CLOSED, NAMES_IN_CONFLICT, NOT_AN_ARCHIVE
 from app.http.problems import Problem
-from app.jobs.queue import no_drive
+from app.jobs.failures import raise_failure
+from app.jobs.queue import no_drive, submit
 from app.paths import folded, folded_hash, hash_of
-from app.states import DriveState
-from app.store.models import Drive, DriveFile
+from app.states import DriveState, JobKind
+from app.store.models import Drive, DriveFile, Job
 from app.store.storage import Storage
+from app.work.documents import FilesOutcome
 from interloc.osm.container import is_map
 
 _AT_ONCE = 500  # paths in one query
@@ -177,13 +181,7 @@ def register(
     known: dict[str, int],
     sender: str,
 ) -> None:
-    """List files in the database, and count them.
-
-    Raises
-    ------
-    Problem
-        413: the drive would become too large, or its owner or the sender may not store so much.
-    """
+    """List files in the database, and count them."""
     more = sum(arrival.size_bytes for arrival in arrivals) - sum(known.values())
     fresh = len(arrivals) - len(known)
     check_drive(context, drive.file_count + fresh, drive.size_bytes + more)
@@ -227,13 +225,7 @@ class Placement:
         return self
 
     def move(self, arrivals: Iterable[Arrival]) -> None:
-        """Rename files from their temporary names.
-
-        Raises
-        ------
-        Problem
-            409: a file has the name of a folder, or the other way round.
-        """
+        """Rename files from their temporary names."""
         try:
             self._move(arrivals)
         except BaseException:
@@ -286,3 +278,50 @@ class Placement:
         except OSError:  # a file system without links
             target.replace(old)
         return old
+
+
+def check_magic(head: bytes) -> None:
+    """Refuse (415) a file that is not an archive by its first bytes."""
+    if archive_kind(head[:MAGIC_BYTES]) is None:
+        raise Problem(
+            NOT_AN_ARCHIVE,
+            "The body is neither .zip nor .tar, .tar.gz or .tar.zst by its first bytes. Send the archive as it is, or "
+            "as part `archive` of multipart/form-data.",
+        )
+
+
+def queue_archive(context: Context, drive_id: str, owner: str, arrival: Arrival) -> Job:
+    """Store an archive, and queue the job that unpacks it."""
+    name = f"archives/{secrets.token_hex(8)}"
+    place = context.storage.folder(f"{drive_key(drive_id)}/{name}")
+    try:
+        with context.database.writing() as session:
+            drive = lock_drive(session, drive_id)
+            refuse_unless_open(drive, ["archive"])
+            check_quota(context, session, drive.owner, owner, arrival.size_bytes)
+            job, _ = submit(
+                session,
+                context.database,
+                kind=JobKind.UNPACK,
+                drive_id=drive_id,
+                owner=owner,
+                request={"archive": name},
+                limit=job_limit(context, owner),
+            )
+            drive.touched_at = job.created_at
+            place.parent.mkdir(parents=True, exist_ok=True)
+            arrival.temporary.replace(place)
+    except BaseException:
+        place.unlink(missing_ok=True)
+        raise
+    context.jobs_changed.set()
+    return job
+
+
+def unpacked(job: Job) -> UnpackedArchive:
+    """Return the outcome of the unpacking, or that it goes on."""
+    raise_failure(job)
+    if job.summary is None:
+        return UnpackedArchive(job_id=job.id, state=job.state)
+    outcome = FilesOutcome.model_validate(job.summary)
+    return UnpackedArchive(job_id=job.id, state=job.state, files=outcome.files, size_bytes=outcome.size_bytes)

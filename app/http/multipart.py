@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Mapping
 
 from python_multipart.exceptions import MultipartParseError
@@ -13,47 +12,12 @@ from app.http.intake import Arrival, Intake
 from app.http.limits import CLOSE, too_large
 from app.http.problem_types import BAD_PART, BODY_MALFORMED, NOT_MULTIPART_FORM_DATA, TOO_MANY_FILES
 from app.http.problems import Problem
-from app.paths import check_path
 
 _MAX_HEADERS, _MAX_HEADER_BYTES = 16, 8192  # of a part
 _PLAIN_ENCODINGS = {b"binary", b"8bit", b"7bit"}
-_NUMBERED = r"\d{1,18}\.(bin|label)"
 
 Place = Callable[[str | None], str]
 """From the filename of a part to the path in the drive; raises `Problem` or `BadNameError`."""
-
-
-def _numbered(folder: str, suffix: str) -> Place:
-    def place(filename: str | None) -> str:
-        match = re.fullmatch(_NUMBERED, filename or "", re.ASCII)
-        if match is None or match[1] != suffix:
-            raise bad_part(f"filename {filename!r}; expected the number of the scan, as 000000.{suffix}.")
-        return f"{folder}/{filename}"
-
-    return place
-
-
-def _relative(filename: str | None) -> str:
-    if not filename:
-        raise bad_part("a part `files` has no filename; expected its path in the drive.")
-    return check_path(filename)
-
-
-def _named(path: str) -> Place:
-    return lambda _filename: path
-
-
-FIELDS: dict[str, Place] = {
-    "scans": _numbered("velodyne", "bin"),
-    "labels": _numbered("labels", "label"),
-    "predictions": _numbered("predictions", "label"),
-    "poses": _named("poses.txt"),
-    "calib": _named("calib.txt"),
-    "times": _named("times.txt"),
-    "geo": _named("geo.csv"),
-    "files": _relative,
-}
-"""The parts of a batch of scans."""
 
 
 def bad_part(what: str) -> Problem:
@@ -74,17 +38,7 @@ def boundary_of(content_type: str | None) -> bytes:
 
 
 class BatchReader:
-    """Takes a body in pieces and writes its parts to files.
-
-    Parameters
-    ----------
-    boundary
-        What separates the parts.
-    fields
-        Names of the parts that are expected, and where each goes.
-    max_bytes, max_files, max_file_bytes
-        Limits of the body, of the number of its parts, and of each part.
-    """
+    """Takes a body in pieces and writes its parts to files."""
 
     def __init__(
         self,
@@ -122,13 +76,7 @@ class BatchReader:
         )
 
     def take(self, data: bytes) -> None:
-        """Take the next bytes of the body.
-
-        Raises
-        ------
-        Problem
-            400: the body is malformed. 413: it is too large, or has too many files. 422: a part is not expected.
-        """
+        """Take the next bytes of the body."""
         self._size += len(data)
         if self._size > self._max_bytes:
             raise too_large("A request with several files", self._max_bytes)
@@ -138,13 +86,7 @@ class BatchReader:
             raise _malformed(str(error)) from error
 
     def finish(self) -> list[Arrival]:
-        """Return the files, all on disk.
-
-        Raises
-        ------
-        Problem
-            400: the body ended too soon. 422: it has no parts.
-        """
+        """Return the files, all on disk."""
         if not self._ended:
             raise _malformed("it ends before its last boundary")
         if not self._arrivals:

@@ -7,7 +7,7 @@ from typing import Annotated
 from fastapi import APIRouter, Path, Query, Request, Response
 
 from app.context import ContextDep
-from app.drives.routes import drives
+from app.drives import routes as drives
 from app.http.openapi import PAGED, problems
 from app.http.paging import answer_page
 from app.http.security import ClientDep

@@ -383,15 +383,7 @@ def push(
 
 
 def commit(connection: Connection, drive_id: str) -> DriveAnswer:
-    """Have the server check a drive, and wait until it is ready for jobs.
-
-    Raises
-    ------
-    Refusal
-        The drive cannot be used; the text names every problem.
-    NetworkError
-        The server cannot be reached.
-    """
+    """Have the server check a drive, and wait until it is ready for jobs."""
     headers = {"Prefer": f"wait={_COMMIT_WAIT_S}"}
     while True:
         drive = connection.ask("POST", f"/drives/{drive_id}/commit", DriveAnswer, json={}, headers=headers)

@@ -91,20 +91,7 @@ class Sent:
 
 
 class UploadLog:
-    """The log of one push.
-
-    Parameters
-    ----------
-    folder
-        Folder of all logs; created where missing.
-    identity
-        What distinguishes this push from others.
-
-    Raises
-    ------
-    OutputError
-        The folder cannot be used, or the same push runs in another process.
-    """
+    """The log of one push."""
 
     def __init__(self, folder: Path, identity: Mapping[str, Any]) -> None:
         key = hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()[:_KEY_DIGITS]
@@ -231,13 +218,6 @@ def upload(
     """Send the files that the server does not have, or has with other content.
 
     Memory is bounded: each thread holds one file.
-
-    Raises
-    ------
-    DriveError
-        A file of the drive cannot be read.
-    NetworkError
-        The server refuses, or cannot be reached. The files that it accepted before stay there.
     """
     there = files_of(connection, drive_id)
     progress = UploadProgress(len(files))

@@ -566,15 +566,7 @@ def _sample_of(labels: LookedLabels | None) -> list[int]:
 
 
 def _laid_over(poses: LidarPoses, lonlat: FloatArray) -> tuple[FloatArray, float]:
-    """Lay the poses over fixes by a turn and a shift (least squares).
-
-    Returns
-    -------
-    (N, 2) float64
-        Longitude and latitude of the poses.
-    float
-        Median distance of the two, metres.
-    """
+    """Lay the poses over fixes by a turn and a shift (least squares)."""
     lon, lat = lonlat[0]
     target = enu_from_lonlat(lat, lon, lonlat) @ (1, 1j)
     source = poses.T_world_lidar[:, :2, 3] @ (1, 1j)

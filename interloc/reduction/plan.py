@@ -106,18 +106,7 @@ class SmallFileCopies:
     """Path in the reduced drive -> the file as it lies now, or what is to be written."""
 
     def write_to(self, folder: Path) -> int:
-        """Copy them to a reduced drive; those that lie there already stay.
-
-        Returns
-        -------
-        int
-            Bytes of all of them.
-
-        Raises
-        ------
-        DriveError
-            One of them cannot be read.
-        """
+        """Copy them to a reduced drive; those that lie there already stay."""
         size = 0
         for name, source in self.sources.items():
             try:
@@ -133,15 +122,7 @@ class SmallFileCopies:
 
 
 def make_small_files(trajectory: Trajectory, frames: IntArray) -> SmallFileCopies:
-    """Write down what is known of the motion, where it does not lie in files of its own (bags, LAS).
-
-    Parameters
-    ----------
-    trajectory : Trajectory
-        With poses.
-    frames : (N,) int64
-        Scan numbers.
-    """
+    """Write down what is known of the motion, where it does not lie in files of its own (bags, LAS)."""
     assert trajectory.poses is not None
     copies = SmallFileCopies({"poses": "poses.txt", "times": None, "calibration": [], "oxts": None, "geo": None})
     contiguous = is_contiguous(frames)
@@ -173,19 +154,6 @@ def gather_small_files(parts: DriveParts, frames: IntArray, given: Path | None) 
 
     Those inside the drive keep their paths. Of a KITTI raw drive that was given as georeference, the OXTS files of the
     drive's frames are taken, under the numbers of the drive.
-
-    Parameters
-    ----------
-    parts : DriveParts
-    frames : (N,) int64
-        Scan numbers.
-    given : Path or None
-        A georeference from elsewhere.
-
-    Raises
-    ------
-    GeoreferenceError, DriveError
-        A georeference was given that does not exist, or its folder cannot be read.
     """
     copies = SmallFileCopies()
 

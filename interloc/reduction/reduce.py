@@ -53,13 +53,7 @@ class Reduction:
 
 
 def reduce_scan(scans: RawScans, frame: int) -> bytes:
-    """Return the .ground file of a scan: a pure function of its scan and labels.
-
-    Raises
-    ------
-    DriveError
-        They are damaged or do not fit together, or there are more points than any scan has.
-    """
+    """Return the .ground file of a scan: a pure function of its scan and labels."""
     points = scans.read(frame)
     if len(points.xyz) > MAX_POINTS:
         raise DriveFileError(
@@ -110,13 +104,7 @@ def reduction_of(
     findings: Findings,
     keyframes: KeyframeConfig | None,
 ) -> Reduction:
-    """Find out what the reduction of a drive needs that was read by each of its label folders without an error.
-
-    Parameters
-    ----------
-    findings : Findings
-        Those of reading; it gets, or raises, what is wrong with files that cannot be gathered.
-    """
+    """Find out what the reduction of a drive needs that was read by each of its label folders without an error."""
     labels, scans = [], {}
     for folder, reading in readings.items():
         assert reading.drive is not None  # else a fault was found

@@ -72,6 +72,25 @@ def test_a_drive_arrives_reduced_and_ready(here: Any, server: ServerProcess, str
     assert pushed["bytes_sent"] == pushed["bytes_there"] < pushed["source_bytes"] / 2
 
 
+def test_a_drive_is_the_same_however_it_was_sent(
+    here: Any, server: ServerProcess, street: Path, tmp_path: Path
+) -> None:
+    """Reduced on the way, as it is, or in an archive: the service keeps the same bytes."""
+    archive = Path(shutil.make_archive(str(tmp_path / "street"), "gztar", street.parent, street.name))
+    address = server.client.post(f"{API}/drives", json={"name": street.name}).headers["location"]
+    server.client.post(f"{address}/archive", content=archive.read_bytes()).raise_for_status()
+    assert server.client.post(f"{address}/commit").raise_for_status().json()["state"] == "ready"
+    pushed = [here("push", street, way, "--json").json["drive_id"] for way in ("--all-scans", "--raw")]
+    drives = server.log.parent / "data" / "drives"
+    first, *others = (
+        {path.relative_to(root).as_posix(): path.read_bytes() for path in root.rglob("*") if path.is_file()}
+        for root in (drives / each / "reduced" for each in (address.rpartition("/")[2], *pushed))
+    )
+    assert "reduced.json" in first
+    for other in others:
+        assert other == first
+
+
 def test_only_keyframes_are_sent_unless_all_are_asked_for(
     here: Any, server: ServerProcess, street: Path, tmp_path: Path
 ) -> None:

@@ -25,20 +25,15 @@ def test_text_that_is_none(tmp_path: Path, data: bytes, words: str) -> None:
         SourceFile(path, tmp_path).text()
 
 
-def test_folder_instead_of_a_file(tmp_path: Path) -> None:
-    with pytest.raises(DriveError, match="is a folder"):
-        SourceFile(tmp_path, tmp_path).text()
-
-
-def test_pipe_instead_of_a_file(tmp_path: Path) -> None:
+def test_what_is_no_file(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "poses.txt")
-    with pytest.raises(DriveError, match="is a pipe or device"):
-        SourceFile(tmp_path / "poses.txt", tmp_path).text()
-
-
-def test_missing_file(tmp_path: Path) -> None:
-    with pytest.raises(DriveError, match=r"times\.txt: cannot be read: no such file"):
-        SourceFile(tmp_path / "times.txt", tmp_path).text()
+    for name, words in (
+        (".", "is a folder"),
+        ("poses.txt", "is a pipe or device"),
+        ("times.txt", r"times\.txt: cannot be read: no such file"),
+    ):
+        with pytest.raises(DriveError, match=words):
+            SourceFile(tmp_path / name, tmp_path).text()
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may read everything")
@@ -127,13 +122,11 @@ def test_odd_names(tmp_path: Path, names: list[str], words: str) -> None:
         list_numbered(SourceFile(tmp_path, tmp_path), ".bin")
 
 
-def test_folder_among_the_scans(tmp_path: Path) -> None:
+def test_what_is_no_scan_among_them(tmp_path: Path) -> None:
     (tmp_path / "000000.bin").mkdir()
     with pytest.raises(DriveError, match="is a folder"):
         list_numbered(SourceFile(tmp_path, tmp_path), ".bin")
-
-
-def test_dangling_link_among_the_scans(tmp_path: Path) -> None:
+    (tmp_path / "000000.bin").rmdir()
     (tmp_path / "000000.bin").symlink_to(tmp_path / "gone.bin")
     with pytest.raises(DriveError, match="cannot be read"):
         list_numbered(SourceFile(tmp_path, tmp_path), ".bin")

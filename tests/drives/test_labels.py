@@ -15,29 +15,15 @@ from interloc.errors import ConfigError
 from tests import streets
 
 
-def test_road_of_every_scheme() -> None:
-    assert {name: sorted(scheme.road) for name, scheme in SCHEMES.items()} == {
-        "semantickitti": [40, 60],
-        "learning": [9],
-        "kitti360": [7],
-        "las": [11],
+def test_the_groups_of_every_scheme() -> None:
+    """Road; and parking, sidewalk, other ground."""
+    assert {name: (sorted(each.road), sorted(each.confusable)) for name, each in SCHEMES.items()} == {
+        "semantickitti": ([40, 60], [44, 48, 49]),
+        "learning": ([9], [10, 11, 12]),
+        "kitti360": ([7], [6, 8, 9]),
+        "las": ([11], [2]),
     }
-
-
-def test_confusable_ground_of_every_scheme() -> None:
-    """Parking, sidewalk, other ground."""
-    assert {name: sorted(scheme.confusable) for name, scheme in SCHEMES.items()} == {
-        "semantickitti": [44, 48, 49],
-        "learning": [10, 11, 12],
-        "kitti360": [6, 8, 9],
-        "las": [2],
-    }
-
-
-@pytest.mark.parametrize("scheme", SCHEMES.values(), ids=lambda scheme: scheme.name)
-def test_the_groups_of_a_scheme_are_known_and_apart(scheme) -> None:  # noqa: ANN001
-    assert scheme.road | scheme.confusable <= scheme.known
-    assert not scheme.road & scheme.confusable
+    assert all(scheme.road | scheme.confusable <= scheme.known for scheme in SCHEMES.values())
 
 
 @given(st.frozensets(st.integers(0, 65535), min_size=1, max_size=20))
@@ -97,29 +83,23 @@ def relabelled(path: Path, ids: dict[int, int]) -> list[tuple[str, str]]:
     return [(p.severity, p.message) for p in inspect_drive(path).problems if p.path == "labels"]
 
 
-def severities(said: list[tuple[str, str]]) -> set[str]:
-    return {severity for severity, _ in said}
-
-
-def test_ids_of_the_learning_scheme_are_fine(street: Path) -> None:
-    assert severities(relabelled(street, {40: 9, 44: 10, 48: 11, 50: 13, 72: 17})) == {"note"}
-
-
-def test_ids_that_are_one_less(street: Path) -> None:
-    said = relabelled(street, {40: 8, 44: 9, 48: 10, 50: 12, 72: 16})
-    assert "error" in severities(said)
-    assert "--label-scheme 8, or add 1 to every id" in str(said)
-
-
-def test_the_classes_of_nuscenes(street: Path) -> None:
-    said = relabelled(street, {40: 11, 44: 9, 48: 13, 50: 15, 72: 14})
-    assert "error" in severities(said)
-    assert "--label-scheme 11" in str(said)
-
-
-def test_any_other_scheme(street: Path) -> None:
-    said = relabelled(street, {40: 70, 44: 40, 48: 48, 50: 50, 72: 72})
-    assert "another label scheme; name it, or give the ids of road, such as --label-scheme 70" in str(said)
+@pytest.mark.parametrize(
+    ("ids", "severity", "words"),
+    [
+        ({40: 9, 44: 10, 48: 11, 50: 13, 72: 17}, "note", ""),  # the learning scheme
+        ({40: 8, 44: 9, 48: 10, 50: 12, 72: 16}, "error", "--label-scheme 8, or add 1 to every id"),
+        ({40: 11, 44: 9, 48: 13, 50: 15, 72: 14}, "error", "--label-scheme 11"),  # of nuScenes
+        (
+            {40: 70, 44: 40, 48: 48, 50: 50, 72: 72},
+            "error",
+            "another label scheme; name it, or give the ids of road, such as --label-scheme 70",
+        ),
+    ],
+)
+def test_ids_are_held_against_what_lies_below(street: Path, ids: dict[int, int], severity: str, words: str) -> None:
+    said = relabelled(street, ids)
+    assert severity in {each for each, _ in said}
+    assert words in str(said)
 
 
 def test_little_road_is_a_warning(street: Path) -> None:

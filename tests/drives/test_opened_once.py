@@ -53,14 +53,6 @@ def test_both_label_folders(with_oxts: Path) -> None:
     assert (by_labels.label_source, by_predictions.label_source) == ("labels", "predictions")
 
 
-def test_poses_with_frame_numbers(tmp_path: Path, make: ModuleType) -> None:
-    root = make.write_semantickitti(tmp_path / "drive", scheme="kitti360", pose_frame="lidar")
-    (root / "poses.txt").write_text(make.pose_text(make.lidar_poses(), frames=list(range(12))))
-    with counted_opens() as opens:
-        assert open_drive(root).layout == "kitti360"
-    assert [opens[path] for path in texts_in(root)] == [1, 1]
-
-
 def test_a_reduced_drive(reduced: Path) -> None:
     with counted_opens() as opens:
         open_drive(reduced)

@@ -30,15 +30,7 @@ def look(
     limits: WorkSettings,
     place: Path,
 ) -> FolderLook:
-    """Look into a folder; parameters as of `LookRequest`.
-
-    Parameters
-    ----------
-    limits
-        What the service takes.
-    place
-        Where folders can be made for a moment.
-    """
+    """Look into a folder; parameters as of `LookRequest`."""
     valid, refused = {}, []
     for path, size in files.items():
         try:

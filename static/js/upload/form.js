@@ -25,6 +25,10 @@ const MORE_FILES = /** @type {Record<string, string>} */ ({
   las: "a trajectory (.csv, .txt, .tum, .sbet, .out)",
 });
 
+const POSE_OWNERS = /** @type {Record<string, string>} */ ({
+  ...{ camera: "of the camera", lidar: "of the LiDAR", imu: "of the IMU", oxts: "from OXTS" },
+});
+
 const SENDING = {
   keyframes: ["What the method needs", "The ground points of keyframes: the smallest, with the same results."],
   scans: ["Ground points of every scan", "For jobs with denser keyframes later on."],
@@ -154,7 +158,7 @@ export function formView(
     const rows = [
       ...factsOf(drive, folders, groundBytesOf(drive, folders), sending()),
       found?.track ? /** @type {[string, string]} */ (["Distance", formatMetres(found.track.length_m, 0)]) : null,
-      fit && /** @type {[string, any]} */ (["Poses", el("span", { class: fit[1] ? "warn" : "" }, fit[0])]),
+      fit && /** @type {[string, any]} */ (["Poses lie", el("span", { class: fit[1] ? "warn" : "" }, fit[0])]),
     ];
     fill(facts, factRows(rows));
   }
@@ -386,6 +390,10 @@ function factsOf(drive, folders, groundBytes, sending) {
     layout === "reduced" && ["Files of ground points", formatCount(whole.size)],
     layout !== "reduced" &&
       whole.size > 0 && [layout === "pcd" ? "Scans" : "Files", `${plural(whole.size, files)}, ${formatBytes(taken)}`],
+    look.pose_frame && [
+      "Poses",
+      [POSE_OWNERS[look.pose_frame] ?? look.pose_frame, el("small.why", look.pose_frame_reason)],
+    ],
     ["Georeference", georeferenceOf(drive)],
     maps.size > 0 && ["Maps", [...maps.keys()].join(", ")],
     ["To be sent", sent],

@@ -1,16 +1,12 @@
 /** How far an upload is: steps, figures, what the service found, and what can be done about it. */
 
-import { getConfig } from "../api.js";
-import { factList, factRows, problemList } from "../controls.js";
-import { announce, el, fill, formatBytes, formatCount, formatDuration, formatMetres, icon, plural } from "../dom.js";
+import { factRows, problemList } from "../controls.js";
+import { announce, el, fill, formatBytes, formatCount, formatDuration, icon } from "../dom.js";
 import { problemNote } from "../messages.js";
-import { numbersOf } from "./drive_folder.js";
-import { madeFolder } from "./upload.js";
 
 /** @import { Upload } from "./upload.js" */
 
 const REDRAW_MS = 150;
-const POSE_OWNERS = { camera: "of the camera", lidar: "of the LiDAR", imu: "of the IMU", oxts: "from OXTS" };
 const STEPS = { files: "Small files", archive: "Archive", plan: "Plan", scans: "Scans", check: "Check", run: "Job" };
 
 /**
@@ -26,12 +22,11 @@ export function progressView({ onChange, onCorrect, onLeave }) {
   const bar = el("progress", { max: 1, "aria-label": "Progress of the upload" });
   const figures = el("dl.figures");
   const line = el("p.small.quiet", { role: "status" });
-  const plan = el("div");
   const problems = el("div");
   const fault = el("div", { role: "alert" });
   const buttons = el("div.row");
   const head = el("div.spread", title, badge);
-  const parts = [head, steps, bar, line, figures, fault, problems, buttons, plan];
+  const parts = [head, steps, bar, line, figures, fault, problems, buttons];
   const element = el("div.stack.upload-progress", parts);
   /** Which buttons are shown: they are not made anew while someone is about to press one. */
   let shownButtons = "";
@@ -69,7 +64,6 @@ export function progressView({ onChange, onCorrect, onLeave }) {
     line.textContent =
       transfer.waiting ?? (transfer.isPaused ? "Paused. What is being sent still arrives." : upload.message);
     fill(figures, figuresOf(upload, isSending));
-    if (step !== "plan") drawPlan(upload.source.drive?.look ?? null, upload.settings);
     drawOnce(fault, error, () => error && problemNote(error));
     const found = upload.problems;
     drawOnce(problems, found, () => found.length > 0 && [el("h3", "What was found"), problemList(found)]);
@@ -98,24 +92,6 @@ export function progressView({ onChange, onCorrect, onLeave }) {
     };
     fill(buttons, sets[status]);
     announce(BADGES[status][1]);
-  }
-
-  /** @param {import("./drive_folder.js").DriveLook | null} look @param {import("./upload.js").Settings} settings */
-  function drawPlan(look, { sending, options }) {
-    if (!look?.plan || plan.childElementCount) return;
-    const owner = POSE_OWNERS[/** @type {keyof typeof POSE_OWNERS} */ (look.pose_frame)] ?? look.pose_frame;
-    const why = (/** @type {string | null} */ text) => text && el("small.why", text);
-    const scans = plural(look.plan.scans, "scan");
-    const keyframes = `${formatCount(numbersOf(look.plan.kept).length)} of ${scans}`;
-    const facts = factList("box wordy", [
-      ["Layout", getConfig().layouts[look.layout ?? ""] ?? look.layout],
-      owner && ["Poses", [owner, why(look.pose_frame_reason)]],
-      ["Georeference", [look.georeference ?? "none", why(look.georeference_reason)]],
-      look.track && ["Distance", formatMetres(look.track.length_m, 0)],
-      ["To be sent", sending === "raw" ? `all ${scans}` : keyframes],
-      madeFolder(options) && ["To be labelled", `about ${keyframes}`],
-    ]);
-    fill(plan, facts);
   }
 
   return {

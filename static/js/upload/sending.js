@@ -133,7 +133,9 @@ export async function sendReduced(transfer, { drive, frames, folders, groundByte
   const { scans, labels } = drive.look;
   const items = frames.flatMap((frame) => folders.map((folder) => ({ frame, folder })));
   const pool = new WorkerPool();
-  const estimate = new Estimate(transfer.meter, items.length, groundBytes * frames.length);
+  const { meter } = transfer;
+  const expected = groundBytes / folders.length; // of each file, until it is there
+  meter.total += expected * items.length;
   const fileOf = (/** @type {string} */ path) => drive.folder.files.get(inFolder(drive, path));
   let done = 0;
   try {
@@ -141,7 +143,7 @@ export async function sendReduced(transfer, { drive, frames, folders, groundByte
       const path = `ground/${folder}/${String(frame).padStart(6, "0")}.ground`;
       const there = present.get(path);
       if (there && trusted.has(folder)) {
-        estimate.add(there.size_bytes);
+        meter.total += there.size_bytes - expected;
         skip(transfer, there.size_bytes);
       } else {
         const scanName = pathOf(/** @type {NumberedLook} */ (scans), frame);
@@ -150,7 +152,7 @@ export async function sendReduced(transfer, { drive, frames, folders, groundByte
         if (!files.labels) throw new Error(`${labelName}: is missing. Expected one .label file per scan.`);
         const { road, confusable } = labels[folder];
         const { bytes, digest } = await pool.run({ files, scheme: { road, confusable } });
-        estimate.add(bytes.byteLength);
+        meter.total += bytes.byteLength - expected;
         if (there && there.sha256 === (await sha256(bytes, "hex"))) skip(transfer, bytes.byteLength);
         else await transfer.put(path, bytes, digest);
       }
@@ -159,29 +161,6 @@ export async function sendReduced(transfer, { drive, frames, folders, groundByte
     });
   } finally {
     pool.close();
-  }
-}
-
-/** Bytes of all reduced scans, extrapolated from those that are done. */
-class Estimate {
-  /** @param {import("./transfer.js").Meter} meter @param {number} count @param {number} expected Before any is done. */
-  constructor(meter, count, expected) {
-    this.meter = meter;
-    this.left = count;
-    this.sum = 0;
-    this.done = 0;
-    this.expected = expected;
-    meter.total += expected;
-  }
-
-  /** @param {number} bytes Of one more scan. */
-  add(bytes) {
-    this.left -= 1;
-    this.done += 1;
-    this.sum += bytes;
-    const expected = this.sum + (this.left * this.sum) / this.done;
-    this.meter.total += expected - this.expected;
-    this.expected = expected;
   }
 }
 

@@ -20,7 +20,7 @@ from interloc.drives.folder import FolderDrive
 from interloc.drives.georeference.geodetic import ecef_poses
 from interloc.drives.options import DriveOptions
 from interloc.drives.scans.las import mapping
-from interloc.drives.scans.las.clouds import BLOCK_POINTS, open_cloud
+from interloc.drives.scans.las.clouds import open_cloud
 from interloc.drives.scans.las.mapping import cut
 from interloc.drives.scans.las.open import open_las
 from interloc.errors import DriveError
@@ -68,19 +68,13 @@ def test_a_cloud_is_cut_along_its_trajectory(tmp_path: Path) -> None:
     assert sum(each.road_count for each in points) == 6000  # every road point once
     assert max(np.abs(each.road[:, 0]).max() for each in points) < 1.7  # within its slice, along the drive
     np.testing.assert_allclose(points[3].road[:, 2], -2, atol=0.1)
-
-
-def test_points_lie_where_they_were_measured(tmp_path: Path) -> None:
-    drive = interloc.open_drive(street(tmp_path))
+    # The points lie where they were measured.
     xyz, _, _ = straight_cloud()
     ours = np.concatenate([on_grid(drive, index) for index in range(len(drive.frames))])
     distance, nearest = cKDTree(ours).query(xyz[1::2, :2])
     assert distance.max() < 2e-3  # the format rounds to 1 mm
     assert len(np.unique(nearest)) == 6000
-
-
-def test_the_vehicle_looks_where_it_drives(tmp_path: Path) -> None:
-    drive = interloc.open_drive(street(tmp_path))
+    # The vehicle looks where it drives.
     assert drive.georeference is not None
     convergence = -0.43  # of UTM zone 32 at 8.43 degrees east, 49 north: grid north lies to the west of true north
     np.testing.assert_allclose(np.degrees(yaw_of(drive.georeference.R_enu_lidar)), 60 - convergence, atol=0.05)
@@ -142,28 +136,22 @@ def test_clocks_are_found_out(tmp_path: Path, cloud_s: float, track_s: float, sa
     assert max(np.abs(drive.ground_points(at).road[:, 0]).max() for at in range(len(drive.frames))) < 2
 
 
-def test_a_trajectory_of_another_time_is_refused(tmp_path: Path) -> None:
-    street(tmp_path)
-    _, _, track = straight_cloud(start_s=3.3e8)
-    write_track(tmp_path / "trajectory.csv", track)
-    with pytest.raises(DriveError, match=r"trajectory.csv: covers .* have nothing in common"):
-        interloc.open_drive(tmp_path)
-
-
-def test_a_trajectory_of_another_place_is_refused(tmp_path: Path) -> None:
-    street(tmp_path)
-    _, _, track = straight_cloud()
-    write_track(tmp_path / "trajectory.csv", track + np.array([0, 5000, 0, 0]))
-    with pytest.raises(DriveError, match=r"was 5,0\d\d m away from the points of strip.laz"):
-        interloc.open_drive(tmp_path)
-
-
-def test_a_trajectory_that_jumps_is_refused(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("rows", "moved", "complaint"),
+    [
+        (slice(None), [1e7, 0, 0, 0], r"trajectory.csv: covers .* have nothing in common"),
+        (slice(None), [0, 5000, 0, 0], r"was 5,0\d\d m away from the points of strip.laz"),
+        (40, [0, 8000, 0, 0], r"jumps by 8,000 m between 320000001.950 s and 320000002.000 s"),
+    ],
+)
+def test_a_trajectory_of_another_time_or_place_is_refused(
+    tmp_path: Path, rows: Any, moved: list[float], complaint: str
+) -> None:
     street(tmp_path)
     _, _, track = straight_cloud()
-    track[40, 1] += 8000
+    track[rows] += moved
     write_track(tmp_path / "trajectory.csv", track)
-    with pytest.raises(DriveError, match=r"jumps by 8,000 m between 320000001.950 s and 320000002.000 s"):
+    with pytest.raises(DriveError, match=complaint):
         interloc.open_drive(tmp_path)
 
 
@@ -202,22 +190,19 @@ def test_clouds_that_cannot_be_cut_are_refused_with_the_reason(
         interloc.open_drive(tmp_path)
 
 
-def test_a_map_without_trajectory_is_refused(tmp_path: Path) -> None:
-    street(tmp_path)
-    (tmp_path / "trajectory.csv").unlink()
-    with pytest.raises(DriveError, match=r"no trajectory lies beside the cloud. A map cloud has no scans"):
-        interloc.open_drive(tmp_path)
-    with pytest.raises(DriveError, match=r"trajectory.csv: is missing"):
-        interloc.open_drive(tmp_path, poses="trajectory.csv")
-
-
-def test_one_of_several_trajectories_must_be_named(tmp_path: Path) -> None:
+def test_one_trajectory_is_there_or_named(tmp_path: Path) -> None:
     street(tmp_path)
     (tmp_path / "other.csv").write_bytes((tmp_path / "trajectory.csv").read_bytes())
     (tmp_path / "README.txt").write_text("Time of flight, as it was\n")
     with pytest.raises(DriveError, match=r"several trajectories: other.csv, trajectory.csv"):
         interloc.open_drive(tmp_path)
     assert interloc.open_drive(tmp_path, poses="other.csv").georeference is not None
+    for name in ("other.csv", "trajectory.csv"):
+        (tmp_path / name).unlink()
+    with pytest.raises(DriveError, match=r"no trajectory lies beside the cloud. A map cloud has no scans"):
+        interloc.open_drive(tmp_path)
+    with pytest.raises(DriveError, match=r"trajectory.csv: is missing"):
+        interloc.open_drive(tmp_path, poses="trajectory.csv")
 
 
 @pytest.mark.parametrize(
@@ -473,35 +458,27 @@ def test_headers_that_lie_are_refused(tmp_path: Path, at: int, code: str, value:
         open_cloud(changed(path, at, code, value))
 
 
-def test_laz_files_cut_short_say_how_much_is_there(tmp_path: Path) -> None:
+def test_files_cut_short_say_how_much_is_there(tmp_path: Path) -> None:
     path = write_las(tmp_path / "a.laz", straight_cloud(600)[0], times_s=1.0)
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
     with pytest.raises(DriveError, match=r"a.laz: is cut short: .* About 60,000 of its 120,000 points are there"):
         open_cloud(SourceFile(path, tmp_path))
-
-
-def test_las_files_cut_short_say_how_much_is_there(tmp_path: Path) -> None:
     path = write_las(tmp_path / "a.las", straight_cloud()[0], times_s=1.0)
     path.write_bytes(path.read_bytes()[:-3000])
     with pytest.raises(DriveError, match=r"promises 12,000 points of 30 bytes, but holds 11,900 of them"):
         open_cloud(SourceFile(path, tmp_path))
 
 
-def test_tables_of_chunks_that_lie_are_refused(tmp_path: Path) -> None:
+def test_chunks_that_lie_are_refused(tmp_path: Path) -> None:
+    """The reader would make room for what the table of the chunks promises, and the sizes within each."""
     path = write_las(tmp_path / "a.laz", straight_cloud()[0], times_s=1.0)
-    data = path.read_bytes()
-    start = struct.unpack_from("<I", data, 96)[0]
-    table = struct.unpack_from("<q", data, start)[0]
+    start = struct.unpack_from("<I", path.read_bytes(), 96)[0]
+    table = struct.unpack_from("<q", path.read_bytes(), start)[0]
     with pytest.raises(DriveError, match="lists 4,000,000,000 chunks"):
         open_cloud(changed(path, table + 4, "<I", 4_000_000_000))
-
-
-def test_sizes_within_chunks_that_lie_are_refused(tmp_path: Path) -> None:
-    """The reader would make room for as many bytes as they promise."""
-    path = write_las(tmp_path / "a.laz", straight_cloud()[0], times_s=1.0)
-    layers = struct.unpack_from("<I", path.read_bytes(), 96)[0] + 8 + 30 + 4
+    changed(path, table + 4, "<I", 1)
     with pytest.raises(DriveError, match=r"the chunk at byte \d+ of [\d,]+ bytes promises 2,14\d,\d+,\d+ bytes"):
-        open_cloud(changed(path, layers, "<I", 2**31))
+        open_cloud(changed(path, start + 8 + 30 + 4, "<I", 2**31))
 
 
 def read_all(file: SourceFile) -> None:
@@ -582,7 +559,3 @@ def test_mobile_mapping_of_the_same_scans_gives_the_same_detections(sample: Fold
     off = np.linalg.norm(found.world_xy - expected.world_xy, axis=1)
     assert np.median(off) < 0.02
     assert off.max() < 1.0
-
-
-def test_blocks_are_those_of_laz() -> None:
-    assert BLOCK_POINTS == 50_000

@@ -1,4 +1,4 @@
-"""Endpoints: drives."""
+"""Endpoints: drives, looks at folders that may become some, and commits."""
 
 from __future__ import annotations
 
@@ -10,23 +10,25 @@ from sqlalchemy.orm import Session
 
 from app.context import Context, ContextDep
 from app.drives import records
-from app.drives.models import DriveChanges, DriveList, DriveModel, LookRequest, NewDrive
+from app.drives.commit import begin_commit, committed
+from app.drives.models import CommitRequest, DriveChanges, DriveList, DriveModel, LookRequest, NewDrive
 from app.drives.work.look import look
-from app.http.delivery import answer_tagged, tag_of
-from app.http.headers import IdempotencyKey
-from app.http.openapi import CHANGED, CHANGES_NOTHING, PAGED, TAGGED, get_and_head, headers_named, problems
+from app.http.delivery import WholeFile, answer_tagged, tag_of
+from app.http.headers import IdempotencyKey, WaitSeconds
+from app.http.openapi import CHANGED, CHANGES_NOTHING, PAGED, TAGGED, get_and_head, problems
 from app.http.paging import After, answer_page, has_part, lies_in, made_between
 from app.http.parameters import BoxFilter, CreatedAfter, CreatedBefore, NamePart
 from app.http.patterns import ID
 from app.http.security import ClientDep
 from app.jobs.runner import RunnerDep
+from app.jobs.watcher import wait_for_job
 from app.states import DriveState
 from app.store.models import Drive
 from app.work.documents import UploadOptions
 from app.work.task import WorkSettings
 from interloc.reduction.look import FolderLook
 
-router = APIRouter(prefix="/drives", tags=["Drives"])
+router = APIRouter(prefix="/drives")
 
 DriveId = Annotated[str, Path(description="Id of the drive, from POST /api/v1/drives.", pattern=ID)]
 NOT_FOUND = problems({404: "There is no such drive."})
@@ -34,15 +36,14 @@ NOT_FOUND = problems({404: "There is no such drive."})
 
 @router.post(
     "",
+    tags=["Drives"],
     status_code=201,
     summary="Make a drive",
     responses={
         200: {
             "model": DriveModel,
             "description": "The key was sent before: the drive of that request.",
-            "headers": headers_named("Location"),
         },
-        201: {"headers": headers_named("Location")},
         **problems({422: "A member is refused, or the key was used for another request."}),
     },
 )
@@ -56,7 +57,7 @@ def create_drive(
     return drive
 
 
-@get_and_head(router, "", response_model=DriveList, summary="List drives", responses=PAGED)
+@get_and_head(router, "", tags=["Drives"], response_model=DriveList, summary="List drives", responses=PAGED)
 def list_drives(
     request: Request,
     context: ContextDep,
@@ -83,6 +84,7 @@ def list_drives(
 
 @router.post(
     "/look",
+    tags=["Drives"],
     summary="Look into a folder before it is sent",
     openapi_extra=CHANGES_NOTHING,
     responses=problems({413: "The listing is too large.", 422: "A member is refused, or the work takes too long."}),
@@ -115,6 +117,7 @@ async def look_into_folder(
 @get_and_head(
     router,
     "/{drive_id}",
+    tags=["Drives"],
     response_model=DriveModel,
     responses={**TAGGED, **NOT_FOUND},
     summary="Show a drive",
@@ -132,6 +135,7 @@ def _shown(session: Session, context: Context, drive: Drive) -> bytes:
 
 @router.patch(
     "/{drive_id}",
+    tags=["Drives"],
     response_model=DriveModel,
     summary="Rename a drive, note something about it, or pin a result",
     responses={**NOT_FOUND, **CHANGED},
@@ -147,3 +151,63 @@ def change_drive(drive_id: DriveId, changes: DriveChanges, context: ContextDep, 
             setattr(drive, name, value)
         content = _shown(session, context, drive)
     return Response(content, headers={"ETag": tag_of(content)}, media_type="application/json")
+
+
+_CONFLICT = problems({409: "The drive is not in the state for this."})
+
+
+@router.post(
+    "/{drive_id}/commit",
+    tags=["Uploads"],
+    responses={
+        202: {"model": DriveModel, "description": "The check goes on; ask for the drive again."},
+        **NOT_FOUND,
+        **_CONFLICT,
+        **problems(
+            {422: "The drive has errors: `problems` lists all, `report` has the details.", 507: "The disk is full."}
+        ),
+    },
+    summary="Commit a drive",
+)
+async def commit_drive(
+    drive_id: DriveId,
+    response: Response,
+    context: ContextDep,
+    client: ClientDep,
+    wait_s: WaitSeconds,
+    request: CommitRequest | None = None,
+) -> DriveModel:
+    """Check all files, reduce the scans to what the method needs, and make the drive ready for jobs.
+
+    Waits until the check has ended. A drive with errors is open again afterwards: correct its
+    files and commit it again. The commit of a drive that is being checked waits for that check; that of a ready drive
+    changes nothing. Both are refused where they name other options than those in force.
+    """
+    job = await run_in_threadpool(begin_commit, context, drive_id, client, request or CommitRequest())
+    if job is not None:
+        job = await wait_for_job(context, job.id, wait_s)
+    drive = await run_in_threadpool(committed, context, drive_id, job)
+    if drive.state == DriveState.CHECKING:
+        response.status_code = 202
+    if drive.state == DriveState.CHECKING or job is not None:
+        response.headers["Location"] = f"{context.settings.root_path}/api/v1/drives/{drive_id}"
+    return drive
+
+
+@router.get(
+    "/{drive_id}/trajectory",
+    tags=["Uploads"],
+    response_class=WholeFile,
+    responses={
+        200: {"content": {"application/geo+json": {}}, "description": "A FeatureCollection with one LineString."},
+        206: {"content": {"application/geo+json": {}}, "description": "The range that was asked for."},
+        **NOT_FOUND,
+        **_CONFLICT,
+        **problems({410: "The trajectory is no longer on disk.", 416: "There is no such range."}),
+    },
+    summary="Show the trajectory of a drive",
+)
+def show_trajectory(drive_id: DriveId, context: ContextDep, _client: ClientDep) -> WholeFile:
+    """Return the trajectory of a ready drive: longitude and latitude, or metres with `"local": true`."""
+    with records.find_trajectory(context, drive_id).open("rb") as file:
+        return WholeFile(file, media_type="application/geo+json", headers={"Cache-Control": "private, no-cache"})

@@ -1,4 +1,4 @@
-"""Georeference: OXTS, geo.csv, raw drives, and their lever arm."""
+"""Georeference: OXTS, geo.csv, raw drives, their lever arm, and rows at other times than the scans."""
 
 from __future__ import annotations
 
@@ -77,36 +77,26 @@ def test_missing_oxts_file(tmp_path: Path, make: ModuleType) -> None:
         read_georeference(parts(root, oxts=root / "oxts"), FRAMES, None)
 
 
+def oxts_row(column: int, value: str) -> Callable[[str], str]:
+    return lambda row: " ".join([*row.split()[:column], value, *row.split()[column + 1 :]])
+
+
 @pytest.mark.parametrize(
-    ("column", "value", "words"),
+    ("edit", "words"),
     [
-        (0, "95", "no place to drive"),
-        (2, "1e6", "no place to drive"),
-        (5, "90", "Usual cause: degrees"),
-        (0, "nan", "not finite"),
-        (0, "north", "not a number"),
+        (oxts_row(0, "95"), "no place to drive"),
+        (oxts_row(2, "1e6"), "no place to drive"),
+        (oxts_row(5, "90"), "Usual cause: degrees"),
+        (oxts_row(0, "nan"), "not finite"),
+        (oxts_row(0, "north"), "not a number"),
+        (lambda _: "1 2 3", "line 1: 3 values; expected 30"),
+        (lambda _: " ".join(["0"] * 30), "no fix"),
     ],
 )
-def test_bad_oxts_values(tmp_path: Path, make: ModuleType, column: int, value: str, words: str) -> None:
-    fields = make.oxts_lines(make.lidar_poses(1), T_lidar_imu=np.eye(4))[0].split()
-    fields[column] = value
+def test_bad_oxts_rows(tmp_path: Path, make: ModuleType, edit: Callable[[str], str], words: str) -> None:
     rows = tmp_path / "07.txt"
-    rows.write_text(" ".join(fields))
+    rows.write_text(edit(make.oxts_lines(make.lidar_poses(1), T_lidar_imu=np.eye(4))[0]))
     with pytest.raises(GeoreferenceError, match=words):
-        read_georeference(parts(tmp_path), np.array([0]), rows)
-
-
-def test_oxts_row_of_another_length(tmp_path: Path) -> None:
-    rows = tmp_path / "07.txt"
-    rows.write_text("1 2 3")
-    with pytest.raises(GeoreferenceError, match="line 1: 3 values; expected 30"):
-        read_georeference(parts(tmp_path), np.array([0]), rows)
-
-
-def test_no_fix(tmp_path: Path) -> None:
-    rows = tmp_path / "07.txt"
-    rows.write_text(" ".join(["0"] * 30))
-    with pytest.raises(GeoreferenceError, match="no fix"):
         read_georeference(parts(tmp_path), np.array([0]), rows)
 
 
@@ -133,13 +123,10 @@ def test_damaged_geo_csv(tmp_path: Path, make: ModuleType, edit: Callable[[str],
         read_geo_csv(GeoreferenceFile(tmp_path / "geo.csv", tmp_path), FRAMES)
 
 
-def test_georeference_that_does_not_exist(tmp_path: Path) -> None:
+def test_a_georeference_that_is_not_there(tmp_path: Path) -> None:
+    assert read_georeference(parts(tmp_path), FRAMES, None) is None
     with pytest.raises(GeoreferenceError, match="does not exist"):
         read_georeference(parts(tmp_path), FRAMES, tmp_path / "gone")
-
-
-def test_drive_without_georeference(tmp_path: Path) -> None:
-    assert read_georeference(parts(tmp_path), FRAMES, None) is None
 
 
 def test_raw_drive_of_an_odometry_sequence(tmp_path: Path, make: ModuleType) -> None:
@@ -259,3 +246,40 @@ def test_geo_csv_of_kitti360_agrees_with_its_poses(data: Callable[[str], Path]) 
     georeference = read_geo_csv(GeoreferenceFile(root / "geo.csv", root), np.arange(len(poses)))
     assert rigid_rmse(plane_positions(georeference), poses[:, :2, 3]) < 0.5
     np.testing.assert_allclose(poses_of(georeference)[:, :3, 3], poses[:, :3, 3], atol=2.0)
+
+
+def with_oxts(root: Path, make: ModuleType, times_s: np.ndarray, poses: np.ndarray) -> Path:
+    """Write a raw drive with a scan per 0.1 s, and with rows of OXTS at other times."""
+    make.write_kitti_raw(root)
+    arm = np.eye(4)
+    arm[:3, 3] = -0.8, 0.3, -0.8
+    for row, text in enumerate(make.oxts_lines(poses, T_lidar_imu=arm)):
+        (root / "oxts" / "data" / f"{row:010d}.txt").write_text(text)
+    stamps = np.datetime64("2011-09-26T13:02:25", "us") + np.round(times_s * 1e6).astype("timedelta64[us]")
+    (root / "oxts" / "timestamps.txt").write_text("\n".join(str(stamp).replace("T", " ") for stamp in stamps))
+    return root
+
+
+def test_rows_of_the_same_times_are_taken_by_their_numbers(tmp_path: Path, make: ModuleType) -> None:
+    poses = make.lidar_poses()
+    jitter = np.random.default_rng(1).uniform(-0.02, 0.02, len(poses))
+    report = inspect_drive(with_oxts(tmp_path / "raw", make, 0.1 * np.arange(len(poses)) + jitter, poses))
+    assert not [problem for problem in report.problems if problem.severity != "note"]
+
+
+def test_rows_that_start_earlier_are_taken_by_their_times(tmp_path: Path, make: ModuleType) -> None:
+    poses = make.lidar_poses()
+    rows = np.concatenate([np.repeat(poses[:1], 7, axis=0), poses])  # it stood still for seven rows
+    root = with_oxts(tmp_path / "raw", make, 0.1 * np.arange(-7, len(poses)), rows)
+    report = inspect_drive(root)
+    (told,) = [problem for problem in report.problems if problem.severity == "warning"]
+    assert "rows nearest in time" in told.message
+    assert report.length_m == pytest.approx(np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1).sum(), rel=0.01)
+
+
+def test_a_clock_of_another_zone_is_named(tmp_path: Path, make: ModuleType) -> None:
+    poses = make.lidar_poses()
+    report = inspect_drive(with_oxts(tmp_path / "raw", make, 7200 + 0.1 * np.arange(len(poses)), poses))
+    (told,) = [problem for problem in report.problems if problem.severity == "warning"]
+    assert "+7,200.0 s off the scans" in told.message
+    assert "time zone" in told.message

@@ -1,0 +1,323 @@
+"""Endpoints: the files of a drive, one by one, several at once, or as an archive."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from typing import Annotated, Any, TypeVar
+
+from fastapi import APIRouter, Path, Query, Request, Response
+from fastapi.concurrency import run_in_threadpool
+
+from app.context import Context, ContextDep
+from app.drives import records
+from app.drives.models import FileList, UnpackedArchive, UploadedBatch, UploadedFile
+from app.drives.routes import DriveId
+from app.drives.upload import check_magic, check_upload, keep, queue_archive, unpacked
+from app.http.delivery import WholeFile
+from app.http.headers import WaitSeconds, sha256_of
+from app.http.intake import PIECE_BYTES, Intake, receive
+from app.http.limits import Booking, check_free_space, declared_length
+from app.http.multipart import BatchReader, Place, bad_part, boundary_of
+from app.http.openapi import BINARY, PAGED, Responses, body_of, problems
+from app.http.paging import answer_page
+from app.http.patterns import TEXT
+from app.http.security import ClientDep
+from app.jobs.watcher import wait_for_job
+from app.paths import MAX_PATH, PATH_PATTERN, check_path
+from app.states import FINAL
+from app.store.models import Job
+from interloc.drives.kinds import is_recording
+from interloc.drives.layouts import POSE_FILES, SCAN_FOLDERS
+
+router = APIRouter(prefix="/drives/{drive_id}", tags=["Uploads"])
+
+FilePath = Annotated[
+    str,
+    Path(
+        description="Path in the folder of the drive.",
+        openapi_examples={"scan": {"value": "velodyne/000000.bin"}},
+        json_schema_extra={"pattern": PATH_PATTERN, "maxLength": MAX_PATH},
+    ),
+]
+
+NOT_FOUND = problems({404: "There is no such drive or file."})
+CLOSED = problems({409: "The drive takes no such files in its state, or names are in conflict."})
+UPLOAD: Responses = {
+    **problems({400: "The body ended too soon, or is only a part of a file."}),
+    **NOT_FOUND,
+    **CLOSED,
+    **problems(
+        {
+            413: "The file is too large, or the drive would become too large.",
+            415: "The body is compressed, or of a kind that is not taken.",
+            507: "The disk is full.",
+        }
+    ),
+}
+
+
+@router.get(
+    "/files",
+    responses={**PAGED, **NOT_FOUND},
+    response_model=FileList,
+    summary="List the files of a drive",
+)
+def list_files(
+    drive_id: DriveId,
+    request: Request,
+    context: ContextDep,
+    _client: ClientDep,
+    after: Annotated[
+        str | None, Query(max_length=MAX_PATH, pattern=TEXT, description="`next` of the previous page.")
+    ] = None,
+    limit: Annotated[int, Query(ge=1, le=10_000)] = 1000,
+) -> Response:
+    """List what was uploaded, in the order of the paths. To resume an upload, send what is missing or differs."""
+    page = records.list_files(context, drive_id, after, limit)
+    return answer_page(request, page)
+
+
+@router.put(
+    "/files/{path:path}",
+    response_model=UploadedFile,
+    responses={201: {"model": UploadedFile, "description": "The file is new."}, **UPLOAD},
+    openapi_extra={
+        **body_of({"application/octet-stream": BINARY}),
+        "parameters": [
+            {
+                "in": "header",
+                "name": "Content-Digest",
+                "required": False,
+                "description": "SHA-256 of the body (RFC 9530); a body that differs is refused.",
+                "schema": {"type": "string", "pattern": "^sha-256=:[A-Za-z0-9+/]{42}[AEIMQUYcgkosw048]=:$"},
+                "example": "sha-256=:RK/0qy18MlBSVnWgjwz6lZEWjP/lF5HF9bvEF8FabDg=:",
+            }
+        ],
+    },
+    summary="Upload a file",
+)
+async def put_file(
+    drive_id: DriveId, path: FilePath, request: Request, response: Response, context: ContextDep, client: ClientDep
+) -> UploadedFile:
+    """Upload one file as it is: 201 if it is new, 200 if it replaced a file of the same name.
+
+    It gets its name only when it was received completely and is on disk; repeating the request changes nothing.
+    """
+    check_path(path)
+    sha256 = sha256_of(request.headers)
+    settings = context.settings
+    limit = settings.max_recording_bytes if is_recording(path) else settings.max_file_bytes
+    length = declared_length(request, limit, path)
+    intake = Intake(context, path, limit)
+
+    def finish() -> tuple[UploadedFile, bool]:
+        check_free_space(context, 0)
+        arrival = intake.finish(sha256)
+        new = keep(context, drive_id, [arrival], client)
+        return UploadedFile(path=path, size_bytes=arrival.size_bytes, sha256=arrival.sha256), new
+
+    is_small = length is not None and length <= PIECE_BYTES  # it is read sooner than the drive is looked up
+    if not is_small:
+        await run_in_threadpool(check_upload, context, drive_id, path, length or 0, client)
+    announced = 0 if is_small else length
+    file, new = await _receive(context, request, announced, intake.write, finish, intake.discard)
+    response.status_code = 201 if new else 200
+    return file
+
+
+@router.get(
+    "/files/{path:path}",
+    response_class=WholeFile,
+    responses={
+        200: {"content": {"application/octet-stream": {}}, "description": "The bytes."},
+        206: {"content": {"application/octet-stream": {}}, "description": "The range that was asked for."},
+        **NOT_FOUND,
+        **problems({410: "It was reduced to what the method needs.", 416: "There is no such range."}),
+    },
+    summary="Download a file",
+)
+def get_file(drive_id: DriveId, path: FilePath, context: ContextDep, _client: ClientDep) -> WholeFile:
+    """Return an uploaded file, as long as it is kept."""
+    file, sha256 = records.open_file(context, drive_id, path)
+    headers = {"ETag": f'"{sha256}"', "X-Content-Type-Options": "nosniff"}
+    with file:
+        name = path.rpartition("/")[2]
+        return WholeFile(file, media_type="application/octet-stream", filename=name, headers=headers)
+
+
+@router.delete("/files/{path:path}", status_code=204, responses={**NOT_FOUND, **CLOSED}, summary="Delete a file")
+def delete_file(drive_id: DriveId, path: FilePath, context: ContextDep, _client: ClientDep) -> None:
+    """Remove a file of a drive that is not committed yet, or a map of a ready one that no job waits for or reads."""
+    records.delete_file(context, drive_id, path)
+
+
+def _numbered(folder: str, suffix: str) -> Place:
+    def place(filename: str | None) -> str:
+        if re.fullmatch(rf"\d{{1,18}}\.{suffix}", filename or "", re.ASCII) is None:
+            raise bad_part(f"filename {filename!r}; expected the number of the scan, as 000000.{suffix}.")
+        return f"{folder}/{filename}"
+
+    return place
+
+
+def _relative(filename: str | None) -> str:
+    if not filename:
+        raise bad_part("a part `files` has no filename; expected its path in the drive.")
+    return check_path(filename)
+
+
+def _named(path: str) -> Place:
+    return lambda _filename: path
+
+
+def _several(description: str) -> dict[str, Any]:
+    return {"type": "array", "items": BINARY, "description": description}
+
+
+_PARTS: dict[str, tuple[Place, dict[str, Any]]] = {
+    "scans": (_numbered(SCAN_FOLDERS[0], "bin"), _several("Scans, with file names such as 000000.bin.")),
+    "labels": (_numbered("labels", "label"), _several("Their labels, with file names such as 000000.label.")),
+    "predictions": (
+        _numbered("predictions", "label"),
+        _several("Labels predicted by a network, with the same file names."),
+    ),
+    **{
+        part: (_named(name), {**BINARY, "description": name})
+        for part, name in {"poses": POSE_FILES[0], "calib": "calib.txt", "times": "times.txt", "geo": "geo.csv"}.items()
+    },
+    "files": (_relative, _several("Any other files, with their paths in the drive as file names.")),
+}
+"""The parts of a batch: where each goes, and its schema."""
+
+_BATCH = {
+    "type": "object",
+    "properties": {name: schema for name, (_, schema) in _PARTS.items()},
+    "minProperties": 1,
+    "additionalProperties": False,
+}
+
+
+@router.post(
+    "/scans",
+    response_model=UploadedBatch,
+    responses=UPLOAD,
+    openapi_extra=body_of({"multipart/form-data": _BATCH}),
+    summary="Upload a batch of scans",
+)
+async def post_scans(drive_id: DriveId, request: Request, context: ContextDep, client: ClientDep) -> UploadedBatch:
+    """Upload several files at once, all or none of them. A repeated request replaces files of the same names."""
+    limits = context.settings
+    length = declared_length(request, limits.max_batch_bytes, "A request with several files")
+    boundary = boundary_of(request.headers.get("content-type"))
+    await run_in_threadpool(check_upload, context, drive_id, "batch", length or 0, client)
+    reader = BatchReader(
+        context,
+        boundary,
+        {name: place for name, (place, _) in _PARTS.items()},
+        max_bytes=limits.max_batch_bytes,
+        max_files=limits.max_batch_files,
+        max_file_bytes=limits.max_file_bytes,
+    )
+
+    def finish() -> list[UploadedFile]:
+        check_free_space(context, 0)
+        arrivals = reader.finish()
+        keep(context, drive_id, arrivals, client)
+        return [UploadedFile(path=each.path, size_bytes=each.size_bytes, sha256=each.sha256) for each in arrivals]
+
+    return UploadedBatch(files=await _receive(context, request, length, reader.take, finish, reader.discard))
+
+
+_ARCHIVE = {
+    "type": "object",
+    "properties": {"archive": BINARY},
+    "required": ["archive"],
+    "additionalProperties": False,
+}
+
+
+@router.post(
+    "/archive",
+    response_model=UnpackedArchive,
+    responses={202: {"model": UnpackedArchive, "description": "It is still being unpacked."}, **UPLOAD},
+    openapi_extra=body_of({"application/octet-stream": BINARY, "multipart/form-data": _ARCHIVE}),
+    summary="Upload an archive",
+)
+async def post_archive(
+    drive_id: DriveId,
+    request: Request,
+    response: Response,
+    context: ContextDep,
+    client: ClientDep,
+    wait_s: WaitSeconds,
+) -> UnpackedArchive:
+    """Upload the files of a drive as .zip, .tar, .tar.gz or .tar.zst, and wait until it is unpacked.
+
+    As the body itself, whose Content-Type does not matter (its first bytes tell what it is), or as the part `archive`
+    of a form. A leading folder is stripped. Links, devices, encrypted files, paths that lead out of the archive and
+    archives of two drives are refused; nothing is kept of them.
+    """
+    limit = context.settings.max_archive_bytes
+    length = declared_length(request, limit, "An archive")
+    await run_in_threadpool(check_upload, context, drive_id, "archive", length or 0, client, is_packed=True)
+    content_type = request.headers.get("content-type", "")
+    if content_type.startswith("multipart/"):
+        job = await _receive_form(context, request, drive_id, client, boundary_of(content_type), length)
+    else:
+        intake = Intake(context, "archive", limit)
+
+        def take(data: bytes) -> None:
+            if not intake.size_bytes:
+                check_magic(data)
+            intake.write(data)
+
+        def finish() -> Job:
+            check_free_space(context, 0)
+            return queue_archive(context, drive_id, client, intake.finish())
+
+        job = await _receive(context, request, length, take, finish, intake.discard)
+    job = await wait_for_job(context, job.id, wait_s)
+    if job.state not in FINAL:
+        response.status_code = 202
+        response.headers["Location"] = f"{context.settings.root_path}/api/v1/jobs/{job.id}"
+    return unpacked(job)
+
+
+async def _receive_form(
+    context: Context, request: Request, drive_id: str, client: str, boundary: bytes, length: int | None
+) -> Job:
+    """Receive an archive in the part `archive` of a form."""
+    limit = context.settings.max_archive_bytes
+    fields = {"archive": _named("archive")}
+    reader = BatchReader(context, boundary, fields, max_bytes=limit + (1 << 16), max_files=1, max_file_bytes=limit)
+
+    def finish() -> Job:
+        check_free_space(context, 0)
+        (arrival,) = reader.finish()
+        with arrival.temporary.open("rb") as file:
+            check_magic(file.read(512))
+        return queue_archive(context, drive_id, client, arrival)
+
+    return await _receive(context, request, length, reader.take, finish, reader.discard)
+
+
+Kept = TypeVar("Kept")
+
+
+async def _receive(
+    context: Context,
+    request: Request,
+    length: int | None,
+    take: Callable[[bytes], None],
+    finish: Callable[[], Kept],
+    discard: Callable[[], None],
+) -> Kept:
+    """Receive a body piece by piece, in the room on the disk that is booked for it; discard what was not kept."""
+    with Booking(context) as booking:
+        if length != 0:
+            await run_in_threadpool(booking.announce, length)
+        try:
+            return await receive(request, booking.taking(take), finish)
+        finally:
+            await run_in_threadpool(discard)

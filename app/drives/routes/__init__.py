@@ -1,1 +1,0 @@
-"""The endpoints of drives and their files."""

@@ -1,0 +1,369 @@
+"""The files of reduced drives: complete, bounded, as they are described, and nothing in them is trusted."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import struct
+import subprocess
+import textwrap
+import zlib
+from collections.abc import Callable
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
+
+import interloc.drives.scans.reduced_format as described
+from interloc.arrays import UInt32Array
+from interloc.drive import GroundPoints
+from interloc.drives.labels import LEARNING, SCHEMES, LabelScheme
+from interloc.drives.open import open_drive
+from interloc.drives.scans.reduced_format import (
+    MAX_BYTES,
+    MAX_MANIFEST_BYTES,
+    MAX_POINTS,
+    ReducedLabels,
+    decode_ground,
+    encode_ground,
+    from_planes,
+    from_runs,
+    make_manifest,
+    parse_manifest,
+    read_manifest,
+    to_planes,
+    to_runs,
+)
+from interloc.errors import DriveError
+
+FIELDS: dict[str, Any] = {
+    "name": "07",
+    "layout": "semantickitti",
+    "scans": [[0, 10]],
+    "kept": [[0, 1], [4, 2]],
+    "keyframes": {"distance_m": 2.0, "angle_deg": 5.0},
+    "pose_frame": "camera",
+    "pose_frame_reason": "it looks ahead",
+    "files": {"poses": "poses.txt", "calibration": ["calib.txt"]},
+    "labels": [{"folder": "labels", "scheme": "semantickitti", "road": [40, 60], "counts": {"40": 7}}],
+}
+
+
+def parse(**changes: Any) -> Any:
+    head = {"format": "interloc-reduced-drive", "format_version": 1}
+    return parse_manifest(json.dumps({**head, **FIELDS, **changes}).encode())
+
+
+@given(st.sets(st.integers(0, 300)))
+def test_runs_are_the_numbers_again(numbers: set[int]) -> None:
+    ascending = np.array(sorted(numbers), np.int64)
+    runs = to_runs(ascending)
+    np.testing.assert_array_equal(from_runs(runs), ascending)
+    assert all(a + count < b for (a, count), (b, _) in pairwise(runs))
+
+
+def test_runs_of_some_numbers() -> None:
+    assert to_runs(np.array([0, 1, 2, 7, 9, 10])) == [(0, 3), (7, 1), (9, 2)]
+
+
+def test_a_manifest_comes_back_as_it_was() -> None:
+    manifest = make_manifest(FIELDS)
+    assert parse_manifest(manifest.to_bytes()) == manifest
+    assert manifest.frames.tolist() == list(range(10))
+    assert manifest.kept_frames.tolist() == [0, 4, 5]
+    assert str(manifest.keyframes) == "keyframes of 2 m, 5 degrees"
+
+
+@pytest.mark.parametrize("scheme", [*SCHEMES.values(), LabelScheme("custom", frozenset({3, 40}))])
+def test_label_schemes_come_back_as_they_were(scheme: LabelScheme) -> None:
+    assert ReducedLabels.of("labels", scheme, {40: 1}).label_scheme == scheme
+
+
+def test_a_scheme_that_only_has_the_name_of_a_known_one() -> None:
+    labels = ReducedLabels(folder="labels", scheme="learning", road=[7])
+    assert labels.label_scheme != LEARNING
+    assert labels.label_scheme.road == {7}
+
+
+DAMAGED: dict[str, tuple[dict[str, Any], str]] = {
+    "another format": ({"format": "something"}, r"format: Input should be 'interloc-reduced-drive'"),
+    "a later version": ({"format_version": 2}, "format_version: Input should be 1"),
+    "an unknown field": ({"more": 1}, "more: Extra inputs are not permitted"),
+    "no name": ({"name": ""}, "name: "),
+    "a name that is a path": ({"name": "../07"}, "name: expected the name of a drive"),
+    "a name of two lines": ({"name": "0\n7"}, "name: expected the name of a drive"),
+    "an unknown layout": ({"layout": "nuscenes"}, "layout: "),
+    "no scans": ({"scans": []}, "scans: "),
+    "a run of nothing": ({"scans": [[0, 0]]}, r"scans\.0\.1: "),
+    "negative numbers": ({"scans": [[-1, 10]]}, r"scans\.0\.0: "),
+    "half a run": ({"scans": [[0]]}, r"scans\.0\.1: Field required"),
+    "runs that overlap": ({"scans": [[0, 8], [7, 3]]}, "scans: scan numbers must ascend"),
+    "runs out of order": ({"kept": [[5, 1], [0, 1]]}, "kept: scan numbers must ascend"),
+    "a million and one": ({"scans": [[0, 10**6], [10**7, 1]]}, "scans: more than 1,000,000 scans"),
+    "more than memory": ({"scans": [[0, 10**15]]}, r"scans\.0\.1: Input should be less than or equal to 1000000"),
+    "kept what is none": ({"kept": [[9, 2]]}, "kept: holds numbers that are not among the scans"),
+    "settings that are none": ({"keyframes": {"distance_m": "NaN", "angle_deg": 5}}, r"keyframes\.distance_m: "),
+    "no poses": ({"files": {}}, "files.poses: expected a file, or pose_frame 'oxts'"),
+    "an unknown label folder": ({"labels": [{**FIELDS["labels"][0], "folder": "../x"}]}, r"labels\.0\.folder: "),
+    "a label folder twice": ({"labels": FIELDS["labels"] * 2}, "labels: a folder comes twice"),
+    "no road": ({"labels": [{**FIELDS["labels"][0], "road": []}]}, r"labels\.0\.road: "),
+    "an id that is none": ({"labels": [{**FIELDS["labels"][0], "road": [65536]}]}, r"labels\.0\.road\.0: "),
+    "three label folders": ({"labels": FIELDS["labels"] * 3}, "labels: List should have at most 2"),
+    "a long reason": ({"pose_frame_reason": "x" * 2001}, "pose_frame_reason: "),
+}
+
+
+@pytest.mark.parametrize(("changes", "words"), DAMAGED.values(), ids=DAMAGED)
+def test_damage_is_named(changes: dict[str, Any], words: str) -> None:
+    with pytest.raises(DriveError, match=rf"^reduced\.json: {words}"):
+        parse(**changes)
+
+
+@pytest.mark.parametrize(
+    "path",
+    ["/etc/passwd", "../poses.txt", "a/../../b", "a//b", "./poses.txt", "C:/poses.txt", "a\\b", "a\0b", "", "a/"],
+)
+def test_no_path_leads_out(path: str) -> None:
+    for role in ("poses", "times", "oxts", "geo"):
+        with pytest.raises(DriveError, match=rf"^reduced\.json: files\.{role}: "):
+            parse(files={"poses": "poses.txt", role: path})
+    with pytest.raises(DriveError, match=r"^reduced\.json: files\.calibration\.0: "):
+        parse(files={"poses": "poses.txt", "calibration": [path]})
+
+
+def test_no_link_leads_out(reduced: Path, tmp_path: Path) -> None:
+    (reduced / "poses.txt").rename(tmp_path / "elsewhere.txt")
+    (reduced / "poses.txt").symlink_to(tmp_path / "elsewhere.txt")
+    with pytest.raises(DriveError, match=r"^poses\.txt: is a link that leads out of the folder"):
+        open_drive(reduced)
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", "null", '{"format"', "\xff\xfe", "[" * 100_000])
+def test_what_is_no_json_object(reduced: Path, text: str) -> None:
+    (reduced / "reduced.json").write_bytes(text.encode("latin-1"))
+    with pytest.raises(DriveError, match=r"^reduced\.json: .*Expected the manifest of a reduced drive"):
+        open_drive(reduced)
+
+
+def test_a_manifest_that_is_too_large(reduced: Path) -> None:
+    with (reduced / "reduced.json").open("ab") as file:
+        file.truncate(MAX_MANIFEST_BYTES + 1)
+    with pytest.raises(DriveError, match=r"^reduced\.json: is larger than 32 MB"):
+        read_manifest(reduced)
+
+
+def test_an_example_of_the_format_is_one() -> None:
+    """The one in the description of the format."""
+    text = described.__doc__ or ""
+    example = text[text.index('{\n      "format"') : text.rindex("}") + 1]
+    assert parse_manifest(example.encode()).kept_frames.tolist() == [0, 19, 31]
+
+
+def test_edited_manifest_is_read(reduced: Path, edit: Callable[..., None]) -> None:
+    edit(name="another")
+    assert open_drive(reduced).name == "another"
+
+
+FINITE = st.floats(width=32, allow_nan=False, allow_infinity=False, allow_subnormal=True)
+NAME = "ground/labels/000003.ground"
+
+
+def ground(count: int = 6, road: int = 4) -> GroundPoints:
+    steps = np.arange(3 * count, dtype=np.float32).reshape(-1, 3)
+    return GroundPoints(steps / 7 - 1, road)
+
+
+def file(planes: bytes, *, count: int = 6, road: int = 4, magic: bytes = b"ILGP", version: int = 1) -> bytes:
+    return struct.pack("<4sIII", magic, version, count, road) + zlib.compress(planes)
+
+
+@given(st.data())
+def test_every_finite_float_comes_back_bit_by_bit(data: st.DataObject) -> None:
+    xyz = data.draw(arrays.arrays(np.float32, st.tuples(st.integers(0, 30), st.just(3)), elements=FINITE))
+    road = data.draw(st.integers(0, len(xyz)))
+    again = decode_ground(encode_ground(GroundPoints(xyz, road)), NAME)
+    assert again.xyz.tobytes() == xyz.tobytes()
+    assert (again.xyz.shape, again.xyz.dtype, again.road_count) == (xyz.shape, np.float32, road)
+
+
+def test_zeros_of_either_sign_and_the_edges_of_floats() -> None:
+    tiny, largest = np.finfo(np.float32).smallest_subnormal, np.finfo(np.float32).max
+    xyz = np.array([[0.0, -0.0, tiny], [-tiny, largest, -largest]], np.float32)
+    assert decode_ground(encode_ground(GroundPoints(xyz, 1)), NAME).xyz.tobytes() == xyz.tobytes()
+
+
+def test_a_scan_without_ground() -> None:
+    again = decode_ground(encode_ground(GroundPoints(np.empty((0, 3), np.float32), 0)), NAME)
+    assert (again.xyz.shape, again.road_count) == ((0, 3), 0)
+
+
+def test_the_bytes_are_those_of_the_format() -> None:
+    """Two points, worked out by hand: bits of 1.0 are 3f800000, of 2.0 40000000; their difference is 00800000."""
+    xyz = np.array([[1.0, 0.0, 2.0], [2.0, 0.0, 1.0]], np.float32)
+    data = encode_ground(GroundPoints(xyz, 2))
+    assert data[:16] == b"ILGP" + bytes([1, 0, 0, 0, 2, 0, 0, 0, 2, 0, 0, 0])
+    x, y, z = (0x7F000000, 0x01000000), (0, 0), (0x80000000, 0x00FFFFFF)
+    planes = [value >> shift & 0xFF for shift in (24, 16, 8, 0) for axis in (x, y, z) for value in axis]
+    assert zlib.decompress(data[16:]) == bytes(planes)
+
+
+def test_views_of_larger_arrays_are_written_too() -> None:
+    xyz = np.arange(24, dtype=np.float32).reshape(6, 4)[:, :3]
+    np.testing.assert_array_equal(decode_ground(encode_ground(GroundPoints(xyz, 6)), NAME).xyz, xyz)
+
+
+@pytest.mark.parametrize(
+    "points",
+    [
+        GroundPoints(np.zeros((3, 3), np.float64), 1),  # type: ignore[arg-type]
+        GroundPoints(np.zeros((3, 4), np.float32), 1),
+        GroundPoints(np.zeros((3, 3), np.float32), 4),
+    ],
+)
+def test_what_is_no_scan_is_not_written(points: GroundPoints) -> None:
+    with pytest.raises(ValueError, match=r"expected \(N, 3\) float32"):
+        encode_ground(points)
+
+
+def test_no_scan_is_that_large() -> None:
+    with pytest.raises(ValueError, match="4,000,001 ground points; no scan has more than 4,000,000"):
+        encode_ground(GroundPoints(np.zeros((MAX_POINTS + 1, 3), np.float32), 0))
+    with pytest.raises(DriveError, match="is larger than 51 MB, which the ground points of one scan never are"):
+        decode_ground(bytes(MAX_BYTES + 1), NAME)
+
+
+SOUND = encode_ground(ground())
+NAN = np.full((6, 3), 1.0, np.float32)
+NAN[4, 1] = np.nan
+
+DAMAGED_GROUND = {
+    "empty": (b"", r"is empty\. Usual cause: an upload or copy that did not finish"),
+    "head only": (SOUND[:16], "holds 16 bytes; expected at least 24"),
+    "cut short": (SOUND[:-30], r"is damaged: its 6 points unpack to \d+ of 72 bytes"),
+    "checksum cut": (SOUND[:-1], "is damaged: the end of its 6 points is missing"),
+    "one bit turned": (SOUND[:-1] + bytes([SOUND[-1] ^ 1]), "is damaged: .*incorrect data check"),
+    "no zlib": (SOUND[:16] + b"\xff" * 20, "is damaged: .*incorrect header check"),
+    "something behind": (SOUND + b"123", "3 bytes follow after its points"),
+    "another kind of file": (b"PK\x03\x04" + SOUND[4:], r"starts with b'PK\\x03\\x04'; expected b'ILGP'"),
+    "a later version": (file(bytes(72), version=2), "is of version 2; this InterLoc reads version 1"),
+    "too many points": (file(b"", count=MAX_POINTS + 1), "promises 4,000,001 points; no scan has more than 4,000,000"),
+    "more road than points": (file(bytes(72), road=7), "promises 7 road points among 6 points"),
+    "fewer points than promised": (file(bytes(60)), "its 6 points unpack to 60 of 72 bytes"),
+    "more points than promised": (file(bytes(84)), "its 6 points unpack to more than 72 bytes"),
+    "points where none are promised": (file(bytes(12), count=0, road=0), "its 0 points unpack to more than 0 bytes"),
+    "not finite": (encode_ground(GroundPoints(NAN, 6)), r"point 4 of 6 is not finite \(1, nan, 1\)"),
+}
+
+
+@pytest.mark.parametrize(("data", "words"), DAMAGED_GROUND.values(), ids=DAMAGED_GROUND)
+def test_damaged_ground_is_named(data: bytes, words: str) -> None:
+    with pytest.raises(DriveError, match=words) as caught:
+        decode_ground(data, NAME)
+    assert str(caught.value).startswith(f"{NAME}: ")
+
+
+def test_a_bomb_is_not_unpacked() -> None:
+    """64 MB of zeros behind a header of six points: no more than those are unpacked."""
+    bomb = zlib.compress(bytes(1 << 26), level=1)
+    with pytest.raises(DriveError, match="unpack to more than 72 bytes"):
+        decode_ground(SOUND[:16] + bomb, NAME)
+
+
+@given(st.integers(0, len(SOUND) - 1), st.integers(0, 255), st.booleans())
+def test_whatever_byte_is_wrong_it_is_refused_or_harmless(at: int, byte: int, cut: bool) -> None:
+    data = SOUND[:at] if cut else SOUND[:at] + bytes([byte]) + SOUND[at + 1 :]
+    try:
+        points = decode_ground(data, NAME)
+    except DriveError as error:
+        assert str(error).startswith(f"{NAME}: ")  # noqa: PT017 - both outcomes are right
+    else:
+        assert points.xyz.tobytes() == ground().xyz.tobytes()
+        assert 0 <= points.road_count <= 6
+
+
+ROWS = st.integers(0, 40).flatmap(lambda n: arrays.arrays(np.uint32, (n, 3)))
+
+
+def described_planes(bits: UInt32Array) -> bytes:
+    n = len(bits)
+    planes = bytearray(12 * n)
+    for c in range(3):
+        before = 0
+        for i, value in enumerate(bits[:, c].tolist()):
+            step = (value - before) % 2**32
+            before = value
+            folded = ((step << 1) % 2**32) ^ (2**32 - 1 if step >> 31 else 0)
+            for k in range(4):
+                planes[(3 * k + c) * n + i] = folded >> (24 - 8 * k) & 0xFF
+    return bytes(planes)
+
+
+def test_small_steps_of_either_sign_become_small_numbers() -> None:
+    bits = np.array([[0, 5, 0x01020304], [1, 4, 0x01020304], [0, 4, 0x01020303]], np.uint32)
+    planes = np.frombuffer(to_planes(bits), np.uint8).reshape(4, 3, 3)
+    assert planes[3].tolist() == [[0, 2, 1], [10, 1, 0], [8, 0, 1]]
+    assert planes[0].tolist() == [[0, 0, 0], [0, 0, 0], [2, 0, 0]]
+
+
+@given(ROWS)
+def test_planes_are_as_described(bits: UInt32Array) -> None:
+    assert to_planes(bits) == described_planes(bits)
+
+
+@given(ROWS)
+def test_planes_give_back_their_coordinates(bits: UInt32Array) -> None:
+    np.testing.assert_array_equal(from_planes(to_planes(bits)), bits)
+
+
+WRITER = """
+const fs = require("fs"), zlib = require("zlib");
+const raw = fs.readFileSync(process.argv[2]);
+const xyz = new Uint32Array(raw.buffer.slice(raw.byteOffset, raw.byteOffset + raw.length));
+const n = xyz.length / 3, planes = new Uint8Array(12 * n), head = Buffer.alloc(16);
+for (let c = 0; c < 3; c++) {
+  const bits = Uint32Array.from({ length: n }, (_, i) => xyz[3 * i + c]);
+SNIPPET
+}
+head.write("ILGP"); [1, n, +process.argv[4]].forEach((value, i) => head.writeUInt32LE(value, 4 + 4 * i));
+fs.writeFileSync(process.argv[3], Buffer.concat([head, zlib.deflateSync(planes)]));
+"""
+
+
+def javascript_of_the_description() -> str:
+    lines = (described.__doc__ or "").splitlines()
+    start = next(i for i, line in enumerate(lines) if line.startswith("In JavaScript"))
+    block = [line for line in lines[start + 1 :] if line.startswith("    ") or not line]
+    stop = next(i for i, line in enumerate(block) if line.strip() == "}" and i)
+    return textwrap.dedent("\n".join(block[: stop + 1]))
+
+
+def written_by_node(points: GroundPoints, folder: Path) -> bytes:
+    node = shutil.which("node")
+    if node is None:
+        pytest.skip("node is not installed")
+    script, raw, out = folder / "write.cjs", folder / "points.bin", folder / "scan.ground"
+    script.write_text(WRITER.replace("SNIPPET", javascript_of_the_description()))
+    points.xyz.tofile(raw)
+    subprocess.run([node, script, raw, out, str(points.road_count)], check=True)
+    return out.read_bytes()
+
+
+def test_the_javascript_of_the_description(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    bits = rng.integers(0, 1 << 32, (500, 3), dtype=np.uint32)
+    xyz = bits.view(np.float32)[np.isfinite(bits.view(np.float32)).all(axis=1)]
+    again = decode_ground(written_by_node(GroundPoints(xyz, 9), tmp_path), "scan.ground")
+    assert again.xyz.tobytes() == xyz.tobytes()
+    assert again.road_count == 9
+
+
+def test_a_real_scan_from_javascript(tmp_path: Path, data: Callable[[str], Path]) -> None:
+    points = open_drive(data("semantickitti_mini/sequences/07")).ground_points(5)
+    written = written_by_node(points, tmp_path)
+    assert decode_ground(written, "scan.ground").xyz.tobytes() == points.xyz.tobytes()
+    assert len(encode_ground(points)) < 7.2 * len(points.xyz)  # of 12 bytes a point
