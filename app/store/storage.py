@@ -12,6 +12,7 @@ import os
 import secrets
 import shutil
 import threading
+from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryFile
@@ -22,6 +23,13 @@ from app.store.incoming import Incoming, remove
 from interloc.errors import InterLocError
 
 INCOMING = "incoming"
+
+
+def files_below(folder: Path) -> Iterator[str]:
+    """Yield the files of a folder and of those below it, as paths in it; of a folder that is not there, none."""
+    for parent, _, names in os.walk(folder):
+        place = Path(parent).relative_to(folder)
+        yield from ((place / name).as_posix() for name in names)
 
 
 class DataFolderGoneError(SQLAlchemyError):
