@@ -127,7 +127,7 @@ screenshots: $(READY_TO_TEST)
 
 # The meaning of every attribute of the result layers, from the models that also make the files.
 attributes: $(READY)
-	$(BIN)/python -m interloc.output.attributes > docs/attributes.md
+	$(BIN)/python docs/attributes.py > docs/attributes.md
 
 clean:
 	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .hypothesis coverage.txt

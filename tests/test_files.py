@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from interloc import exchange, files
+from interloc import files
 from interloc.errors import DriveError, OutputError
 from interloc.files import atomic_write
 from tests import forks
@@ -265,7 +265,7 @@ def test_the_old_result_comes_back_when_the_last_rename_fails(
         return rename(self, target)
 
     monkeypatch.setattr(Path, "rename", failing)
-    monkeypatch.setattr(exchange, "_renameat2", lambda *_: False)
+    monkeypatch.setattr(files, "_renameat2", lambda *_: False)
     expected = KeyboardInterrupt if isinstance(error, KeyboardInterrupt) else OutputError
     with pytest.raises(expected), atomic_folder(out) as folder:
         (folder / "new").write_bytes(b"")
@@ -298,7 +298,7 @@ def replace_result(out: Path, run: bytes) -> None:
 def replace_until_killed(out: Path, steps: int, in_one_step: bool) -> None:
     """Be killed before the given change of a folder."""
     if not in_one_step:
-        exchange._renameat2 = lambda *_: False  # type: ignore[assignment]
+        files._renameat2 = lambda *_: False  # type: ignore[assignment]
     left = [steps]
 
     def kill(event: str, _arguments: tuple[object, ...]) -> None:
@@ -349,14 +349,14 @@ def test_runs_into_one_folder_come_one_after_the_other(tmp_path: Path) -> None:
 def test_ctrl_c_waits_for_the_exchange(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     out = tmp_path / "out"
     make_mine(out)
-    swap = exchange._swap
+    swap = files._swap
     before = signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored where the tests run in the background
 
     def interrupted(new: Path, target: Path) -> Path:
         signal.raise_signal(signal.SIGINT)
         return swap(new, target)
 
-    monkeypatch.setattr(exchange, "_swap", interrupted)
+    monkeypatch.setattr(files, "_swap", interrupted)
     try:
         with pytest.raises(KeyboardInterrupt):
             replace_result(out, b"new")

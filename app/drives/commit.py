@@ -27,6 +27,7 @@ from app.networks import work as models
 from app.states import DriveState, JobKind
 from app.store.database import Database
 from app.store.models import Drive, DriveFile, Job
+from app.store.storage import files_below
 from app.work.documents import CommitJob, CommitOutcome
 from interloc.drives.inspect import DriveReport
 
@@ -35,7 +36,7 @@ def begin_commit(context: Context, drive_id: str, owner: str, request: CommitReq
     """Queue the check of a drive; return the running one if there is one, None if the drive is ready."""
     check_free_space(context, 0)
     root = context.storage.folder(files_key(drive_id))
-    found = {path.relative_to(root).as_posix() for path in root.rglob("*") if path.is_file()}
+    found = set(files_below(root))
     with context.database.writing() as session:
         drive = lock_drive(session, drive_id)
         if drive.state == DriveState.READY:

@@ -70,17 +70,15 @@ class Incoming:
 def remove_dead(root: Path) -> list[tuple[str, int]]:
     """Remove what dead processes were receiving, from the folder of all of them; return names and bytes of it."""
     removed = []
-    for path in dead(root):
+    for path in sorted(root.iterdir()) if root.is_dir() else []:
         is_dead, lock = _take(path)
-        if not is_dead:
-            continue  # it came to life meanwhile: of a process that is just starting
         try:
-            size = size_of(path)
-            remove(path)
+            if is_dead:
+                removed.append((path.name, size_of(path)))
+                remove(path)
         finally:
             if lock is not None:
                 lock.release(force=True)
-        removed.append((path.name, size))
     return removed
 
 
@@ -90,14 +88,6 @@ def remove(path: Path) -> None:
         shutil.rmtree(path, ignore_errors=True)
     else:
         path.unlink(missing_ok=True)
-
-
-def dead(root: Path) -> list[Path]:
-    """Return what no living process uses."""
-    try:
-        return sorted(path for path in root.iterdir() if _is_dead(path))
-    except FileNotFoundError:
-        return []
 
 
 def is_old(path: Path) -> bool:
@@ -116,13 +106,6 @@ def size_of(path: Path) -> int:
         with suppress(OSError):  # gone meanwhile
             total += file.lstat().st_size if not file.is_dir() else 0
     return total
-
-
-def _is_dead(path: Path) -> bool:
-    is_dead, lock = _take(path)
-    if lock is not None:
-        lock.release(force=True)
-    return is_dead
 
 
 def _take(path: Path) -> tuple[bool, FileLock | None]:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import os
 import secrets
 import shutil
-import threading
+from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryFile
@@ -22,6 +22,13 @@ from app.store.incoming import Incoming, remove
 from interloc.errors import InterLocError
 
 INCOMING = "incoming"
+
+
+def files_below(folder: Path) -> Iterator[str]:
+    """Yield the files of a folder and of those below it, as paths in it; of a folder that is not there, none."""
+    for parent, _, names in os.walk(folder):
+        place = Path(parent).relative_to(folder)
+        yield from ((place / name).as_posix() for name in names)
 
 
 class DataFolderGoneError(SQLAlchemyError):
@@ -111,21 +118,3 @@ class Storage:
         """Return the space that is left."""
         self.check()
         return shutil.disk_usage(self.root).free
-
-
-class Bookings:
-    """The sum of what is announced and has not come yet.
-
-    Bodies are booked when they are announced, and their space is free again when they have come. Without that many
-    could begin at once where there is room for one, each not knowing of the others.
-
-    Attributes
-    ----------
-    lock
-        Held while the free space is looked at and a booking is made: no two see the same space.
-    size_bytes : int
-    """
-
-    def __init__(self) -> None:
-        self.lock = threading.RLock()
-        self.size_bytes = 0

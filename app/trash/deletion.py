@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from sqlalchemy import delete, select
 from sqlalchemy.orm import Session, defer
@@ -37,15 +37,12 @@ _JOBS_IN_TRASH = (
 _log = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True)
-class Purged:
-    """A drive or a job that was deleted for good."""
+class Purged(NamedTuple):
+    """A drive or a job that was deleted for good, and the bytes that this set free."""
 
     kind: TrashKind
-    """"drives" or "jobs"."""
     id: str
     size_bytes: int
-    """Bytes that this set free."""
 
 
 def delete_drive(
@@ -175,8 +172,7 @@ def empty_trash(context: Context, *, older_than_s: float = 0.0) -> list[Purged]:
         latest = context.database.clock(session) - older_than_s
         jobs = [job.id for job in session.scalars(_JOBS_IN_TRASH.where(Job.deleted_at <= latest))]
         drives = session.scalars(select(Drive.id).where(Drive.deleted_at <= latest)).all()
-    doomed: list[tuple[TrashKind, str]] = [*(("jobs", id_) for id_ in jobs), *(("drives", id_) for id_ in drives)]
-    purged = (purge(context, kind, id_) for kind, id_ in doomed)
+    purged = [*(purge(context, "jobs", id_) for id_ in jobs), *(purge(context, "drives", id_) for id_ in drives)]
     return [each for each in purged if each is not None]
 
 

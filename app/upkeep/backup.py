@@ -18,9 +18,10 @@ from __future__ import annotations
 
 import os
 import shutil
+import sqlite3
 import tempfile
 from collections.abc import Callable, Collection, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -151,14 +152,12 @@ def _make(context: Context, out: Path, installation: str, advance: Advance) -> B
     for number in range(_ROUNDS):
         for path in out.glob(f"{DATABASE}*"):
             path.unlink()
-        with _rows_in(out / DATABASE) as rows:
-            with context.database.snapshot() as source, rows.writing() as session:
-                copy_rows(source, session.connection())
-            with rows.reading() as session:
-                record.drives, record.jobs = (
-                    session.scalar(select(func.count()).select_from(table)) or 0 for table in (Drive, Job)
-                )
-                wanted = list(wanted_files(session, context.storage.root, all_of_folders=True))
+        _dump(context.database, out / DATABASE)
+        with _rows_in(out / DATABASE) as rows, rows.reading() as session:
+            record.drives, record.jobs = (
+                session.scalar(select(func.count()).select_from(table)) or 0 for table in (Drive, Job)
+            )
+            wanted = list(wanted_files(session, context.storage.root, all_of_folders=True))
         removed += _prune(out, {each.key for each in wanted})
         before, missed = missed, bringer.bring(wanted, advance)
         if not missed or (number and missed == before):
@@ -174,6 +173,16 @@ def _make(context: Context, out: Path, installation: str, advance: Advance) -> B
     record.ended_at, record.complete = datetime.now(UTC), True
     record.write(out)
     return BackupReport(record, bringer.files, bringer.size_bytes, removed)
+
+
+def _dump(database: Database, path: Path) -> None:
+    """Write all rows as of one moment into a new SQLite file."""
+    if database.is_sqlite:
+        with closing(sqlite3.connect(str(database.url.database))) as connection:
+            connection.execute("VACUUM INTO ?", (str(path),))
+    else:
+        with _rows_in(path) as rows, database.snapshot() as source, rows.writing() as session:
+            copy_rows(source, session.connection())
 
 
 def restore(settings: Settings, backup: Path, advance: Advance) -> BackupRecord:
@@ -408,7 +417,7 @@ def _written(remark: str) -> Iterator[None]:
     """Say what could not be written, and what that means."""
     try:
         yield
-    except SQLAlchemyError as error:
+    except (SQLAlchemyError, sqlite3.Error) as error:
         reason = " ".join(str(error.orig if isinstance(error, DBAPIError) else error).split())
         raise InterLocError(f"the database could not be read or written: {reason}. {remark}") from error
     except OSError as error:

@@ -20,6 +20,7 @@ from app.context import Context
 from app.drives.records import files_key, reduced_key, stays_uploaded
 from app.states import ACTIVE, DriveState, JobKind, JobState
 from app.store.models import Drive, DriveFile, Job
+from app.store.storage import files_below
 from app.upkeep.cleanup import unknown_folders
 from app.work.places import TRAJECTORY
 from interloc.drives.scans.reduced_format import MANIFEST, ground_path, read_manifest
@@ -94,8 +95,7 @@ def _differs(path: Path, wanted: Wanted) -> bool:
 
 def _unlisted(session: Session, root: Path, drive_id: str) -> Iterator[Discrepancy]:
     """Find files of a drive that no row lists."""
-    folder = root / files_key(drive_id)
-    found = {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
+    found = set(files_below(root / files_key(drive_id)))
     listed = session.scalars(select(DriveFile.path).where(DriveFile.drive_id == drive_id)).all() if found else ()
     for path in sorted(found.difference(listed)):
         message = "no row lists it: an upload was cut off. The commit of its drive removes it."
@@ -148,8 +148,6 @@ def _wanted_reduced(root: Path, drive_id: str, *, all_of_folders: bool) -> Itera
 def _wanted_folder(root: Path, folder: str, names: list[str], *, all_of_folders: bool) -> Iterator[Wanted]:
     wanted = set(names)
     if all_of_folders:
-        wanted.update(
-            path.relative_to(root / folder).as_posix() for path in (root / folder).rglob("*") if path.is_file()
-        )
+        wanted.update(files_below(root / folder))
     for name in sorted(wanted):
         yield Wanted(f"{folder}/{name}")

@@ -2,14 +2,13 @@
 
 Real servers on this machine, on SQLite, on PostgreSQL, and on PostgreSQL with a Dask cluster, and clients that upload
 drives (file by file, as archives, by `interloc push`), commit them, have them worked on, delete them, take them out of
-the trash, put them into maps and take them out again, and make backups. Three scenarios, each with a table at its end:
+the trash, put them into maps and take them out again, and make backups. Two scenarios, each with a table at its end:
 
 - kills: `kill -9` of servers, workers, clients and backups, of the scheduler of Dask, and of the database (SQLite:
   locked by somebody else; PostgreSQL: connections cut, or one of its processes killed), at random moments. Every file
   and job that was acknowledged is in a ledger. After each kill: how long until every job goes on; nothing in the ledger
   is lost, no job is there twice, results are, byte by byte, those of an undisturbed run, and `interloc check` finds
   nothing but files of uploads that were never acknowledged.
-- ways: the natural ways in which a database and a data folder part. Nothing may be deleted.
 - backups: made under load, each restored, on the other kind of database too, checked and compared with the ledger.
 
 Runs for an hour with the default of 500 kills; `--kills`, `--minutes`, `--seed` and `--only` choose another course.
@@ -31,7 +30,6 @@ from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, suppress
 from pathlib import Path
-from typing import Any
 
 import psycopg
 from sqlalchemy import select
@@ -44,9 +42,9 @@ from app.upkeep.backup import BackupReport, back_up, restore
 from app.upkeep.check import Discrepancy, check
 from tests import forks
 from tests.app.postgres import new_database
-from tests.app.processes import ServerProcess, files_below, kill_if_there, wait_until
+from tests.app.processes import kill_if_there, wait_until
 from tests.app.street import write_street
-from tests.performance.fleet import Backups, Client, Cluster, Fleet, Ledger, clients, sha256, undisturbed
+from tests.performance.fleet import Backups, Client, Cluster, Fleet, Ledger, clients, undisturbed
 
 SCANS = 40
 PAUSE_S = 3.0  # between two kills, on average: long enough for work to get on, short enough to meet every moment of it
@@ -238,69 +236,6 @@ def _told(kind: str, ledger: Ledger) -> Rows:
             yield f"  {name}", fault
 
 
-def measure_ways(folder: Path, street: Path, reference: dict[str, str], options: argparse.Namespace) -> Rows:
-    """Part database and data folder in the ways in which that happens, and count what is left of the files."""
-    fleet = Fleet(folder / "ways", None, count=1)
-    client = Client(fleet, Ledger(), street, reference, f"{options.seed}")
-    database = fleet.data / "interloc.sqlite3"
-    try:
-        client._work_on(client._put_files() or "")
-        assert fleet.servers[0].stop() == 0
-        shutil.copy(database, folder / "older.sqlite3")
-        fleet.restart(0)
-        client._work_on(client._send_archive() or "")
-        assert fleet.servers[0].stop() == 0
-    finally:
-        client.close()
-        fleet.close()
-    with new_database() as postgres:
-        elsewhere = f"sqlite:///{folder / 'elsewhere.sqlite3'}"
-        ways: dict[str, tuple[Callable[[Path], object], dict[str, Any]]] = {
-            "the address of an empty PostgreSQL": (lambda _: None, {"database_url": postgres}),
-            "a mistyped address": (lambda _: None, {"database_url": elsewhere}),
-            "the database file lost": (Path.unlink, {}),
-            "the database file damaged": (lambda file: file.write_bytes(b"damaged" * 1000), {}),
-            "an older database": (lambda file: shutil.copy(folder / "older.sqlite3", file), {}),
-            "the data folder not mounted": (
-                lambda file: file.rename(folder / "found.sqlite3"),
-                {"data_dir": folder / "empty", "database_url": f"sqlite:///{folder / 'found.sqlite3'}"},
-            ),
-        }
-        for number, (name, (part, settings)) in enumerate(ways.items()):
-            data = folder / f"way{number}"
-            shutil.copytree(fleet.data, data)
-            part(data / "interloc.sqlite3")
-            yield f"way in: {name}", _outcome(data, folder, settings)
-    data = folder / "shared"
-    shutil.copytree(fleet.data, data)
-    with ExitStack() as stack:
-        first = ServerProcess(data, folder / "first.log", min_free_bytes=0)
-        stack.callback(first.close)
-        yield "way in: a second service on the folder", _outcome(data, folder, {"database_url": elsewhere})
-
-
-def _outcome(data: Path, folder: Path, settings: dict[str, Any]) -> str:
-    """Start a server on a folder whose contents are days old, and stop it; returns what it did."""
-    before = Counter(sha256(path.read_bytes()) for kind in ("drives", "jobs") for path in files_below(data / kind))
-    for kind in ("drives", "jobs"):
-        for path in (data / kind).iterdir():
-            os.utime(path, (time.time() - 3 * 86400,) * 2)
-    log = folder / "way.log"
-    log.write_bytes(b"")
-    try:
-        server = ServerProcess(settings.pop("data_dir", data), log, min_free_bytes=0, workers=1, **settings)
-    except AssertionError:
-        outcome = "refused to start"
-    else:
-        time.sleep(3)  # for the clean-up, which begins with the server
-        outcome = "started"
-        server.stop()
-        server.close()
-    after = Counter(sha256(path.read_bytes()) for path in files_below(data))
-    kept = before & after
-    return f"{outcome}; {kept.total()} of {before.total()} files kept"
-
-
 def measure_backups(folder: Path, street: Path, reference: dict[str, str], options: argparse.Namespace) -> Rows:
     """Make backups while clients work; restore and check each."""
     ledger, took_s = Ledger(), [0.0]
@@ -347,7 +282,7 @@ def _restore(data: Path, backup: Path, url: str | None, known: dict[str, dict[st
     shutil.rmtree(data)
 
 
-SCENARIOS = {"ways": measure_ways, "backups": measure_backups, "kills": measure_kills}
+SCENARIOS = {"backups": measure_backups, "kills": measure_kills}
 
 
 def main(say: Callable[[str], object] = print) -> None:

@@ -9,12 +9,11 @@ import json
 import os
 import shutil
 import subprocess
-import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from datetime import timedelta
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import httpx
 import pytest
@@ -28,14 +27,14 @@ from app.http.intake import Arrival
 from app.jobs import queue
 from app.settings import Settings
 from app.store.database import Database
-from app.store.models import Base, Drive, DriveFile, Job
+from app.store.models import Base, Drive, Job
 from app.trash.deletion import empty_trash, list_trash
 from app.upkeep.backup import DATABASE, RECORD, BackupRecord, BackupReport, back_up, restore
 from app.upkeep.check import check
 from interloc.errors import ConfigError, InterLocError, OutputError
 from tests import forks
-from tests.app.conftest import client_of, running_server
-from tests.app.processes import API, NO_TLS, archive_of, ended, files_below, submit, upload, wait_until
+from tests.app.conftest import client_of
+from tests.app.processes import API, archive_of, ended, files_below, submit, upload
 from tests.app.street import write_street
 from tests.once import once
 
@@ -283,74 +282,6 @@ def test_what_was_going_on_goes_on_where_it_is_restored(tmp_path: Path) -> None:
         assert client.get(f"{API}/drives/{checking}").json()["state"] == "ready"
         listed = client.get(f"{API}/drives/{unpacking}/files", params={"limit": 1000}).json()["files"]
         assert len(listed) == len(files_below(street))
-
-
-class Load:
-    """Clients that upload, commit and start jobs, and note what was acknowledged."""
-
-    def __init__(self, address: str, street: Path) -> None:
-        self._address = address
-        self._files = {path.relative_to(street).as_posix(): path.read_bytes() for path in files_below(street)}
-        self._acknowledged: dict[str, dict[str, str]] = {}
-        self._stop = threading.Event()
-        self._errors: list[httpx.HTTPError] = []
-        self._threads = [threading.Thread(target=self._work) for _ in range(3)]
-
-    def __enter__(self) -> Self:
-        for thread in self._threads:
-            thread.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._stop.set()
-        for thread in self._threads:
-            thread.join()
-        assert not self._errors, self._errors
-
-    def wait_for(self, files: int) -> dict[str, dict[str, str]]:
-        """Wait until so many files were acknowledged; returns the SHA-256 of all by drive and path."""
-        wait_until(
-            lambda: self._errors or sum(map(len, self._acknowledged.copy().values())) >= files, f"{files} uploads"
-        )
-        assert not self._errors, self._errors
-        return {drive: dict(paths) for drive, paths in self._acknowledged.copy().items()}
-
-    def _work(self) -> None:
-        try:
-            with httpx.Client(base_url=self._address, timeout=120, verify=NO_TLS) as client:
-                while not self._stop.is_set():
-                    self._send_drive(client)
-        except httpx.HTTPError as error:
-            self._errors.append(error)
-
-    def _send_drive(self, client: httpx.Client) -> None:
-        drive = new_drive(client)
-        for path, content in self._files.items():
-            if self._stop.is_set():
-                return
-            put(client, drive, path, content)
-            self._acknowledged.setdefault(drive, {})[path] = hashlib.sha256(content).hexdigest()
-        client.post(f"{API}/drives/{drive}/commit", headers={"Prefer": "wait=60"}).raise_for_status()
-        submit(client, drive, osm={"file": "map.osm"})
-
-
-def test_backups_under_load_hold_all_that_was_acknowledged_before(street: Path, tmp_path: Path) -> None:
-    data = tmp_path / "data"
-    known = []
-    with running_server(data) as address, Load(address, street) as load:
-        for number in range(3):
-            known.append(load.wait_for(100 * (number + 1)))
-            assert make_backup(data, tmp_path / f"backup{number}").record.missing == []
-    for number, acknowledged in enumerate(known):
-        restored = tmp_path / f"restored{number}"
-        restore_to(restored, tmp_path / f"backup{number}")
-        found = contents(restored)
-        with service(restored) as context, context.database.reading() as session:
-            for drive, paths in acknowledged.items():
-                rows = session.execute(select(DriveFile.path, DriveFile.sha256).where(DriveFile.drive_id == drive))
-                assert paths.items() <= {row.path: row.sha256 for row in rows}.items()
-                if session.get_one(Drive, drive).state == "uploading":
-                    assert {path: found[f"drives/{drive}/files/{path}"] for path in paths} == paths
 
 
 def die_in_backup(data: Path, out: Path, calls: int) -> None:

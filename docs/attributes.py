@@ -1,4 +1,4 @@
-"""docs/attributes.md, made from the layers: `python -m interloc.output.attributes > docs/attributes.md`."""
+"""docs/attributes.md, made from the layers: `python docs/attributes.py > docs/attributes.md`."""
 
 from __future__ import annotations
 
