@@ -39,7 +39,7 @@ from app.page import routes as page
 from app.page.files import PageFiles
 from app.results.folder import Results
 from app.results.on_demand import OnDemand
-from app.results.routes import compare, exports, keyframes, results, road
+from app.results.routes import compare, exports, pictures, results
 from app.settings import Settings
 from app.trash import routes as trash
 from app.upkeep.cleanup import Sweeper
@@ -56,7 +56,7 @@ def _assemble() -> APIRouter:
         responses=problems({422: "The request is not valid; `problems` lists where."}),
     )
     of_drives = (drives, overview, files, demo, networks)
-    of_jobs = (jobs, results, keyframes, road, exports, compare)
+    of_jobs = (jobs, results, pictures, exports, compare)
     shared = [Depends(client_of), Depends(refuse_unknown_parameters)]
     for module in (*of_drives, *of_jobs, live, maps, queue, trash):
         router.include_router(module.router, prefix=API, dependencies=shared)

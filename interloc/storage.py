@@ -35,6 +35,7 @@ _THREADS = 8
 _PIECE_BYTES = 8 * 1024 * 1024
 _TRIES, _PATIENCE_S = 4, 60
 _MAX_NAME_BYTES = 255
+_SAME_TIME_S = 1e-3  # not every file system keeps times as finely as they are given
 
 Argument = TypeVar("Argument")
 Returned = TypeVar("Returned")
@@ -51,13 +52,7 @@ def is_within(address: str, prefixes: Sequence[str]) -> bool:
 
 
 def check_address(address: str) -> tuple[str, str]:
-    """Return the bucket of an address, and the key, or prefix, in it without slashes at its ends.
-
-    Raises
-    ------
-    ConfigError
-        It is no such address.
-    """
+    """Return the bucket of an address, and the key, or prefix, in it without slashes at its ends."""
     match = _URL.fullmatch(address)
     if match is None or match["scheme"] not in SCHEMES or not match["bucket"]:
         raise ConfigError(
@@ -103,13 +98,7 @@ class Bucket:
 
     @classmethod
     def of(cls, address: str) -> tuple[Bucket, str]:
-        """Return the bucket of an address, and the key, or prefix, in it without slashes at its ends.
-
-        Raises
-        ------
-        ConfigError
-            It is no such address, or obstore is not installed.
-        """
+        """Return the bucket of an address, and the key, or prefix, in it without slashes at its ends."""
         url, key = check_address(address)
         bucket = cls(url)
         bucket.store  # noqa: B018 - whether it can be opened is asked now
@@ -121,13 +110,7 @@ class Bucket:
         return _open(self.url)
 
     def below(self, prefix: str, limit: int = MAX_OBJECTS) -> list[StoredObject]:
-        """Return all objects below a prefix, in the order of their keys.
-
-        Raises
-        ------
-        NetworkError, DriveError
-            They cannot be listed, are too many, or one has a name that no file can have.
-        """
+        """Return all objects below a prefix, in the order of their keys."""
         found: list[StoredObject] = []
         with self._asking(f"{self.url}/{prefix}", "listed"):
             for chunk in self.store.list(prefix or None, chunk_size=1000):
@@ -152,13 +135,7 @@ class Bucket:
                 return None
 
     def get(self, wanted: StoredObject, start: int, stop: int) -> memoryview:
-        """Read bytes of an object.
-
-        Raises
-        ------
-        NetworkError, DriveError
-            It cannot be read, or is another one than was listed.
-        """
+        """Read bytes of an object."""
         address = f"{self.url}/{wanted.key}"
         if stop <= start:
             return memoryview(b"")
@@ -274,15 +251,6 @@ def fetch(
     folder : Path
     progress : callable
         Called with the bytes that were fetched, and with all of them; whatever it raises ends the fetching.
-
-    Raises
-    ------
-    DriveError
-        A name cannot be that of a file, or an object was changed since it was listed.
-    NetworkError
-        One cannot be read.
-    OutputError
-        There is not enough room on the disk.
     """
     _check_names(objects, bucket)
     missing = {folder / path: each for path, each in objects.items() if not _is_here(folder / path, each)}
@@ -321,7 +289,11 @@ def fetch(
 
 
 def _is_here(path: Path, each: StoredObject) -> bool:
-    return path.is_file() and path.stat().st_size == each.size and path.stat().st_mtime == each.modified_s
+    return path.is_file() and path.stat().st_size == each.size and _is_of_its_time(path, each)
+
+
+def _is_of_its_time(path: Path, each: StoredObject) -> bool:
+    return abs(path.stat().st_mtime - each.modified_s) < _SAME_TIME_S
 
 
 def _partial(path: Path) -> Path:
@@ -391,15 +363,7 @@ class ResultPlace:
 
     @classmethod
     def at(cls, address: str) -> ResultPlace:
-        """Make a temporary folder for an address.
-
-        Raises
-        ------
-        ConfigError
-            It is no address that results can be written to, or obstore is not installed.
-        NetworkError
-            It cannot be listed.
-        """
+        """Make a temporary folder for an address."""
         bucket, key = Bucket.of(address)
         if not key or bucket.url.startswith("https://"):
             raise ConfigError(f"{address}: results are written to s3://bucket/prefix, gs://... or az://..., not there.")
@@ -420,13 +384,7 @@ class ResultPlace:
         fetch(self.bucket, wanted, self.path.parent)
 
     def send(self, part: str = "") -> None:
-        """Bring what is new in the folder, or in a part of it, there; the file that makes it a result comes last.
-
-        Raises
-        ------
-        OutputError
-            It could not be written. What is there then is no result yet; the same command does it again.
-        """
+        """Bring what is new in the folder, or in a part of it, there; the file that makes it a result comes last."""
         top = self.path / part
         before = {name: each for name, each in self.there.items() if f"{name}/".startswith(f"{part}/") or not part}
         found = [path for path in (top, *top.rglob("*")) if path.is_file()]
@@ -446,8 +404,7 @@ class ResultPlace:
     @staticmethod
     def _is_older(path: Path, each: StoredObject) -> bool:
         """Return whether a file is as it was put there: empty, or with its contents."""
-        found = path.stat()
-        return found.st_mtime == each.modified_s and found.st_size in {0, each.size}
+        return path.stat().st_size in {0, each.size} and _is_of_its_time(path, each)
 
 
 _results: dict[Path, ResultPlace] = {}

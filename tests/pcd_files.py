@@ -6,47 +6,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import lzf
 import numpy as np
 from numpy.typing import NDArray
 
 TYPES = {"f": "F", "i": "I", "u": "U"}
-
-
-def compress_lzf(raw: bytes) -> bytes:
-    """Pack greedily: the last place where the same three bytes began, or a byte as it is."""
-    out, pending = bytearray(), bytearray()
-    seen: dict[bytes, int] = {}
-
-    def flush() -> None:
-        for at in range(0, len(pending), 32):
-            piece = pending[at : at + 32]
-            out.append(len(piece) - 1)
-            out.extend(piece)
-        pending.clear()
-
-    at = 0
-    while at < len(raw):
-        key = raw[at : at + 3]
-        before = seen.get(key, -1) if len(key) == 3 else -1
-        seen[key] = at
-        distance = at - before - 1
-        if before < 0 or distance >= 8192:
-            pending.append(raw[at])
-            at += 1
-            continue
-        length = 3
-        while length < 264 and at + length < len(raw) and raw[before + length] == raw[at + length]:
-            length += 1
-        flush()
-        count = length - 2
-        if count < 7:
-            out.append((count << 5) | (distance >> 8))
-        else:
-            out.extend([(7 << 5) | (distance >> 8), count - 7])
-        out.append(distance & 255)
-        at += length
-    flush()
-    return bytes(out)
 
 
 def pcd_bytes(points: NDArray[Any], encoding: str, *, header: Sequence[tuple[str, str]] = ()) -> bytes:
@@ -78,7 +42,7 @@ def pcd_bytes(points: NDArray[Any], encoding: str, *, header: Sequence[tuple[str
     if encoding == "binary":
         return text.encode() + points.tobytes()
     raw = b"".join(np.ascontiguousarray(points[name]).tobytes() for name in names)
-    packed = compress_lzf(raw)
+    packed = lzf.compress(raw, 2 * len(raw) + 16) or b""
     return text.encode() + np.array([len(packed), len(raw)], "<u4").tobytes() + packed
 
 

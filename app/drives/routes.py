@@ -15,7 +15,7 @@ from app.drives.models import CommitRequest, DriveChanges, DriveList, DriveModel
 from app.drives.work.look import look
 from app.http.delivery import WholeFile, answer_tagged, tag_of
 from app.http.headers import IdempotencyKey, WaitSeconds
-from app.http.openapi import CHANGED, CHANGES_NOTHING, PAGED, TAGGED, get_and_head, headers_named, problems
+from app.http.openapi import CHANGED, CHANGES_NOTHING, PAGED, TAGGED, get_and_head, problems
 from app.http.paging import After, answer_page, has_part, lies_in, made_between
 from app.http.parameters import BoxFilter, CreatedAfter, CreatedBefore, NamePart
 from app.http.patterns import ID
@@ -43,9 +43,7 @@ NOT_FOUND = problems({404: "There is no such drive."})
         200: {
             "model": DriveModel,
             "description": "The key was sent before: the drive of that request.",
-            "headers": headers_named("Location"),
         },
-        201: {"headers": headers_named("Location")},
         **problems({422: "A member is refused, or the key was used for another request."}),
     },
 )

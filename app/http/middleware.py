@@ -18,7 +18,6 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from app import logs
 from app.http.gate import Gate, is_api, path_of
-from app.http.openapi import HEADERS
 from app.http.problem_types import BODY_REFUSED
 from app.http.problems import Problem, problem_of, respond
 from app.metrics import Metrics
@@ -29,6 +28,12 @@ DATA_POLICY = "default-src 'none'; frame-ancestors 'none'; base-uri 'none'; sand
 
 MAX_JSON_BYTES = 1024**2
 _MAX_LISTING_BYTES = 32 * 1024**2
+
+_READABLE = (
+    "Accept-Ranges", "Content-Disposition", "Content-Range", "ETag", "Last-Modified", "Link", "Location",
+    "Preference-Applied", "Retry-After", "WWW-Authenticate", "X-Request-ID",
+)  # fmt: skip
+"""Headers of answers that pages of other sites may see."""
 
 IDLE_S = 60.0
 """A body that pauses for so long is given up; so is one that kept the server waiting for longer than that, and was
@@ -73,7 +78,7 @@ def add_middleware(app: FastAPI, settings: Settings) -> None:
             allow_origins=settings.origins,
             allow_methods=("GET", "HEAD"),
             allow_headers=("Authorization", "If-None-Match", "If-Modified-Since", "Last-Event-ID", "Range"),
-            expose_headers=tuple(HEADERS),
+            expose_headers=_READABLE,
         )
     app.add_middleware(
         GZipMiddleware, minimum_size=_MIN_PACKED_BYTES, compresslevel=1, exclude_content_types=_PACKED_ALREADY

@@ -67,43 +67,8 @@ TAGS = [
 CHANGES_NOTHING = {"x-changes-nothing": True}
 """``openapi_extra`` of an operation that only answers though its method is POST: a token that may only read will do."""
 
-HEADERS: dict[str, dict[str, Any]] = {
-    "Accept-Ranges": {"description": "`bytes`: parts can be asked for (Range).", "example": "bytes"},
-    "Content-Disposition": {
-        "description": "File name to save it under.",
-        "example": 'inline; filename="town-intersections.geojson"',
-    },
-    "Content-Range": {"description": "Which part of the file it is.", "example": "bytes 0-99/2048"},
-    "ETag": {
-        "description": "Version of what is answered, for If-None-Match.",
-        "example": '"17f0a2c4b1d3e5f6a7b8c9d0"',
-    },
-    "Last-Modified": {"description": "When the file was made.", "example": "Sat, 31 Jan 2026 12:00:00 GMT"},
-    "Link": {
-        "description": 'Address of the next page, rel="next" (RFC 8288); absent on the last page.',
-        "example": '</api/v1/jobs?limit=100&after=1769860800.5_9b1e44f00c7a2d53>; rel="next"',
-    },
-    "Location": {
-        "description": "Address of what was made or is under way.",
-        "example": "/api/v1/jobs/9b1e44f00c7a2d53",
-    },
-    "Preference-Applied": {"description": "The wait that was granted to Prefer (RFC 7240).", "example": "wait=10"},
-    "Retry-After": {"description": "Seconds to wait.", "schema": {"type": "integer"}, "example": 5},
-    "WWW-Authenticate": {"description": "How to authenticate.", "example": 'Bearer realm="interloc"'},
-    "X-Request-ID": {
-        "description": "Id of the request, also in the log; one that the client sends is kept.",
-        "example": "4be1c3a90d27f685",
-    },
-}
-"""What headers of answers mean; those that a browser may show to pages of other sites are among them."""
-
 _SAFE = {"GET", "HEAD", "OPTIONS"}
 _CLOSED = "The service needs a valid API token."
-
-
-def headers_named(*names: str) -> dict[str, Any]:
-    """Describe headers of an answer, for `responses` of an operation."""
-    return {name: {"$ref": f"#/components/headers/{name}"} for name in names}
 
 
 BINARY = {"type": "string", "format": "binary"}
@@ -121,23 +86,14 @@ def problems(meanings: dict[int, str]) -> Responses:
     return {status: {"model": ProblemDocument, "description": meaning} for status, meaning in meanings.items()}
 
 
-TAGGED: Responses = {
-    200: {"headers": headers_named("ETag")},
-    304: {"description": "Nothing has changed (If-None-Match).", "headers": headers_named("ETag")},
-}
+TAGGED: Responses = {304: {"description": "Nothing has changed (If-None-Match)."}}
 """Answers of `app.http.delivery.answer_tagged`, for `responses` of an operation."""
 
-PAGED: Responses = {**TAGGED, 200: {"headers": headers_named("ETag", "Link")}}
+PAGED = TAGGED
 """Answers of `app.http.paging.answer_page`, likewise."""
 
-CHANGED: Responses = {
-    200: {"headers": headers_named("ETag")},
-    **problems({422: "A member is refused."}),
-}
+CHANGED: Responses = problems({422: "A member is refused."})
 """Answers of a change, likewise."""
-
-_CHALLENGE = headers_named("WWW-Authenticate")
-_WAIT = headers_named("Retry-After")
 
 
 def changes_something(method: str, extra: dict[str, Any] | None) -> bool:
@@ -192,7 +148,6 @@ def _complete(document: dict[str, Any], *, needs_token: bool) -> dict[str, Any]:
     )
     for schema in schemas.values():
         _drop_defaults_of_models(schema)
-    document["components"]["headers"] = {name: {"schema": {"type": "string"}, **each} for name, each in HEADERS.items()}
     for operations in document["paths"].values():
         for method, operation in operations.items():
             responses = operation["responses"]
@@ -203,7 +158,6 @@ def _complete(document: dict[str, Any], *, needs_token: bool) -> dict[str, Any]:
             for response in responses.values():
                 _correct_media_type(response, schemas)
                 _offer_bytes(response)
-                response["headers"] = {**response.get("headers", {}), **headers_named("X-Request-ID")}
             _leave_out_null_body(operation)
             operation["responses"] = dict(sorted(responses.items()))
             if operation.get("security") and not needs_token:
@@ -216,11 +170,11 @@ def _common(method: str, operation: dict[str, Any]) -> Iterator[tuple[str, dict[
     yield "400", _problem("The request does not keep to HTTP, or has a parameter or a body that cannot be read.")
     yield "431", _problem("The headers are too large, or too many.")
     yield "500", _problem("A fault of the service.")
-    yield "503", _problem("The service or its database is busy, or is being stopped.", _WAIT)
+    yield "503", _problem("The service or its database is busy, or is being stopped.")
     yield "421", _problem("The service does not answer under this host name.")
     if operation.get("security"):
-        yield "401", _problem(_CLOSED, _CHALLENGE)
-        yield "429", _problem("Too many wrong tokens.", _WAIT)
+        yield "401", _problem(_CLOSED)
+        yield "429", _problem("Too many wrong tokens.")
     if method.upper() not in _SAFE:
         yield "403", _problem("The token may only read, or the request came from a page of another site.")
     if changes_something(method, operation):
@@ -232,10 +186,9 @@ def _common(method: str, operation: dict[str, Any]) -> Iterator[tuple[str, dict[
             yield "415", _problem("The Content-Type of the body is not application/json.")
 
 
-def _problem(description: str, headers: dict[str, Any] | None = None) -> dict[str, Any]:
+def _problem(description: str) -> dict[str, Any]:
     schema = {"$ref": "#/components/schemas/ProblemDocument"}
-    described = {"description": description, "content": {MEDIA_TYPE: {"schema": schema}}}
-    return described if headers is None else {**described, "headers": headers}
+    return {"description": description, "content": {MEDIA_TYPE: {"schema": schema}}}
 
 
 def _correct_media_type(response: dict[str, Any], schemas: dict[str, Any]) -> None:

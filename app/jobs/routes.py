@@ -14,11 +14,10 @@ from app.context import Context, ContextDep
 from app.http.delivery import answer_tagged, tag_of
 from app.http.headers import IdempotencyKey, WaitIfAsked
 from app.http.limits import job_limit
-from app.http.openapi import CHANGED, PAGED, TAGGED, Responses, get_and_head, headers_named, problems
+from app.http.openapi import CHANGED, PAGED, TAGGED, Responses, get_and_head, problems
 from app.http.paging import After, answer_page, cursor_of, has_part, lies_in, made_between, newest_first, rows_after
 from app.http.parameters import BoxFilter, CreatedAfter, CreatedBefore, NamePart
 from app.http.patterns import ID
-from app.http.problems import ProblemDocument
 from app.http.security import ClientDep
 from app.jobs.models import JobChanges, JobList, JobModel, NewJob, PresetList, PresetModel
 from app.jobs.queue import submit
@@ -43,16 +42,10 @@ NOT_FOUND = problems({404: "There is no such job."})
         200: {
             "model": JobModel,
             "description": "The job has ended within the time of Prefer; or the job that this key has made before.",
-            "headers": headers_named("Location", "Preference-Applied"),
-        },
-        202: {"headers": headers_named("Location", "Preference-Applied")},
-        429: {
-            "model": ProblemDocument,
-            "description": "Too many jobs of this client wait or run.",
-            "headers": headers_named("Retry-After"),
         },
         **problems(
             {
+                429: "Too many jobs of this client wait or run.",
                 404: "There is no such drive.",
                 409: "The drive is not committed.",
                 422: "A setting is refused, the drive lacks the map, the labels or the georeference that the job "

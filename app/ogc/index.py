@@ -10,10 +10,12 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import reduce
+from itertools import groupby
+from operator import itemgetter
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from sqlalchemy import ColumnElement, Row, Select, and_, case, false, func, literal, or_, select, text, true, tuple_
 from sqlalchemy.exc import OperationalError
 from sqlalchemy.orm import Session
@@ -31,6 +33,7 @@ Interval = tuple[float, float]
 """First and last second since 1970; infinite where it is open."""
 
 _PATIENCE_S = 3.0
+_FEW = 5_000
 _OF_RESULT = ("drive", "job", "preset", "labels")
 
 
@@ -218,7 +221,7 @@ class _Search:
         self._joined: Any = table
         self._exact: list[tuple[Any, ColumnElement[bool] | None]] = []
         """Geometries that features must touch, and where their boxes tell that they do."""
-        self._conditions = list(self._conditions_on_features())
+        self._place, self._rest = list(self._conditions_on_place()), list(self._other_conditions())
 
     def _conditions_on_layers(self) -> Iterator[ColumnElement[bool]]:
         """Yield conditions that hold where one feature of a layer matches."""
@@ -231,17 +234,18 @@ class _Search:
             names: dict[str, Any] = {"drive": Drive.name, "job": of.job_id}
             yield from (names[name] == value for name, value in equal_texts(self._query.filter) if name in names)
 
-    def _conditions_on_features(self) -> Iterator[ColumnElement[bool]]:
-        table = self._table.c
-        box = self._box
+    def _conditions_on_place(self) -> Iterator[ColumnElement[bool]]:
         if (area := self._query.area) is not None:
             near = [part for part in area.parts if any(_meet(part, layer) for layer in self._layers.values())]
             yield or_(*(self._near(part) for part in near or area.parts[:1]))
             if not self._collection.is_point:
                 import shapely  # noqa: PLC0415 - an eighth of a second of start-up time
 
-                within = or_(*(_within(box, part) for part in area.parts))
+                within = or_(*(_within(self._box, part) for part in area.parts))
                 self._exact.append((shapely.union_all([shapely.box(*part) for part in area.parts]), within))
+
+    def _other_conditions(self) -> Iterator[ColumnElement[bool]]:
+        table = self._table.c
         if (interval := self._query.interval) is not None:
             first, last = ("time", "time") if "time" in table else ("first_time", "last_time")
             if first in table:  # else all features have the times of their layer
@@ -275,51 +279,66 @@ class _Search:
         widest = max((layer.width or 0.0 for layer in self._layers.values()), default=0.0)
         return and_(self._table.c.west >= part[0] - widest - 1e-9, _touches(self._box, part))
 
-    def _asked(self, *columns: Any, where: Sequence[ColumnElement[bool]] = ()) -> Select[Any]:  # noqa: ANN401
-        among = self._table.c.layer_id.in_(list(self._layers))
-        return select(*columns).select_from(self._joined).where(among, *self._conditions, *where)
+    def _asked(self, *columns: Any, where: Sequence[ColumnElement[bool]]) -> Select[Any]:  # noqa: ANN401
+        return select(*columns).select_from(self._joined).where(self._table.c.layer_id.in_(list(self._layers)), *where)
 
     def page(self) -> Page:
         """Return the page that is asked for."""
-        table, query = self._table, self._query
-        asked = select(table) if self._exact else self._asked(table)
-        matched: int | None = None if self._conditions else sum(layer.features for layer in self._layers.values())
-        if self._exact:
+        table, query = self._table.c, self._query
+        near = self._count(self._place) if self._place else sum(layer.features for layer in self._layers.values())
+        is_small = bool(self._place) and near < _FEW
+        if self._exact or (is_small and self._rest):
             keys = self._touching()
-            start = query.offset if query.after is None else sum(key <= query.after for key in keys)
-            matched, some = len(keys), keys[start : start + query.limit + 1]
-            asked = asked.where(self._key.in_(some) if some else false())
-        else:
-            asked = asked.where(true() if query.after is None else self._key > tuple_(*query.after))
-            asked = asked.limit(query.limit + 1).offset(query.offset)
-        rows = self._session.execute(asked.order_by(table.c.layer_id, table.c.number)).all()
-        is_last, rows = len(rows) <= query.limit, rows[: query.limit]
-        if matched is None and is_last and query.after is None and (rows or not query.offset):
-            matched = query.offset + len(rows)
-        if matched is None:
-            matched = self._session.scalar(self._asked(func.count())) or 0
-        return Page(
-            features=list(_features(self._source, self._collection, self._layers, rows)),
-            matched=matched,
-            next=None if is_last or not rows else Key(rows[-1].layer_id, rows[-1].number),
-        )
+            start, (layer, number) = query.offset, query.after or (-1, -1)
+            start += int(np.sum((keys[:, 0] < layer) | ((keys[:, 0] == layer) & (keys[:, 1] <= number))))
+            return self._page(self._rows_of(keys[start : start + query.limit + 1].tolist()), len(keys))
+        asked = self._asked(self._table, where=[*self._place, *self._rest])
+        asked = asked.where(true() if query.after is None else self._key > tuple_(*query.after))
+        # SQLite would go through all features of the first layers, where the few of a small area are found sooner.
+        first = table.layer_id + 0 if is_small else table.layer_id
+        asked = asked.order_by(first, table.number).limit(query.limit + 1).offset(query.offset)
+        rows = self._session.execute(asked).all()
+        if not self._rest:
+            return self._page(rows, near)
+        is_whole = query.after is None and len(rows) <= query.limit and (rows or not query.offset)
+        return self._page(rows, query.offset + len(rows) if is_whole else self._count([*self._place, *self._rest]))
 
-    def _touching(self) -> list[Key]:
-        """Return the keys of all features that touch the geometries that are asked for, in their order."""
+    def _page(self, rows: Sequence[Row[Any]], matched: int) -> Page:
+        limit = self._query.limit
+        features = _features(self._source, self._collection, self._layers, rows[:limit])
+        last = rows[limit - 1] if len(rows) > limit else None
+        return Page(list(features), matched, None if last is None else Key(last.layer_id, last.number))
+
+    def _count(self, conditions: Sequence[ColumnElement[bool]]) -> int:
+        return self._session.scalar(self._asked(func.count(), where=conditions)) or 0
+
+    def _rows_of(self, keys: Sequence[Sequence[int]]) -> Sequence[Row[Any]]:
+        table, rows = self._table.c, list[Row[Any]]()
+        for layer, own in groupby(keys, key=itemgetter(0)):
+            asked = select(self._table).where(table.layer_id == layer, table.number.in_([number for _, number in own]))
+            rows += self._session.execute(asked.order_by(table.number)).all()
+        return rows
+
+    def _touching(self) -> NDArray[np.int64]:
+        """Return the keys of all features that touch the geometries that are asked for, (N, 2), in their order."""
         import shapely  # noqa: PLC0415 - an eighth of a second of start-up time
 
-        table = self._table.c
-        surely = [false() if within is None else within for _, within in self._exact]
-        is_point = self._collection.is_point
-        own = [table.west, table.south] if is_point else [case((and_(*surely), None), else_=table.geometry)]
-        asked = self._asked(table.layer_id, table.number, *own).order_by(table.layer_id, table.number)
+        table, is_point = self._table.c, self._collection.is_point
+        surely = and_(*(false() if within is None else within for _, within in self._exact))
+        own = [table.west, table.south] if is_point else [case((surely, None), else_=table.geometry)]
+        asked = self._asked(table.layer_id, table.number, *own, where=[*self._place, *self._rest])
+        asked = asked.order_by(table.layer_id + 0, table.number)
         rows = self._session.execute(asked).all()
-        points: Any = np.array([row[2:] for row in rows], dtype=np.float64).reshape(-1, 2) if is_point else []
-        shapes: Any = shapely.points(points) if is_point else shapes_of([row[2] for row in rows])
-        touching = shapely.is_missing(shapes)  # surely
-        doubtful = ~touching
-        touching[doubtful] = reduce(np.logical_and, (_intersects(shape, shapes[doubtful]) for shape, _ in self._exact))
-        return [Key(row.layer_id, row.number) for row, is_in in zip(rows, touching.tolist(), strict=True) if is_in]
+        layer, number, *place = zip(*rows, strict=True) if rows else ((), (), (), ())
+        touching = np.ones(len(rows), dtype=np.bool_)
+        shapes = None if is_point else shapes_of(list(place[0]))
+        for shape, _ in self._exact:
+            shapely.prepare(shape)
+            if shapes is None:
+                touching &= shapely.intersects_xy(shape, *np.array(place, dtype=np.float64))
+            else:
+                touching &= shapely.is_missing(shapes) | shapely.intersects(shape, shapes)
+        return np.array([layer, number], dtype=np.int64).T[touching]
 
 
 def _touches(box: Sequence[Any], part: Sequence[float]) -> ColumnElement[bool]:
@@ -333,13 +352,6 @@ def _within(box: Sequence[Any], part: Sequence[float]) -> ColumnElement[bool]:
 
 def _meet(part: Sequence[float], layer: Row[Any]) -> bool:
     return layer.west is not None and bool(layer.west <= part[2] and layer.east >= part[0])
-
-
-def _intersects(shape: Any, shapes: Any) -> Any:  # noqa: ANN401 - of shapely
-    import shapely  # noqa: PLC0415 - an eighth of a second of start-up time
-
-    shapely.prepare(shape)
-    return shapely.intersects(shape, shapes)
 
 
 def _time_text(seconds: float) -> str:

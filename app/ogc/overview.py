@@ -17,7 +17,7 @@ from sqlalchemy.orm import Session
 from app.context import ContextDep
 from app.drives import records
 from app.http.delivery import answer_tagged
-from app.http.openapi import TAGGED, get_and_head, headers_named
+from app.http.openapi import TAGGED, get_and_head
 from app.http.paging import After, lies_in, next_link
 from app.http.parameters import BoxFilter
 from app.http.security import ClientDep
@@ -104,7 +104,7 @@ class Overview(BaseModel):
     response_class=Response,
     responses={
         **TAGGED,
-        200: {"model": Overview, "description": "GeoJSON.", "headers": headers_named("ETag", "Link")},
+        200: {"model": Overview, "description": "GeoJSON."},
     },
 )
 def show_overview(

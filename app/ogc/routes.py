@@ -203,7 +203,7 @@ def _add(
 ) -> None:
     """Register all addresses of a source of features."""
     for path, endpoint, media_type, summary in _ADDRESSES:
-        answer = {**TAGGED[200], "description": f"{summary}.", "content": {media_type: {"schema": {"type": "object"}}}}
+        answer = {"description": f"{summary}.", "content": {media_type: {"schema": {"type": "object"}}}}
         get_and_head(
             router,
             f"{prefix}{path}",

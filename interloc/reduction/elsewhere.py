@@ -25,11 +25,6 @@ def find_stored(address: str, limit: int = MAX_OBJECTS) -> tuple[Bucket, dict[st
     dict of str to StoredObject
         What was listed, by path below the prefix.
     list of ListedDrive
-
-    Raises
-    ------
-    DriveError
-        There is nothing below it, or what cannot be files.
     """
     bucket, key = Bucket.of(address)
     listing = {each.key[len(key) + 1 if key else 0 :]: each for each in bucket.below(key, limit)}
@@ -69,17 +64,6 @@ def fetch_drive(
     -------
     Path
         The folder of the drive, or the file.
-
-    Raises
-    ------
-    ConfigError
-        It is not an address, or obstore is not installed.
-    DriveError
-        There is nothing, no drive, or several.
-    NetworkError
-        It cannot be read.
-    OutputError
-        There is not enough room on the disk.
     """
     bucket, key = Bucket.of(address)
     single = bucket.head(key) if key else None

@@ -115,18 +115,10 @@ def test_learning_ids_instead_of_raw_ids(tmp_path: Path, make: ModuleType, optio
 
 
 def test_no_road_at_all(sequence: Path) -> None:
-    rewrite_labels(sequence, {40: 50})
-    assert "no point of the scans looked at is road: the ids are 48, 50, 70" in refusal(sequence)
-
-
-def test_custom_ids_that_do_not_occur(sequence: Path) -> None:
     assert "road would be 3 (scheme custom)" in refusal(sequence, label_scheme={3})
     assert len(open_drive(sequence, label_scheme="40").ground_points(0).road) > 0
-
-
-def test_missing_labels_name_the_predictions(tmp_path: Path, make: ModuleType) -> None:
-    root = make.write_semantickitti(tmp_path / "07", labels="predictions")
-    assert "There is predictions/: choose it" in refusal(root, labels="labels")
+    rewrite_labels(sequence, {40: 50})
+    assert "no point of the scans looked at is road: the ids are 48, 50, 70" in refusal(sequence)
 
 
 def test_without_labels_the_predictions_are_used_and_named(tmp_path: Path, make: ModuleType) -> None:
@@ -197,20 +189,20 @@ def test_one_folder_per_keyframe(sequence: Path) -> None:
     assert "one .pcd file in each of 12 folders (000000, 000001, ...)" in refusal(sequence / "dump")
 
 
-def test_swapped_latitude_and_longitude(sequence: Path, make: ModuleType) -> None:
+def test_a_georeference_that_does_not_fit(sequence: Path, make: ModuleType) -> None:
     rows = [line.split(",") for line in make.geo_csv(make.lidar_poses()).splitlines()]
     swapped = [rows[0], *([frame, lon, lat, *rest] for frame, lat, lon, *rest in rows[1:])]
-    (sequence / "geo.csv").write_text("\n".join(map(",".join, swapped)))
-    with pytest.raises(GeoreferenceError, match="Latitude and longitude are swapped"):
-        open_drive(sequence)
-
-
-def test_georeference_of_another_drive(sequence: Path, make: ModuleType) -> None:
-    (sequence / "geo.csv").write_text(make.geo_csv(make.lidar_poses(turn_rad=-0.06)))
-    with pytest.raises(GeoreferenceError, match=r"geo\.csv .*: describes another motion than the poses"):
-        open_drive(sequence)
+    for text, words in (
+        ("\n".join(map(",".join, swapped)), "Latitude and longitude are swapped"),
+        (make.geo_csv(make.lidar_poses(turn_rad=-0.06)), r"geo\.csv .*: describes another motion than the poses"),
+    ):
+        (sequence / "geo.csv").write_text(text)
+        with pytest.raises(GeoreferenceError, match=words):
+            open_drive(sequence)
     (sequence / "geo.csv").write_text(make.geo_csv(make.lidar_poses()))
-    assert open_drive(sequence).georeference is not None
+    drive = open_drive(sequence)
+    assert drive.georeference is not None
+    assert check_georeference(drive.T_world_lidar[:2], drive.georeference, Findings(stop_at_first=True)) is None
 
 
 def test_road_that_is_not_flat_names_the_dialect(sequence: Path, make: ModuleType) -> None:
@@ -259,10 +251,3 @@ def test_checks_can_be_left_out(sequence: Path) -> None:
     drive = open_drive(sequence, check=False)
     with pytest.raises(DriveError, match="1 labels for 1,725 points"):
         drive.ground_points(4)
-
-
-def test_georeference_needs_motion_to_be_judged(sequence: Path, make: ModuleType) -> None:
-    (sequence / "geo.csv").write_text(make.geo_csv(make.lidar_poses()))
-    drive = open_drive(sequence)
-    assert drive.georeference is not None
-    assert check_georeference(drive.T_world_lidar[:2], drive.georeference, Findings(stop_at_first=True)) is None

@@ -73,6 +73,10 @@ def test_a_format_of_another_package(site: Path, tables: Path) -> None:
     report = json.loads(done.stdout)
     assert (report["layout"], report["scans"], report["label_folder"]) == ("tables", 12, "labels")
     assert report["problems"] == []
+    (site / "tables_of_points.py").write_text("from tables_of_numbers import open_tables\n")
+    done = run_with(site, "info", tables)
+    assert "format tables: tables_of_points:open_tables cannot be loaded: No module named" in done.stdout
+    assert done.returncode == 1
 
 
 def test_its_name_is_a_layout(site: Path, tables: Path, tmp_path: Path) -> None:
@@ -86,10 +90,3 @@ def test_without_the_package(tables: Path) -> None:
         open_drive(tables)
     with pytest.raises(ConfigError, match="layout 'tables': expected 'auto', 'semantickitti'"):
         open_drive(tables, layout="tables")
-
-
-def test_a_package_that_is_damaged(site: Path, tables: Path) -> None:
-    (site / "tables_of_points.py").write_text("from tables_of_numbers import open_tables\n")
-    done = run_with(site, "info", tables)
-    assert "format tables: tables_of_points:open_tables cannot be loaded: No module named" in done.stdout
-    assert done.returncode == 1

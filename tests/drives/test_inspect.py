@@ -39,6 +39,8 @@ def test_it_is_json(sequence: Path) -> None:
     data = json.loads(json.dumps(inspect_drive(sequence).to_dict()))
     assert data["ok"] is True
     assert data["label_ids"].keys() == {"40", "48", "70"}
+    with pytest.raises(ConfigError):  # an option without meaning is the caller's fault
+        inspect_drive(sequence, label_scheme="kitty")
 
 
 def test_every_problem_is_listed(sequence: Path) -> None:
@@ -118,11 +120,6 @@ def test_single_scan(tmp_path: Path, make: ModuleType) -> None:
     assert report.ok
     assert report.spacing_m is None
     assert report.pose_frame == "camera"
-
-
-def test_an_option_without_meaning_is_the_callers_fault(sequence: Path) -> None:
-    with pytest.raises(ConfigError):
-        inspect_drive(sequence, label_scheme="kitty")
 
 
 def test_without_poses_they_are_computed_from_the_points(tmp_path: Path, data: Callable[[str], Path]) -> None:

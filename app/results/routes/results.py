@@ -12,7 +12,7 @@ from zipstream import ZIP_DEFLATED, ZIP_STORED, ZipStream
 
 from app.http.delivery import REVALIDATE, deliver, media_type_of, not_modified
 from app.http.headers import prefers_html
-from app.http.openapi import BINARY, Responses, get_and_head, headers_named, problems
+from app.http.openapi import BINARY, Responses, get_and_head, problems
 from app.http.patterns import ID
 from app.results.folder import Result, ResultsDep
 from app.results.models import ResultFile, ResultFileList, collection_model
@@ -39,24 +39,16 @@ WORKED_OUT: Responses = {
 _PACKED = frozenset({".png", ".gz", ".zip"})  # they would not become smaller in an archive
 
 _CACHED: Responses = {
-    206: {
-        "description": "The range that was asked for.",
-        "headers": headers_named("Content-Range", "ETag", "Last-Modified"),
-    },
-    304: {
-        "description": "The client has the current version (If-None-Match, If-Modified-Since).",
-        "headers": headers_named("ETag"),
-    },
+    206: {"description": "The range that was asked for."},
+    304: {"description": "The client has the current version (If-None-Match, If-Modified-Since)."},
     **problems({416: "There is no such range."}),
 }
-
-_FILE_HEADERS = headers_named("ETag", "Last-Modified", "Content-Disposition", "Accept-Ranges")
 
 
 def answers(media_type: str, schema: dict[str, Any], description: str) -> Responses:
     """Describe the answers of an address that gives a file."""
     content = {media_type: {"schema": schema}}
-    return {200: {"description": description, "content": content, "headers": _FILE_HEADERS}, **_CACHED, **PROBLEMS}
+    return {200: {"description": description, "content": content}, **_CACHED, **PROBLEMS}
 
 
 router = APIRouter(tags=["Results"])
@@ -79,7 +71,7 @@ def _add_layer(layer: Layer) -> None:
         responses={
             **_CACHED,
             **PROBLEMS,
-            200: {"model": collection_model(layer), "description": f"{layer.title}.", "headers": _FILE_HEADERS},
+            200: {"model": collection_model(layer), "description": f"{layer.title}."},
         },
     )(read_layer)
 

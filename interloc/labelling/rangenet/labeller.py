@@ -22,19 +22,10 @@ _inherited: list[Network] = []
 
 
 class Labeller:
-    """Gives every point of a scan a label.
+    """Gives every point of a scan a label, as a `ScanLabeller`.
 
     The network is loaded when the first scan comes, once per process: a labeller that is sent to another process, or
     inherited by a forked one, loads its own there. Several threads may label at the same time.
-
-    Parameters
-    ----------
-    model
-        From `read_model`.
-    provider : str
-        What runs the network: "cpu", or "cuda" and others where this onnxruntime has them.
-    threads : int, optional
-        Processor threads per scan. All cores by default; 1 where several scans are labelled at the same time.
 
     Attributes
     ----------
@@ -42,11 +33,6 @@ class Labeller:
     stopwatch : Stopwatch
         Time spent on "projection", "network" and "neighbours" in this process, summed over its threads; loading the
         network does not count.
-
-    Raises
-    ------
-    ConfigError
-        `threads` is less than 1.
     """
 
     def __init__(self, model: Model, provider: str = "cpu", threads: int | None = None) -> None:
@@ -77,39 +63,18 @@ class Labeller:
         return self.model.notes
 
     def load(self) -> None:
-        """Load the network, where this process has not done so yet: to have what is wrong with it reported early.
-
-        Raises
-        ------
-        ConfigError
-            The provider is not installed or does not start.
-        ModelError
-            onnxruntime is not installed or cannot load the network.
-        """
+        """Load the network, where this process has not done so yet: to have what is wrong with it reported early."""
         self._loaded()
 
     def label(self, points: Float32Array) -> UInt32Array:
-        """Label a scan.
+        """Label a scan of (N, 4) points: x (ahead), y (left), z (up) in L, metres, and remission from 0 to 1.
 
-        Parameters
-        ----------
-        points : (N, 4) float32
-            x (ahead), y (left), z (up) in L, metres, and remission from 0 to 1 (`remission_scale` tells what to divide
-            by). Points that are not finite get the label of class 0.
-
-        Returns
-        -------
-        (N,) uint32
-            Label ids, by `learning_map_inv` of data_cfg.yaml: those of SemanticKITTI for networks trained on it.
-
-        Raises
-        ------
-        ModelError
-            The points are no scan, or the network cannot be loaded or fails.
-        ConfigError
-            The provider is not installed or does not start.
+        Points that are not finite get the label of class 0. The (N,) ids are those of `learning_map_inv` of
+        data_cfg.yaml: those of SemanticKITTI for networks trained on it.
         """
-        points = _checked(points)
+        if points.ndim != 2 or points.shape[1] != 4:
+            raise ModelError(f"points of shape {points.shape} are no scan; expected (N, 4): x, y, z and remission.")
+        points = np.ascontiguousarray(points, np.float32)
         network, model, stopwatch = self._loaded(), self.model, Stopwatch()
         projection = project(points, model.height, model.width, model.fov_up_rad, model.fov_down_rad)  # III-A
         if not projection.filled.any():
@@ -152,12 +117,6 @@ class Labeller:
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state | {"_lock": Lock()})
-
-
-def _checked(points: Float32Array) -> Float32Array:
-    if points.ndim != 2 or points.shape[1] != 4:
-        raise ModelError(f"points of shape {points.shape} are no scan; expected (N, 4): x, y, z and remission.")
-    return np.ascontiguousarray(points, np.float32)
 
 
 def open_labeller(folder: Path, provider: str, threads: int | None) -> Labeller:

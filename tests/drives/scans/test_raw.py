@@ -14,13 +14,15 @@ from interloc.drives.open import open_drive
 from interloc.errors import DriveError
 
 
-def test_it_is_a_drive(sequence: Path) -> None:
+def test_it_is_a_drive(sequence: Path, make: ModuleType) -> None:
     drive = open_drive(sequence)
     assert isinstance(drive, Drive)
     assert drive.name == "07"
     assert drive.frames.tolist() == list(range(12))
     assert drive.times_s is not None
     assert drive.times_s[3] == pytest.approx(0.3)
+    np.testing.assert_array_equal(drive.T_world_lidar[0], np.eye(4))
+    np.testing.assert_allclose(drive.T_world_lidar, make.lidar_poses(), atol=1e-6)
 
 
 def test_ground_points_are_road_first(sequence: Path, make: ModuleType) -> None:
@@ -35,22 +37,12 @@ def test_ground_points_are_road_first(sequence: Path, make: ModuleType) -> None:
     assert points.xyz.flags.c_contiguous
 
 
-def test_the_first_scan_is_the_world(sequence: Path, make: ModuleType) -> None:
-    drive = open_drive(sequence)
-    np.testing.assert_array_equal(drive.T_world_lidar[0], np.eye(4))
-    np.testing.assert_allclose(drive.T_world_lidar, make.lidar_poses(), atol=1e-6)
-
-
-def test_a_drive_travels_light(sequence: Path) -> None:
+def test_a_drive_travels_light_and_its_errors_too(sequence: Path) -> None:
     drive = open_drive(sequence)
     drive.ground_points(0)
     data = pickle.dumps(drive)
     assert len(data) < 20_000
     np.testing.assert_array_equal(pickle.loads(data).ground_points(3).xyz, drive.ground_points(3).xyz)  # noqa: S301
-
-
-def test_errors_travel_too(sequence: Path) -> None:
-    drive = open_drive(sequence)
     (sequence / "velodyne" / "000003.bin").write_bytes(b"12345")
     with pytest.raises(DriveError) as caught:
         drive.ground_points(3)
@@ -71,17 +63,14 @@ def test_scan_that_changed_after_opening(sequence: Path) -> None:
     drive = open_drive(sequence)
     path = sequence / "velodyne" / "000003.bin"
     whole = path.read_bytes()
-    for cut, words in ((17, "17 bytes, which is no multiple of 16"), (0, "is empty"), (160, "labels for 10 points")):
-        path.write_bytes(whole[:cut])
+    points = np.frombuffer(whole, np.float32).reshape(-1, 4).copy()
+    points[505, 1] = np.inf
+    for data, words in (
+        (whole[:17], "17 bytes, which is no multiple of 16"),
+        (b"", "is empty"),
+        (whole[:160], "labels for 10 points"),
+        (points.tobytes(), r"velodyne/000003\.bin: point 505 of 1,725 is not finite"),
+    ):
+        path.write_bytes(data)
         with pytest.raises(DriveError, match=words):
             drive.ground_points(3)
-
-
-def test_a_point_that_is_not_finite_is_named(sequence: Path) -> None:
-    drive = open_drive(sequence)
-    path = sequence / "velodyne" / "000003.bin"
-    points = np.fromfile(path, np.float32).reshape(-1, 4)
-    points[505, 1] = np.inf
-    points.tofile(path)
-    with pytest.raises(DriveError, match=r"velodyne/000003\.bin: point 505 of 1,725 is not finite"):
-        drive.ground_points(3)

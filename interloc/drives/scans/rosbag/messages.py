@@ -23,23 +23,9 @@ class WireError(ValueError):
 
 
 class Wire:
-    """Reads one message from its first byte on.
+    """Reads one message, or its beginning, from its first byte on; `order` is the byte order of its numbers.
 
-    Parameters
-    ----------
-    data : bytes
-        The message, or its beginning.
-    encoding : {"ros1", "cdr"}
-
-    Attributes
-    ----------
-    order : {"<", ">"}
-        Byte order of its numbers.
-
-    Raises
-    ------
-    WireError
-        It ends early, or is in another encoding.
+    Whatever contradicts that is a `WireError`, here and below.
     """
 
     def __init__(self, data: bytes, encoding: Encoding) -> None:

@@ -238,15 +238,9 @@ class LidarMotion:
 def read_motion(
     bag: Bag, topic: BagTopic, tree: FrameTree, points_frame: str, findings: Findings, *, by_log: bool = False
 ) -> LidarMotion:
-    """Read the poses of a topic, and bring them to the LiDAR.
+    """Read the poses of a topic, and bring them to the LiDAR, the frame of the points.
 
-    Parameters
-    ----------
-    tree : FrameTree
-    points_frame : str
-        Frame of the points.
-    by_log : bool
-        Take the times at which the poses were recorded, not those in their headers.
+    `by_log`: by the times at which they were recorded, not those in their headers.
     """
     if topic.type in TRANSFORMS:
         return _from_tree(bag, topic, tree, points_frame, findings)

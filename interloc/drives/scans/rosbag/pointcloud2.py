@@ -77,22 +77,9 @@ class CloudLayout:
 
 
 def read_layout(data: bytes, kind: str, encoding: Encoding, *, complete: bool = True) -> CloudLayout:
-    """Read what a message says of its points.
+    """Read what a message of some kind, or where it need not be `complete` its beginning, says of its points.
 
-    Parameters
-    ----------
-    data : bytes
-        The message, or its beginning.
-    kind : str
-        Type of the message.
-    encoding : {"ros1", "cdr"}
-    complete : bool
-        The message must be there to its end.
-
-    Raises
-    ------
-    WireError
-        It contradicts itself, is cut short, has no x y z, or more points than any scan.
+    A `WireError` where it contradicts itself, is cut short, has no x y z, or more points than any scan.
     """
     wire = Wire(data, encoding)
     header = read_header(wire)
