@@ -248,28 +248,7 @@ def describe_graph(path: Path) -> tuple[list[Tensor], list[Tensor]]:
 
 
 class Network:
-    """A loaded network, for one process.
-
-    Parameters
-    ----------
-    path
-        Of the graph.
-    form
-        How to feed it, from `match_graph`.
-    height, width, classes : int
-        Of the range image, and how many classes there are.
-    provider : str
-        What runs it: "cpu", "cuda", ...
-    threads : int
-        Processor threads for one scan.
-
-    Raises
-    ------
-    ConfigError
-        The provider is not installed or does not start.
-    ModelError
-        onnxruntime is not installed or cannot load the graph.
-    """
+    """A loaded network, for one process: the graph of a file, fed by its form, on a provider and some threads."""
 
     def __init__(
         self, path: Path, form: GraphForm, *, height: int, width: int, classes: int, provider: str, threads: int
@@ -282,18 +261,9 @@ class Network:
         self._outputs = list(form.outputs)
 
     def run(self, image: Float32Array, filled: BoolArray) -> UInt8Array:
-        """Return the class of every pixel.
+        """Return the (H, W) class of every pixel of a normalised (C, H, W) image, whose channels are in its order.
 
-        Parameters
-        ----------
-        image : (C, H, W) float32
-            Normalised, its channels in the order of the network.
-        filled : (H, W) bool
-            Which pixels have a point.
-
-        Returns
-        -------
-        (H, W) uint8
+        `filled`, (H, W), tells which pixels have a point.
         """
         feed = {self._form.image.name: _laid_out(image, self._form.image)}
         if self._form.mask is not None:

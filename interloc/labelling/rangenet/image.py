@@ -33,18 +33,11 @@ class Projection:
 
 
 def project(points: Float32Array, height: int, width: int, fov_up_rad: float, fov_down_rad: float) -> Projection:
-    """Project a scan onto a sphere around the sensor (RangeNet++, section III-A).
+    """Project an (N, 4) scan onto a sphere around the sensor (RangeNet++, section III-A).
 
-    Parameters
-    ----------
-    points : (N, 4) float32
-        x (ahead), y (left), z (up) in L, metres, and remission. Points that are not finite, or at the origin, get no
-        pixel.
-    height, width : int
-        Of the image, pixels.
-    fov_up_rad, fov_down_rad : float
-        Upper and lower edge of the image, radians above and below the horizon; as in the published code the signs do
-        not matter. Points outside go to the first or last row.
+    Points that are not finite, or at the origin, get no pixel. `fov_up_rad` and `fov_down_rad` are the upper and lower
+    edge of the image, above and below the horizon; as in the published code the signs do not matter, and points outside
+    go to the first or last row.
     """
     index, pixel, depth = project_points(points, height, width, abs(fov_up_rad), abs(fov_down_rad))
     return Projection(index, pixel, depth)
@@ -62,23 +55,10 @@ def normalise(
     means: tuple[float, ...],
     stds: tuple[float, ...],
 ) -> Float32Array:
-    """Return what a network expects: each channel less its mean, over its standard deviation, empty pixels zero.
+    """Return the (C, H, W) that a network expects of a (5, H, W) range image: each channel less its mean, over its std.
 
-    Parameters
-    ----------
-    image : (5, H, W) float32
-        Of `range_image`.
-    projection
-    channels : tuple of str
-        Of `CHANNELS`, in the network's order.
-    means, stds : tuple of float
-        One per channel.
-
-    Returns
-    -------
-    (C, H, W) float32
-        Empty pixels are set to zero *after* the normalisation, as in training: before it they would be far below any
-        measurement.
+    Empty pixels are set to zero *after* the normalisation, as in training: before it they would be far below any
+    measurement.
     """
     rows = np.array([CHANNELS.index(name) for name in channels], np.int32)
     return normalise_image(image, projection.index, rows, np.array(means, np.float32), np.array(stds, np.float32))
@@ -111,21 +91,8 @@ def vote(classes: UInt8Array, projection: Projection, settings: KnnSettings, *, 
     """Let the nearest neighbours of every point in the range image vote on its class (RangeNet++, section III-D).
 
     Points behind the nearest one of their pixel would else inherit its class: the wall behind a pole would be pole.
-
-    Parameters
-    ----------
-    classes : (H, W) uint8
-        Of the pixels.
-    projection
-    settings
-    first_class : int
-        Lower classes have no vote: 1 where class 0 means "no class", as published.
-
-    Returns
-    -------
-    (N,) uint8
-        Of the points; 0 for points without a pixel. What differs from the published code stands at
-        `interloc.kernels.neighbours.vote_of_neighbours`.
+    Classes below `first_class` have no vote: 1 where class 0 means "no class", as published. Points without a pixel get
+    class 0. What differs from the published code stands at `interloc.kernels.neighbours.vote_of_neighbours`.
     """
     weights = window_weights(settings.search, settings.sigma)
     cutoff = np.float32(settings.cutoff)
