@@ -140,7 +140,7 @@ def open_bag(files: tuple[SourceFile, ...], findings: Findings) -> Bag:
 
 
 def find_bag(root: Path, *, required: bool, findings: Findings) -> tuple[SourceFile, ...] | None:
-    """Find the files of the bag that a path leads to, one of them or a folder with one bag; None where there is none."""
+    """Find the files of the bag that a path leads to, a file or a folder with one bag; None where there is none."""
     if root.is_file():
         return _lone_file(root, findings, required=required)
     if not root.is_dir():
