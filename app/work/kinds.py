@@ -26,7 +26,7 @@ class Kind:
     urgent: bool = True
     """Somebody waits for it: it goes first, and never behind long work."""
     changes_drive: bool = True
-    """It works on a drive that is not ready yet, and its end is written into the drive (`app.drives.finish`)."""
+    """It works on a drive that is not ready yet, and its end is written into the drive (`app.drives.commit`)."""
 
     def load(self) -> ModuleType:
         """Import the module; workers do that, the server need not."""

@@ -18,6 +18,7 @@ import numpy as np
 
 from interloc.arrays import FloatArray
 from interloc.drives.files import SourceFile, is_number
+from interloc.drives.kinds import TRACK_ENDINGS
 from interloc.drives.poses.files import looks_like_tum, read_tum
 from interloc.drives.scans.las.clouds import Cloud
 
@@ -25,7 +26,7 @@ SBET_BYTES = 136
 """17 float64: time, latitude, longitude, altitude, three velocities, roll, pitch, heading, wander angle, ..."""
 
 SBET_SUFFIXES = frozenset({".sbet", ".out"})
-TRACK_SUFFIXES = SBET_SUFFIXES | {".csv", ".txt", ".tum"}
+TRACK_SUFFIXES = frozenset(TRACK_ENDINGS)
 
 _MAX_SBET_ROWS = 1_000_000
 _HEAD_BYTES = 65536
