@@ -289,7 +289,8 @@ class Translator:
             value = self._value(arguments[0]) if name == "casei" else None
             if value is not None and value.kind == "text":
                 lower = None if value.text is None else value.text.lower()
-                return _Value("text", func.lower(value.sql), text=lower)
+                sql = value.sql if self.is_sqlite else value.sql.collate("default")  # of which "C" knows ASCII only
+                return _Value("text", func.lower(sql), text=lower)
         raise bad_filter(f"{_shown(node)} cannot stand here.")
 
     def _property(self, name: Any) -> _Value:  # noqa: ANN401

@@ -16,7 +16,22 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from sqlalchemy import ColumnElement, Row, Select, and_, case, false, func, literal, or_, select, text, true, tuple_
+from sqlalchemy import (
+    ColumnElement,
+    Row,
+    Select,
+    and_,
+    bindparam,
+    case,
+    false,
+    func,
+    literal,
+    or_,
+    select,
+    text,
+    true,
+    tuple_,
+)
 from sqlalchemy.exc import OperationalError
 from sqlalchemy.orm import Session
 
@@ -280,7 +295,9 @@ class _Search:
         return and_(self._table.c.west >= part[0] - widest - 1e-9, _touches(self._box, part))
 
     def _asked(self, *columns: Any, where: Sequence[ColumnElement[bool]]) -> Select[Any]:  # noqa: ANN401
-        return select(*columns).select_from(self._joined).where(self._table.c.layer_id.in_(list(self._layers)), *where)
+        # Written into the query: databases take only some thousand parameters.
+        among = bindparam("layers", list(self._layers), expanding=True, literal_execute=True)
+        return select(*columns).select_from(self._joined).where(self._table.c.layer_id.in_(among), *where)
 
     def page(self) -> Page:
         """Return the page that is asked for."""
