@@ -16,7 +16,7 @@ from app.settings import SQLITE_FILE, Settings
 from app.store.database import Database
 from app.store.installation import FILE as INSTALLATION
 from app.store.installation import bind, mark_folder, refuse_lost_database
-from app.store.storage import Bookings, Storage
+from app.store.storage import Storage
 from app.store.tokens import TokenBook
 from interloc.errors import ConfigError, OutputError
 
@@ -40,8 +40,6 @@ class Context:
     """By the id of a map: what the database said of it last."""
     lacks_workers: threading.Event = field(default_factory=threading.Event)
     """Set while this server takes no job, because it has no worker for it."""
-    bookings: Bookings = field(default_factory=Bookings)
-    """Disk space for bodies under way."""
 
     @classmethod
     def open(cls, settings: Settings) -> Context:

@@ -14,7 +14,7 @@ from app.context import Context
 from app.demo import routes as demo
 from app.drives import file_routes as files
 from app.drives import routes as drives
-from app.drives.finish import finish_drive
+from app.drives.commit import finish_drive
 from app.http.middleware import add_middleware
 from app.http.openapi import DESCRIPTION, TAGS, Description, operation_id, problems
 from app.http.parameters import refuse_unknown_parameters

@@ -49,15 +49,10 @@ def entitle(axes: Axes, text: str, size: float = 12.0) -> None:
     axes.set_title(text, loc="left", y=1.0, fontsize=size, color=INK)
 
 
-def series_colour(number: int) -> str:
-    """Return the colour of the n-th series of a figure."""
-    return _SERIES[number % len(_SERIES)]
-
-
 def series_style(number: int) -> dict[str, Any]:
     """Return how `Axes.plot` draws the n-th line of a figure: told from the others by colour, dashes and marks."""
     return {
-        "color": series_colour(number),
+        "color": _SERIES[number % len(_SERIES)],
         "linestyle": _DASHES[number % len(_DASHES)],
         "marker": _MARKERS[number % len(_MARKERS)],
         "markersize": 4,

@@ -3,22 +3,32 @@
 from __future__ import annotations
 
 import time
+from contextlib import suppress
 
 from fastapi import APIRouter, Response
 from fastapi.concurrency import run_in_threadpool
+from sqlalchemy import select
 
-from app.context import ContextDep
-from app.demo.drive import begin_demo
+from app.context import Context, ContextDep
 from app.drives.commit import begin_commit, committed
-from app.drives.models import CommitRequest, DriveModel
+from app.drives.models import CommitRequest, DriveModel, DriveOptionsModel
 from app.http.headers import WaitSeconds
+from app.http.limits import check_free_space
 from app.http.openapi import Responses, problems
+from app.http.problems import Problem
 from app.http.security import ClientDep
 from app.jobs.failures import raise_failure
+from app.jobs.queue import submit
+from app.jobs.view import is_alive
 from app.jobs.watcher import wait_for_job
-from app.states import DriveState, JobState
+from app.states import DriveState, JobKind, JobState
+from app.store.models import Drive, Job
+from app.trash.deletion import delete_drive
 
 router = APIRouter(tags=["Drives"])
+
+_NAME = "Demo: a small made-up town"
+_NEEDED_BYTES = 500_000_000  # while it is made; most of it is removed by the commit
 
 _ANSWERS: Responses = {
     202: {"model": DriveModel, "description": "It is still being made or checked; ask for the drive again."},
@@ -33,7 +43,7 @@ async def make_demo(response: Response, context: ContextDep, client: ClientDep, 
     This takes about a minute. A second request answers with the drive that exists.
     """
     end = time.monotonic() + wait_s
-    job = await run_in_threadpool(begin_demo, context, client)
+    job = await run_in_threadpool(_begin, context, client)
     drive_id, check = job.drive_id, None
     job = await wait_for_job(context, job.id, wait_s)
     raise_failure(job)
@@ -46,3 +56,46 @@ async def make_demo(response: Response, context: ContextDep, client: ClientDep, 
         response.status_code = 202
     response.headers["Location"] = f"{context.settings.root_path}/api/v1/drives/{drive_id}"
     return drive
+
+
+def _begin(context: Context, owner: str) -> Job:
+    """Return the job that makes, or has made, the demo drive of a client; a 507 where the disk is full."""
+    with context.database.writing() as session:
+        context.database.lock_owner(session, f"demo {owner}")  # one at a time, so that there is one drive
+        job = session.scalars(
+            select(Job)
+            .join(Drive, Drive.id == Job.drive_id)
+            .where(
+                Job.kind == JobKind.DEMO,
+                Job.owner == owner,
+                Job.state.not_in([JobState.FAILED, JobState.DISMISSED]),
+                is_alive(),
+            )
+            .order_by(Job.created_at.desc())
+            .limit(1)
+        ).first()
+        if job is not None:
+            return job
+        dead = session.scalars(
+            select(Drive.id)
+            .join(Job, Job.drive_id == Drive.id)
+            .where(
+                Job.kind == JobKind.DEMO,
+                Job.owner == owner,
+                Drive.state == DriveState.UPLOADING,
+                Drive.file_count == 0,
+                Drive.deleted_at.is_(None),
+            )
+        ).all()
+        check_free_space(context, _NEEDED_BYTES)
+        now = context.database.clock(session)
+        options = DriveOptionsModel().model_dump(mode="json")
+        drive = Drive(name=_NAME, owner=owner, options=options, created_at=now, touched_at=now)
+        session.add(drive)
+        session.flush()
+        job, _ = submit(session, context.database, kind=JobKind.DEMO, drive_id=drive.id, owner=owner, request={})
+    for drive_id in dead:  # of demos that failed or were cancelled
+        with suppress(Problem):
+            delete_drive(context, drive_id, None, at_once=True)
+    context.jobs_changed.set()
+    return job

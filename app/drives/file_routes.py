@@ -17,7 +17,7 @@ from app.drives.upload import check_magic, check_upload, keep, queue_archive, un
 from app.http.delivery import WholeFile
 from app.http.headers import WaitSeconds, sha256_of
 from app.http.intake import PIECE_BYTES, Intake, receive
-from app.http.limits import Booking, check_free_space, declared_length
+from app.http.limits import check_free_space, declared_length
 from app.http.multipart import BatchReader, Place, bad_part, boundary_of
 from app.http.openapi import BINARY, PAGED, Responses, body_of, problems
 from app.http.paging import answer_page
@@ -313,11 +313,10 @@ async def _receive(
     finish: Callable[[], Kept],
     discard: Callable[[], None],
 ) -> Kept:
-    """Receive a body piece by piece, in the room on the disk that is booked for it; discard what was not kept."""
-    with Booking(context) as booking:
-        if length != 0:
-            await run_in_threadpool(booking.announce, length)
-        try:
-            return await receive(request, booking.taking(take), finish)
-        finally:
-            await run_in_threadpool(discard)
+    """Receive a body piece by piece, while there is room on the disk; discard what was not kept."""
+    if length != 0:
+        await run_in_threadpool(check_free_space, context, length or 0)
+    try:
+        return await receive(request, take, finish)
+    finally:
+        await run_in_threadpool(discard)

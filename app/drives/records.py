@@ -30,9 +30,9 @@ from app.http.problem_types import (
     SOURCE_REFUSED,
 )
 from app.http.problems import Problem
-from app.jobs.chosen import chosen_results
 from app.jobs.folders import label_folders
 from app.jobs.queue import key_used, no_drive
+from app.jobs.view import chosen_results
 from app.paths import check_path
 from app.settings import Settings
 from app.states import ACTIVE, DriveState, JobKind, JobState

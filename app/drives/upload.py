@@ -125,7 +125,7 @@ def refuse_unless_open(drive: Drive | DriveCounts, paths: Iterable[str]) -> None
 def check_upload(
     context: Context, drive_id: str, path: str, length: int, sender: str, *, is_packed: bool = False
 ) -> None:
-    """Refuse an upload before its body is read, if `keep` would refuse it afterwards; see also `Booking`."""
+    """Refuse an upload before its body is read, if `keep` would refuse it afterwards."""
     with context.database.reading() as session:
         drive = find_drive(session, drive_id)
         refuse_unless_open(drive, [path])

@@ -16,7 +16,7 @@ from fastapi.concurrency import run_in_threadpool
 from starlette.requests import ClientDisconnect, Request
 
 from app.context import Context
-from app.http.limits import too_large
+from app.http.limits import check_free_space, too_large
 from app.http.problem_types import BODY_NOT_COMPLETE, WRONG_DIGEST
 from app.http.problems import Problem
 
@@ -107,25 +107,30 @@ async def receive(request: Request, take: Callable[[bytes], None], finish: Calla
     Parameters
     ----------
     take
-        Called with each piece, in a thread.
+        Called with each piece, in a thread, as long as there is room on the disk.
     finish
         Called at the end, in the same thread as the last piece: a small body costs one hop to the thread pool.
 
     Raises
     ------
     Problem
-        400: the client went away, which nobody will read.
+        400: the client went away, which nobody will read. 507: the disk is full.
     """
+    context: Context = request.app.state.context
+
+    def take_if_there_is_room(piece: bytes) -> None:
+        check_free_space(context, len(piece))
+        take(piece)
 
     def take_last(piece: bytes) -> Kept:
-        take(piece)
+        take_if_there_is_room(piece)
         return finish()
 
     last = b""
     try:
         async for piece in _pieces(request):
             if last:
-                await run_in_threadpool(take, last)
+                await run_in_threadpool(take_if_there_is_room, last)
             last = piece
     except ClientDisconnect:
         raise Problem(BODY_NOT_COMPLETE, "The connection ended before the body did. Nothing was kept.") from None

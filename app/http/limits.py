@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Self
-
 from sqlalchemy import func, or_, select
 from sqlalchemy.orm import Session
 from starlette.requests import Request
@@ -15,8 +12,6 @@ from app.http.problems import Problem, disk_full
 from app.settings import MB
 from app.states import DriveState
 from app.store.models import Drive, DriveFile, Token
-
-_MARGIN_BYTES = 64 * MB
 
 CLOSE = {"Connection": "close"}
 """Sent when a body is refused before it is read: the rest of it would be taken for the next request."""
@@ -64,52 +59,8 @@ def too_large(what: str, limit: int) -> Problem:
 
 def check_free_space(context: Context, needed: int) -> None:
     """Refuse (507) what would leave too little space on the disk."""
-    free = context.storage.free_bytes() - context.bookings.size_bytes
-    if free - needed < context.settings.min_free_bytes:
+    if context.storage.free_bytes() - needed < context.settings.min_free_bytes:
         raise disk_full(headers=CLOSE)
-
-
-class Booking:
-    """Disk space for one body, within the block: what it announces is kept from all others until it has come."""
-
-    def __init__(self, context: Context) -> None:
-        self._context = context
-        self._left = 0
-        self._margin = 0
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._change(-self._left)
-
-    def announce(self, size: int | None) -> None:
-        """Book space before the body is read; None: it comes in chunks, and leaves some space for those that book.
-
-        Raises
-        ------
-        Problem
-            507.
-        """
-        self._margin = min(_MARGIN_BYTES, self._context.settings.min_free_bytes) if size is None else 0
-        with self._context.bookings.lock:
-            check_free_space(self._context, (size or 0) + self._margin)
-            self._change(size or 0)
-
-    def taking(self, take: Callable[[bytes], None]) -> Callable[[bytes], None]:
-        """Return what takes the pieces of the body: it looks at the free space before each."""
-
-        def take_if_there_is_room(piece: bytes) -> None:
-            self._change(-min(self._left, len(piece)))
-            check_free_space(self._context, len(piece) + self._margin)
-            take(piece)
-
-        return take_if_there_is_room
-
-    def _change(self, size: int) -> None:
-        with self._context.bookings.lock:
-            self._context.bookings.size_bytes += size
-            self._left += size
 
 
 def check_drive(context: Context, files: int, size: int) -> None:

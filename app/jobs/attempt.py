@@ -148,7 +148,7 @@ class Attempt:
         while waiting or running:
             while waiting and len(running) <= self._executor.slots:
                 part = waiting.popleft()
-                running[self._begin(kinds.run, self._task, part, seconds=self._kind.part_s(part))] = part
+                running[self._begin(kinds.run, self._task, part)] = part
             for future in self._wait(set(running)):
                 part = running.pop(future)
                 try:
@@ -159,14 +159,12 @@ class Attempt:
                 else:
                     self._done[part.number] = part.stop - part.start
 
-    def _begin(
-        self, function: Callable[[*Given], Returned], *args: *Given, seconds: float = float("inf")
-    ) -> Future[Returned]:
+    def _begin(self, function: Callable[[*Given], Returned], *args: *Given) -> Future[Returned]:
         future = self._executor.submit(
             function,
             *args,
             client=self.claim.job.owner,
-            seconds=min(seconds, self._context.settings.job_stage_s),
+            seconds=self._context.settings.job_stage_s,
             urgent=self._kind.urgent,
         )
         self._at_work.add(future)
@@ -202,12 +200,6 @@ class Attempt:
         if self._stop is not None:
             raise _StoppedError from error
         if failures.is_final(error) and not isinstance(error, Cancelled):
-            if (
-                isinstance(error, WorkerLimitError)
-                and error.limit == "time"
-                and error.bound < self._context.settings.job_stage_s
-            ):
-                raise failures.too_slow(error, what) from error
             raise without_paths(failures.problem_of(error, what, 1), self._task) from error
         self._tries[what] += 1
         tries = self._tries[what]

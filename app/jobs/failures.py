@@ -79,18 +79,6 @@ def limit_reached(error: WorkerLimitError, what: str, time_setting: str) -> Prob
     )
 
 
-def too_slow(error: WorkerLimitError, what: str) -> Problem:
-    """Return the problem of work that took longer than its size explains."""
-    return Problem(
-        LIMIT_REACHED,
-        f"{what[0].upper()}{what[1:]} took longer than {_duration(error.bound)}, which is more than work of its size "
-        "needs, so it was ended. Usual cause: a damaged file. Send the files one by one instead.",
-        limit="size",
-        bound=error.bound,
-        used=round(error.used, 1),
-    )
-
-
 def lost_workers(reason: str, what: str, tries: int) -> Problem:
     """Return the problem of a piece of work that killed its workers."""
     return Problem(

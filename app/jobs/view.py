@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from functools import cache
-from typing import Any
+from typing import Any, Literal
 
-from sqlalchemy import ColumnElement, and_, select
+from sqlalchemy import ColumnElement, Select, and_, case, func, select
 from sqlalchemy.orm import Session
 
 from app.context import Context
+from app.http.paging import newest_first
 from app.http.problem_types import JOB_NOT_FOUND
 from app.http.problems import Problem, ProblemDocument, stored
 from app.jobs.models import JobModel, Progress
@@ -27,6 +28,9 @@ _MAP_LAYERS = [layer.address for layer in LAYERS.values() if layer.is_osm and la
 _OTHER_KINDS = {JobKind.COMMIT: "check", JobKind.UNPACK: "archive", JobKind.DEMO: "demo drive"}
 _STEADY_S, _STEADY_SHARE = 5.0, 0.05  # the beginning tells nothing: drive and map are read first
 _NO_WORKER = "It waits for a worker: none can be started at present. The service keeps trying; its log says why."
+
+Choice = Literal["pinned", "best"]
+"""Why a job stands for its drive."""
 
 
 def find_job(session: Session, job_id: str) -> tuple[Job, str]:
@@ -47,6 +51,37 @@ def is_alive() -> ColumnElement[bool]:
 def no_job(job_id: str) -> Problem:
     """Return the problem of a job that does not exist."""
     return Problem(JOB_NOT_FOUND, f"There is no job {job_id}. GET /api/v1/jobs lists them.")
+
+
+def chosen_results(*conditions: ColumnElement[bool]) -> Select[Job]:
+    """Return the query for the job that stands for each drive that has a successful one; nothing in the trash counts.
+
+    The one that somebody has pinned; else the best by the map: one with the settings of this version before one with
+    those of the paper, then the highest F1 of its intersections, then the newest. One that was not scored comes last.
+
+    Parameters
+    ----------
+    conditions
+        On `Drive` and `Job`: which drives and jobs come into question.
+    """
+    is_pinned = case((Drive.pinned_job == Job.id, 0), else_=1)
+    asked = Job.request
+    preset = func.coalesce(asked["preset"].as_string(), asked["config"]["preset"].as_string())
+    is_paper = case((preset == "paper", 1), else_=0)
+    report = Job.summary["report"]
+    f1 = func.coalesce(report["map_f1"].as_float(), report["f1_at_5"].as_float(), -1.0)  # older ones have the second
+    place = func.row_number().over(
+        partition_by=Job.drive_id, order_by=(is_pinned, is_paper, f1.desc(), *newest_first(Job))
+    )
+    is_result = (Job.kind == JobKind.INTERSECTIONS, Job.state == JobState.SUCCESSFUL, is_alive())
+    ranked = select(Job.id, place.label("place")).join(Drive, Drive.id == Job.drive_id).where(*is_result, *conditions)
+    found = ranked.subquery()
+    return select(Job).join(found, found.c.id == Job.id).where(found.c.place == 1)
+
+
+def choice_of(drive_pinned: str | None, job: str | None) -> Choice | None:
+    """Return why a job stands for a drive, by the job that is pinned; None where there is no job."""
+    return None if job is None else "pinned" if drive_pinned == job else "best"
 
 
 def job_models(session: Session, context: Context, rows: Iterable[tuple[Job, str]]) -> list[JobModel]:

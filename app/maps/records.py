@@ -14,8 +14,7 @@ from sqlalchemy.orm import Session
 from app.context import Context
 from app.http.problem_types import NO_SUCH_MAP
 from app.http.problems import Problem
-from app.jobs.chosen import chosen_results
-from app.jobs.view import is_alive
+from app.jobs.view import chosen_results, is_alive
 from app.maps.models import MapModel
 from app.maps.work import AUDIT, CITY
 from app.states import JobKind, JobState

@@ -12,7 +12,7 @@ from sqlalchemy.orm import Session
 from app.context import ContextDep
 from app.http.delivery import answer_tagged, deliver
 from app.http.intake import Intake, receive
-from app.http.limits import Booking, check_free_space, declared_length
+from app.http.limits import check_free_space, declared_length
 from app.http.openapi import PAGED, TAGGED, get_and_head
 from app.http.paging import answer_page
 from app.http.patterns import ID
@@ -184,12 +184,11 @@ async def put_osm(
                 other.unlink()
         context.maps_changed.set()
 
-    with Booking(context) as booking:
-        await run_in_threadpool(booking.announce, length)
-        try:
-            await receive(request, booking.taking(intake.write), finish)
-        finally:
-            intake.discard()
+    await run_in_threadpool(check_free_space, context, length or 0)
+    try:
+        await receive(request, intake.write, finish)
+    finally:
+        intake.discard()
 
 
 _File = Literal[

@@ -36,7 +36,7 @@ from sqlalchemy.exc import OperationalError
 from sqlalchemy.orm import Session
 
 from app.http.parameters import Box
-from app.jobs.chosen import chosen_results
+from app.jobs.view import chosen_results
 from app.ogc.collections import GEOMETRY, OF_ALL, OF_JOB, OF_MAP, Collection
 from app.ogc.filters import Translator, bad_filter, equalities
 from app.ogc.work import shapes_of, time_text

@@ -22,8 +22,7 @@ from app.http.paging import After, lies_in, next_link
 from app.http.parameters import BoxFilter
 from app.http.security import ClientDep
 from app.http.turns import IN_TURN
-from app.jobs.chosen import Choice, choice_of, chosen_results
-from app.jobs.view import title_of
+from app.jobs.view import Choice, choice_of, chosen_results, title_of
 from app.ogc.work import outline_of
 from app.results.models import MEDIA_TYPE, LineGeometry, Position
 from app.states import DriveState

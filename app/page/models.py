@@ -102,9 +102,6 @@ class PageConfig(BaseModel):
     file_kinds: FileKinds
     layouts: dict[str, str] = Field(description="Titles of the layouts of drives, by name.")
     reading_schema: dict[str, Any] = Field(description="JSON Schema of how a drive can be read (`options` of a drive).")
-    raw_first_frames: dict[str, int] = Field(
-        description="Raw frame at which an odometry sequence begins, where it is not 0, by KITTI raw drive."
-    )
     raw_sequences: dict[str, str] = Field(description="Odometry sequence by KITTI raw drive.")
     simulator: str = Field(description="`generator` of OSM files that are made up.", examples=["interloc simulate"])
     drivable: list[str] = Field(description="Values of `highway` that are drawn as roads for cars.")
@@ -128,7 +125,6 @@ class PageConfig(BaseModel):
             file_kinds=_FILE_KINDS,
             layouts={each.name: each.title for each in (*FORMATS, *installed_formats())} | {"reduced": "reduced drive"},
             reading_schema=ReadingOptions.model_json_schema(),
-            raw_first_frames={raw: first for raw, (_, first, _) in ODOMETRY_OF_RAW.items() if first},
             raw_sequences={raw: sequence for raw, (sequence, _, _) in ODOMETRY_OF_RAW.items()},
             simulator=SIMULATOR,
             drivable=sorted(DRIVABLE_OR_SERVICE),

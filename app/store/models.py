@@ -77,7 +77,7 @@ class Drive(Base):
     note: Mapped[str | None] = mapped_column(Text)
     """What somebody wrote about it."""
     pinned_job: Mapped[str | None]
-    """Id of the job that stands for it; None, or one that is gone: see `app.jobs.chosen`."""
+    """Id of the job that stands for it; None, or one that is gone: see `app.jobs.view`."""
     source: Mapped[str | None] = mapped_column(Text)
     """Address in object storage that its files are read from; None where they are sent."""
     west: Mapped[float | None]

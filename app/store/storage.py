@@ -11,7 +11,6 @@ from __future__ import annotations
 import os
 import secrets
 import shutil
-import threading
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -119,21 +118,3 @@ class Storage:
         """Return the space that is left."""
         self.check()
         return shutil.disk_usage(self.root).free
-
-
-class Bookings:
-    """The sum of what is announced and has not come yet.
-
-    Bodies are booked when they are announced, and their space is free again when they have come. Without that many
-    could begin at once where there is room for one, each not knowing of the others.
-
-    Attributes
-    ----------
-    lock
-        Held while the free space is looked at and a booking is made: no two see the same space.
-    size_bytes : int
-    """
-
-    def __init__(self) -> None:
-        self.lock = threading.RLock()
-        self.size_bytes = 0

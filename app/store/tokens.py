@@ -12,7 +12,6 @@ import re
 import secrets
 import threading
 import time
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 from sqlalchemy import delete, or_, select, update
@@ -180,18 +179,14 @@ class TokenBook:
         """Return the holder of this name, without limits of its own where there is none: its drives outlive a token."""
         return next((holder for holder in self._read_again() if holder.name == name), Holder(name))
 
-    def _read_again(self) -> Iterable[Holder]:
+    def _read_again(self) -> list[Holder]:
         if not self.is_fresh:
             self.read(time.monotonic())
-        return self._holders.values()
+        return list(self._holders.values())
 
     def exist(self) -> bool:
         """Return whether there is any token, expired ones included: a service does not open by itself."""
-        if self._own is not None:
-            return True
-        if not self.is_fresh:
-            self.read(time.monotonic())
-        return bool(self._holders)
+        return self._own is not None or bool(self._read_again())
 
     def are_needed(self) -> bool:
         """Return whether clients need a token: also after the last one was revoked, if other machines can connect."""

@@ -18,7 +18,7 @@ from app.jobs.view import find_job, job_models
 from app.results.folder import ResultsDep
 from app.states import FINAL
 from app.trash import deletion as trash
-from app.trash.models import TrashItem, TrashKind, TrashList
+from app.trash.deletion import TrashItem, TrashKind, TrashList
 
 router = APIRouter(prefix="/trash", tags=["Trash"])
 of_items = APIRouter()

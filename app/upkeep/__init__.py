@@ -1,1 +1,1 @@
-"""Upkeep: rows and files are compared, made anew, backed up and restored."""
+"""Upkeep: clean-up, comparison of rows and files, backups and their restoration."""

@@ -19,7 +19,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.orm import Session
 
 from app.context import Context
-from app.drives.finish import tidy_drive
+from app.drives.commit import tidy_drive
 from app.http.problems import Problem
 from app.metrics import Removal
 from app.ogc.indexing import index_missing

@@ -13,8 +13,6 @@ from app.work.progress import ProgressFiles
 from app.work.task import Part, Plan, Task
 from interloc.errors import InterLocError
 
-_PART_S = 120.0
-
 
 @dataclass(frozen=True)
 class Kind:
@@ -28,13 +26,7 @@ class Kind:
     urgent: bool = True
     """Somebody waits for it: it goes first, and never behind long work."""
     changes_drive: bool = True
-    """It works on a drive that is not ready yet, and its end is written into the drive (`app.drives.finish`)."""
-    unit_s: float | None = None
-    """Seconds that each unit of a part may take, beside two minutes; otherwise a part may take as long as any stage."""
-
-    def part_s(self, part: Part) -> float:
-        """Return how long a part may take, seconds."""
-        return float("inf") if self.unit_s is None else _PART_S + self.unit_s * (part.stop - part.start)
+    """It works on a drive that is not ready yet, and its end is written into the drive (`app.drives.commit`)."""
 
     def load(self) -> ModuleType:
         """Import the module; workers do that, the server need not."""
@@ -50,7 +42,7 @@ KINDS: dict[str, Kind] = {
         changes_drive=False,
     ),
     JobKind.COMMIT: Kind("app.drives.work.commit", CommitJob, ("checking", "reducing", "storing")),
-    JobKind.UNPACK: Kind("app.drives.work.unpack", UnpackJob, ("checking", "unpacking", "storing"), unit_s=3.0),
+    JobKind.UNPACK: Kind("app.drives.work.unpack", UnpackJob, ("checking", "unpacking", "storing")),
     JobKind.DEMO: Kind("app.demo.work", JobRequest, ("preparing", "simulating", "storing")),
 }
 

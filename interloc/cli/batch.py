@@ -72,6 +72,7 @@ def command(
       interloc batch drives.csv -o results --osm region.osm.pbf --dask tcp://cluster:8786
       interloc batch s3://bucket/drives -o s3://bucket/results --osm s3://bucket/region.osm.pbf --dask tcp://cluster:8786
     """
+    from interloc import storage
     from interloc.cli.units import Records, do_all
     from interloc.processes import cores
 
@@ -97,6 +98,7 @@ def command(
     rows = [done[unit.name] for unit in units]
     left_out = _merge(rows, records) if as_map else []
     _write_table(rows, records.place)
+    storage.send_results()  # now: the table of a batch in which a drive failed is one too
     failed = [row for row in rows if row["error"] is not None]
     if not console.wants_json():
         for line in left_out:

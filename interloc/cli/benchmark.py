@@ -115,7 +115,7 @@ def command() -> None:
       interloc benchmark drives first second --osm map.osm.gz -o out   any drives
       interloc benchmark ablation --kitti kitti -o out                 what each rule and setting of a preset gives
 
-    OUT/benchmark.html has tables, figures and maps; OUT/failures lists what went wrong where. A run that was stopped
+    OUT/benchmark.html has the tables, OUT/failures lists what went wrong where. A run that was stopped
     continues where it was: finished rows are kept in OUT/rows as long as settings, inputs and program are the same.
     """
     require_lab()

@@ -117,7 +117,8 @@ def command(
         place = placing(*search) if locate or (near is not None and not prepared.is_georeferenced) else None
         if run and (osm is not None or overpass) and not prepared.is_georeferenced and place is None:
             raise options.no_georeference(
-                prepared.name, "place it by its roads (--locate, --near), or leave the map out. Nothing was sent."
+                prepared.manifest.name,
+                "place it by its roads (--locate, --near), or leave the map out. Nothing was sent.",
             )
         pushed = _send(connection, drive, prepared, push_options, threads=jobs)
         job: JobAnswer | None = None

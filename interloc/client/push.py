@@ -106,12 +106,8 @@ class PushOptions:
 class PreparedDrive:
     """A drive that is ready to be sent."""
 
-    name: str
-    scans: int
+    manifest: ReducedManifest
     scans_sent: int
-    """In the drive, and how many of them go to the server."""
-    source_bytes: int | None
-    """Size of scans and labels of the drive."""
     is_georeferenced: bool
     files: list[UploadFile]
     """The drive itself."""
@@ -119,6 +115,13 @@ class PreparedDrive:
     """How the server is to read what it gets."""
     maps: list[UploadFile] = field(default_factory=list)
     """OpenStreetMap files that go along."""
+
+    @property
+    def source_bytes(self) -> int | None:
+        """Size of scans and labels of the drive."""
+        if self.manifest.source is None:
+            return None
+        return self.manifest.source.scan_bytes + sum(labels.label_bytes or 0 for labels in self.manifest.labels)
 
 
 def prepare(root: Path, options: PushOptions) -> PreparedDrive:
@@ -131,28 +134,26 @@ def prepare(root: Path, options: PushOptions) -> PreparedDrive:
     ConfigError
         An option does not fit the drive.
     """
-    maps = [UploadFile(path.name, path) for path in options.maps]
     for path in options.maps:
         if not path.is_file():
             raise DriveError(f"{path}: no such file. Expected an OpenStreetMap file.")
+    by = None if options.raw else options.keyframes
+    folders = options.label_folders or None
     try:
         if is_reduced(root):
-            return _as_reduced(root, options, maps)
-        reduction = prepare_reduction(
-            root,
-            options.for_drive,
-            label_folders=options.label_folders or None,
-            keyframes=None if options.raw else options.keyframes,
-        )
+            prepared = _as_reduced(root, options)
+        else:
+            reduction = prepare_reduction(root, options.for_drive, label_folders=folders, keyframes=by)
+            prepared = _as_it_is(root, reduction, options) if options.raw else _reduced_on_the_way(reduction)
     except ConfigError:
         raise
     except InterLocError as error:
         raise _with_all_problems(error, root, options) from error
-    return _as_it_is(root, reduction, options, maps) if options.raw else _reduced_on_the_way(reduction, maps)
+    return replace(prepared, maps=[UploadFile(path.name, path) for path in options.maps])
 
 
-def _reduced_on_the_way(reduction: Reduction, maps: list[UploadFile]) -> PreparedDrive:
-    plan, manifest = reduction.plan, reduction.manifest
+def _reduced_on_the_way(reduction: Reduction) -> PreparedDrive:
+    plan = reduction.plan
     scans = [
         UploadFile(
             ground_path(labels, int(frame)),
@@ -163,50 +164,37 @@ def _reduced_on_the_way(reduction: Reduction, maps: list[UploadFile]) -> Prepare
         for frame in plan.kept
         for labels, source in reduction.scans.items()
     ]
-    small = [_small_file(name, source) for name, source in plan.copies.sources.items()]
-    return PreparedDrive(
-        name=manifest.name,
-        scans=len(plan.frames),
-        scans_sent=len(plan.kept),
-        source_bytes=_source_bytes(manifest),
-        is_georeferenced=reduction.is_georeferenced,
-        files=[*small, *scans, _manifest_file(manifest)],
-        maps=maps,
-    )
+    files = [*_small_files(reduction), *scans, _manifest_file(reduction.manifest)]
+    return PreparedDrive(reduction.manifest, len(plan.kept), reduction.is_georeferenced, files)
 
 
-def _as_it_is(root: Path, reduction: Reduction, options: PushOptions, maps: list[UploadFile]) -> PreparedDrive:
+def _as_it_is(root: Path, reduction: Reduction, options: PushOptions) -> PreparedDrive:
     plan, manifest = reduction.plan, reduction.manifest
     scan_format = find_format(manifest.layout)
     if scan_format is None or not scan_format.is_folders:
         raise ConfigError(
             f"{root}: --raw sends drives with one file per scan. Leave it out: bags and LAS files are reduced here."
         )
-    scans: dict[str, Path] = {}
-    for source in reduction.scans.values():
-        for frame in plan.frames:
-            for path in source.files(int(frame)):
-                scans[path.relative_to(root).as_posix()] = path
+    scans = {
+        path.relative_to(root).as_posix(): path
+        for source in reduction.scans.values()
+        for frame in plan.frames
+        for path in source.files(int(frame))
+    }
     labelled: dict[str, str] = {"labels": "geometry"} if "geometry" in reduction.scans else {}
     if options.network is not None:
         labelled = {"model": options.network}
     given = manifest.files.geo or manifest.files.oxts if options.reading.oxts is not None else None
     return PreparedDrive(
-        name=manifest.name,
-        scans=len(plan.frames),
-        scans_sent=len(plan.frames),
-        source_bytes=_source_bytes(manifest),
-        is_georeferenced=reduction.is_georeferenced,
-        files=[
-            *(_small_file(name, source) for name, source in plan.copies.sources.items()),
-            *(UploadFile(name, path) for name, path in scans.items()),
-        ],
-        options={**options.reading.model_dump(), "oxts": given, **labelled},
-        maps=maps,
+        manifest,
+        len(plan.frames),
+        reduction.is_georeferenced,
+        [*_small_files(reduction), *(UploadFile(name, path) for name, path in scans.items())],
+        {**options.reading.model_dump(), "oxts": given, **labelled},
     )
 
 
-def _as_reduced(root: Path, options: PushOptions, maps: list[UploadFile]) -> PreparedDrive:
+def _as_reduced(root: Path, options: PushOptions) -> PreparedDrive:
     manifest = read_manifest(root)
     thins_otherwise = options.keyframes is None and manifest.keyframes is not None
     is_other = options.reading.oxts is not None or options.reading.frames is not None
@@ -219,51 +207,35 @@ def _as_reduced(root: Path, options: PushOptions, maps: list[UploadFile]) -> Pre
     opened = read_drive(root, DriveOptions.of(options.reading), Findings(stop_at_first=True), label_folders=chosen)
     kept = [labels for labels in manifest.labels if labels.folder in chosen]
     sent = ReducedManifest.model_validate({**dict(manifest), "name": options.name or manifest.name, "labels": kept})
-    names = [name for path in manifest.files.paths for name in _files_below(root, path)]
-    frames = manifest.kept_frames
-    ground = [ground_path(labels, int(frame)) for frame in frames for labels in chosen]
-    return PreparedDrive(
-        name=sent.name,
-        scans=len(manifest.frames),
-        scans_sent=len(frames),
-        source_bytes=_source_bytes(sent),
-        is_georeferenced=next(iter(opened.values())).trajectory.georeference is not None,
-        files=[
-            *(UploadFile(name, root / name) for name in names),
-            *(UploadFile(name, root / name) for name in ground),
-            _manifest_file(sent),
-        ],
-        maps=maps,
-    )
+    names: list[str] = []
+    for name in manifest.files.paths:
+        below = (root / name).rglob("*") if (root / name).is_dir() else [root / name]
+        names += sorted(path.relative_to(root).as_posix() for path in below if path.is_file())
+    names += [ground_path(labels, int(frame)) for frame in manifest.kept_frames for labels in chosen]
+    files = [*(UploadFile(name, root / name) for name in names), _manifest_file(sent)]
+    is_georeferenced = next(iter(opened.values())).trajectory.georeference is not None
+    return PreparedDrive(sent, len(manifest.kept_frames), is_georeferenced, files)
+
+
+def _small_files(reduction: Reduction) -> list[UploadFile]:
+    return [
+        UploadFile(name, source) if isinstance(source, Path) else _file_of(name, source)
+        for name, source in reduction.plan.copies.sources.items()
+    ]
 
 
 def _manifest_file(manifest: ReducedManifest) -> UploadFile:
-    return _small_file(MANIFEST, manifest.to_bytes())
+    return _file_of(MANIFEST, manifest.to_bytes())
 
 
-def _small_file(name: str, source: Path | bytes) -> UploadFile:
-    if isinstance(source, Path):
-        return UploadFile(name, source)
-    return UploadFile(name, lambda: source, made_by=hashlib.sha256(source).hexdigest())
+def _file_of(name: str, data: bytes) -> UploadFile:
+    return UploadFile(name, lambda: data, made_by=hashlib.sha256(data).hexdigest())
 
 
 def _mark_of(source: RawScans) -> str:
     """Tell label schemes, and networks, apart."""
     ids = (sorted(source.scheme.road), sorted(source.scheme.confusable), *source.sources[1].identity)
     return hashlib.sha256(repr(ids).encode()).hexdigest()[:12]
-
-
-def _source_bytes(manifest: ReducedManifest) -> int | None:
-    if manifest.source is None:
-        return None
-    return manifest.source.scan_bytes + sum(labels.label_bytes or 0 for labels in manifest.labels)
-
-
-def _files_below(root: Path, name: str) -> list[str]:
-    path = root / name
-    if not path.is_dir():
-        return [name]
-    return sorted(file.relative_to(root).as_posix() for file in path.rglob("*") if file.is_file())
 
 
 def _with_all_problems(error: InterLocError, root: Path, options: PushOptions) -> InterLocError:
@@ -369,7 +341,7 @@ def push(
         drive_id=drive.id,
         name=drive.name,
         server=connection.server,
-        scans=prepared.scans,
+        scans=len(prepared.manifest.frames),
         scans_sent=prepared.scans_sent,
         files=len(there),
         files_sent=progress.sent,
@@ -434,7 +406,7 @@ def _is_whole(files: list[UploadFile], log: UploadLog, there: dict[str, FileAnsw
 
 def _make_drive(connection: Connection, prepared: PreparedDrive, options: PushOptions) -> DriveAnswer:
     """Make a new drive; the key makes it safe to ask again when an answer is lost: there will be one."""
-    new = {"name": prepared.name, "keep_raw": options.keep_raw, "options": prepared.options}
+    new = {"name": prepared.manifest.name, "keep_raw": options.keep_raw, "options": prepared.options}
     key = {"Idempotency-Key": secrets.token_hex(16)}
     return connection.ask("POST", "/drives", DriveAnswer, json=new, headers=key)
 

@@ -86,7 +86,8 @@ def check_points(T_world_lidar: FloatArray, seen: Sequence[RoadSeen], folder: st
             "divided by their range.",
         )
         return
-    height_m = float(np.nanmedian([scan.height_m for scan in seen])) if _any_height(seen) else 0.0
+    heights = [scan.height_m for scan in seen if np.isfinite(scan.height_m)]
+    height_m = float(np.median(heights)) if heights else 0.0
     if height_m > _ABOVE_M:
         findings.refuse(
             folder,
@@ -95,10 +96,6 @@ def check_points(T_world_lidar: FloatArray, seen: Sequence[RoadSeen], folder: st
             "axes of NED or FRD. Turn points and poses by half a turn about x: y and z of the points change their "
             "signs, and each pose is multiplied by diag(1, -1, -1, 1) from the right.",
         )
-
-
-def _any_height(seen: Sequence[RoadSeen]) -> bool:
-    return any(np.isfinite(scan.height_m) for scan in seen)
 
 
 def _follow_the_poses(T_world_lidar: FloatArray, seen: Sequence[RoadSeen]) -> bool:
@@ -137,13 +134,8 @@ def check_motion(T_world_lidar: FloatArray, pose_file: str, findings: Findings) 
 def turning_with_path(T_world_body: FloatArray) -> tuple[float, float]:
     """Measure how a body turns where its path turns, by (N, 4, 4) poses in a world whose z axis is vertical.
 
-    Returns
-    -------
-    turned : float
-        Root of the sum of the squared turns of the path, radians.
-    share : float
-        Share of them by which the body turns too: 1 for a vehicle, 0 for a constant orientation, -1 for one that is
-        mirrored.
+    Returns the root of the sum of the squared turns of the path, radians, and the share of them by which the body turns
+    too: 1 for a vehicle, 0 for a constant orientation, -1 for one that is mirrored.
     """
     rows = rows_apart(T_world_body[:, :2, 3] @ np.eye(2, 3), _PIECE_M)
     if len(rows) < 3:

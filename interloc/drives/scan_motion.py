@@ -166,10 +166,7 @@ class _Mistake:
 
 
 def _mistakes(pairs: list[_Pair], poses: FloatArray) -> list[_Mistake]:
-    """Try mistakes that scans tell well: poses that are mirrored, or some scans late.
-
-    A few scans show where the motion changes from scan to scan; nowhere else can they be told.
-    """
+    """Try mistakes that scans tell well where the motion changes from one to the next: mirrored, some scans late."""
     if len(pairs) < _PLACES_CLOSER:
         return []
     step_m = float(np.median(np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)))
@@ -191,11 +188,7 @@ def _mistakes(pairs: list[_Pair], poses: FloatArray) -> list[_Mistake]:
 
 
 def _scale_of(laid: list[_Pair], poses: FloatArray) -> float | None:
-    """Return how many times as far as the poses the scans move; None where that cannot be told.
-
-    Places that do not overlap are looked at: the scale by which the scans of all lie closest together must be that of
-    most of them alone, and lay them as close as any other motion.
-    """
+    """Return how many times as far as the poses the scans move, by most places alike; None: it cannot be told."""
     places: list[tuple[_Pair, FloatArray]] = []
     for pair in sorted(laid, key=lambda each: each.j):
         told = _told(poses, pair)
@@ -216,10 +209,7 @@ def _is_near(told: FloatArray) -> bool:
 
 
 def _unlike(pairs: list[_Pair], poses: FloatArray, mistake: _Mistake) -> tuple[_Pair, int, int, str] | None:
-    """Return the worst of some pairs, how many are like it, of how many, and the cause; None where poses are right.
-
-    Matches that are weak count only beside strong ones, where one mistake explains them, or where there are three.
-    """
+    """Return the worst of some pairs, how many are like it, of how many, and the cause; None where poses are right."""
     as_told = _explained(pairs, _motions(poses, pairs), "")
     wrong = as_told.wrong
     if not len(wrong):

@@ -145,10 +145,7 @@ def read_trajectory(
 def _in_kitti360_world(
     poses: LidarPoses, parts: DriveParts, oxts: Georeference | None, findings: Findings
 ) -> Georeference | None:
-    """Return the georeference that the poses of KITTI-360 are themselves, and which is smoother than its OXTS.
-
-    Poses that were moved elsewhere (the first is the identity, or OXTS says so) are none: then it is that of OXTS.
-    """
+    """Return the georeference that poses of KITTI-360 are, smoother than OXTS; that of OXTS where they were moved."""
     assert parts.poses is not None
     assert poses.T_file_world is not None
     name = parts.file(parts.poses).name

@@ -13,7 +13,6 @@ from pydantic import BaseModel, Field
 from interloc.config import flatten
 from interloc.drawing import image
 from interloc.errors import ConfigError
-from interloc.evaluation.report import data_address, template
 from interloc.files import write_file
 from interloc.output.layout import refuse_result_file, settings_of
 
@@ -92,6 +91,7 @@ def compare_reports(
 def write_comparison(comparison: Comparison, reports: Sequence[Mapping[str, Any]], out: Path) -> None:
     """Write a comparison as a page (.html), or the curves of all runs over D as a picture (.svg, .png)."""
     from interloc.evaluation.figures import comparison_figure  # noqa: PLC0415 - slow to import
+    from interloc.evaluation.report import data_address, template  # noqa: PLC0415 - slow to import
 
     suffix = out.suffix.lower()
     if suffix not in {".html", ".svg", ".png"}:

@@ -25,6 +25,16 @@ from interloc.lab.streets import Profile, StreetMap
 KERB_M = 2 * STEP_M
 _PATCH_M = 2.5
 _PATCHES = np.random.default_rng(0).standard_normal((64, 64))
+_CELL_M = 4.0
+_SMOOTH_M = 6.0  # width of the Gaussian that smooths the heights along a track
+_SLOPE_M, _AHEAD_M = 10.0, 40.0
+_PIECE_M, _OFF_PITCH = 5.0, 0.1
+ARM_M = 32.0
+JUNCTION_REACH_M = 24.0
+_PRIVATE_FROM_END_M = 20.0
+TURNING_CIRCLE_M = 7.0
+MEDIAN_KERB_M = 1.0
+_SUBPIXEL_BITS = 4
 
 
 class Surface(IntEnum):
@@ -86,12 +96,6 @@ def worn(xy: FloatArray) -> FloatArray:
     """Return how much (N, 2) places in M are brighter than usual, in standard deviations: patches of some metres."""
     shades: FloatArray = map_coordinates(_PATCHES, xy.T / _PATCH_M, order=1, mode="grid-wrap")
     return shades
-
-
-_CELL_M = 4.0
-_SMOOTH_M = 6.0  # width of the Gaussian that smooths the heights along a track
-_SLOPE_M, _AHEAD_M = 10.0, 40.0
-_PIECE_M, _OFF_PITCH = 5.0, 0.1
 
 
 @dataclass(frozen=True)
@@ -187,14 +191,6 @@ def _push_pull(mean: Float32Array, weight: Float32Array) -> Float32Array:
     coarse = _push_pull(coarse_mean, np.minimum(weights, 1.0))
     fine = cv2.resize(coarse, None, fx=2, fy=2, interpolation=cv2.INTER_LINEAR)[:rows, :columns]
     return np.where(weight > 0, mean, fine).astype(np.float32)
-
-
-ARM_M = 32.0
-JUNCTION_REACH_M = 24.0
-_PRIVATE_FROM_END_M = 20.0
-TURNING_CIRCLE_M = 7.0
-MEDIAN_KERB_M = 1.0
-_SUBPIXEL_BITS = 4
 
 
 @dataclass

@@ -43,6 +43,11 @@ from interloc.lab.tracks import LidarTrack, LocalFrame
 
 MAX_WALL_M = 24.0
 _CELL_M = 24.0
+CAR_SLOT_M = 6.0
+VEHICLE_CLEARANCE_M = 2.5
+JUNCTION_CLEARANCE_M = 9.0
+PLOT_M = 17.0
+LEVEL_REACH_M = 45.0
 
 
 @dataclass
@@ -110,12 +115,6 @@ class Obstacles:
             return np.zeros((0, 6)), np.zeros(0, np.uint8)
         walls = self._walls[level]
         return np.concatenate([walls[p] for p in pieces]), np.concatenate([self._surfaces[p] for p in pieces])
-
-
-CAR_SLOT_M = 6.0
-VEHICLE_CLEARANCE_M = 2.5
-JUNCTION_CLEARANCE_M = 9.0
-PLOT_M = 17.0
 
 
 def furnish(
@@ -362,9 +361,6 @@ def _height_m(tags: dict[str, str], rng: np.random.Generator) -> float:
         if match:
             return float(np.clip(float(match.group(1)) * factor + extra, 2.0, 80.0))
     return float(rng.uniform(2.5, 3.0) if tags.get("building") in {"garage", "garages", "shed"} else rng.uniform(5, 11))
-
-
-LEVEL_REACH_M = 45.0
 
 
 @dataclass

@@ -22,6 +22,11 @@ from interloc.lab.tracks import LocalFrame
 from interloc.osm.container import read_prolog
 from interloc.osm.graph import layer_of
 
+FOOTWAYS = {"footway", "cycleway", "pedestrian", "path"}
+URBAN_DISTANCE_M = 45.0
+TWIN_DISTANCE_M = 25.0
+CLEARANCE_M = 25.0
+
 
 class StreetClass(NamedTuple):
     """Defaults of a highway class."""
@@ -110,9 +115,6 @@ def sidewalk_sides(tags: Mapping[str, str]) -> tuple[bool, bool]:
 def _number(text: str | None) -> float | None:
     match = re.match(r"\s*(-?\d+(?:\.\d+)?)\s*(?:m|$)", text or "")
     return float(match.group(1)) if match else None
-
-
-FOOTWAYS = {"footway", "cycleway", "pedestrian", "path"}
 
 
 @dataclass(frozen=True)
@@ -275,11 +277,6 @@ def _split(driven: Iterable[tuple[MapWay, FloatArray]]) -> list[Street]:
             if float(np.ptp(piece, axis=0).max()) > 0:
                 streets.append(Street(way.way_id, part, tuple(way.nodes[a : b + 1]), piece, way.tags))
     return streets
-
-
-URBAN_DISTANCE_M = 45.0
-TWIN_DISTANCE_M = 25.0
-CLEARANCE_M = 25.0
 
 
 @dataclass(frozen=True)

@@ -72,6 +72,8 @@ CALIB_TEXT = "".join(
     "1.000000000000e+00 0.000000000000e+00 0.000000000000e+00 -2.700000000000e-01\n"
 )
 """A `calib.txt` for drives that have none: a camera that looks ahead, 0.27 m before and 0.08 m below the LiDAR."""
+_STEP_M = 0.25
+_MAX_ROUNDS = 500
 
 
 def parse_tr(text: str) -> FloatArray:
@@ -109,10 +111,6 @@ def oxts_rows(
 def format_oxts(row: FloatArray) -> str:
     """Write 30 values as one OXTS file: 25 numbers and 5 counts."""
     return " ".join([*(f"{v:.13g}" for v in row[:25]), *(str(int(v)) for v in row[25:30])]) + "\n"
-
-
-_STEP_M = 0.25
-_MAX_ROUNDS = 500
 
 
 @dataclass(frozen=True)

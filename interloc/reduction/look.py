@@ -88,6 +88,7 @@ class LookedPlan(BaseModel):
 
     scans: int = Field(description="Number of all scans.")
     kept: list[tuple[int, int]] = Field(description="Scans to send, as runs: the first number, and how many there are.")
+    files: dict[str, str] = Field(description="Small files to send: path in the reduced drive -> path in the folder.")
     manifest: ReducedManifest = Field(
         description="reduced.json, to be completed with label folders that were not counted, and sizes (`source`)."
     )
@@ -369,7 +370,13 @@ class _Look:
             ReducedLabels.of(folder, scheme, dict(self._counts[folder])) for folder, scheme in self._schemes.items()
         ]
         kept = [(int(first), int(count)) for first, count in to_runs(plan.kept)]
-        self._found.plan = LookedPlan(scans=len(frames), kept=kept, manifest=plan.manifest.with_labels(counted))
+        files = {
+            name: self._drive.files[source.relative_to(self.place).as_posix()]
+            for name, source in plan.copies.sources.items()
+            if isinstance(source, Path) and source.is_relative_to(self.place)
+        }
+        manifest = plan.manifest.with_labels(counted)
+        self._found.plan = LookedPlan(scans=len(frames), kept=kept, files=files, manifest=manifest)
 
     def _open_pcd(self, parts: DriveParts, options: DriveOptions) -> Recording:
         """List PCD files; the header of the first tells whether they carry labels."""

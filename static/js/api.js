@@ -397,7 +397,6 @@ function save(url, name) {
  * @property {Record<"maps" | "archives" | "recordings" | "scans" | "small" | "beside", string[]>} file_kinds Endings of names.
  * @property {Record<string, string>} layouts Titles of the layouts of drives.
  * @property {any} reading_schema JSON Schema of the options of reading.
- * @property {Record<string, number>} raw_first_frames KITTI raw drives whose odometry sequence begins at a later frame.
  * @property {Record<string, string>} raw_sequences Odometry sequences by KITTI raw drive.
  * @property {string} simulator The generator of maps that are made up.
  * @property {string[]} drivable Values of `highway`.

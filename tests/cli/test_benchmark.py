@@ -73,29 +73,6 @@ def test_an_interrupted_run_says_that_rows_are_kept(
 
 
 @pytest.mark.parametrize(
-    ("arguments", "code", "words"),
-    [
-        (("twins", "--kitti", "nowhere"), 1, "nowhere: no such folder"),
-        (("semantickitti", "--root", ".", "--oxts", ".", "--osm", "."), 1, "Expected the root of SemanticKITTI"),
-        (("drives", "nowhere", "--osm", "no.osm"), 1, "no.osm: no such file"),
-    ],
-)
-def test_what_is_missing_is_named(
-    arguments: tuple[str, ...],
-    code: int,
-    words: str,
-    interloc: Callable,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    outcome = interloc("benchmark", *arguments, "-o", "out")
-    assert outcome.code == code
-    assert words in outcome.complaint
-    assert not (tmp_path / "out").exists()
-
-
-@pytest.mark.parametrize(
     ("option", "words"),
     [
         (("--noise", "20"), "Expected r-FPR/r-FNR in percent"),
@@ -134,10 +111,3 @@ def test_a_damaged_drive_is_named_before_any_is_measured(
     assert outcome.code == 1
     assert str(short_drive) in outcome.complaint
     assert not (tmp_path / "out").exists()
-
-
-def test_a_sequence_without_a_map(interloc: Callable, data: Callable[[str], Path], tmp_path: Path) -> None:
-    kitti = data("kitti")
-    outcome = interloc("benchmark", "twins", "--kitti", kitti, "--sequences", "07,03", "-o", tmp_path / "out")
-    assert outcome.code == 1
-    assert "sequence 03 has no osm/03.osm.gz" in outcome.complaint

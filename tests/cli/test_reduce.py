@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pickle
-import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -73,25 +72,11 @@ def test_a_drive_through_the_town(assert_same: Callable[..., None], town: Path, 
     assert size_of(tmp_path / "reduced") < size_of(town) / 8
 
 
-def test_the_town_in_the_layout_of_kitti_raw(assert_same: Callable[..., None], town: Path, tmp_path: Path) -> None:
-    raw = tmp_path / "2011_09_26" / "2011_09_26_drive_0001_sync"
-    (raw / "velodyne_points").mkdir(parents=True)
-    shutil.copytree(town / "velodyne", raw / "velodyne_points" / "data")
-    shutil.copytree(town / "labels", raw / "labels")
-    shutil.copytree(town / "oxts", raw / "oxts")
-    shutil.copy(town / "calib_imu_to_velo.txt", raw.parent)
-    assert_same(raw, None, labels="labels")
-
-
 def test_every_scan_of_the_crossing(
     assert_same: Callable[..., None], drive: Path, detected: Path, tmp_path: Path
 ) -> None:
     assert_same(drive, None, reducing=("--all-scans",), labels="labels", before=detected)
     assert len(list((tmp_path / "reduced/ground/labels").iterdir())) == 210
-
-
-def test_a_drive_without_georeference(assert_same: Callable[..., None], local_drive: Path, local_result: Path) -> None:
-    assert_same(local_drive, None, labels="labels", before=local_result)
 
 
 def test_real_scans_of_kitti_360(assert_same: Callable[..., None], data: Callable[[str], Path], tmp_path: Path) -> None:

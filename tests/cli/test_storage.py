@@ -113,11 +113,14 @@ def test_drives_of_a_prefix_are_a_batch_whose_results_are_as_by_themselves(
 ) -> None:
     for name in ("one", "two"):
         put(short_drive, f"many/{name}/short")
+    (tmp_path / "bad.label").write_bytes(b"x")
+    put(tmp_path / "bad.label", "many/two/short/labels/000003.label")
     command = (f"s3://{BUCKET}/many", "-o", f"s3://{BUCKET}/batch", "--workers", "2")
     # By itself: the workers of this process may have been forked before the environment knew the server.
     process = Command(("batch", *command, "--json"), os.environ, tmp_path / "told", tmp_path / "err")
     told, err = process.communicate(60)
-    assert not process.returncode, err
+    assert process.returncode == 1
+    assert "1 of 2 drives failed, the first one two-short: labels/000003.label" in err
     assert [row["drive"] for row in json.loads(told)["drives"]] == [
         f"s3://{BUCKET}/many/{name}/short" for name in ("one", "two")
     ]
@@ -128,7 +131,7 @@ def test_drives_of_a_prefix_are_a_batch_whose_results_are_as_by_themselves(
     for path in (tmp_path / "alone").glob("*.geojson"):
         assert content_of(f"batch/one-short/{path.name}") == path.read_bytes()
     again = interloc("batch", *command)
-    assert "2 drives of 2 done already" in again.err
+    assert "1 drive of 2 done already" in again.err
 
 
 def test_results_there_are_read_scored_and_exported_and_drives_pushed_on_from_there(

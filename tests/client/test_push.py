@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from interloc.drives.scans.reduced_format import decode_ground
 from tests.app.processes import ServerProcess, started, wait_until
 from tests.bags import write_bag
 from tests.networks import write_model
@@ -277,18 +276,6 @@ def test_a_reduced_drive_is_sent_as_it_is(
     refused = here("push", small, "--all-scans")
     assert refused.code == 2
     assert "is a reduced drive" in refused.err
-
-
-def test_what_arrives_is_what_the_scans_hold(here: Any, server: ServerProcess, street: Path) -> None:
-    pushed = here("push", street, "--name", "kept", "--raw", "--keep-raw", "--json").json
-    reduced = here("push", street, "--json").json
-    for path in ("velodyne/000032.bin", "labels/000032.label"):
-        kept = server.client.get(f"{API}/drives/{pushed['drive_id']}/files/{path}")
-        assert kept.content == (street / path).read_bytes()
-    ground = server.client.get(f"{API}/drives/{reduced['drive_id']}/files/ground/labels/000032.ground").content
-    points = np.fromfile(street / "velodyne/000032.bin", np.float32).reshape(-1, 4)
-    ids = np.fromfile(street / "labels/000032.label", np.uint32)
-    np.testing.assert_array_equal(decode_ground(ground, "").road, points[ids == 40, :3])
 
 
 def test_tokens(street: Path, tmp_path: Path, make: ModuleType) -> None:

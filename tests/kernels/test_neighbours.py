@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 from interloc.arrays import Float32Array, Int32Array, UInt8Array
 from interloc.kernels.neighbours import spread_extremes, vote_of_neighbours
 from interloc.kernels.projection import project_points
-from interloc.labelling.rangenet.image import KnnSettings, Projection, by_pixel, vote, window_weights
+from interloc.labelling.rangenet.labeller import Projection, by_pixel, vote, window_weights
+from interloc.labelling.rangenet.model import KnnSettings
 
 HEIGHT, WIDTH = 8, 24
 UP, DOWN = math.radians(3.0), math.radians(25.0)

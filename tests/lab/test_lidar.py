@@ -11,7 +11,7 @@ from interloc.lab.config import LidarConfig
 from interloc.lab.ground import KERB_M
 from interloc.lab.lidar import Lidar, SimulatedScan
 from interloc.lab.scene import Scene
-from interloc.odometry.deskew import Velocity
+from interloc.odometry import Velocity
 
 MIDDLE = 30  # the pose of the track nearest to x = 0
 

@@ -19,8 +19,7 @@ import pytest
 from interloc.arrays import Float32Array, UInt32Array
 from interloc.errors import ConfigError, ModelError
 from interloc.labelling.rangenet.graph import Network, available_providers
-from interloc.labelling.rangenet.image import project
-from interloc.labelling.rangenet.labeller import Labeller
+from interloc.labelling.rangenet.labeller import Labeller, project
 from interloc.labelling.rangenet.model import read_model
 from tests.networks import (
     CHANNELS,

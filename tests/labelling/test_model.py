@@ -14,8 +14,7 @@ import pytest
 
 from interloc.errors import ModelError
 from interloc.labelling.networks import ModelDescription, describe_networks
-from interloc.labelling.rangenet.image import KnnSettings
-from interloc.labelling.rangenet.model import read_model
+from interloc.labelling.rangenet.model import KnnSettings, read_model
 from tests.networks import LEARNING_MAP_INV, write_model
 
 SMALL: dict[str, Any] = {"height": 16, "width": 128}

@@ -25,9 +25,8 @@ from bench import Row, facts
 
 from interloc.arrays import Float32Array
 from interloc.labelling.rangenet.graph import Network
-from interloc.labelling.rangenet.image import KnnSettings, normalise, project, range_image, vote
-from interloc.labelling.rangenet.labeller import Labeller
-from interloc.labelling.rangenet.model import Model, read_model
+from interloc.labelling.rangenet.labeller import Labeller, normalise, project, range_image, vote
+from interloc.labelling.rangenet.model import KnnSettings, Model, read_model
 from interloc.processes import peak_memory_bytes
 from tests.networks import write_model
 

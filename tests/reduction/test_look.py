@@ -119,6 +119,13 @@ def test_a_georeference_from_elsewhere_is_part_of_the_plan(tmp_path: Path) -> No
     assert look.plan is not None
     assert (look.plan.manifest.name, look.plan.manifest.files.oxts) == ("08", "georeference/gnss.txt")
     assert look.georeference == "georeference/gnss.txt, lever arm as published by KITTI"
+    raw = write_kitti_raw(root / "georeference/2011_09_26_drive_0001_sync", poses=lidar_poses())
+    for folder in ("velodyne_points", "labels"):
+        shutil.rmtree(raw / folder)
+    by_raw = look_at(root, lambda place, _: DriveOptions(oxts=place / "georeference" / raw.name)).plan
+    assert by_raw is not None
+    oxts = by_raw.manifest.files.oxts
+    assert by_raw.files[f"{oxts}/0000000011.txt"] == f"georeference/{raw.name}/oxts/data/0000000011.txt"
     (root / "geo.csv").write_text("frame\n")
     bad = look_at(root)
     assert "no column lat_deg" in (bad.georeference_reason or "")

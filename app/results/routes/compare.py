@@ -18,7 +18,7 @@ from app.jobs.models import MAX_COMPARED_JOBS
 from app.jobs.view import find_job, own_settings, title_of
 from app.results.folder import ResultsDep
 from app.results.routes.results import PROBLEMS
-from interloc.evaluation.compare import Comparison, Difference, compare_reports
+from interloc.evaluation import compare
 from interloc.output.layout import settings_of
 
 _JOBS = rf"^[A-Za-z0-9_-]{{1,64}}( *, *[A-Za-z0-9_-]{{1,64}}){{1,{MAX_COMPARED_JOBS - 1}}}$"
@@ -26,13 +26,13 @@ _JOBS = rf"^[A-Za-z0-9_-]{{1,64}}( *, *[A-Za-z0-9_-]{{1,64}}){{1,{MAX_COMPARED_J
 router = APIRouter(tags=["Results"])
 
 
-class Setting(Difference):
+class Setting(compare.Difference):
     """A setting in which jobs differ."""
 
     is_own: bool = Field(description="Whether a job has another value than its preset; else only the presets differ.")
 
 
-class JobComparison(Comparison):
+class Comparison(compare.Comparison):
     """Reports of jobs of one drive side by side; `runs` are their ids."""
 
     names: list[str] = Field(
@@ -48,7 +48,7 @@ class JobComparison(Comparison):
     summary="Compare jobs of one drive",
     dependencies=IN_TURN,
     operation_id="compare_jobs",
-    response_model=JobComparison,
+    response_model=Comparison,
     responses=PROBLEMS,
 )
 def compare_jobs(
@@ -82,7 +82,7 @@ def compare_jobs(
     reports = [json.loads(result.evaluation_file("report.json").read_bytes()) for result in opened]
     runs = [json.loads((result.folder / "run.json").read_bytes()) for result in opened]
     one_drive = {"drive_name": opened[0].drive_id}  # which may have been renamed between the jobs
-    compared = compare_reports(ids, reports, [run | one_drive for run in runs])
+    compared = compare.compare_reports(ids, reports, [run | one_drive for run in runs])
     own = set().union(*(own_settings({"config": settings_of(run)}) for run in runs))
     settings = [{**dict(each), "is_own": each.name in own} for each in compared.settings]
     return {**dict(compared), "drive_id": opened[0].drive_id, "names": numbered, "settings": settings}

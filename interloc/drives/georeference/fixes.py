@@ -85,21 +85,8 @@ def extent_m(fixes: Fixes) -> float:
 def georeference_from_fixes(
     fixes: Fixes, T_world_lidar: FloatArray, distance_m: FloatArray, source: str
 ) -> Georeference:
-    """Lay the poses on the fixes, anew every few metres.
+    """Lay (N, 4, 4) poses, in a world whose z axis points up, on fixes, by the (N,) distances driven until each.
 
-    Parameters
-    ----------
-    fixes : Fixes
-        At least `MIN_FIXES` over at least `MIN_EXTENT_M`.
-    T_world_lidar : (N, 4, 4) float64
-        Poses of the LiDAR in the world of the poses, whose z axis points up.
-    distance_m : (N,) float64
-        Distance driven until each.
-    source : str
-        Where the fixes came from, in words.
-
-    Notes
-    -----
     Every few metres, the poses are turned about the vertical and moved so that they lie on the fixes with the least sum
     of weighted squares (closed form). The weights fall with the distance driven, so that drift of an odometry does not
     matter, and with the error of a fix, so that one that jumped does not either (Cauchy weights, some rounds). Between
@@ -130,14 +117,10 @@ def georeference_from_fixes(
 
 
 def _laid_around(fixes: Fixes, here_m: float) -> tuple[float, ...]:
-    """Lay the poses on the fixes around a place on the way.
+    """Lay the poses on the fixes around a place on the way: longitude, latitude of an origin, turn, move, uncertainty.
 
-    Returns
-    -------
-    tuple of 7 float
-        Longitude and latitude of the origin of the tangent plane, degrees; the angle by which the poses are turned,
-        radians; how they are moved east, north and up, metres; and the uncertainty of that, metres: of the fixes as
-        stated, or as they scatter where that is more, NaN where nothing is stated.
+    The turn is in radians, the move east, north and up and the uncertainty in metres: of the fixes as stated, or as
+    they scatter where that is more, NaN where nothing is stated.
     """
     around, weights = _around(fixes.distance_m, here_m)
     stated = None if fixes.std_m is None else fixes.std_m[around]
@@ -239,21 +222,9 @@ class Shift:
 def fit_shift(times: FloatArray, positions: FloatArray, fix_times: FloatArray, enu: FloatArray) -> Shift | None:
     """Find the shift in time by which poses lie best on fixes, piece by piece; None where there is too little of both.
 
-    Parameters
-    ----------
-    times : (N,) float64
-        Of the poses, ascending, in seconds or any other unit.
-    positions : (N, 2) float64
-        Of the poses, metres, in a level world.
-    fix_times : (K,) float64
-        Ascending, in the same unit.
-    enu : (K, 2) float64
-        East and north of the fixes, metres.
-
-    Notes
-    -----
-    On the tracks of KITTI with fixes once a second and a noise of up to 1 m, shifts of 0.5 to 18 s are found to 0.1 s
-    (straight sequence 04: to 1 s with the noise, which is told as unsure), and none where there is none.
+    (N,) times and (N, 2) level positions of poses, (K,) times in the same unit and (K, 2) east and north of fixes,
+    metres. On the tracks of KITTI with fixes once a second and a noise of up to 1 m, shifts of 0.5 to 18 s are found to
+    0.1 s (straight sequence 04: to 1 s with the noise, which is told as unsure), and none where there is none.
     """
     step = max(1, -(-len(fix_times) // _MAX_FIXES))
     fix_times, enu = fix_times[::step], enu[::step]
@@ -308,10 +279,7 @@ def _windows(enu: FloatArray) -> list[IntArray]:
 def _mean_square(
     times: FloatArray, positions: FloatArray, fix_times: FloatArray, enu: FloatArray, windows: list[IntArray]
 ) -> tuple[float, float]:
-    """Return the mean square of what is left when poses are laid on fixes, window by window, and how much is free.
-
-    What the errors of neighbouring fixes share counts once: those of a phone stay alike over 50 m and more.
-    """
+    """Return the mean square of what is left when poses are laid on fixes, and how many of these err independently."""
     inside = (fix_times >= times[0]) & (fix_times <= times[-1])
     ours = np.interp(fix_times, times, positions[:, 0]) + 1j * np.interp(fix_times, times, positions[:, 1])
     theirs = enu[:, 0] + 1j * enu[:, 1]

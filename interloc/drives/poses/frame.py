@@ -208,7 +208,7 @@ def _decide(
         calibration = "there is a camera calibration" if has_calibration else "there is no camera calibration"
         why = f"{why}; {calibration}, so they are taken for {guess} poses"
         findings.note(file.name, f"{why}. Name the pose frame (camera or lidar) if that is wrong.")
-    if guess == "lidar" and parts.layout == "kitti360" and _points_down(poses):
+    if guess == "lidar" and parts.layout == "kitti360" and float(np.median(poses[:, 2, 2])) < -0.7:
         return "imu", f"{why}, but its z axis points down, as KITTI-360's IMU"
     return guess, why
 
@@ -263,8 +263,3 @@ def _from_imu(poses: FloatArray, parts: DriveParts, file: SourceFile) -> FloatAr
             "Put calib_cam_to_velo.txt and calib_cam_to_pose.txt of KITTI-360 beside it."
         )
     return poses @ to_pose[1] @ camera[1]
-
-
-def _points_down(poses: FloatArray) -> bool:
-    """Return whether the z axis of the body points down in the world of the file."""
-    return float(np.median(poses[:, 2, 2])) < -0.7

@@ -130,13 +130,9 @@ def _rotation_vectors(rotation: FloatArray) -> FloatArray:
 def longest_piece(positions: FloatArray, times_s: FloatArray, frames: IntArray) -> tuple[slice, str]:
     """Cut a drive where its poses jump: what lies beyond a jump would come to another place of the map.
 
-    Returns
-    -------
-    rows : slice
-        The longest piece between two jumps: steps longer than any vehicle drives meanwhile. All, where they jump so
-        often that it is noise.
-    words : str
-        Where and by how much they jump, and what is left out; "" where nothing is.
+    Returns the rows of the longest piece between two jumps, which are steps longer than any vehicle drives meanwhile
+    (all, where they jump so often that it is noise), and where and by how much they jump, in words; "" where they do
+    not.
     """
     steps, passed_s = np.linalg.norm(np.diff(positions, axis=0), axis=1), np.diff(times_s)
     if len(steps) < 2:

@@ -18,7 +18,7 @@ from interloc.drives.options import DriveOptions
 from interloc.drives.scans.recorded import PointSource, Recording, ScanPoints
 from interloc.drives.trajectory import Trajectory
 from interloc.geometry import invert_transform
-from interloc.odometry.deskew import Velocity, is_bent
+from interloc.odometry import Velocity, is_bent
 
 TIME_FIELDS = ("t", "time", "timestamp", "time_stamp", "offset_time", "time_offset", "point_time", "ts")
 """Names, in lower case, under which drivers write the time of a point."""
@@ -119,17 +119,13 @@ def deskewed(recording: Recording, trajectory: Trajectory, options: DriveOptions
     velocities = _velocities(poses.T_world_lidar, times_s)
     found = DeskewedScans(source, frames, velocities)
     if options.deskew == "auto":
-        bent = [_is_bent(found, row) for row in _sampled(len(frames))]
+        bent = [_is_bent(found, row) for row in np.unique(np.linspace(0, len(frames) - 1, _SAMPLED).astype(int))]
         if not bent.count(True) > bent.count(False):
             why = "the points show that it was taken out before" if False in bent else "the points do not show any"
             findings.note(name, f"the points carry times, and the motion within scans is left in: {why} (--deskew on).")
             return recording
     findings.note(name, "the motion within each scan is taken out of its points by their times (--deskew off).")
     return replace(recording, points=found)
-
-
-def _sampled(count: int) -> list[int]:
-    return sorted({int(row) for row in np.linspace(0, count - 1, _SAMPLED)})
 
 
 def _is_bent(scans: DeskewedScans, row: int) -> bool | None:

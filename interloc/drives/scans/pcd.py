@@ -187,11 +187,7 @@ def _by_last_number(names: Sequence[str], stems: Sequence[str]) -> tuple[IntArra
 
 
 def _split_times(stems: Sequence[str]) -> FloatArray | None:
-    """Return the times of names that end in seconds since 1970 and their fraction: 1583836591_182590976; else None.
-
-    The fraction is in nanoseconds, with zeros in front or not; or in microseconds or milliseconds, with six or three
-    digits in all names.
-    """
+    """Return the times of names that end in seconds since 1970 and their fraction (1583836591_182590976); else None."""
     ends = [_SPLIT_TIME.search(stem) for stem in stems]
     if not ends or not all(ends):
         return None

@@ -28,13 +28,11 @@ MASK_TYPES = (*REAL_TYPES, "tensor(bool)", *WHOLE_TYPES)
 
 @dataclass(frozen=True)
 class Tensor:
-    """An input or an output."""
+    """An input or an output, with its type as onnxruntime calls it; axes that the graph leaves open have size None."""
 
     name: str
     type: str
-    """As onnxruntime calls it: ``tensor(float)``."""
     shape: tuple[int | None, ...]
-    """Size of each axis; None where the graph leaves it open."""
 
     def __str__(self) -> str:
         sizes = ", ".join("?" if size is None else str(size) for size in self.shape)
@@ -52,7 +50,7 @@ class GraphInput:
 
 @dataclass(frozen=True)
 class GraphForm:
-    """How to run a network."""
+    """How to run a network, and what was assumed of it."""
 
     channels: tuple[str, ...]
     """Of the range image, in the order that the input wants."""
@@ -62,7 +60,6 @@ class GraphForm:
     outputs: tuple[str, ...]
     """Names of the outputs that can be the classes; the first that has the size of the image is used."""
     notes: tuple[str, ...] = ()
-    """What was assumed."""
 
 
 @dataclass(frozen=True)
@@ -230,13 +227,7 @@ _TYPES = {np.dtype(dtype): name for name, dtype in _DTYPES.items()}
 
 
 def available_providers() -> list[str]:
-    """Return what can run networks here, as `provider` takes them: ["cpu"], ["cuda", "cpu"], ...
-
-    Raises
-    ------
-    ModelError
-        onnxruntime is not installed.
-    """
+    """Return what can run networks here, as `provider` takes them: ["cpu"], ["cuda", "cpu"], ..."""
     return [name.removesuffix(_SUFFIX).lower() for name in _providers()]
 
 
@@ -248,28 +239,7 @@ def describe_graph(path: Path) -> tuple[list[Tensor], list[Tensor]]:
 
 
 class Network:
-    """A loaded network, for one process.
-
-    Parameters
-    ----------
-    path
-        Of the graph.
-    form
-        How to feed it, from `match_graph`.
-    height, width, classes : int
-        Of the range image, and how many classes there are.
-    provider : str
-        What runs it: "cpu", "cuda", ...
-    threads : int
-        Processor threads for one scan.
-
-    Raises
-    ------
-    ConfigError
-        The provider is not installed or does not start.
-    ModelError
-        onnxruntime is not installed or cannot load the graph.
-    """
+    """A loaded network, for one process: the graph of a file, fed by its form, on a provider and some threads."""
 
     def __init__(
         self, path: Path, form: GraphForm, *, height: int, width: int, classes: int, provider: str, threads: int
@@ -282,19 +252,7 @@ class Network:
         self._outputs = list(form.outputs)
 
     def run(self, image: Float32Array, filled: BoolArray) -> UInt8Array:
-        """Return the class of every pixel.
-
-        Parameters
-        ----------
-        image : (C, H, W) float32
-            Normalised, its channels in the order of the network.
-        filled : (H, W) bool
-            Which pixels have a point.
-
-        Returns
-        -------
-        (H, W) uint8
-        """
+        """Return the (H, W) classes of a normalised (C, H, W) image, given which of its (H, W) pixels have a point."""
         feed = {self._form.image.name: _laid_out(image, self._form.image)}
         if self._form.mask is not None:
             feed[self._form.mask.name] = _laid_out(filled[None], self._form.mask)

@@ -54,7 +54,7 @@ import { countLabels } from "./reduce.js";
  * @property {string | null} georeference_reason
  * @property {Track | null} track
  * @property {number | null} keyframes
- * @property {{scans: number, kept: Runs, manifest: any} | null} plan How to send it reduced.
+ * @property {{scans: number, kept: Runs, files: Record<string, string>, manifest: any} | null} plan How to send it reduced.
  * @property {FileProblem[]} problems Of the drive, whichever its labels.
  */
 /** @typedef {{root: string, name: string, kind: "bin" | "pcd" | "rosbag" | "las" | "reduced", files: number}} ListedName */
@@ -206,6 +206,18 @@ export const pathOf = ({ folder, suffix, digits }, number) =>
 /** @param {Runs} runs @returns {number[]} */
 export const numbersOf = (runs) => runs.flatMap(([first, count]) => Array.from({ length: count }, (_, i) => first + i));
 
+/**
+ * @param {DriveFolder} drive
+ * @param {Map<string, File>} extras Files from elsewhere, by their paths in the drive.
+ * @returns {Map<string, File>} The small files of the reduced drive, by their paths in it.
+ */
+export function plannedFiles(drive, extras) {
+  const files = new Map(drive.folder.files);
+  for (const [inside, file] of extras) files.set(inFolder(drive, inside), file);
+  const planned = Object.entries(drive.look.plan?.files ?? {});
+  return new Map(planned.map(([name, path]) => [name, /** @type {File} */ (files.get(path))]));
+}
+
 /** @param {DriveFolder} drive @param {NumberedLook} numbered @returns {[string, File][]} By path inside the drive. */
 export function numberedFiles(drive, numbered) {
   return numbersOf(numbered.runs).flatMap((number) => {
@@ -250,35 +262,4 @@ export function problemsOf({ look }, folders, isMade) {
   const message = `${reason}: place the drive on the map by its roads, or add a file of OXTS rows or a geo.csv below. Otherwise the result is in local metres and cannot be scored against OpenStreetMap.`;
   const note = reason && look.layout !== "reduced" ? [{ severity: "note", path: "georeference", message }] : [];
   return sorted([...look.problems, ...ofLabels, ...note]);
-}
-
-/**
- * Write the OXTS files of a KITTI raw drive as one file with one row per frame, the first for frame 0 of the sequence.
- *
- * @param {Folder} folder What was picked: the raw drive, or its oxts/.
- * @param {(done: number, total: number) => void} [onProgress]
- */
-export async function oxtsRows(folder, onProgress = () => {}) {
-  const found = [...folder.files].flatMap(([path, file]) => {
-    const match = /^(?:(?:.*\/)?oxts\/)?(?:data\/)?(\d+)\.txt$/.exec(path);
-    return match && !/(^|\/)(image_\d\d|velodyne_points)\//.test(path)
-      ? [{ number: Number(match[1]), path, file }]
-      : [];
-  });
-  const places = new Set(found.map(({ path }) => path.slice(0, path.lastIndexOf("/") + 1)));
-  const several = [...places].slice(0, 3).join(", ");
-  if (places.size > 1) throw new Error(`${folder.name} holds several OXTS folders (${several}): pick one drive.`);
-  found.sort((a, b) => a.number - b.number);
-  if (!found.length || found.some(({ number }, i) => number !== i)) {
-    const what = found.length ? "frames are missing among its OXTS files" : "no OXTS file is in it";
-    throw new Error(`${folder.name}: ${what}. Expected a KITTI raw drive with oxts/data/0000000000.txt and so on.`);
-  }
-  const drive = `${folder.name}/${found[0].path}`;
-  const first = Object.entries(getConfig().raw_first_frames).find(([name]) => drive.includes(name))?.[1] ?? 0;
-  const rows = [];
-  for (const { file } of found.slice(first)) {
-    rows.push((await file.text()).trim().replaceAll(/\s+/g, " "));
-    if (rows.length % 200 === 0) onProgress(rows.length, found.length - first);
-  }
-  return new File([`${rows.join("\n")}\n`], `${folder.name}.oxts.txt`, { lastModified: found[0].file.lastModified });
 }

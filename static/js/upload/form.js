@@ -105,8 +105,8 @@ export function formView(
   /** What a look depends on. */
   function wish() {
     const fix = reading.georeference();
-    const options = { ...reading.read(), label_scheme: labels.scheme(), oxts: fix && `georeference/${fix.name}` };
-    return { options, fix: fix && [fix.size, fix.lastModified] };
+    const options = { ...reading.read(), label_scheme: labels.scheme(), oxts: fix?.path ?? null };
+    return { options, fix: fix && [...fix.files.values()].map(({ size, lastModified }) => [size, lastModified]) };
   }
 
   /** Let the service look into the drive again, if it is to be read otherwise or files came. */
@@ -115,8 +115,7 @@ export function formView(
     const mine = JSON.stringify(wish());
     if (!drive || (!isOther && mine === lookedWith) || reading.complaint() !== null) return;
     lookedWith = mine;
-    const fix = reading.georeference();
-    const extras = new Map(fix && options.oxts ? [[options.oxts, fix]] : []);
+    const extras = reading.georeference()?.files;
     try {
       const { drive: next } = await lookInto(drive.folder, { root: drive.look.root, options, extras });
       if (mine !== lookedWith || !next) return; // asked again meanwhile
@@ -247,10 +246,9 @@ export function formView(
   function start(withJob) {
     const { job: request, map } = job.read();
     const fix = reading.georeference();
-    const oxts = fix && `georeference/${fix.name}`;
-    const extras = new Map();
+    const oxts = fix?.path ?? null;
+    const extras = new Map(fix?.files);
     if (map) extras.set(map.name, map);
-    if (fix) extras.set(oxts, fix);
     const own = request.osm && "file" in request.osm ? drive?.maps.get(request.osm.file) : null;
     if (own) extras.set(/** @type {{file: string}} */ (request.osm).file, own);
     const isRaw = sending() === "raw";

@@ -259,7 +259,7 @@ async function goOn(picked, { driveId, settings }) {
     else if (isThere && path === settings.options.oxts) extras.set(path, await fetchFile(driveId, path));
     if (!isThere) {
       await showForm(picked, { driveId, settings });
-      showMessage(`${path.split("/").pop()} had not arrived yet: pick it again.`);
+      showMessage(`Pick ${path.split("/").pop()} again: it is not in the folder of the drive.`);
       return;
     }
   }

@@ -2,11 +2,13 @@
 
 import { getConfig } from "../api.js";
 import { field, filePicker, radios, select } from "../controls.js";
-import { el, fill, formatCount } from "../dom.js";
-import { oxtsRows } from "./drive_folder.js";
+import { el, fill, plural } from "../dom.js";
 import { folderOfInput } from "./folder.js";
 
 /** @import { DriveFolder } from "./drive_folder.js" */
+/** @typedef {{path: string, files: Map<string, File>}} Georeference From elsewhere: its path in the drive, and its files. */
+
+const PLACE = "georeference";
 
 /** What the form calls the options; one that is not here is asked for elsewhere. */
 const TITLES = /** @type {Record<string, string>} */ ({
@@ -56,7 +58,7 @@ export function readingForm(drive, before, onChange) {
       : el("input", {
           type: "text",
           maxLength: text.maxLength,
-          placeholder: `As ${example}, or found by itself`,
+          placeholder: `As ${example}`,
           value,
         });
     input.addEventListener("input", onChange);
@@ -109,30 +111,33 @@ export function readingForm(drive, before, onChange) {
 
 /** @param {string | null} layout @param {() => void} onChange */
 function georeferenceField(layout, onChange) {
-  /** @type {File | null} */
+  /** @type {Georeference | null} */
   let fix = null;
   const status = el("span.small.quiet", "None chosen yet");
-  /** @param {Promise<File> | File} picked */
-  async function take(picked) {
-    fix = null;
-    try {
-      const file = await picked;
-      if (!/\.(txt|csv)(\.gz)?$/i.test(file.name)) {
-        throw new Error(`${file.name}: expected a file of OXTS rows (.txt, .txt.gz) or a geo.csv.`);
-      }
-      fix = file;
-      status.textContent = file.name;
-    } catch (error) {
-      status.textContent = error instanceof Error ? error.message : String(error);
-    }
+  /** @param {File} file */
+  function takeFile(file) {
+    const isGood = /\.(txt|csv)(\.gz)?$/i.test(file.name);
+    const path = `${PLACE}/${file.name}`;
+    fix = isGood ? { path, files: new Map([[path, file]]) } : null;
+    status.textContent = isGood
+      ? file.name
+      : `${file.name}: expected a file of OXTS rows (.txt, .txt.gz) or a geo.csv.`;
     onChange();
   }
-  const progress = (/** @type {number} */ done, /** @type {number} */ total) =>
-    (status.textContent = `Reading ${formatCount(done)} of ${formatCount(total)} fixes`);
+  /** @param {FileList} list */
+  function takeFolder(list) {
+    const { name, files } = folderOfInput(list);
+    const path = `${PLACE}/${name}`;
+    const texts = [...files].filter(
+      ([inside]) => /\.txt$/.test(inside) && !/(^|\/)(image_\d\d|velodyne_points)\//.test(inside),
+    );
+    fix = texts.length ? { path, files: new Map(texts.map(([inside, file]) => [`${path}/${inside}`, file])) } : null;
+    status.textContent = `${name}: ${texts.length ? plural(texts.length, "file") : "no OXTS file is in it"}.`;
+    onChange();
+  }
   const ofFile = { accept: ".txt,.csv,.gz", name: "georeference-file" };
-  const asFile = filePicker("A file …", ([file]) => take(file), ofFile);
-  const ofRaw = { folder: true, name: "raw-drive" };
-  const asFolder = filePicker("A KITTI raw drive …", (list) => take(oxtsRows(folderOfInput(list), progress)), ofRaw);
+  const asFile = filePicker("A file …", ([file]) => takeFile(file), ofFile);
+  const asFolder = filePicker("A KITTI raw drive …", takeFolder, { folder: true, name: "raw-drive" });
   const pickers = el("div.stack-s", el("div.row", asFile, asFolder), status);
   const inFiles = /** @type {Record<string, {title: string, hint: string}>} */ ({
     rosbag: { title: "From the bag", hint: "Its GNSS fixes; without them, local metres only." },

@@ -1,7 +1,7 @@
 /** One upload from the first file to the job: every step can be repeated, so it goes on where it stopped. */
 
 import { ApiError, isMap, sleep } from "../api.js";
-import { bytesOf, lookInto, numbersOf, rawFiles, sorted } from "./drive_folder.js";
+import { bytesOf, lookInto, numbersOf, plannedFiles, rawFiles, sorted } from "./drive_folder.js";
 import { forget, remember, remembered } from "./memory.js";
 import { listPresent, manifestBytes, sendFiles, sendReduced, sendSmallFiles } from "./sending.js";
 import { Transfer } from "./transfer.js";
@@ -196,7 +196,10 @@ export class Upload {
     const isReduced = drive.look.layout === "reduced";
     if (drive.look.scans) await this.#lookAgain(drive);
     this.#update({ step: "files", message: "" });
-    const small = new Map([...drive.small, ...extras]);
+    const isPlanned = drive.look.plan && sending !== "raw" && !madeFolder(options);
+    const maps = [...extras].filter(([path]) => isMap(path));
+    const small = isPlanned ? plannedFiles(drive, extras) : new Map([...drive.small, ...extras]);
+    for (const [path, file] of maps) small.set(path, file);
     small.delete("reduced.json"); // it makes a drive of the rest, so it goes last
     meter.total = bytesOf(small.values());
     const present = await listPresent(this.transfer);
@@ -204,7 +207,7 @@ export class Upload {
     // The very same files were sent before: what the service has of them is good.
     const isSame = remembered(/** @type {string} */ (this.driveId))?.fingerprint === this.source.fingerprint;
     if (!isSame) this.#remember(""); // old and new files are mixed until all is sent
-    if (drive.look.plan && sending !== "raw" && !madeFolder(options)) await this.#sendScans(drive, present, isSame);
+    if (isPlanned) await this.#sendScans(drive, present, isSame);
     else await this.#sendAll(rawFiles(drive, isReduced || madeFolder(options) ? [] : folders), present, isSame);
     const manifest = drive.small.get("reduced.json");
     if (isReduced && manifest) await this.transfer.put("reduced.json", manifest);
@@ -238,7 +241,7 @@ export class Upload {
   async #lookAgain(drive) {
     this.#update({ step: "plan", message: "Reading poses and georeference" });
     const { folders, options, sending, keyframes } = this.settings;
-    const extras = new Map([...this.source.extras].filter(([path]) => path === options.oxts));
+    const extras = new Map([...this.source.extras].filter(([path]) => !isMap(path)));
     const wish = { root: drive.look.root, options, extras, keyframes: sending === "scans" ? null : keyframes };
     const ask = async (/** @type {object} */ json) =>
       (await this.transfer.ask("drives/look", { method: "POST", json })).body;

@@ -19,10 +19,6 @@ import pytest
 import zstandard
 
 from app.drives.work.unpack import ArchiveError, members
-from app.jobs.failures import too_slow
-from app.jobs.processes import WorkerLimitError
-from app.work import kinds
-from app.work.task import Part
 from tests.app.conftest import client_of
 from tests.app.processes import ended, files_below, wait_until
 
@@ -452,13 +448,6 @@ def test_little_is_unpacked_at_a_time(tmp_path: Path) -> None:
 @pytest.mark.parametrize("method", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
 def test_a_zip_of_a_method_that_cannot_be_bounded(client: httpx.Client, home: Path, method: int) -> None:
     refuse(client, home, zipped({"poses.txt": b"1"}, method), "poses.txt", "Use deflate")
-
-
-def test_a_part_may_take_as_long_as_its_size_explains() -> None:
-    assert kinds.KINDS["unpack"].part_s(Part(0, 0, 10)) == 150.0
-    assert kinds.KINDS["commit"].part_s(Part(0, 0, 10)) == float("inf")
-    problem = too_slow(WorkerLimitError("time", 150.0, 150.1), "part 1 of 1")
-    assert problem.detail.startswith("Part 1 of 1 took longer than 2.5 minutes, which is more than work of its size")
 
 
 def test_too_many_files(serve: Callable[..., httpx.Client], tmp_path: Path) -> None:

@@ -145,37 +145,9 @@ def test_results_are_those_of_the_command_line(
     assert line_of(client.get(f"{drive}/trajectory").text) == line_of(ours["trajectory"])
 
 
-def test_a_drive_without_georeference(client: httpx.Client, drive: Path, tmp_path: Path) -> None:
-    (drive / "geo.csv").unlink()
-    address = upload(client, drive)
-    shown = commit(client, address)
-    assert "neither oxts/ nor geo.csv" in shown["report"]["georeference_reason"]
-    ours = results(client, address)
-    assert ours == by_command_line(drive, tmp_path / "out")
-    trajectory = client.get(f"{address}/trajectory").text
-    assert line_of(trajectory) == line_of(ours["trajectory"])
-    assert json.loads(trajectory)["local"]
-
-
 def line_of(trajectory: str) -> Any:
     """Return the line of a layer; that of a drive is of no job."""
     return json.loads(trajectory)["features"][0]["geometry"]
-
-
-def test_kitti_raw_layout(client: httpx.Client, street: Path, tmp_path: Path) -> None:
-    root = tmp_path / "2011_09_26_drive_0001_sync"
-    for folder, place, suffix in (("velodyne", "velodyne_points/data", "bin"), ("labels", "labels", "label")):
-        (root / place).mkdir(parents=True)
-        for number in range(40):
-            os.link(street / folder / f"{number:06d}.{suffix}", root / place / f"{number:010d}.{suffix}")
-    (root / "oxts" / "data").mkdir(parents=True)
-    for number, row in enumerate((street / "geo.csv").read_text().splitlines()[1:]):
-        values = row.split(",")[1:]
-        (root / "oxts/data" / f"{number:010d}.txt").write_text(" ".join([*values, *["0"] * 24]) + "\n")
-    (root / "calib_imu_to_velo.txt").write_text("R: 1 0 0 0 1 0 0 0 1\nT: -0.8 0.3 -0.8\n")
-    drive = upload(client, root)
-    assert commit(client, drive)["report"]["layout"] == "kitti_raw"
-    assert results(client, drive) == by_command_line(root, tmp_path / "out")
 
 
 def test_a_part_of_a_drive(client: httpx.Client, street: Path, tmp_path: Path) -> None:

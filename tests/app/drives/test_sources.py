@@ -10,8 +10,7 @@ import httpx
 import pytest
 
 from app.context import Context
-from app.drives.commit import begin_commit
-from app.drives.finish import finish_drive
+from app.drives.commit import begin_commit, finish_drive
 from app.drives.models import CommitRequest, NewDrive
 from app.drives.records import create_drive
 from app.settings import Settings

@@ -215,7 +215,6 @@ def test_the_page_learns_the_words_for_what_it_shows(serve_all: Callable[..., ht
     assert schemes["semantickitti"]["road"] == [40, 60]
     assert ".osm.pbf" in told["file_kinds"]["maps"]
     assert ".tar.zst" in told["file_kinds"]["archives"]
-    assert told["raw_first_frames"] == {"2011_09_30_drive_0028": 1100}
     assert told["raw_sequences"]["2011_09_30_drive_0018"] == "05"
     assert told["simulator"] == SIMULATOR
     assert "service" in told["drivable"]

@@ -11,7 +11,7 @@ import pytest
 from sqlalchemy import update
 
 from app.context import Context
-from app.drives.finish import finish_drive
+from app.drives.commit import finish_drive
 from app.drives.models import NewDrive
 from app.drives.records import create_drive, delete_file, find_drive, list_drives, list_files
 from app.drives.upload import keep

@@ -2,14 +2,7 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 
 import { setConfig } from "../../../static/js/api.js";
-import {
-  driveOf,
-  lookInto,
-  numberedFiles,
-  numbersOf,
-  oxtsRows,
-  problemsOf,
-} from "../../../static/js/upload/drive_folder.js";
+import { driveOf, lookInto, numberedFiles, numbersOf, problemsOf } from "../../../static/js/upload/drive_folder.js";
 import { fingerprintOf } from "../../../static/js/upload/memory.js";
 
 setConfig({
@@ -20,7 +13,6 @@ setConfig({
     scans: [".pcd"],
     small: [".txt", ".csv"],
   },
-  raw_first_frames: { "2011_09_30_drive_0028": 1100 },
 });
 
 /** A folder of files: path -> text, or number of bytes. */
@@ -152,23 +144,4 @@ test("the fingerprint of a folder tells its files, whatever their order", () => 
     ]),
     mark,
   );
-});
-
-test("the OXTS of a raw drive become one row per frame, from the first frame of the sequence", async () => {
-  const raw = (name, count, from = 0) => ({
-    name,
-    handle: null,
-    files: new Map(
-      Array.from({ length: count }, (_, i) => {
-        const path = `oxts/data/${String(i + from).padStart(10, "0")}.txt`;
-        return [path, new File([`${i + from}  8.4\n`], "x")];
-      }),
-    ),
-  });
-  const rows = await (await oxtsRows(raw("2011_09_30_drive_0027_sync", 3))).text();
-  assert.equal(rows, "0 8.4\n1 8.4\n2 8.4\n");
-  const eighth = await (await oxtsRows(raw("2011_09_30_drive_0028_sync", 1103))).text();
-  assert.equal(eighth, "1100 8.4\n1101 8.4\n1102 8.4\n");
-  await assert.rejects(oxtsRows(raw("x", 3, 2)), /frames are missing/);
-  await assert.rejects(oxtsRows(raw("x", 0)), /no OXTS file/);
 });

@@ -24,7 +24,7 @@ def _of_map() -> sa.ForeignKeyConstraint:
 
 
 def upgrade() -> None:
-    """Go to this version; a start of the server makes its map, and fills the index of features anew."""
+    """Go to this version, but for the index of features, which the next one makes anew."""
     op.add_column("drives", _text("pinned_job"))
     op.add_column("drives", sa.Column("source", sa.Text()))
     op.add_column("drive_files", _text("sender"))
@@ -45,11 +45,6 @@ def upgrade() -> None:
     )
     op.create_index("ix_deliveries_next", "deliveries", ["next_at"])
     op.create_index("ix_deliveries_job", "deliveries", ["job_id"])
-    _make_maps()
-    _make_index()
-
-
-def _make_maps() -> None:
     op.create_table(
         "maps",
         *(_text(name, nullable=False) for name in ("id", "name", "owner")),
@@ -95,36 +90,3 @@ def _make_maps() -> None:
         sa.PrimaryKeyConstraint("id"),
     )
     op.create_index("ix_map_verdicts", "map_verdicts", ["map_id", "finding"])
-
-
-def _make_index() -> None:
-    """Make the tables of the index anew, so that they hold features of maps too."""
-    op.drop_table("feature_columns")
-    op.drop_table("feature_chunks")
-    op.create_table(
-        "feature_chunks",
-        sa.Column("id", sa.Integer(), autoincrement=True, nullable=False),
-        *(_text(name) for name in ("job_id", "map_id")),
-        _text("layer", nullable=False),
-        *(sa.Column(name, sa.Integer(), nullable=False) for name in ("number", "count")),
-        *(_text(name) for name in ("preset", "labels")),
-        *(sa.Column(name, sa.Float()) for name in ("west", "south", "east", "north", "first_time", "last_time")),
-        sa.Column("attribution", sa.Text(), nullable=False),
-        _text("license"),
-        sa.ForeignKeyConstraint(["job_id"], ["jobs.id"], ondelete="CASCADE"),
-        _of_map(),
-        sa.PrimaryKeyConstraint("id"),
-        *(
-            sa.UniqueConstraint(f"{of}_id", "layer", "number", name=name)
-            for of, name in (("job", "uq_feature_chunks"), ("map", "uq_feature_chunks_of_map"))
-        ),
-        sqlite_autoincrement=True,
-    )
-    op.create_table(
-        "feature_columns",
-        sa.Column("chunk_id", sa.Integer(), autoincrement=False, nullable=False),
-        _text("name", 64, nullable=False),
-        sa.Column("content", sa.LargeBinary(), nullable=False),
-        sa.ForeignKeyConstraint(["chunk_id"], ["feature_chunks.id"], ondelete="CASCADE"),
-        sa.PrimaryKeyConstraint("chunk_id", "name"),
-    )

@@ -65,10 +65,7 @@ def _is_las(path: Path) -> bool:
 
 
 def _is_one_per_scan(clouds: tuple[Cloud, ...], parts: DriveParts, options: DriveOptions) -> bool:
-    """Return whether files hold one scan each: all around the origin, and several or with a single pose beside.
-
-    Of a map in local coordinates the same may be true; what tells it is a trajectory in place of poses.
-    """
+    """Return whether files hold one scan each: around the origin, with poses, not with the trajectory of a map."""
     if options.crs is not None or any(cloud.reach >= SENSOR_RANGE_M for cloud in clouds):
         return False
     path = _pose_file(parts, options)

@@ -18,6 +18,7 @@ import numpy as np
 
 from interloc.arrays import FloatArray
 from interloc.drives.files import SourceFile, is_number
+from interloc.drives.kinds import TRACK_ENDINGS
 from interloc.drives.poses.files import looks_like_tum, read_tum
 from interloc.drives.scans.las.clouds import Cloud
 
@@ -25,7 +26,7 @@ SBET_BYTES = 136
 """17 float64: time, latitude, longitude, altitude, three velocities, roll, pitch, heading, wander angle, ..."""
 
 SBET_SUFFIXES = frozenset({".sbet", ".out"})
-TRACK_SUFFIXES = SBET_SUFFIXES | {".csv", ".txt", ".tum"}
+TRACK_SUFFIXES = frozenset(TRACK_ENDINGS)
 
 _MAX_SBET_ROWS = 1_000_000
 _HEAD_BYTES = 65536
@@ -104,7 +105,12 @@ def read_track(file: SourceFile) -> SurveyTrack:
         timed = read_tum(file)
         track = SurveyTrack(file, timed.times_s, timed.poses[:, :3, 3], geographic=False)
     else:
-        track = _read_table(file)
+        kinds = [("time", "x", "y", "z"), ("time", "lon", "lat", "z")]
+        table = read_table(file, kinds, "Expected a header such as time,x,y,z or time,lat,lon,alt.")
+        geographic = "lon" in table.columns
+        values = table.values[_ascending(table.values, file, table.at)]
+        _check_place(values[:, 1:4], file, geographic=geographic)
+        track = SurveyTrack(file, values[:, 0].copy(), values[:, 1:4].copy(), geographic)
     if len(track.times_s) < 2:
         raise file.fault("holds one pose only. Expected the trajectory of a drive.")
     return track
@@ -131,16 +137,6 @@ def _columns(names: list[str]) -> dict[str, int]:
         if at is not None:
             columns[quantity] = at
     return columns
-
-
-def _read_table(file: SourceFile) -> SurveyTrack:
-    kinds = [("time", "x", "y", "z"), ("time", "lon", "lat", "z")]
-    table = read_table(file, kinds, "Expected a header such as time,x,y,z or time,lat,lon,alt.")
-    geographic = "lon" in table.columns
-    kept = _ascending(table.values, file, table.at)
-    values = table.values[kept]
-    _check_place(values[:, 1:4], file, geographic=geographic)
-    return SurveyTrack(file, values[:, 0].copy(), values[:, 1:4].copy(), geographic)
 
 
 class Table(NamedTuple):

@@ -373,12 +373,16 @@ def ros1_channels(raw: BinaryIO) -> list[Channel]:
         infos = [reader.read_chunk_info() for _ in range(head.get_uint32("chunk_count"))]
     except ReaderError as error:
         raise DamagedBagError(f"its index is incomplete ({str(error).rstrip('.')})") from error
-    found = []
-    for each in connections:
-        chunks = [(info.pos, len(info.connection_counts)) for info in infos if each.id in info.connection_counts]
-        count = sum(info.connection_counts.get(each.id, 0) for info in infos)
-        found.append(Channel(each.topic, each.msgtype, "ros1", count, partial(_locate_in_ros1, each.id, chunks)))
-    return found
+    chunks: dict[int, list[tuple[int, int]]] = {each.id: [] for each in connections}
+    counts = dict.fromkeys(chunks, 0)
+    for info in infos:
+        for number, count in info.connection_counts.items():
+            chunks[number].append((info.pos, len(info.connection_counts)))
+            counts[number] += count
+    return [
+        Channel(each.topic, each.msgtype, "ros1", counts[each.id], partial(_locate_in_ros1, each.id, chunks[each.id]))
+        for each in connections
+    ]
 
 
 def _locate_in_ros1(number: int, chunks: list[tuple[int, int]], raw: BinaryIO) -> Iterator[IntArray]:
@@ -390,11 +394,8 @@ def _locate_in_ros1(number: int, chunks: list[tuple[int, int]], raw: BinaryIO) -
         raw.seek(size, 1)
         for _ in range(connections):
             head = _exactly(raw, 55)  # its size; ver, conn, count and op, in any order; the size of the entries
-            (of,), (size,) = (
-                struct.unpack_from("<I", head, head.index(b"conn=") + 5),
-                struct.unpack_from("<I", head, 51),
-            )
-            if of != number:
+            (size,) = struct.unpack_from("<I", head, 51)
+            if struct.unpack_from("<I", head, head.index(b"conn=") + 5) != (number,):
                 raw.seek(size, 1)
                 continue
             seconds, nanoseconds, offsets = np.frombuffer(_exactly(raw, size), "<u4").reshape(-1, 3).astype(np.int64).T
