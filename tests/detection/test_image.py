@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from interloc.detection.image import BinaryImage, Roi
+from interloc.detection.image import Roi
 from tests.images import binary_image
 
 
@@ -22,11 +22,6 @@ def test_array_need_not_be_contiguous_or_binary() -> None:
     array = np.array([[0, 9, 0], [255, 0, 0]], np.uint8)
     np.testing.assert_array_equal(binary_image(array.T).to_array(), [[0, 1], [1, 0], [0, 0]])
     np.testing.assert_array_equal(binary_image(array > 0).to_array(), [[0, 1, 0], [1, 0, 0]])
-
-
-def test_empty_image_has_no_pixels() -> None:
-    rows, cols = BinaryImage.empty(4, 70, 1.0).pixels()
-    assert rows.size == cols.size == 0
 
 
 def test_columns_go_with_x_and_rows_against_y() -> None:

@@ -54,10 +54,6 @@ def test_scan_after_more_than_the_turn_is_taken(axis: int) -> None:
     assert select_keyframes(poses(np.zeros((5, 3)), turns), KeyframeConfig()).tolist() == [0, 2, 4]
 
 
-def test_standing_vehicle_gives_one_keyframe() -> None:
-    assert select_keyframes(along_x(*[7.0] * 50), KeyframeConfig()).tolist() == [0]
-
-
 def test_no_poses_no_keyframes() -> None:
     assert select_keyframes(np.empty((0, 4, 4)), KeyframeConfig()).tolist() == []
 

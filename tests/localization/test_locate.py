@@ -112,10 +112,6 @@ def test_the_record_lists_the_places_with_coordinates_and_figures(found: tuple[M
     assert record["map"] == "town"
 
 
-def test_the_public_name() -> None:
-    assert interloc.locate is locate
-
-
 def test_a_real_drive_is_placed_without_gnss(data: Callable[[str], Path]) -> None:
     """KITTI 10, 0.9 km: the poses of SemanticKITTI, the trajectory alone, 166 km of roads; the truth is OXTS."""
     kitti = data("kitti")

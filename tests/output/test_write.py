@@ -15,7 +15,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from interloc.errors import OutputError
 from interloc.geometry import thin
-from interloc.output.geojson import box_around
 from interloc.output.read import read_results
 from interloc.output.write import write_results
 from interloc.results import DetectionTable, DriveResult, IntersectionTable, KeyframeTable, PositionParts, unknown_like
@@ -433,9 +432,3 @@ def test_a_result_is_not_complete_before_its_run_file(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match=r"keyframes.geojson could not be written: is a directory"):
         write_results(small_result(), tmp_path)
     assert not (tmp_path / "run.json").exists()
-
-
-def test_the_box_of_what_crosses_the_antimeridian_has_west_greater_than_east() -> None:
-    line = {"type": "LineString", "coordinates": [[179.99, -16.0], [-179.98, -16.1]]}
-    assert box_around([line, None]) == [179.99, -16.1, -179.98, -16.0]
-    assert box_around([line], local=True) == [-179.98, -16.1, 179.99, -16.0]
