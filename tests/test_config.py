@@ -45,11 +45,6 @@ def test_paper_adds_nothing_to_the_method() -> None:
     assert PAPER.compound is None
 
 
-def test_default_sees_the_same_window_as_the_paper() -> None:
-    assert DEFAULT.bev.cells == PAPER.bev.cells == 750
-    assert DEFAULT.keyframes == PAPER.keyframes
-
-
 def test_preset_that_does_not_exist_is_refused_with_the_choice() -> None:
     with pytest.raises(ConfigError, match="there is no 'fast'; choose one of default, paper"):
         preset("fast")
