@@ -213,7 +213,6 @@ def test_position_is_told_in_the_frame_of_the_vehicle_too(draw_roads: Draw) -> N
     points = ((road - T[:3, 3]) @ T[:3, :3]).astype(np.float32)
     config = causal(DEFAULT)
     found = Detector(config).push(Scan(7, T, points, 0.7))
-    assert found is not None
     assert (found.keyframe.frame, found.keyframe.time_s) == (7, 0.7)
     assert math.hypot(*found.world_xy[0]) < 0.3
     np.testing.assert_allclose(T[:2, :2] @ found.lidar_xy[0] + place, found.world_xy[0], atol=1e-9)

@@ -435,8 +435,6 @@ def test_the_order_of_the_detections_does_not_matter(seed: int) -> None:
     shuffled = detections.select(order)
     a, of_a = fuse(keyframes, detections)
     b, of_b = fuse(keyframes, shuffled)
-    assert a.lonlat is not None
-    assert b.lonlat is not None
     assert sorted(a.observations) == sorted(b.observations)
     assert_allclose(np.sort(b.lonlat[:, 0]), np.sort(a.lonlat[:, 0]), atol=1e-9)
     assert np.mean((of_b >= 0) == (of_a[order] >= 0)) == 1
@@ -453,11 +451,9 @@ def test_the_date_line_is_no_obstacle() -> None:
 
     expected, _ = fuse(keyframes, detections)
     there = replace(keyframes, lonlat=moved(keyframes.lonlat)), replace(detections, lonlat=moved(detections.lonlat))
-    assert there[0].lonlat is not None
     assert there[0].lonlat[:, 0].min() < -179
     found, _ = fuse(*there)
     assert expected.lonlat is not None
-    assert found.lonlat is not None
     _, _, error = pyproj.Geod(ellps="WGS84").inv(*found.lonlat[0], *moved(expected.lonlat)[0])
     assert error < 0.05
 
@@ -523,13 +519,10 @@ def test_the_uncertainty_is_told_in_parts_of_what_is_shared() -> None:
     stream = Stream(np.array([[40.0, 0.0]])).drive(straight((0, 0), (80, 0)))
     keyframes, detections = stream.tables()
     table, _ = fuse(keyframes, detections, None, CalibrationConfig(fix_std_m=0.5))
-    assert table.parts is not None
     assert_allclose(table.parts.fix_std_m, 0.5)
     own = table.parts.fix_std_m**2 + table.parts.scatter_std_m**2
     assert_allclose(table.parts.shape_cov_m2 + own[:, None] * [1, 0, 1], table.position_cov_m2)
     local, _ = fuse(*stream.tables(georeferenced=False), None, CalibrationConfig(fix_std_m=0.5))
-    assert local.parts is not None
     assert_allclose(local.parts.fix_std_m, 0.0)
     without, _ = fuse(keyframes, detections)
-    assert without.parts is not None
     assert np.isnan(without.parts.scatter_std_m).all()

@@ -42,13 +42,11 @@ def test_a_polygon_is_cut_and_joined_again() -> None:
     ring = [[179, -1], [-179, -1], [-179, 1], [179, 1], [179, -1]]
     hole = [[-179.8, 0], [179.8, 0.5], [179.8, -0.5], [-179.8, 0]]
     made = cut({"type": "Polygon", "coordinates": [ring, hole]})
-    assert made is not None
     assert made["type"] == "MultiPolygon"
     west, east = (np.array(rings[0]) for rings in made["coordinates"])  # the hole reaches the cut: a notch
     assert (west.min(axis=0).tolist(), west.max(axis=0).tolist()) == ([179, -1], [180, 1])
     assert (east.min(axis=0).tolist(), east.max(axis=0).tolist()) == ([-180, -1], [-179, 1])
     whole = joined(cut({"type": "Polygon", "coordinates": [ring]}))
-    assert whole is not None
     assert {tuple(each) for each in map(tuple, ring)} <= {tuple(each) for each in whole["coordinates"][0]}
     assert cut(whole) == cut({"type": "Polygon", "coordinates": [ring]})
 
@@ -102,5 +100,4 @@ def test_a_result_across_it_is_read_back(tmp_path: Path) -> None:
     content = json.loads((tmp_path / "out" / "trajectory.geojson").read_text())
     assert content["features"][0]["geometry"]["type"] == "MultiLineString"
     read = read_results(tmp_path / "out")
-    assert read.trajectory_lonlat is not None
     assert read.trajectory_lonlat.tolist() == fixes.tolist()

@@ -208,7 +208,6 @@ def test_files_of_something_else_stay(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("scans", "positions"), [(0, None), (1, 2), (2, 2)])
 def test_a_line_has_two_positions_or_none(tmp_path: Path, scans: int, positions: int | None) -> None:
     result = small_result()
-    assert result.trajectory_lonlat is not None
     short = replace(
         result,
         trajectory_world_xy=result.trajectory_world_xy[:scans],
