@@ -99,13 +99,7 @@ def straight_cloud(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return points of a strip 20 m wide along a straight drive at 10 m/s, their times, and its trajectory.
 
-    Returns
-    -------
-    xyz : (N, 3) float64
-        In UTM zone 32, by time.
-    times_s : (N,) float64
-    track : (P, 4) float64
-        Time, easting, northing, height every 0.05 s.
+    Points are in UTM zone 32, by time; the trajectory holds time, easting, northing, height every 0.05 s.
     """
     random = np.random.default_rng(seed)
     origin, ahead = np.array([458_000.0, 5_428_000.0]), rotate_2d(np.array([1.0, 0.0]), np.radians(90 - heading_deg))

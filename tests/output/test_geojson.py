@@ -1,7 +1,6 @@
 """GeoJSON as RFC 7946 has it, at the antimeridian too."""
 
 import json
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,9 +10,6 @@ import pytest
 from interloc.errors import DamagedResultError
 from interloc.output.geojson import box_around, cut, joined, positions, write_collection
 from interloc.output.layers import LAYERS
-from interloc.output.read import read_results
-from interloc.output.write import write_results
-from tests.output.small import small_result
 
 
 def line(*coordinates: list[float]) -> dict[str, Any]:
@@ -90,14 +86,3 @@ def test_a_file_has_parts_and_its_layer_is_read_whole(tmp_path: Path) -> None:
     path.write_text(path.read_text().replace("[[[", "[["))
     with pytest.raises(DamagedResultError, match="damaged"):
         LAYERS["trajectory"].read(path)
-
-
-def test_a_result_across_it_is_read_back(tmp_path: Path) -> None:
-    result = small_result()
-    fixes = np.array([[179.9999, -16.5], [-179.9999, -16.5]])
-    keyframes = replace(result.keyframes, lonlat=fixes)
-    write_results(replace(result, keyframes=keyframes, trajectory_lonlat=fixes), tmp_path / "out")
-    content = json.loads((tmp_path / "out" / "trajectory.geojson").read_text())
-    assert content["features"][0]["geometry"]["type"] == "MultiLineString"
-    read = read_results(tmp_path / "out")
-    assert read.trajectory_lonlat.tolist() == fixes.tolist()
