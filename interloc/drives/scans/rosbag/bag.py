@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
@@ -35,7 +35,6 @@ Decoded = TypeVar("Decoded")
 _COMPRESSED = re.compile(r".*\.(bag|db3|mcap)\.(zst|zstd|gz|bz2|xz|lz4)")
 _PART = re.compile(r"(_\d{4}(-\d\d){5})?_\d+$")  # of a bag that was split while it was recorded
 _METADATA = "metadata.yaml"
-_MAX_METADATA_BYTES = 16 * 1024 * 1024
 
 
 @dataclass(frozen=True)
@@ -54,7 +53,7 @@ class BagTopic:
 
     @property
     def encoding(self) -> Encoding | None:
-        """{"ros1", "cdr"} or None: none where it is not known."""
+        """Of the messages; None where it is not known."""
         encodings = {channel.encoding for _, channel in self.channels}
         return encodings.pop() if len(encodings) == 1 else None
 
@@ -91,11 +90,10 @@ class BagTopic:
 
 @dataclass(frozen=True)
 class Bag:
-    """The files of a bag, and what is in them."""
+    """The files of a bag, and its topics by name."""
 
     files: tuple[SourceFile, ...]
     topics: list[BagTopic]
-    """By name."""
 
     @property
     def name(self) -> str:
@@ -142,15 +140,7 @@ def open_bag(files: tuple[SourceFile, ...], findings: Findings) -> Bag:
 
 
 def find_bag(root: Path, *, required: bool, findings: Findings) -> tuple[SourceFile, ...] | None:
-    """Find the files of the bag that a path leads to; None where there is none.
-
-    Parameters
-    ----------
-    root : Path
-        A file of a bag; or a folder with one bag in it, in one file or in several.
-    required : bool
-        The user says that it is one.
-    """
+    """Find the files of the bag that a path leads to, a file or a folder with one bag; None where there is none."""
     if root.is_file():
         return _lone_file(root, findings, required=required)
     if not root.is_dir():
@@ -185,7 +175,6 @@ def _whole_name(path: Path) -> str:
 
 
 def _refuse_packed(paths: list[Path], root: Path) -> None:
-    """Refuse bags that are compressed as a whole, or still open."""
     for path in paths:
         if _COMPRESSED.fullmatch(path.name):
             tool = {"zst": "zstd", "zstd": "zstd", "gz": "gzip"}.get(path.suffix[1:], path.suffix[1:])
@@ -201,7 +190,6 @@ def _refuse_packed(paths: list[Path], root: Path) -> None:
 
 
 def _in_folder(folder: Path, findings: Findings) -> list[Path]:
-    """Return the files of the one bag in a folder, in order; none where there is no bag."""
     entries = sorted(entry for entry in folder.iterdir() if entry.is_file() and not entry.name.startswith("."))
     bags = [entry for entry in entries if entry.suffix in SUFFIXES]
     if (folder / _METADATA).is_file() and (named := _named_by_metadata(folder / _METADATA)):
@@ -222,12 +210,8 @@ def _in_folder(folder: Path, findings: Findings) -> list[Path]:
             str(folder),
             f"holds several bags ({names}{' ...' if len(bags) > 5 else ''}). Expected one drive: give one of them.",
         )
-    return sorted(bags, key=_natural)
-
-
-def _natural(path: Path) -> list[Any]:
-    """Return what sorts part 10 after part 9."""
-    return [int(piece) if piece.isdigit() else piece for piece in re.split(r"(\d+)", path.name)]
+    pieces = {path: re.split(r"(\d+)", path.name) for path in bags}  # part 10 comes after part 9
+    return sorted(bags, key=lambda path: [int(piece) if piece.isdigit() else piece for piece in pieces[path]])
 
 
 def _named_by_metadata(path: Path) -> list[str]:
@@ -237,7 +221,7 @@ def _named_by_metadata(path: Path) -> list[str]:
     """
     try:
         with path.open("rb") as file:
-            text = file.read(_MAX_METADATA_BYTES).decode("utf-8", "replace")
+            text = file.read(16 * 1024 * 1024).decode("utf-8", "replace")
     except OSError:
         return []
     block = re.search(r"relative_file_paths:[^\S\n]*\n((?:\s*-\s*[^\n]+\n?)+)", text)

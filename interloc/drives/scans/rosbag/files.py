@@ -29,8 +29,7 @@ from interloc.drives.files import SourceFile
 from interloc.drives.scans.rosbag.messages import Encoding
 
 MAX_BYTES = 512 * 1024 * 1024
-"""Of one message, and of one chunk when unpacked: recorders write about a megabyte, and a scan of 4 million points is
-smaller."""
+"""Of one message, and of one chunk when unpacked: recorders write a megabyte; a scan of 4 million points is smaller."""
 
 MAX_MESSAGES = 20_000_000
 """Of one topic in one file: two days of an IMU at 100 Hz."""
@@ -77,7 +76,6 @@ class Channel:
     type: str
     """Spelt as in ROS 2: "sensor_msgs/msg/PointCloud2"."""
     encoding: Encoding | None
-    """{"ros1", "cdr"} or None: none where it is another."""
     count: int | None
     """Messages; None where only their index tells."""
     pieces: Callable[[BinaryIO], Iterator[IntArray]]
@@ -245,7 +243,6 @@ def messages_at(raw: BinaryIO, places: IntArray, limit: int) -> Iterator[bytes]:
 
 
 def _rest(raw: BinaryIO, start: int) -> io.BytesIO:
-    """Read the index at the end of a file."""
     size = raw.seek(0, 2) - start
     if not 0 < size <= _MAX_INDEX_BYTES:
         raise DamagedBagError(f"its index has {size:,} bytes; expected at most {_MAX_INDEX_BYTES:,}")
@@ -333,7 +330,6 @@ def _locate_without_chunks(number: int, end: int, raw: BinaryIO) -> Iterator[Int
 
 
 def _rows(log_ns: IntArray, place: list[int], offsets: IntArray) -> IntArray:
-    """Return the rows of the messages of one chunk."""
     rows = np.empty((len(offsets), 5), dtype=np.int64)
     rows[:, 0], rows[:, 1:4], rows[:, 4] = log_ns, place, offsets
     return rows

@@ -14,17 +14,21 @@ from interloc.drives.findings import DriveFileError, Findings
 from interloc.drives.scans.rosbag.bag import Bag, BagTopic
 from interloc.drives.scans.rosbag.messages import (
     FIX,
+    LIVOX,
     ODOMETRY,
+    POINT_CLOUD,
     POSE,
     POSE_WITH_COVARIANCE,
     POSES,
     TRANSFORMS,
+    CloudLayout,
     Encoding,
     Header,
     Wire,
+    first_points,
     read_header,
+    read_layout,
 )
-from interloc.drives.scans.rosbag.pointcloud2 import LIVOX, POINT_CLOUD, CloudLayout, first_points, read_layout
 
 POINTS = (POINT_CLOUD, *LIVOX)
 
@@ -41,21 +45,18 @@ _DRIVERS = {  # raw packets, and what makes points of them
     "nebula_msgs/msg/NebulaPackets": "nebula",
 }
 _FIXED_FRAMES = {"map", "odom", "world", "earth", "utm", "global", "camera_init"}
-_SIMILAR = 0.8
 _USUAL_ORDER = {kind: place for place, kind in enumerate((ODOMETRY, POSE, POSE_WITH_COVARIANCE, *TRANSFORMS))}
 
 
 @dataclass(frozen=True)
 class PointsTopic:
-    """The scans of a bag."""
+    """The scans of a bag: their coordinate frame, and what each point carries."""
 
     topic: BagTopic
     frame_id: str
-    """Coordinate frame of the points."""
     has_labels: bool
     has_remission: bool
     has_times: bool = False
-    """What each point carries."""
 
 
 def choose_points(bag: Bag, given: str | None, findings: Findings) -> PointsTopic:
@@ -82,7 +83,7 @@ def choose_points(bag: Bag, given: str | None, findings: Findings) -> PointsTopi
         raise bag.fault(f"{len(filled)} topics of points, and the first message of each is damaged.")
     judged.sort(key=lambda each: each[0], reverse=True)
     (rank, best), others = judged[0], judged[1:]
-    if others and others[0][0][:2] == rank[:2] and others[0][0][2] > _SIMILAR * rank[2]:
+    if others and others[0][0][:2] == rank[:2] and others[0][0][2] > 0.8 * rank[2]:
         raise bag.fault(
             f"both {best.topic.name} ({len(best.topic):,} messages) and {others[0][1].topic.name} "
             f"({len(others[0][1].topic):,} messages) could be the scans. Name one: "
@@ -108,12 +109,12 @@ def _judged(bag: Bag, topic: BagTopic) -> tuple[tuple[bool, bool, int], PointsTo
     for row, layout in enumerate(bag.decoded(topic, decode, heads=True)):
         if layout.count or row > 100:
             break
-    rank = (layout.has_labels, layout.header.frame_id not in _FIXED_FRAMES, len(topic) * layout.count)
-    return rank, PointsTopic(topic, layout.header.frame_id, layout.has_labels, layout.has_remission, layout.has_times)
+    frame = layout.header.frame_id
+    rank = (layout.has("label"), frame not in _FIXED_FRAMES, len(topic) * layout.count)
+    return rank, PointsTopic(topic, frame, layout.has("label"), layout.has("remission"), layout.has("time"))
 
 
 def _no_points(bag: Bag, empty: list[BagTopic]) -> str:
-    """Return why a bag has no scans."""
     if empty:
         names = ", ".join(topic.name for topic in empty)
         return f"{names}: no messages. Expected one per scan. Usual cause: a driver that was off while recording."
@@ -181,11 +182,6 @@ def topic_list(bag: Bag) -> str:
 # When the scans were taken
 
 
-_MANY_BACKWARDS_S = 1.0
-_MANY_IDLE = 0.05
-_ALIKE_S, _AHEAD_S = 0.5, 0.1
-
-
 def clock_lead_s(stamps_ns: IntArray, log_ns: IntArray) -> float:
     """Return by how much the stamps of messages are ahead of the times at which they were recorded, the median."""
     return float(np.median(stamps_ns - log_ns)) / 1e9 if len(stamps_ns) else float("nan")
@@ -197,12 +193,11 @@ def clock_shift(lead_s: float, other_lead_s: float) -> ClockShift | None:
     None where the clocks are the same, or where one topic may only have been computed or recorded later.
     """
     ahead_s = lead_s - other_lead_s
-    if not abs(ahead_s) > _ALIKE_S:
+    if not abs(ahead_s) > 0.5:
         return None
     if (known := known_shift(ahead_s)) is not None:
         return known
-    latest_s = max(lead_s, other_lead_s)
-    if latest_s > _AHEAD_S and min(lead_s, other_lead_s) < _AHEAD_S:  # nothing is recorded before it happens
+    if max(lead_s, other_lead_s) > 0.1 > min(lead_s, other_lead_s):  # nothing is recorded before it happens
         return ClockShift(ahead_s, "a clock that is not synchronised")
     return None
 
@@ -252,7 +247,7 @@ def read_scan_times(bag: Bag, topic: BagTopic, findings: Findings) -> ScanTimes:
     steps = np.diff(stamps[recorded])
     if (steps < 0).any():
         back_s = float(-steps.min() / 1e9)
-        say = findings.warning if back_s > _MANY_BACKWARDS_S else findings.note
+        say = findings.warning if back_s > 1.0 else findings.note
         say(
             bag.name,
             f"{topic.name}: the stamps of the scans run backwards {np.count_nonzero(steps < 0):,} times, by up to "
@@ -265,11 +260,10 @@ def read_scan_times(bag: Bag, topic: BagTopic, findings: Findings) -> ScanTimes:
 
 
 def _tell_idle(bag: Bag, topic: BagTopic, empty: int, repeated: int, findings: Findings) -> None:
-    """Tell of scans without points, and of scans that repeat the one before."""
     for count, what, usual in (
         (empty, "hold no points", "a sensor or network that was overloaded"),
         (repeated, "repeat the scan before under a new stamp", "a driver that hung"),
     ):
         if count:
-            say = findings.warning if count > _MANY_IDLE * len(topic) else findings.note
+            say = findings.warning if count > 0.05 * len(topic) else findings.note
             say(bag.name, f"{count:,} of {len(topic):,} scans of {topic.name} {what}. Usual cause: {usual}.")
