@@ -262,7 +262,6 @@ def test_streets_that_share_no_node_are_named(tmp_path: Path) -> None:
 def test_levels_are_read(tmp_path: Path, crossing: str) -> None:
     def layers(tags: str) -> list[int]:
         layer = read(tmp_path, crossing.replace('<tag k="name" v="Weg"/>', tags)).ways.layer
-        assert layer is not None
         return layer.tolist()
 
     assert layers('<tag k="bridge" v="yes"/>') == [1, 0]
