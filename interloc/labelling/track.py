@@ -50,11 +50,6 @@ class Track:
         distance = at_anchors[before] + np.linalg.norm(position - position[anchors[before]], axis=1)
         return cls(T_world_lidar, usable, distance, _line(T_world_lidar[anchors], at_anchors))
 
-    @property
-    def windows(self) -> IntArray:
-        """(K,) int64 numbers of the windows in which scans can be read."""
-        return np.unique(self.distance_m[self.usable] // WINDOW_M).astype(np.int64)
-
     def window_of(self, row: int) -> int:
         """Return the number of the window that a scan belongs to."""
         return int(self.distance_m[row] // WINDOW_M)
