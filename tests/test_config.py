@@ -13,7 +13,6 @@ from interloc.config import (
     PRESETS,
     BevConfig,
     CrossingCandidates,
-    DetectorConfig,
     HarrisCandidates,
     parse_config,
     preset,
@@ -44,16 +43,6 @@ def test_paper_adds_nothing_to_the_method() -> None:
     assert PAPER.branches.min_surface_m2 == 0
     assert PAPER.occupancy.island_m2 == 0
     assert PAPER.compound is None
-
-
-def test_default_sees_the_same_window_as_the_paper() -> None:
-    assert DEFAULT.bev.cells == PAPER.bev.cells == 750
-    assert DEFAULT.keyframes == PAPER.keyframes
-
-
-@pytest.mark.parametrize("name", PRESETS)
-def test_preset_knows_its_name(name: str) -> None:
-    assert preset(name).preset == name
 
 
 def test_preset_that_does_not_exist_is_refused_with_the_choice() -> None:
@@ -97,10 +86,6 @@ def test_settings_replace_what_they_name_and_nothing_else() -> None:
     assert (config.bev.resolution_m, config.keyframes.lookahead, config.bev.adaptive) == (0.25, 3, False)
     back = ["bev.resolution_m=0.16", "keyframes.lookahead=null", "bev.adaptive=true"]
     assert with_settings(config, back) == DEFAULT
-
-
-def test_no_settings_change_nothing() -> None:
-    assert with_settings(PAPER, []) == PAPER
 
 
 def test_text_needs_no_quotes() -> None:
@@ -189,10 +174,6 @@ def test_configuration_with_settings_that_have_gone_opens_without_them() -> None
         with_settings(DEFAULT, ["score.rated_branch=2"])
 
 
-def test_empty_body_is_the_plain_configuration() -> None:
-    assert parse_config({}) == DetectorConfig()
-
-
 # --- kinds, and steps that may be left out ---------------------------------------------------------------------------
 
 
@@ -218,5 +199,4 @@ def test_step_beyond_the_paper_can_be_left_out_and_taken_back() -> None:
     without = with_settings(DEFAULT, ["compound=null"])
     assert without.compound is None
     back = with_settings(without, ["compound.separation_m=9"])
-    assert back.compound is not None
     assert back.compound.separation_m == 9

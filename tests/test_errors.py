@@ -18,10 +18,3 @@ def test_packages_are_named_by_which_an_extra_is_installed(extra: str) -> None:
     told = install(extra).replace("_", "-")
     assert told.startswith("pip install ")
     assert all(f'"{package}"' in told for package in EXTRAS[extra]) or told.startswith(f'pip install ".[{extra}]"')
-
-
-def test_nobody_is_sent_to_a_registry_for_interloc_itself() -> None:
-    texts = [*ROOT.glob("*.md"), *ROOT.glob("docs/*.md"), *ROOT.glob("interloc/**/*.py"), *ROOT.glob("app/**/*.py")]
-    assert len(texts) > 300
-    named = [str(path.relative_to(ROOT)) for path in texts if 'install "interloc[' in path.read_text()]
-    assert named == []

@@ -66,8 +66,3 @@ def test_two_label_sources_are_compared() -> None:
     by_hand, by_network = names["evaluations"].values()
     assert by_hand.ace_m < by_network.ace_m
     assert [len(table) for table in shown[-2:]] == [2, 5]  # a row per source; a row per place
-
-
-@pytest.mark.parametrize("notebook", sorted(EXAMPLES.glob("*.ipynb")), ids=lambda path: path.name)
-def test_a_notebook_is_small(notebook: Path) -> None:
-    assert notebook.stat().st_size < 200_000, "strip the outputs, or draw smaller pictures"

@@ -50,13 +50,6 @@ def test_a_file_appears_when_it_is_complete(tmp_path: Path) -> None:
     assert contents(tmp_path) == {"a.json": b"new"}
 
 
-def test_an_older_file_is_replaced(tmp_path: Path) -> None:
-    (tmp_path / "a.json").write_bytes(b"a longer old text")
-    with atomic_write(tmp_path / "a.json") as handle:
-        handle.write(b"new")
-    assert contents(tmp_path) == {"a.json": b"new"}
-
-
 @pytest.mark.parametrize("stop", [KeyboardInterrupt, SystemExit, ValueError, DriveError, GeneratorExit])
 def test_a_stopped_write_leaves_the_old_file(tmp_path: Path, stop: type[BaseException]) -> None:
     (tmp_path / "a.json").write_bytes(b"old")
@@ -91,23 +84,6 @@ def test_permission_denied_is_said(tmp_path: Path) -> None:
             pass
     finally:
         tmp_path.chmod(0o700)
-
-
-def test_a_file_over_the_size_limit_leaves_the_old_one(tmp_path: Path) -> None:
-    (tmp_path / "a.json").write_bytes(b"old")
-    code = """
-from pathlib import Path
-from interloc.errors import OutputError
-from interloc.files import atomic_write
-try:
-    with atomic_write(Path("a.json")) as handle:
-        handle.write(b"x" * 3000)
-        handle.write(b"x" * 3000)
-except OutputError as error:
-    print(error)
-"""
-    assert run_limited(code, tmp_path, limit=4096) == ("a.json could not be written: file too large.\n")
-    assert contents(tmp_path) == {"a.json": b"old"}
 
 
 def test_a_folder_over_the_size_limit_leaves_the_old_one(tmp_path: Path) -> None:
@@ -377,22 +353,6 @@ def test_what_an_older_version_has_left_hidden_is_taken_back(tmp_path: Path) -> 
     assert [entry.name for entry in tmp_path.iterdir()] == ["out"]
 
 
-def test_leftovers_of_a_killed_run_do_not_hinder(tmp_path: Path) -> None:
-    code = """
-import os
-from pathlib import Path
-from interloc.files import atomic_folder
-with atomic_folder(Path("out"), marker="run.json") as folder:
-    (folder / "run.json").write_bytes(b"half")
-    os._exit(0)
-"""
-    run_limited(code, tmp_path, limit=1 << 20)
-    assert not (tmp_path / "out").exists()
-    with atomic_folder(tmp_path / "out") as folder:
-        (folder / "run.json").write_bytes(b"whole")
-    assert (tmp_path / "out" / "run.json").read_bytes() == b"whole"
-
-
 def test_a_link_to_a_folder_stays_a_link(tmp_path: Path) -> None:
     make_result(tmp_path / "real")
     (tmp_path / "out").symlink_to(tmp_path / "real")
@@ -400,10 +360,3 @@ def test_a_link_to_a_folder_stays_a_link(tmp_path: Path) -> None:
         (folder / "run.json").write_bytes(b"new")
     assert (tmp_path / "out").is_symlink()
     assert (tmp_path / "real" / "run.json").read_bytes() == b"new"
-
-
-def test_a_marker_of_another_kind(tmp_path: Path) -> None:
-    for text in (b"1", b"2"):
-        with files.atomic_folder(tmp_path / "out", marker="explain.json") as folder:
-            (folder / "explain.json").write_bytes(text)
-    assert contents(tmp_path) == {"out/explain.json": b"2"}

@@ -104,15 +104,6 @@ def test_every_junction_is_found_and_becomes_one_intersection(result: DriveResul
     assert np.all(np.count_nonzero(distance < 10, axis=0) == 1)
 
 
-def test_tables_belong_together(result: DriveResult, drive: FolderDrive) -> None:
-    keyframes = keyframes_of(drive, CONFIG)
-    assert result.keyframes.frame.tolist() == drive.frames[keyframes].tolist()
-    assert np.all(np.diff(result.detections.keyframe) >= 0)
-    own = result.detections.intersection >= 0
-    centres = result.intersections.world_xy[result.detections.intersection[own]]
-    assert np.hypot(*(result.detections.world_xy[own] - centres).T).max() < 10
-
-
 def test_run_is_recorded(result: DriveResult) -> None:
     run = result.run
     assert run["drive"] == "00"
@@ -157,13 +148,6 @@ def test_ranges_with_their_halo_find_exactly_what_one_run_does(drive: FolderDriv
         parts = [detect_range(drive, keyframes, start, stop, config) for start, stop in itertools.pairwise(edges)]
         assert [part.start for part in parts] == edges[:-1]
         assert [bits(found) for part in parts for found in part.detections] == whole
-
-
-def test_range_calls_back_after_each_of_its_keyframes(drive: FolderDrive) -> None:
-    calls: list[tuple[int, int]] = []
-    part = detect_range(drive, keyframes_of(drive, CONFIG), 20, 33, CONFIG, lambda *done: calls.append(done))
-    assert calls == [(i, 13) for i in range(1, 14)]
-    assert len(part.detections) == 13
 
 
 def test_two_processes_find_exactly_what_one_does(drive: FolderDrive, result: DriveResult) -> None:

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import pydoc
 import re
 import subprocess
 import sys
 from importlib.metadata import version
 
-import numpy as np
 import pytest
 
 import interloc
@@ -26,34 +24,6 @@ def test_a_name_that_is_not_there() -> None:
         interloc.nothing  # noqa: B018
 
 
-def test_online_scan_by_scan() -> None:
-    detector = interloc.Detector(interloc.preset("default"))
-    found = []
-    for frame in range(48):
-        T_world_lidar = pose_at(SPACING_M * frame)
-        road_points = road_at(SPACING_M * frame)
-        detections = detector.push(interloc.Scan(frame, T_world_lidar, road_points))
-        assert (detections is None) == (frame < 20)  # 20 keyframes pass before the first comes back
-        if detections is not None:
-            assert detections.keyframe.frame == frame - 20
-            found.append(detections)
-    found += detector.finish()
-    assert [detections.keyframe.frame for detections in found] == list(range(48))
-    positions = np.concatenate([detections.world_xy for detections in found])
-    assert len(positions) > 20
-    assert np.hypot(*(np.median(positions, axis=0) - (60, 0))) < 0.5
-
-
-def test_online_without_lookahead() -> None:
-    config = interloc.DetectorConfig.model_validate({"keyframes": {"lookahead": 0}})
-    detector = interloc.Detector(config)
-    for frame in range(3):
-        scan = interloc.Scan(frame, pose_at(SPACING_M * frame), road_at(SPACING_M * frame))
-        detections = detector.push(scan)
-        assert detections is not None
-        assert detections.keyframe.frame == frame
-
-
 def test_stream_takes_a_drive_or_scans_and_answers_every_keyframe() -> None:
     scans = [interloc.Scan(frame, pose_at(SPACING_M * frame), road_at(SPACING_M * frame)) for frame in range(48)]
     detector = interloc.Detector()
@@ -65,16 +35,6 @@ def test_stream_takes_a_drive_or_scans_and_answers_every_keyframe() -> None:
         re.fullmatch(r"<KeyframeDetections frame \d+: 1 at \(-?\d+\.\d, -?\d+\.\d\) m>", repr(each))
         for each in streamed
     )
-
-
-def test_help_is_fit_to_read() -> None:
-    text = pydoc.plain(pydoc.render_doc(interloc.Detector))
-    assert "finish" in text
-    assert max(map(len, text.splitlines())) <= 125
-    assert max(map(len, pydoc.plain(pydoc.render_doc(interloc)).splitlines())) < 2000
-    assert repr(interloc.preset("paper")) == "<DetectorConfig paper>"
-    coarse = interloc.DetectorConfig.model_validate({"bev": {"resolution_m": 0.25}})
-    assert str(coarse) == "<DetectorConfig custom, bev.resolution_m=0.25>"
 
 
 def test_python_m_interloc() -> None:

@@ -109,27 +109,6 @@ def test_commands_shown_in(page: str) -> None:
         command.make_parser(context).parse_args(rest)
 
 
-def test_the_demo_has_the_same_verdict_wherever_it_is_shown() -> None:
-    """README.md has what `make demo` prints; docs/service.md asks the service about the same drive."""
-    line = re.compile(r"\d+ of \d+ intersections right within 10 m, \d+ of \d+ nodes found, median [\d.]+ m")
-    (in_readme,), (in_service,) = (line.findall((ROOT / page).read_text()) for page in ("README.md", "docs/service.md"))
-    assert in_readme == in_service
-    assert (
-        f"length'                # also export.gpkg, .qgz, .kmz, .pmtiles\n{in_readme.split()[2]}\n"
-        in (ROOT / "docs" / "service.md").read_text()
-    )
-
-
-def test_make_has_the_targets_that_are_shown() -> None:
-    targets = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
-    pages = [*PAGES, "CONTRIBUTING.md"]
-    shown = {name for page in pages for name in re.findall(r"`make ([a-z-]+)", (ROOT / page).read_text())}
-    for page in pages:
-        for line in re.findall(r"^\$ make ([a-z -]+)", (ROOT / page).read_text(), re.MULTILINE):
-            shown |= set(line.split())
-    assert {"demo", "test", "serve", "screenshots"} <= shown <= targets
-
-
 def test_the_docstring_of_the_package(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(place)
     text = inspect.getdoc(interloc) or ""

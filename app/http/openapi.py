@@ -147,7 +147,7 @@ def _complete(document: dict[str, Any], *, needs_token: bool) -> dict[str, Any]:
         "ProblemDocument", ProblemDocument.model_json_schema(ref_template="#/components/schemas/{model}")
     )
     for schema in schemas.values():
-        _drop_defaults_of_models(schema)
+        _suit_generators(schema)
     for operations in document["paths"].values():
         for method, operation in operations.items():
             responses = operation["responses"]
@@ -218,8 +218,10 @@ def _leave_out_null_body(operation: dict[str, Any]) -> None:
             content["schema"] = next(each for each in alternatives if each != {"type": "null"})
 
 
-def _drop_defaults_of_models(schema: dict[str, Any]) -> None:
-    """Leave out defaults that are objects: client generators take none for a model."""
+def _suit_generators(schema: dict[str, Any]) -> None:
+    """Leave out what client generators cannot write down: defaults that are objects, numbers that are constants."""
     for described in schema.get("properties", {}).values():
         if isinstance(described.get("default"), dict):
             del described["default"]
+        if type(described.get("const")) is int:
+            del described["const"]

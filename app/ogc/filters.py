@@ -10,7 +10,7 @@ import json
 import math
 import re
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from operator import eq, ge, gt, le, lt, ne
 from typing import Any, Literal
@@ -174,15 +174,15 @@ def conjuncts(tree: Any) -> Iterator[Any]:  # noqa: ANN401
         yield tree
 
 
-def equal_texts(tree: Any) -> Iterator[tuple[str, str]]:  # noqa: ANN401
-    """Yield properties with texts that they must have."""
+def equalities(tree: Any) -> Iterator[tuple[str, str | float]]:  # noqa: ANN401
+    """Yield properties with values that they must have."""
     for each in conjuncts(tree):
         arguments = each.get("args") if isinstance(each, dict) and each.get("op") == "=" else None
         if isinstance(arguments, list):
-            names = [a["property"] for a in arguments if isinstance(a, dict) and "property" in a]
-            texts = [a for a in arguments if isinstance(a, str)]
-            if names and texts and isinstance(names[0], str):
-                yield names[0], texts[0]
+            names = [a["property"] for a in arguments if isinstance(a, dict) and isinstance(a.get("property"), str)]
+            values = [a for a in arguments if isinstance(a, str | float | int)]
+            if names and values:
+                yield names[0], values[0]
 
 
 @dataclass(frozen=True)
@@ -289,7 +289,8 @@ class Translator:
             value = self._value(arguments[0]) if name == "casei" else None
             if value is not None and value.kind == "text":
                 lower = None if value.text is None else value.text.lower()
-                return _Value("text", func.lower(value.sql), text=lower)
+                sql = value.sql if self.is_sqlite else value.sql.collate("default")  # of which "C" knows ASCII only
+                return _Value("text", func.lower(sql), text=lower)
         raise bad_filter(f"{_shown(node)} cannot stand here.")
 
     def _property(self, name: Any) -> _Value:  # noqa: ANN401
@@ -364,7 +365,8 @@ def _as_other(value: _Value, other: _Value) -> _Value:
     if other.kind == "bool" and value.number in {0.0, 1.0}:
         return _Value("bool", true() if value.number else false())  # as GDAL writes it
     if other.kind == "id" and value.kind == "number":
-        return replace(value, kind="id")
+        is_whole = value.number is not None and value.number.is_integer() and abs(value.number) < 2**53
+        return _Value("id", literal(int(value.number or 0), BigInteger) if is_whole else value.sql)
     if other.kind == "id" and value.text is not None:
         number = int(value.text) if re.fullmatch(r"[+-]?\d{1,15}", value.text) else None
         return _Value("id", literal(number, BigInteger))

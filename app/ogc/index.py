@@ -16,16 +16,32 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from sqlalchemy import ColumnElement, Row, Select, and_, case, false, func, literal, or_, select, text, true, tuple_
+from sqlalchemy import (
+    ColumnElement,
+    Row,
+    Select,
+    and_,
+    bindparam,
+    case,
+    false,
+    func,
+    literal,
+    or_,
+    select,
+    text,
+    true,
+    tuple_,
+)
 from sqlalchemy.exc import OperationalError
 from sqlalchemy.orm import Session
 
 from app.http.parameters import Box
 from app.jobs.view import chosen_results
 from app.ogc.collections import GEOMETRY, OF_ALL, OF_JOB, OF_MAP, Collection
-from app.ogc.filters import Translator, bad_filter, equal_texts
+from app.ogc.filters import Translator, bad_filter, equalities
 from app.ogc.work import shapes_of, time_text
 from app.store.database import moment
+from app.store.features import SOUGHT
 from app.store.models import Drive, FeatureLayer, Job
 from interloc.output.geojson import encode
 
@@ -232,7 +248,7 @@ class _Search:
             yield and_(of.first_time <= interval[1], of.last_time >= interval[0])
         if self._source.map is None:
             names: dict[str, Any] = {"drive": Drive.name, "job": of.job_id}
-            yield from (names[name] == value for name, value in equal_texts(self._query.filter) if name in names)
+            yield from (names[name] == str(value) for name, value in equalities(self._query.filter) if name in names)
 
     def _conditions_on_place(self) -> Iterator[ColumnElement[bool]]:
         if (area := self._query.area) is not None:
@@ -280,28 +296,34 @@ class _Search:
         return and_(self._table.c.west >= part[0] - widest - 1e-9, _touches(self._box, part))
 
     def _asked(self, *columns: Any, where: Sequence[ColumnElement[bool]]) -> Select[Any]:  # noqa: ANN401
-        return select(*columns).select_from(self._joined).where(self._table.c.layer_id.in_(list(self._layers)), *where)
+        # Written into the query: databases take only some thousand parameters.
+        among: Any = bindparam("layers", list(self._layers), expanding=True, literal_execute=True)
+        return select(*columns).select_from(self._joined).where(self._table.c.layer_id.in_(among), *where)
 
     def page(self) -> Page:
         """Return the page that is asked for."""
         table, query = self._table.c, self._query
-        near = self._count(self._place) if self._place else sum(layer.features for layer in self._layers.values())
-        is_small = bool(self._place) and near < _FEW
-        if self._exact or (is_small and self._rest):
+        # What singles out few features is counted first. SQLite would go through all features of the first layers for
+        # the order of pages where few are found sooner, and sort what is found where many are.
+        is_sought = any(name in SOUGHT for name, _ in equalities(query.filter))
+        conditions = [*self._place, *self._rest]
+        near = sum(layer.features for layer in self._layers.values())
+        if self._place or is_sought:
+            near = self._count(conditions if is_sought else self._place)
+        is_small = near < _FEW and (is_sought or bool(self._place))
+        if self._exact or (is_small and conditions):
             keys = self._touching()
             start, (layer, number) = query.offset, query.after or (-1, -1)
             start += int(np.sum((keys[:, 0] < layer) | ((keys[:, 0] == layer) & (keys[:, 1] <= number))))
             return self._page(self._rows_of(keys[start : start + query.limit + 1].tolist()), len(keys))
-        asked = self._asked(self._table, where=[*self._place, *self._rest])
+        asked = self._asked(self._table, where=[case((and_(true(), *self._place), 1), else_=0) == 1, *self._rest])
         asked = asked.where(true() if query.after is None else self._key > tuple_(*query.after))
-        # SQLite would go through all features of the first layers, where the few of a small area are found sooner.
-        first = table.layer_id + 0 if is_small else table.layer_id
-        asked = asked.order_by(first, table.number).limit(query.limit + 1).offset(query.offset)
+        asked = asked.order_by(table.layer_id, table.number).limit(query.limit + 1).offset(query.offset)
         rows = self._session.execute(asked).all()
-        if not self._rest:
+        if is_sought or not self._rest:
             return self._page(rows, near)
         is_whole = query.after is None and len(rows) <= query.limit and (rows or not query.offset)
-        return self._page(rows, query.offset + len(rows) if is_whole else self._count([*self._place, *self._rest]))
+        return self._page(rows, query.offset + len(rows) if is_whole else self._count(conditions))
 
     def _page(self, rows: Sequence[Row[Any]], matched: int) -> Page:
         limit = self._query.limit
@@ -324,7 +346,7 @@ class _Search:
         import shapely  # noqa: PLC0415 - an eighth of a second of start-up time
 
         table, is_point = self._table.c, self._collection.is_point
-        surely = and_(*(false() if within is None else within for _, within in self._exact))
+        surely = and_(true(), *(false() if within is None else within for _, within in self._exact))
         own = [table.west, table.south] if is_point else [case((surely, None), else_=table.geometry)]
         asked = self._asked(table.layer_id, table.number, *own, where=[*self._place, *self._rest])
         asked = asked.order_by(table.layer_id + 0, table.number)

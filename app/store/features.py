@@ -19,6 +19,8 @@ from interloc.output.layers import CITY_LAYERS, Layer
 
 _TEXT = Text().with_variant(Text(collation="C"), "postgresql")  # compared by code points, as SQLite does
 _TYPES: dict[str, Any] = {"int": BigInteger, "float": Float, "bool": Boolean, "text": _TEXT, "time": _TEXT}
+SOUGHT = ("outcome", "osm_id")
+"""Properties that have an index: what features are asked for by most."""
 
 
 def _table(prefix: str, layer: Layer) -> Table:
@@ -38,6 +40,7 @@ def _table(prefix: str, layer: Layer) -> Table:
         *(Column(each.name, Text) for each in attributes if each.kind == "list"),
         *([] if is_point else [Column("geometry", Text)]),
         Index(f"ix_{name}", "layer_id", *box),
+        *(Index(f"ix_{name}_{each}", "layer_id", each) for each in SOUGHT if each in layer.fields),
         sqlite_with_rowid=False,
     )
 

@@ -33,7 +33,7 @@ def run_facts(result: DriveResult, out: Path) -> list[tuple[str, str]]:
 
 def doubt_facts(result: DriveResult) -> list[tuple[str, str]]:
     """Return the warning of stretches whose labels are doubtful, where there are any; a report holds it anyway."""
-    from interloc.labelling.doubts import doubts_in_words
+    from interloc.labelling.track import doubts_in_words
 
     stretches = result.run["doubtful_labels_m"]
     return [("warning", doubts_in_words(stretches))] if stretches else []

@@ -21,9 +21,7 @@ from interloc.drives.scans.raw import trajectory_of
 from interloc.drives.scans.recorded import PointSource, Recording
 from interloc.errors import DriveError
 from interloc.files import atomic_write
-from interloc.odometry.deskew import Velocity, is_bent
-from interloc.odometry.odometry import Odometry
-from interloc.odometry.registration import MIN_INLIER_SHARE, register, require_small_gicp
+from interloc.odometry import MIN_INLIER_SHARE, Odometry, Velocity, is_bent, register, require_small_gicp
 from interloc.processes import Progress
 from interloc.wording import counted
 
@@ -34,11 +32,8 @@ PARTLY = "the longest stretch that could be followed"
 """What stands in `Track.how` where the drive is cut."""
 
 _BRIDGED = "it was taken to keep its speed"
-_NEXT_M = 5.0  # between stretches that are told as one
 _MAX_FAILED, _SOON = 8, 20  # so many stretches in a row that end within so many scans: the rest is not tried
 _LEAST_SHARE = 0.3  # of the scans: a shorter stretch does not stand for the drive
-_SAMPLED = 12  # pairs of scans, evenly spread
-_KEPT_DAYS = 60
 
 
 @dataclass(frozen=True)
@@ -46,9 +41,8 @@ class Track:
     """The poses that the points of a drive tell."""
 
     path: Path
-    """Lines of poses of the LiDAR, each with its frame number; the first is a comment, how they were made."""
+    """Lines of poses of the LiDAR, each with its frame number; the first is `how` they were made, as a comment."""
     how: str
-    """The same without the sign of a comment."""
     rows: slice
     """The scans that have poses."""
 
@@ -68,13 +62,6 @@ def track_of(
     """Return the poses that the points of a drive tell, which are computed where that was not done before.
 
     Where the scans cannot be followed from first to last, it is the longest stretch of them, with a warning.
-
-    Parameters
-    ----------
-    recording : Recording
-        Opened without poses.
-    progress
-        Called with the scans done and the scans in all.
     """
     source, frames = recording.points, recording.frames
     if source is None or frames is None:
@@ -84,7 +71,10 @@ def track_of(
     path = _kept_as(source, frames, clock, options)
     with FileLock(path.parent / "odometry.lock"):
         if not path.is_file():
-            _sweep(path.parent)
+            for kept in path.parent.glob("*.txt"):
+                with suppress(OSError):
+                    if time.time() - kept.stat().st_mtime > 60 * 86400:  # nobody will come back to it
+                        kept.unlink()
             findings.note(ODOMETRY, f"the poses of {len(frames):,} scans are computed from their points, once.")
             is_timed = recording.has_times and has_times and options.deskew != "off"
             deskew = is_timed and (options.deskew == "on" or _are_bent(source, frames, clock))
@@ -107,14 +97,6 @@ def track_of(
     return track
 
 
-def _sweep(folder: Path) -> None:
-    """Remove tracks that nobody will come back to."""
-    for path in folder.glob("*.txt"):
-        with suppress(OSError):
-            if time.time() - path.stat().st_mtime > _KEPT_DAYS * 86400:
-                path.unlink()
-
-
 @dataclass
 class _Stretch:
     """Scans that could be followed one after the other; W is the LiDAR at the first."""
@@ -134,7 +116,7 @@ class _Stretch:
             self.driven_m += float(np.linalg.norm(pose[:3, 3] - self.poses[-1][:3, 3]))
         self.poses.append(pose)
         if is_bridged:
-            is_next = bool(self.bridged) and before_m - self.bridged[-1][1] < _NEXT_M
+            is_next = bool(self.bridged) and before_m - self.bridged[-1][1] < 5.0  # they are told as one
             self.bridged.append((self.bridged.pop()[0] if is_next else before_m, self.driven_m))
 
 
@@ -181,7 +163,7 @@ def _clock(recording: Recording, options: DriveOptions) -> tuple[FloatArray, boo
 def _are_bent(source: PointSource, frames: IntArray, clock: FloatArray) -> bool:
     """Tell whether the motion within scans is still in their points, where these carry times."""
     votes: list[bool | None] = []
-    for row in np.unique(np.linspace(0, len(frames) - 2, _SAMPLED).astype(int)):
+    for row in np.unique(np.linspace(0, len(frames) - 2, 12).astype(int)):
         here, there = (source.read(int(frames[each])) for each in (row, row + 1))
         if here.times_s is None:
             return False

@@ -26,7 +26,7 @@ from interloc.evaluation.metrics import (
 )
 from interloc.evaluation.roads import RoadScores, score_roads
 from interloc.evaluation.verdicts import RunVerdicts, give_verdicts
-from interloc.labelling.doubts import doubts_in_words
+from interloc.labelling.track import doubts_in_words
 from interloc.osm.graph import RoadGraph
 from interloc.osm.intersections import IntersectionNodes, intersection_nodes
 from interloc.osm.policies import Policy

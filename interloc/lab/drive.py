@@ -19,7 +19,7 @@ from interloc.lab.lidar import Lidar
 from interloc.lab.scene import Scene, build_scene
 from interloc.lab.streets import MapData
 from interloc.lab.tracks import IMU_TO_VELO_TEXT, LidarTrack, camera_poses, format_oxts, lidar_poses, parse_tr
-from interloc.odometry.deskew import Velocity
+from interloc.odometry import Velocity
 from interloc.processes import Progress
 
 MARKER = "simulation.json"

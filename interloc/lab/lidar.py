@@ -11,7 +11,7 @@ from interloc.lab.config import LidarConfig
 from interloc.lab.ground import GROUND, MATERIAL_TABLE, worn
 from interloc.lab.raycast import cast_rays
 from interloc.lab.scene import Scene
-from interloc.odometry.deskew import Velocity
+from interloc.odometry import Velocity
 
 _SECTORS = 90  # in which the sensor stands still: 4 degrees, 1.5 cm at 50 km/h
 _BRIGHTEST = 0.99

@@ -37,7 +37,6 @@ import numpy as np
 from interloc.arrays import BoolArray, Float32Array, FloatArray, IntArray, UInt8Array, UInt32Array
 from interloc.kernels.ground import BEAMS
 from interloc.kernels.surface import FEATURES, add_brightness, add_features, label_points
-from interloc.labelling.doubts import WindowQuality
 from interloc.labelling.growth import classes_of, contrast_of, evenness_of, grow_road, score_cells, width_of
 from interloc.labelling.surface import (
     CELL_M,
@@ -52,7 +51,7 @@ from interloc.labelling.surface import (
     place,
     up_of,
 )
-from interloc.labelling.track import WINDOW_M, Track
+from interloc.labelling.track import WINDOW_M, Track, WindowQuality
 
 METHOD = "geometry 1"
 """Name and version of the method: another version may give other labels."""
@@ -60,12 +59,7 @@ METHOD = "geometry 1"
 ROAD, BESIDE, OTHER_GROUND = 40, 48, 72
 """Ids of SemanticKITTI: road; sidewalk, for all ground some metres beside the road; terrain."""
 
-_NEAR_M = 0.3
-_LABELLED_M = (0.15, 0.3)
-_ALIGNED_BY = 4  # every fourth point is enough to lay a scan on the surface
-_MIN_STRIP = (20, 10)
-_UNKNOWN_BRIGHTNESS = 0.7
-
+_NEAR_M, _LABELLED_M = 0.3, (0.15, 0.3)
 _KEPT_GROUNDS, _KEPT_WINDOWS = 80, 32
 
 
@@ -75,30 +69,18 @@ class Window:
 
     grid: Grid
     surface: Float32Array
-    """(H, W) float32: heights; NaN where unknown."""
+    """(H, W) heights; NaN where unknown."""
     classes: UInt8Array
-    """(H', W') uint8: label ids."""
+    """(H', W') label ids."""
     quality: WindowQuality
 
 
 class GeometryLabeller:
-    """Labels the scans of a drive by geometry and brightness.
+    """Labels the scans of a drive with (N, 4, 4) poses T_world_lidar by geometry and brightness.
 
-    It is cheap to send to another process: windows and scans that it remembers stay behind. Several threads may label
-    at the same time.
-
-    Parameters
-    ----------
-    T_world_lidar : (N, 4, 4) float64
-        Pose of the LiDAR at every scan of the drive.
-    usable : (M,) int64
-        Rows of the scans that can be read.
-    read : callable
-        Reads the (N, 4) float32 points of the scan in a row: x, y, z in L, metres, and the remission in any unit, or 0.
-
-    Attributes
-    ----------
-    track : Track
+    `read` returns the (N, 4) points (x, y, z in L, metres, and the remission in any unit, or 0) of the scan in a row;
+    only the (M,) `usable` rows are read. It is cheap to send to another process, because windows and scans that it
+    remembers stay behind. Several threads may label at the same time.
     """
 
     def __init__(self, T_world_lidar: FloatArray, usable: IntArray, read: Callable[[int], Float32Array]) -> None:
@@ -107,27 +89,17 @@ class GeometryLabeller:
         self._forget()
 
     def label(self, row: int, points: Float32Array) -> UInt32Array:
-        """Label a scan.
+        """Return the (N,) ids of SemanticKITTI of the (N, 4) points, in L with their remission, of the scan in a row.
 
-        Parameters
-        ----------
-        row : int
-            Of its pose.
-        points : (N, 4) float32
-            x, y, z in L, metres, and the remission.
-
-        Returns
-        -------
-        (N,) uint32
-            Label ids of SemanticKITTI: 40 road, 48 ground 1 to 3 m beside it, 72 other ground; 0 for what is too far
-            away or no ground.
+        They are 40 for road, 48 for ground 1 to 3 m beside it, 72 for other ground, 0 for what is too far away or no
+        ground.
         """
         window = self.window(self.track.window_of(row))
         if window is None:
             return np.zeros(len(points), np.uint32)
         grid, surface = window.grid, window.surface
         T = (grid.T_grid_world @ self.track.T_world_lidar[row])[:3]
-        some = points[::_ALIGNED_BY, :3]
+        some = points[::4, :3]  # enough to lay a scan on the surface
         T = lay_on(some[np.isfinite(some).all(axis=1)], T, surface, grid)
         return label_points(points, T, grid.x0, grid.y0, CELL_M, surface, window.classes, ROAD, _LABELLED_M, RANGE_M)
 
@@ -149,7 +121,7 @@ class GeometryLabeller:
             return self._quality[number]
 
     def known_quality(self) -> list[WindowQuality]:
-        """Return how sure the labels of the windows are that were made so far, along the track."""
+        """Return how sure the labels are in the windows that were made so far, along the track."""
         return [self._quality[number] for number in sorted(self._quality)]
 
     def _make_window(self, number: int) -> Window | None:
@@ -193,18 +165,9 @@ class GeometryLabeller:
 
 
 def gather(scans: Sequence[PlacedScan], grid: Grid, surface: Float32Array, strip: BoolArray) -> Float32Array:
-    """Gather the features of the ground in every cell.
+    """Return the (H, W, 6) float32 features of the ground in every cell, given the (H, W) cells that were driven over.
 
-    Parameters
-    ----------
-    surface : (H', W') float32
-    strip : (H, W) bool
-        Cells that were driven over.
-
-    Returns
-    -------
-    (H, W, 6) float32
-        Weighted sums: see `interloc.kernels.surface.add_features`.
+    They are weighted sums: see `interloc.kernels.surface.add_features`.
     """
     table = np.zeros((BEAMS, 3))
     for scan in scans:
@@ -217,25 +180,18 @@ def gather(scans: Sequence[PlacedScan], grid: Grid, surface: Float32Array, strip
 
 
 def brightness_of_strip(table: FloatArray) -> FloatArray:
-    """Find out how to turn remission into brightness against the strip.
+    """Return how to turn the remission of each laser into brightness against the strip: (B, 3) float64.
 
-    Parameters
-    ----------
-    table : (B, 3) float64
-        Per laser: number, sum, and sum of squares of the remission of the strip.
-
-    Returns
-    -------
-    (B, 3) float64
-        Per laser: what to subtract, what to divide by (infinity where all is the same), what to add. A laser that has
-        seen too little of the strip goes with those beside it, or counts as somewhat bright.
+    These are what to subtract, what to divide by (infinity where all is the same), and what to add. The table holds the
+    number, sum, and sum of squares of the remission of the strip per laser. A laser that has seen too little of the
+    strip goes with those beside it, or counts as somewhat bright.
     """
     around = table.copy()
     around[1:] += table[:-1]
     around[:-1] += table[1:]
-    number, total, squares = np.where(table[:, :1] >= _MIN_STRIP[0], table, around).T
-    known = number >= _MIN_STRIP[1]
-    result = np.tile([0.0, np.inf, _UNKNOWN_BRIGHTNESS], (len(table), 1))
+    number, total, squares = np.where(table[:, :1] >= 20, table, around).T
+    known = number >= 10
+    result = np.tile([0.0, np.inf, 0.7], (len(table), 1))
     if not known.any():
         return result
     mean = total[known] / number[known]

@@ -30,35 +30,25 @@ _NEAR_STRIP_M = 8.0
 
 @dataclass(frozen=True)
 class Features:
-    """What is known of the ground in every cell."""
+    """What is known of the ground in every cell of a window."""
 
     score: Float32Array
-    """(H, W) float32: how much a cell looks like the driven strip, but for its height."""
+    """(H, W): how much a cell looks like the driven strip, but for its height."""
     height: Float32Array
-    """(H, W) float32: NaN where no ground was seen."""
+    """(H, W): NaN where no ground was seen."""
 
 
 @dataclass(frozen=True)
 class Road:
-    """The road of a window."""
+    """The road of a window: two images of (H, W) cells."""
 
     cells: BoolArray
-    """(H, W) bool."""
     score: Float32Array
-    """(H, W) float32: how much each cell looks like the driven strip and continues the road; NaN where no ground was
-    seen."""
+    """How much each cell looks like the driven strip and continues the road; NaN where no ground was seen."""
 
 
 def score_cells(sums: Float32Array, strip: BoolArray) -> Features:
-    """Compare the ground in every cell with that of the driven strip.
-
-    Parameters
-    ----------
-    sums : (H, W, 6) float32
-        From `interloc.kernels.surface.add_features`.
-    strip : (H, W) bool
-        Cells that were driven over.
-    """
+    """Compare the (H, W, 6) sums of `interloc.kernels.surface.add_features` with those of the cells driven over."""
 
     def mean(feature: int, weight: int, sides_m: tuple[float, ...]) -> Float32Array:
         return _mean(sums[..., feature].copy(), sums[..., weight].copy(), sides_m)
@@ -102,8 +92,8 @@ def grow_road(features: Features, strip: BoolArray) -> Road:
 def classes_of(road: BoolArray, road_id: int, beside_id: int, other_id: int) -> UInt8Array:
     """Return the label ids of the cells: road, what lies within some metres of it, the rest.
 
-    The border of the road is not sure to half a metre: what is closer speaks neither for road nor, as votes of ground
-    beside it do, against it.
+    The border of the road is not sure to half a metre: what is closer counts as the rest, which speaks neither for road
+    nor, as ground beside it does, against it.
     """
     classes = np.full(road.shape, other_id, np.uint8)
     classes[_widened(road, _BESIDE)] = beside_id

@@ -9,7 +9,6 @@ An entry point is named as its kind of network, and leads to a module (or object
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
@@ -26,26 +25,19 @@ from interloc.files import reason_of
 
 GROUP = "interloc.networks"
 MAX_MODELS = 1000
-"""Sub-folders that are looked at."""
-
-_SCALES = (1.0, 255.0, 65535.0)
-_TOLERANCE = 1.5
 
 
 @dataclass(frozen=True)
 class ModelDescription:
-    """A network in a list: what can be told without loading it."""
+    """A network in a list, named as its folder: what can be told of it without loading it."""
 
     name: str
-    """Of the folder."""
     problem: str | None = None
     """Why it cannot be used; everything else is then as far as it is known."""
     bytes: int | None = None
-    """Size of the network on disk."""
     height: int | None = None
     width: int | None = None
     classes: int | None = None
-    """Of the range image, and how many classes there are."""
     identity: str | None = None
     """The same for the same files, whatever their names and places."""
 
@@ -78,22 +70,10 @@ class ScanLabeller(Protocol):
 
 
 def open_network(folder: str | Path, provider: str = "cpu", threads: int | None = None) -> ScanLabeller:
-    """Open the network of a folder.
+    """Open the network of a folder; `provider` runs it: "cpu", or "cuda" and others where they are installed.
 
-    Parameters
-    ----------
-    folder
-    provider : str
-        What runs the network: "cpu", or "cuda" and others where they are installed.
-    threads : int, optional
-        Processor threads per scan. All cores by default; 1 where several scans are labelled at the same time.
-
-    Raises
-    ------
-    ModelError
-        It cannot be used: names the file, the field, what was found and what was expected.
-    ConfigError
-        The provider is not installed, or `threads` is less than 1.
+    A scan takes so many processor threads, or all cores; 1 is best where several scans are labelled at the same time. A
+    `ModelError` names the file, the field, what was found and what was expected.
     """
     folder = Path(folder)
     kind = next((kind for kind in _installed_kinds() if kind.describe(folder) is not None), _own_kind())
@@ -102,26 +82,15 @@ def open_network(folder: str | Path, provider: str = "cpu", threads: int | None 
 
 
 def describe_networks(folder: str | Path) -> list[ModelDescription]:
-    """List the networks in the sub-folders of a folder, by name; broken ones with the reason.
-
-    Raises
-    ------
-    ModelError
-        The folder cannot be read.
-    """
+    """List the networks in the sub-folders of a folder, by name; broken ones with the reason."""
     folder = Path(folder)
     try:
         names = sorted(entry.name for entry in folder.iterdir() if entry.is_dir() and not entry.name.startswith("."))
     except OSError as error:
         raise ModelError(f"{folder}, the folder of the models, cannot be read: {reason_of(error)}.") from error
-    return [found for name in names[:MAX_MODELS] for found in _descriptions(folder / name)]
-
-
-def _descriptions(folder: Path) -> Iterator[ModelDescription]:
     kinds = (*_installed_kinds(), _own_kind())
-    found = next((found for kind in kinds if (found := kind.describe(folder)) is not None), None)
-    if found is not None:
-        yield found
+    described = ((kind.describe(folder / name) for kind in kinds) for name in names[:MAX_MODELS])
+    return [found for each in described if (found := next(filter(None, each), None)) is not None]
 
 
 @cache
@@ -141,32 +110,19 @@ def _own_kind() -> Any:  # noqa: ANN401 - a module
 
 
 def remission_scale(values: ArrayLike) -> float:
-    """Guess what remission has to be divided by.
+    """Guess what remission has to be divided by: 1, 255 or 65535, the smallest that holds all but the brightest 0.1 %.
 
-    A network of the family that is given 0..255 instead of 0..1 finds no road at all. To be decided once per drive,
-    from some of its scans: a single scan may be dark.
-
-    Parameters
-    ----------
-    values : array of float
-        Remission (intensity, reflectivity) of some scans; what is not finite does not count.
-
-    Returns
-    -------
-    float
-        1.0, 255.0 or 65535.0: the smallest scale that holds all but the brightest 0.1 % of the values, which may be
-        single wrong ones. 1.0 too where there are no values, or only zeros (then remission is missing).
-
-    Notes
-    -----
-    The scales are [0, 1] (KITTI, SemanticKITTI, KITTI-360), 8 bits (Velodyne, Hesai, RoboSense, Livox, nuScenes) and
-    16 bits (Ouster's signal, LAS). Values of the first may exceed 1 by half: no sensor of 8 bits is that dark.
+    A network of the family that is given 0..255 instead of 0..1 finds no road at all. It is to be decided once per
+    drive, from some of its scans, because a single scan may be dark. The scales are [0, 1] (KITTI, SemanticKITTI,
+    KITTI-360), 8 bits (Velodyne, Hesai, RoboSense, Livox, nuScenes) and 16 bits (Ouster's signal, LAS). Values of the
+    first may exceed 1 by half: no sensor of 8 bits is that dark. It is 1 too where remission is missing: no finite
+    values, or only zeros.
     """
     array = np.asarray(values, dtype=np.float64).ravel()
     array = array[np.isfinite(array)]
     if not array.size:
-        return _SCALES[0]
-    high = float(np.quantile(array, 0.999, method="lower"))
-    if high <= _TOLERANCE:
-        return _SCALES[0]
-    return _SCALES[1] if high <= _SCALES[1] else _SCALES[2]
+        return 1.0
+    high = float(np.quantile(array, 0.999, method="lower"))  # single values may be wrong
+    if high <= 1.5:
+        return 1.0
+    return 255.0 if high <= 255.0 else 65535.0

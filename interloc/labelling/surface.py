@@ -41,17 +41,9 @@ class ScanGround:
 
 
 def find_ground(points: Float32Array) -> ScanGround | None:
-    """Find the plane that most of the low points around the sensor lie on, and the cells of ground along it.
+    """Find the plane that most low points around the sensor lie on, of (N, 4), and the cells of ground along it.
 
-    Parameters
-    ----------
-    points : (N, 4) float32
-        x, y, z in L, metres, and the remission.
-
-    Returns
-    -------
-    ScanGround or None
-        None where too few points lie on any plane below the sensor.
+    It is None where too few points lie on any plane below the sensor.
     """
     low = lowest_points(points, RANGE_M[0], _PLANE_M, _PLANE_CELL_M)
     if len(low) < 10:
@@ -66,20 +58,17 @@ def find_ground(points: Float32Array) -> ScanGround | None:
         normal = np.linalg.svd(near - middle, full_matrices=False)[2][2]
         normal *= np.copysign(1.0, normal[2])
         plane = np.append(normal, -normal @ middle)
-    T_ground_lidar = _level(plane)
+    T_ground_lidar = np.eye(4)
+    T_ground_lidar[:3, :3], T_ground_lidar[2, 3] = _level(plane[:3]), plane[3]
     cells = ground_cells(points, T_ground_lidar[:3], *RANGE_M, _CONE, _ABOVE_M, CELL_M, _ROUGH_REACH, _STIFFNESS_M)
     return ScanGround(invert_transform(T_ground_lidar), float(plane[3]), cells)
 
 
-def _level(plane: FloatArray) -> FloatArray:
-    """Return the (4, 4) transform from L into the frame whose z = 0 is a plane, turned as little as possible."""
-    up = plane[:3]
+def _level(up: FloatArray) -> FloatArray:
+    """Return the (3, 3) rotation into the frame whose z is a (3,) direction, turned as little as possible."""
     ahead = np.array([1.0, 0.0, 0.0]) - up[0] * up
     ahead /= np.linalg.norm(ahead)
-    T = np.eye(4)
-    T[:3, :3] = ahead, np.cross(up, ahead), up
-    T[2, 3] = plane[3]
-    return T
+    return np.stack([ahead, np.cross(up, ahead), up])
 
 
 # The surface
@@ -121,10 +110,8 @@ class Grid:
     @classmethod
     def around(cls, position: FloatArray, up: FloatArray) -> Grid:
         """Make the grid around (N, 3) positions in W where a (3,) direction is up."""
-        ahead = np.array([1.0, 0.0, 0.0]) - up[0] * up
-        ahead /= np.linalg.norm(ahead)
         T = np.eye(4)
-        T[:3, :3] = ahead, np.cross(up, ahead), up
+        T[:3, :3] = _level(up)
         T[:3, 3] = -T[:3, :3] @ position.mean(axis=0)
         xy = position @ T[:2, :3].T + T[:2, 3]
         step = PLANE_TIMES * CELL_M
@@ -172,22 +159,11 @@ def lay_on(points: Float32Array, T: FloatArray, surface: Float32Array, grid: Gri
 
 
 def find_surface(scans: Sequence[PlacedScan], grid: Grid, track: Float32Array) -> tuple[Float32Array, list[PlacedScan]]:
-    """Find the surface of the ground that is connected with the track, and lay the scans on it.
+    """Find the (H, W) surface of the ground that is connected with the track, and return the scans laid on it, too.
 
-    Poses tilt and drift by more than a kerb is high from one scan to another tens of metres on: each scan is raised and
-    tilted to lie on what all say, which sharpens what they say.
-
-    Parameters
-    ----------
-    track : (H, W) float32
-        Height of the ground under the track, NaN elsewhere.
-
-    Returns
-    -------
-    surface : (H, W) float32
-        Heights; NaN where no ground was seen near.
-    scans : list of PlacedScan
-        Laid on it.
+    `track` holds the (H, W) heights of the ground under the track; both are NaN elsewhere. Poses tilt and drift by more
+    than a kerb is high from one scan to another tens of metres on: each scan is raised and tilted to lie on what all
+    say, which sharpens what they say.
     """
     placed = list(scans)
     for _ in range(_ROUNDS):

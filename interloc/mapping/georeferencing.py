@@ -11,7 +11,7 @@ from interloc.detection.detector import KeyframeDetections
 from interloc.drive import Georeference
 from interloc.errors import GeoreferenceError
 from interloc.geometry import bearing_deg, lonlat_from_enu, rotate_2d, yaw_of
-from interloc.labelling.doubts import Stretch, joined
+from interloc.labelling.track import Stretch, joined
 from interloc.results import DetectionTable, KeyframeTable
 
 

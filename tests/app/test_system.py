@@ -10,7 +10,7 @@ import httpx
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
-from app.context import Context, open_database, reserve_of
+from app.context import Context, open_database
 from app.metrics import Metrics
 from app.settings import Settings
 from app.store.models import Drive, Job
@@ -80,9 +80,7 @@ def test_requests_are_counted_by_route(serve: Serve) -> None:
 def test_jobs_are_counted_in_the_database(tmp_path: Path) -> None:
     settings = Settings(data_dir=tmp_path)
     database = open_database(settings)
-    context = Context(
-        settings, database, Storage(tmp_path), TokenBook(database, settings), Metrics(), reserve_of(settings)
-    )
+    context = Context(settings, database, Storage(tmp_path), TokenBook(database, settings), Metrics())
     with database.writing() as session:
         now = database.clock(session)
         session.add(Drive(id="d", name="d", owner="a", state="ready", created_at=now, touched_at=now, stored_bytes=50))

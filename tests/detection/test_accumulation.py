@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from interloc.arrays import BoolArray, Float32Array
 from interloc.config import BevConfig, KeyframeConfig
-from interloc.detection.accumulation import BevImage, RoadAccumulator, TileGrid, roi_around
+from interloc.detection.accumulation import BevImage, RoadAccumulator, roi_around
 from interloc.detection.keyframes import Keyframe
 
 Scans = list[tuple[Keyframe, Float32Array]]
@@ -68,43 +68,24 @@ def run(accumulator: RoadAccumulator, scans: Scans) -> Iterator[tuple[Keyframe, 
         yield completed, accumulator.bev()
 
 
-@pytest.mark.parametrize("lookahead", [0, 3, None])
-@pytest.mark.parametrize("step_m", [2.0, 25.0])
-def test_every_image_is_that_of_the_concatenated_scans(lookahead: int | None, step_m: float) -> None:
-    scans = random_walk(8, 40, step_m)
-    config = KeyframeConfig(window=6, lookahead=lookahead)
-    done = list(run(RoadAccumulator(config, BEV), scans))
-    assert [keyframe.frame for keyframe, _ in done] == list(range(40))
-    for k, (_, bev_image) in enumerate(done):
-        np.testing.assert_array_equal(bev_image.image.to_array(), literal_bev(scans, k, 6, config.after, BEV, 3))
-
-
-@given(st.integers(0, 2**32 - 1), st.integers(0, 5), st.none() | st.integers(0, 8), st.integers(1, 12))
+@given(
+    st.integers(0, 2**32 - 1),
+    st.integers(0, 6),
+    st.none() | st.integers(0, 8),
+    st.integers(1, 40),
+    st.sampled_from([2.0, 5.0, 25.0]),
+)
 @settings(deadline=None, max_examples=15)
 def test_every_image_of_any_walk_is_that_of_the_concatenated_scans(
-    seed: int, window: int, lookahead: int | None, count: int
+    seed: int, window: int, lookahead: int | None, count: int, step_m: float
 ) -> None:
-    scans = random_walk(seed, count, 5.0)
+    scans = random_walk(seed, count, step_m)
     config = KeyframeConfig(window=window, lookahead=lookahead)
     for k, (_, bev_image) in enumerate(run(RoadAccumulator(config, BEV), scans)):
         if sum(len(points) for _, points in scans[max(0, k - window) : k + config.after + 1]):
             np.testing.assert_array_equal(
                 bev_image.image.to_array(), literal_bev(scans, k, window, config.after, BEV, 3)
             )
-
-
-def test_keyframe_completes_when_its_last_successor_came() -> None:
-    accumulator = RoadAccumulator(KeyframeConfig(window=4, lookahead=2), BEV)
-    completed = [accumulator.add(*scan) for scan in random_walk(1, 6, 2.0)]
-    assert [None if keyframe is None else keyframe.frame for keyframe in completed] == [None, None, 0, 1, 2, 3]
-    assert [keyframe.frame for keyframe in iter(accumulator.finish, None)] == [4, 5]
-
-
-def test_without_lookahead_a_keyframe_completes_at_once() -> None:
-    accumulator = RoadAccumulator(KeyframeConfig(lookahead=0), BEV)
-    for keyframe, points in random_walk(1, 6, 2.0):
-        assert accumulator.add(keyframe, points) is keyframe
-    assert accumulator.finish() is None
 
 
 def test_nothing_added_nothing_completes() -> None:
@@ -118,13 +99,6 @@ def test_window_lies_around_the_keyframe_on_whole_cells() -> None:
     assert (roi.left, roi.top, roi.size) == (-15 - 40, 201 + 39, 80)
     lower_left = roi.world(np.array(79.0), np.array(0.0)) - 0.25
     assert lower_left.tolist() == [-27.5, 80.5]
-
-
-def test_scans_without_road_points_give_empty_images() -> None:
-    accumulator = RoadAccumulator(KeyframeConfig(lookahead=0), BEV)
-    empty = np.empty((0, 3), np.float32)
-    accumulator.add(Keyframe(0, np.eye(4), None), empty)
-    assert not accumulator.bev().image.words.any()
 
 
 def straight(count: int, step_m: float) -> Scans:
@@ -141,26 +115,6 @@ def test_memory_does_not_grow_with_the_drive() -> None:
     accumulator = RoadAccumulator(KeyframeConfig(window=5), BEV)
     sizes = [accumulator.tiles for _ in run(accumulator, straight(400, 25.0))]  # 10 km
     assert max(sizes) == sizes[10]
-
-
-def test_a_place_that_was_left_is_as_clean_as_one_never_seen() -> None:
-    away = np.eye(4)
-    away[0, 3] = 1000.0
-    back = straight(9, 1.0)
-    accumulator = RoadAccumulator(KeyframeConfig(window=2, lookahead=0), BEV)
-    for keyframe, points in [*back, *((Keyframe(i, away, None), points) for i, (_, points) in enumerate(back))]:
-        accumulator.add(keyframe, points)
-    accumulator.add(Keyframe(20, np.eye(4), None), np.empty((0, 3), np.float32))
-    assert not accumulator.bev().image.words.any()
-
-
-def test_a_tile_is_free_again_when_its_last_user_left() -> None:
-    tiles, places = TileGrid(), np.array([0, 1, 0, 0])
-    first, second = tiles.acquire(places), tiles.acquire(places)
-    tiles.release(first)
-    assert (tiles.table(places) >= 0).all()
-    tiles.release(second)
-    assert (tiles.table(places) == -1).all()
 
 
 @pytest.mark.parametrize(
@@ -214,7 +168,6 @@ def test_other_ground_is_known_where_it_outvotes_road() -> None:
     road_points = np.array([[0.1, 0.1, -1.7]] * 3 + [[3.1, 0.1, -1.7]] * 3, np.float32)
     other_points = np.array([[3.1, 0.1, -1.7]] * 3 + [[9.1, 9.1, -1.7]], np.float32)
     against = bev_of_one_scan(bev, road_points, other_points).against
-    assert against is not None
     rows, cols = against.pixels()
     np.testing.assert_allclose(bev_of_one_scan(bev, road_points).roi.world(rows, cols), [[9.1, 9.1]])
 

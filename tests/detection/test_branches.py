@@ -154,16 +154,6 @@ def test_line_through_the_circle_that_misses_the_middle_is_two_branches() -> Non
     np.testing.assert_allclose(angles_deg(found), [0, 180], atol=1e-9)
 
 
-def test_branch_too_short_to_tell_its_direction_counts_but_has_no_weight() -> None:
-    config = BranchConfig(line="least_squares", stop_m=2)
-    found = branches_at_the_middle(arms(0, 120, 240), config, (150.0, 162.0))
-    assert found.count == 3
-    assert found.lengths.min() == 1
-    assert np.count_nonzero(found.has_line) == 2
-    assert found.lines["weight"][~found.has_line].tolist() == [0]
-    np.testing.assert_allclose(np.hypot(*found.lines["direction"].T), 1)
-
-
 def test_branch_without_a_line_leads_from_the_candidate_through_its_mean() -> None:
     config = BranchConfig(line="least_squares", stop_m=2)
     line, place = arms(0, 120, 240), candidates(MIDDLE, (150.0, 162.0))
@@ -182,24 +172,7 @@ def test_paper_weighs_all_lines_alike() -> None:
     assert found.lines["weight"].tolist() == [1, 1, 1]
 
 
-def test_long_straight_line_weighs_more_than_a_short_one() -> None:
-    found = branches_at_the_middle(arms(0, 120, 240), BranchConfig(line="least_squares"), (150.0, 170.0))
-    shortest = int(np.argmin(found.lengths))
-    weights = found.lines["weight"]
-    assert np.all(np.delete(weights, shortest) > 1.5 * weights[shortest])
-
-
 def test_no_line_no_branches() -> None:
     found = branches_at_the_middle(arms(), PAPER)
     assert found.count == 0
     assert found.lines["direction"].shape == (0, 2)
-
-
-def test_some_branches_can_be_taken_around_another_point() -> None:
-    found = branches_at_the_middle(arms(0, 90, 180, 270), PAPER)
-    part = found.select([0, 2], np.array([140.0, 150.0]))
-    assert part.count == 2
-    assert part.candidate.tolist() == [140, 150]
-    np.testing.assert_array_equal(part.lines, found.lines[[0, 2]])
-    np.testing.assert_array_equal(part.lengths, found.lengths[[0, 2]])
-    np.testing.assert_array_equal(part.reaches, found.reaches[[0, 2]])

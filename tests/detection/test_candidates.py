@@ -45,20 +45,9 @@ def test_average_that_comes_near_to_another_is_merged_again() -> None:
     assert sorted(groups[0]) == [0, 1, 2]
 
 
-def test_average_weighs_all_that_it_stands_for() -> None:
-    merged, _ = merge_until_stable(np.array([[0.0, 0.0], [0.0, 1.0], [0.0, 2.0], [0.0, 10.5]]), 10)
-    np.testing.assert_allclose(merged, [[0, 13.5 / 4]])
-
-
 def test_points_just_as_far_as_the_radius_stay_apart() -> None:
     merged, _ = merge_until_stable(np.array([[0.0, 0.0], [6.0, 8.0]]), 10)
     assert merged.tolist() == [[0, 0], [6, 8]]
-
-
-def test_nothing_to_merge() -> None:
-    merged, groups = merge_until_stable(np.empty((0, 2)), 10)
-    assert merged.shape == (0, 2)
-    assert groups == []
 
 
 @given(st.lists(st.tuples(st.integers(0, 60), st.integers(0, 60)), max_size=15), st.integers(0, 30))

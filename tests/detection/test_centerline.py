@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from interloc.arrays import UInt8Array
 from interloc.config import CenterlineConfig
@@ -25,13 +26,6 @@ def extract(road: UInt8Array, config: CenterlineConfig) -> Centerline:
     return extract_centerline(binary_image(road), config)
 
 
-def test_straight_road_is_its_middle_row() -> None:
-    line = extract(road_with_driveway(0), ALL)
-    inner = (line.cols > 15) & (line.cols < 185)
-    assert set(line.rows[inner].tolist()) == {100}
-    assert np.all(line.degrees[inner] == 2)
-
-
 def test_ends_have_one_neighbour_and_junctions_three() -> None:
     line = extract(road_with_driveway(60), ALL)
     (junction,) = np.flatnonzero(line.degrees >= 3)
@@ -41,28 +35,15 @@ def test_ends_have_one_neighbour_and_junctions_three() -> None:
     assert len(tips) == 3
 
 
-def test_short_driveway_is_dropped_and_long_one_kept() -> None:
-    for length, junctions in ((9, 0), (60, 1)):
-        line = extract(road_with_driveway(length), PRUNED)
-        assert np.count_nonzero(line.degrees >= 3) == junctions
-
-
-def test_without_pruning_every_driveway_is_kept() -> None:
-    assert np.count_nonzero(extract(road_with_driveway(9), ALL).degrees >= 3) == 1
+@pytest.mark.parametrize(("length", "config", "junctions"), [(9, PRUNED, 0), (60, PRUNED, 1), (9, ALL, 1)])
+def test_short_driveway_is_dropped_and_long_one_kept(length: int, config: CenterlineConfig, junctions: int) -> None:
+    assert np.count_nonzero(extract(road_with_driveway(length), config).degrees >= 3) == junctions
 
 
 def test_pixels_are_those_of_the_image_after_pruning_too() -> None:
     line = extract(road_with_driveway(9), PRUNED)
     np.testing.assert_array_equal(np.column_stack([line.rows, line.cols]), np.argwhere(line.image.to_array()))
     assert line.neighbours.max() < line.rows.size
-
-
-def test_width_is_that_of_the_road() -> None:
-    line = extract(road_with_driveway(60), ALL)
-    middle = np.flatnonzero((line.rows == 100) & (line.cols == 50)).astype(np.int32)
-    upwards = np.flatnonzero((line.rows == 50) & (line.cols == 100)).astype(np.int32)
-    assert line.widths(middle).tolist() == [22]  # 11 to the nearest gap, both ways
-    assert line.widths(upwards).tolist() == [10]
 
 
 def test_occupancy_is_left_as_it_was() -> None:

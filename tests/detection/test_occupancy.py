@@ -25,39 +25,10 @@ def test_length_is_the_nearest_odd_number_of_pixels(length_m: float, pixels: int
     assert odd_pixels(length_m, 0.16) == pixels
 
 
-def test_gap_narrower_than_the_closing_disc_is_filled() -> None:
-    road = np.ones((100, 100), np.uint8)
-    road[:, 40:44] = 0
-    road[:, 60:68] = 0
-    filled = infer(road, closing_m=0.5, opening_m=0)
-    assert filled[:, 40:44].all()
-    assert not filled[:, 60:68].any()
-
-
-def test_patch_smaller_than_the_opening_disc_is_removed() -> None:
-    road = np.zeros((100, 100), np.uint8)
-    road[10:14, 10:14] = 1
-    road[50:90, 20:70] = 1
-    opened = infer(road, closing_m=0, opening_m=0.7)
-    assert not opened[:20].any()
-    assert opened[53:87, 20:70].all()
-
-
 def test_road_reaches_the_border_of_the_window() -> None:
     road = np.zeros((100, 100), np.uint8)
     road[40:60, :] = 1
     np.testing.assert_array_equal(infer(road, closing_m=1.5, opening_m=1.5), road)
-
-
-def test_gap_that_road_encloses_is_filled_up_to_its_area() -> None:
-    road = np.ones((100, 130), np.uint8)
-    road[20:24, 60:70] = 0  # 0.4 m2
-    road[24, 70] = 0  # joined with it by a corner only
-    road[50:60, 60:70] = 0  # 1 m2
-    road[80:82, 125:] = 0  # open to the border
-    filled = infer(road, closing_m=0, opening_m=0, island_m2=0.5)
-    assert filled[:30].all()
-    np.testing.assert_array_equal(filled[30:], road[30:])
 
 
 def test_islands_of_any_shape_are_what_labelling_says() -> None:

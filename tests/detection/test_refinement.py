@@ -53,12 +53,6 @@ def residuals(p: FloatArray, given_branches: Branches) -> FloatArray:
     return across * np.sqrt(given_branches.lines["weight"])
 
 
-def test_two_lines_meet_where_they_cross() -> None:
-    found = refine(branches([(3.0, 100.0), (70.0, 5.0)], [90, 0], candidate=(1, 1)))
-    np.testing.assert_allclose(found.position, [3, 5])
-    assert found.residual == pytest.approx(0, abs=1e-9)
-
-
 def test_three_lines_meet_in_the_middle_of_their_triangle() -> None:
     found = refine(branches([(0.0, 3.0), (0.0, -3.0), (0.0, 0.0)], [0, 0, 90]))
     np.testing.assert_allclose(found.position, [0, 0], atol=1e-12)
@@ -86,26 +80,11 @@ def test_point_is_that_of_a_general_least_squares_solver(seed: int, count: int) 
     assert found.residual == pytest.approx(math.sqrt(mean_square), abs=1e-9)
 
 
-def test_heavier_line_is_nearer() -> None:
-    even = refine(branches([(0.0, 3.0), (0.0, -3.0), (0.0, 0.0)], [0, 0, 90]))
-    uneven = refine(branches([(0.0, 3.0), (0.0, -3.0), (0.0, 0.0)], [0, 0, 90], weights=[3, 1, 1]))
-    np.testing.assert_allclose(even.position, [0, 0], atol=1e-12)
-    np.testing.assert_allclose(uneven.position, [0, 1.5], atol=1e-12)
-
-
 def test_line_without_weight_does_not_count() -> None:
     two = branches([(3.0, 100.0), (70.0, 5.0)], [90, 0])
     three = branches([(3.0, 100.0), (70.0, 5.0), (900.0, 900.0)], [90, 0, 30], weights=[1, 1, 0])
     np.testing.assert_allclose(refine(three).position, refine(two).position)
     assert refine(three).residual == pytest.approx(0, abs=1e-9)
-
-
-def test_weights_matter_relative_to_each_other_only() -> None:
-    places = [(0.0, 3.0), (1.0, -3.0), (0.0, 0.0)]
-    small = refine(branches(places, [0, 10, 90], weights=[0.002, 0.001, 0.001]))
-    large = refine(branches(places, [0, 10, 90], weights=[2000, 1000, 1000]))
-    np.testing.assert_allclose(small.position, large.position)
-    assert small.residual == pytest.approx(large.residual)
 
 
 def test_point_stays_within_the_inner_circle() -> None:
@@ -149,27 +128,15 @@ def test_parallel_lines_fix_nothing_however_heavy_the_candidate() -> None:
     assert found.residual == math.inf
 
 
-@pytest.mark.parametrize("weights", [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
+@pytest.mark.parametrize("weights", [[], [0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
 def test_fewer_than_two_lines_leave_the_candidate_where_it_is(weights: list[float]) -> None:
-    found = refine(branches([(0.0, 1.0), (1.0, 0.0), (2.0, 2.0)], [0, 90, 45], candidate=(7, 7), weights=weights))
+    points, count = [(0.0, 1.0), (1.0, 0.0), (2.0, 2.0)], len(weights)
+    found = refine(branches(points[:count], [0, 90, 45][:count], candidate=(7, 7), weights=weights))
     assert found.position.tolist() == [7, 7]
     assert found.residual == math.inf
 
 
-def test_no_branches_at_all() -> None:
-    none = branches([], [], candidate=(7, 7))
-    assert refine(none).position.tolist() == [7, 7]
-    assert refine(none).residual == math.inf
-
-
 # --- the candidate as one more observation (beyond the paper) --------------------------------------------------------
-
-
-def test_candidate_holds_the_point_back_by_its_weight() -> None:
-    lines = branches([(8.0, 0.0), (0.0, 4.0)], [90, 0])
-    np.testing.assert_allclose(refine(lines, 1.0).position, [4, 2])  # as heavy as a line: half of the way
-    np.testing.assert_allclose(refine(lines, 3.0).position, [2, 1])
-    np.testing.assert_allclose(refine(lines, 0.0).position, [8, 4])
 
 
 @given(st.integers(0, 2**32 - 1), st.floats(0.1, 10))

@@ -174,10 +174,3 @@ def test_kitti_tracks_lie_on_their_roads(sequence: str, data: Callable[[str], Pa
     assert record["ace_m"] == pytest.approx(1.25, abs=0.06)  # the mean of a Rayleigh distribution of 1 m
     assert record["precision"]["5.0"] > 0.99
     assert record["map_level"]["recall"] == 1.0
-
-
-def test_the_map_of_another_sequence_is_refused(data: Callable[[str], Path], oxts_run: Run) -> None:
-    roads = read_osm(data("kitti/osm/00.osm.gz"))
-    drive = oxts_run(data("kitti/oxts/05.txt.gz"), np.empty((0, 2)), noise_m=1.0)
-    with pytest.raises(MapError, match=r"00\.osm\.gz covers"):
-        evaluate(drive, roads)

@@ -28,18 +28,6 @@ def test_one_node_is_claimed_once(run: Run, at: At) -> None:
     assert level.errors_m == pytest.approx([1.0], abs=1e-3)
 
 
-def test_the_total_decides_not_the_first_come(run: Run, at: At) -> None:
-    """The left one is nearest to the middle node, but the right one has no other."""
-    level = assign(run, at, [(-1, 0), (3, 0)], [(0, 0), (-4, 0)], [True, True])
-    assert level.node.tolist() == [1, 0]
-
-
-def test_beyond_the_gate_nothing_is_the_same(run: Run, at: At) -> None:
-    level = assign(run, at, [(11, 0)], [(0, 0)], [True])
-    assert level.node.tolist() == [-1]
-    assert (level.precision, level.recall) == (0.0, 0.0)
-
-
 def test_outside_the_zones_nothing_is_punished(run: Run, at: At) -> None:
     level = assign(run, at, [(0, 0), (60, 0)], [(1, 0), (-60, 0)], [True, False])
     assert level.counts.tolist() == [True, False]

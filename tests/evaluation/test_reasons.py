@@ -8,7 +8,6 @@ from itertools import pairwise
 from typing import Any, get_args
 
 import numpy as np
-import pytest
 from pyproj import Transformer
 
 from interloc.evaluation.reasons import (
@@ -292,9 +291,3 @@ def test_every_kind_has_its_meaning_and_is_counted() -> None:
 
 def test_nothing_wrong_needs_no_map() -> None:
     assert explain_false(evidence_of([STREET]), np.empty((0, 2)), [], [], 5.0) == []
-
-
-@pytest.mark.parametrize("policy", ["drive", "drive+service"])
-def test_the_rules_follow_the_policy(policy: Policy) -> None:
-    lines = [STREET, ("service", [(0, 0), (0, 60)])]
-    assert why_false(lines, (8, 0), policy=policy).kind == ("left_out" if policy == "drive" else "off")

@@ -81,13 +81,6 @@ def test_nearest_clear_pixel_is_that_of_the_plain_search(image: UInt8Array, limi
     assert distance == plain_nearest_clear(image, row, col, limit)
 
 
-def test_outside_of_the_image_nothing_is_clear() -> None:
-    image = np.ones((5, 64), np.uint8)
-    assert bits.nearest_clear(packed(image), 2, 63, 5, 64, 40) == 40
-    image[4, 60] = 0
-    assert bits.nearest_clear(packed(image), 1, 63, 5, 64, 40) == math.hypot(3, 3)
-
-
 def test_the_width_of_a_road_across_a_ray() -> None:
     image = np.zeros((90, 200), np.uint8)
     image[30:51, 20:180] = 1  # a road of 21 pixels

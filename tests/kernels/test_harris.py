@@ -76,19 +76,6 @@ def test_equals_the_plain_twin_up_to_the_border(seed: int, height: int, width: i
     np.testing.assert_allclose(scores, plain_harris(image, block, 0.04)[rows, cols], rtol=1e-9, atol=1e-12)
 
 
-def test_corner_scores_high_and_line_low() -> None:
-    image = np.zeros((60, 60), np.uint8)
-    image[30, 10:50] = 1
-    image[10:31, 30] = 1
-    packed = binary_image(image)
-    rows, cols = packed.pixels()
-    scores = harris_scores(packed.words, rows, cols, 9, 0.04)
-    best = int(np.argmax(scores))
-    assert abs(rows[best] - 30) <= 3
-    assert abs(cols[best] - 30) <= 3
-    assert scores[(rows == 30) & (cols == 18)] < 0
-
-
 def test_image_without_lines_has_no_scores() -> None:
     empty = BinaryImage.empty(20, 20, 1.0)
     rows, cols = empty.pixels()
@@ -105,8 +92,3 @@ def test_local_maxima_are_those_of_the_plain_twin(seed: int, count: int, window:
     scores = generator.integers(-3, 6, len(rows)).astype(np.float64)  # many equal ones
     found = local_maxima(np.ascontiguousarray(rows), np.ascontiguousarray(cols), scores, window, least)
     assert found.tolist() == plain_local_maxima(rows, cols, scores, window, least)
-
-
-def test_first_of_equal_neighbours_wins() -> None:
-    rows, cols = np.array([5, 5, 5], np.int32), np.array([1, 2, 30], np.int32)
-    assert local_maxima(rows, cols, np.array([4.0, 4.0, 4.0]), 3, 0.0).tolist() == [0, 2]

@@ -6,14 +6,14 @@ import math
 from collections import Counter
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from interloc.arrays import Float32Array, Int32Array, UInt8Array
 from interloc.kernels.neighbours import spread_extremes, vote_of_neighbours
 from interloc.kernels.projection import project_points
-from interloc.labelling.rangenet.image import KnnSettings, Projection, by_pixel, vote, window_weights
+from interloc.labelling.rangenet.labeller import Projection, by_pixel, vote, window_weights
+from interloc.labelling.rangenet.model import KnnSettings
 
 HEIGHT, WIDTH = 8, 24
 UP, DOWN = math.radians(3.0), math.radians(25.0)
@@ -150,25 +150,6 @@ def test_neighbours_are_found_across_the_seam() -> None:
     scene = (image, projection.index, projection.pixel, projection.depth)
     assert vote(image, projection, settings)[where] == ROAD
     assert plain_vote(*scene, settings, as_published=True)[where] == CAR
-
-
-def test_where_nobody_votes_a_point_keeps_the_class_of_its_pixel() -> None:
-    image, projection = scene_of([[0, 0, 0], [0, 10, 0], [0, 0, 0]], [[CAR] * 3, [CAR, 0, CAR], [CAR] * 3])
-    settings = KnnSettings(5, 3, 1.0, 1.0)
-    assert vote(image, projection, settings).tolist() == [0]
-    scene = (image, projection.index, projection.pixel, projection.depth)
-    assert plain_vote(*scene, settings, as_published=True) == [1]
-
-
-def test_equal_votes_go_to_the_lowest_class() -> None:
-    image, projection = scene_of([[10, 10, 0, 0, 0]], [[WALL, ROAD, 0, 0, 0]])
-    assert vote(image, projection, KnnSettings(2, 3, 1.0, 1.0)).tolist() == [ROAD, ROAD]
-
-
-@pytest.mark.parametrize(("cutoff", "expected"), [(0.5, CAR), (4.0, ROAD), (0.0, ROAD)])
-def test_cutoff_keeps_those_that_are_far_from_voting(cutoff: float, expected: int) -> None:
-    image, projection = scene_of([[12, 12, 10, 12, 12]], [[ROAD, ROAD, CAR, ROAD, ROAD]])
-    assert vote(image, projection, KnnSettings(5, 3, 1.0, cutoff))[2] == expected
 
 
 def test_class_0_votes_where_it_is_a_class() -> None:

@@ -23,21 +23,6 @@ def plain_select(points: Float32Array, labels: UInt32Array, group_of: UInt8Array
     return np.concatenate([first, second]), len(first)
 
 
-def test_road_comes_first_each_group_in_the_order_of_the_scan() -> None:
-    points = np.arange(20, dtype=np.float32).reshape(5, 4)
-    labels = np.array([48, 40, 70, 40, 48], np.uint32)
-    xyz, road, bad = select_points(points, labels, groups({40}, {48}))
-    assert xyz.tolist() == [[4, 5, 6], [12, 13, 14], [0, 1, 2], [16, 17, 18]]
-    assert (road, bad) == (2, -1)
-
-
-def test_instance_in_the_upper_half_is_ignored() -> None:
-    points = np.ones((2, 4), np.float32)
-    labels = np.array([40 | 3 << 16, 10 | 40 << 16], np.uint32)
-    xyz, road, _ = select_points(points, labels, groups({40}, set()))
-    assert (len(xyz), road) == (1, 1)
-
-
 def test_first_bad_point_among_the_kept_is_reported() -> None:
     points = np.ones((4, 4), np.float32)
     points[0, 0] = np.nan  # not kept
@@ -51,11 +36,6 @@ def test_remission_may_be_anything() -> None:
     points = np.ones((1, 4), np.float32)
     points[0, 3] = np.nan
     assert select_points(points, np.array([40], np.uint32), groups({40}, set()))[2] == -1
-
-
-def test_nothing_wanted_gives_nothing() -> None:
-    xyz, road, bad = select_points(np.ones((3, 4), np.float32), np.zeros(3, np.uint32), groups({40}, {48}))
-    assert (xyz.shape, road, bad) == ((0, 3), 0, -1)
 
 
 @given(

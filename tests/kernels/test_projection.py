@@ -129,32 +129,6 @@ def test_no_points_give_an_empty_image() -> None:
     assert (pixel.shape, depth.shape) == ((0,), (0,))
 
 
-def test_image_holds_what_the_point_of_the_pixel_measured() -> None:
-    points = np.array([[3, 4, 0, 0.25], [6, 8, 0, 0.75]], np.float32)  # the second is hidden by the first
-    index, pixel, depth = project(points)
-    image = fill_image(points, index, depth).reshape(5, -1)
-    assert image[:, pixel[0]].tolist() == [5, 3, 4, 0, 0.25]
-    empty = np.delete(image, pixel[0], axis=1)
-    assert (empty == -1).all()
-
-
-def test_missing_remission_counts_as_none() -> None:
-    points = np.array([[3, 4, 0, np.nan]], np.float32)
-    index, _, depth = project(points)
-    assert fill_image(points, index, depth)[4].max() == 0
-
-
-def test_empty_pixels_are_zero_after_the_normalisation() -> None:
-    points = np.array([[3, 4, 0, 0.25]], np.float32)
-    index, pixel, depth = project(points)
-    image = fill_image(points, index, depth)
-    means, stds = np.array([12, 10, 0.5, 0], np.float32), np.array([2, 4, 0.5, 1], np.float32)
-    channels = np.array([0, 1, 4, 5], np.int32)  # range, x, remission and mask
-    found = normalise_image(image, index, channels, means, stds).reshape(4, -1)
-    assert found[:, pixel[0]].tolist() == [-3.5, -1.75, -0.5, 1]
-    assert not np.delete(found, pixel[0], axis=1).any()
-
-
 @given(st.integers(0, 2**32 - 1))
 def test_image_and_its_normalisation_equal_the_plain_twins(seed: int) -> None:
     points = random_scan(seed, 150)

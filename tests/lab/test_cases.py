@@ -9,7 +9,7 @@ import pytest
 
 from interloc.drives.options import DriveOptions
 from interloc.errors import ConfigError, DriveError, GeoreferenceError, MapError
-from interloc.lab.cases import file_facts, fingerprint, folder_cases, semantickitti_cases
+from interloc.lab.cases import file_facts, folder_cases, semantickitti_cases
 from interloc.lab.twins import twin_cases
 
 
@@ -116,11 +116,6 @@ def test_maps_are_one_for_all_or_one_a_drive(tmp_path: Path) -> None:
         folder_cases(drives, maps)
     with pytest.raises(MapError, match="no such file"):
         folder_cases(drives, [tmp_path / "no.osm"])
-
-
-def test_fingerprints_differ_with_the_facts() -> None:
-    assert fingerprint({"a": 1, "b": 2}) == fingerprint({"b": 2, "a": 1})
-    assert fingerprint({"a": 1}) != fingerprint({"a": 2})
 
 
 def test_a_changed_file_is_noticed(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from interloc.lab.config import LidarConfig
 from interloc.lab.ground import KERB_M
 from interloc.lab.lidar import Lidar, SimulatedScan
 from interloc.lab.scene import Scene
-from interloc.odometry.deskew import Velocity
+from interloc.odometry import Velocity
 
 MIDDLE = 30  # the pose of the track nearest to x = 0
 
@@ -64,17 +64,6 @@ def test_nothing_is_seen_behind_the_house_below_its_shadow(exact: tuple[Simulate
     assert not shadow.any()
 
 
-def test_the_same_state_gives_the_same_scan_and_another_gives_another(
-    street_scene: Scene, small_sensor: LidarConfig
-) -> None:
-    lidar = Lidar(small_sensor)
-    pose = street_scene.T_map_lidar[MIDDLE]
-    a, b, c = (lidar.scan(street_scene, pose, np.random.default_rng(seed)) for seed in (1, 1, 2))
-    assert np.array_equal(a.points, b.points)
-    assert np.array_equal(a.labels, b.labels)
-    assert len(a.points) != len(c.points) or not np.array_equal(a.points, c.points)
-
-
 def test_noise_is_as_configured(street_scene: Scene, exact_lidar: Lidar) -> None:
     pose = street_scene.T_map_lidar[MIDDLE]
     noisy = Lidar(exact_lidar.config.model_copy(update={"range_noise_m": 0.02}))
@@ -115,7 +104,6 @@ def test_a_turn_that_takes_time_is_bent_by_the_motion(street_scene: Scene, exact
     still = exact_lidar.scan(street_scene, pose, np.random.default_rng(0))
     bent = lidar.scan(street_scene, pose, np.random.default_rng(0), velocity=velocity)
     assert still.times_s is None
-    assert bent.times_s is not None
     assert 0 <= bent.times_s.min() < bent.times_s.max() < 0.1
     straight = velocity.undo(bent.points[:, :3], bent.times_s)
     corner = still.points[still.labels == 50, 0].min()  # of the house, ahead of the LiDAR

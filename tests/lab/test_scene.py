@@ -26,11 +26,6 @@ def surface(scene: Scene, frame: LocalFrame, x: float, y: float, level: int = 0)
     return Surface(surface_at(scene.ground.tiles, scene.ground.index, *scene.ground.frame, px, py))
 
 
-def test_the_vehicle_stands_on_road(street_scene: Scene, frame: LocalFrame) -> None:
-    for x in (-59.0, 0.0, 59.0):
-        assert surface(street_scene, frame, x, 0.0) == Surface.ROAD
-
-
 def test_it_stands_on_road_even_where_the_map_is_off(frame: LocalFrame, write_map: WriteMap) -> None:
     path = write_map(([(-80.0, 5.0), (80.0, 5.0)], {"highway": "residential"}))
     track = track_from_line(frame.lonlat([[-50, 0], [50, 0]]))
@@ -38,8 +33,8 @@ def test_it_stands_on_road_even_where_the_map_is_off(frame: LocalFrame, write_ma
 
 
 def test_the_cross_section_of_a_street(street_scene: Scene, frame: LocalFrame) -> None:
-    found = [surface(street_scene, frame, 30.0, y) for y in (3.0, 4.0, 5.0, 6.0, -4.0, -6.0)]
-    assert found == [Surface.ROAD, *[Surface.SIDEWALK] * 2, Surface.TERRAIN, Surface.SIDEWALK, Surface.TERRAIN]
+    found = [surface(street_scene, frame, 30.0, y) for y in (0.0, 3.0, 4.0, 5.0, 6.0, -4.0, -6.0)]
+    assert found == [*[Surface.ROAD] * 2, *[Surface.SIDEWALK] * 2, Surface.TERRAIN, Surface.SIDEWALK, Surface.TERRAIN]
 
 
 def test_sidewalks_as_high_as_the_road(straight_track: LidarTrack, frame: LocalFrame, write_map: WriteMap) -> None:

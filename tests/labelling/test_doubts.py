@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from interloc.labelling.doubts import WindowQuality, doubts_in_words, joined
+from interloc.labelling.track import WindowQuality, doubts_in_words, joined
 
 
 def test_little_contrast_a_wide_road_and_a_patched_strip_are_doubtful() -> None:

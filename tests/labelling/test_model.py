@@ -14,8 +14,7 @@ import pytest
 
 from interloc.errors import ModelError
 from interloc.labelling.networks import ModelDescription, describe_networks
-from interloc.labelling.rangenet.image import KnnSettings
-from interloc.labelling.rangenet.model import read_model
+from interloc.labelling.rangenet.model import KnnSettings, read_model
 from tests.networks import LEARNING_MAP_INV, write_model
 
 SMALL: dict[str, Any] = {"height": 16, "width": 128}
@@ -86,7 +85,6 @@ def test_use_of_one_of_several_outputs_is_told(tmp_path: Path) -> None:
 def test_numbers_may_be_written_as_yaml_reads_words(tmp_path: Path) -> None:
     folder = write_model(tmp_path / "m", **SMALL, edit_arch=changed("post.KNN.params.cutoff", "5e-1"))
     knn = read_model(folder).knn
-    assert knn is not None
     assert knn.cutoff == 0.5
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from interloc.odometry.deskew import Velocity, is_bent
+from interloc.odometry import Velocity, is_bent
 from tests.street_points import TURN_S, poses_along, seen, seen_driving, street
 
 AHEAD = Velocity(np.array([15.0, 0.0, 0.0]), np.zeros(3))

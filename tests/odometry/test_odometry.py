@@ -10,9 +10,7 @@ import pytest
 from interloc.arrays import FloatArray
 from interloc.errors import DriveError
 from interloc.geometry import invert_transform
-from interloc.odometry import registration
-from interloc.odometry.odometry import Odometry
-from interloc.odometry.registration import register
+from interloc.odometry import Odometry, register
 from tests.street_points import TURN_S, poses_along, seen, seen_driving, street
 
 
@@ -123,7 +121,7 @@ def test_a_long_tunnel_is_told() -> None:
 
 
 def test_the_map_forgets(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(registration, "_FORGET_AFTER", 10)
+    monkeypatch.setattr("interloc.odometry._FORGET_AFTER", 10)
     world, poses = street(), poses_along(np.full(40, 1.0))
     odometry = Odometry()
     sizes = []

@@ -304,12 +304,6 @@ def test_what_crosses_the_antimeridian_is_cut_in_every_format(scored: Path, tmp_
     )  # and a little over the edge
 
 
-def test_titles_are_unique_within_a_layer() -> None:
-    for layer in EXPORTS.values():
-        titles = [each.title for each in layer.attributes]
-        assert len(set(titles)) == len(titles), layer.name
-
-
 def test_a_layer_of_an_older_version_says_whose_data_it_is(scored: Path, tmp_path: Path) -> None:
     for layer, own in (("intersections", False), ("trajectory", True), ("osm_nodes", False)):
         content = json.loads((scored / f"{layer}.geojson").read_text())

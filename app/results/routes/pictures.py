@@ -22,7 +22,7 @@ router = APIRouter(tags=["Results"])
 
 Frame = Annotated[int, Path(description="Scan number of a keyframe.", ge=0, le=2**31)]
 Layer = Literal["bev", "occupancy", "centerline", "candidates", "branches", "all"]
-LonLat = tuple[float, float]
+LonLat = Annotated[list[float], Field(min_length=2, max_length=2)]
 
 
 class KeyframeView(BaseModel):
@@ -39,7 +39,7 @@ class KeyframeView(BaseModel):
     corners_lonlat: list[LonLat] | None = Field(
         description="Upper left, upper right, lower right, lower left of the pictures; null without georeference."
     )
-    corners_world_m: list[tuple[float, float]] = Field(description="The same corners in W, in metres.")
+    corners_world_m: list[LonLat] = Field(description="The same corners in W, in metres.")
     layers: list[str]
     outer_radius_m: float = Field(description="Outer radius in metres of the branches around a candidate.")
     relevant_zone_m: float = Field(description="Side in metres of the zone in which a missed node counts.")

@@ -18,7 +18,7 @@ from interloc.drives.options import DriveOptions
 from interloc.drives.scans.recorded import PointSource, Recording, ScanPoints
 from interloc.drives.trajectory import Trajectory
 from interloc.geometry import invert_transform
-from interloc.odometry.deskew import Velocity, is_bent
+from interloc.odometry import Velocity, is_bent
 
 TIME_FIELDS = ("t", "time", "timestamp", "time_stamp", "offset_time", "time_offset", "point_time", "ts")
 """Names, in lower case, under which drivers write the time of a point."""

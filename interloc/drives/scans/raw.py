@@ -88,8 +88,7 @@ class PointLabels:
 
 
 if TYPE_CHECKING:  # most drives need neither
-    from interloc.drives.scans.geometry import GeometryLabels
-    from interloc.drives.scans.network import NetworkLabels
+    from interloc.drives.scans.made_labels import GeometryLabels, NetworkLabels
 
     LabelSource = LabelFiles | PointLabels | NetworkLabels | GeometryLabels
 
@@ -332,11 +331,11 @@ def _labels_of(
 ) -> LabelSource:
     parts, folder = recording.parts, recording.parts.label_folder(label_folder)
     if options.model is not None:
-        from interloc.drives.scans.network import open_network  # noqa: PLC0415 - most drives need no network
+        from interloc.drives.scans.made_labels import open_network  # noqa: PLC0415 - most drives need no network
 
         return open_network(options.model, options.provider, recording, findings)
     if label_folder == "geometry":
-        from interloc.drives.scans.geometry import open_geometry  # noqa: PLC0415 - most drives have labels
+        from interloc.drives.scans.made_labels import open_geometry  # noqa: PLC0415 - most drives have labels
 
         return open_geometry(recording, trajectory(), findings)
     if folder.is_dir():

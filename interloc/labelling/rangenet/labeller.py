@@ -1,21 +1,22 @@
-"""Labels of a scan by a network, in four steps."""
+"""Labels of a scan by a network, in four steps: its range image, the network, votes of neighbours, and ids."""
 
 from __future__ import annotations
 
 import os
+from dataclasses import dataclass
 from pathlib import Path
 from threading import Lock
 from typing import Any
 
 import numpy as np
 
-from interloc.arrays import Float32Array, UInt32Array
+from interloc.arrays import BoolArray, Float32Array, Int32Array, UInt8Array, UInt32Array
 from interloc.errors import ConfigError, ModelError
+from interloc.kernels.neighbours import vote_of_neighbours
+from interloc.kernels.projection import fill_image, normalise_image, project_points
 from interloc.labelling.rangenet.graph import Network
-from interloc.labelling.rangenet.image import by_pixel, normalise, project, range_image, vote
-from interloc.labelling.rangenet.model import Model, read_model
+from interloc.labelling.rangenet.model import CHANNELS, KnnSettings, Model, read_model
 from interloc.processes import cores
-from interloc.stopwatch import Stopwatch
 
 _inherited: list[Network] = []
 """Networks of a parent process, kept for ever: freeing one would wait for its threads, which only the parent has."""
@@ -25,42 +26,21 @@ class Labeller:
     """Gives every point of a scan a label, as a `ScanLabeller`.
 
     The network is loaded when the first scan comes, once per process: a labeller that is sent to another process, or
-    inherited by a forked one, loads its own there. Several threads may label at the same time.
-
-    Attributes
-    ----------
-    model : Model
-    stopwatch : Stopwatch
-        Time spent on "projection", "network" and "neighbours" in this process, summed over its threads; loading the
-        network does not count.
+    inherited by a forked one, loads its own there. Several threads may label at the same time; the stopwatch sums the
+    time of each step over those of this process, without the loading.
     """
 
     def __init__(self, model: Model, provider: str = "cpu", threads: int | None = None) -> None:
         if threads is not None and threads < 1:
             raise ConfigError(f"threads: {threads}; a network needs at least 1.")
         self.model = model
-        self.stopwatch = Stopwatch()
+        self.name, self.identity, self.notes = model.name, model.identity, model.notes
         self._provider = provider
         self._threads = threads
         self._ids = np.array(model.class_ids, np.uint32)
         self._network: Network | None = None
         self._process = 0
         self._lock = Lock()
-
-    @property
-    def name(self) -> str:
-        """Name of the network."""
-        return self.model.name
-
-    @property
-    def identity(self) -> str:
-        """The same for the same files of a model."""
-        return self.model.identity
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """What was assumed of the network."""
-        return self.model.notes
 
     def load(self) -> None:
         """Load the network, where this process has not done so yet: to have what is wrong with it reported early."""
@@ -75,23 +55,18 @@ class Labeller:
         if points.ndim != 2 or points.shape[1] != 4:
             raise ModelError(f"points of shape {points.shape} are no scan; expected (N, 4): x, y, z and remission.")
         points = np.ascontiguousarray(points, np.float32)
-        network, model, stopwatch = self._loaded(), self.model, Stopwatch()
+        network, model = self._loaded(), self.model
         projection = project(points, model.height, model.width, model.fov_up_rad, model.fov_down_rad)  # III-A
         if not projection.filled.any():
             return np.full(len(points), self._ids[0], np.uint32)
         image = range_image(points, projection)
         given = normalise(image, projection, model.form.channels, model.means, model.stds)
-        stopwatch.lap("projection")
         classes = network.run(given, projection.filled)  # III-B
-        stopwatch.lap("network")
         if model.knn is None:
             found = by_pixel(classes, projection)
         else:
             found = vote(classes, projection, model.knn, first_class=model.first_class)  # III-D
         labels: UInt32Array = self._ids[found]
-        stopwatch.lap("neighbours")
-        with self._lock:
-            self.stopwatch.add(stopwatch.seconds)
         return labels
 
     def _loaded(self) -> Network:
@@ -113,7 +88,7 @@ class Labeller:
             return self._network
 
     def __getstate__(self) -> dict[str, Any]:
-        return self.__dict__ | {"_network": None, "_lock": None, "stopwatch": Stopwatch()}
+        return self.__dict__ | {"_network": None, "_lock": None}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state | {"_lock": Lock()})
@@ -122,3 +97,84 @@ class Labeller:
 def open_labeller(folder: Path, provider: str, threads: int | None) -> Labeller:
     """Read the model of a folder; its network is loaded when it is needed."""
     return Labeller(read_model(folder), provider, threads)
+
+
+# The range image
+
+
+@dataclass(frozen=True)
+class Projection:
+    """Which point is seen in which pixel."""
+
+    index: Int32Array
+    """(H, W) int32: row of the nearest point of each pixel; -1 in empty pixels."""
+    pixel: Int32Array
+    """(N,) int32: pixel of each point, row * W + column; -1 for points without one."""
+    depth: Float32Array
+    """(N,) float32: distance of each point from the sensor, metres; -1 for points without a pixel."""
+
+    @property
+    def filled(self) -> BoolArray:
+        """(H, W) bool, true where a pixel has a point."""
+        filled: BoolArray = self.index >= 0
+        return filled
+
+
+def project(points: Float32Array, height: int, width: int, fov_up_rad: float, fov_down_rad: float) -> Projection:
+    """Project an (N, 4) scan onto a sphere around the sensor (RangeNet++, section III-A).
+
+    Points that are not finite, or at the origin, get no pixel. The edges of the image lie above and below the horizon;
+    as in the published code their signs do not matter, and points outside go to the first or last row.
+    """
+    index, pixel, depth = project_points(points, height, width, abs(fov_up_rad), abs(fov_down_rad))
+    return Projection(index, pixel, depth)
+
+
+def range_image(points: Float32Array, projection: Projection) -> Float32Array:
+    """Return the (5, H, W) float32 image of range, x, y, z (metres, L) and remission; -1 in empty pixels."""
+    return fill_image(points, projection.index, projection.depth)
+
+
+def normalise(
+    image: Float32Array,
+    projection: Projection,
+    channels: tuple[str, ...],
+    means: tuple[float, ...],
+    stds: tuple[float, ...],
+) -> Float32Array:
+    """Return the (C, H, W) that a network expects of a (5, H, W) range image: each channel less its mean, over its std.
+
+    Empty pixels are set to zero *after* the normalisation, as in training: before it they would be far below any
+    measurement.
+    """
+    rows = np.array([CHANNELS.index(name) for name in channels], np.int32)
+    return normalise_image(image, projection.index, rows, np.array(means, np.float32), np.array(stds, np.float32))
+
+
+def window_weights(search: int, sigma: float) -> Float32Array:
+    """Return the (search, search) float32 factors of differences of range: 1 less a Gaussian of sum 1."""
+    away = np.arange(search) - search // 2
+    gaussian = np.exp(-(away**2) / (2 * sigma**2))
+    window = np.outer(gaussian, gaussian)
+    weights: Float32Array = (1 - window / window.sum()).astype(np.float32)
+    return weights
+
+
+def vote(classes: UInt8Array, projection: Projection, settings: KnnSettings, *, first_class: int = 1) -> UInt8Array:
+    """Let the nearest neighbours of every point in the range image vote on its class (RangeNet++, section III-D).
+
+    Points behind the nearest one of their pixel would else inherit its class: the wall behind a pole would be pole.
+    Classes below `first_class` have no vote: 1 where class 0 means "no class", as published. Points without a pixel get
+    class 0. What differs from the published code stands at `interloc.kernels.neighbours.vote_of_neighbours`.
+    """
+    weights = window_weights(settings.search, settings.sigma)
+    cutoff = np.float32(settings.cutoff)
+    limit = float(np.nextafter(cutoff, np.float32(np.inf))) if cutoff > 0 else np.inf
+    seen = (projection.index, projection.pixel, projection.depth)
+    return vote_of_neighbours(classes, *seen, weights, settings.neighbours, limit, first_class)
+
+
+def by_pixel(classes: UInt8Array, projection: Projection) -> UInt8Array:
+    """Return the (N,) uint8 class of the pixel of every point; 0 for points without a pixel."""
+    found: UInt8Array = classes.reshape(-1)[projection.pixel]
+    return np.where(projection.pixel < 0, np.uint8(0), found)

@@ -16,7 +16,6 @@ from interloc.errors import ModelError, install
 from interloc.files import reason_of
 from interloc.labelling.networks import ModelDescription
 from interloc.labelling.rangenet.graph import Expected, GraphForm, describe_graph, match_graph
-from interloc.labelling.rangenet.image import CHANNELS, KnnSettings
 
 GRAPH, ARCH, DATA = "model.onnx", "arch_cfg.yaml", "data_cfg.yaml"
 
@@ -25,6 +24,9 @@ MAX_CLASSES = 256
 MAX_SEARCH = 31
 MAX_GRAPH_BYTES = 2 << 30
 
+CHANNELS = ("range", "x", "y", "z", "remission", "mask")
+"""What a network can be given, in the order of the range image; the mask is 1 where a pixel has a point."""
+
 PUBLISHED = ("range", "x", "y", "z", "remission")
 """Order of the channels, and of their means and standard deviations, where the settings name none."""
 
@@ -32,6 +34,19 @@ _SYNONYMS = {"depth": "range", "intensity": "remission", "reflectivity": "remiss
 _CHANNEL_FIELDS = ("dataset.sensor.channels", "dataset.sensor.input_channels", "input_channels")
 _MAX_ID = 65535
 _SAMPLES, _SAMPLE_BYTES = 16, 64 * 1024
+
+
+@dataclass(frozen=True)
+class KnnSettings:
+    """How neighbours vote (``post.KNN.params`` of arch_cfg.yaml)."""
+
+    neighbours: int = 5
+    search: int = 5
+    """Side of the window in which they are looked for, pixels, odd."""
+    sigma: float = 1.0
+    """Of the Gaussian that prefers pixels close by, pixels."""
+    cutoff: float = 1.0
+    """Neighbours whose weighted difference of range is larger do not vote, metres; 0 for no limit."""
 
 
 @dataclass(frozen=True)
@@ -51,15 +66,11 @@ class Model:
     stds: tuple[float, ...]
     """Of the channels in the order of `form.channels`."""
     class_ids: tuple[int, ...]
-    """Label id of every class of the network."""
     first_class: int
     """Lower classes get no vote among neighbours: 1, or 0 where data_cfg.yaml says that class 0 is not ignored."""
     knn: KnnSettings | None
-    """Of the post-processing; None where there is none."""
     form: GraphForm
-    """How to run the network."""
     notes: tuple[str, ...] = ()
-    """What was assumed."""
 
     @property
     def name(self) -> str:
@@ -72,42 +83,23 @@ class Model:
         return self.folder / GRAPH
 
 
-@dataclass(frozen=True)
-class _Sensor:
-    """The image, of arch_cfg.yaml."""
-
-    height: int
-    width: int
-    fov_up_rad: float
-    fov_down_rad: float
-
-
 def read_model(folder: str | Path) -> Model:
     """Read a model as the RangeNet++ / lidar-bonnetal family publishes it, and check that its files fit together.
 
-    Parameters
-    ----------
-    folder
-        Holds `model.onnx`, `arch_cfg.yaml` (sensor, image, normalisation, post-processing) and `data_cfg.yaml`
-        (classes). Where the input of the network is not range, x, y, z, remission, arch_cfg.yaml lists its channels
-        under ``dataset.sensor.channels``; `img_means` and `img_stds` are then in that order.
+    The folder holds `model.onnx`, `arch_cfg.yaml` (sensor, image, normalisation, post-processing) and `data_cfg.yaml`
+    (classes). Where the input of the network is not range, x, y, z, remission, arch_cfg.yaml lists its channels under
+    ``dataset.sensor.channels``; `img_means` and `img_stds` are then in that order.
     """
     folder = Path(folder)
     _check_files(folder)
     arch, data = read_settings(folder / ARCH), read_settings(folder / DATA)
-    sensor = _read_sensor(arch)
+    height, width, fov_up_rad, fov_down_rad = _read_sensor(arch)
     class_ids, notes = _read_classes(data)
-    knn = _read_knn(arch, sensor)
+    knn = _read_knn(arch, width)
     listed = _listed_channels(arch)
-    expected = Expected(
-        arch=str(arch.path),
-        data=str(data.path),
-        graph=str(folder / GRAPH),
-        height=sensor.height,
-        width=sensor.width,
-        classes=len(class_ids),
-        channels=(listed,) if listed else _usual_channels(arch),
-    )
+    channels = (listed,) if listed else _usual_channels(arch)
+    files = (str(arch.path), str(data.path), str(folder / GRAPH))
+    expected = Expected(*files, height, width, len(class_ids), channels)
     means = _read_statistics(arch, "dataset.sensor.img_means", listed, lowest=-1e6)
     stds = _read_statistics(arch, "dataset.sensor.img_stds", listed, lowest=1e-6)
     form = match_graph(*describe_graph(folder / GRAPH), expected)
@@ -118,10 +110,10 @@ def read_model(folder: str | Path) -> Model:
     return Model(
         folder=folder,
         identity=_identity(folder),
-        height=sensor.height,
-        width=sensor.width,
-        fov_up_rad=sensor.fov_up_rad,
-        fov_down_rad=sensor.fov_down_rad,
+        height=height,
+        width=width,
+        fov_up_rad=fov_up_rad,
+        fov_down_rad=fov_down_rad,
         means=tuple(means[channel] for channel in form.channels),
         stds=tuple(stds[channel] for channel in form.channels),
         class_ids=class_ids,
@@ -142,11 +134,11 @@ def describe(folder: Path) -> ModelDescription | None:
     try:
         _check_files(folder)
         arch, data = read_settings(folder / ARCH), read_settings(folder / DATA)
-        sensor, (class_ids, _) = _read_sensor(arch), _read_classes(data)
-        _read_knn(arch, sensor)
+        (height, width, *_), (class_ids, _) = _read_sensor(arch), _read_classes(data)
+        _read_knn(arch, width)
         size = sum(path.stat().st_size for path in _graph_files(folder))
         identity = _identity(folder)
-        return ModelDescription(folder.name, None, size, sensor.height, sensor.width, len(class_ids), identity)
+        return ModelDescription(folder.name, None, size, height, width, len(class_ids), identity)
     except ModelError as error:
         return ModelDescription(folder.name, problem=str(error))
     except OSError as error:
@@ -154,7 +146,6 @@ def describe(folder: Path) -> ModelDescription | None:
 
 
 def _check_files(folder: Path) -> None:
-    """Raise ModelError where the folder or its network is not there."""
     if not folder.is_dir():
         raise ModelError(
             f"{folder} is not a folder. A model is a folder with {GRAPH}, {ARCH} and {DATA}, as the RangeNet++ / "
@@ -179,7 +170,8 @@ def _graph_files(folder: Path) -> list[Path]:
     return sorted(path for path in folder.iterdir() if path.name.startswith(GRAPH) and path.is_file())
 
 
-def _read_sensor(arch: SettingsFile) -> _Sensor:
+def _read_sensor(arch: SettingsFile) -> tuple[int, int, float, float]:
+    """Return height and width of the image in pixels, and its upper and lower edge in radians."""
     height = arch.read("dataset.sensor.img_prop.height", whole(1, MAX_HEIGHT))
     width = arch.read("dataset.sensor.img_prop.width", whole(1, MAX_WIDTH))
     if height * width > MAX_PIXELS:
@@ -193,15 +185,15 @@ def _read_sensor(arch: SettingsFile) -> _Sensor:
             "dataset.sensor.fov_up",
             f"fov_up {up:g} and fov_down {down:g} leave no field of view; expected degrees, as in 3 and -25.",
         )
-    return _Sensor(height, width, math.radians(up), math.radians(down))
+    return height, width, math.radians(up), math.radians(down)
 
 
-def _read_knn(arch: SettingsFile, sensor: _Sensor) -> KnnSettings | None:
+def _read_knn(arch: SettingsFile, width: int) -> KnnSettings | None:
     if not arch.read("post.KNN.use", FLAG, default=False):
         return None
     params = "post.KNN.params"
     search = arch.read(f"{params}.search", whole(1, MAX_SEARCH))
-    if search % 2 == 0 or search > sensor.width:
+    if search % 2 == 0 or search > width:
         raise arch.fault(
             f"{params}.search", f"found {search}; expected an odd number of pixels, no wider than the image."
         )
@@ -216,9 +208,7 @@ def _read_knn(arch: SettingsFile, sensor: _Sensor) -> KnnSettings | None:
 def _listed_channels(arch: SettingsFile) -> tuple[str, ...]:
     """Return the channels that the settings list; nothing where they list none."""
     for field in _CHANNEL_FIELDS:
-        if arch.find(field) is not None and not isinstance(
-            arch.find(field), int
-        ):  # a number would be that of the laser beams
+        if not isinstance(arch.find(field), int | None):  # a number would be that of the laser beams
             names = tuple(_SYNONYMS.get(word.lower(), word.lower()) for word in arch.read(field, WORDS))
             unknown = [name for name in names if name not in CHANNELS]
             if unknown or not names or len(set(names)) < len(names):
@@ -318,14 +308,11 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Kind(Generic[T]):
-    """What a field must be."""
+    """A type of pydantic, and how messages call it, and each part of it where it is a list or a table."""
 
     type: Any
-    """Of pydantic."""
     expected: str
-    """How messages call it."""
     each: str = ""
-    """How they call a part of it, where it is a list or a table."""
 
 
 def _no_flag(value: Any) -> Any:  # noqa: ANN401 - whatever the file says
@@ -371,7 +358,6 @@ class SettingsFile:
 
     path: Path
     values: dict[Any, Any]
-    """As parsed."""
 
     def find(self, field: str) -> Any:  # noqa: ANN401 - whatever the file says
         """Return what stands in a field such as ``post.KNN.use``; None where it is missing or empty."""
@@ -457,9 +443,6 @@ def _shown(value: object) -> str:
     """Return a value as messages show it, shortened."""
     if isinstance(value, int) and not isinstance(value, bool) and value.bit_length() > 64:
         return "a number of many digits"
-    text = (
-        repr(value)
-        if not isinstance(value, list | dict) or len(value) <= 8
-        else f"{type(value).__name__} of {len(value)}"
-    )
+    is_long = isinstance(value, list | dict) and len(value) > 8
+    text = f"{type(value).__name__} of {len(value)}" if is_long else repr(value)  # type: ignore[arg-type]
     return f"found {text if len(text) <= 60 else text[:57] + '...'}"

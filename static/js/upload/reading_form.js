@@ -58,7 +58,7 @@ export function readingForm(drive, before, onChange) {
       : el("input", {
           type: "text",
           maxLength: text.maxLength,
-          placeholder: `As ${example}, or found by itself`,
+          placeholder: `As ${example}`,
           value,
         });
     input.addEventListener("input", onChange);

@@ -740,6 +740,7 @@ def test_postgresql_finds_the_same(data: Path, tmp_path: Path, postgres_url: str
         Query(),
         Query(area=Area(179, -18, -179, -16)),
         Query(filter=read_filter(text, "cql2-text", OF_ALL["detections"])),
+        Query(filter=read_filter("CASEI(reason) LIKE CASEI('mÜller_s 100\\% 7%')", "cql2-text", OF_ALL["detections"])),
         Query(interval=(0.0, 2e9), limit=7),
     ]
     found = []

@@ -13,7 +13,7 @@ from interloc.drives.findings import Findings
 from interloc.drives.inspect import inspect_drive
 from interloc.drives.open import open_drive, read_drive
 from interloc.drives.options import DriveOptions
-from interloc.drives.scans.geometry import GeometryLabels
+from interloc.drives.scans.made_labels import GeometryLabels
 from interloc.drives.scans.raw import RawScans
 from interloc.errors import DriveError
 from tests.small_drives import write_semantickitti

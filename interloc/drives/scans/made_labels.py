@@ -1,11 +1,14 @@
-"""Labels that are made from the scans themselves and from the driven track, without a network."""
+"""Labels that are made of the scans as they are read: by a network, or by geometry along the driven track."""
 
 from __future__ import annotations
 
 import hashlib
+from collections import OrderedDict
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -13,11 +16,78 @@ from interloc.arrays import Float32Array, FloatArray, IntArray, UInt32Array
 from interloc.drives.findings import DriveFileError, Findings
 from interloc.drives.scans.recorded import PointSource, Recording, ScanPoints
 from interloc.drives.trajectory import Trajectory
-from interloc.labelling.doubts import doubts_in_words, joined
+from interloc.labelling import networks
 from interloc.labelling.geometry import METHOD, GeometryLabeller
+from interloc.labelling.networks import ScanLabeller, remission_scale
+from interloc.labelling.track import doubts_in_words, joined
 
-GEOMETRY = "geometry"
-"""The choice of labels by which they are made."""
+_REMEMBERED = 16  # scans: those that the checks look into come up again
+
+
+@dataclass(frozen=True)
+class NetworkLabels:
+    """What a network makes of the scans, in ids of SemanticKITTI."""
+
+    labeller: ScanLabeller
+    remission_scale: float
+    """What the remission of the drive is divided by to lie between 0 and 1."""
+    scheme = "semantickitti"
+    is_slow = True
+    _recent: OrderedDict[int, UInt32Array] = field(default_factory=OrderedDict, compare=False, repr=False)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_recent": OrderedDict()}
+
+    @property
+    def name(self) -> str:
+        """What messages call them."""
+        return f"network {self.labeller.name}"
+
+    @property
+    def identity(self) -> tuple[str, ...]:
+        """Which network, by which remission: labels of the same scan by the same identity are equal."""
+        return (self.labeller.identity, repr(self.remission_scale))
+
+    def files(self, frame: int) -> tuple[Path, ...]:  # noqa: ARG002 - as of `LabelFiles`
+        """Return none: they are made."""
+        return ()
+
+    def of(self, frame: int, points: ScanPoints, scan: str) -> UInt32Array:  # noqa: ARG002 - as of `LabelFiles`
+        """Label the points of a scan."""
+        known = self._recent.get(frame)
+        if known is not None and len(known) == len(points.values):
+            return known
+        values = points.values
+        if self.remission_scale != 1:
+            values = values.copy()
+            values[:, 3] /= self.remission_scale
+        labels: UInt32Array = self.labeller.label(values)
+        self._recent[frame] = labels
+        while len(self._recent) > _REMEMBERED:
+            self._recent.popitem(last=False)
+        return labels
+
+
+def open_network(folder: Path, provider: str, recording: Recording, findings: Findings) -> NetworkLabels:
+    """Read a network, and find out what the remission of a recording has to be divided by for it."""
+    where = recording.parts.file(recording.parts.scans).name
+    labeller = networks.open_network(folder, provider, threads=1)  # several scans are labelled at once
+    for note in labeller.notes:
+        findings.note(labeller.name, note)
+    labeller.load()  # what is wrong with it is told now
+    remission = recording.sampled_remission()
+    scale = remission_scale(remission)
+    if scale != 1:
+        findings.note(where, f"the remission is not 0 to 1; it is divided by {scale:,.0f} for the network.")
+    if not remission.any():
+        findings.warning(
+            where, "the points have no remission, which networks need: expect far worse labels than with it."
+        )
+    return NetworkLabels(labeller, scale)
+
+
+# By geometry
+
 
 _MIN_VIEW_DEG = 200.0
 
@@ -30,7 +100,7 @@ class GeometryLabels:
     frames: IntArray
     """(N,) int64: scan numbers, ascending."""
     labeller: GeometryLabeller
-    name = GEOMETRY
+    name = "geometry"
     scheme = "semantickitti"
     is_slow = True
 
@@ -39,7 +109,7 @@ class GeometryLabels:
         cls, points: PointSource, frames: IntArray, T_world_lidar: FloatArray, usable: IntArray
     ) -> GeometryLabels:
         """Label the scans of a drive with (N, 4, 4) poses, of which some, (M,) positions, can be read."""
-        return cls(points, frames, GeometryLabeller(T_world_lidar, usable, _PointsOf(points, frames)))
+        return cls(points, frames, GeometryLabeller(T_world_lidar, usable, partial(_values_of, points, frames)))
 
     @property
     def identity(self) -> tuple[str, ...]:
@@ -74,15 +144,8 @@ class GeometryLabels:
         return int(np.searchsorted(self.frames, frame))
 
 
-@dataclass(frozen=True)
-class _PointsOf:
-    """Reads the points of the scan in a row."""
-
-    points: PointSource
-    frames: IntArray
-
-    def __call__(self, row: int) -> Float32Array:
-        return self.points.read(int(self.frames[row])).values
+def _values_of(points: PointSource, frames: IntArray, row: int) -> Float32Array:
+    return points.read(int(frames[row])).values
 
 
 def open_geometry(recording: Recording, trajectory: Trajectory, findings: Findings) -> GeometryLabels:
@@ -94,9 +157,7 @@ def open_geometry(recording: Recording, trajectory: Trajectory, findings: Findin
             "labels by geometry need poses and points of all scans. Expected a drive whose poses can be read. "
             "Usual cause: the fault in its poses or scans that is told beside this one.",
         )
-    usable = recording.usable
-    if usable is None:
-        usable = np.arange(len(recording.frames), dtype=np.int64)
+    usable = np.arange(len(recording.frames), dtype=np.int64) if recording.usable is None else recording.usable
     remission = recording.sampled_remission()
     remission = remission[np.isfinite(remission)]
     if remission.size == 0 or np.ptp(remission) == 0:
@@ -106,7 +167,9 @@ def open_geometry(recording: Recording, trajectory: Trajectory, findings: Findin
             "beside low kerbs are taken for road.",
         )
     if len(usable):
-        seen_deg = _field_of_view_deg(recording.points.read(int(recording.frames[usable[len(usable) // 2]])).values)
+        points = recording.points.read(int(recording.frames[usable[len(usable) // 2]])).values
+        x, y = points[np.isfinite(points[:, :2]).all(axis=1), :2].T
+        seen_deg = 10.0 * len(np.unique(np.floor(np.degrees(np.arctan2(y, x)) / 10.0) % 36))  # in sectors of 10
         if seen_deg < _MIN_VIEW_DEG:
             findings.warning(
                 where,
@@ -114,9 +177,3 @@ def open_geometry(recording: Recording, trajectory: Trajectory, findings: Findin
                 "streets are then seen late or not at all, and what is behind the vehicle is not labelled.",
             )
     return GeometryLabels.of_drive(recording.points, recording.frames, trajectory.poses.T_world_lidar, usable)
-
-
-def _field_of_view_deg(points: Float32Array) -> float:
-    """Return how much of the horizon the points of a scan cover, in sectors of 10 degrees."""
-    x, y = points[np.isfinite(points[:, :2]).all(axis=1), :2].T
-    return 10.0 * len(np.unique(np.floor(np.degrees(np.arctan2(y, x)) / 10.0) % 36))

@@ -1,1 +1,0 @@
-"""Poses of the LiDAR from its points alone: each scan is laid onto those before it."""
