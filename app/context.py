@@ -51,13 +51,7 @@ class Context:
 
     @classmethod
     def open_existing(cls, settings: Settings) -> Context:
-        """Open a service that is there already: for its operator, whose mistyped folder must not become a new one.
-
-        Raises
-        ------
-        ConfigError
-            There is no such folder, or it is no data folder; see also `open_database`.
-        """
+        """Open a service that is there already: for its operator, whose mistyped folder must not become a new one."""
         if not settings.data_dir.is_dir():
             raise ConfigError(f"there is no data folder {settings.data_dir}; --data-dir (INTERLOC_DATA_DIR) names it.")
         if not any((settings.data_dir / name).exists() for name in (INSTALLATION, SQLITE_FILE, "drives")):
@@ -76,14 +70,7 @@ class Context:
 def open_database(settings: Settings) -> Database:
     """Create the data folder where it is missing, bring the database up to date, see that the two belong together.
 
-    Raises
-    ------
-    OutputError
-        The data folder cannot be written.
-    InterLocError
-        The database does not answer, or belongs to a newer version.
-    InstallationError
-        Data folder and database do not belong together; neither was changed.
+    An `InstallationError` says that they do not; neither was changed then.
     """
     _check_writable(settings.data_dir)
     folder = Path(os.path.realpath(settings.data_dir))

@@ -74,14 +74,9 @@ ROUTES = _assemble().routes
 
 
 def create_app(settings: Settings | None = None, context: Context | None = None) -> FastAPI:
-    """Make the application.
+    """Make the application; by default its settings come from the environment (``INTERLOC_*``).
 
-    Parameters
-    ----------
-    settings
-        Read from the environment (``INTERLOC_*``) by default.
-    context
-        Opened already; otherwise at start. It is closed at the end.
+    A context that is not given is opened at the start; it is closed at the end.
     """
     settings = settings or Settings()
 

@@ -42,13 +42,10 @@ class BadNameError(InterLocError):
 
 
 def check_path(path: str) -> str:
-    """Return a path unchanged if it is valid for a file of a drive.
+    """Return a path unchanged if it is valid for a file of a drive, else raise a `BadNameError`.
 
-    Raises
-    ------
-    BadNameError
-        It is empty, absolute, leads upwards, is hidden, too long or too deep, has a name that Windows cannot store, or
-        holds a backslash, a control or format character, or bytes that are not UTF-8.
+    Not valid is what is empty, absolute, leads upwards, is hidden, too long or too deep, has a name that Windows cannot
+    store, or holds a backslash, a control or format character, or bytes that are not UTF-8.
     """
     complaint = _complaint(path)
     if complaint:

@@ -86,10 +86,7 @@ class Protocol(HttpToolsProtocol):
 class Server(uvicorn.Server):
     """Serves an application, and signals to its parts as soon as it is to stop.
 
-    Parameters
-    ----------
-    started
-        Called with the port when requests are answered.
+    `started` is called with the port when requests are answered.
     """
 
     def __init__(self, app: FastAPI, settings: Settings, started: Callable[[int], None] | None = None) -> None:
@@ -161,17 +158,7 @@ class FewFiles:
 
 
 def serve(settings: Settings, started: Callable[[int], None] | None = None) -> None:
-    """Serve until SIGINT or SIGTERM.
-
-    Raises
-    ------
-    ConfigError
-        Other machines could connect, and there is no token.
-    OutputError
-        The data folder cannot be written.
-    InterLocError
-        The address is taken.
-    """
+    """Serve until SIGINT or SIGTERM; an `InterLocError` says what token, folder or address is in the way."""
     logs.set_up(settings)
     context = Context.open(settings)
     try:

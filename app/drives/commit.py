@@ -188,20 +188,10 @@ def not_sound(drive: Drive) -> Problem:
 
 
 def finish_drive(session: Session, context: Context, job: Job, outcome: Outcome | Problem) -> None:
-    """Write the outcome of a job into its drive.
+    """Write the outcome of a job, or why it failed, into its drive, in the transaction in which the job ends.
 
-    Parameters
-    ----------
-    session
-        The transaction in which the job ends.
-    job
-        Its end is written already; it becomes a failure if its files cannot be placed in the drive.
-    outcome
-        Its outcome, or why it failed.
-
-    Notes
-    -----
-    Files are removed only after the transaction; `tidy_drive` decides which, and the clean-up repeats it.
+    The end of the job is written already; it becomes a failure if its files cannot be placed in the drive. Files are
+    removed only after the transaction; `tidy_drive` decides which, and the clean-up repeats it.
     """
     drive = session.get(Drive, job.drive_id, with_for_update=True, populate_existing=True)
     if drive is None:

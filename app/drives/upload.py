@@ -56,25 +56,10 @@ _COUNT = (
 
 
 def keep(context: Context, drive_id: str, arrivals: Sequence[Arrival], sender: str | None = None) -> bool:
-    """Place received files in a drive.
+    """Place received files of different names in a drive; return False if one replaced another.
 
-    Parameters
-    ----------
-    arrivals
-        Files of different names.
-    sender
-        Client that sent them; by default the owner of the drive.
-
-    Returns
-    -------
-    bool
-        Whether all of them are new; False if one replaced another.
-
-    Raises
-    ------
-    Problem
-        404: there is no such drive. 409: it takes no files now, or a name is that of a folder or too similar to another
-        one. 413: it would become too large. Nothing was changed.
+    The sender is the owner of the drive where none is named. A problem (404; 409 it takes no files now, or a name is
+    that of a folder or too similar to another one; 413 it would become too large) changes nothing.
     """
     with Placement(context.storage, drive_id) as placement, context.database.writing() as session:
         counts = lock_counts(session, drive_id)

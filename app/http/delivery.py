@@ -60,12 +60,7 @@ _STATIC_FILES = StaticFiles(check_dir=False)
 class WholeFile(FileResponse):
     """An open file, or ranges of it: what is sent is the one that was opened, whatever gets its name meanwhile.
 
-    Parameters
-    ----------
-    file
-        Open for reading. It may be closed: the answer has a descriptor of its own.
-    options
-        Of `FileResponse`.
+    The file may be closed before the answer is sent, which has a descriptor of its own.
     """
 
     chunk_size = 1024 * 1024  # a thread switch per chunk: large results go at the speed of the disk cache
@@ -126,23 +121,9 @@ def deliver(
 ) -> Response:
     """Answer a GET or HEAD with a file: 200, 206 for a range, 304 where the client has it.
 
-    Parameters
-    ----------
-    path
-        The file. It is never changed in place, so its time and size stand for its bytes; it is opened once.
-    name
-        File name offered to whoever saves it.
-    download
-        Save it rather than show it.
-    vary
-        Another request header that the choice of the file depends on.
-    policy
-        Content-Security-Policy of HTML and SVG; None: that of the service.
-
-    Raises
-    ------
-    FileNotFoundError
-        There is no such file.
+    A file is never changed in place, so its time and size stand for its bytes. `vary` names another request header that
+    the choice of the file depends on; `policy` is the Content-Security-Policy of HTML and SVG, None that of the
+    service.
     """
     with path.open("rb") as file:
         stat = os.fstat(file.fileno())

@@ -70,10 +70,7 @@ IdempotencyKey = Annotated[
 def sha256_of(headers: Headers) -> str | None:
     """Return the SHA-256 that the body must have, hexadecimal; None where the client sends no digest (RFC 9530).
 
-    Raises
-    ------
-    Problem
-        422: the digest is malformed, or of another algorithm only, so that it could not be checked.
+    A digest that is malformed, or of another algorithm only, could not be checked and is a 422.
     """
     found = {_sha256(name, headers[name]) for name in ("content-digest", "repr-digest") if name in headers}
     if len(found) > 1:

@@ -40,15 +40,7 @@ class Arrival:
 
 
 class Intake:
-    """A temporary file that is being written.
-
-    Parameters
-    ----------
-    path
-        Name of the file in the drive.
-    limit
-        Bytes that it may have.
-    """
+    """A temporary file that is being written, for the file `path` of a drive, which may have `limit` bytes."""
 
     def __init__(self, context: Context, path: str, limit: int) -> None:
         self.path = path
@@ -102,19 +94,9 @@ class Intake:
 
 
 async def receive(request: Request, take: Callable[[bytes], None], finish: Callable[[], Kept]) -> Kept:
-    """Read a body piece by piece.
+    """Read a body, and call `take` with each piece in a thread, as long as there is room on the disk (else a 507).
 
-    Parameters
-    ----------
-    take
-        Called with each piece, in a thread, as long as there is room on the disk.
-    finish
-        Called at the end, in the same thread as the last piece: a small body costs one hop to the thread pool.
-
-    Raises
-    ------
-    Problem
-        400: the client went away, which nobody will read. 507: the disk is full.
+    `finish` is called in the same thread as the last piece: a small body costs one hop to the thread pool.
     """
     context: Context = request.app.state.context
 

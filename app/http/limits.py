@@ -18,12 +18,9 @@ CLOSE = {"Connection": "close"}
 
 
 def declared_length(request: Request, limit: int, what: str) -> int | None:
-    """Return the Content-Length; None where the body comes in chunks.
+    """Return the Content-Length, None where the body comes in chunks; refuse one above the limit (413).
 
-    Raises
-    ------
-    Problem
-        400: the body is a part of a file. 413: more than the limit. 415: the body is compressed.
+    A body that is a part of a file is a 400, a compressed one a 415.
     """
     if "content-range" in request.headers:  # RFC 9110, section 14.5: it may not be ignored
         raise Problem(
@@ -80,16 +77,7 @@ def check_drive(context: Context, files: int, size: int) -> None:
 def check_quota(context: Context, session: Session, owner: str, sender: str, more: int) -> None:
     """Refuse (413) what the owner of a drive, or who sends it, may not store any more by its token.
 
-    Parameters
-    ----------
-    session
-        The transaction that stores it: those of one client come here one after the other.
-    owner
-        The client to which the drive belongs.
-    sender
-        The client for which the bytes count.
-    more
-        Bytes that come in addition.
+    The transaction is the one that stores it: those of one client come here one after the other.
     """
     for client in sorted({owner, sender}):
         allowed = context.tokens.named(client).max_bytes

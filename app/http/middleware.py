@@ -91,10 +91,7 @@ def add_middleware(app: FastAPI, settings: Settings) -> None:
 class RequestLog:
     """Gives each request an id, logs it in one line and counts it. The outermost one: it sees what all others answer.
 
-    Parameters
-    ----------
-    root_path
-        Path under which a reverse proxy shows the service; the proxy may take it off or leave it on.
+    A reverse proxy that shows the service under `root_path` may take that off or leave it on.
     """
 
     def __init__(self, app: ASGIApp, root_path: str = "") -> None:

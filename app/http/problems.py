@@ -99,18 +99,8 @@ class ProblemDocument(BaseModel):
 class Problem(Exception):  # noqa: N818 - the name of RFC 9457
     """Raised anywhere in the service to answer with a problem document.
 
-    Parameters
-    ----------
-    kind
-        Its type, title and status.
-    detail
-        What was found, what was expected, what to do.
-    status
-        HTTP status, where it is another one than usual for this kind.
-    headers
-        For example ``Retry-After``.
-    **more
-        Further members of the document, for example ``problems``.
+    The detail says what was found, what was expected and what to do; `more` are further members, for example
+    ``problems``.
     """
 
     def __init__(

@@ -28,10 +28,7 @@ _bearer = HTTPBearer(
 async def client_of(request: Request, _: Annotated[HTTPAuthorizationCredentials | None, Depends(_bearer)]) -> str:
     """Return the name of the client, which the gate has determined; the whole API depends on it.
 
-    Raises
-    ------
-    Problem
-        403: the request would change something, and its token may only read.
+    A request that would change something, with a token that may only read, is a 403.
     """
     holder: Holder = request.state.holder
     route = request.scope["route"]
@@ -54,13 +51,7 @@ ClientDep = Annotated[str, Depends(client_of)]
 
 
 def check_exposure(context: Context) -> None:
-    """Refuse to listen where other machines can connect, unless there is a token or it is wanted.
-
-    Raises
-    ------
-    ConfigError
-        There is no token.
-    """
+    """Refuse to listen where other machines can connect, unless there is a token or it is wanted."""
     settings = context.settings
     if settings.is_loopback or settings.allow_anonymous or context.tokens.exist():
         return

@@ -34,24 +34,11 @@ class WorkExecutor(Protocol):
         seconds: float = float("inf"),
         urgent: bool = False,
     ) -> Future[Result]:
-        """Do a piece of work.
+        """Do a piece of work: a function of a module with its arguments, which may take some seconds.
 
-        Parameters
-        ----------
-        fn, *args
-            A function of a module and its arguments.
-        client
-            For whom: no client waits because of what another one has at work.
-        seconds
-            How long it may take.
-        urgent
-            Somebody waits for it: it goes before all work that has not begun.
-
-        Returns
-        -------
-        Future
-            Raises `WorkerLostError` when its worker dies, `WorkerLimitError` when it takes more time or memory than it
-            may, and whatever the function raises.
+        No client waits because of what another one has at work; what is urgent goes before all work that has not begun.
+        The future raises `WorkerLostError` when its worker dies, `WorkerLimitError` when it takes more time or memory
+        than it may, and whatever the function raises.
         """
         ...
 
@@ -75,13 +62,7 @@ class WorkExecutor(Protocol):
 
 
 def open_executor(settings: Settings, count_loss: Callable[[], None]) -> WorkExecutor:
-    """Start the executor that the settings ask for.
-
-    Raises
-    ------
-    ConfigError
-        Dask is not installed, or its scheduler does not answer.
-    """
+    """Start the executor that the settings ask for."""
     if settings.dask is not None:
         return DaskExecutor(settings.dask, count_loss)
     return ProcessExecutor(settings.workers or cores(), count_loss, settings.worker_memory_bytes, compile_kernels)
@@ -94,14 +75,7 @@ class DaskExecutor:
     cannot be killed, only asked to end (it looks a few times per second, but not within a long step such as the reading
     of a map); a piece of work has no limit of time, only the job as a whole; `dask worker --memory-limit` bounds the
     memory of a worker (`WorkerLostError` then, after some tries); and clients are not kept apart, but urgent work does
-    go first.
-
-    Parameters
-    ----------
-    address
-        Address of the scheduler, for example ``tcp://host:8786``.
-    count_loss
-        Called when a piece of work killed its workers.
+    go first. `count_loss` is called when a piece of work killed its workers.
     """
 
     def __init__(self, address: str, count_loss: Callable[[], None]) -> None:

@@ -18,15 +18,7 @@ def is_final(error: BaseException) -> bool:
 
 
 def problem_of(error: BaseException, what: str, tries: int) -> Problem:
-    """Return the problem document for an error of the work.
-
-    Parameters
-    ----------
-    what
-        Which piece of work: "keyframes 240 to 480".
-    tries
-        Number of times that it was tried.
-    """
+    """Return the problem document for an error of a piece of work ("keyframes 240 to 480") after some tries."""
     if isinstance(error, Problem):
         return error
     if isinstance(error, InterLocError):
@@ -51,15 +43,7 @@ _MEANINGS = {
 
 
 def limit_reached(error: WorkerLimitError, what: str, time_setting: str) -> Problem:
-    """Return the problem of work that was ended because it used more than it may.
-
-    Parameters
-    ----------
-    what
-        Which work: "part 3 of 7".
-    time_setting
-        Setting that a limit of time is.
-    """
+    """Return the problem of work that was ended because it used more than it may; `time_setting` sets the time."""
     setting = time_setting if error.limit == "time" else "worker_memory_bytes"
     raised_by = {"job_s": "job_stage_s", "request_work_s": None}.get(setting, setting)
     advice = ""

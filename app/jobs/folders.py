@@ -31,10 +31,7 @@ def progress_files(storage: Storage, claim: Claim) -> ProgressFiles:
 def task_of(context: Context, claim: Claim, slots: int) -> Task[JobRequest]:
     """Return the task of a claimed job for the workers.
 
-    Raises
-    ------
-    ValidationError
-        The row of the job does not hold a request of its kind.
+    A `ValidationError` says that its row does not hold a request of its kind.
     """
     job, storage = claim.job, context.storage
     name = _attempt(claim)

@@ -49,14 +49,7 @@ class WorkerLostError(Exception):
 
 
 class WorkerLimitError(Exception):
-    """A piece of work used more than it may, and was ended; another try would end the same way.
-
-    Attributes
-    ----------
-    limit : {"time", "memory"}
-    bound, used : float
-        Seconds or bytes.
-    """
+    """A piece of work used more than it may, in seconds or bytes, and was ended; another try would end the same way."""
 
     def __init__(self, limit: Literal["time", "memory"], bound: float, used: float) -> None:
         unit = "s" if limit == "time" else "bytes"
@@ -134,17 +127,10 @@ class HandOut:
 class ProcessExecutor:
     """Worker processes that do pieces of work, each within limits of time and memory.
 
-    Parameters
-    ----------
-    slots
-        Number of pieces of work that are done at a time. There are `EXTRA_SLOTS` more processes; `HandOut` says what
-        for. One that dies or is killed is replaced.
-    count_loss
-        Called when a process died.
-    memory_bytes
-        Resident memory that a process may use; by default an equal share of that of the machine. Known on Linux only.
-    ahead
-        Done once, before all work, while all processes start; None: each starts when there is work for it.
+    So many pieces as there are slots are done at a time; there are `EXTRA_SLOTS` more processes (`HandOut` says what
+    for). One that dies or is killed is counted and replaced. The resident memory of each is by default an equal share
+    of that of the machine, and known on Linux only. What is to be done ahead of all work is done once, while all
+    processes start; with None each starts when there is work for it.
     """
 
     def __init__(
@@ -328,10 +314,7 @@ class _Slot:
     def _start(self, is_wanted: Callable[[], bool]) -> tuple[Any, Connection]:
         """Start a worker, as often as it takes: the process that forks them may be killed too, and is replaced then.
 
-        Raises
-        ------
-        WorkerLostError
-            It is not wanted any more, or the executor is being stopped.
+        A `WorkerLostError` says that it is not wanted any more, or that the executor is being stopped.
         """
         while True:
             try:

@@ -81,13 +81,7 @@ def _claimable(enough_urgent: bool, enough_long: bool) -> Any:  # noqa: ANN401 -
 
 
 class JobQueue:
-    """What servers do with jobs.
-
-    Parameters
-    ----------
-    lease_s
-        Time after which a job is taken over whose server has not renewed its lease.
-    """
+    """What servers do with jobs; one whose lease was not renewed for `lease_s` is taken over by another server."""
 
     def __init__(self, database: Database, lease_s: float) -> None:
         self._database = database
@@ -97,16 +91,9 @@ class JobQueue:
     def claim(self, *, enough_urgent: bool = False, enough_long: bool = False) -> Claim | None:
         """Take the job that is next: one that somebody waits for, else one of the client with the fewest running.
 
-        Parameters
-        ----------
-        enough_urgent, enough_long
-            Whether enough jobs run that somebody waits for, and enough others. Of that class only a job of a client is
-            taken that has none running: whoever has many keeps only himself waiting.
-
-        Notes
-        -----
-        A job whose drive is being checked is left alone; one whose lease has run out is taken over, which counts as
-        another attempt.
+        Where enough run that somebody waits for, or enough others, only a job of a client that has none of that class
+        running is taken: whoever has many keeps only himself waiting. A job whose drive is being checked is left alone;
+        one whose lease has run out is taken over, which counts as another attempt.
         """
         with self._database.reading() as session:  # an idle server must not take the write lock twice per second
             if session.execute(_ANY_ACTIVE).first() is None:
@@ -234,20 +221,9 @@ def submit(
 ) -> tuple[Job, bool]:
     """Put a job into the queue, in a transaction of the caller; return it, and whether it is new.
 
-    Parameters
-    ----------
-    kind, drive_id, owner, request
-        See `Job`.
-    key
-        Idempotency key: the same key returns the same job, unless that lies in the trash.
-    limit
-        Maximum number of jobs of this owner and kind that may wait or run.
-
-    Raises
-    ------
-    Problem
-        404 there is no such drive; 409 it is not committed; 422 the key was used for another request; 429 too many
-        jobs.
+    The same idempotency key returns the same job, unless that lies in the trash. The limit is that of the jobs of this
+    owner and kind that may wait or run. Problems are 404 no such drive, 409 it is not committed, 422 the key was used
+    for another request, 429 too many jobs.
     """
     database.lock_owner(session, owner)
     if key is not None:

@@ -54,13 +54,7 @@ class Runner:
         return None if self._executor.alive else "there is no worker"
 
     def start(self) -> None:
-        """Begin; workers start in the background.
-
-        Raises
-        ------
-        ConfigError
-            The Dask cluster of the settings cannot be used.
-        """
+        """Begin; workers start in the background. A Dask cluster that cannot be used is a `ConfigError`."""
         self._executor = open_executor(self._context.settings, self._context.metrics.worker_restarts.inc)
         for target in (self._claim_jobs, self._keep_leases):
             thread = threading.Thread(target=target, name=target.__name__, daemon=True)
@@ -80,12 +74,8 @@ class Runner:
     async def run_in_worker(self, function: Callable[[*Given], Returned], *args: *Given, client: str) -> Returned:
         """Call a function in a worker process, before all that waits; once more where the worker dies.
 
-        For short work that a request of a client waits for: the server itself stays quick.
-
-        Raises
-        ------
-        Problem
-            422 where the work takes more time or memory than it may; 503 where two workers died of it.
+        For short work that a request of a client waits for: the server itself stays quick. A 422 where it takes more
+        time or memory than it may, a 503 where two workers died of it.
         """
         assert self._executor is not None, "the runner has not been started"
         seconds = self._context.settings.request_work_s

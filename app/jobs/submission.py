@@ -33,14 +33,8 @@ from interloc.osm.container import MAP_ENDINGS, is_map
 def check_request(session: Session, context: Context, new: NewJob) -> dict[str, Any]:
     """Return the request as it is stored and worked on, with all settings spelled out.
 
-    Raises
-    ------
-    ConfigError
-        A setting is refused.
-    GeoreferenceError
-        There is a map to score against, and the drive has no georeference.
-    Problem
-        422 there are no such labels, or there is no such map; 507 the disk is full.
+    A `ConfigError` refuses a setting, a `GeoreferenceError` a map for a drive without georeference; there is a 422 for
+    labels or a map that are not there, a 507 for a full disk.
     """
     if context.storage.free_bytes() < context.settings.min_free_bytes:
         raise disk_full()
@@ -115,13 +109,7 @@ def _check_drive(session: Session, storage: Storage, new: NewJob) -> None:
 
 
 def config_of(name: str, changes: dict[str, Any] | None) -> DetectorConfig:
-    """Return a preset with the settings that a request changes.
-
-    Raises
-    ------
-    ConfigError
-        A setting does not exist, or its value is refused.
-    """
+    """Return a preset with the settings that a request changes; a `ConfigError` refuses one."""
     return parse_config(_merged(preset(name).model_dump(mode="json"), changes or {}), strict=True)
 
 

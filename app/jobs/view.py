@@ -58,11 +58,7 @@ def chosen_results(*conditions: ColumnElement[bool]) -> Select[Job]:
 
     The one that somebody has pinned; else the best by the map: one with the settings of this version before one with
     those of the paper, then the highest F1 of its intersections, then the newest. One that was not scored comes last.
-
-    Parameters
-    ----------
-    conditions
-        On `Drive` and `Job`: which drives and jobs come into question.
+    Conditions on `Drive` and `Job` say which come into question.
     """
     is_pinned = case((Drive.pinned_job == Job.id, 0), else_=1)
     asked = Job.request

@@ -114,13 +114,7 @@ WatcherDep = Annotated[JobWatcher, part_of_app("watcher")]
 
 
 async def wait_for_job(context: Context, job_id: str, seconds: float) -> Job:
-    """Wait until a job has ended, some seconds have passed or the server stops; return the job.
-
-    Raises
-    ------
-    Problem
-        404 there is no such job, or it was removed.
-    """
+    """Wait until a job (else a 404) has ended, some seconds have passed or the server stops; return the job."""
     end = time.monotonic() + seconds
     pause_s = _FIRST_LOOK_S
     while True:

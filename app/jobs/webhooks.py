@@ -74,15 +74,7 @@ def check_subscriber(settings: Settings, subscriber: Subscriber | None) -> dict[
 
 
 def note(session: Session, job: Job, state: JobState, now: float, **facts: Any) -> None:  # noqa: ANN401
-    """Write what a subscriber is to be told, in the transaction in which it becomes true.
-
-    Parameters
-    ----------
-    state
-        That it enters.
-    **facts
-        Outcome of the job: `summary`, `error`.
-    """
+    """Write for a subscriber that a job enters a state, with its outcome, in the transaction in which it does."""
     subscriber = job.request.get("subscriber")
     if not subscriber:
         return

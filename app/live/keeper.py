@@ -51,13 +51,7 @@ class Keeper:
         self._scans.append(LiveScan(scan.frame, scan.T_world_lidar, points[:0], time_s=scan.time_s, fix=scan.fix))
 
     def finish(self) -> dict[str, str]:
-        """Write poses, times and fixes; begin the check of the drive and its job. Returns the ids of drive and job.
-
-        Raises
-        ------
-        Problem
-            429: too many checks or jobs of this client wait.
-        """
+        """Write poses, times, fixes; begin check and job of the drive (429: too many wait); return both ids."""
         poses = [" ".join(f"{value:.17g}" for value in scan.T_world_lidar[:3].ravel()) for scan in self._scans]
         files = {"poses.txt": poses}
         if all(scan.time_s is not None for scan in self._scans):

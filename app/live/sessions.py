@@ -73,10 +73,7 @@ class LiveEntry:
     def attach(self, answered: int) -> asyncio.Queue[str | None]:
         """Take a connection as that of the sender; an earlier one is told to end by None.
 
-        Parameters
-        ----------
-        answered : int
-            Number of the last scan whose answer has arrived; those to later ones come first.
+        The answers to scans after the last one whose answer has arrived come first.
         """
         if self.sender is not None:
             _put(self.sender, None)
@@ -95,13 +92,7 @@ class LiveEntry:
             self._when_quiet()
 
     def take(self, data: bytes) -> None:
-        """Hand a scan to the session.
-
-        Raises
-        ------
-        DriveError
-            It is no scan.
-        """
+        """Hand a scan to the session; a `DriveError` says that it is none."""
         scan = decode_scan(data, self.scheme)
         if scan.frame <= self.last_frame:  # sent again after a broken connection
             self._tell({"type": "repeated", "frame": scan.frame})

@@ -20,13 +20,7 @@ def available(folder: Path | None) -> list[ModelDescription]:
 
 
 def find(folder: Path | None, name: str) -> Path:
-    """Return the folder of a network.
-
-    Raises
-    ------
-    ModelError
-        There is none of this name.
-    """
+    """Return the folder of a network; a `ModelError` says that there is none of this name."""
     names = [] if folder is None else [each.name for each in describe_networks(folder)]
     if folder is None or name not in names:
         there = ", ".join(names) or "none; INTERLOC_MODELS names the folder that they are in"

@@ -57,12 +57,8 @@ DOCS_POLICY = (
 class PageFiles:
     """The files of the page: where the settings say, beside the package (a checkout), or in it (an installation).
 
-    Attributes
-    ----------
-    root : Path
-        Folder of `index.html`.
-    packages : frozenset of str
-        npm packages that the page names as its dependencies; no other one is served.
+    `root` is the folder of `index.html`; `packages` are the npm packages that the page names as its dependencies, and
+    no other one is served.
     """
 
     def __init__(self, settings: Settings) -> None:

@@ -81,10 +81,7 @@ class Result:
     def layer_file(self, name: str) -> Path:
         """Return the file of a layer to be exported: in metres of its own frame where the drive has no georeference.
 
-        Raises
-        ------
-        Problem
-            404 that says why the result has none.
+        A 404 says why the result has none.
         """
         local = self.folder / file_names(georeferenced=False).get(name, "")
         return local if local.is_file() else self.layer(name)
@@ -154,13 +151,7 @@ class Results:
         self._known.clear()
 
     def open(self, job_id: str) -> Result:
-        """Find the result of a job.
-
-        Raises
-        ------
-        Problem
-            404: no such job, or one without results; 409: not successful (yet); 410: no longer on disk.
-        """
+        """Find the result of a job: 404 no such job, or none with results; 409 not successful (yet); 410 gone."""
         known, until = self._known.get(job_id, (None, 0.0))
         if known is None or time.monotonic() >= until or not (known.folder / RUN_FILE).exists():
             known = self._look_up(job_id)

@@ -33,13 +33,7 @@ class OnDemand:
         self._drawing = asyncio.Semaphore(_MAX_DRAWING)
 
     async def export(self, result: Result, path: Path, layer: str | None, client: str) -> None:
-        """Write a layer of a result, or all of them, as a file for other programs.
-
-        Raises
-        ------
-        Problem
-            500: the result is damaged. Otherwise as of `Runner.run_in_worker`.
-        """
+        """Write a layer of a result, or all, as a file for other programs; 500 where the result is damaged."""
         write = partial(self._runner.run_in_worker, write_export, result.folder, path, layer, client=client)
         await self._once_of(result, path, write)
 
@@ -52,13 +46,7 @@ class OnDemand:
         return folder
 
     async def keyframe(self, result: Result, frame: int, client: str) -> Path:
-        """Return the folder of the pictures of a keyframe.
-
-        Raises
-        ------
-        Problem
-            404: no such keyframe; 503: too many wait for pictures; or as of `Runner.run_in_worker`.
-        """
+        """Return the folder of the pictures of a keyframe (else a 404); 503 where too many wait for pictures."""
         folder = result.cache / "bev" / str(frame)
         if (folder / VIEW).exists():
             return folder

@@ -31,26 +31,10 @@ _KEPT = 300  # keyframes per job whose pictures are kept, about 100 kB each
 
 
 def draw_keyframe(drive_folder: Path, drive_name: str, request: IntersectionsJob, frame: int, folder: Path) -> int:
-    """Draw all overlays of a keyframe into a folder.
+    """Draw all overlays of the keyframe nearest to a scan into a folder, which appears complete or not at all.
 
-    Parameters
-    ----------
-    drive_folder, drive_name, request
-        Of the job, as it was worked on.
-    frame : int
-        Scan number.
-    folder
-        Appears complete or not at all, in a folder of such folders.
-
-    Returns
-    -------
-    int
-        The keyframe nearest to `frame`. Nothing was drawn if it is another one.
-
-    Raises
-    ------
-    InterLocError
-        The drive can no longer be read, or the disk is full.
+    Returns the number of that keyframe; nothing was drawn if it is another one than asked for. Drive and request are
+    those of the job, as it was worked on.
     """
     from interloc.explain.evidence import gather  # noqa: PLC0415 - not needed for jobs
     from interloc.explain.overlays import OVERLAYS, describe_overlays, draw_overlay  # noqa: PLC0415
@@ -117,13 +101,7 @@ def _forget_others(folder: Path) -> None:
 
 
 def draw_road_picture(result: Path, folder: Path) -> None:
-    """Draw the road seen by LiDAR into a folder, which appears complete or not at all.
-
-    Raises
-    ------
-    InterLocError
-        The file of the result is damaged, or the disk is full.
-    """
+    """Draw the road seen by LiDAR into a folder, which appears complete or not at all."""
     from interloc.output.layout import ROAD_FILE  # noqa: PLC0415
     from interloc.output.road import draw_road, read_road  # noqa: PLC0415
 

@@ -7,13 +7,7 @@ from collections.abc import Callable
 
 
 class ClockWatch:
-    """Compares the clock of the database with one that never jumps.
-
-    Parameters
-    ----------
-    tolerance_s
-        By how much they may part between two looks.
-    """
+    """Compares the clock of the database with one that never jumps; between looks they may part by a tolerance."""
 
     def __init__(self, tolerance_s: float, monotonic: Callable[[], float] = time.monotonic) -> None:
         self._tolerance_s = tolerance_s
@@ -23,12 +17,9 @@ class ClockWatch:
         self.has_jumped = False
 
     def look(self, now: float) -> float:
-        """Take note of the time by the clock of the database.
+        """Take note of the time by the database; return the seconds since it jumped last, or since the first look.
 
-        Returns
-        -------
-        float
-            Seconds since it jumped last, or since the first look: what happened before that is not known.
+        What happened before that is not known.
         """
         moment = self._monotonic()
         if self._last is None:

@@ -58,13 +58,7 @@ class Waits:
 
 
 class Database:
-    """A connection pool, and the sessions on it, by the SQLAlchemy URL of a SQLite or PostgreSQL database.
-
-    Raises
-    ------
-    ConfigError
-        The URL is of neither.
-    """
+    """A connection pool, and the sessions on it, by the SQLAlchemy URL of a SQLite or PostgreSQL database."""
 
     def __init__(self, url: str) -> None:
         self.url = _parse(url)
@@ -104,17 +98,9 @@ class Database:
     def writing(self, *, patient: bool = False) -> Iterator[Session]:
         """Open a transaction that is committed when the block ends without error; see also `afterwards`.
 
-        Parameters
-        ----------
-        patient
-            Wait longer for the turn to write: for work in the background.
-
-        Raises
-        ------
-        DatabaseBusyError
-            The turn did not come in time; or many wait already, and none gets on.
-        OperationalError
-            Another process holds the lock for too long.
+        Work in the background is patient, and waits longer for its turn to write. A `DatabaseBusyError` says that the
+        turn did not come in time, or that many wait and none gets on; an `OperationalError` that another process holds
+        the lock.
         """
         deadline = time.monotonic() + (_LONG_PATIENCE_S if patient else PATIENCE_S)
         with self._turns.one(deadline, alone=self.is_sqlite, patient=patient) as begun, self._sessions() as session:
@@ -141,13 +127,7 @@ class Database:
                 yield connection
 
     def check_writable(self) -> None:
-        """Write something that changes nothing, and take it back.
-
-        Raises
-        ------
-        SQLAlchemyError
-            That was not possible within a short time.
-        """
+        """Write something that changes nothing, and take it back; SQLAlchemy's error where that takes long."""
         options = {"writes": True, "patience_s": _PROBE_S}
         with self.engine.connect().execution_options(**options) as connection, connection.begin() as transaction:
             if not self.is_sqlite:
@@ -168,15 +148,9 @@ class Database:
     def upgrade(self, then: Callable[[Session], None] | None = None) -> None:
         """Bring the tables up to date (Alembic); servers that start together do it one after the other.
 
-        Parameters
-        ----------
-        then
-            Called at the end of the same transaction: where it raises, nothing has changed.
-
-        Raises
-        ------
-        InterLocError
-            The database does not answer, belongs to a newer version or to one before 0.2.0, or holds something else.
+        `then` is called at the end of the same transaction: where it raises, nothing has changed. An `InterLocError`
+        says that the database does not answer, belongs to a newer version or to one before 0.2.0, or holds something
+        else.
         """
         shown = self.url.render_as_string(hide_password=True)
         try:

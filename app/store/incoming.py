@@ -33,13 +33,7 @@ class Incoming:
         self._folder = root
 
     def folder(self) -> Path:
-        """Return the folder.
-
-        Raises
-        ------
-        OutputError
-            It cannot be made.
-        """
+        """Return the folder; an `OutputError` where it cannot be made."""
         with self._made:
             if self._lock is None:
                 self._folder, self._lock = self._open()

@@ -37,17 +37,9 @@ class InstallationError(ConfigError):
 def bind(session: Session, database: Database, folder: Path) -> str:
     """Return the id that a database and a data folder share; it is made where both are new.
 
-    Parameters
-    ----------
-    session
-        Of the transaction that brings the database up to date: servers that start together come one after the other.
-    folder
-        The data folder; `mark_folder` is to be called when the transaction has ended.
-
-    Raises
-    ------
-    InstallationError
-        They do not belong together. Nothing was changed.
+    The transaction is the one that brings the database up to date, as servers that start together come one after the
+    other; `mark_folder` is to be called when it has ended. An `InstallationError` says that they do not belong
+    together; nothing was changed then.
     """
     in_folder, in_database = id_of_folder(folder), id_of_database(session)
     if in_folder is not None and in_folder == in_database:
@@ -89,10 +81,7 @@ def id_of_folder(folder: Path) -> str | None:
 def refuse_lost_database(database: Database, folder: Path) -> None:
     """Refuse a data folder whose SQLite database is not there, before a new one is made in its place.
 
-    Raises
-    ------
-    InstallationError
-        The folder has an id. The database is always made before the id is written.
+    Its id tells: the database is always made before the id is written.
     """
     in_folder, path = id_of_folder(folder), database.url.database
     if in_folder is not None and database.is_sqlite and path is not None and not Path(path).exists():
@@ -102,13 +91,7 @@ def refuse_lost_database(database: Database, folder: Path) -> None:
 
 
 def mark_folder(folder: Path, installation: str) -> None:
-    """Write the id into a data folder that has none yet; after the transaction of `bind`.
-
-    Raises
-    ------
-    InstallationError
-        Another service was faster.
-    """
+    """Write the id into a data folder that has none, after the transaction of `bind`, unless another was faster."""
     temporary = folder / f".{FILE}-{secrets.token_hex(4)}"
     if id_of_folder(folder) is None:
         with atomic_write(temporary) as file:

@@ -59,12 +59,7 @@ class Storage:
         self._handle = self._is = None
 
     def check(self) -> None:
-        """See that the data folder is where it was.
-
-        Raises
-        ------
-        DataFolderGoneError
-        """
+        """See that the data folder is where it was, else raise a `DataFolderGoneError`."""
         if self._is is None:
             return
         with suppress(OSError):
@@ -101,15 +96,7 @@ class Storage:
             path.unlink(missing_ok=True)
 
     def check_writable(self) -> None:
-        """Write something that nobody sees.
-
-        Raises
-        ------
-        OSError
-            The folder was made read-only, its disk fails or is full.
-        DataFolderGoneError
-            It is gone.
-        """
+        """Write something that nobody sees; an `OSError` where the folder is read-only, its disk full or failing."""
         self.check()
         with TemporaryFile(dir=self.root) as probe:
             probe.write(b"?")

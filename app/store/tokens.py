@@ -47,17 +47,8 @@ def add_token(
 ) -> str:
     """Make a token for a client, and return it: it cannot be shown again.
 
-    Parameters
-    ----------
-    expires_at
-        Seconds since 1970; None: never.
-    max_bytes, max_jobs
-        See `Token`; None: no other limits than those of the service.
-
-    Raises
-    ------
-    ConfigError
-        The name is not one, or is taken; or the token would have expired already.
+    It ends at `expires_at` (seconds since 1970) or never; without limits of its own it has those of the service. A
+    `ConfigError` refuses a name that is not one or is taken, and a token that would have expired already.
     """
     if not _NAME.fullmatch(name) or name in {ANONYMOUS, OPERATOR}:
         raise ConfigError(
@@ -92,13 +83,7 @@ def list_tokens(database: Database) -> list[Token]:
 
 
 def revoke_token(database: Database, name: str) -> None:
-    """Refuse a token from now on.
-
-    Raises
-    ------
-    ConfigError
-        There is no such token.
-    """
+    """Refuse a token from now on."""
     with database.writing() as session:
         gone = session.scalar(delete(Token).where(Token.name == name).returning(Token.name))
     if gone is None:

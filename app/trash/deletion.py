@@ -80,19 +80,8 @@ def delete_drive(
 ) -> bool:
     """Move a drive to the trash with its jobs, cancelling those that wait or run; return whether it was moved.
 
-    Parameters
-    ----------
-    client
-        Who deletes it; None for an upload that expired.
-    at_once
-        Purge it, instead of keeping it for a while.
-    only_if
-        Condition, evaluated in the transaction that deletes the drive.
-
-    Raises
-    ------
-    Problem
-        404.
+    No client deletes an upload that expired. `at_once` purges it instead of keeping it for a while; `only_if` is
+    evaluated in the transaction that deletes it. A 404 where there is none.
     """
     of_drive = select(Job).where(Job.drive_id == drive_id)
     with context.database.writing() as session:
@@ -112,13 +101,7 @@ def delete_drive(
 
 
 def delete_job(context: Context, job_id: str, client: str) -> None:
-    """Move a job that has ended to the trash, with its results.
-
-    Raises
-    ------
-    Problem
-        404: there is no such job. 409: it has not ended.
-    """
+    """Move a job that has ended (409 where it has not) to the trash, with its results."""
     with context.database.writing() as session:
         job = session.get(Job, job_id, with_for_update=True)
         if job is None or job.deleted_at is not None or _drive_of(session, job).deleted_at is not None:
@@ -159,13 +142,7 @@ def list_trash(context: Context, after: str | None, limit: int) -> TrashList:
 
 
 def restore(context: Context, kind: TrashKind, id_: str) -> TrashItem:
-    """Take a drive with its jobs, or a job, out of the trash.
-
-    Raises
-    ------
-    Problem
-        404: it is not in the trash. 409: the drive of the job is in the trash itself.
-    """
+    """Take a drive with its jobs, or a job, out of the trash: 404 not there; 409 its drive is there, too."""
     with context.database.writing() as session:
         row = _find(session, kind, id_)
         item = _item(context, row, (row if isinstance(row, Drive) else _drive_of(session, row)).name)
@@ -179,13 +156,7 @@ def restore(context: Context, kind: TrashKind, id_: str) -> TrashItem:
 
 
 def purge_item(context: Context, kind: TrashKind, id_: str) -> None:
-    """Purge what is in the trash.
-
-    Raises
-    ------
-    Problem
-        404: it is not in the trash. 409: the drive of the job is in the trash itself.
-    """
+    """Purge what is in the trash: 404 not there; 409 the drive of the job is there, too."""
     with context.database.reading() as session:
         _find(session, kind, id_)
     purge(context, kind, id_)

@@ -78,13 +78,7 @@ class BackupRecord(BaseModel):
 
     @classmethod
     def read(cls, folder: Path) -> Self | None:
-        """Read the record of a backup; None where there is none.
-
-        Raises
-        ------
-        InterLocError
-            It cannot be understood.
-        """
+        """Read the record of a backup; None where there is none, an `InterLocError` where it cannot be understood."""
         try:
             return cls.model_validate_json((folder / RECORD).read_bytes())
         except (FileNotFoundError, NotADirectoryError):
@@ -115,23 +109,10 @@ class BackupReport:
 
 
 def back_up(context: Context, out: Path, advance: Advance) -> BackupReport:
-    """Make a backup, or bring an older one up to date.
+    """Make a backup in a new or empty folder, or bring an older one of the same service up to date; servers may run.
 
-    Parameters
-    ----------
-    context
-        Of the service; its servers may run.
-    out
-        A new or an empty folder, or a backup of the same service.
-
-    Raises
-    ------
-    ConfigError
-        `out` is something else, or lies where it cannot be a backup of this data folder.
-    InterLocError
-        Another process makes this backup; the database does not answer; or the service changes too quickly.
-    OutputError
-        The backup cannot be written, as on a full disk; the next one goes on from there.
+    A `ConfigError` refuses another folder, or one that lies where it cannot be a backup of this data folder. After an
+    `OutputError`, as on a full disk, the next backup goes on from there.
     """
     out = Path(os.path.realpath(out))
     with context.database.reading() as session:
@@ -188,24 +169,9 @@ def _dump(database: Database, path: Path) -> None:
 def restore(settings: Settings, backup: Path, advance: Advance) -> BackupRecord:
     """Restore a backup into a new data folder and a new database, of whatever kind; return its record.
 
-    All is looked at before anything is written. Rows come last, in one transaction, then the id of the data folder: no
-    server starts on what a restoration has left that was stopped.
-
-    Parameters
-    ----------
-    settings
-        Those with which the service will run: data folder and database.
-    backup
-        Folder of the backup; it stays as it is.
-
-    Raises
-    ------
-    ConfigError
-        The folder is not a backup, or not a whole one; the data folder or the database is not empty.
-    InterLocError
-        The backup was written by a newer version; or the database does not answer.
-    OutputError
-        The data folder cannot be written, as on a full disk.
+    The settings are those with which the service will run; the backup stays as it is. All is looked at before anything
+    is written. Rows come last, in one transaction, then the id of the data folder: no server starts on what a
+    restoration has left that was stopped.
     """
     backup, folder = Path(os.path.realpath(backup)), settings.data_dir
     record = BackupRecord.read(backup)
@@ -264,13 +230,7 @@ def _fill(database: Database, session: Session, source: Connection) -> None:
 
 
 class _Bringer:
-    """Brings files into a folder: as second names where that is possible, else as copies.
-
-    Attributes
-    ----------
-    files, size_bytes : int
-        What was brought so far, without what was there.
-    """
+    """Brings files into a folder, and counts them: as second names where that is possible, else as copies."""
 
     def __init__(self, root: Path, out: Path) -> None:
         self._root = root

@@ -103,14 +103,9 @@ def _unlisted(session: Session, root: Path, drive_id: str) -> Iterator[Discrepan
 
 
 def wanted_files(session: Session, root: Path, *, all_of_folders: bool = False) -> Iterator[Wanted]:
-    """Yield the files that the rows of a database stand for.
+    """Yield the files that the rows of a database stand for, below a data folder or a backup, which has its layout.
 
-    Parameters
-    ----------
-    root
-        Of a data folder, or of a backup, which has its layout.
-    all_of_folders
-        Also what reduced drives and results hold beyond what they must hold.
+    With `all_of_folders`, also what reduced drives and results hold beyond what they must hold.
     """
     is_kept = or_(Drive.deleted_at.is_(None), Drive.deleted_at > 0)  # otherwise it is being purged
     for drive in session.scalars(select(Drive).where(is_kept).options(defer(Drive.report))).all():

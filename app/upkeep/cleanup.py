@@ -43,10 +43,7 @@ _log = logging.getLogger(__name__)
 def sweep(context: Context, *, by_age: bool = True) -> Counter[Removal]:
     """Do all of it, as several servers may at the same time; return how much was removed, by reason.
 
-    Parameters
-    ----------
-    by_age
-        Also what is old: not where the clock may be wrong.
+    What is old goes only `by_age`: not where the clock may be wrong.
     """
     swept: Counter[Removal] = Counter()
     if by_age:

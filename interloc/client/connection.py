@@ -76,25 +76,10 @@ class _Anything(BaseModel):
 
 
 class Connection:
-    """A service at an address. Threads may share it.
+    """A service at an address, as http://127.0.0.1:8000, and its API token if it has any; threads may share it.
 
-    Parameters
-    ----------
-    server
-        Base address, as http://127.0.0.1:8000.
-    token
-        API token, where the service asks for one.
-    connections
-        Number of requests that may be under way at once.
-    patience_s
-        Time for which a request is repeated while the server cannot be reached or is too busy.
-    timeout_s
-        Longest silence within a request.
-
-    Raises
-    ------
-    ConfigError
-        The address or the token is not valid.
+    At most `connections` requests are under way at once; each is repeated for `patience_s` while the server cannot be
+    reached or is too busy, and may be silent for `timeout_s`.
     """
 
     def __init__(
@@ -151,23 +136,11 @@ class Connection:
         headers: Mapping[str, str] | None = None,
         repeatable: bool = True,
     ) -> httpx.Response:
-        """Send a request, and repeat it while the server cannot be reached or is busy.
+        """Send a request to a path below ``/api/v1``, and repeat it while the server cannot be reached or is busy.
 
-        Parameters
-        ----------
-        path
-            Path below ``/api/v1``, quoted where necessary.
-        body
-            Called at each attempt; an iterator needs a Content-Length among the `headers`.
-        repeatable
-            False: a request that the server may have received is not sent again.
-
-        Raises
-        ------
-        Refusal
-            The service refuses and says why.
-        NetworkError
-            No service answered in time.
+        The body is called for at each attempt; an iterator needs a Content-Length among the headers. What is not
+        repeatable is not sent again where the server may have received it. Raises `Refusal` where the service says why,
+        `NetworkError` where none answered in time.
         """
         began, pauses = time.monotonic(), 0
         while True:

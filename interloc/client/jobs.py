@@ -88,19 +88,9 @@ class JobRequest:
 def submit(
     connection: Connection, drive_id: str, wanted: JobRequest, *, subscriber: dict[str, str] | None = None
 ) -> JobAnswer:
-    """Let the service work on a drive that is ready or being checked.
+    """Let the service work on a drive that is ready or being checked; a `Refusal` says why it does not.
 
-    Parameters
-    ----------
-    subscriber
-        Addresses that the service calls when the job begins or ends, if it may.
-
-    Raises
-    ------
-    Refusal
-        The service refuses and says why: no such drive, an invalid setting, a full queue.
-    NetworkError
-        The service cannot be reached.
+    The subscriber is made of addresses that the service calls when the job begins or ends, if it may.
     """
     request: dict[str, Any] = {"drive_id": drive_id, "policy": wanted.policy, "tolerance_m": wanted.tolerance_m}
     request |= {"preset": wanted.config.preset, **_differences(wanted.config)}
@@ -140,19 +130,9 @@ def finished(connection: Connection, drive_id: str, wanted: JobRequest) -> JobAn
 
 
 def follow(connection: Connection, job_id: str, on_change: Callable[[JobAnswer], None] | None = None) -> JobAnswer:
-    """Wait for the end of a job, and return it.
+    """Wait for the end of a job, and return it; `on_change` is called with the job every second.
 
-    Parameters
-    ----------
-    on_change
-        Called with the job every second.
-
-    Raises
-    ------
-    InterLocError
-        The job failed or was cancelled; the text is the service's.
-    Refusal, NetworkError
-        There is no such job, or the service does not answer.
+    An `InterLocError` with the service's text says that it failed or was cancelled.
     """
     while True:
         job = connection.ask("GET", f"/jobs/{quote(job_id, safe='')}", JobAnswer)
@@ -184,26 +164,10 @@ def _differences(config: DetectorConfig) -> dict[str, Any]:
 
 
 def fetch(connection: Connection, job_id: str, out: Path, *, on_bytes: OnBytes | None = None) -> list[Path]:
-    """Fetch the result folder of a successful job.
+    """Fetch the result folder of a successful job; return its files, relative to the folder.
 
-    Parameters
-    ----------
-    out
-        The folder to write. It must not exist, be empty, or hold an older result, which is replaced.
-
-    Returns
-    -------
-    list of Path
-        The files, relative to the folder.
-
-    Raises
-    ------
-    Refusal
-        There is no such job, or it was not successful.
-    NetworkError
-        The service cannot be reached, or what it sends does not fit what it lists.
-    OutputError
-        The folder cannot be written.
+    The folder to write must not exist, be empty, or hold an older result, which is replaced. A `NetworkError` also says
+    that what the service sends does not fit what it lists.
     """
     address = f"/jobs/{quote(job_id, safe='')}/files"
     files = connection.ask("GET", address, ResultFilesAnswer).files

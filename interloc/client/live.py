@@ -28,19 +28,8 @@ _log = logging.getLogger(__name__)
 class LiveSender:
     """Sends scans, and hears what the service says.
 
-    Parameters
-    ----------
-    server : str
-        Base address, as http://127.0.0.1:8000.
-    token : str or None
-    begin : dict
-        What the session begins with: `name`, and where wanted `preset`, `config`, `label_scheme`.
-    hear : callable
-        Called with everything that the service says.
-    keeps_all : bool
-        Wait for answers, so that the service need not drop a scan.
-    patience_s : float
-        Time for which a service is looked for that has gone.
+    A session begins with a `name`, and where wanted `preset`, `config`, `label_scheme`. With `keeps_all` it waits for
+    answers, so that the service need not drop a scan. For `patience_s` a service is looked for that has gone.
     """
 
     def __init__(
@@ -68,15 +57,7 @@ class LiveSender:
     def run(self, scans_after: Callable[[int], Iterator[LiveScan]]) -> None:
         """Send scans until there are no more, and wait for the end of the session.
 
-        Parameters
-        ----------
-        scans_after
-            Yields the scans after a number; called anew for each connection.
-
-        Raises
-        ------
-        NetworkError
-            The service cannot be reached, or refuses and says why.
+        `scans_after` yields the scans after a number; it is called anew for each connection.
         """
         silent_since, pause_s = time.monotonic(), _FIRST_PAUSE_S
         while not self._has_ended:

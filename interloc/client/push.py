@@ -125,15 +125,7 @@ class PreparedDrive:
 
 
 def prepare(root: Path, options: PushOptions) -> PreparedDrive:
-    """Check a drive as `interloc info` does, and get it ready.
-
-    Raises
-    ------
-    DriveError, GeoreferenceError
-        It cannot be used; all problems are named.
-    ConfigError
-        An option does not fit the drive.
-    """
+    """Check a drive as `interloc info` does, and get it ready; the error of an unusable one names all problems."""
     for path in options.maps:
         if not path.is_file():
             raise DriveError(f"{path}: no such file. Expected an OpenStreetMap file.")
@@ -294,29 +286,12 @@ def push(
     on_stage: OnStage | None = None,
     on_progress: OnProgress | None = None,
 ) -> Pushed:
-    """Send a drive to the server, and have it checked there.
+    """Send a drive to the server as it was prepared with the same options, and have it checked there.
 
-    Parameters
-    ----------
-    root
-        Folder of the drive.
-    prepared
-        The result of `prepare` with the same `options`.
-    threads
-        Number of files that are read, reduced and sent at once.
-    logs
-        Folder of the logs of what was sent; in the user's cache by default.
-    on_stage, on_progress
-        Called when a stage begins, and with the progress of the upload.
-
-    Raises
-    ------
-    DriveError
-        A scan cannot be read, or the server finds the drive unusable and says why.
-    NetworkError
-        The server cannot be reached, or refuses. The next push goes on where this one stopped.
-    OutputError
-        The log of what was sent cannot be written, or another process pushes the same drive.
+    So many files as there are threads are read, reduced and sent at once. The logs of what was sent are by default in
+    the user's cache. A `DriveError` says that a scan cannot be read, or why the server finds the drive unusable; after
+    a `NetworkError` the next push goes on where this one stopped; an `OutputError` may mean that another process pushes
+    the same drive.
     """
     report_stage = on_stage or (lambda _: None)
     with UploadLog(logs or log_folder(), _identity(connection, root, options)) as log:

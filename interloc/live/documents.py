@@ -18,16 +18,7 @@ _ROAD_M = 30.0
 
 
 def answer_document(answer: Answer, scan: LiveScan | None = None, *, dropped: int = 0) -> dict[str, Any]:
-    """Return what is said to a scan; docs/live.md describes it.
-
-    Parameters
-    ----------
-    answer
-    scan
-        The scan, for the place of the vehicle.
-    dropped : int
-        Number of scans dropped so far.
-    """
+    """Return what is said to a scan (docs/live.md), with the place of the vehicle where the scan is given."""
     keyframe = None
     if answer.keyframes is not None and answer.detections is not None:
         keyframe = _keyframe_document(answer.keyframes, answer.detections)

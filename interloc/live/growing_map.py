@@ -64,12 +64,7 @@ class GrowingMap:
 
     `interloc.mapping.fusion.fuse` is asked after each keyframe about the keyframes from which the same intersections
     can be seen, those of earlier passes too; everything farther away stays as it is. `complete` fuses all at once, as
-    `interloc.detect` does.
-
-    Attributes
-    ----------
-    has_fixes : bool
-        Whether the keyframes have fixes: all, or none.
+    `interloc.detect` does. Of the keyframes all have fixes or none (`has_fixes`).
     """
 
     def __init__(self, config: DetectorConfig) -> None:

@@ -26,17 +26,8 @@ def play(
 ) -> Iterator[LiveScan]:
     """Yield the scans of a drive that are keyframes: a session looks at no others.
 
-    Parameters
-    ----------
-    drive
-    config
-        Of the session.
-    speed : float or None
-        1: at the times at which they were taken; 2: twice as fast; None: as fast as they are taken.
-    after : int
-        Leave out scans up to this number: they have arrived already.
-    wait
-        Called with the seconds until the next scan is due.
+    At speed 1 they come at the times at which they were taken, at 2 twice as fast, at None as fast as they are taken.
+    Scans up to `after` have arrived already. `wait` is called with the seconds until the next scan is due.
     """
     rows = select_keyframes(drive.T_world_lidar, config.keyframes)
     rows = rows[drive.frames[rows] > after]

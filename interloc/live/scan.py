@@ -43,13 +43,7 @@ class Fix:
         return cls(lat, lon, alt, georeference.R_enu_lidar[row], None if std is None or np.isnan(std) else std)
 
     def checked(self, frame: int) -> Fix:
-        """Return the fix.
-
-        Raises
-        ------
-        GeoreferenceError
-            It is no place on Earth, or its attitude is no rotation.
-        """
+        """Return the fix; a `GeoreferenceError` says that it is no place on Earth, or its attitude no rotation."""
         R = self.R_enu_lidar
         numbers = np.array([self.lat_deg, self.lon_deg, self.alt_m, *R.ravel()])
         is_place = np.isfinite(numbers).all() and abs(self.lat_deg) <= 90 and abs(self.lon_deg) <= 360
@@ -101,10 +95,8 @@ class LiveScan:
     def ground(self) -> GroundPoints:
         """The points that the method can use.
 
-        Raises
-        ------
-        DriveError
-            There are neither labels nor a way to label, they are of other points, or a point is not finite.
+        A `DriveError` says that there are neither labels nor a way to label, that they are of other points, or that a
+        point is not finite.
         """
         if self.road_count is not None:
             ground = GroundPoints(np.require(self.points[:, :3], np.float32, _OWN), self.road_count)

@@ -44,15 +44,9 @@ class Answer:
 class LiveSession:
     """Finds intersections while driving, and keeps the map of them up to date.
 
-    Parameters
-    ----------
-    config : DetectorConfig
-        ``config.keyframes.lookahead`` keyframes (20, about 40 m, unless set) pass before a keyframe is answered; 0
-        answers at once, and finds fewer intersections ahead of the vehicle.
-
-    Notes
-    -----
-    The detections are those of `interloc.detect` with the same settings, to the last digit; `complete` is its map.
+    ``config.keyframes.lookahead`` keyframes (20, about 40 m, unless set) pass before a keyframe is answered; 0 answers
+    at once, and finds fewer intersections ahead of the vehicle. The detections are those of `interloc.detect` with the
+    same settings, to the last digit; `complete` is its map.
     """
 
     def __init__(self, config: DetectorConfig = DEFAULT) -> None:
@@ -72,11 +66,9 @@ class LiveSession:
     def push(self, scan: LiveScan) -> Answer:
         """Take the next scan.
 
-        Raises
-        ------
-        DriveError, GeoreferenceError
-            Its number is not above that of the last one, its pose, points or fix are not valid, or the scans before it
-            had a fix and it has none, or the reverse. It does not count: go on with the next.
+        A `DriveError` or `GeoreferenceError` says that its number is not above that of the last one, that its pose,
+        points or fix are not valid, or that it has a fix and those before it had none, or the reverse. It does not
+        count: go on with the next.
         """
         began = time.perf_counter()
         if scan.frame <= self.last_frame:

@@ -91,20 +91,9 @@ def encode_scan(scan: LiveScan) -> bytes:
 
 
 def decode_scan(data: bytes, scheme: LabelScheme = SEMANTICKITTI, label: Label | None = None) -> LiveScan:
-    """Read the message of a scan; its points are not copied yet.
+    """Read the message of a scan, else raise a `DriveError`; its points are not copied yet.
 
-    Parameters
-    ----------
-    data
-    scheme
-        Which labels are road.
-    label
-        Labels points that come without.
-
-    Raises
-    ------
-    DriveError
-        It is not such a message, or its lengths do not fit together.
+    The scheme says which labels are road, `label` labels points that come without.
     """
     if len(data) < _START.size or data[:4] != MAGIC:
         raise DriveError(

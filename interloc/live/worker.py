@@ -22,20 +22,9 @@ _log = logging.getLogger(__name__)
 class LiveWorker:
     """Answers every scan that is put in, in its thread: with what was found, or that it was dropped or refused.
 
-    Parameters
-    ----------
-    session : LiveSession
-    say : callable
-        Called from the thread, but for dropped scans, which are reported by the thread that put the next one in.
-    keep : callable or None
-        Called with each scan that was a keyframe, before it is answered.
-    queue_size : int
-        How many scans may wait: a map of roads needs no scan in particular, and one that waits makes all after it late.
-
-    Attributes
-    ----------
-    dropped : int
-        Number of scans dropped so far.
+    `say` is called from the thread, but for dropped scans, which are reported by the thread that put the next one in;
+    `keep` with each scan that was a keyframe, before it is answered. At most `queue_size` scans wait: a map of roads
+    needs no scan in particular, and one that waits makes all after it late.
     """
 
     def __init__(

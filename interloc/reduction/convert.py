@@ -47,29 +47,13 @@ def convert_drive(
     *,
     progress: Progress | None = None,
 ) -> Converted:
-    """Write a drive of any format as a SemanticKITTI sequence, which appears whole or not at all.
+    """Write a drive of any format but a reduced one as a SemanticKITTI sequence, which appears whole or not at all.
 
     It holds velodyne/NNNNNN.bin, labels/ or predictions/NNNNNN.label where there are labels (or they are made, by a
     network or by geometry), poses.txt (LiDAR frame), times.txt and geo.csv where times and fixes are known. Label ids
     that only their format knows, or that were given as those of road, become SemanticKITTI's: road, other-ground, or
-    unlabelled.
-
-    Parameters
-    ----------
-    root
-        The drive: a folder, a bag, LAS files; anything but a reduced drive.
-    out
-        Folder to be made; an older one written by this function is replaced.
-    options : DriveOptions or None
-    progress
-        Called with the scans done and the scans in all.
-
-    Raises
-    ------
-    DriveError, GeoreferenceError, ModelError, ConfigError
-        The drive cannot be read.
-    OutputError
-        `out` is something else, or could not be written; nothing is left behind.
+    unlabelled. An older folder written by this function is replaced; an `OutputError` says that it is something else,
+    or could not be written, and nothing is left behind.
     """
     chosen = options or DriveOptions()
     label_folder, reading, scans = read_unreduced(Path(root), chosen, needs_labels=False)
@@ -120,30 +104,9 @@ def label_drive(
 ) -> tuple[Path, DriveReading]:
     """Write what a network, or geometry, says of all scans as .label files, in a folder that appears whole or not.
 
-    Parameters
-    ----------
-    root
-        The drive.
-    out
-        Folder in which predictions/ is made; None: the drive's own.
-    options : DriveOptions
-        With a `model`, or `labels` "geometry".
-    progress
-        Called with the scans done and the scans in all.
-
-    Returns
-    -------
-    Path
-        Folder of the labels.
-    DriveReading
-        What the drive is, with the labels of the scans looked into.
-
-    Raises
-    ------
-    DriveError, ModelError, ConfigError
-        The drive or the network cannot be used; there is such a folder already.
-    OutputError
-        The folder could not be written; nothing is left behind.
+    The folder predictions/ is made in `out`, or in the drive's own; it must not be there already. The options have a
+    `model`, or `labels` "geometry". Returns the folder, and what the drive is, with the labels of the scans looked
+    into.
     """
     root = Path(root)
     if options.model is None and options.labels != "geometry":

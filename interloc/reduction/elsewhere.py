@@ -17,15 +17,7 @@ _FOLDERS_BESIDE = ("calibration", "data_poses/{name}", "data_poses_oxts/{name}")
 
 
 def find_stored(address: str, limit: int = MAX_OBJECTS) -> tuple[Bucket, dict[str, StoredObject], list[ListedDrive]]:
-    """Find the drives below a prefix.
-
-    Returns
-    -------
-    Bucket
-    dict of str to StoredObject
-        What was listed, by path below the prefix.
-    list of ListedDrive
-    """
+    """Find the drives below a prefix; return also the bucket, and what was listed, by path below the prefix."""
     bucket, key = Bucket.of(address)
     listing = {each.key[len(key) + 1 if key else 0 :]: each for each in bucket.below(key, limit)}
     if not listing:
@@ -45,25 +37,11 @@ def fetch_drive(
 ) -> Path:
     """Fetch a drive, a result, or a single file of object storage: what its listing says that it needs.
 
-    Parameters
-    ----------
-    address
-        s3://bucket/prefix of a drive, or the key of a file.
-    folder
-        Where to; a temporary folder of this process by default. What was fetched there before is taken up again.
-    within
-        Prefixes that nothing beside the drive may be taken from outside of; empty: anywhere.
-    limit
-        Objects below the prefix.
-    check_sizes
-        Refuses a drive by the sizes of its files, before anything is read.
-    progress
-        Called with the bytes that were fetched, and with all of them.
-
-    Returns
-    -------
-    Path
-        The folder of the drive, or the file.
+    The address is s3://bucket/prefix of a drive, or the key of a file; the folder a temporary one of this process by
+    default. What was fetched there before is taken up again. Nothing beside the drive may be taken from outside of the
+    prefixes `within`; `limit` is that of objects below the prefix; `check_sizes` refuses a drive by the sizes of its
+    files before anything is read; `progress` is called with the bytes fetched, and with all of them. Returns the
+    folder, or the file.
     """
     bucket, key = Bucket.of(address)
     single = bucket.head(key) if key else None

@@ -49,19 +49,7 @@ class ListedDrive:
 
 
 def find_drives(listing: Listing, name: str) -> list[ListedDrive]:
-    """Find the drives in a folder: in itself, or in folders below it.
-
-    Parameters
-    ----------
-    listing
-    name : str
-        Of the folder: that of a drive that is the folder itself.
-
-    Returns
-    -------
-    list of ListedDrive
-        In the order of their paths.
-    """
+    """Find the drives in a folder, ordered by path: in itself (then of this name), or in folders below it."""
     kinds = _roots(listing)
     drives = {root: ListedDrive(root, root.rpartition("/")[2] or name, kinds[root]) for root in sorted(kinds)}
     beside = _Beside(listing)

@@ -180,35 +180,13 @@ def look_into(
     max_files: int = 1_000_000,
     place: Path | None = None,
 ) -> FolderLook:
-    """Find the drives in a folder, and look into one of them.
+    """Find the drives in a folder, and look into one of them (the first by default); a bad drive raises nothing.
 
-    Parameters
-    ----------
-    listing
-        Its files: path -> bytes. Paths are relative, with slashes.
-    contents
-        Of small files, or of the heads of others.
-    name
-        Of the folder.
-    root
-        The drive to look into; None: the first.
-    options
-        From the place where the drive is laid out, and its name, how it is to be read.
-    keyframes
-        Scans that a job needs: the keyframes by these settings; None: all.
-    label_counts
-        What was counted in the scans that an earlier look has named.
-    ranges
-        Of bags: path -> bytes, by where they begin.
-    max_files
-        A drive of more is not laid out.
-    place
-        Where folders can be made for a moment; None: where the system has them.
-
-    Raises
-    ------
-    ConfigError
-        An unknown option or choice. A bad drive raises nothing.
+    The listing and `contents` (of small files, or of the heads of others) are by path, relative and with slashes;
+    `ranges` of bags by where they begin. `options` says how the drive is to be read that is laid out at a place; it is
+    laid out in `place`, or where the system has temporary folders, unless it has more than `max_files`. `keyframes`
+    says which scans a job needs, None all; `label_counts` is what was counted in the scans that an earlier look has
+    named.
     """
     drives = find_drives(listing, name)
     names = [ListedName(root=drive.root, name=drive.name, kind=drive.kind, files=len(drive.scans)) for drive in drives]

@@ -51,23 +51,11 @@ def plan_of(
     *,
     poses_in_files: bool = True,
 ) -> ReductionPlan | None:
-    """Make the plan of what is known of a drive.
+    """Make the plan of what is known of a drive, whose scans have the numbers `frames` ((N,) int64).
 
-    Parameters
-    ----------
-    frames : (N,) int64
-        Numbers of all scans.
-    given : Path or None
-        A georeference from elsewhere.
-    keyframes : KeyframeConfig or None
-        Scans to keep: the keyframes by these settings; None: all.
-    poses_in_files : bool
-        Whether poses, times and georeference lie in small files that can be copied.
-
-    Returns
-    -------
-    ReductionPlan or None
-        None where the poses are not known, or files cannot be gathered, which `findings` then says.
+    A georeference may be given from elsewhere. The keyframes by these settings are kept, with None all scans.
+    `poses_in_files` says whether poses, times and georeference lie in small files that can be copied. None where the
+    poses are not known, or files cannot be gathered, which `findings` then says.
     """
     poses = trajectory.poses
     if poses is None:

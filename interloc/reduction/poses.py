@@ -43,27 +43,12 @@ def write_poses(
     *,
     progress: Progress | None = None,
 ) -> WrittenPoses:
-    """Compute the poses of a drive from its points, and write them to a file, which appears whole or not at all.
+    """Compute the poses of a drive from its points, and write them to a new file, which appears whole or not at all.
 
-    Parameters
-    ----------
-    root
-        The drive; labels and poses are not needed.
-    out
-        File to be written: lines of 12 numbers (KITTI), T_world_lidar, W being the LiDAR at the first scan, after the
-        frame number where scans are left out between them; or of the TUM format where it ends in .tum.
-    options : DriveOptions or None
-    progress
-        Called with the scans done and the scans in all.
-
-    Raises
-    ------
-    DriveError
-        The drive cannot be read, or its scans cannot be followed; small_gicp is not installed.
-    ConfigError
-        `out` is there already; TUM is asked for, and the times of the scans are not known.
-    OutputError
-        `out` could not be written.
+    Labels and poses are not needed. The file has lines of 12 numbers (KITTI), T_world_lidar, W being the LiDAR at the
+    first scan, after the frame number where scans are left out between them; it is of the TUM format, which needs the
+    times of the scans, where its name ends in .tum. A `DriveError` says that scans cannot be followed, or small_gicp is
+    missing.
     """
     root, target = Path(root), Path(out)
     if target.exists():

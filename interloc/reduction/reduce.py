@@ -71,23 +71,8 @@ def prepare_reduction(
 ) -> Reduction:
     """Check a drive as `open_drive` does, and find out all that its reduction needs.
 
-    Parameters
-    ----------
-    root
-        Folder of the drive, with its scans.
-    options : ReadingOptions or None
-        How the drive is read.
-    label_folders : sequence of {"labels", "predictions", "geometry"}, or None
-        By which labels ground points are chosen; None: by all of which there are files.
-    keyframes : KeyframeConfig or None
-        Scans to keep: the keyframes by these settings; None: all.
-
-    Raises
-    ------
-    DriveError, GeoreferenceError
-        The drive is damaged, something in it does not fit together, or it is a reduced one.
-    ConfigError
-        An unknown option or choice.
+    Ground points are chosen by the labels of `label_folders`, with None by all of which there are files. The keyframes
+    by these settings are kept, with None all scans. A reduced drive is refused.
     """
     root, findings, chosen = Path(root), Findings(stop_at_first=True), DriveOptions.of(options)
     with findings.stage():
@@ -139,23 +124,10 @@ def reduce_drive(
     keyframes: KeyframeConfig | None = None,
     progress: Progress | None = None,
 ) -> ReducedManifest:
-    """Write a reduced drive, which appears whole or not at all.
+    """Write a reduced drive, which appears whole or not at all, by the options of `prepare_reduction`.
 
-    Parameters
-    ----------
-    root, options, label_folders, keyframes
-        As of `prepare_reduction`.
-    out
-        Folder to be made; an older reduced drive there is replaced.
-    progress
-        Called with the scans done and the scans in all.
-
-    Raises
-    ------
-    DriveError, GeoreferenceError, ConfigError
-        As of `prepare_reduction`, or a scan that is kept is damaged.
-    OutputError
-        `out` is something else, or could not be written; nothing is left behind.
+    An older reduced drive at `out` is replaced; an `OutputError` says that something else is there, or that it could
+    not be written, and nothing is left behind. `progress` is called with the scans done and the scans in all.
     """
     reduction = prepare_reduction(root, options, label_folders=label_folders, keyframes=keyframes)
     frames = [int(frame) for frame in reduction.plan.kept]

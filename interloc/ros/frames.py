@@ -40,18 +40,9 @@ class Frames:
         return frame in self._moves
 
     def pose(self, frame: str, time_s: float, world: str | None = None) -> tuple[FloatArray, str] | None:
-        """Find the pose of a frame in another one above it.
+        """Find the pose (4, 4) of a frame in another one above it, by default the topmost, and return that, too.
 
-        Parameters
-        ----------
-        frame
-        time_s : float
-        world : str or None
-            None: the topmost frame.
-
-        Returns
-        -------
-        (4, 4) float64 and the frame that it is in, or None where it is not known, or not yet
+        None where it is not known, or not yet.
         """
         T = np.eye(4)
         for _ in range(_MAX_DEPTH):

@@ -23,13 +23,7 @@ _SURE, _UNSURE = ColorRGBA(r=0.94, g=0.89, b=0.26, a=1.0), ColorRGBA(r=0.94, g=0
 def map_markers(header: Header, intersections: Sequence[MapIntersection], z_m: float) -> MarkerArray:
     """Return the intersections as spheres, those that are not confirmed yet paler, and their branches as lines.
 
-    Parameters
-    ----------
-    header
-        In the frame of the poses.
-    intersections
-    z_m : float
-        Height at which they are drawn.
+    They are drawn at a height in metres, in the frame of the poses, which the header names.
     """
     spheres = _marker(header, "intersections", Marker.SPHERE_LIST, _SIZE_M)
     lines = _marker(header, "branches", Marker.LINE_LIST, _SIZE_M / 6)

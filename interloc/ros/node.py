@@ -204,18 +204,9 @@ class InterlocNode(Node):  # type: ignore[misc]  # rclpy has no types
 
 
 def run(options: NodeOptions, arguments: list[str]) -> None:
-    """Run the node until it is stopped.
+    """Run the node until it is stopped, with arguments of ROS: ``--ros-args -p use_sim_time:=true``.
 
-    Parameters
-    ----------
-    options
-    arguments : list of str
-        Of ROS: ``--ros-args -p use_sim_time:=true``.
-
-    Raises
-    ------
-    ConfigError
-        The poses are to come from /tf, and this installation does not know its messages.
+    A `ConfigError` says that the poses are to come from /tf, and this installation does not know its messages.
     """
     warm_up(options.config)
     rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)

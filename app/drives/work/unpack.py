@@ -234,18 +234,9 @@ def _is_litter(name: str) -> bool:
 
 
 def drive_paths(sizes: Mapping[str, int]) -> dict[str, str]:
-    """Find the drive among the files of an archive, by their paths and sizes.
+    """Find the drive in an archive: path in the archive -> path in the drive, of its files and of what belongs to it.
 
-    Returns
-    -------
-    dict of str to str
-        Path in the archive -> path in the drive, of all files in its folder, and of what belongs to it beside that.
-        Without a drive, all files, without the one folder that they may lie in.
-
-    Raises
-    ------
-    ArchiveError
-        There are two drives.
+    Without a drive, these are all files, without the one folder that they may lie in; two drives are an `ArchiveError`.
     """
     drives = find_drives(sizes, "archive")
     if len(drives) > 1:
@@ -276,25 +267,12 @@ def _folder_of(name: str) -> str:
 
 @contextmanager
 def members(path: Path, count: Callable[[int], None], max_files: int) -> Iterator[Iterator[Member]]:
-    """Open an archive.
+    """Open an archive, and yield its files; folders are passed over.
 
-    Parameters
-    ----------
-    count
-        Called with the bytes that come out of its decompressor beside the contents of members: what is skipped counts.
-    max_files
-        Of a zip file that lists many more, the list is not even looked into; folders beyond some thousands count too.
-
-    Yields
-    ------
-    iterator of Member
-        Files only; folders are passed over.
-
-    Raises
-    ------
-    ArchiveError
-        The file is not an archive, is damaged or cut short, or holds links, devices or encrypted files. Also raised
-        within the block.
+    `count` is called with the bytes that come out of its decompressor beside the contents of members: what is skipped
+    counts. Of a zip file that lists many more than `max_files`, the list is not even looked into; folders beyond some
+    thousands count too. An `ArchiveError`, also raised within the block, says that it is no archive, is damaged or cut
+    short, or holds links, devices or encrypted files.
     """
     with path.open("rb") as file:
         kind = archive_kind(file.read(MAGIC_BYTES))

@@ -120,17 +120,9 @@ def _open(task: Task[IntersectionsJob]) -> tuple[Drive, IntArray]:
 
 
 def open_input(folder: Path, name: str, request: IntersectionsJob) -> tuple[Drive, IntArray]:
-    """Return the drive of a job, and the positions of its keyframes.
+    """Return the drive of a job, and the positions of its keyframes; folder and name as in a `Task`.
 
-    Parameters
-    ----------
-    folder, name
-        Of the drive, as in a `Task`.
-
-    Raises
-    ------
-    DriveGoneError
-        Its files are not where the commit has put them.
+    A `DriveGoneError` says that its files are not where the commit has put them.
     """
     root = folder / REDUCED
     if not (root / MANIFEST).is_file():
@@ -157,13 +149,7 @@ def _cut(keyframes: int, config: DetectorConfig) -> list[Part]:
 
 
 def write_checkpoint(path: Path, part: RangeResult) -> None:
-    """Keep what was found in a range, whole or not at all: a restart goes on from there, with identical results.
-
-    Raises
-    ------
-    OutputError
-        No space left, and the like.
-    """
+    """Keep what was found in a range, whole or not at all: a restart goes on from there, with identical results."""
     content = pickle.dumps(part)
     with atomic_write(path) as file:
         file.write(_head(content) + b"\n" + content)
