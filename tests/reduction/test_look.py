@@ -190,12 +190,6 @@ def test_calibration_is_missed_where_the_poses_are_those_of_a_camera(tmp_path: P
     assert look_at(root).pose_frame == "camera"
 
 
-def test_names_that_are_not_scan_numbers_are_listed(drive: Path) -> None:
-    (drive / "velodyne/scan.bin").write_bytes(bytes(16))
-    (error, *_) = errors(look_at(drive))
-    assert error.startswith("velodyne/scan.bin is not named by its scan number")
-
-
 def test_a_drive_without_labels_is_told_how_labels_are_made(drive: Path) -> None:
     shutil.rmtree(drive / "labels")
     look = look_at(drive)
@@ -203,12 +197,6 @@ def test_a_drive_without_labels_is_told_how_labels_are_made(drive: Path) -> None
     (only,) = look.unlabelled
     assert only.path == "labels"
     assert "any other segmentation that writes SemanticKITTI .label files" in only.message
-
-
-def test_pose_lines_that_start_with_the_frame_number_are_those_of_kitti_360(tmp_path: Path) -> None:
-    root = write_semantickitti(tmp_path / "07")
-    (root / "poses.txt").write_text(pose_text(lidar_poses(), frames=list(range(12))))
-    assert look_at(root).layout == "kitti360"
 
 
 def test_pcd_files_without_a_field_for_the_label_are_named(tmp_path: Path) -> None:

@@ -24,9 +24,7 @@ from app.jobs.processes import (
     WorkerLimitError,
     WorkerLostError,
     _cgroup_limits,
-    machine_memory,
     memory_of,
-    memory_share,
 )
 from app.settings import Settings
 from interloc.errors import ConfigError, DriveError
@@ -325,12 +323,6 @@ def test_a_worker_that_is_left_large_is_replaced() -> None:
         assert executor.submit(pid_of).result(60) != large
     finally:
         executor.stop()
-
-
-def test_every_worker_has_its_share_of_the_memory() -> None:
-    assert 2**28 < machine_memory() <= psutil.virtual_memory().total
-    assert memory_share(1000) == 2**30  # no worker can do with less
-    assert memory_share(1) == max(2**30, machine_memory() * 3 // 4)
 
 
 @pytest.mark.parametrize(

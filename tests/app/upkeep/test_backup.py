@@ -354,12 +354,6 @@ def test_places_where_no_backup_can_be(data: Path, used: Path, tmp_path: Path) -
         make_backup(tmp_path / "other", tmp_path / "backup")
 
 
-def test_a_folder_without_its_database_is_no_service(data: Path, tmp_path: Path) -> None:
-    (data / "interloc.sqlite3").unlink()
-    with pytest.raises(ConfigError, match=r"but there is no .*interloc\.sqlite3"):
-        make_backup(data, tmp_path / "backup")
-
-
 def test_places_where_no_backup_is_restored(data: Path, tmp_path: Path) -> None:
     out = tmp_path / "backup"
     with pytest.raises(ConfigError, match=r"is not a backup: it has no backup\.json"):
