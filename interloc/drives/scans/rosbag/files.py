@@ -287,22 +287,15 @@ def mcap_channels(raw: BinaryIO) -> list[Channel]:
             places.setdefault(number, []).append((*place, at))
     if chunks and not (channels and schemas and (counts or places)):
         raise DamagedBagError("its summary lacks the channels, their schemas or the index of the messages")
+    encodings: dict[str, Encoding] = {"cdr": "cdr", "ros1": "ros1"}
     found = []
     for record in channels:
         schema = schemas.get(record.schema_id)
-        encodings: dict[str, Encoding] = {"cdr": "cdr", "ros1": "ros1"}
-        found.append(
-            Channel(
-                record.topic,
-                ros2_spelling("" if schema is None else schema.name),
-                encodings.get(record.message_encoding),
-                counts.get(record.id, 0) if counts else None,
-                partial(_locate_in_mcap, record.id, places.get(record.id, []))
-                if chunks
-                else partial(_locate_without_chunks, record.id, start),
-                schema is not None and bool(schema.data),
-            )
-        )
+        name, is_defined = ("", False) if schema is None else (ros2_spelling(schema.name), bool(schema.data))
+        count = counts.get(record.id, 0) if counts else None
+        indexed = partial(_locate_in_mcap, record.id, places.get(record.id, []))
+        pieces = indexed if chunks else partial(_locate_without_chunks, record.id, start)
+        found.append(Channel(record.topic, name, encodings.get(record.message_encoding), count, pieces, is_defined))
     return found
 
 
@@ -440,16 +433,9 @@ def _db3_channels(file: SourceFile, database: sqlite3.Connection) -> list[Channe
         own = rows[slice(*np.searchsorted(rows[:, 1], [int(number), int(number) + 1]))]
         places = np.zeros((len(own), 5), dtype=np.int64)
         places[:, 0], places[:, 1 + OFFSET] = own[:, 2], own[:, 0]
-        found.append(
-            Channel(
-                str(name),
-                ros2_spelling(str(kind)),
-                "cdr" if encoding == "cdr" else None,
-                len(own),
-                partial(_given, places),
-                kind in defined,
-            )
-        )
+        wire: Encoding | None = "cdr" if encoding == "cdr" else None
+        pieces = partial(_given, places)
+        found.append(Channel(str(name), ros2_spelling(str(kind)), wire, len(own), pieces, kind in defined))
     return found
 
 

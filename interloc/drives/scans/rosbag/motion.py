@@ -13,9 +13,8 @@ from interloc.arrays import BoolArray, FloatArray, IntArray
 from interloc.drives.files import MAX_NUMBER
 from interloc.drives.findings import DriveFileError, Findings
 from interloc.drives.poses.motion import TimedPoses, rotations_from_quaternions
-from interloc.drives.scans.rosbag.bag import Bag, BagTopic
+from interloc.drives.scans.rosbag.bag import Bag, BagTopic, clock_lead_s
 from interloc.drives.scans.rosbag.messages import TRANSFORMS, StampedPose, read_pose, read_transforms
-from interloc.drives.scans.rosbag.topics import clock_lead_s
 from interloc.geometry import invert_transform, rigid_transforms
 
 LONGEST_GAP_S = 2.0

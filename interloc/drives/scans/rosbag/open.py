@@ -15,17 +15,20 @@ from interloc.drives.findings import DriveFileError, Findings
 from interloc.drives.layouts import SCAN_FOLDERS, DriveParts
 from interloc.drives.options import DriveOptions
 from interloc.drives.scans.recorded import Recording, ScanPoints, Topic
-from interloc.drives.scans.rosbag.bag import Bag, BagTopic, find_bag, open_bag
-from interloc.drives.scans.rosbag.files import read_messages
-from interloc.drives.scans.rosbag.messages import TRANSFORMS, Encoding, Wire, WireError, read_header, read_points
-from interloc.drives.scans.rosbag.topics import (
+from interloc.drives.scans.rosbag.bag import (
+    Bag,
+    BagTopic,
     PointsTopic,
     ScanTimes,
     choose_points,
+    find_bag,
     is_static,
+    open_bag,
     pose_topics,
     read_scan_times,
 )
+from interloc.drives.scans.rosbag.files import read_messages
+from interloc.drives.scans.rosbag.messages import TRANSFORMS, Encoding, Wire, WireError, read_header, read_points
 from interloc.drives.scans.rosbag.trajectory import BagMotion, find_motion, read_bag_trajectory
 from interloc.files import reason_of
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from itertools import islice
 from typing import Any, Literal
 
+from interloc.drives.scans.rosbag.bag import POINTS
 from interloc.drives.scans.rosbag.files import (
     HEAD_BYTES,
     MAGIC,
@@ -23,7 +24,6 @@ from interloc.drives.scans.rosbag.files import (
     ros2_spelling,
 )
 from interloc.drives.scans.rosbag.messages import FIX, POSES, TRANSFORMS, Encoding, read_layout
-from interloc.drives.scans.rosbag.topics import POINTS
 
 _ASKED_BYTES = 1 << 20  # ranges begin and end at multiples of it
 _MAX_READ_BYTES = 8 << 20

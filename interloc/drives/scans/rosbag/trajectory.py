@@ -25,7 +25,17 @@ from interloc.drives.georeference.read import read_georeference
 from interloc.drives.layouts import DriveParts
 from interloc.drives.options import ODOMETRY, DriveOptions
 from interloc.drives.poses.motion import TimedPoses, body_motion, longest_piece
-from interloc.drives.scans.rosbag.bag import Bag, BagTopic
+from interloc.drives.scans.rosbag.bag import (
+    Bag,
+    BagTopic,
+    PointsTopic,
+    ScanTimes,
+    clock_lead_s,
+    clock_shift,
+    fix_topics,
+    pose_topics,
+    topic_list,
+)
 from interloc.drives.scans.rosbag.messages import NO_FIX, TRANSFORMS, read_fix
 from interloc.drives.scans.rosbag.motion import (
     LONGEST_GAP_S,
@@ -36,15 +46,6 @@ from interloc.drives.scans.rosbag.motion import (
     latest_of_each,
     read_motion,
     read_tree,
-)
-from interloc.drives.scans.rosbag.topics import (
-    PointsTopic,
-    ScanTimes,
-    clock_lead_s,
-    clock_shift,
-    fix_topics,
-    pose_topics,
-    topic_list,
 )
 from interloc.drives.trajectory import LidarPoses, Trajectory, read_trajectory
 from interloc.errors import InterLocError
