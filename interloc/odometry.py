@@ -160,22 +160,30 @@ class _UnheldError(DriveError):
 
 
 def _searched(cloud: Cloud, before: Cloud, expected: FloatArray) -> FloatArray:
-    """Return the motion between two scans, wherever around the expected one it is."""
-    found = search(cloud, before, expected, _SEARCHED_M)
-    if not found.is_certain:
-        _check(found.best, found.best.T_target_source)
-        if found.best.information < MIN_INFORMATION:
+    """Return the motion between two scans, searched for from guesses all around the expected one in the plane."""
+    results = [register_clouds(cloud, before, expected)]
+    for distance_m in np.arange(_REACHES_M[0], _SEARCHED_M + 0.1, 1.5):
+        for angle in np.linspace(0.0, 2 * np.pi, 8, endpoint=False):
+            moved = expected.copy()
+            moved[:2, 3] += distance_m * np.array([np.cos(angle), np.sin(angle)])
+            results.append(register_clouds(cloud, before, moved))
+    best = max(results, key=lambda each: each.inlier_share)
+    place = best.T_target_source[:3, 3]
+    others = (each for each in results if np.linalg.norm(each.T_target_source[:3, 3] - place) > _SAME_PLACE_M)
+    lead = best.inlier_share - max((each.inlier_share for each in others), default=0.0)
+    if best.inlier_share < MIN_INLIER_SHARE or best.information < MIN_INFORMATION or lead < MIN_LEAD:
+        _check(best, best.T_target_source)
+        if best.information < MIN_INFORMATION:
             raise _UnheldError(
                 "little in it tells how far it is from the scan before it. Usual cause: points on the ground only, a "
                 f"tunnel, an open field, or scans more than {_SEARCHED_M:.0f} m apart; give poses, or all scans."
             )
-        best, other = 100 * found.best.inlier_share, 100 * (found.best.inlier_share - found.lead)
         raise DriveError(
-            f"it fits the scan before it at several places ({best:.0f} % of its points do "
-            f"{_length(found.best.T_target_source):.1f} m from it, {other:.0f} % elsewhere). {_TOO_FAR}, or a "
-            "place where nothing stands out; give all scans, or poses."
+            f"it fits the scan before it at several places ({100 * best.inlier_share:.0f} % of its points do "
+            f"{_length(best.T_target_source):.1f} m from it, {100 * (best.inlier_share - lead):.0f} % elsewhere). "
+            f"{_TOO_FAR}, or a place where nothing stands out; give all scans, or poses."
         )
-    return found.best.T_target_source
+    return best.T_target_source
 
 
 def _check(found: Registration, step: FloatArray) -> None:
@@ -291,35 +299,6 @@ def register_clouds(source: Cloud, target: Cloud, guess: FloatArray) -> Registra
         )
         pose = found.T_target_source
     return _registration(found, len(source))
-
-
-@dataclass(frozen=True)
-class Found:
-    """What a search for an unknown motion ends with."""
-
-    best: Registration
-    lead: float
-    """By how much its share of inliers is larger than that of any result more than 0.5 m from it."""
-
-    @property
-    def is_certain(self) -> bool:
-        """Whether the scans fit at this place, and only there."""
-        fits = self.best.inlier_share >= MIN_INLIER_SHARE and self.best.information >= MIN_INFORMATION
-        return fits and self.lead >= MIN_LEAD
-
-
-def search(source: Cloud, target: Cloud, guess: FloatArray, reach_m: float) -> Found:
-    """Lay one scan onto another whose motion is not known, from guesses all around in the plane."""
-    results = [register_clouds(source, target, guess)]
-    for distance_m in np.arange(_REACHES_M[0], reach_m + 0.1, 1.5):
-        for angle in np.linspace(0.0, 2 * np.pi, 8, endpoint=False):
-            moved = guess.copy()
-            moved[:2, 3] += distance_m * np.array([np.cos(angle), np.sin(angle)])
-            results.append(register_clouds(source, target, moved))
-    best = max(results, key=lambda each: each.inlier_share)
-    place = best.T_target_source[:3, 3]
-    others = (each for each in results if np.linalg.norm(each.T_target_source[:3, 3] - place) > _SAME_PLACE_M)
-    return Found(best, best.inlier_share - max((each.inlier_share for each in others), default=0.0))
 
 
 class LocalMap:

@@ -202,23 +202,8 @@ def write_bag(
 ) -> Path:
     """Write a drive as a bag: points on /points, Odometry of the LiDAR on /odom, fixes on /fix.
 
-    Parameters
-    ----------
-    path : Path
-        Without suffix.
-    form : {"bag", "db3", "mcap"}
-    scans : sequence of (N, 4) float32
-    times : sequence of float
-        Of the scans, seconds.
-    labels : sequence of (N,) uint32 or None
-    poses : sequence of (4, 4)
-        T_world_lidar at `pose_times`, or else at `times`.
-    fixes : sequence of (time, (latitude, longitude, altitude))
-
-    Returns
-    -------
-    Path
-        The .bag file, or the folder of the bag.
+    The path has no suffix; poses are T_world_lidar at `pose_times`, or else at `times`; fixes are (time, (latitude,
+    longitude, altitude)). Returns the .bag file, or the folder of the bag.
     """
     target = path.with_suffix(".bag") if form == "bag" else path
     with BagWriter(target, form, compression=compression) as bag:

@@ -15,20 +15,7 @@ ROAD_M, SIDEWALK_M = 4.0, 2.5
 
 @dataclass(frozen=True)
 class Street:
-    """What the world and the sensor are like.
-
-    Attributes
-    ----------
-    kerb_m : float
-        Height of the sidewalks and of the grass over the road.
-    shades : tuple of float
-        Remission of road, sidewalk and grass.
-    height_m : float
-        Of the sensor.
-    tilt_rad : tuple of float
-        Roll and pitch of the sensor on the vehicle.
-    beams : int
-    """
+    """How high the kerbs are, the remission of road, sidewalk and grass, where the sensor is (tilt: roll, pitch)."""
 
     kerb_m: float = 0.12
     shades: tuple[float, float, float] = (0.2, 0.3, 0.5)

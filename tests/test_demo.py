@@ -105,7 +105,6 @@ def test_the_demo_ends_in_the_service(demo: Path, tmp_path: Path) -> None:
         text=True,
         start_new_session=True,
     )
-    assert process.stdout is not None
     try:
         lines = iter(process.stdout.readline, "")
         address = next(line for line in lines if line.startswith("page ")).split()[1]

@@ -43,13 +43,6 @@ def test_rotation_axes_are_those_of_kitti() -> None:
     assert_allclose(rotation_from_rpy(quarter, 0, 0) @ [0, 1, 0], [0, 0, 1], atol=1e-15)  # roll: the left goes up
 
 
-def test_many_rotations_at_once() -> None:
-    roll, pitch, yaw = np.random.default_rng(1).uniform(-1, 1, (3, 2, 5))
-    many = rotation_from_rpy(roll, pitch, yaw)
-    assert many.shape == (2, 5, 3, 3)
-    assert_allclose(many[1, 3], rotation_from_rpy(roll[1, 3], pitch[1, 3], yaw[1, 3]))
-
-
 @given(angles, tilts, angles, st.tuples(metres, metres, metres))
 def test_a_transform_and_its_inverse_cancel(roll: float, pitch: float, yaw: float, t: tuple[float, ...]) -> None:
     transform = np.eye(4)

@@ -104,15 +104,6 @@ def test_every_junction_is_found_and_becomes_one_intersection(result: DriveResul
     assert np.all(np.count_nonzero(distance < 10, axis=0) == 1)
 
 
-def test_tables_belong_together(result: DriveResult, drive: FolderDrive) -> None:
-    keyframes = keyframes_of(drive, CONFIG)
-    assert result.keyframes.frame.tolist() == drive.frames[keyframes].tolist()
-    assert np.all(np.diff(result.detections.keyframe) >= 0)
-    own = result.detections.intersection >= 0
-    centres = result.intersections.world_xy[result.detections.intersection[own]]
-    assert np.hypot(*(result.detections.world_xy[own] - centres).T).max() < 10
-
-
 def test_run_is_recorded(result: DriveResult) -> None:
     run = result.run
     assert run["drive"] == "00"

@@ -7,7 +7,6 @@ import subprocess
 import sys
 from importlib.metadata import version
 
-import numpy as np
 import pytest
 
 import interloc
@@ -23,24 +22,6 @@ def test_every_name_resolves(name: str) -> None:
 def test_a_name_that_is_not_there() -> None:
     with pytest.raises(AttributeError, match="No interloc attribute nothing"):
         interloc.nothing  # noqa: B018
-
-
-def test_online_scan_by_scan() -> None:
-    detector = interloc.Detector(interloc.preset("default"))
-    found = []
-    for frame in range(48):
-        T_world_lidar = pose_at(SPACING_M * frame)
-        road_points = road_at(SPACING_M * frame)
-        detections = detector.push(interloc.Scan(frame, T_world_lidar, road_points))
-        assert (detections is None) == (frame < 20)  # 20 keyframes pass before the first comes back
-        if detections is not None:
-            assert detections.keyframe.frame == frame - 20
-            found.append(detections)
-    found += detector.finish()
-    assert [detections.keyframe.frame for detections in found] == list(range(48))
-    positions = np.concatenate([detections.world_xy for detections in found])
-    assert len(positions) > 20
-    assert np.hypot(*(np.median(positions, axis=0) - (60, 0))) < 0.5
 
 
 def test_stream_takes_a_drive_or_scans_and_answers_every_keyframe() -> None:

@@ -109,16 +109,6 @@ def test_commands_shown_in(page: str) -> None:
         command.make_parser(context).parse_args(rest)
 
 
-def test_make_has_the_targets_that_are_shown() -> None:
-    targets = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
-    pages = [*PAGES, "CONTRIBUTING.md"]
-    shown = {name for page in pages for name in re.findall(r"`make ([a-z-]+)", (ROOT / page).read_text())}
-    for page in pages:
-        for line in re.findall(r"^\$ make ([a-z -]+)", (ROOT / page).read_text(), re.MULTILINE):
-            shown |= set(line.split())
-    assert {"demo", "test", "serve", "screenshots"} <= shown <= targets
-
-
 def test_the_docstring_of_the_package(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(place)
     text = inspect.getdoc(interloc) or ""

@@ -43,6 +43,7 @@ BYTES_PER_S = 1024.0
 _MIN_PACKED_BYTES = 1400  # what fits into one packet does not travel faster when it is smaller
 _PACKED_ALREADY = (
     *DEFAULT_EXCLUDED_CONTENT_TYPES,
+    "application/octet-stream",  # files as they were sent keep the ETag of their bytes
     "application/vnd.apache.parquet",
     "application/vnd.google-earth.kmz",
     "application/vnd.pmtiles",

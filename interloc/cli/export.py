@@ -23,17 +23,17 @@ from interloc.cli import console, options
 @click.option(
     "--layer",
     help="Only this layer, such as detections or road; also branches and uncertainty, made of the intersections. "
-    "[default: all in a .gpkg, .qgz, .kmz or .pmtiles, road in a .tif, else intersections]",
+    "[default: all in a .gpkg, .qgz or .kmz, road in a .tif, else intersections]",
 )
 @options.QUIET
 @options.JSON
 def command(result: Path, out: Path, layer: str | None) -> None:
     """Write RESULT, the result folder of `interloc detect` or `run`, as one file for other programs.
 
-    A .qgz is a project of QGIS with its data inside, a .kmz is for Google Earth; both, and QGIS with a .gpkg, draw the
-    layers as the page does. The layer road is the road seen by LiDAR, a raster; it needs no georeference. Robots,
-    vehicles and simulators read the roads as a route graph of Nav2, a map of Lanelet2, or OpenDRIVE; their lanes are
-    assumed from the widths.
+    A .qgz is a project of QGIS with its data inside, which draws the layers as the page does, as
+    QGIS does with a .gpkg; a .kmz is for Google Earth. The layer road is the road seen by LiDAR, a raster; it needs no
+    georeference. Robots, vehicles and simulators read the roads as a route graph of Nav2, a map of Lanelet2, or
+    OpenDRIVE; their lanes are assumed from the widths.
 
     \b
     Example:

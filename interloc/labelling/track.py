@@ -50,11 +50,6 @@ class Track:
         distance = at_anchors[before] + np.linalg.norm(position - position[anchors[before]], axis=1)
         return cls(T_world_lidar, usable, distance, _line(T_world_lidar[anchors], at_anchors))
 
-    @property
-    def windows(self) -> IntArray:
-        """(K,) int64 numbers of the windows in which scans can be read."""
-        return np.unique(self.distance_m[self.usable] // WINDOW_M).astype(np.int64)
-
     def window_of(self, row: int) -> int:
         """Return the number of the window that a scan belongs to."""
         return int(self.distance_m[row] // WINDOW_M)
@@ -146,8 +141,6 @@ _MIN_CONTRAST, _MAX_WIDTH_M, _MIN_EVENNESS = 5.0, 9.0, 1.0
 class WindowQuality:
     """How sure the labels of a window of the track are.
 
-    Notes
-    -----
     On 222 windows of simulated streets, half of them with flush sidewalks as bright as the road, the width ranks those
     whose road agrees by less than 0.65 (intersection over union) with the truth by 0.86 (area under the curve), the
     contrast by 0.66, the whole area of the road by 0.64. The bound finds half of them, and doubts 7 of 100 good ones.

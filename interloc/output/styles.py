@@ -1,4 +1,4 @@
-"""How GIS draw the layers of a result: the signs of the page, described once for QGIS and KML.
+"""How GIS draw the layers of a result: the signs of the page, described once.
 
 Shape and colour both tell an outcome, so that no meaning hangs on colour alone. Colours are those of the page on a
 light ground. Sizes are pixels of a screen with 96 per inch.

@@ -7,7 +7,7 @@ them (`interloc.output.derived`). Lists are JSON text, but in GeoJSON. `FORMATS`
 from __future__ import annotations
 
 import csv
-import gzip
+import errno
 import importlib.util
 import io
 import json
@@ -15,18 +15,15 @@ import os
 import re
 import sqlite3
 import warnings
-from collections import defaultdict
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import closing, contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Literal, NamedTuple
-from xml.etree import ElementTree as ET
 from zipfile import ZIP_DEFLATED, ZipFile, ZipInfo
 
 from interloc.errors import ConfigError, GeoreferenceError, OutputError, install
 from interloc.files import reason_of, write_file
-from interloc.output.credits import joint_credit
 from interloc.output.derived import derive
 from interloc.output.geojson import cut, read_file, read_json, write_collection
 from interloc.output.geopackage import add_road, describe
@@ -35,7 +32,6 @@ from interloc.output.layout import ROAD_FILE, ROAD_LAYERS, RUN_FILE, file_names,
 from interloc.output.properties import origin_of
 from interloc.output.qgis import Source, project, write_qgz
 from interloc.output.road import read_road
-from interloc.output.styles import STYLES, Area, Mark, Rule
 
 EXPORTS = LAYERS | DERIVED
 
@@ -88,8 +84,8 @@ def write_vector_file(result: Path, out: Path, *, layer: str | None = None) -> l
     ------
     ConfigError
         The format or the layer is unknown, the result has no such layer because it was not evaluated, a format
-        that holds all was to hold one, GeoParquet is asked for without the extra ``parquet``, or `out` is a file that
-        makes up a result folder.
+        that holds all was to hold one, GeoParquet is asked for without the extra ``parquet``, PMTiles of a layer
+        without features, or `out` is a file that makes up a result folder.
     GeoreferenceError
         The result is in local metres, and is to be written as KML or PMTiles.
     OutputError
@@ -392,187 +388,43 @@ def _write_parquet(export: _Export, path: Path) -> None:
     parquet.write_table(columns, path, compression="zstd")
 
 
-# KML ------------------------------------------------------------------------------------------------------------------
-
-_KML = "{http://www.opengis.net/kml/2.2}"
 _KML_NAMES = {"id": "number", "name": "street", "time": "timestamp", "first_time": "begin", "last_time": "end"}
 """Properties that mean something else in KML, or something that KML has a name for -> what they are called there."""
 
-_GOOGLE = "https://maps.google.com/mapfiles/kml/shapes"
-_ICONS = {  # that Google Earth has itself, white
-    "disc": "placemark_circle",
-    "square": "square",
-    "diamond": "open-diamond",
-    "triangle": "triangle",
-    "cross": "forbidden",
-}
-
 
 def _write_kml(export: _Export, path: Path) -> None:
-    path.write_bytes(_kml(export))
+    for number, (layer, rows) in enumerate(export.layers):
+        # GDAL writes integers of 64 bits as text.
+        small = {name: "Int32" for name, kind in layer.fields.items() if kind == "int" and name != "osm_id"}
+        table = _table(layer, rows).astype(small).rename(columns=_KML_NAMES)
+        table.insert(0, "Name", [layer.label.format(**vars(feature.properties)) for feature in rows.features])
+        _write_by_gdal(path, "LIBKML", table, layer, append=number > 0, layer_options=_about("NAME", layer, rows))
+    if not path.read_bytes().rstrip().endswith(b"</kml>"):  # GDAL does not report a full disk
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
 def _write_kmz(export: _Export, path: Path) -> None:
+    document = path.with_name("doc.kml")  # GDAL cannot add a layer to a KMZ
+    _write_kml(export, document)
     with ZipFile(path, "w", ZIP_DEFLATED) as archive:
-        archive.writestr(ZipInfo("doc.kml"), _kml(export), ZIP_DEFLATED)
-
-
-def _kml(export: _Export) -> bytes:
-    """Return layers as one document: GDAL writes the features of each; the colours of its signs are added."""
-    root = ET.Element(f"{_KML}Document")
-    _add(root, "name", export.name)
-    _add(root, "open", "1")
-    parts = [part for layer, rows in export.layers for part in _styled(layer, rows)]
-    for tag in ("Style", "Schema", "Document"):  # the order of the standard
-        root.extend(part for part in parts if part.tag == f"{_KML}{tag}")
-    document = ET.Element(f"{_KML}kml")
-    document.append(root)
-    ET.register_namespace("", _KML[1:-1])
-    ET.indent(document, " ")
-    return ET.tostring(document, encoding="utf-8", xml_declaration=True)  # type: ignore[no-any-return]
-
-
-def _styled(layer: Layer, rows: Rows) -> list[ET.Element]:
-    """Return the styles of a layer, its schema, and its features as GDAL writes them, each with the style it has."""
-    style, buffer = STYLES[layer.name], io.BytesIO()
-    # GDAL's KML driver writes integers of 64 bits as text.
-    small = {name: "Int32" for name, kind in layer.fields.items() if kind == "int" and name != "osm_id"}
-    table = _table(layer, rows).astype(small).rename(columns=_KML_NAMES)
-    table.insert(0, "Name", [layer.label.format(**vars(feature.properties)) for feature in rows.features])
-    _write_by_gdal(buffer, "LIBKML", table, layer, layer_options=_about("NAME", layer, rows))
-    written = ET.fromstring(buffer.getvalue())[0]  # noqa: S314 - our own
-    titles = {_KML_NAMES.get(each.name, each.name): each.title for each in layer.attributes}
-    for field in written.iter(f"{_KML}SimpleField"):
-        _add(field, "displayName", titles[field.attrib["name"]])
-    styles = {rule.value: _kml_style(rule, layer, number) for number, rule in enumerate(style.rules)}
-    values = [None] * len(rows.features) if style.field is None else rows.column(style.field)
-    for mark, value in zip(written.iter(f"{_KML}Placemark"), values, strict=True):
-        before = [f"{_KML}{tag}" for tag in ("name", "TimeStamp", "TimeSpan")]
-        _add(mark, "styleUrl", f"#{styles[value].attrib['id']}", at=sum(each.tag in before for each in mark))
-        if not style.is_shown:
-            _add(mark, "visibility", "0", at=1)
-    for folder in written.iterfind(f"{_KML}Document"):
-        folder[:] = sorted(folder, key=lambda each: each.tag != f"{_KML}name")
-        _add(folder, "visibility", "1" if style.is_shown else "0", at=1)
-    return [*styles.values(), *written]
-
-
-def _kml_style(rule: Rule, layer: Layer, number: int) -> ET.Element:
-    symbol, root = rule.symbol, ET.Element(f"{_KML}Style", {"id": f"{layer.name}.{number}"})
-    if isinstance(symbol, Mark):
-        icon = _add(root, "IconStyle")
-        _add(icon, "color", _abgr(symbol.colour, symbol.opacity))
-        _add(icon, "scale", f"{symbol.radius_px / 10.0:.2f}")
-        _add(_add(icon, "Icon"), "href", f"{_GOOGLE}/{_ICONS[symbol.shape]}.png")
-        has_label = STYLES[layer.name].label is not None  # else names of hundreds of points hide the map
-        _add(_add(root, "LabelStyle"), "scale", "0.8" if has_label else "0")
-        return root
-    line = _add(root, "LineStyle")
-    _add(line, "color", _abgr(symbol.edge) if isinstance(symbol, Area) else _abgr(symbol.colour, symbol.opacity))
-    _add(line, "width", f"{symbol.width_px:g}")
-    if isinstance(symbol, Area):
-        _add(_add(root, "PolyStyle"), "color", _abgr(symbol.colour, symbol.opacity))
-    return root
-
-
-def _add(parent: ET.Element, tag: str, text: str | None = None, *, at: int | None = None) -> ET.Element:
-    element = ET.Element(f"{_KML}{tag}")
-    element.text = text
-    parent.insert(len(parent) if at is None else at, element)
-    return element
-
-
-def _abgr(colour: str, opacity: float = 1.0) -> str:
-    return f"{round(255 * opacity):02x}{colour[5:7]}{colour[3:5]}{colour[1:3]}"
-
-
-# vector tiles ---------------------------------------------------------------------------------------------------------
-
-_MAX_ZOOM = (
-    15  # web maps enlarge the tiles of the last zoom: at 15 they are 0.15 m fine at the equator, finer elsewhere
-)
-_DETAIL_ZOOM = 13  # a branch is as long as a pixel: before it, hundreds of features would lie on each other
-_OVERVIEW = frozenset({"intersections", "trajectory", PLACES})
-_TILE_TYPES = {"int": "Number", "float": "Number", "bool": "Boolean"}
+        archive.writestr(ZipInfo("doc.kml"), document.read_bytes(), ZIP_DEFLATED)
 
 
 def _write_tiles(export: _Export, path: Path) -> None:
-    """Write a PMTiles archive: GDAL makes the tiles of each layer; its driver of the archive would hold one layer."""
-    from pmtiles.tile import Compression, TileType, zxy_to_tileid  # noqa: PLC0415 - needed for this alone
-    from pmtiles.writer import Writer  # noqa: PLC0415
-
-    boxes = []
-    tiles: defaultdict[int, bytes] = defaultdict(bytes)
-    for layer, rows in export.layers:
-        table = _table(layer, rows, has_times=False)
-        if table.geometry.isna().all():
-            continue
-        boxes.append(table.total_bounds)
-        for zoom, column, row, tile in _tiles(layer, table, path.with_name(f"{layer.name}.mbtiles")):
-            # The layers of a tile are messages in a row, so tiles are joined by putting them in a row.
-            tiles[zxy_to_tileid(zoom, column, row)] += tile
-    west, south = (min((box[axis] for box in boxes), default=limit) for axis, limit in ((0, -180.0), (1, -85.0)))
-    east, north = (max((box[axis] for box in boxes), default=limit) for axis, limit in ((2, 180.0), (3, 85.0)))
-    is_across = east - west > 180.0  # both sides of the antimeridian
-    header = {
-        "tile_type": TileType.MVT,
-        "tile_compression": Compression.GZIP,
-        "min_lon_e7": round(west * 1e7),
-        "min_lat_e7": round(south * 1e7),
-        "max_lon_e7": round(east * 1e7),
-        "max_lat_e7": round(north * 1e7),
-        "center_zoom": _DETAIL_ZOOM,
-        "center_lon_e7": 1_800_000_000 if is_across else round((west + east) * 5e6),
-        "center_lat_e7": round((south + north) * 5e6),
+    ((layer, rows),) = export.layers
+    table = _table(layer, rows, has_times=False)
+    if table.geometry.isna().all():
+        raise ConfigError(f"{export.result} has no {layer.name}; PMTiles needs at least one. Write a .gpkg.")
+    options = {
+        "NAME": export.name,
+        "DESCRIPTION": f"{layer.description} {rows.credit.attribution}",
+        "MAXZOOM": 15,  # web maps enlarge the last tiles: 0.15 m fine at the equator, finer elsewhere
+        "EXTENT": 8192,  # steps across a tile: as fine as MapLibre draws
+        "MAX_SIZE": 10_000_000,  # GDAL leaves features out of a larger tile
     }
-    with path.open("wb") as file:
-        writer = Writer(file)
-        for number, tile in sorted(tiles.items()) or [(0, b"")]:  # a file needs one tile
-            writer.write_tile(number, gzip.compress(tile, mtime=0))
-        writer.finalize(header, _tile_metadata(export))
-
-
-def _tiles(layer: Layer, table: Any, database: Path) -> list[tuple[int, int, int, bytes]]:  # noqa: ANN401
-    """Return zoom, column, row (from the north) and content of the tiles of a layer."""
-    _write_by_gdal(
-        database,
-        "MBTiles",
-        table,
-        layer,
-        dataset_options={
-            "MINZOOM": _min_zoom(layer),
-            "MAXZOOM": _MAX_ZOOM,
-            "EXTENT": 8192,  # steps across a tile: as fine as MapLibre draws
-            "MAX_SIZE": 10_000_000,  # GDAL leaves features out of a larger tile
-        },
-    )
-    with closing(sqlite3.connect(database)) as connection:
-        found = connection.execute("SELECT zoom_level, tile_column, tile_row, tile_data FROM tiles").fetchall()
-    return [(z, x, (1 << z) - 1 - y, gzip.decompress(tile)) for z, x, y, tile in found]
-
-
-def _min_zoom(layer: Layer) -> int:
-    return 0 if layer.name in _OVERVIEW else _DETAIL_ZOOM
-
-
-def _tile_metadata(export: _Export) -> Mapping[str, Any]:
-    return {
-        "name": export.name,
-        "description": f"Road intersections in the LiDAR drive {export.name}.",
-        "type": "overlay",
-        "format": "pbf",
-        **joint_credit(rows.credit for _, rows in export.layers).members,
-        "vector_layers": [
-            {
-                "id": layer.name,
-                "description": f"{layer.description} {rows.credit.attribution}",
-                "minzoom": _min_zoom(layer),
-                "maxzoom": _MAX_ZOOM,
-                "fields": {name: _TILE_TYPES.get(kind, "String") for name, kind in layer.fields.items()},
-            }
-            for layer, rows in export.layers
-        ],
-    }
+    buffer = io.BytesIO()  # GDAL does not report a full disk
+    _write_by_gdal(buffer, "PMTiles", table, layer, dataset_options=options)
+    path.write_bytes(buffer.getvalue())
 
 
 FORMATS = {
@@ -584,6 +436,6 @@ FORMATS = {
     ".csv": Format(_write_csv),
     ".geojson": Format(_write_geojson),
     ".parquet": Format(_write_parquet),
-    ".pmtiles": Format(_write_tiles, "any", "PMTiles"),
+    ".pmtiles": Format(_write_tiles, "one", "PMTiles"),
 }
 """Suffix -> format."""

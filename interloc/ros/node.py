@@ -26,8 +26,15 @@ from interloc.arrays import Float32Array, FloatArray
 from interloc.config import DetectorConfig
 from interloc.detection.warm import warm_up
 from interloc.drives.labels import LabelScheme
-from interloc.drives.scans.rosbag.messages import ODOMETRY, WireError, read_pose, read_transforms
-from interloc.drives.scans.rosbag.pointcloud2 import POINT_CLOUD, read_layout, read_points
+from interloc.drives.scans.rosbag.messages import (
+    ODOMETRY,
+    POINT_CLOUD,
+    WireError,
+    read_layout,
+    read_points,
+    read_pose,
+    read_transforms,
+)
 from interloc.errors import ConfigError
 from interloc.labelling.networks import remission_scale
 from interloc.live.scan import Label, LiveScan

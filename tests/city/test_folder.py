@@ -50,10 +50,8 @@ def test_the_ground_is_kept_and_that_of_an_older_version_opens(tmp_path: Path) -
     np.savez_compressed(tmp_path / "old.npz", **older)
     for name in ("new", "old"):
         found = Pass.read(tmp_path / f"{name}.npz").road
-        assert found is not None
         assert (found.epsg, found.raster.cell_m) == (32632, 0.5)
         for raster, kept in ((road, found.raster), (other, found.other)):
-            assert kept is not None
             assert kept.tiles.keys() == raster.tiles.keys()
             assert all(np.array_equal(kept.tiles[key], cells) for key, cells in raster.tiles.items())
 

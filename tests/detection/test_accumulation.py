@@ -168,7 +168,6 @@ def test_other_ground_is_known_where_it_outvotes_road() -> None:
     road_points = np.array([[0.1, 0.1, -1.7]] * 3 + [[3.1, 0.1, -1.7]] * 3, np.float32)
     other_points = np.array([[3.1, 0.1, -1.7]] * 3 + [[9.1, 9.1, -1.7]], np.float32)
     against = bev_of_one_scan(bev, road_points, other_points).against
-    assert against is not None
     rows, cols = against.pixels()
     np.testing.assert_allclose(bev_of_one_scan(bev, road_points).roi.world(rows, cols), [[9.1, 9.1]])
 

@@ -26,13 +26,6 @@ def extract(road: UInt8Array, config: CenterlineConfig) -> Centerline:
     return extract_centerline(binary_image(road), config)
 
 
-def test_straight_road_is_its_middle_row() -> None:
-    line = extract(road_with_driveway(0), ALL)
-    inner = (line.cols > 15) & (line.cols < 185)
-    assert set(line.rows[inner].tolist()) == {100}
-    assert np.all(line.degrees[inner] == 2)
-
-
 def test_ends_have_one_neighbour_and_junctions_three() -> None:
     line = extract(road_with_driveway(60), ALL)
     (junction,) = np.flatnonzero(line.degrees >= 3)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pytest
 
@@ -61,14 +59,24 @@ def south(column: float) -> Branch:
     return ((20.0, column), 270)
 
 
-def test_plain_crossing_stays_one() -> None:
-    crossing = blob(EAST, WEST, north(0), south(0), core=[(0, -3), (0, 3)])
-    assert split(crossing) == [crossing]
+ONE = {
+    "a plain crossing": ([EAST, WEST, north(0), south(0)], [(0, -3), (0, 3)]),
+    "three branches without two carriageways": ([EAST, WEST, north(3)], [(0, 3)]),
+    "a place without a junction of the centerline": ([EAST, WEST, north(-6), south(6)], [(0, -6)]),
+    "corners of Harris": ([EAST, WEST, north(-6), south(6)], []),
+    "carriageways nearer than the separation, which end": ([EAST, north(-1), north(1)], []),
+    "carriageways that lead on as one road": ([EAST, north(-6), north(6), ((20.0, 12.0), 270)], []),
+    "branches of which none continue each other": (
+        [((0, 20), 0), ((-15, 10), 60), ((-15, -10), 120), ((10, -15), 210)],
+        [(0, -6), (0, 6)],
+    ),
+}
 
 
-def test_three_branches_without_two_carriageways_are_one_intersection() -> None:
-    fork = blob(EAST, WEST, north(3), core=[(0, 3)])
-    assert split(fork) == [fork]
+@pytest.mark.parametrize(("arms", "core"), ONE.values(), ids=ONE.keys())
+def test_one_intersection_stays_one(arms: list[Branch], core: list[tuple[float, float]]) -> None:
+    whole = blob(*arms, core=core)
+    assert split(whole, 20.0) == [whole]
 
 
 def test_staggered_side_roads_are_two_intersections_on_the_through_road() -> None:
@@ -128,16 +136,6 @@ def test_centerline_of_a_wide_blob_says_where_the_link_lies_not_where_on_it_the_
     assert rows[-9] == pytest.approx(-12, abs=0.01)
 
 
-def test_place_without_a_junction_of_the_centerline_does_not_split() -> None:
-    bent = blob(EAST, WEST, north(-6), south(6), core=[(0, -6)])
-    assert split(bent) == [bent]
-
-
-def test_harris_corners_are_not_split() -> None:
-    crossing = blob(EAST, WEST, north(-6), south(6), core=[])
-    assert split(crossing) == [crossing]
-
-
 def test_dual_carriageway_ends_at_the_road_across_it() -> None:
     # The northern carriageways end at a road that comes from the east and bends away to the south west.
     bend: Branch = ((12.0, -20.0), 215)
@@ -154,30 +152,7 @@ def test_three_branches_are_two_intersections_where_a_dual_carriageway_ends() ->
     assert places(split(blob(EAST, north(-6), north(6), core=[]))) == [[0, -6], [0, 6]]
 
 
-def test_carriageways_nearer_than_the_separation_are_one_road_that_ends() -> None:
-    end = blob(EAST, north(-1), north(1), core=[])
-    assert split(end) == [end]
-
-
-def test_carriageways_that_lead_on_as_one_road_do_not_end() -> None:
-    leads_on: Branch = ((20.0, 12.0), 270)
-    parting = blob(EAST, north(-6), north(6), leads_on, core=[])
-    assert split(parting) == [parting]
-
-
-def test_branches_of_which_none_continue_each_other_stay_one() -> None:
-    star = blob(((0, 20), 0), ((-15, 10), 60), ((-15, -10), 120), ((10, -15), 210), core=[(0, -6), (0, 6)])
-    assert split(star, 20.0) == [star]
-
-
 def test_distances_are_metres() -> None:
     for resolution_m, count in ((0.5, 1), (1.0, 2)):  # 12 pixels
         crossing = blob(EAST, WEST, north(-6), south(6), core=[(0, -6), (0, 6)], resolution_m=resolution_m)
         assert len(split(crossing)) == count
-
-
-def test_parts_lie_around_their_own_place_with_their_own_branches() -> None:
-    crossing = blob(EAST, WEST, north(-6), south(6), core=[(0, -6), (0, 6)])
-    for part in split(crossing):
-        upwards = part.lines["direction"][:, 0].min() < -0.5
-        assert math.copysign(1, part.candidate[1]) == (-1 if upwards else 1)

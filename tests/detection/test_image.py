@@ -3,25 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 from interloc.detection.image import Roi
-from tests.images import binary_image
-
-
-@pytest.mark.parametrize("shape", [(1, 1), (3, 63), (2, 64), (5, 65), (7, 750)])
-def test_array_survives_packing(shape: tuple[int, int]) -> None:
-    array = np.random.default_rng(1).integers(0, 2, shape, np.uint8)
-    image = binary_image(array)
-    assert (image.height, image.width) == shape
-    np.testing.assert_array_equal(image.to_array(), array)
-    np.testing.assert_array_equal(np.column_stack(image.pixels()), np.argwhere(array))
-
-
-def test_array_need_not_be_contiguous_or_binary() -> None:
-    array = np.array([[0, 9, 0], [255, 0, 0]], np.uint8)
-    np.testing.assert_array_equal(binary_image(array.T).to_array(), [[0, 1], [1, 0], [0, 0]])
-    np.testing.assert_array_equal(binary_image(array > 0).to_array(), [[0, 1, 0], [1, 0, 0]])
 
 
 def test_columns_go_with_x_and_rows_against_y() -> None:

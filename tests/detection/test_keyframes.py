@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
@@ -40,18 +39,6 @@ def plain_select(T_world_lidar: FloatArray, distance_m: float, angle_deg: float)
 
 def test_scan_after_more_than_the_distance_is_taken() -> None:
     assert select_keyframes(along_x(0, 1, 2, 2.01, 4, 4.02, 9), KeyframeConfig()).tolist() == [0, 3, 5, 6]
-
-
-def test_distance_counts_from_the_last_keyframe_in_three_dimensions() -> None:
-    path = poses(np.array([[0, 0, 0], [1.9, 0, 0], [1.9, 0, 0.7], [0, 0, 0]]))
-    assert select_keyframes(path, KeyframeConfig()).tolist() == [0, 2, 3]
-
-
-@pytest.mark.parametrize("axis", [0, 1, 2])
-def test_scan_after_more_than_the_turn_is_taken(axis: int) -> None:
-    turns = np.zeros((5, 3))
-    turns[:, axis] = np.radians([0, 4.9, 5.1, 9, 11])
-    assert select_keyframes(poses(np.zeros((5, 3)), turns), KeyframeConfig()).tolist() == [0, 2, 4]
 
 
 def test_no_poses_no_keyframes() -> None:

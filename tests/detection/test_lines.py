@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -196,44 +197,40 @@ def squared(lines: StructuredArray) -> list[float]:
     return [float(angle) for angle in np.degrees(np.arctan2(-row, col)) % 360.0]
 
 
-def test_ragged_stem_of_a_through_road_is_turned_towards_the_right_angle() -> None:
-    for angle, right in ((70.0, 90.0), (110.0, 90.0), (250.0, 270.0), (290.0, 270.0)):
-        east, stem, west = squared(lines_at(0, angle, 180, length=[80, 20, 80], rms=[0.6, 2.0, 0.6]))
-        assert (east, west) == (0, 180)
-        assert 8 < abs(stem - angle) < 20
-        assert abs(stem - right) < abs(angle - right)
+RAGGED = {"length": [80.0, 20.0, 80.0], "rms": [0.6, 2.0, 0.6]}  # the second of three
 
 
-def test_well_known_stem_keeps_its_direction() -> None:
-    _, stem, _ = squared(lines_at(0, 70, 180))
-    assert stem == pytest.approx(70, abs=0.1)
+@pytest.mark.parametrize(
+    ("angles", "shape", "least", "most"),
+    [
+        ([0, 70, 180], RAGGED, [0, 80, 180], [0, 90, 180]),  # a ragged stem turns towards the right angle
+        ([0, 110, 180], RAGGED, [0, 90, 180], [0, 100, 180]),
+        ([0, 250, 180], RAGGED, [0, 260, 180], [0, 270, 180]),
+        ([0, 290, 180], RAGGED, [0, 270, 180], [0, 280, 180]),
+        ([0, 70, 180], {}, [0, 69.9, 180], [0, 70.1, 180]),  # one that is well known keeps its direction
+        (  # so does a branch that leads on straight
+            [0, 70, 180, 250],
+            {"length": [80, 20, 80, 20], "rms": [0.6, 2.0, 0.6, 2.0]},
+            [0, 70, 180, 250],
+            [0, 70, 180, 250],
+        ),
+        ([0, 70], {"length": [80, 20], "rms": [0.6, 2.0]}, [0, 75], [0, 90]),  # the road is not seen farther
+        ([350, 70, 200], RAGGED, [350, 85, 200], [350, 95, 200]),  # the road bends: along 5 degrees less 180
+        ([0, 70], {"length": 0.0}, [0, 70], [0, 70]),  # no direction is known
+        ([], {}, [], []),
+    ],
+)
+def test_ragged_stem_of_a_through_road_is_turned_towards_the_right_angle(
+    angles: list[float], shape: dict[str, Any], least: list[float], most: list[float]
+) -> None:
+    found = np.array(squared(lines_at(*angles, **shape)))
+    assert (found >= np.array(least) - 1e-9).all()
+    assert (found <= np.array(most) + 1e-9).all()
 
 
 def test_stem_far_from_the_right_angle_keeps_its_direction() -> None:
-    ragged = {"length": [80.0, 20.0, 80.0], "rms": [0.6, 2.0, 0.6]}
-    shares = [(squared(lines_at(0, angle, 180, **ragged))[1] - angle) / (90 - angle) for angle in (70, 60, 46, 44)]
+    shares = [(squared(lines_at(0, angle, 180, **RAGGED))[1] - angle) / (90 - angle) for angle in (70, 60, 46, 44)]
     assert shares[0] > shares[1] > shares[2] > shares[3] == pytest.approx(0)
-
-
-def test_branch_that_leads_on_straight_keeps_its_direction() -> None:
-    oblique = squared(lines_at(0, 70, 180, 250, length=[80, 20, 80, 20], rms=[0.6, 2.0, 0.6, 2.0]))
-    np.testing.assert_allclose(oblique, [0, 70, 180, 250])
-
-
-def test_stem_of_a_road_that_is_not_seen_farther_is_square_to_it() -> None:
-    road, stem = squared(lines_at(0, 70, length=[80, 20], rms=[0.6, 2.0]))
-    assert road == 0
-    assert 75 < stem < 90
-
-
-def test_through_road_that_bends_is_as_it_runs_past() -> None:
-    *_, stem = squared(lines_at(350, 200, 70, length=[80, 80, 20], rms=[0.6, 0.6, 2.0]))  # along 5 degrees less 180
-    assert 85 < stem < 95
-
-
-def test_nothing_is_turned_where_no_direction_is_known() -> None:
-    assert squared(lines_at()) == []
-    assert squared(lines_at(0, 70, length=0.0)) == pytest.approx([0, 70])
 
 
 @given(st.floats(0, 360), st.floats(50, 130), st.floats(2, 60), st.floats(0, 5))
@@ -289,29 +286,22 @@ def rows_of(line: StructuredArray) -> list[float]:
     return [float(line["point"][0] + slope * (column - line["point"][1])) for column in (20, 200)]
 
 
-def test_axis_lies_half_a_width_inside_the_edge_that_was_seen() -> None:
-    road = road_hidden_from(70, rows=6)  # by a parked car; the sidewalk behind it was seen
-    assert max(abs(row - AXIS) for row in rows_of(line_of_road(road, None))) > 2.0
-    np.testing.assert_allclose(rows_of(line_of_road(road, other_ground(*AT_EDGES))), AXIS, atol=0.5)
+@pytest.mark.parametrize("upside_down", [False, True])
+def test_axis_lies_half_a_width_inside_the_edge_that_was_seen(upside_down: bool) -> None:
+    step = -1 if upside_down else 1
+    road = road_hidden_from(70, rows=6)[::step].copy()  # by a parked car; the sidewalk behind it was seen
+    axis = 200 - AXIS if upside_down else AXIS
+    assert max(abs(row - axis) for row in rows_of(line_of_road(road, None))) > 2.0
+    np.testing.assert_allclose(rows_of(line_of_road(road, other_ground(*AT_EDGES)[::step].copy())), axis, atol=0.5)
 
 
-def test_side_of_the_hidden_edge_makes_no_difference() -> None:
-    road, other = road_hidden_from(70, rows=6)[::-1].copy(), other_ground(*AT_EDGES)[::-1].copy()
-    np.testing.assert_allclose(rows_of(line_of_road(road, other)), 200 - AXIS, atol=0.5)
-
-
-def test_road_that_becomes_narrower_is_not_taken_for_hidden() -> None:
-    road = road_hidden_from(110, rows=6)
-    seen = other_ground(*AT_EDGES)
-    seen[90:96, 110:] = 1
+@pytest.mark.parametrize(
+    ("column", "rows", "is_narrower"),
+    [(110, 6, True), (45, 6, False), (70, 14, False)],
+    ids=["the road becomes narrower", "few places show both edges", "half a road is missing"],
+)
+def test_what_is_not_hidden_is_not_made_up(column: int, rows: int, is_narrower: bool) -> None:
+    road, seen = road_hidden_from(column, rows), other_ground(*AT_EDGES)
+    if is_narrower:
+        seen[90 : 90 + rows, column:] = 1
     np.testing.assert_array_equal(line_of_road(road, seen), line_of_road(road, None))
-
-
-def test_edges_say_nothing_where_few_places_show_both() -> None:
-    road = road_hidden_from(45, rows=6)
-    np.testing.assert_array_equal(line_of_road(road, other_ground(*AT_EDGES)), line_of_road(road, None))
-
-
-def test_half_a_road_that_is_missing_is_not_made_up() -> None:
-    road = road_hidden_from(70, rows=14)
-    np.testing.assert_array_equal(line_of_road(road, other_ground(*AT_EDGES)), line_of_road(road, None))

@@ -1,5 +1,4 @@
 import math
-import time
 from collections.abc import Callable
 from typing import Any
 
@@ -110,15 +109,3 @@ def test_matching_is_what_the_plain_loops_say(
     assert list(zip(result.zone_keyframe, result.zone_node, strict=True)) == [(k, n) for k, n, _ in zone]
     if result.node.tolist() == node:  # among equally distant nodes rounding decides
         assert result.zone_found.tolist() == [found for *_, found in zone]
-
-
-def test_ten_thousand_keyframes_and_nodes_take_about_a_second(run: Run, at: At) -> None:
-    rng = np.random.default_rng(1)
-    key = np.column_stack([np.linspace(0, 20_000, 10_000), np.zeros(10_000)])
-    nodes = at(np.column_stack([rng.uniform(0, 20_000, 10_000), rng.uniform(-300, 300, 10_000)]))
-    row = rng.integers(0, 10_000, 20_000)
-    long = run(key, np.column_stack([row, key[row] + rng.uniform(-60, 60, (20_000, 2))]))
-    start = time.perf_counter()
-    result = match(long.keyframes, long.detections, nodes, roi_m=120, relevant_zone_m=40)
-    assert result.is_matched.mean() > 0.9
-    assert time.perf_counter() - start < 10.0

@@ -41,7 +41,6 @@ def test_completeness_correctness_and_what_was_seen_of_each_way(tmp_path: Path) 
     (tmp_path / "map.osm").write_text(f'<osm version="0.6">{nodes}{ways}</osm>')
     graph = read_osm(tmp_path / "map.osm")
     scores = score_roads(network, graph, "drive")
-    assert scores is not None
     assert scores.completeness == pytest.approx(110 / 210, abs=0.04)  # the way at y = 100 has no road
     assert scores.correctness == pytest.approx(0.5)  # the road at y = 50 has no way
     assert scores.quality == pytest.approx(100 / 300, abs=0.03)

@@ -51,6 +51,17 @@ def some_cells(seed: int, count: int) -> Int32Array:
     return np.clip(cells, EDGE, EDGE + SIDE * TILE - 1)
 
 
+def window_of(table: Int32Array, left: int, top: int, size: int) -> Int32Array:
+    """Return the part of a table that a window of cells touches."""
+    columns = slice(left // TILE - FIRST, (left + size - 1) // TILE - FIRST + 1)
+    return table[(top - size + 1) // TILE - FIRST : top // TILE - FIRST + 1, columns].copy()
+
+
+def counts_in(counts: Int32Array, left: int, top: int, size: int) -> Int32Array:
+    """Return the counts of the cells of a window, rows upwards."""
+    return counts[top - size + 1 - EDGE : top + 1 - EDGE, left - EDGE : left + size - EDGE]
+
+
 def test_cell_covers_from_its_lower_edge_to_the_next() -> None:
     points = np.array([[0, 0, 0], [0.49, 0.5, 0], [-0.01, -0.5, 0], [-0.51, 1.99, 0]], np.float32)
     cells, _ = cells_of(points, pose(), 0.5, 100.0)
@@ -117,12 +128,10 @@ def test_window_is_a_slice_of_the_plain_twin(seed: int, left: int, top: int, siz
     cells = some_cells(seed, 30_000)
     pool, table = shuffled_tiles(seed)
     add_cells(pool, table, FIRST, FIRST, cells, 1)
-    first_col, last_col = left // TILE - FIRST, (left + size - 1) // TILE - FIRST
-    first_row, last_row = (top - size + 1) // TILE - FIRST, top // TILE - FIRST
-    window = table[first_row : last_row + 1, first_col : last_col + 1].copy()
+    window = window_of(table, left, top, size)
     image = BinaryImage.empty(size, size, 1.0)
     threshold_window(pool, window, left, top, size, least, 0.0, image.words, NOWHERE)
-    counts = plain_counts(cells)[top - size + 1 - EDGE : top + 1 - EDGE, left - EDGE : left + size - EDGE]
+    counts = counts_in(plain_counts(cells), left, top, size)
     np.testing.assert_array_equal(image.to_array(), counts[::-1] >= least)
     assert not image.words[[0, -1]].any()
 
@@ -134,13 +143,11 @@ def test_cells_with_more_votes_against_road_are_in_an_image_of_their_own(
 ) -> None:
     pool, table = shuffled_tiles(0)
     pool[:] = np.random.default_rng(0).integers(-2, 3, pool.shape)
-    first_col, last_col = left // TILE - FIRST, (left + size - 1) // TILE - FIRST
-    first_row, last_row = (top - size + 1) // TILE - FIRST, top // TILE - FIRST
-    window = table[first_row : last_row + 1, first_col : last_col + 1].copy()
+    window = window_of(table, left, top, size)
     road, alone, against = (BinaryImage.empty(size, size, 1.0) for _ in range(3))
     threshold_window(pool, window, left, top, size, 1, weight, road.words, against.words)
     threshold_window(pool, window, left, top, size, 1, weight, alone.words, NOWHERE)
-    counts = counts_of(pool, table)[top - size + 1 - EDGE : top + 1 - EDGE, left - EDGE : left + size - EDGE]
+    counts = counts_in(counts_of(pool, table), left, top, size)
     np.testing.assert_array_equal(against.to_array(), counts[::-1] < 0)
     np.testing.assert_array_equal(road.words, alone.words)
     assert not against.words[[0, -1]].any()
@@ -171,10 +178,8 @@ def test_share_of_lone_road_is_that_of_the_plain_twin(left: int, top: int) -> No
     pool, table = shuffled_tiles(0)
     pool[:] = np.random.default_rng(0).integers(-2, 2, pool.shape)
     size = 300
-    first_col, last_col = left // TILE - FIRST, (left + size - 1) // TILE - FIRST
-    first_row, last_row = (top - size + 1) // TILE - FIRST, top // TILE - FIRST
-    window = table[first_row : last_row + 1, first_col : last_col + 1].copy()
-    counts = counts_of(pool, table)[top - size + 1 - EDGE : top + 1 - EDGE : 4, left - EDGE : left + size - EDGE]
+    window = window_of(table, left, top, size)
+    counts = counts_in(counts_of(pool, table), left, top, size)[::4]
     inner = np.isin(np.arange(left + 1, left + size - 1) % TILE, (0, TILE - 1), invert=True)
     between = (counts[:, :-2] < 0) & (counts[:, 2:] < 0) & (counts[:, 1:-1] != 0) & inner
     share = (counts[:, 1:-1] > 0)[between].mean()

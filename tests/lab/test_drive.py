@@ -38,7 +38,6 @@ def test_the_drive_reader_finds_nothing_wrong(folder: Path) -> None:
 def test_the_pieces_agree_on_where_the_lidar_was(folder: Path, street_scene: Scene) -> None:
     drive = open_drive(folder)
     fix = drive.georeference
-    assert fix is not None
     lonlat = street_scene.frame.lonlat(street_scene.T_map_lidar[:12, :2, 3])
     off = enu_from_lonlat(fix.lat_deg, fix.lon_deg, lonlat)
     assert np.abs(off).max() < 1e-3

@@ -104,7 +104,6 @@ def test_a_turn_that_takes_time_is_bent_by_the_motion(street_scene: Scene, exact
     still = exact_lidar.scan(street_scene, pose, np.random.default_rng(0))
     bent = lidar.scan(street_scene, pose, np.random.default_rng(0), velocity=velocity)
     assert still.times_s is None
-    assert bent.times_s is not None
     assert 0 <= bent.times_s.min() < bent.times_s.max() < 0.1
     straight = velocity.undo(bent.points[:, :3], bent.times_s)
     corner = still.points[still.labels == 50, 0].min()  # of the house, ahead of the LiDAR

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,64 +12,21 @@ import pytest
 
 from interloc.errors import OutputError
 from interloc.evaluation.evaluate import evaluate
-from interloc.geometry import lonlat_from_enu
 from interloc.lab.measure import Cell, Row, find_failures, read_row, write_row
-from interloc.osm.graph import RoadGraph, Ways
-from interloc.results import DetectionTable, DriveResult, IntersectionTable, KeyframeTable
-
-LAT, LON = 49.0, 8.4
-
-
-def lonlat(enu: Any) -> np.ndarray:
-    return lonlat_from_enu(LAT, LON, np.asarray(enu, dtype=np.float64).reshape(-1, 2))
+from interloc.osm.graph import RoadGraph
+from tests.evaluation.conftest import make_graph, make_run
 
 
 def crossings(*places: tuple[float, float, str]) -> RoadGraph:
     """One node of four arms at each (east, north), of some class of highway."""
-    centres = np.array([place[:2] for place in places], dtype=np.float64)
-    arms = 50.0 * np.array([[0, 0], [1, 0], [0, 1], [-1, 0], [0, -1]])
-    first = 5 * np.repeat(np.arange(len(places)), 4)
-    edges = np.stack([first, first + np.tile([1, 2, 3, 4], len(places))], axis=-1)
+    roads = make_graph([place[:2] for place in places])
     highway = tuple(np.repeat([place[2] for place in places], 4).tolist())
-    ways = Ways(np.arange(len(edges)), highway, ("",) * len(edges), np.zeros(len(edges), dtype=np.bool_))
-    enu = (centres[:, None] + arms).reshape(-1, 2)
-    return RoadGraph(100 + np.arange(len(enu)), lonlat(enu), edges, np.arange(len(edges)), ways, "made-up.osm")
+    return replace(roads, ways=replace(roads.ways, highway=highway))
 
 
 def failures(detections: list[tuple[int, float, float]], *places: tuple[float, float, str]) -> list[dict[str, Any]]:
     """Drive from (0, 0) 100 m east, a keyframe every 10 m; detections are (keyframe, east, north)."""
-    keys = np.stack([np.arange(11) * 10.0, np.zeros(11)], axis=1)
-    found = np.array(detections, dtype=np.float64).reshape(-1, 3)
-    row, none = found[:, 0].astype(np.int64), np.zeros(0)
-    flat = np.zeros(11)
-    result = DriveResult(
-        "made-up",
-        KeyframeTable(10 * np.arange(11), flat, keys, flat, lonlat(keys), flat),
-        DetectionTable(
-            row,
-            found[:, 1:] - keys[row],
-            found[:, 1:],
-            lonlat(found[:, 1:]),
-            [none] * len(row),
-            np.ones(len(row)),
-            np.full(len(row), -1),
-            [none] * len(row),
-        ),
-        IntersectionTable(
-            none.astype(np.int64),
-            none.reshape(0, 2),
-            none.reshape(0, 2),
-            none,
-            none.astype(np.int64),
-            none,
-            [],
-            none.astype(np.int64),
-            none.astype(np.int64),
-            [],
-        ),
-        keys,
-        lonlat(keys),
-    )
+    result = make_run([(10.0 * row, 0.0) for row in range(11)], detections)
     return find_failures(evaluate(result, crossings(*places)), lambda frame: [f"show {frame}"])
 
 

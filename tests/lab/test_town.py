@@ -40,12 +40,6 @@ def test_every_shape_is_there() -> None:
         assert tag in text
 
 
-def test_angles_between_arms_of_the_plain_part() -> None:
-    for name, junction in junctions_of(Town("plain")).items():
-        gaps = np.diff(np.append(junction.bearings_deg, junction.bearings_deg[0] + 360))
-        assert gaps.min() >= 44.9, name
-
-
 @pytest.mark.parametrize(
     ("part", "low", "high", "not_passed"),
     [

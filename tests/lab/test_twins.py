@@ -30,7 +30,6 @@ def test_road_points_lie_on_the_streets_of_the_map(kitti: Path, tmp_path: Path) 
     simulate_drive(scene, track, tmp_path / "07", options)
     drive = open_drive(tmp_path / "07")
     fix = drive.georeference
-    assert fix is not None
     streets = street_map_of(read_map(kitti / "osm" / "07.osm.gz"), scene.frame).streets
     tree = shapely.STRtree([LineString(s.xy) for s in streets])
     worst = []
@@ -48,7 +47,6 @@ def test_road_points_lie_on_the_streets_of_the_map(kitti: Path, tmp_path: Path) 
 def test_the_poses_written_are_the_given_ones(kitti: Path, tmp_path: Path) -> None:
     suma, gt = (np.loadtxt(kitti / f"poses_{poses}" / "07.txt") for poses in ("suma", "gt"))
     poses_camera = twin_track(kitti, "07").poses_camera
-    assert poses_camera is not None
     np.testing.assert_array_equal(poses_camera.reshape(-1, 12), suma[: len(poses_camera)])
     options = SimulationOptions(keyframes_only=True, max_scans=5, sensor=LidarConfig(columns=36))
     simulate(twin_trip(kitti, "07", poses="gt"), tmp_path / "gt", options)

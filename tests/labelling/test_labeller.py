@@ -18,7 +18,7 @@ import pytest
 
 from interloc.arrays import Float32Array, UInt32Array
 from interloc.errors import ConfigError, ModelError
-from interloc.labelling.rangenet.graph import Network, available_providers
+from interloc.labelling.rangenet.graph import Network
 from interloc.labelling.rangenet.labeller import Labeller, project
 from interloc.labelling.rangenet.model import read_model
 from tests.networks import (
@@ -67,16 +67,13 @@ FORMS: dict[str, dict[str, Any]] = {
     "arg-max, flat": {"output": "argmax_hw"},
     "arg-max, one channel": {"output": "argmax_1hw"},
     "open sizes": {"dynamic": True},
-    "open sizes, arg-max": {"dynamic": True, "output": "argmax"},
     "channels last": {"layout": "NHWC"},
-    "channels last, open sizes": {"layout": "NHWC", "dynamic": True},
     "input without batch": {"layout": "CHW"},
     "input without batch, channels last": {"layout": "HWC"},
     "mask": {"mask": "NHW"},
     "mask, one channel": {"mask": "N1HW"},
     "smaller heads": {"aux": (2, 4)},
     "smaller heads first": {"aux": (4, 2), "aux_first": True},
-    "smaller heads first, open sizes": {"aux": (4, 2), "aux_first": True, "dynamic": True},
     "another head of the same size": {"aux": (1,)},
 }
 
@@ -212,7 +209,6 @@ def test_missing_provider_names_those_there_are(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"'tpu' is not available; this onnxruntime has .*cpu") as caught:
         Labeller(model, provider="tpu").load()
     assert caught.value.exit_code == 2
-    assert "cpu" in available_providers()
 
 
 def test_threads_are_at_least_one(tmp_path: Path) -> None:

@@ -20,7 +20,6 @@ EXAMPLE = re.compile(r"^## A network of your own$.*?^```python\n(.*?)^```", re.M
 def package(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
     """Install the package of docs/library.md, or one that is damaged."""
     found = EXAMPLE.search((ROOT / "docs/library.md").read_text())
-    assert found is not None
     (tmp_path / "all_road_network.py").write_text(found[1])
     about = tmp_path / "all_road-1.0.dist-info"
     about.mkdir()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,15 +12,13 @@ from interloc.config import DetectorConfig, preset
 from interloc.detection.detector import KeyframeDetections
 from interloc.detection.keyframes import Keyframe
 from interloc.drives.folder import FolderDrive
-from interloc.drives.open import open_drive
 from interloc.errors import DriveError, GeoreferenceError, InterLocError
 from interloc.live.growing_map import GrowingMap
 from interloc.live.play import play
 from interloc.live.scan import Fix, LiveScan, live_scan
 from interloc.live.session import Answer, LiveSession
 from interloc.pipeline import detect
-from tests.bags import write_bag
-from tests.crossing import pose_at, road_at
+from tests.crossing import pose_at
 
 
 def drive_through(session: LiveSession, scans: list[LiveScan]) -> list[Answer]:
@@ -141,16 +138,3 @@ def test_a_scan_that_is_not_valid_is_refused_and_the_next_is_not(
     with pytest.raises(error, match=text):
         session.push(change(scans[2]))  # type: ignore[operator]
     assert session.push(scans[3]).is_keyframe
-
-
-def test_a_bag_is_answered_as_detect_would(tmp_path: Path, config: DetectorConfig) -> None:
-    places_m = [2.5 * row for row in range(48)]
-    scans = [np.pad(road_at(x_m), ((0, 0), (0, 1))) for x_m in places_m]
-    labels = [np.full(len(scan), 40, np.uint32) for scan in scans]
-    times_s = [1.7e9 + 0.1 * row for row in range(48)]
-    poses = [pose_at(x_m) for x_m in places_m]
-    drive = open_drive(write_bag(tmp_path / "drive", "mcap", scans, times_s, labels=labels, poses=poses), check=False)
-    answers = drive_through(LiveSession(config), list(play(drive, config)))
-    found = np.concatenate([each.detections.world_xy for each in answers if each.detections is not None])
-    assert len(found) > 20
-    np.testing.assert_array_equal(found, detect(drive, config).detections.world_xy)

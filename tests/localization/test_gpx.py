@@ -68,7 +68,6 @@ def test_a_straight_drive_fits_everywhere_along_a_straight_track() -> None:
 def test_a_clock_that_is_late_is_put_right(late_s: float) -> None:
     drive = replace(DRIVE, times_s=START_S + np.arange(len(DRIVE.frames)) / 10.0)
     track = phone(DRIVE)
-    assert track.time_s is not None
     placed = georeference_by_gpx(drive, replace(track, time_s=track.time_s + late_s))
     assert placed.late_s == pytest.approx(late_s, abs=0.3)
     assert f"put right by {-placed.late_s:+.1f} s" in placed.georeference.source
@@ -79,7 +78,6 @@ def test_a_clock_that_is_late_is_put_right(late_s: float) -> None:
 def test_where_the_clock_does_not_fit_the_shape_places_the_drive() -> None:
     drive = replace(DRIVE, times_s=START_S + np.arange(len(DRIVE.frames)) / 10.0)
     track = phone(DRIVE)
-    assert track.time_s is not None
     placed = georeference_by_gpx(drive, replace(track, time_s=track.time_s + 3600.0))
     assert placed.matched_by == "shape"
     assert np.median(DRIVE.error_m(placed.georeference)) < 4.0

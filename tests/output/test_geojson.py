@@ -1,7 +1,6 @@
 """GeoJSON as RFC 7946 has it, at the antimeridian too."""
 
 import json
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,9 +10,6 @@ import pytest
 from interloc.errors import DamagedResultError
 from interloc.output.geojson import box_around, cut, joined, positions, write_collection
 from interloc.output.layers import LAYERS
-from interloc.output.read import read_results
-from interloc.output.write import write_results
-from tests.output.small import small_result
 
 
 def line(*coordinates: list[float]) -> dict[str, Any]:
@@ -42,13 +38,11 @@ def test_a_polygon_is_cut_and_joined_again() -> None:
     ring = [[179, -1], [-179, -1], [-179, 1], [179, 1], [179, -1]]
     hole = [[-179.8, 0], [179.8, 0.5], [179.8, -0.5], [-179.8, 0]]
     made = cut({"type": "Polygon", "coordinates": [ring, hole]})
-    assert made is not None
     assert made["type"] == "MultiPolygon"
     west, east = (np.array(rings[0]) for rings in made["coordinates"])  # the hole reaches the cut: a notch
     assert (west.min(axis=0).tolist(), west.max(axis=0).tolist()) == ([179, -1], [180, 1])
     assert (east.min(axis=0).tolist(), east.max(axis=0).tolist()) == ([-180, -1], [-179, 1])
     whole = joined(cut({"type": "Polygon", "coordinates": [ring]}))
-    assert whole is not None
     assert {tuple(each) for each in map(tuple, ring)} <= {tuple(each) for each in whole["coordinates"][0]}
     assert cut(whole) == cut({"type": "Polygon", "coordinates": [ring]})
 
@@ -92,15 +86,3 @@ def test_a_file_has_parts_and_its_layer_is_read_whole(tmp_path: Path) -> None:
     path.write_text(path.read_text().replace("[[[", "[["))
     with pytest.raises(DamagedResultError, match="damaged"):
         LAYERS["trajectory"].read(path)
-
-
-def test_a_result_across_it_is_read_back(tmp_path: Path) -> None:
-    result = small_result()
-    fixes = np.array([[179.9999, -16.5], [-179.9999, -16.5]])
-    keyframes = replace(result.keyframes, lonlat=fixes)
-    write_results(replace(result, keyframes=keyframes, trajectory_lonlat=fixes), tmp_path / "out")
-    content = json.loads((tmp_path / "out" / "trajectory.geojson").read_text())
-    assert content["features"][0]["geometry"]["type"] == "MultiLineString"
-    read = read_results(tmp_path / "out")
-    assert read.trajectory_lonlat is not None
-    assert read.trajectory_lonlat.tolist() == fixes.tolist()

@@ -129,7 +129,6 @@ def test_readers_that_know_no_empty_tiles_read_it(tmp_path: Path) -> None:
     tiles = {(row, row): np.full((TILE, TILE), row + 1, np.uint8) for row in range(8)}  # of 64
     write_road(Mosaic(Raster(0.5, tiles), 32632), path)
     by_opencv = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-    assert by_opencv is not None
     with Image.open(path) as by_pillow:
         assert (np.asarray(by_pillow) == by_opencv).all()
     assert by_opencv[::TILE, ::TILE].tolist() == np.diag(range(1, 9)).tolist()

@@ -96,7 +96,6 @@ def test_opendrive_is_without_a_gap(network: RoadNetwork) -> None:
     """Ends of reference lines meet where their links say so, within a millimetre; lanes have the same widths there."""
     root = ET.fromstring(opendrive_map(network, "Straße <1> & Co"))  # noqa: S314 - our own
     header = root.find("header")
-    assert header is not None
     assert header.get("name") == "Straße <1> & Co"
     assert header.findtext("geoReference") == "+proj=utm +zone=32 +datum=WGS84 +units=m +no_defs"
     roads = {road.get("id"): road for road in root.iter("road")}
@@ -116,8 +115,6 @@ def test_opendrive_is_without_a_gap(network: RoadNetwork) -> None:
         for mine, end in (("start", "predecessor"), ("end", "successor")):
             link = road.find(f"link/{end}")
             lane = road.find(f"lanes/laneSection/right/lane/link/{end}")
-            assert link is not None
-            assert lane is not None
             other = link.get("elementId")
             assert_allclose(places[number][mine], places[other][link.get("contactPoint")], atol=1e-3)
             width, there = widths[number]["-1"], widths[other][lane.get("id")]
@@ -135,7 +132,6 @@ def start_of(piece: ET.Element) -> list[float]:
 
 def end_of(piece: ET.Element) -> list[float]:
     polynomial = piece.find("paramPoly3")
-    assert polynomial is not None
     u, v = (sum(float(polynomial.get(f"{a}{axis}", "")) for a in "abcd") for axis in "UV")
     x, y, angle = (float(piece.get(name, "")) for name in ("x", "y", "hdg"))
     return [x + np.cos(angle) * u - np.sin(angle) * v, y + np.sin(angle) * u + np.cos(angle) * v]

@@ -1,9 +1,8 @@
-"""Styles for GIS: the signs of the page, a rule for each outcome, a KMZ that holds together."""
+"""Styles for GIS: the signs of the page, a rule for each outcome."""
 
 from __future__ import annotations
 
 import re
-import zipfile
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin
 from xml.etree import ElementTree as ET
@@ -13,10 +12,9 @@ import pytest
 from interloc.output import styles
 from interloc.output.qgis import qml
 from interloc.output.styles import GROUPS, OUTLINES, STYLES, Mark, Symbol
-from interloc.output.vector_files import EXPORTS, write_vector_file
+from interloc.output.vector_files import EXPORTS
 
 STATIC = Path(__file__).resolve().parents[2] / "static"
-KML = "{http://www.opengis.net/kml/2.2}"
 
 
 def page_colours() -> dict[str, str]:
@@ -78,23 +76,3 @@ def test_qml_names_no_address_but_namespaces() -> None:
         text = qml(layer)
         ET.fromstring(text.removeprefix("<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>\n"))  # noqa: S314
         assert set(re.findall(r"https?://[\w.]+", text)) <= {"http://www.opengis.net", "http://mrcc.com"}
-
-
-def test_kmz_holds_the_styles_of_all_that_it_shows(scored: Path, tmp_path: Path) -> None:
-    assert len(write_vector_file(scored, tmp_path / "a.kmz")) == 12
-    with zipfile.ZipFile(tmp_path / "a.kmz") as archive:
-        root = ET.fromstring(archive.read("doc.kml"))  # noqa: S314 - our own
-    known = {f"#{style.get('id')}" for style in root.iter(f"{KML}Style")}
-    marks = list(root.iter(f"{KML}Placemark"))
-    assert {mark.findtext(f"{KML}styleUrl") for mark in marks} <= known
-    (found,) = (mark for mark in marks if mark.findtext(f"{KML}name") == "Intersection 1")
-    assert found.findtext(f"{KML}styleUrl") == "#intersections.0"
-    hidden = [mark.findtext(f"{KML}name") for mark in marks if mark.findtext(f"{KML}visibility") == "0"]
-    assert hidden == ["Keyframe 0", "Keyframe 12"]
-    titles = {field.get("name"): field.findtext(f"{KML}displayName") for field in root.iter(f"{KML}SimpleField")}
-    assert (titles["outcome"], titles["number"], titles["street"]) == ("Verdict", "Piece", "Name")
-    colour = root.findtext(f".//{KML}Style[@id='intersections.0']/{KML}IconStyle/{KML}color")
-    assert colour == f"ff{styles.RIGHT[5:]}{styles.RIGHT[3:5]}{styles.RIGHT[1:3]}"
-    again = tmp_path / "b.kmz"
-    write_vector_file(scored, again)
-    assert again.read_bytes() == (tmp_path / "a.kmz").read_bytes()

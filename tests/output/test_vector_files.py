@@ -1,7 +1,6 @@
 """Other GIS formats say what the GeoJSON says, position for position and property for property."""
 
 import csv
-import gzip
 import io
 import json
 import math
@@ -19,7 +18,6 @@ from typing import Any
 import geopandas
 import numpy as np
 import pandas as pd
-import pmtiles.reader
 import pyarrow.parquet
 import pyogrio
 import pyproj
@@ -231,32 +229,34 @@ def test_csv_is_safe_to_open_in_a_spreadsheet(tmp_path: Path) -> None:
     assert shapely.from_wkt(row["wkt"]).geom_type == "Polygon"
 
 
-def test_pmtiles_hold_all_layers_for_web_maps(scored: Path, tmp_path: Path) -> None:
-    path = tmp_path / "a.pmtiles"
-    assert write_vector_file(scored, path) == [*FILES, *DERIVED]
+def test_kmz_holds_all_layers(scored: Path, tmp_path: Path) -> None:
+    assert write_vector_file(scored, tmp_path / "a.kmz") == [*FILES, *DERIVED]
+    titles = [EXPORTS[layer].title for layer in [*FILES, *DERIVED]]
+    assert pyogrio.list_layers(tmp_path / "a.kmz")[:, 0].tolist() == titles
     for layer in [*FILES, *DERIVED]:
-        rows, _ = rows_of(path, layer)
-        assert len(rows) >= len(features(scored, layer, tmp_path)) > 0  # what lies on two tiles counts twice
-    (found,), (place,) = rows_of(path, "intersections")
-    (feature,) = features(scored, "intersections", tmp_path)
-    assert_same({name: value for name, value in feature["properties"].items() if value is not None}, found)
-    expected = pyproj.Transformer.from_crs(4326, 3857, always_xy=True).transform(*feature["geometry"]["coordinates"])
-    assert np.hypot(place.x - expected[0], place.y - expected[1]) < 0.15
-    with path.open("rb") as file:
-        reader = pmtiles.reader.Reader(pmtiles.reader.MmapSource(file))
-        header, told = reader.header(), reader.metadata()
-        assert (header["version"], header["clustered"], header["min_zoom"], header["max_zoom"]) == (3, True, 0, 15)
-        assert header["min_lon_e7"] < 84205000 < header["max_lon_e7"]
-        assert (told["name"], told["license"]) == ("straße & <b>Co</b>", ODBL)
-        assert OSM_ATTRIBUTION in told["attribution"]
-        assert {each["id"]: each["minzoom"] for each in told["vector_layers"]}["detections"] == 13
-        assert reader.get(0, 0, 0) is not None
+        rows, _ = rows_of(tmp_path / "a.kmz", EXPORTS[layer].title)
+        assert len(rows) == len(features(scored, layer, tmp_path)) > 0
+
+
+@pytest.mark.parametrize("layer", ["intersections", "trajectory", "osm_nodes", "uncertainty"])
+def test_pmtiles_hold_one_layer_for_web_maps(layer: str, scored: Path, tmp_path: Path) -> None:
+    path = tmp_path / "a.pmtiles"
+    assert write_vector_file(scored, path, layer=None if layer == "intersections" else layer) == [layer]
+    rows, (place, *_) = rows_of(path, layer)
+    feature, *others = features(scored, layer, tmp_path)
+    assert len(rows) >= 1 + len(others)  # what lies on two tiles counts twice
+    told = pyogrio.read_info(path)["dataset_metadata"]
+    assert (told["name"], told["minzoom"], told["maxzoom"]) == ("straße & <b>Co</b>", "0", "15")
+    assert (OSM_ATTRIBUTION in told["description"]) == (layer in {"intersections", "osm_nodes"})
+    if layer == "intersections":
+        assert_same({name: value for name, value in feature["properties"].items() if value is not None}, rows[0])
+        to_web = pyproj.Transformer.from_crs(4326, 3857, always_xy=True)
+        expected = to_web.transform(*feature["geometry"]["coordinates"])
+        (place,) = shapely.get_parts(place)
+        assert np.hypot(place.x - expected[0], place.y - expected[1]) < 0.15
     bare = write_folder(tmp_path / "out", small_result(empty=True), scored=False)
-    write_vector_file(bare, path, layer="intersections")
-    with path.open("rb") as file:
-        reader = pmtiles.reader.Reader(pmtiles.reader.MmapSource(file))
-        assert "license" not in reader.metadata()
-        assert gzip.decompress(reader.get(0, 0, 0)) == b""
+    with pytest.raises(ConfigError, match=r"has no detections; PMTiles needs at least one"):
+        write_vector_file(bare, path, layer="detections")
 
 
 def test_geoparquet_holds_one_layer(scored: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -390,7 +390,7 @@ def test_a_full_disk_leaves_nothing_behind(scored: Path, tmp_path: Path) -> None
         "    except OutputError: print('refused')\n"
     )
     assert resource.getrlimit(resource.RLIMIT_FSIZE)[0] == resource.RLIM_INFINITY
-    names = [tmp_path / f"a{suffix}" for suffix in (".gpkg", ".fgb", ".kml", ".csv", ".pmtiles")]
+    names = [tmp_path / f"a{suffix}" for suffix in (".gpkg", ".fgb", ".kml", ".kmz", ".csv", ".pmtiles")]
     command = [sys.executable, "-c", code, scored, *names]
     outcome = subprocess.run(command, check=False, capture_output=True, text=True)
     assert outcome.stdout.split() == ["refused"] * len(names), outcome.stderr

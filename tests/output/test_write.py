@@ -56,17 +56,11 @@ def assert_same(found: Any, expected: Any) -> None:
 
 def test_the_files_of_a_georeferenced_run(tmp_path: Path) -> None:
     origin = {"drive": "07", "job": None, "preset": "paper", "labels": None}
+    unscored = {"outcome": "unscored", **dict.fromkeys(("osm_id", "error_m", "reason"))}
+    layers = ("detections", "keyframes", "trajectory", "intersections", "roads", "junctions", "road_surface")
+    files = [*(f"{layer}.geojson" for layer in layers), "run.json"]
     write_results(small_result(), tmp_path)
-    assert sorted(p.name for p in tmp_path.iterdir()) == [
-        "detections.geojson",
-        "intersections.geojson",
-        "junctions.geojson",
-        "keyframes.geojson",
-        "road_surface.geojson",
-        "roads.geojson",
-        "run.json",
-        "trajectory.geojson",
-    ]
+    assert {path.name for path in tmp_path.iterdir()} == set(files)
     detections = load(tmp_path / "detections.geojson")
     assert list(detections) == ["type", "attribution", "bbox", "features"]  # no crs
     assert detections["bbox"] == [8.4205, 49.0109999, 8.43, 49.02]
@@ -87,10 +81,7 @@ def test_the_files_of_a_georeferenced_run(tmp_path: Path) -> None:
             "intersection": 1,
             "id": "12-1",
             "time": None,
-            "outcome": "unscored",
-            "osm_id": None,
-            "error_m": None,
-            "reason": None,
+            **unscored,
             **origin,
         },
     }
@@ -111,9 +102,6 @@ def test_the_files_of_a_georeferenced_run(tmp_path: Path) -> None:
         "observations": 2,
         "position_std_m": 0.25,
         "position_cov_m2": [0.0625, 0.03, 0.0625],
-        "fix_std_m": None,
-        "shape_cov_m2": None,
-        "scatter_std_m": None,
         "branch_count": 3,
         "branch_bearings_deg": [0.5, 90.75, 180.5],
         "branch_widths_m": [6.5, None, 3.25],
@@ -123,13 +111,8 @@ def test_the_files_of_a_georeferenced_run(tmp_path: Path) -> None:
         "world_x_m": 10.0625,
         "world_y_m": 1.0,
         "uid": "49.01110,8.42063",
-        "first_time": None,
-        "last_time": None,
-        "outcome": "unscored",
-        "osm_id": None,
-        "error_m": None,
-        "reason": None,
-        "names": None,
+        **dict.fromkeys(("fix_std_m", "shape_cov_m2", "scatter_std_m", "first_time", "last_time", "names")),
+        **unscored,
         **origin,
     }
     (line,) = load(tmp_path / "trajectory.geojson")["features"]
@@ -140,16 +123,7 @@ def test_the_files_of_a_georeferenced_run(tmp_path: Path) -> None:
         "format_version": 1,
         "drive_name": "07",
         "georeferenced": True,
-        "files": [
-            "detections.geojson",
-            "keyframes.geojson",
-            "trajectory.geojson",
-            "intersections.geojson",
-            "roads.geojson",
-            "junctions.geojson",
-            "road_surface.geojson",
-            "run.json",
-        ],
+        "files": files,
         "first_time": None,
         "last_time": None,
         "config": {"preset": "paper"},
@@ -208,7 +182,6 @@ def test_files_of_something_else_stay(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("scans", "positions"), [(0, None), (1, 2), (2, 2)])
 def test_a_line_has_two_positions_or_none(tmp_path: Path, scans: int, positions: int | None) -> None:
     result = small_result()
-    assert result.trajectory_lonlat is not None
     short = replace(
         result,
         trajectory_world_xy=result.trajectory_world_xy[:scans],

@@ -66,21 +66,9 @@ _WEIGHTS, _WEIGHT_SPREADS = np.array([0.0, 6.0, 0.0]), np.array([10.0, 1.0, 10.0
 class Places:
     """The N intersections of a drive with what is known and what is true of them.
 
-    Attributes
-    ----------
-    sequence, kind : str
-        Name of its map; "simulated" or "recorded", and the level of label errors.
-    sightings : SightingStats
-    seen : (N,) float64
-    bearings_deg : list of N (B,) float64
-    error : (N, 2) float64
-        East and north of the intersection to what is true of it, NaN for none.
-    from_axes : (N,) bool
-        That is where the axes of its roads meet; otherwise it is its node.
-    counts, kept : (N,) bool
-        In the relevant zone of a keyframe; part of the map.
-    map_std_m : float
-        What the nodes of the map are off, east and north.
+    `sequence` is the name of its map; `error` leads east and north to what is true of an intersection (NaN for none):
+    its node, or, where `from_axes`, the place where the axes of its roads meet. `counts`: in the relevant zone of a
+    keyframe; `kept`: part of the map; `map_std_m`: what the nodes of the map are off, east and north.
     """
 
     sequence: str

@@ -25,7 +25,6 @@ def test_two_streets_meet_at_the_intersection_of_the_result() -> None:
     (node,) = (each for each in network.nodes if each.kind == "intersection")
     assert node.intersections == (1,)
     assert np.linalg.norm(node.xy) < 0.3  # where the lines meet, not where the detections were
-    assert node.area is not None
     assert node.area.contains(shapely.Point(0, 0))
     assert sorted(each.kind for each in network.nodes) == ["dead_end"] * 2 + ["end_of_view"] * 2 + ["intersection"]
     for edge in network.edges:
@@ -77,7 +76,6 @@ def test_an_open_place_is_an_area_without_lines() -> None:
     network = roads_of(place | street(*west) | street(*east), [*west, *east])
     (node,) = (each for each in network.nodes if each.kind == "place")
     assert len(network.edges) == 2
-    assert node.area is not None
     assert node.area.area == pytest.approx(3600, rel=0.06)
     assert all(node.id in {edge.start, edge.end} for edge in network.edges)
     lines = shapely.MultiLineString([edge.xy for edge in network.edges])

@@ -44,9 +44,9 @@ _FORMATS = {
     "the range of the temporal controller.",
     ".qgs": "the same project without the data: QGIS reads the layers from the service (OGC API - Features). Where it "
     "needs a token, QGIS asks for a user name, which may be any, and a password, which is the token.",
-    ".kmz": "all layers for Google Earth; keyframes are hidden at first.",
-    ".pmtiles": "all layers as Mapbox Vector Tiles in one PMTiles archive (version 3), which web maps read by byte "
-    "ranges: zooms 0 to 15; what is more than intersections and trajectory begins at zoom 13.",
+    ".kmz": "all layers for Google Earth.",
+    ".pmtiles": "one layer as Mapbox Vector Tiles (zooms 0 to 15) in a PMTiles archive (version 3), which web maps "
+    "read by byte ranges.",
     ".fgb": "one layer as FlatGeobuf: compact, with a spatial index.",
     ".kml": "one layer as KML, for Google Earth.",
     ".csv": "one layer as a table (RFC 4180): points with `lon` and `lat`, lines and areas with `wkt`; null is empty. "
@@ -64,7 +64,10 @@ _DESCRIPTION = (
 _MEDIA_TYPES = [MEDIA_TYPES[suffix] for suffix in _FORMATS]
 _FILE = answers("*/*", BINARY, "The file.")
 # The first is for clients that are generated: they know this media type, and that it is no text.
-_FILE[200]["content"] = {each: {"schema": BINARY} for each in ("application/octet-stream", *_MEDIA_TYPES)}
+_FILE[200]["content"] = {
+    each: {"schema": {"type": "object"} if each.endswith("json") else BINARY}
+    for each in ("application/octet-stream", *_MEDIA_TYPES)
+}
 
 router = APIRouter(tags=["Exports"])
 

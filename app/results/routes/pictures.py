@@ -22,7 +22,7 @@ router = APIRouter(tags=["Results"])
 
 Frame = Annotated[int, Path(description="Scan number of a keyframe.", ge=0, le=2**31)]
 Layer = Literal["bev", "occupancy", "centerline", "candidates", "branches", "all"]
-LonLat = tuple[float, float]
+Corner = Annotated[list[float], Field(min_length=2, max_length=2)]
 
 
 class KeyframeView(BaseModel):
@@ -36,10 +36,10 @@ class KeyframeView(BaseModel):
         description="Cells per side; a picture has one pixel per cell, or a whole number of pixels per cell."
     )
     resolution_m: float = Field(description="Side of a cell in metres.")
-    corners_lonlat: list[LonLat] | None = Field(
+    corners_lonlat: list[Corner] | None = Field(
         description="Upper left, upper right, lower right, lower left of the pictures; null without georeference."
     )
-    corners_world_m: list[tuple[float, float]] = Field(description="The same corners in W, in metres.")
+    corners_world_m: list[Corner] = Field(description="The same corners in W, in metres.")
     layers: list[str]
     outer_radius_m: float = Field(description="Outer radius in metres of the branches around a candidate.")
     relevant_zone_m: float = Field(description="Side in metres of the zone in which a missed node counts.")

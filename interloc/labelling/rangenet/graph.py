@@ -210,25 +210,9 @@ def _wrong_output(outputs: Sequence[Tensor], expected: Expected) -> ModelError:
 # The network
 
 
-_DTYPES = {
-    "tensor(float)": np.float32,
-    "tensor(float16)": np.float16,
-    "tensor(bool)": np.bool_,
-    "tensor(int64)": np.int64,
-    "tensor(int32)": np.int32,
-    "tensor(int16)": np.int16,
-    "tensor(uint16)": np.uint16,
-    "tensor(int8)": np.int8,
-    "tensor(uint8)": np.uint8,
-}
-_SUFFIX = "ExecutionProvider"
+_DTYPES = {kind: np.dtype("float32" if kind == "tensor(float)" else kind[7:-1]) for kind in MASK_TYPES}
+_TYPES = {dtype: kind for kind, dtype in _DTYPES.items()}
 _SCAN_LIMIT_S = 600.0  # a loop in the graph may be endless
-_TYPES = {np.dtype(dtype): name for name, dtype in _DTYPES.items()}
-
-
-def available_providers() -> list[str]:
-    """Return what can run networks here, as `provider` takes them: ["cpu"], ["cuda", "cpu"], ..."""
-    return [name.removesuffix(_SUFFIX).lower() for name in _providers()]
 
 
 def describe_graph(path: Path) -> tuple[list[Tensor], list[Tensor]]:
@@ -355,20 +339,18 @@ def _open_session(path: Path, provider: str, *, threads: int, optimise: bool) ->
     return session
 
 
-def _providers() -> list[str]:
-    """Return the full names of what can run networks on this machine; one of onnxruntime's asks a remote service."""
-    return [str(name) for name in _onnxruntime().get_available_providers() if name != "AzureExecutionProvider"]
-
-
 def _provider(choice: str) -> str:
-    """Return the full name of a provider."""
-    for name in _providers():
-        if choice.lower() in {name.lower(), name.removesuffix(_SUFFIX).lower()}:
-            return name
-    raise ConfigError(
-        f"provider {choice!r} is not available; this onnxruntime has {', '.join(available_providers())}. "
-        "Usual cause: onnxruntime without that device: cuda comes with the package onnxruntime-gpu instead."
-    )
+    """Return the full name of a provider that runs networks on this machine."""
+    names = [str(name) for name in _onnxruntime().get_available_providers()]
+    short = {name.removesuffix("ExecutionProvider").lower(): name for name in names}
+    short.pop("azure", None)  # it asks a remote service
+    found = short.get(choice.lower().removesuffix("executionprovider"))
+    if found is None:
+        raise ConfigError(
+            f"provider {choice!r} is not available; this onnxruntime has {', '.join(short)}. "
+            "Usual cause: onnxruntime without that device: cuda comes with the package onnxruntime-gpu instead."
+        )
+    return found
 
 
 def _first_line(error: BaseException) -> str:

@@ -17,7 +17,6 @@ from interloc.kernels.projection import fill_image, normalise_image, project_poi
 from interloc.labelling.rangenet.graph import Network
 from interloc.labelling.rangenet.model import CHANNELS, KnnSettings, Model, read_model
 from interloc.processes import cores
-from interloc.stopwatch import Stopwatch
 
 _inherited: list[Network] = []
 """Networks of a parent process, kept for ever: freeing one would wait for its threads, which only the parent has."""
@@ -35,28 +34,13 @@ class Labeller:
         if threads is not None and threads < 1:
             raise ConfigError(f"threads: {threads}; a network needs at least 1.")
         self.model = model
-        self.stopwatch = Stopwatch()
+        self.name, self.identity, self.notes = model.name, model.identity, model.notes
         self._provider = provider
         self._threads = threads
         self._ids = np.array(model.class_ids, np.uint32)
         self._network: Network | None = None
         self._process = 0
         self._lock = Lock()
-
-    @property
-    def name(self) -> str:
-        """Name of the network."""
-        return self.model.name
-
-    @property
-    def identity(self) -> str:
-        """The same for the same files of a model."""
-        return self.model.identity
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """What was assumed of the network."""
-        return self.model.notes
 
     def load(self) -> None:
         """Load the network, where this process has not done so yet: to have what is wrong with it reported early."""
@@ -71,23 +55,18 @@ class Labeller:
         if points.ndim != 2 or points.shape[1] != 4:
             raise ModelError(f"points of shape {points.shape} are no scan; expected (N, 4): x, y, z and remission.")
         points = np.ascontiguousarray(points, np.float32)
-        network, model, stopwatch = self._loaded(), self.model, Stopwatch()
+        network, model = self._loaded(), self.model
         projection = project(points, model.height, model.width, model.fov_up_rad, model.fov_down_rad)  # III-A
         if not projection.filled.any():
             return np.full(len(points), self._ids[0], np.uint32)
         image = range_image(points, projection)
         given = normalise(image, projection, model.form.channels, model.means, model.stds)
-        stopwatch.lap("projection")
         classes = network.run(given, projection.filled)  # III-B
-        stopwatch.lap("network")
         if model.knn is None:
             found = by_pixel(classes, projection)
         else:
             found = vote(classes, projection, model.knn, first_class=model.first_class)  # III-D
         labels: UInt32Array = self._ids[found]
-        stopwatch.lap("neighbours")
-        with self._lock:
-            self.stopwatch.add(stopwatch.seconds)
         return labels
 
     def _loaded(self) -> Network:
@@ -109,7 +88,7 @@ class Labeller:
             return self._network
 
     def __getstate__(self) -> dict[str, Any]:
-        return self.__dict__ | {"_network": None, "_lock": None, "stopwatch": Stopwatch()}
+        return self.__dict__ | {"_network": None, "_lock": None}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state | {"_lock": Lock()})

@@ -83,14 +83,6 @@ class Model:
         return self.folder / GRAPH
 
 
-@dataclass(frozen=True)
-class _Sensor:
-    height: int
-    width: int
-    fov_up_rad: float
-    fov_down_rad: float
-
-
 def read_model(folder: str | Path) -> Model:
     """Read a model as the RangeNet++ / lidar-bonnetal family publishes it, and check that its files fit together.
 
@@ -101,19 +93,13 @@ def read_model(folder: str | Path) -> Model:
     folder = Path(folder)
     _check_files(folder)
     arch, data = read_settings(folder / ARCH), read_settings(folder / DATA)
-    sensor = _read_sensor(arch)
+    height, width, fov_up_rad, fov_down_rad = _read_sensor(arch)
     class_ids, notes = _read_classes(data)
-    knn = _read_knn(arch, sensor)
+    knn = _read_knn(arch, width)
     listed = _listed_channels(arch)
-    expected = Expected(
-        arch=str(arch.path),
-        data=str(data.path),
-        graph=str(folder / GRAPH),
-        height=sensor.height,
-        width=sensor.width,
-        classes=len(class_ids),
-        channels=(listed,) if listed else _usual_channels(arch),
-    )
+    channels = (listed,) if listed else _usual_channels(arch)
+    files = (str(arch.path), str(data.path), str(folder / GRAPH))
+    expected = Expected(*files, height, width, len(class_ids), channels)
     means = _read_statistics(arch, "dataset.sensor.img_means", listed, lowest=-1e6)
     stds = _read_statistics(arch, "dataset.sensor.img_stds", listed, lowest=1e-6)
     form = match_graph(*describe_graph(folder / GRAPH), expected)
@@ -124,10 +110,10 @@ def read_model(folder: str | Path) -> Model:
     return Model(
         folder=folder,
         identity=_identity(folder),
-        height=sensor.height,
-        width=sensor.width,
-        fov_up_rad=sensor.fov_up_rad,
-        fov_down_rad=sensor.fov_down_rad,
+        height=height,
+        width=width,
+        fov_up_rad=fov_up_rad,
+        fov_down_rad=fov_down_rad,
         means=tuple(means[channel] for channel in form.channels),
         stds=tuple(stds[channel] for channel in form.channels),
         class_ids=class_ids,
@@ -148,11 +134,11 @@ def describe(folder: Path) -> ModelDescription | None:
     try:
         _check_files(folder)
         arch, data = read_settings(folder / ARCH), read_settings(folder / DATA)
-        sensor, (class_ids, _) = _read_sensor(arch), _read_classes(data)
-        _read_knn(arch, sensor)
+        (height, width, *_), (class_ids, _) = _read_sensor(arch), _read_classes(data)
+        _read_knn(arch, width)
         size = sum(path.stat().st_size for path in _graph_files(folder))
         identity = _identity(folder)
-        return ModelDescription(folder.name, None, size, sensor.height, sensor.width, len(class_ids), identity)
+        return ModelDescription(folder.name, None, size, height, width, len(class_ids), identity)
     except ModelError as error:
         return ModelDescription(folder.name, problem=str(error))
     except OSError as error:
@@ -184,7 +170,8 @@ def _graph_files(folder: Path) -> list[Path]:
     return sorted(path for path in folder.iterdir() if path.name.startswith(GRAPH) and path.is_file())
 
 
-def _read_sensor(arch: SettingsFile) -> _Sensor:
+def _read_sensor(arch: SettingsFile) -> tuple[int, int, float, float]:
+    """Return height and width of the image in pixels, and its upper and lower edge in radians."""
     height = arch.read("dataset.sensor.img_prop.height", whole(1, MAX_HEIGHT))
     width = arch.read("dataset.sensor.img_prop.width", whole(1, MAX_WIDTH))
     if height * width > MAX_PIXELS:
@@ -198,15 +185,15 @@ def _read_sensor(arch: SettingsFile) -> _Sensor:
             "dataset.sensor.fov_up",
             f"fov_up {up:g} and fov_down {down:g} leave no field of view; expected degrees, as in 3 and -25.",
         )
-    return _Sensor(height, width, math.radians(up), math.radians(down))
+    return height, width, math.radians(up), math.radians(down)
 
 
-def _read_knn(arch: SettingsFile, sensor: _Sensor) -> KnnSettings | None:
+def _read_knn(arch: SettingsFile, width: int) -> KnnSettings | None:
     if not arch.read("post.KNN.use", FLAG, default=False):
         return None
     params = "post.KNN.params"
     search = arch.read(f"{params}.search", whole(1, MAX_SEARCH))
-    if search % 2 == 0 or search > sensor.width:
+    if search % 2 == 0 or search > width:
         raise arch.fault(
             f"{params}.search", f"found {search}; expected an odd number of pixels, no wider than the image."
         )

@@ -104,7 +104,7 @@ def test_vector_tiles_are_read_by_ranges(finished: Finished, tmp_path: Path) -> 
     assert whole.headers["accept-ranges"] == "bytes"
     assert whole.headers["etag"] == head.headers["etag"]
     assert head.headers["content-range"] == f"bytes 0-126/{len(whole.content)}"
-    assert set(layers_of(whole.content, tmp_path / "a.pmtiles")) == {*SCORED, *DERIVED}
+    assert set(layers_of(whole.content, tmp_path / "a.pmtiles")) == {"intersections"}
 
 
 def test_columns(finished: Finished, monkeypatch: pytest.MonkeyPatch) -> None:

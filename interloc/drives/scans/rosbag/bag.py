@@ -1,18 +1,20 @@
-"""A bag: one file or several, and the topics in it."""
+"""A bag: one file or several, the topics in it, and which of them are scans, poses and fixes."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator
+from collections import Counter
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
-from interloc.arrays import IntArray
+from interloc.arrays import FloatArray, IntArray
+from interloc.drives.clocks import ClockShift, known_shift
 from interloc.drives.files import SourceFile
 from interloc.drives.findings import DriveFileError, Findings
 from interloc.drives.scans.rosbag.files import (
@@ -25,7 +27,24 @@ from interloc.drives.scans.rosbag.files import (
     locate,
     read_messages,
 )
-from interloc.drives.scans.rosbag.messages import Encoding, WireError
+from interloc.drives.scans.rosbag.messages import (
+    FIX,
+    LIVOX,
+    ODOMETRY,
+    POINT_CLOUD,
+    POSE,
+    POSE_WITH_COVARIANCE,
+    POSES,
+    TRANSFORMS,
+    CloudLayout,
+    Encoding,
+    Header,
+    Wire,
+    WireError,
+    first_points,
+    read_header,
+    read_layout,
+)
 from interloc.errors import install
 
 SUFFIXES = (".bag", ".db3", ".mcap")
@@ -35,7 +54,6 @@ Decoded = TypeVar("Decoded")
 _COMPRESSED = re.compile(r".*\.(bag|db3|mcap)\.(zst|zstd|gz|bz2|xz|lz4)")
 _PART = re.compile(r"(_\d{4}(-\d\d){5})?_\d+$")  # of a bag that was split while it was recorded
 _METADATA = "metadata.yaml"
-_MAX_METADATA_BYTES = 16 * 1024 * 1024
 
 
 @dataclass(frozen=True)
@@ -54,7 +72,7 @@ class BagTopic:
 
     @property
     def encoding(self) -> Encoding | None:
-        """{"ros1", "cdr"} or None: none where it is not known."""
+        """Of the messages; None where it is not known."""
         encodings = {channel.encoding for _, channel in self.channels}
         return encodings.pop() if len(encodings) == 1 else None
 
@@ -91,11 +109,10 @@ class BagTopic:
 
 @dataclass(frozen=True)
 class Bag:
-    """The files of a bag, and what is in them."""
+    """The files of a bag, and its topics by name."""
 
     files: tuple[SourceFile, ...]
     topics: list[BagTopic]
-    """By name."""
 
     @property
     def name(self) -> str:
@@ -142,15 +159,7 @@ def open_bag(files: tuple[SourceFile, ...], findings: Findings) -> Bag:
 
 
 def find_bag(root: Path, *, required: bool, findings: Findings) -> tuple[SourceFile, ...] | None:
-    """Find the files of the bag that a path leads to; None where there is none.
-
-    Parameters
-    ----------
-    root : Path
-        A file of a bag; or a folder with one bag in it, in one file or in several.
-    required : bool
-        The user says that it is one.
-    """
+    """Find the files of the bag that a path leads to, a file or a folder with one bag; None where there is none."""
     if root.is_file():
         return _lone_file(root, findings, required=required)
     if not root.is_dir():
@@ -185,7 +194,6 @@ def _whole_name(path: Path) -> str:
 
 
 def _refuse_packed(paths: list[Path], root: Path) -> None:
-    """Refuse bags that are compressed as a whole, or still open."""
     for path in paths:
         if _COMPRESSED.fullmatch(path.name):
             tool = {"zst": "zstd", "zstd": "zstd", "gz": "gzip"}.get(path.suffix[1:], path.suffix[1:])
@@ -201,7 +209,6 @@ def _refuse_packed(paths: list[Path], root: Path) -> None:
 
 
 def _in_folder(folder: Path, findings: Findings) -> list[Path]:
-    """Return the files of the one bag in a folder, in order; none where there is no bag."""
     entries = sorted(entry for entry in folder.iterdir() if entry.is_file() and not entry.name.startswith("."))
     bags = [entry for entry in entries if entry.suffix in SUFFIXES]
     if (folder / _METADATA).is_file() and (named := _named_by_metadata(folder / _METADATA)):
@@ -222,12 +229,8 @@ def _in_folder(folder: Path, findings: Findings) -> list[Path]:
             str(folder),
             f"holds several bags ({names}{' ...' if len(bags) > 5 else ''}). Expected one drive: give one of them.",
         )
-    return sorted(bags, key=_natural)
-
-
-def _natural(path: Path) -> list[Any]:
-    """Return what sorts part 10 after part 9."""
-    return [int(piece) if piece.isdigit() else piece for piece in re.split(r"(\d+)", path.name)]
+    pieces = {path: re.split(r"(\d+)", path.name) for path in bags}  # part 10 comes after part 9
+    return sorted(bags, key=lambda path: [int(piece) if piece.isdigit() else piece for piece in pieces[path]])
 
 
 def _named_by_metadata(path: Path) -> list[str]:
@@ -237,7 +240,7 @@ def _named_by_metadata(path: Path) -> list[str]:
     """
     try:
         with path.open("rb") as file:
-            text = file.read(_MAX_METADATA_BYTES).decode("utf-8", "replace")
+            text = file.read(16 * 1024 * 1024).decode("utf-8", "replace")
     except OSError:
         return []
     block = re.search(r"relative_file_paths:[^\S\n]*\n((?:\s*-\s*[^\n]+\n?)+)", text)
@@ -249,3 +252,245 @@ def _named_by_metadata(path: Path) -> list[str]:
         if name and not name.startswith("."):
             names.append(bare if is_unpacked else name)
     return names
+
+
+# Scans, poses and fixes
+
+
+POINTS = (POINT_CLOUD, *LIVOX)
+
+_DRIVERS = {  # raw packets, and what makes points of them
+    "velodyne_msgs/msg/VelodyneScan": "velodyne_pointcloud",
+    "ouster_ros/msg/PacketMsg": "ouster_ros",
+    "ouster_msgs/msg/PacketMsg": "ouster_ros",
+    "ouster_sensor_msgs/msg/PacketMsg": "ouster_ros",
+    "hesai_ros_driver/msg/UdpFrame": "hesai_ros_driver",
+    "pandar_msgs/msg/PandarScan": "hesai_pandar",
+    "hesai_lidar/msg/PandarScan": "hesai_lidar",
+    "rslidar_msgs/msg/rslidarScan": "rslidar_sdk",
+    "rslidar_msg/msg/RslidarPacket": "rslidar_sdk",
+    "nebula_msgs/msg/NebulaPackets": "nebula",
+}
+_FIXED_FRAMES = {"map", "odom", "world", "earth", "utm", "global", "camera_init"}
+_USUAL_ORDER = {kind: place for place, kind in enumerate((ODOMETRY, POSE, POSE_WITH_COVARIANCE, *TRANSFORMS))}
+
+
+@dataclass(frozen=True)
+class PointsTopic:
+    """The scans of a bag: their coordinate frame, and what each point carries."""
+
+    topic: BagTopic
+    frame_id: str
+    has_labels: bool
+    has_remission: bool
+    has_times: bool = False
+
+
+def choose_points(bag: Bag, given: str | None, findings: Findings) -> PointsTopic:
+    """Choose the topic of the scans.
+
+    Of several, one whose points carry labels comes first; scans of a sensor come before those that were moved into a
+    fixed frame; then the one with the most points counts.
+    """
+    candidates = [topic for topic in bag.topics if topic.type in POINTS and topic.encoding is not None]
+    if given is not None:
+        return _judged(bag, named(bag, given, POINTS, "points"))[1]
+    filled = [topic for topic in candidates if len(topic)]
+    if not filled:
+        raise bag.fault(_no_points(bag, candidates))
+    judged = []
+    for topic in filled:
+        try:
+            judged.append(_judged(bag, topic))
+        except DriveFileError as error:
+            if len(filled) == 1:
+                raise
+            findings.warning(error.path, error.message)
+    if not judged:
+        raise bag.fault(f"{len(filled)} topics of points, and the first message of each is damaged.")
+    judged.sort(key=lambda each: each[0], reverse=True)
+    (rank, best), others = judged[0], judged[1:]
+    if others and others[0][0][:2] == rank[:2] and others[0][0][2] > 0.8 * rank[2]:
+        raise bag.fault(
+            f"both {best.topic.name} ({len(best.topic):,} messages) and {others[0][1].topic.name} "
+            f"({len(others[0][1].topic):,} messages) could be the scans. Name one: "
+            f"--points {best.topic.name} (points={best.topic.name!r}).",
+        )
+    if others:
+        findings.note(
+            bag.name,
+            f"the scans are taken from {best.topic.name} ({best.topic.type}); other topics of points: "
+            f"{', '.join(each.topic.name for _, each in others[:5])}. Choose with --points.",
+        )
+    return best
+
+
+def _judged(bag: Bag, topic: BagTopic) -> tuple[tuple[bool, bool, int], PointsTopic]:
+    """Look into the first message that has points; return how good a topic is."""
+    if not len(topic):
+        raise bag.fault(f"the topic {topic.name} holds no messages. Usual cause: a driver that was off.")
+
+    def decode(head: bytes, encoding: Encoding) -> CloudLayout:
+        return read_layout(head, topic.type, encoding, complete=False)
+
+    for row, layout in enumerate(bag.decoded(topic, decode, heads=True)):
+        if layout.count or row > 100:
+            break
+    frame = layout.header.frame_id
+    rank = (layout.has("label"), frame not in _FIXED_FRAMES, len(topic) * layout.count)
+    return rank, PointsTopic(topic, frame, layout.has("label"), layout.has("remission"), layout.has("time"))
+
+
+def _no_points(bag: Bag, empty: list[BagTopic]) -> str:
+    if empty:
+        names = ", ".join(topic.name for topic in empty)
+        return f"{names}: no messages. Expected one per scan. Usual cause: a driver that was off while recording."
+    packets = [(topic, _DRIVERS[topic.type]) for topic in bag.topics if topic.type in _DRIVERS]
+    if packets:
+        topic, driver = packets[0]
+        return (
+            f"{topic.name} holds the raw packets of the sensor ({topic.type}), not points. Expected "
+            f"sensor_msgs/PointCloud2: play the bag through the driver {driver} and record its points."
+        )
+    return (
+        "holds no points. Expected a topic of sensor_msgs/PointCloud2 or Livox's CustomMsg. "
+        f"It holds: {topic_list(bag)}."
+    )
+
+
+def pose_topics(bag: Bag, given: str | None) -> list[BagTopic]:
+    """Return the topics that may be the poses, the best first: Odometry before poses, and both before /tf."""
+    if given is not None:
+        return [named(bag, given, (*POSES, *TRANSFORMS), "poses")]
+    candidates = [
+        topic
+        for topic in bag.topics
+        if topic.encoding is not None
+        and len(topic)
+        and ((topic.type in POSES and len(topic) > 1) or (topic.type in TRANSFORMS and not is_static(topic)))
+    ]
+    return sorted(candidates, key=lambda topic: (_USUAL_ORDER[topic.type], -len(topic), topic.name))
+
+
+def fix_topics(bag: Bag, given: str | None) -> tuple[BagTopic, ...]:
+    """Return the topics of GNSS fixes, that with the most first."""
+    if given is not None:
+        return (named(bag, given, (FIX,), "fix"),)
+    candidates = [topic for topic in bag.topics if topic.type == FIX and topic.encoding is not None and len(topic)]
+    return tuple(sorted(candidates, key=lambda topic: (-len(topic), topic.name)))
+
+
+def named(bag: Bag, name: str, kinds: Collection[str], option: str) -> BagTopic:
+    """Return the topic that an option names."""
+    fitting = [topic for topic in bag.topics if topic.type in kinds]
+    same = [topic for topic in bag.topics if topic.name.lstrip("/") == name.lstrip("/")]
+    for topic in same:
+        if topic in fitting and topic.encoding is not None:
+            return topic
+    there = ", ".join(f"{topic.name} ({len(topic):,} messages)" for topic in fitting[:20]) or "none"
+    found = f"is of type {same[0].type}" if same else "is not in the bag"
+    raise bag.fault(
+        f"the topic {name!r} {found}. Topics that --{option} can name: {there}. All topics: {topic_list(bag)}.",
+    )
+
+
+def is_static(topic: BagTopic) -> bool:
+    """Return whether a topic holds transforms that never change."""
+    return topic.type in TRANSFORMS and topic.name.endswith("tf_static")
+
+
+def topic_list(bag: Bag) -> str:
+    """Write the topics of a bag, with their types."""
+    texts = [f"{topic.name} ({topic.type or 'no type'}, {len(topic):,})" for topic in bag.topics[:15]]
+    more = len(bag.topics) - len(texts)
+    return (", ".join(texts) or "nothing") + (f" and {more} more" if more > 0 else "")
+
+
+# When the scans were taken
+
+
+def clock_lead_s(stamps_ns: IntArray, log_ns: IntArray) -> float:
+    """Return by how much the stamps of messages are ahead of the times at which they were recorded, the median."""
+    return float(np.median(stamps_ns - log_ns)) / 1e9 if len(stamps_ns) else float("nan")
+
+
+def clock_shift(lead_s: float, other_lead_s: float) -> ClockShift | None:
+    """Compare the clocks of two topics by their `clock_lead_s`, which may be NaN.
+
+    None where the clocks are the same, or where one topic may only have been computed or recorded later.
+    """
+    ahead_s = lead_s - other_lead_s
+    if not abs(ahead_s) > 0.5:
+        return None
+    if (known := known_shift(ahead_s)) is not None:
+        return known
+    if max(lead_s, other_lead_s) > 0.1 > min(lead_s, other_lead_s):  # nothing is recorded before it happens
+        return ClockShift(ahead_s, "a clock that is not synchronised")
+    return None
+
+
+@dataclass(frozen=True)
+class ScanTimes:
+    """When the scans of a bag were taken."""
+
+    order: IntArray
+    """(N,) int64: rows of the topic in the order of time: scan number to row."""
+    stamp_s: FloatArray
+    log_s: FloatArray
+    """(N,) float64: time in the header, and time of recording, of each scan."""
+    frame_ids: tuple[str, ...] = ()
+    """The coordinate frames of the points, those of the most scans first."""
+
+    @property
+    def lead_s(self) -> float:
+        """By how much the stamps are ahead of the times of recording, the median; 0 where these are the stamps."""
+        return float(np.median(self.stamp_s - self.log_s))
+
+
+def read_scan_times(bag: Bag, topic: BagTopic, findings: Findings) -> ScanTimes:
+    """Read the stamps of all scans, from the first bytes of each, and number the scans by them."""
+
+    def decode(head: bytes, encoding: Encoding) -> tuple[Header, bytes | None]:
+        return read_header(Wire(head, encoding)), first_points(head, topic.type, encoding)
+
+    stamps = np.empty(len(topic), dtype=np.int64)
+    frame_ids: Counter[str] = Counter()
+    empty = repeated = 0
+    before = b""
+    for row, (header, points) in enumerate(bag.decoded(topic, decode, heads=True)):
+        stamps[row] = header.stamp_ns
+        frame_ids[header.frame_id] += 1
+        empty += points == b""
+        repeated += bool(points) and points == before
+        before = points or b""
+    _tell_idle(bag, topic, empty, repeated, findings)
+    unset = int(np.count_nonzero(stamps <= 0))
+    constant = len(stamps) > 2 and len(np.unique(stamps)) <= len(stamps) // 2
+    if unset or constant:
+        what = f"{unset:,} of {len(stamps):,} scans have a stamp of 0" if unset else "most scans have the same stamp"
+        findings.note(bag.name, f"{topic.name}: {what}; the times at which they were recorded are used.")
+        stamps = topic.log_ns
+    recorded = np.argsort(topic.log_ns, kind="stable")
+    steps = np.diff(stamps[recorded])
+    if (steps < 0).any():
+        back_s = float(-steps.min() / 1e9)
+        say = findings.warning if back_s > 1.0 else findings.note
+        say(
+            bag.name,
+            f"{topic.name}: the stamps of the scans run backwards {np.count_nonzero(steps < 0):,} times, by up to "
+            f"{back_s:.3f} s; the scans are numbered by their stamps. Usual cause: two sensors on one topic, or a "
+            "clock that was set while recording.",
+        )
+    order = recorded[np.argsort(stamps[recorded], kind="stable")]
+    frames = tuple(frame for frame, _ in frame_ids.most_common())
+    return ScanTimes(order, stamps[order] / 1e9, topic.log_ns[order] / 1e9, frames)
+
+
+def _tell_idle(bag: Bag, topic: BagTopic, empty: int, repeated: int, findings: Findings) -> None:
+    for count, what, usual in (
+        (empty, "hold no points", "a sensor or network that was overloaded"),
+        (repeated, "repeat the scan before under a new stamp", "a driver that hung"),
+    ):
+        if count:
+            say = findings.warning if count > 0.05 * len(topic) else findings.note
+            say(bag.name, f"{count:,} of {len(topic):,} scans of {topic.name} {what}. Usual cause: {usual}.")

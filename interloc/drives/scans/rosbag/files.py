@@ -29,8 +29,7 @@ from interloc.drives.files import SourceFile
 from interloc.drives.scans.rosbag.messages import Encoding
 
 MAX_BYTES = 512 * 1024 * 1024
-"""Of one message, and of one chunk when unpacked: recorders write about a megabyte, and a scan of 4 million points is
-smaller."""
+"""Of one message, and of one chunk when unpacked: recorders write a megabyte; a scan of 4 million points is smaller."""
 
 MAX_MESSAGES = 20_000_000
 """Of one topic in one file: two days of an IMU at 100 Hz."""
@@ -77,7 +76,6 @@ class Channel:
     type: str
     """Spelt as in ROS 2: "sensor_msgs/msg/PointCloud2"."""
     encoding: Encoding | None
-    """{"ros1", "cdr"} or None: none where it is another."""
     count: int | None
     """Messages; None where only their index tells."""
     pieces: Callable[[BinaryIO], Iterator[IntArray]]
@@ -245,7 +243,6 @@ def messages_at(raw: BinaryIO, places: IntArray, limit: int) -> Iterator[bytes]:
 
 
 def _rest(raw: BinaryIO, start: int) -> io.BytesIO:
-    """Read the index at the end of a file."""
     size = raw.seek(0, 2) - start
     if not 0 < size <= _MAX_INDEX_BYTES:
         raise DamagedBagError(f"its index has {size:,} bytes; expected at most {_MAX_INDEX_BYTES:,}")
@@ -290,22 +287,15 @@ def mcap_channels(raw: BinaryIO) -> list[Channel]:
             places.setdefault(number, []).append((*place, at))
     if chunks and not (channels and schemas and (counts or places)):
         raise DamagedBagError("its summary lacks the channels, their schemas or the index of the messages")
+    encodings: dict[str, Encoding] = {"cdr": "cdr", "ros1": "ros1"}
     found = []
     for record in channels:
         schema = schemas.get(record.schema_id)
-        encodings: dict[str, Encoding] = {"cdr": "cdr", "ros1": "ros1"}
-        found.append(
-            Channel(
-                record.topic,
-                ros2_spelling("" if schema is None else schema.name),
-                encodings.get(record.message_encoding),
-                counts.get(record.id, 0) if counts else None,
-                partial(_locate_in_mcap, record.id, places.get(record.id, []))
-                if chunks
-                else partial(_locate_without_chunks, record.id, start),
-                schema is not None and bool(schema.data),
-            )
-        )
+        name, is_defined = ("", False) if schema is None else (ros2_spelling(schema.name), bool(schema.data))
+        count = counts.get(record.id, 0) if counts else None
+        indexed = partial(_locate_in_mcap, record.id, places.get(record.id, []))
+        pieces = indexed if chunks else partial(_locate_without_chunks, record.id, start)
+        found.append(Channel(record.topic, name, encodings.get(record.message_encoding), count, pieces, is_defined))
     return found
 
 
@@ -333,7 +323,6 @@ def _locate_without_chunks(number: int, end: int, raw: BinaryIO) -> Iterator[Int
 
 
 def _rows(log_ns: IntArray, place: list[int], offsets: IntArray) -> IntArray:
-    """Return the rows of the messages of one chunk."""
     rows = np.empty((len(offsets), 5), dtype=np.int64)
     rows[:, 0], rows[:, 1:4], rows[:, 4] = log_ns, place, offsets
     return rows
@@ -444,16 +433,9 @@ def _db3_channels(file: SourceFile, database: sqlite3.Connection) -> list[Channe
         own = rows[slice(*np.searchsorted(rows[:, 1], [int(number), int(number) + 1]))]
         places = np.zeros((len(own), 5), dtype=np.int64)
         places[:, 0], places[:, 1 + OFFSET] = own[:, 2], own[:, 0]
-        found.append(
-            Channel(
-                str(name),
-                ros2_spelling(str(kind)),
-                "cdr" if encoding == "cdr" else None,
-                len(own),
-                partial(_given, places),
-                kind in defined,
-            )
-        )
+        wire: Encoding | None = "cdr" if encoding == "cdr" else None
+        pieces = partial(_given, places)
+        found.append(Channel(str(name), ros2_spelling(str(kind)), wire, len(own), pieces, kind in defined))
     return found
 
 

@@ -13,9 +13,8 @@ from interloc.arrays import BoolArray, FloatArray, IntArray
 from interloc.drives.files import MAX_NUMBER
 from interloc.drives.findings import DriveFileError, Findings
 from interloc.drives.poses.motion import TimedPoses, rotations_from_quaternions
-from interloc.drives.scans.rosbag.bag import Bag, BagTopic
+from interloc.drives.scans.rosbag.bag import Bag, BagTopic, clock_lead_s
 from interloc.drives.scans.rosbag.messages import TRANSFORMS, StampedPose, read_pose, read_transforms
-from interloc.drives.scans.rosbag.topics import clock_lead_s
 from interloc.geometry import invert_transform, rigid_transforms
 
 LONGEST_GAP_S = 2.0
@@ -27,10 +26,6 @@ ROW = 8
 _EARTH = {"earth", "ecef", "utm"}
 _MOVED = 1e-4
 """Metres, or radians: two publishers of one mounting differ by their rounding."""
-
-_RARE_S = 1.0
-_MAX_FRAMES = 10_000
-_OFF_UNIT = 0.05
 
 
 @dataclass(frozen=True)
@@ -52,7 +47,7 @@ class Edge:
     @cached_property
     def is_rare(self) -> bool:
         """True where it is mostly told less than once a second."""
-        return len(self.moves.times_s) < 2 or float(np.median(np.diff(self.moves.times_s))) > _RARE_S
+        return len(self.moves.times_s) < 2 or float(np.median(np.diff(self.moves.times_s))) > 1.0
 
     def at(self, times_s: FloatArray) -> FloatArray:
         """Return (N, 4, 4) T_parent_child at some times."""
@@ -71,12 +66,11 @@ class Edge:
 
 @dataclass(frozen=True)
 class FrameTree:
-    """All transforms of a bag."""
+    """All transforms of a bag, by the frames that they lead from."""
 
     lead_s: float = float("nan")
     """By how much the stamps of /tf are ahead of the times at which they were recorded, the median."""
     parents: dict[str, str] = field(default_factory=dict)
-    """The parent of each frame."""
     rows: dict[str, array[float]] = field(default_factory=dict)
     """Time in seconds, x y z in metres and quaternion x y z w of all transforms of each frame, one after the other."""
     _edges: dict[str, Edge | None] = field(default_factory=dict)
@@ -143,7 +137,7 @@ def read_tree(bag: Bag) -> FrameTree:
         for transforms, log_ns in zip(bag.decoded(topic, read_transforms), topic.log_ns, strict=True):
             for transform in transforms:
                 key = (transform.header.frame_id, transform.child_frame)
-                if key not in found and len(found) >= _MAX_FRAMES:
+                if key not in found and len(found) >= 10_000:
                     continue
                 rows = found.setdefault(key, array("d"))
                 if transform.header.stamp_ns and not topic.name.endswith("_static"):
@@ -157,12 +151,12 @@ def read_tree(bag: Bag) -> FrameTree:
 
 
 def timed_poses(times: FloatArray, numbers: FloatArray, source: str) -> TimedPoses | None:
-    """Make poses of (P,) times and (P, 7) values x y z, quaternion x y z w, without those that are none.
+    """Make poses of (P,) times and (P, 7) values x y z, quaternion x y z w, sorted by time; None where none is one.
 
-    They are sorted by time; of several at one time the last counts. None where none is left.
+    Of several at one time the last counts.
     """
     with np.errstate(invalid="ignore", over="ignore"):
-        unit = np.abs(np.linalg.norm(numbers[:, 3:], axis=1) - 1.0) < _OFF_UNIT
+        unit = np.abs(np.linalg.norm(numbers[:, 3:], axis=1) - 1.0) < 0.05
         near = np.abs(numbers[:, :3]).max(axis=1) < MAX_NUMBER
     sound = unit & near & np.isfinite(times)
     numbers, times = numbers[sound], times[sound]
@@ -192,14 +186,12 @@ _BODIES = ("base_link", "base_footprint", "base", "body", "vehicle", "ego_vehicl
 
 @dataclass(frozen=True)
 class LidarMotion:
-    """Poses of the LiDAR over time."""
+    """Poses of the LiDAR over time, and how many of them were read."""
 
     edges: tuple[Edge, ...]
     """From the frame that carries the LiDAR up to the fixed one."""
     T_body_lidar: FloatArray
-    """(4, 4) float64."""
     count: int
-    """Poses that were read."""
     reason: str
     """Which poses these are, in words."""
     lead_s: float = float("nan")
@@ -238,10 +230,7 @@ class LidarMotion:
 def read_motion(
     bag: Bag, topic: BagTopic, tree: FrameTree, points_frame: str, findings: Findings, *, by_log: bool = False
 ) -> LidarMotion:
-    """Read the poses of a topic, and bring them to the LiDAR, the frame of the points.
-
-    `by_log`: by the times at which they were recorded, not those in their headers.
-    """
+    """Read the poses of a topic, or by their times of recording, and bring them to the frame of the points."""
     if topic.type in TRANSFORMS:
         return _from_tree(bag, topic, tree, points_frame, findings)
     edge, count, lead_s = _read_edge(bag, topic, findings, by_log=by_log)
@@ -355,7 +344,6 @@ def _from_tree(bag: Bag, topic: BagTopic, tree: FrameTree, points_frame: str, fi
 
 
 def _moved_already(bag: Bag, frame: str, topic: str) -> DriveFileError:
-    """Return the error to raise about points that are not in the frame of the sensor."""
     return bag.fault(
         f"the points are in {frame}, the fixed frame of {topic}: they were moved there already. Expected points as the "
         "sensor saw them. Choose their topic with --points.",

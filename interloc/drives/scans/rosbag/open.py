@@ -15,25 +15,27 @@ from interloc.drives.findings import DriveFileError, Findings
 from interloc.drives.layouts import SCAN_FOLDERS, DriveParts
 from interloc.drives.options import DriveOptions
 from interloc.drives.scans.recorded import Recording, ScanPoints, Topic
-from interloc.drives.scans.rosbag.bag import Bag, BagTopic, find_bag, open_bag
-from interloc.drives.scans.rosbag.files import read_messages
-from interloc.drives.scans.rosbag.messages import TRANSFORMS, Encoding, Wire, WireError, read_header
-from interloc.drives.scans.rosbag.pointcloud2 import read_points
-from interloc.drives.scans.rosbag.topics import (
+from interloc.drives.scans.rosbag.bag import (
+    Bag,
+    BagTopic,
     PointsTopic,
     ScanTimes,
     choose_points,
+    find_bag,
     is_static,
+    open_bag,
     pose_topics,
     read_scan_times,
 )
+from interloc.drives.scans.rosbag.files import read_messages
+from interloc.drives.scans.rosbag.messages import TRANSFORMS, Encoding, Wire, WireError, read_header, read_points
 from interloc.drives.scans.rosbag.trajectory import BagMotion, find_motion, read_bag_trajectory
 from interloc.files import reason_of
 
 
 @dataclass(frozen=True)
 class BagScans:
-    """The scans of a bag; a `PointSource`.
+    """The scans of a bag by ascending numbers; a `PointSource`.
 
     It opens the bag for every scan that it reads, which takes less than the reading itself; so it may be used from
     several threads and sent to other processes.
@@ -43,16 +45,12 @@ class BagScans:
     topic: str
     type: str
     encoding: Encoding
-    """{"ros1", "cdr"}."""
     frames: IntArray
-    """(N,) int64: scan numbers, ascending."""
     file_numbers: IntArray
-    """(N,) int64: which file each scan lies in."""
     places: IntArray
-    """(N, 4) int64: where it lies there."""
+    """(N,) which file each scan lies in, and (N, 4) where it lies there."""
     mounts: dict[str, FloatArray] = field(default_factory=dict)
-    """dict of str to (4, 4) float64: how other frames lie in that of the points, where the scans come from several
-    sensors."""
+    """How other frames lie in that of the points, (4, 4), where the scans come from several sensors."""
 
     def _row(self, frame: int) -> int:
         row = int(np.searchsorted(self.frames, frame))
@@ -72,13 +70,7 @@ class BagScans:
         return (self._file(self._row(frame)).path,)
 
     def read(self, frame: int) -> ScanPoints:
-        """Read the points of a scan; those without a return are left out, with their labels.
-
-        Raises
-        ------
-        DriveError
-            The message is missing or damaged.
-        """
+        """Read the points of a scan; those without a return are left out, with their labels."""
         row = self._row(frame)
         try:
             message = next(read_messages(self._file(row), self.places[row : row + 1]))
@@ -121,22 +113,10 @@ def _mounts(
 
 
 def open_rosbag(root: Path, options: DriveOptions, findings: Findings) -> Recording | None:
-    """Open a bag: which topics it holds, and where and when its scans are; no points are read.
+    """Open a bag, a file or the folder of one: its topics, and where and when its scans are; no points are read.
 
-    Parameters
-    ----------
-    root : Path
-        A .bag, .db3 or .mcap file, or a folder with the files of one bag.
-
-    Returns
-    -------
-    Recording or None
-        None where it is another kind of drive.
-
-    Raises
-    ------
-    DriveError
-        The bag is damaged, holds no scans, or leaves open which topic they are.
+    It is None where the drive is of another kind. A bag that is damaged, holds no scans, or leaves open which topic
+    they are is a `DriveError`.
     """
     if options.layout not in {"auto", "rosbag"}:
         return None
@@ -196,7 +176,6 @@ def open_rosbag(root: Path, options: DriveOptions, findings: Findings) -> Record
 def _role(
     topic: BagTopic, points: BagTopic, found: BagMotion
 ) -> Literal["points", "poses", "fix", "extrinsics"] | None:
-    """Return what a topic is read as; None where it is not read."""
     if topic is points:
         return "points"
     if topic is found.poses:

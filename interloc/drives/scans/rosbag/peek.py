@@ -1,7 +1,6 @@
-"""What a bag holds, told from some ranges of its bytes: its topics, and whether their points carry labels.
+"""What a bag that is elsewhere holds, told from some ranges of its bytes: its topics, and whether they carry labels.
 
-For whoever has the bag elsewhere: the readers of bags read from the ranges that are there, and ask for the first that
-is missing.
+The readers of bags read from the ranges that are there, and ask for the first that is missing.
 """
 
 from __future__ import annotations
@@ -14,6 +13,7 @@ from dataclasses import dataclass, field
 from itertools import islice
 from typing import Any, Literal
 
+from interloc.drives.scans.rosbag.bag import POINTS
 from interloc.drives.scans.rosbag.files import (
     HEAD_BYTES,
     MAGIC,
@@ -23,15 +23,11 @@ from interloc.drives.scans.rosbag.files import (
     ros1_channels,
     ros2_spelling,
 )
-from interloc.drives.scans.rosbag.messages import FIX, POSES, TRANSFORMS, Encoding
-from interloc.drives.scans.rosbag.pointcloud2 import read_layout
-from interloc.drives.scans.rosbag.topics import POINTS
+from interloc.drives.scans.rosbag.messages import FIX, POSES, TRANSFORMS, Encoding, read_layout
 
 _ASKED_BYTES = 1 << 20  # ranges begin and end at multiples of it
 _MAX_READ_BYTES = 8 << 20
-_MAX_TOPICS = 1000
-_MAX_MESSAGES = 200  # of a bag of SQLite; the first scan is among them, or not looked for
-_MAX_STEPS = 1_000_000
+_MAX_TOPICS, _MAX_MESSAGES = 1000, 200  # of a bag of SQLite; the first scan is among them, or not looked for
 
 
 class MissingRangeError(Exception):
@@ -77,12 +73,11 @@ class _PartialFile(io.BytesIO):
 
 @dataclass
 class BagPeek:
-    """What was found."""
+    """What was found: the topics with messages and their types, and whether the first scan carries labels."""
 
     topics: dict[str, str] = field(default_factory=dict)
-    """Name -> type, of those with messages."""
     has_labels: bool | None = None
-    """Whether the points of the first scan carry labels; None: that could not be told."""
+    """None: that could not be told."""
 
     def of(self, kind: Literal["points", "poses", "fixes"]) -> list[str]:
         """Return the names of the topics of a kind."""
@@ -92,23 +87,14 @@ class BagPeek:
     def look_at(self, head: bytes, type_: str, encoding: Encoding | None) -> None:
         """Tell from the first bytes of a message of points whether they carry labels."""
         if head and encoding is not None and not head.startswith(ZSTD_MAGIC):
-            self.has_labels = bool(self.has_labels) or read_layout(head, type_, encoding, complete=False).has_labels
+            self.has_labels = bool(self.has_labels) or read_layout(head, type_, encoding, complete=False).has("label")
 
 
 def peek(size: int, known: Mapping[int, bytes]) -> BagPeek | None:
-    """Look into a bag; None where its form, or its damage, does not let it be read so.
+    """Look into a bag of so many bytes by the ranges that are known, by their first bytes.
 
-    Parameters
-    ----------
-    size : int
-        Bytes of the file.
-    known : dict of int to bytes
-        The ranges that are known, by their first bytes.
-
-    Raises
-    ------
-    MissingRangeError
-        More of the file is needed.
+    It is None where its form, or its damage, does not let it be read so. A `MissingRangeError` tells what more is
+    needed.
     """
     file, found = _PartialFile(size, known), BagPeek()
     try:
@@ -193,5 +179,5 @@ def _database(file: _PartialFile) -> Any:  # noqa: ANN401 - of apsw, which is im
 
     system, flags = _System(), apsw.SQLITE_OPEN_READONLY | apsw.SQLITE_OPEN_URI
     database = apsw.Connection("file:bag?immutable=1", flags=flags, vfs=f"ranges {id(file)}")
-    database.set_progress_handler(lambda: system is not None, _MAX_STEPS)  # a query that goes on for ever ends
+    database.set_progress_handler(lambda: system is not None, 1_000_000)  # a query that goes on for ever ends
     return database

@@ -25,7 +25,17 @@ from interloc.drives.georeference.read import read_georeference
 from interloc.drives.layouts import DriveParts
 from interloc.drives.options import ODOMETRY, DriveOptions
 from interloc.drives.poses.motion import TimedPoses, body_motion, longest_piece
-from interloc.drives.scans.rosbag.bag import Bag, BagTopic
+from interloc.drives.scans.rosbag.bag import (
+    Bag,
+    BagTopic,
+    PointsTopic,
+    ScanTimes,
+    clock_lead_s,
+    clock_shift,
+    fix_topics,
+    pose_topics,
+    topic_list,
+)
 from interloc.drives.scans.rosbag.messages import NO_FIX, TRANSFORMS, read_fix
 from interloc.drives.scans.rosbag.motion import (
     LONGEST_GAP_S,
@@ -37,20 +47,10 @@ from interloc.drives.scans.rosbag.motion import (
     read_motion,
     read_tree,
 )
-from interloc.drives.scans.rosbag.topics import (
-    PointsTopic,
-    ScanTimes,
-    clock_lead_s,
-    clock_shift,
-    fix_topics,
-    pose_topics,
-    topic_list,
-)
 from interloc.drives.trajectory import LidarPoses, Trajectory, read_trajectory
 from interloc.errors import InterLocError
 from interloc.geometry import enu_from_lonlat, from_first
 
-_ALONG_Z = 0.65
 _MANY, _MOST = 0.2, 0.9
 """Shares of the scans without a pose: that is worth a warning, and no drive."""
 
@@ -60,9 +60,8 @@ class BagMotion:
     """What a bag tells of the motion of its LiDAR."""
 
     frames: IntArray
-    """(N,) int64: numbers of the scans that are used: those whose pose is known."""
+    """(N,) numbers of the scans that are used, those whose pose is known, and their times in seconds."""
     times_s: FloatArray
-    """(N,) float64: their times, seconds."""
     motion: LidarMotion | None = None
     """None where a file of poses is used instead, or the bag has a fault."""
     poses: BagTopic | None = None
@@ -72,7 +71,7 @@ class BagMotion:
     by_log: bool = False
     """Times are those of recording, not those of the headers."""
     pose_file: Path | None = None
-    """The file of poses that was given instead of a topic."""
+    """That was given instead of a topic."""
     fault: InterLocError | None = None
     """Why there is no motion."""
 
@@ -87,18 +86,24 @@ def find_motion(
     every = np.arange(len(times.order), dtype=np.int64)
     found = BagMotion(every, times.stamp_s)
     given = options.poses
+    is_topic = given is not None and any(topic.name.lstrip("/") == given.lstrip("/") for topic in bag.topics)
     if given == ODOMETRY:
-        if any(_same_name(topic.name, given) for topic in bag.topics):
+        if is_topic:
             findings.note(bag.name, f"the poses are computed from the points; those of /{given} are --poses /{given}.")
         return replace(found, fault=bag.fault("its poses are still to be computed from the points."))
-    if given and Path(given).is_file() and not any(_same_name(topic.name, given) for topic in bag.topics):
+    if given and Path(given).is_file() and not is_topic:
         with findings.stage():
             found = replace(found, fixes=fix_topics(bag, options.fix))
             found = replace(found, tree=read_tree(bag))
         return replace(found, pose_file=Path(given))
     try:
         found = replace(found, fixes=fix_topics(bag, options.fix))
-        candidates = _candidates(bag, options.poses, has_fixes=bool(found.fixes))
+        if not (candidates := pose_topics(bag, given)):
+            only = "It has GNSS fixes, but these tell no attitude, and are too far apart in time. "
+            raise bag.fault(
+                f"holds no poses. {only if found.fixes else ''}Expected nav_msgs/Odometry, PoseStamped or /tf of an "
+                f"odometry or SLAM, or a file of poses (--poses). It holds: {topic_list(bag)}."
+            )
         found = replace(found, tree=read_tree(bag))
         candidates = _owned_first(candidates, bag, points, found.tree) if options.poses is None else candidates
         topic, motion, by_log, times = _first_that_covers(candidates, bag, points, times, found.tree, findings)
@@ -140,28 +145,8 @@ def _owned_first(candidates: list[BagTopic], bag: Bag, points: PointsTopic, tree
     return sorted(candidates, key=rank)
 
 
-def _same_name(topic: str, given: str) -> bool:
-    return topic.lstrip("/") == given.lstrip("/")
-
-
-def _candidates(bag: Bag, given: str | None, *, has_fixes: bool) -> list[BagTopic]:
-    candidates = pose_topics(bag, given)
-    if not candidates:
-        only = "It has GNSS fixes, but these tell no attitude, and are too far apart in time. " if has_fixes else ""
-        raise bag.fault(
-            f"holds no poses. {only}Expected nav_msgs/Odometry, PoseStamped or /tf of an odometry or SLAM, or a "
-            f"file of poses (--poses). It holds: {topic_list(bag)}.",
-        )
-    return candidates
-
-
 def _first_that_covers(
-    candidates: list[BagTopic],
-    bag: Bag,
-    points: PointsTopic,
-    times: ScanTimes,
-    tree: FrameTree,
-    findings: Findings,
+    candidates: list[BagTopic], bag: Bag, points: PointsTopic, times: ScanTimes, tree: FrameTree, findings: Findings
 ) -> tuple[BagTopic, LidarMotion, bool, ScanTimes]:
     """Return the first topic whose poses are known at some scan, its motion, and whether by times of recording.
 
@@ -263,7 +248,7 @@ def read_bag_trajectory(
     if georeference is None and not reason:
         georeference, reason = _georeference(bag, points, found, found.motion, world, findings)
     how = body_motion(relative)
-    if how is not None and how.along[2] > _ALONG_Z:
+    if how is not None and how.along[2] > 0.65:
         findings.refuse(
             bag.name,
             f"{found.motion.reason}: {how.describe()}. Expected the axes of ROS, x forward and z up. Usual cause: "
@@ -301,33 +286,21 @@ def _georeference(
 _ARM_STD_M = 1.0
 """Along each axis, of a place on a car that is not known."""
 
-_GRID_S, _MAX_GRID = 0.2, 20_000
-
 
 @dataclass(frozen=True)
 class BagFixes:
-    """The fixes of one topic."""
+    """The fixes of one topic, by their own times or by those of recording (`by_log`)."""
 
     bag: Bag
     topic: BagTopic
     points_frame: str
-    """Frame of the points."""
     tree: FrameTree
     by_log: bool = False
-    """Times are those of recording, not those of the headers."""
 
     def georeference(
         self, motion: LidarMotion, times_s: FloatArray, world: FloatArray, findings: Findings
     ) -> tuple[Georeference | None, str]:
-        """Lay the motion on the fixes; None, and why, where that cannot be.
-
-        Parameters
-        ----------
-        times_s : (N,) float64
-            Times of the scans, seconds.
-        world : (N, 4, 4) float64
-            Poses of the LiDAR at the scans, in the world of the motion.
-        """
+        """Lay the motion on the fixes, given times and (N, 4, 4) poses of the scans; None and why where that fails."""
         found, reason = self._within(motion, times_s, world, findings)
         if found is None:
             return None, reason
@@ -443,7 +416,7 @@ class BagFixes:
         rows = latest_of_each(times_s)
         if len(rows) < MIN_FIXES or last <= first:
             return None
-        grid = np.linspace(first, last, int(np.clip((last - first) / _GRID_S, 2, _MAX_GRID)))
+        grid = np.linspace(first, last, int(np.clip((last - first) / 0.2, 2, 20_000)))
         path, lonlat = motion.at(grid)[:, :2, 3], positions[rows][:, [1, 0]]
         shift = fit_shift(grid, path, times_s[rows], enu_from_lonlat(lonlat[0, 1], lonlat[0, 0], lonlat))
         if shift is None or not shift.is_there:

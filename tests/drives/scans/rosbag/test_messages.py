@@ -7,8 +7,17 @@ import numpy as np
 import pytest
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from interloc.drives.scans.rosbag.messages import Encoding, Wire, WireError, read_fix, read_header, read_pose
-from interloc.drives.scans.rosbag.pointcloud2 import LIVOX, POINT_CLOUD, read_points
+from interloc.drives.scans.rosbag.messages import (
+    LIVOX,
+    POINT_CLOUD,
+    Encoding,
+    Wire,
+    WireError,
+    read_fix,
+    read_header,
+    read_points,
+    read_pose,
+)
 from tests.bags import LIVOX as LIVOX_DEFINITION
 from tests.bags import BagWriter
 
