@@ -14,19 +14,19 @@ from interloc.errors import OutputError
 from interloc.evaluation.evaluate import evaluate
 from interloc.lab.measure import Cell, Row, find_failures, read_row, write_row
 from interloc.osm.graph import RoadGraph
-from tests.evaluation.conftest import make_graph, make_run
+from tests.evaluation.made import graph, run
 
 
 def crossings(*places: tuple[float, float, str]) -> RoadGraph:
     """One node of four arms at each (east, north), of some class of highway."""
-    roads = make_graph([place[:2] for place in places])
+    roads = graph([place[:2] for place in places])
     highway = tuple(np.repeat([place[2] for place in places], 4).tolist())
     return replace(roads, ways=replace(roads.ways, highway=highway))
 
 
 def failures(detections: list[tuple[int, float, float]], *places: tuple[float, float, str]) -> list[dict[str, Any]]:
     """Drive from (0, 0) 100 m east, a keyframe every 10 m; detections are (keyframe, east, north)."""
-    result = make_run([(10.0 * row, 0.0) for row in range(11)], detections)
+    result = run([(10.0 * row, 0.0) for row in range(11)], detections)
     return find_failures(evaluate(result, crossings(*places)), lambda frame: [f"show {frame}"])
 
 
