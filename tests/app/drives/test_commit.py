@@ -16,9 +16,7 @@ import pytest
 from app.jobs import executors
 from interloc.cli.main import run
 from interloc.config import KeyframeConfig
-from interloc.drives.inspect import inspect_drive
 from interloc.reduction.reduce import reduce_drive
-from tests import streets
 from tests.app import processes
 from tests.app.conftest import client_of
 from tests.app.processes import as_by_command, ended, suspended, wait_until, workers_of
@@ -215,17 +213,6 @@ def test_every_problem_is_told_with_its_path(client: httpx.Client, drive: Path) 
     address = upload(client, drive)
     paths = {error["path"] for error in refused(client, address)}
     assert paths == {"velodyne/000003.bin", "labels/000004.label", "predictions/000005.label", "poses.txt"}
-
-
-def test_poses_that_the_scans_contradict_are_told_with_their_cause(client: httpx.Client, tmp_path: Path) -> None:
-    flip = np.diag([1.0, -1.0, -1.0, 1.0])
-    root = streets.write_street(tmp_path / "07", written=flip @ streets.poses() @ flip)
-    drive = upload(client, root)
-    (fault,) = refused(client, drive)
-    assert fault["path"] == "poses.txt"
-    assert "with left and right exchanged" in fault["message"]
-    (same,) = (each for each in inspect_drive(root).problems if each.severity == "error")
-    assert fault["message"] == same.message
 
 
 def test_a_drive_is_mended_and_committed_again(client: httpx.Client, street: Path, drive: Path) -> None:

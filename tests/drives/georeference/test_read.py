@@ -234,14 +234,6 @@ def test_oxts_agrees_with_the_ground_truth_and_the_lever_arm_has_the_right_sign(
     assert error["right"] < error["none"] - 0.2 < error["inverse"] - 0.4
 
 
-def test_geo_csv_of_kitti360_agrees_with_its_poses(data: Callable[[str], Path]) -> None:
-    root = data("kitti360_0009")
-    poses = read_poses(SourceFile(root / "poses.txt", root)).poses
-    georeference = read_geo_csv(GeoreferenceFile(root / "geo.csv", root), np.arange(len(poses)))
-    assert rigid_rmse(plane_positions(georeference), poses[:, :2, 3]) < 0.5
-    np.testing.assert_allclose(poses_of(georeference)[:, :3, 3], poses[:, :3, 3], atol=2.0)
-
-
 def with_oxts(root: Path, make: ModuleType, times_s: np.ndarray, poses: np.ndarray) -> Path:
     """Write a raw drive with a scan per 0.1 s, and with rows of OXTS at other times."""
     make.write_kitti_raw(root)

@@ -17,7 +17,6 @@ from interloc.drives.inspect import inspect_drive
 from interloc.drives.open import open_drive
 from interloc.errors import DriveError, GeoreferenceError
 from interloc.pipeline import detect
-from interloc.reduction.reduce import reduce_drive
 
 
 def same_points(first: Drive, second: Drive, index: int) -> bool:
@@ -72,12 +71,6 @@ def test_a_scan_that_was_not_kept(reduced: Path) -> None:
     finer = preset("default").model_copy(update={"keyframes": KeyframeConfig(distance_m=1.0)})
     with pytest.raises(DriveError, match=r"keyframes\.distance_m.*reduce the drive again .* --all-scans"):
         detect(drive, finer)
-
-
-def test_all_scans_serve_any_keyframes(drive: Path, tmp_path: Path) -> None:
-    reduce_drive(drive, tmp_path / "all", keyframes=None)
-    before, after = open_drive(drive), open_drive(tmp_path / "all")
-    assert all(same_points(before, after, index) for index in range(12))
 
 
 def test_the_report_is_that_of_the_drive(drive: Path, reduced: Path) -> None:
