@@ -245,13 +245,7 @@ def test_the_same_key_is_the_same_job(database: Database, drive: str) -> None:
     job_id = add_job(database, drive, key="k")
     with database.writing() as session:
         job, is_new = submit(
-            session,
-            database,
-            kind="intersections",
-            drive_id=drive,
-            owner="ann",
-            request={"name": "ann"},
-            key="k",
+            session, database, kind="intersections", drive_id=drive, owner="ann", request={"name": "ann"}, key="k"
         )
     assert (job.id, is_new) == (job_id, False)
     assert add_job(database, drive, "bob", key="k") != job_id  # another client's key

@@ -17,7 +17,6 @@ from interloc.drive import Georeference
 from interloc.drives.files import GeoreferenceFile, SourceFile
 from interloc.drives.georeference.geodetic import ecef_poses, poses_of
 from interloc.drives.georeference.read import (
-    ODOMETRY_OF_RAW,
     geo_csv_text,
     georeference_of_lidar,
     raw_offset,
@@ -166,11 +165,6 @@ def test_raw_drive_of_another_sequence(tmp_path: Path) -> None:
         raw_offset(raw, "00", np.array([4541]))
     assert raw_offset(raw, "my_drive", FRAMES) == 0
     assert raw_offset(tmp_path / "elsewhere", "07", FRAMES) == 0
-
-
-def test_the_published_table_is_whole() -> None:
-    assert sorted(sequence for sequence, _, _ in ODOMETRY_OF_RAW.values()) == [f"{n:02d}" for n in range(11) if n != 3]
-    assert ODOMETRY_OF_RAW["2011_09_30_drive_0028"] == ("08", 1100, 5170)
 
 
 def test_what_oxts_state_of_their_accuracy_survives_a_geo_csv(tmp_path: Path) -> None:
