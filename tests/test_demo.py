@@ -69,19 +69,6 @@ def test_the_demo_makes_what_it_says(demo: Path) -> None:
     assert report["nodes_found"] == report["nodes_in_zone"] == NODES
 
 
-def test_the_drive_is_made_once(demo: Path) -> None:
-    """A second `make demo` takes the drive that is there, unless the simulator or the command changed."""
-    for name in ("Makefile", "pyproject.toml", "constraints.txt", "static", "interloc"):
-        (demo / name).symlink_to(ROOT / name)
-    ready = demo / ".venv/.ready"
-    ready.parent.mkdir()
-    ready.touch()
-    (demo / DRIVE).touch()
-    assert subprocess.run(["make", "--question", DRIVE], cwd=demo, check=False).returncode == 0
-    os.utime(demo / DRIVE, (0, 0))
-    assert subprocess.run(["make", "--question", DRIVE], cwd=demo, check=False).returncode == 1
-
-
 def test_the_service_makes_the_same_drive(demo: Path, tmp_path: Path) -> None:
     task = task_for("demo", JobRequest(), tmp_path, max_demo_scans=3)
     (part,) = prepare(task).parts

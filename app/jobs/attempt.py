@@ -19,7 +19,7 @@ from app.http.problems import Problem
 from app.jobs import failures
 from app.jobs.executors import WorkExecutor
 from app.jobs.folders import place_result, progress_files, task_of, tidy, without_paths
-from app.jobs.processes import WorkerLimitError, WorkerLostError
+from app.jobs.processes import NoWorkersError, WorkerLimitError, WorkerLostError
 from app.jobs.queue import Claim, JobQueue, not_ready
 from app.states import DriveState, JobKind, JobState
 from app.store.models import Drive, Job
@@ -97,18 +97,25 @@ class Attempt:
         except Problem as problem:
             outcome = problem
         except Exception as error:  # noqa: BLE001 - a job always ends
+            if self._stop is None and isinstance(error, NoWorkersError):
+                self._give_back("It waits for workers.")
+                return
             if self._stop is None:
                 _log.exception("job %s: the service itself failed", job.id, extra=extra)
                 outcome = failures.problem_of(error, "the whole", 1)
             elif self._stop == "shutdown":
-                with suppress(SQLAlchemyError):  # else the lease runs out
-                    self._queue.release(self.claim)
-                _log.info("job %s (%s): given back", job.id, job.kind, extra=extra)
+                self._give_back("Its server was stopped; it goes on as soon as one is free.")
                 return
             else:
                 outcome = failures.cancelled()
         state = self._end(outcome)
         _log.info("job %s (%s): %s", job.id, job.kind, state, extra=extra)
+
+    def _give_back(self, message: str) -> None:
+        """Return the job to the queue with all that is done of it; the attempt does not count."""
+        with suppress(SQLAlchemyError):  # else the lease runs out
+            self._queue.release(self.claim, message)
+        _log.info("job %s (%s): given back", self.claim.job.id, self.claim.job.kind)
 
     def _work(self) -> Outcome:
         job = self.claim.job

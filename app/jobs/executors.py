@@ -9,7 +9,7 @@ from concurrent.futures import CancelledError, Executor, Future
 from contextlib import suppress
 from typing import Any, Protocol, TypeVar, TypeVarTuple
 
-from app.jobs.processes import ProcessExecutor, WorkerLostError
+from app.jobs.processes import NoWorkersError, ProcessExecutor, WorkerLostError
 from app.settings import Settings
 from app.work.kinds import compile_kernels
 from interloc.errors import ConfigError, install
@@ -137,9 +137,13 @@ class DaskExecutor:
         urgent: bool = False,
     ) -> Future[Result]:
         from dask.base import annotate  # noqa: PLC0415 - an extra
+        from distributed.client import ClosedClientError  # noqa: PLC0415
 
-        with annotate(priority=int(urgent)):
-            return self._translated(self._executor.submit(fn, *args))
+        try:
+            with annotate(priority=int(urgent)):
+                return self._translated(self._executor.submit(fn, *args))
+        except ClosedClientError as error:  # until `alive` has connected it again
+            raise NoWorkersError("the Dask scheduler is away") from error
 
     def kill(self, future: Future[Any]) -> None:  # noqa: D102 - see WorkExecutor
         future.cancel()

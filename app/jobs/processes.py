@@ -48,6 +48,10 @@ class WorkerLostError(Exception):
     """The worker that did a piece of work died, and the work is lost; it can be tried again."""
 
 
+class NoWorkersError(WorkerLostError):
+    """Work can be handed to nobody for now: the cluster is away."""
+
+
 class WorkerLimitError(Exception):
     """A piece of work used more than it may, in seconds or bytes, and was ended; another try would end the same way."""
 

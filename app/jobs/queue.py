@@ -156,15 +156,15 @@ class JobQueue:
         with self._database.writing(patient=True) as session:
             return _change(session, claim, **values)
 
-    def release(self, claim: Claim) -> bool:
-        """Give a job back unfinished because the server stops; the attempt does not count."""
+    def release(self, claim: Claim, message: str) -> bool:
+        """Give a job back unfinished, with what it waits for; the attempt does not count."""
         with self._database.writing(patient=True) as session:
             return _change(
                 session,
                 claim,
                 state=JobState.ACCEPTED,
                 stage="waiting",
-                message="Its server was stopped; it goes on as soon as one is free.",
+                message=message,
                 attempts=Job.attempts - 1,
                 lease_owner=None,
                 lease_until=None,

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import groupby
+from json.encoder import encode_basestring
 from operator import itemgetter
 from typing import Any, NamedTuple
 
@@ -345,22 +346,27 @@ class _Search:
         """Return the keys of all features that touch the geometries that are asked for, (N, 2), in their order."""
         import shapely  # noqa: PLC0415 - an eighth of a second of start-up time
 
-        table, is_point = self._table.c, self._collection.is_point
+        table = self._table.c
         surely = and_(true(), *(false() if within is None else within for _, within in self._exact))
-        own = [table.west, table.south] if is_point else [case((surely, None), else_=table.geometry)]
+        own = (table.west, table.south) if self._collection.is_point else (case((surely, None), else_=table.geometry),)
         asked = self._asked(table.layer_id, table.number, *own, where=[*self._place, *self._rest])
-        asked = asked.order_by(table.layer_id + 0, table.number)
-        rows = self._session.execute(asked).all()
-        layer, number, *place = zip(*rows, strict=True) if rows else ((), (), (), ())
+        # Plain tuples, sorted here: both are several times as fast where there are ten thousands.
+        rows: Any = self._session.execute(asked).cursor.fetchall()  # type: ignore[attr-defined]
+        if self._collection.is_point:
+            found = np.array(rows, dtype=np.float64).reshape(-1, 4)
+            keys = found[:, :2].astype(np.int64)
+        else:
+            keys = np.array([row[:2] for row in rows], dtype=np.int64).reshape(-1, 2)
+            shapes = shapes_of([row[2] for row in rows])
         touching = np.ones(len(rows), dtype=np.bool_)
-        shapes = None if is_point else shapes_of(list(place[0]))
         for shape, _ in self._exact:
             shapely.prepare(shape)
-            if shapes is None:
-                touching &= shapely.intersects_xy(shape, *np.array(place, dtype=np.float64))
+            if self._collection.is_point:
+                touching &= shapely.intersects_xy(shape, found[:, 2], found[:, 3])
             else:
                 touching &= shapely.is_missing(shapes) | shapely.intersects(shape, shapes)
-        return np.array([layer, number], dtype=np.int64).T[touching]
+        keys = keys[touching]
+        return keys[np.lexsort((keys[:, 1], keys[:, 0]))]
 
 
 def _touches(box: Sequence[Any], part: Sequence[float]) -> ColumnElement[bool]:
@@ -433,7 +439,7 @@ def _features(
 _PRINTED: dict[str, Callable[[Any], str]] = {
     "int": str,
     "float": repr,
-    "text": encode,
+    "text": encode_basestring,
     "list": str,
     **dict.fromkeys(("id", "time"), lambda value: f'"{value}"'),
     "bool": lambda value: "true" if value else "false",

@@ -40,7 +40,7 @@ def _table(prefix: str, layer: Layer) -> Table:
         *(Column(each.name, Text) for each in attributes if each.kind == "list"),
         *([] if is_point else [Column("geometry", Text)]),
         Index(f"ix_{name}", "layer_id", *box),
-        *(Index(f"ix_{name}_{each}", "layer_id", each) for each in SOUGHT if each in layer.fields),
+        *(Index(f"ix_{name}_{each}", "layer_id", each, *box) for each in SOUGHT if each in layer.fields),
         sqlite_with_rowid=False,
     )
 

@@ -17,8 +17,6 @@ which each repairs what the one before leaves unsure:
 A window depends on the poses of the drive and on its scans only: whoever labels a scan, alone or in any range of scans,
 gets the same labels.
 
-Notes
------
 Driven strips as examples of road, and growth over ground without steps, go back to the road followers of the DARPA
 challenges (Dahlkamp et al., RSS 2006) and to curb detection in accumulated scans. Weights and thresholds were chosen on
 the first ten scans of SemanticKITTI 00 and 07.
@@ -37,7 +35,7 @@ import numpy as np
 from interloc.arrays import BoolArray, Float32Array, FloatArray, IntArray, UInt8Array, UInt32Array
 from interloc.kernels.ground import BEAMS
 from interloc.kernels.surface import FEATURES, add_brightness, add_features, label_points
-from interloc.labelling.growth import classes_of, contrast_of, evenness_of, grow_road, score_cells, width_of
+from interloc.labelling.growth import classes_of, grow_road, measure_road, score_cells
 from interloc.labelling.surface import (
     CELL_M,
     RANGE_M,
@@ -139,8 +137,7 @@ class GeometryLabeller:
         surface, placed = find_surface(placed, grid, under_track)
         features = score_cells(gather(placed, grid, surface, strip), strip)
         road = grow_road(features, strip)
-        quality = (measure(road, strip) for measure in (contrast_of, width_of, evenness_of))
-        self._quality[number] = WindowQuality(start_m, start_m + WINDOW_M, *quality)
+        self._quality[number] = WindowQuality(start_m, start_m + WINDOW_M, *measure_road(road, strip))
         return Window(grid, surface, classes_of(road.cells, ROAD, BESIDE, OTHER_GROUND), self._quality[number])
 
     def _ground(self, row: int) -> ScanGround | None:

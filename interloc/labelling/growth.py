@@ -102,26 +102,17 @@ def classes_of(road: BoolArray, road_id: int, beside_id: int, other_id: int) -> 
     return classes
 
 
-def contrast_of(road: Road, strip: BoolArray) -> float:
-    """Return how much better the strip scores than the ground just outside of the road; 0 where one was not seen."""
+def measure_road(road: Road, strip: BoolArray) -> tuple[float, float, float]:
+    """Return contrast, width in metres and evenness of a road, as `WindowQuality` has them; 0 where not seen."""
     seen = ~np.isnan(road.score)
-    border = _widened(road.cells, _BORDER[1]) & ~_widened(road.cells, _BORDER[0]) & seen
-    if not (strip & seen).any() or not border.any():
-        return 0.0
-    return float(np.median(road.score[strip & seen]) - np.median(road.score[border]))
-
-
-def evenness_of(road: Road, strip: BoolArray) -> float:
-    """Return what four fifths of the strip score at least; 0 where it was not seen."""
-    scores = road.score[strip & ~np.isnan(road.score)]
-    return float(np.percentile(scores, 20)) if len(scores) else 0.0
-
-
-def width_of(road: Road, strip: BoolArray) -> float:
-    """Return the area of the road that was seen within some metres of the strip, per metre of it, metres."""
     near = cv2.distanceTransform((~strip).view(np.uint8), cv2.DIST_L2, 5) < _NEAR_STRIP_M / CELL_M
-    road_cells = np.count_nonzero(road.cells & ~np.isnan(road.score) & near)
-    return 2 * STRIP_M * int(road_cells) / max(1, int(np.count_nonzero(strip)))
+    width_m = 2 * STRIP_M * int(np.count_nonzero(road.cells & seen & near)) / max(1, int(np.count_nonzero(strip)))
+    scores = road.score[strip & seen]
+    if not len(scores):
+        return 0.0, width_m, 0.0
+    border = _widened(road.cells, _BORDER[1]) & ~_widened(road.cells, _BORDER[0]) & seen
+    contrast = float(np.median(scores) - np.median(road.score[border])) if border.any() else 0.0
+    return contrast, width_m, float(np.percentile(scores, 20))
 
 
 def _mean(total: Float32Array, weight: Float32Array, sides_m: tuple[float, ...]) -> Float32Array:
@@ -138,9 +129,7 @@ def _mean(total: Float32Array, weight: Float32Array, sides_m: tuple[float, ...])
 def _excess(feature: Float32Array, strip: BoolArray) -> Float32Array:
     """Return how much larger a feature is than the median of the strip, in spreads of the strip; 0 where unknown."""
     there = feature[strip & ~np.isnan(feature)]
-    if not len(there):
-        return np.zeros_like(feature)
-    low, middle, high = np.percentile(there, [16, 50, 84]).astype(np.float32).tolist()
+    low, middle, high = np.percentile(there, [16, 50, 84]).astype(np.float32).tolist() if len(there) else (0, 0, 0)
     if high <= low:
         return np.zeros_like(feature)
     excess: Float32Array = np.nan_to_num((feature - middle) / ((high - low) / 2))

@@ -141,8 +141,6 @@ _MIN_CONTRAST, _MAX_WIDTH_M, _MIN_EVENNESS = 5.0, 9.0, 1.0
 class WindowQuality:
     """How sure the labels of a window of the track are.
 
-    Notes
-    -----
     On 222 windows of simulated streets, half of them with flush sidewalks as bright as the road, the width ranks those
     whose road agrees by less than 0.65 (intersection over union) with the truth by 0.86 (area under the curve), the
     contrast by 0.66, the whole area of the road by 0.64. The bound finds half of them, and doubts 7 of 100 good ones.

@@ -36,12 +36,7 @@ app.jobs.executors.compile_kernels = None  # type: ignore[assignment]
 def running_server(data_dir: Path, *, asked: list[str] | None = None, **settings: Any) -> Iterator[str]:
     """Serve from a thread of this process; yields the address. What is asked for goes to `asked`: path and query."""
     forks.ready()
-    options: dict[str, Any] = {
-        "min_free_bytes": 0,
-        "workers": 1,
-        "log_level": "warning",
-        **settings,
-    }
+    options: dict[str, Any] = {"min_free_bytes": 0, "workers": 1, "log_level": "warning", **settings}
     settings_ = Settings(data_dir=data_dir, port=0, **options)
     app = create_app(settings_)
     if asked is not None:

@@ -70,11 +70,7 @@ class ServerProcess:
         self.log = log
         variables = {f"INTERLOC_{name.upper()}": str(value) for name, value in settings.items()}
         clean = {name: value for name, value in os.environ.items() if not name.startswith("INTERLOC_")}
-        base = {
-            "INTERLOC_MIN_FREE_BYTES": "0",
-            "INTERLOC_LEASE_S": "5",
-            "INTERLOC_DATA_DIR": str(data_dir),
-        }
+        base = {"INTERLOC_MIN_FREE_BYTES": "0", "INTERLOC_LEASE_S": "5", "INTERLOC_DATA_DIR": str(data_dir)}
         out = log.with_name(f"{log.name}.out")
         out.write_bytes(b"")
         self.process = Command(["serve", "--port", port], {**clean, **base, **variables}, out, log)

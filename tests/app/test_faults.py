@@ -206,11 +206,7 @@ def test_a_job_that_kills_every_worker_fails_with_the_reason(start: Start, drive
     assert ended(server.client, good)["state"] == "successful"
 
 
-def test_two_servers_share_the_work_on_one_database(
-    start: Start,
-    drive: Drive,
-    postgres_url: str,
-) -> None:
+def test_two_servers_share_the_work_on_one_database(start: Start, drive: Drive, postgres_url: str) -> None:
     first, second = (start(workers=1, jobs_at_once=1, database_url=postgres_url) for _ in range(2))
     drive_id = upload(first.client, drive.folder)
     jobs = [submit((first, second)[i % 2].client, drive_id) for i in range(4)]
@@ -221,10 +217,7 @@ def test_two_servers_share_the_work_on_one_database(
 
 
 def test_a_server_takes_over_from_one_that_was_killed(
-    start: Start,
-    drive: Drive,
-    tmp_path: Path,
-    postgres_url: str,
+    start: Start, drive: Drive, tmp_path: Path, postgres_url: str
 ) -> None:
     first = start(workers=1, database_url=postgres_url)
     job, gate = standing_job(first, tmp_path / "data", drive)

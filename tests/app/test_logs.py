@@ -6,7 +6,6 @@ import json
 import logging
 import re
 import sys
-import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -151,32 +150,3 @@ def test_a_fault_is_logged_once_and_not_told(serve: Serve, lines: Lines, monkeyp
     (line,) = [line for line in lines(1) if "exception" in line]
     assert "ZeroDivisionError: a detail that nobody may see" in line["exception"]
     assert line["request"] == answer.headers["x-request-id"]
-
-
-def test_what_is_bound_stays_in_its_thread(lines: Lines) -> None:
-    log = logging.getLogger("app.jobs")
-
-    def work(job: str) -> None:
-        logs.bind(job=job)
-        log.info("works")
-
-    threads = [threading.Thread(target=work, args=(job,)) for job in ("a", "b")]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    log.info("nobody's")
-    assert sorted((line["message"], line.get("job")) for line in lines()) == [
-        ("nobody's", None),
-        ("works", "a"),
-        ("works", "b"),
-    ]
-
-
-def test_a_traceback_follows_its_line_in_text() -> None:
-    try:
-        Path("/nowhere/at/all").read_bytes()
-    except OSError:
-        record = logging.LogRecord("app", logging.ERROR, "", 0, "lost", (), sys.exc_info())
-    text = logs.TextFormatter().format(record)
-    assert re.match(r"\d\d:\d\d:\d\d error   lost\nTraceback", text)

@@ -88,7 +88,7 @@ def route_line(shape: str, angle_deg: float, route: str) -> FloatArray:
     return FRAME.lonlat(np.concatenate([way_in, way_out]))
 
 
-def write_junction_drive(
+def junction_drive(
     out: Path, shape: str, angle_deg: float, route: str, *, sensor: LidarConfig = EXACT_LIDAR, ground_only: bool = True
 ) -> Path:
     """Simulate a drive through a world with one intersection; the map lies beside it as `map.osm`."""
@@ -101,22 +101,10 @@ def write_junction_drive(
     return out
 
 
-def errors_from_origin(lonlat: FloatArray) -> FloatArray:
+def from_origin(lonlat: FloatArray) -> FloatArray:
     """Return the distances in metres of places from the intersection of a one-junction world."""
     distances: FloatArray = np.hypot(*enu_from_lonlat(FRAME.lat_deg, FRAME.lon_deg, lonlat).T)
     return distances
-
-
-@pytest.fixture(scope="session")
-def junction_drive() -> Callable[..., Path]:
-    """See `write_junction_drive`."""
-    return write_junction_drive
-
-
-@pytest.fixture(scope="session")
-def from_origin() -> Callable[[FloatArray], FloatArray]:
-    """See `errors_from_origin`."""
-    return errors_from_origin
 
 
 @pytest.fixture(scope="session")

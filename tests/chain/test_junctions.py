@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-from interloc.arrays import FloatArray
 from interloc.drives.open import open_drive
 from interloc.pipeline import detect
+from tests.chain.conftest import from_origin, junction_drive
 
 BRANCHES = {"X": 4, "T": 3, "Y": 3}
 BOUND_M = 0.3
@@ -22,12 +21,7 @@ CASES = [  # every two of shape, angle and route meet
 
 @pytest.mark.parametrize(("shape", "angle_deg", "route"), CASES)
 def test_there_is_one_intersection_with_all_its_arms_where_the_streets_meet(
-    junction_drive: Callable[..., Path],
-    from_origin: Callable[[FloatArray], FloatArray],
-    tmp_path: Path,
-    shape: str,
-    angle_deg: float,
-    route: str,
+    tmp_path: Path, shape: str, angle_deg: float, route: str
 ) -> None:
     drive = open_drive(junction_drive(tmp_path / "drive", shape, angle_deg, route), check=False)
     found = detect(drive).intersections

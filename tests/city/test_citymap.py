@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from interloc.arrays import FloatArray
 from interloc.city.citymap import CityMap, merge
 from interloc.city.passes import Pass
 from interloc.errors import ConfigError, GeoreferenceError
@@ -17,14 +16,6 @@ from tests.city.towns import drive, metres, town
 from tests.output.small import small_result
 
 NODES = town(np.random.default_rng(0), 40)
-
-
-def positions(city: CityMap) -> dict[str, FloatArray]:
-    """Return where the places of a map are, by the nodes nearest to them."""
-    xy = metres(city.places.lonlat)
-    nearest = np.argmin(np.hypot(*(xy[:, None] - NODES[None]).transpose(2, 0, 1)), axis=1)
-    assert len(set(nearest.tolist())) == len(xy)
-    return dict(zip(map(str, nearest.tolist()), xy, strict=True))
 
 
 def assert_same_map(a: CityMap, b: CityMap, tolerance_m: float = 0.001) -> None:
@@ -58,14 +49,6 @@ def test_a_drive_that_is_taken_out_leaves_no_trace_and_can_come_back_or_be_repla
     assert_same_map(city, merge([drives[0], other, *drives[2:]]))
     city.remove(*"abcd")
     assert len(city.places) == 0
-
-
-def test_places_keep_their_names_while_drives_are_added() -> None:
-    city = merge([drive(NODES, "a")])
-    named = {node: city.places.uid[row] for row, node in enumerate(positions(city))}
-    for number in range(6):
-        city.add(drive(NODES, f"d{number}", seed=number))
-        assert {node: city.places.uid[row] for row, node in enumerate(positions(city))} == named
 
 
 def test_offsets_of_metres_between_drives_are_found() -> None:

@@ -41,12 +41,6 @@ def refuse(interloc: Callable, older: Path, short_drive: Path, osm: Path) -> Ref
     return call
 
 
-def test_truncated_scan(refuse: Refuse, short_drive: Path) -> None:
-    path = short_drive / "velodyne" / "000004.bin"
-    path.write_bytes(path.read_bytes()[:-7])
-    assert refuse().startswith("velodyne/000004.bin: ")
-
-
 def test_points_that_are_not_numbers_in_the_middle_of_the_run(
     refuse: Refuse, short_drive: Path, interloc: Callable
 ) -> None:
@@ -59,32 +53,6 @@ def test_points_that_are_not_numbers_in_the_middle_of_the_run(
     assert text.startswith("velodyne/000005.bin: point ")
     assert "is not finite" in text
     assert interloc("info", short_drive, "--thorough").code == 1
-
-
-def test_camera_poses_declared_as_lidar_poses(refuse: Refuse, drive: Path) -> None:
-    text = refuse("--pose-frame", "lidar", drive=drive)
-    assert text.startswith("poses.txt: ")
-    assert "they are those of the camera" in text
-
-
-def test_learning_ids_instead_of_raw_ids(refuse: Refuse, short_drive: Path, interloc: Callable) -> None:
-    for path in (short_drive / "labels").iterdir():
-        ids = np.zeros(256, np.uint32)
-        ids[[40, 48, 72]] = 9, 11, 17
-        ids[np.fromfile(path, np.uint32)].tofile(path)
-    text = refuse("--label-scheme", "semantickitti")
-    assert "looks like the learning scheme" in text
-    assert "--label-scheme learning" in text
-    assert "scheme learning" in interloc("info", short_drive).out
-
-
-def test_empty_drive(refuse: Refuse, short_drive: Path, tmp_path: Path) -> None:
-    for path in (short_drive / "velodyne").iterdir():
-        path.unlink()
-    assert refuse().startswith("velodyne: holds no .bin file")
-    (tmp_path / "empty").mkdir()
-    assert "is an empty folder" in refuse(drive=tmp_path / "empty")
-    assert "does not exist" in refuse(drive=tmp_path / "none")
 
 
 def test_a_run_without_a_map_says_how_to_get_one(interloc: Callable, drive: Path, tmp_path: Path) -> None:

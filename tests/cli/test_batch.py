@@ -38,11 +38,7 @@ def drives(drive: Path, short_drive: Path, osm: Path, tmp_path: Path) -> Path:
     """A list: the drive with a map, the drive without one, and one that is damaged."""
     (short_drive / "labels/000003.label").rename(tmp_path / "good.label")
     (short_drive / "labels/000003.label").write_bytes(b"x")
-    rows = [
-        ["drive", "name", "osm", "preset"],
-        [drive, "", osm, ""],
-        [drive, "plain", "", "paper"],
-    ]
+    rows = [["drive", "name", "osm", "preset"], [drive, "", osm, ""], [drive, "plain", "", "paper"]]
     with (tmp_path / "list.csv").open("w", newline="") as file:
         csv.writer(file).writerows([*rows, ["short", "", "", ""]])
     return tmp_path / "list.csv"

@@ -26,13 +26,6 @@ def test_the_paper_preset_is_table_1_of_the_paper(interloc: Callable) -> None:
     assert (branches["inner_radius_m"], branches["outer_radius_m"], branches["min_branches"]) == (10.0, 40.0, 3)
 
 
-def test_settings_replace_values_of_the_preset(interloc: Callable) -> None:
-    changed = interloc("config", "--set", "bev.resolution_m=0.25", "--set", "keyframes.lookahead=0").json
-    assert changed["bev"]["resolution_m"] == 0.25
-    assert changed["keyframes"]["lookahead"] == 0
-    assert changed["preset"] == "default"
-
-
 def test_a_setting_can_be_none(interloc: Callable) -> None:
     assert interloc("config", "--set", "branches.inner_widths=null").json["branches"]["inner_widths"] is None
 

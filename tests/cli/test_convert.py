@@ -55,17 +55,6 @@ def test_info_of_an_unlabelled_drive(interloc: Callable, unlabelled: Path, model
     assert "network flat, scheme semantickitti" in outcome.out
 
 
-def test_info_names_what_is_wrong_with_a_network(interloc: Callable, unlabelled: Path, tmp_path: Path) -> None:
-    outcome = interloc("info", unlabelled, "--model", tmp_path / "nothing")
-    assert outcome.code == 1
-    assert f"ERROR: {tmp_path / 'nothing'}" in outcome.out
-
-
-def test_reduced_by_a_network(interloc: Callable, unlabelled: Path, model: Path, tmp_path: Path) -> None:
-    assert interloc("reduce", unlabelled, "-o", tmp_path / "small", "--model", model, "--quiet").code == 0
-    assert open_drive(tmp_path / "small", labels="predictions").ground_points(0).road_count > 500
-
-
 def test_no_model_there(interloc: Callable, unlabelled: Path, tmp_path: Path) -> None:
     complaint = interloc("label", unlabelled, "--model", tmp_path / "nothing").complaint
     assert "nothing" in complaint
@@ -126,8 +115,3 @@ def test_reduced_by_geometry(interloc: Callable, unlabelled: Path, tmp_path: Pat
     assert interloc("detect", tmp_path / "reduced", "-o", tmp_path / "a").code == 0
     assert interloc("detect", unlabelled, "-o", tmp_path / "b", "--labels", "geometry").code == 0
     assert (tmp_path / "a/detections.local.json").read_bytes() == (tmp_path / "b/detections.local.json").read_bytes()
-
-
-def test_converted_with_labels_by_geometry(interloc: Callable, unlabelled: Path, tmp_path: Path) -> None:
-    assert interloc("convert", unlabelled, "-o", tmp_path / "new", "--labels", "geometry").code == 0
-    assert len(list((tmp_path / "new" / "predictions").glob("*.label"))) == 12

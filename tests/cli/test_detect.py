@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -29,19 +28,6 @@ def test_the_files_of_the_contract(detected: Path, strict_json: Callable) -> Non
     assert sum(k["properties"]["detections"] for k in keyframes) == len(detections)
     (line,) = strict_json(detected / "trajectory.geojson")["features"]
     assert line["geometry"]["type"] == "LineString"
-
-
-def test_the_junction_is_found(detected: Path, strict_json: Callable) -> None:
-    (intersection,) = strict_json(detected / "intersections.geojson")["features"]
-    facts = intersection["properties"]
-    assert facts.keys() >= {
-        *("id", "observations", "position_std_m", "branch_count", "branch_bearings_deg"),
-        *("first_frame", "last_frame", "confidence"),
-    }
-    assert np.hypot(facts["world_x_m"] - CROSSING_M[0], facts["world_y_m"] - CROSSING_M[1]) < 0.5
-    assert sorted(facts["branch_bearings_deg"]) == pytest.approx([20, 90, 200, 270], abs=3)
-    lon, lat = intersection["geometry"]["coordinates"]
-    assert (lon, lat) == (pytest.approx(8.4008206, abs=1e-5), pytest.approx(49.0, abs=1e-5))
 
 
 def test_run_json_tells_what_the_run_was(
@@ -82,20 +68,6 @@ def test_two_processes_give_the_same_bytes(interloc: Callable, drive: Path, tmp_
     assert b'"workers": 2' in (tmp_path / "2" / "run.json").read_bytes()
 
 
-def test_a_second_run_replaces_the_first(
-    interloc: Callable, local_result: Path, short_drive: Path, tmp_path: Path
-) -> None:
-    out = tmp_path / "out"
-    shutil.copytree(local_result, out)
-    (out / "notes.txt").write_text("mine")
-    outcome = interloc("detect", short_drive, "-o", out, "--json")
-    assert not outcome.err
-    assert outcome.json.keys() >= {"out", "drive", "detections", "intersections", "georeferenced", "keyframes"}
-    assert outcome.json["georeferenced"]
-    names = {path.name for path in out.iterdir()}
-    assert names == {f"{name}.geojson" for name in FILES} | RUN | {"notes.txt"}
-
-
 def test_a_folder_of_somebody_else_is_refused(interloc: Callable, drive: Path, tmp_path: Path) -> None:
     (tmp_path / "thesis.tex").write_text("mine")
     outcome = interloc("detect", drive, "-o", tmp_path)
@@ -110,13 +82,6 @@ def test_the_drive_itself_is_refused_as_output(interloc: Callable, short_drive: 
     assert sorted(short_drive.rglob("*")) == before
 
 
-def test_a_setting_that_does_not_exist_is_wrong_usage(interloc: Callable, drive: Path, tmp_path: Path) -> None:
-    outcome = interloc("detect", drive, "-o", tmp_path / "out", "--set", "bev.nope=1")
-    assert outcome.code == 2
-    assert "bev.nope" in outcome.complaint
-    assert not list(tmp_path.iterdir())
-
-
 def test_labels_of_another_folder_and_scheme(interloc: Callable, short_drive: Path, tmp_path: Path) -> None:
     for path in (short_drive / "labels").iterdir():
         labels = np.fromfile(path, np.uint32)
@@ -125,13 +90,6 @@ def test_labels_of_another_folder_and_scheme(interloc: Callable, short_drive: Pa
     options = ("--labels", "predictions", "--label-scheme", "3")
     assert interloc("detect", short_drive, "-o", tmp_path / "out", *options).code == 0
     assert "predictions" in interloc("detect", short_drive, "-o", tmp_path / "other", "--labels", "labels").complaint
-
-
-def test_a_real_excerpt(interloc: Callable, data: Callable[[str], Path], tmp_path: Path) -> None:
-    outcome = interloc("detect", data("semantickitti_mini/sequences/07"), "-o", tmp_path / "out", "--json")
-    assert outcome.code == 0
-    assert outcome.json["scans"] == 10
-    assert outcome.json["georeferenced"] is False
 
 
 def test_the_reference_runs_on_its_own_settings(

@@ -39,20 +39,6 @@ def test_the_report_joins_the_result_as_that_of_a_run(interloc: Callable, out: P
     assert facts["policy"].strip() == "drive: 1 OSM node in the relevant zone"
 
 
-def test_a_second_evaluation_replaces_the_first(
-    interloc: Callable, out: Path, osm: Path, strict_json: Callable
-) -> None:
-    quiet = interloc("evaluate", out, "--osm", osm, "--policy", "consolidated", "--tolerance", 12, "--quiet")
-    assert (quiet.code, quiet.out, quiet.err) == (0, "", "")
-    report = strict_json(out / "report.json")
-    assert (report["policy"], report["tolerance_m"], report["nodes_found"]) == ("consolidated", 12, 1)
-    (out / "notes.txt").write_text("mine")
-    outcome = interloc("evaluate", out, "--osm", osm, "--json")
-    assert outcome.json == strict_json(out / "report.json")
-    assert outcome.json["policy"] == "drive"
-    assert (out / "notes.txt").read_text() == "mine"
-
-
 def test_a_folder_that_is_no_result_is_refused(interloc: Callable, tmp_path: Path, osm: Path) -> None:
     assert "is not an InterLoc result: it has no run.json" in interloc("evaluate", tmp_path, "--osm", osm).complaint
     assert "is not a folder" in interloc("evaluate", tmp_path / "none", "--osm", osm).complaint

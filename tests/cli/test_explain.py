@@ -37,9 +37,3 @@ def test_a_scan_that_the_drive_does_not_have(frame: int, interloc: Callable, dri
     assert outcome.code == 2
     assert "crossing has the scans 0 to 209" in outcome.complaint
     assert not list(tmp_path.iterdir())
-
-
-def test_a_folder_of_somebody_else_is_refused(interloc: Callable, drive: Path, tmp_path: Path) -> None:
-    (tmp_path / "thesis.tex").write_text("mine")
-    assert "is not an InterLoc result" in interloc("explain", drive, "--frame", 0, "-o", tmp_path, "--quiet").complaint
-    assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]

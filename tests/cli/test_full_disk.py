@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -36,17 +35,6 @@ def test_detect_with_files_limited(limited: Callable, drive: Path, tmp_path: Pat
     complaint = limited(10_000, "detect", drive, "-o", tmp_path / "new" / "out")
     assert complaint == f"interloc: {tmp_path}/new/out/detections.geojson could not be written: file too large."
     assert not list(tmp_path.iterdir())  # not even the folder above
-
-
-def test_evaluate_with_files_limited(limited: Callable, finished: Path, osm: Path, tmp_path: Path) -> None:
-    out = shutil.copytree(finished, tmp_path / "out")
-    before = contents(out)
-    limit = max(path.stat().st_size for path in out.glob("*.*json")) + 1000
-    assert limit < (out / "report.html").stat().st_size
-    complaint = limited(limit, "evaluate", out, "--osm", osm, "--policy", "all")
-    assert "could not be written: file too large." in complaint
-    assert contents(out) == before
-    assert [path.name for path in tmp_path.iterdir()] == ["out"]
 
 
 @pytest.fixture

@@ -20,12 +20,6 @@ def test_a_sound_drive_at_a_glance(interloc: Callable, drive: Path) -> None:
     assert outcome.out.endswith("This drive can be used.\n")
 
 
-def test_without_georeference_it_says_why(interloc: Callable, local_drive: Path) -> None:
-    outcome = interloc("info", local_drive)
-    assert outcome.code == 0
-    assert "none: the drive has neither oxts/ nor geo.csv" in outcome.out
-
-
 def test_json_is_one_object(interloc: Callable, drive: Path) -> None:
     outcome = interloc("info", drive, "--json", "--thorough")
     assert outcome.code == 0
@@ -49,23 +43,8 @@ def test_a_drive_that_cannot_be_used(interloc: Callable, short_drive: Path) -> N
     assert not outcome.err
 
 
-def test_a_drive_that_cannot_be_used_as_json(interloc: Callable, tmp_path: Path) -> None:
-    outcome = interloc("info", tmp_path, "--json")
-    assert outcome.code == 1
-    assert outcome.json["ok"] is False
-    assert [problem["severity"] for problem in outcome.json["problems"]] == ["error"]
-
-
 def test_a_drive_that_is_not_there(interloc: Callable, tmp_path: Path) -> None:
     outcome = interloc("info", tmp_path / "none")
     assert outcome.code == 1
     assert "does not exist. Expected the folder of one drive." in outcome.out
     assert "georeference" not in outcome.out  # which nobody could look for
-
-
-def test_a_real_excerpt_is_explained(interloc: Callable, data: Callable[[str], Path]) -> None:
-    outcome = interloc("info", data("semantickitti_mini/sequences/07"))
-    assert outcome.code == 0
-    assert "10 (frames 0 to 9)" in outcome.out
-    assert "camera frame" in outcome.out
-    assert "1,101 poses for 10 scans; the poses of other frames are not used." in outcome.out

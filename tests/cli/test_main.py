@@ -46,13 +46,6 @@ COMMANDS = [
 ]
 
 
-def test_help_lists_the_commands(interloc: Callable) -> None:
-    outcome = interloc("--help")
-    assert outcome.code == 0
-    listed = [line.split()[0] for line in outcome.out.split("Commands:")[1].splitlines() if line.strip()]
-    assert [name for name in listed if name in COMMANDS] == COMMANDS
-
-
 @pytest.mark.parametrize("command", COMMANDS)
 def test_each_command_explains_itself(command: str, interloc: Callable) -> None:
     outcome = interloc(command, "--help")
@@ -65,12 +58,6 @@ def test_each_command_explains_itself(command: str, interloc: Callable) -> None:
 )
 def test_shells_complete_commands_and_options(shell: str, sign: str, interloc: Callable) -> None:
     assert sign in interloc("completion", shell).out
-
-
-def test_version(interloc: Callable) -> None:
-    outcome = interloc("--version")
-    assert outcome.code == 0
-    assert outcome.out.startswith("InterLoc ")
 
 
 @pytest.mark.parametrize(
@@ -115,15 +102,6 @@ def test_no_slow_import_before_a_command_needs_it(environment: dict[str, str]) -
     )
     process = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment, check=True)
     assert process.stderr == "slow imports: []\n"
-
-
-def test_exit_code_of_the_process(environment: dict[str, str], tmp_path: Path) -> None:
-    missing = ["export", str(tmp_path / "none"), "-o", str(tmp_path / "out.kml")]  # it imports little
-    for arguments, code in ((["--version"], 0), (missing, 1), (["export"], 2)):
-        process = Command(arguments, environment, tmp_path / "out", tmp_path / "err")
-        _, err = process.communicate(60)
-        assert process.returncode == code
-        assert "Traceback" not in err
 
 
 def test_the_console_script(tmp_path: Path) -> None:

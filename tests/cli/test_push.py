@@ -30,14 +30,6 @@ def test_wrong_usage(arguments: list[str], says: str, interloc: Callable) -> Non
     assert says in outcome.err
 
 
-def test_no_server_there(interloc: Callable, drive: Path, tmp_path: Path) -> None:
-    for arguments in (["push", drive], ["fetch", "9b1e44f00c7a2d53", "-o", tmp_path / "out"]):
-        complaint = interloc(*arguments, "--server", "http://127.0.0.1:9").complaint
-        assert complaint.startswith("interloc: http://127.0.0.1:9: cannot be reached")
-        assert "Give its address by --server or INTERLOC_SERVER" in complaint
-    assert not list(tmp_path.iterdir())
-
-
 def test_the_token_is_not_shown(interloc: Callable, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("INTERLOC_TOKEN", "a b-secret")
     outcome = interloc("fetch", "9b1e44f00c7a2d53", "-o", tmp_path / "out")

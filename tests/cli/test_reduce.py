@@ -18,8 +18,6 @@ from interloc.lab.drive import simulate
 from interloc.lab.town import Town
 from interloc.pipeline import detect
 
-TABLES = ("detections", "keyframes", "intersections", "trajectory")
-
 
 def size_of(folder: Path) -> int:
     return sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())

@@ -8,7 +8,6 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 from tests.cli.conftest import CROSSING_M
 
@@ -46,16 +45,6 @@ def test_the_report_has_the_fields_of_the_contract(finished: Path, strict_json: 
     assert report["precision"]["5.0"] == report["recall"]["5.0"] == 1.0
     assert report["ace_m"] < 1.0
     assert report["map_level"]["precision"] == report["map_level"]["recall"] == 1.0
-
-
-def test_matches_lead_to_the_node(finished: Path, strict_json: Callable) -> None:
-    (node,) = strict_json(finished / "osm_nodes.geojson")["features"]
-    matches = strict_json(finished / "matches.geojson")["features"]
-    assert len(matches) > 20
-    for match in matches:
-        assert match["geometry"]["coordinates"][1] == pytest.approx(node["geometry"]["coordinates"])
-        assert match["properties"]["outcome"] == "TP"
-        assert match["properties"]["error_m"] < 5.0
 
 
 def test_a_run_replaces_an_older_one_and_is_replaced(

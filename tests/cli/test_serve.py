@@ -7,7 +7,6 @@ import os
 import re
 import signal
 import socket
-import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -17,9 +16,6 @@ from uuid import uuid4
 import httpx
 import pytest
 
-from app.context import open_database
-from app.settings import Settings
-from app.store.models import Drive, Job
 from tests.app.processes import NO_TLS, wait_until
 from tests.forks import Command
 
@@ -66,25 +62,6 @@ def test_a_server_starts_and_stops(stop: signal.Signals, environment: dict[str, 
     assert not [line for line in lines if line["level"] in {"error", "warning"}]
 
 
-def test_streams_of_events_end_with_the_server(environment: dict[str, str], tmp_path: Path) -> None:
-    database = open_database(Settings(data_dir=tmp_path / "interloc-data"))
-    with database.writing() as session:  # a job that waits as long as its drive is checked: for ever
-        common = {"owner": "me", "created_at": database.clock(session)}
-        session.add(Drive(id="d", name="d", state="checking", touched_at=0.0, **common))
-        session.flush()
-        session.add(Job(id="j", kind="intersections", drive_id="d", request={}, **common))
-    database.close()
-    with (
-        serving(environment, tmp_path) as (process, address),
-        httpx.stream("GET", f"{address}api/v1/jobs/j/events", timeout=60, verify=NO_TLS) as events,
-    ):
-        lines = events.iter_lines()
-        assert next(lines) == "event: job"
-        process.terminate()
-        assert not [line for line in lines if line.startswith("event:")]  # whole to its end: it was not cut off
-        assert process.wait(60) == 0
-
-
 def test_a_stop_does_not_wait_for_an_upload_that_stalls(environment: dict[str, str], tmp_path: Path) -> None:
     with serving(environment, tmp_path) as (process, address), httpx.Client(base_url=address, verify=NO_TLS) as client:
         drive = client.post("api/v1/drives", json={"name": "a"}).json()["id"]
@@ -107,28 +84,6 @@ def test_options_and_environment(environment: dict[str, str], tmp_path: Path) ->
     assert (tmp_path / "here/interloc.sqlite3").is_file()
     line = r"^\d\d:\d\d:\d\d info    GET /api/v1/drives 200 .* status=200"
     assert re.search(line, (tmp_path / "log").read_text(), re.MULTILINE)
-
-
-def test_two_servers_share_a_data_folder(environment: dict[str, str], tmp_path: Path) -> None:
-    """They start at the same moment, on a folder that neither has seen."""
-    addresses: list[str] = []
-    everybody = threading.Barrier(3, timeout=60)
-
-    def run() -> None:
-        with serving(environment, tmp_path) as (_, address):
-            addresses.append(address)
-            everybody.wait()  # both serve
-            everybody.wait()
-
-    threads = [threading.Thread(target=run) for _ in range(2)]
-    for thread in threads:
-        thread.start()
-    everybody.wait()
-    drive = httpx.post(f"{addresses[0]}api/v1/drives", json={"name": "a"}, verify=NO_TLS).json()
-    assert httpx.get(f"{addresses[1]}api/v1/drives/{drive['id']}", verify=NO_TLS).json() == drive
-    everybody.wait()
-    for thread in threads:
-        thread.join()
 
 
 def test_other_machines_need_a_token(environment: dict[str, str], tmp_path: Path, interloc: Interloc) -> None:

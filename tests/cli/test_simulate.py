@@ -29,15 +29,6 @@ def street(tmp_path: Path) -> tuple[Path, Path]:
     return osm, track
 
 
-def test_help_shows_each_use_by_example(interloc: Callable) -> None:
-    out = interloc("simulate", "--help").out
-    assert "interloc simulate town -o DRIVE" in out
-    assert "interloc simulate track --osm map.osm.gz --track ride.gpx -o DRIVE" in out
-    for command in ("town", "track", "twin"):
-        assert "Example" in interloc("simulate", command, "--help").out
-    assert "default: full" in " ".join(interloc("simulate", "town", "--help").out.split())
-
-
 def test_the_small_town_is_a_drive_with_its_map(tmp_path: Path, interloc: Callable) -> None:
     drive = tmp_path / "drive"
     outcome = interloc("simulate", "town", "--small", "-o", drive, *FEW)

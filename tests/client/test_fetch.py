@@ -11,7 +11,6 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-import numpy as np
 import pytest
 
 from tests.app.processes import Gate, ServerProcess, wait_until, without_job
@@ -59,11 +58,6 @@ def test_fetched_again_every_byte_is_that_of_the_server(
         assert path.read_bytes() == server.client.get(f"{API}/jobs/{scored['job']}/files/{name}").content
 
 
-def test_every_command_reads_what_was_fetched(here: Any, scored: Any, street: Path) -> None:
-    again = here("evaluate", scored["out"], "--osm", street / "map.osm", "--policy", "all", "--json").json
-    assert again["policy"] == "all"
-
-
 @pytest.mark.parametrize(
     ("name", "options", "sendings"),
     [
@@ -72,12 +66,7 @@ def test_every_command_reads_what_was_fetched(here: Any, scored: Any, street: Pa
     ],
 )
 def test_real_drives(
-    name: str,
-    options: list[str],
-    sendings: list[list[str]],
-    here: Any,
-    data: Callable[[str], Path],
-    tmp_path: Path,
+    name: str, options: list[str], sendings: list[list[str]], here: Any, data: Callable[[str], Path], tmp_path: Path
 ) -> None:
     given = [options[0], data(options[1]) if "/" in options[1] else options[1]]
     drive = data(name)
@@ -219,10 +208,3 @@ def test_a_job_is_followed_to_its_end(faulty: Any, make: ModuleType, tmp_path: P
     outcome = make.Here(faulty.address, tmp_path / "cache")("fetch", "j1", "-o", tmp_path / "out", "--quiet")
     assert (outcome.code, outcome.err) == (0, "")
     assert next(states, None) is None
-
-
-def test_numbers_of_the_summary_are_those_of_the_tables(scored: Any) -> None:
-    tables = {name: json.loads((scored["out"] / f"{name}.geojson").read_bytes())["features"] for name in LAYERS}
-    for name in ("detections", "intersections", "keyframes"):
-        assert scored["summary"][name] == len(tables[name])
-    assert np.isfinite(scored["summary"]["seconds"])

@@ -218,15 +218,6 @@ def test_a_bad_drive_is_explained_and_not_sent(here: Any, server: ServerProcess,
     assert not [each for each in drives_on(server) if each["name"] == "bad"]
 
 
-def test_one_problem_is_one_line(here: Any, street: Path, tmp_path: Path) -> None:
-    drive = copy_of(street, tmp_path / "bad")
-    (drive / "poses.txt").write_text("1 2 3\n")
-    outcome = here("push", drive)
-    assert outcome.code == 1
-    (line,) = outcome.err.splitlines()
-    assert line.startswith("interloc: poses.txt: line 1: 3 numbers")
-
-
 def test_a_fault_that_shows_while_reading_stops_the_push_and_mending_goes_on(
     here: Any, server: ServerProcess, street: Path, tmp_path: Path
 ) -> None:

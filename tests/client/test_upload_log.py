@@ -21,24 +21,6 @@ def the_file(folder: Path) -> Path:
     return path
 
 
-def test_it_remembers(tmp_path: Path) -> None:
-    with UploadLog(tmp_path / "logs", IDENTITY) as log:
-        assert log.drive_id is None
-        log.begin("d1")
-        log.add("ground/labels/000000.ground", Sent("16:1", "aa"))
-    with UploadLog(tmp_path / "logs", IDENTITY) as log:
-        assert log.drive_id == "d1"
-        assert log.sent("ground/labels/000000.ground") == Sent("16:1", "aa")
-        assert log.sent("ground/labels/000001.ground") is None
-
-
-def test_another_push_knows_nothing_of_it(tmp_path: Path) -> None:
-    with UploadLog(tmp_path, IDENTITY) as log:
-        log.begin("d1")
-    with UploadLog(tmp_path, {**IDENTITY, "drive": "/data/08"}) as log:
-        assert log.drive_id is None
-
-
 def test_a_new_drive_begins_from_nothing(tmp_path: Path) -> None:
     with UploadLog(tmp_path, IDENTITY) as log:
         log.begin("d1")

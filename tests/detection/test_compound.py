@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pytest
 
@@ -158,10 +156,3 @@ def test_distances_are_metres() -> None:
     for resolution_m, count in ((0.5, 1), (1.0, 2)):  # 12 pixels
         crossing = blob(EAST, WEST, north(-6), south(6), core=[(0, -6), (0, 6)], resolution_m=resolution_m)
         assert len(split(crossing)) == count
-
-
-def test_parts_lie_around_their_own_place_with_their_own_branches() -> None:
-    crossing = blob(EAST, WEST, north(-6), south(6), core=[(0, -6), (0, 6)])
-    for part in split(crossing):
-        upwards = part.lines["direction"][:, 0].min() < -0.5
-        assert math.copysign(1, part.candidate[1]) == (-1 if upwards else 1)

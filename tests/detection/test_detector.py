@@ -16,9 +16,8 @@ from interloc.detection.detector import Detector, KeyframeDetections
 from interloc.detection.keyframes import select_keyframes
 from interloc.detection.scan import Scan
 from interloc.errors import ConfigError, DriveError
+from tests.detection.drawn import detect, draw_roads
 
-Draw = Callable[..., Float32Array]
-Detect = Callable[..., KeyframeDetections]
 Polyline = tuple[tuple[float, float], ...]
 
 O = (0.0, 0.0)
@@ -49,7 +48,7 @@ SHAPES = {"X": (x_shape, 4), "T": (t_shape, 3), "Y": (y_shape, 3)}
 
 @pytest.mark.parametrize("angle_deg", [45, 60, 90, 120])
 @pytest.mark.parametrize("shape", SHAPES)
-def test_roads_meet_at_one_point(draw_roads: Draw, detect: Detect, shape: str, angle_deg: int) -> None:
+def test_roads_meet_at_one_point(shape: str, angle_deg: int) -> None:
     roads_of, branch_count = SHAPES[shape]
     wrong = {}
     for width_m in (6, 9, 12):
@@ -64,9 +63,7 @@ def test_roads_meet_at_one_point(draw_roads: Draw, detect: Detect, shape: str, a
 
 @pytest.mark.parametrize("widths_m", [(14, 5), (10, 6)])
 @pytest.mark.parametrize("angle_deg", [60, 90])
-def test_narrow_road_meets_wide_one_on_its_axis(
-    draw_roads: Draw, detect: Detect, widths_m: tuple[float, float], angle_deg: float
-) -> None:
+def test_narrow_road_meets_wide_one_on_its_axis(widths_m: tuple[float, float], angle_deg: float) -> None:
     main = draw_roads((arm(10), arm(190)), width_m=widths_m[0])
     side = draw_roads((O, arm(10 + angle_deg)), width_m=widths_m[1])
     found = detect(np.unique(np.concatenate([main, side]), axis=0))
@@ -78,7 +75,7 @@ def test_narrow_road_meets_wide_one_on_its_axis(
 
 
 @pytest.mark.parametrize("bend_m", [25, 35, 40, 45])
-def test_bends_beyond_the_junction_do_not_move_it(draw_roads: Draw, detect: Detect, bend_m: float) -> None:
+def test_bends_beyond_the_junction_do_not_move_it(bend_m: float) -> None:
     west, east, north = (-bend_m, 0.0), (bend_m, 0.0), (0.0, bend_m)
     roads = [(O, west, (-90.0, 40.0)), (O, east, (90.0, -30.0)), (O, north, (40.0, 90.0))]
     errors_m = []
@@ -97,7 +94,7 @@ def bend(radius_m: float, from_deg: float, to_deg: float) -> Polyline:
 
 
 @pytest.mark.parametrize("width_m", [5, 7])
-def test_arms_of_a_roundabout_meet_its_ring(draw_roads: Draw, detect: Detect, width_m: float) -> None:
+def test_arms_of_a_roundabout_meet_its_ring(width_m: float) -> None:
     centre = np.array([16.0, 0.0])
     ring = bend(16, 0, 360)
     nodes = [centre + arm(angle_deg, 16) for angle_deg in (0, 90, 180, 270)]
@@ -110,12 +107,12 @@ def test_arms_of_a_roundabout_meet_its_ring(draw_roads: Draw, detect: Detect, wi
 
 @pytest.mark.parametrize("radius_m", [20, 30])
 @pytest.mark.parametrize("side_deg", [180, 0])
-def test_side_road_of_a_bend_meets_the_bend(draw_roads: Draw, detect: Detect, radius_m: float, side_deg: float) -> None:
+def test_side_road_of_a_bend_meets_the_bend(radius_m: float, side_deg: float) -> None:
     found = detect(draw_roads(bend(radius_m, 100, 260), (O, arm(side_deg)), width_m=7))
     assert np.hypot(*found.world_xy.T).min() < 0.6
 
 
-def test_axis_ends_where_a_branch_with_ragged_edges_begins(draw_roads: Draw, detect: Detect) -> None:
+def test_axis_ends_where_a_branch_with_ragged_edges_begins() -> None:
     smooth = draw_roads((O, arm(120)), (O, arm(0)), (O, arm(-60, 5)), width_m=8)
     places = [arm(-60, along_m) for along_m in range(5, 42, 6)]
     widths_m = itertools.cycle((6.6, 8.0, 9.4))
@@ -125,7 +122,7 @@ def test_axis_ends_where_a_branch_with_ragged_edges_begins(draw_roads: Draw, det
     assert np.hypot(*found.world_xy.T) == pytest.approx([0], abs=0.3)
 
 
-def test_staggered_side_roads_are_two_junctions(draw_roads: Draw, detect: Detect) -> None:
+def test_staggered_side_roads_are_two_junctions() -> None:
     for gap_m in (9, 12, 16, 25):
         half = gap_m / 2
         roads = [((-90.0, 0.0), (90.0, 0.0)), ((-half, 0.0), (-half, 90.0)), ((half, 0.0), (half, -90.0))]
@@ -150,14 +147,12 @@ def test_staggered_side_roads_are_two_junctions(draw_roads: Draw, detect: Detect
     ],
     ids=["straight", "dead end", "corner", "bend", "curve", "two roads side by side"],
 )
-def test_where_no_three_roads_meet_there_is_no_intersection(
-    draw_roads: Draw, detect: Detect, roads: list[Polyline], turned_deg: float
-) -> None:
+def test_where_no_three_roads_meet_there_is_no_intersection(roads: list[Polyline], turned_deg: float) -> None:
     assert len(detect(draw_roads(*roads, width_m=9, turned_deg=turned_deg)).world_xy) == 0
 
 
 @pytest.mark.parametrize("config", [DEFAULT, PAPER], ids=["default", "paper"])
-def test_scan_without_road_has_no_intersections(detect: Detect, config: DetectorConfig) -> None:
+def test_scan_without_road_has_no_intersections(config: DetectorConfig) -> None:
     found = detect(np.empty((0, 3), np.float32), config)
     assert found.world_xy.shape == found.lidar_xy.shape == (0, 2)
     assert found.branch_angles_rad == []
@@ -165,13 +160,13 @@ def test_scan_without_road_has_no_intersections(detect: Detect, config: Detector
 
 
 @pytest.mark.parametrize("config", [DEFAULT, PAPER], ids=["default", "paper"])
-def test_road_everywhere_is_no_intersection(draw_roads: Draw, detect: Detect, config: DetectorConfig) -> None:
+def test_road_everywhere_is_no_intersection(config: DetectorConfig) -> None:
     found = detect(draw_roads((arm(0), arm(180)), width_m=300), config)
     assert len(found.world_xy) == 0
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-def test_paper_finds_right_angled_junctions(draw_roads: Draw, detect: Detect, shape: str) -> None:
+def test_paper_finds_right_angled_junctions(shape: str) -> None:
     roads_of, branch_count = SHAPES[shape]
     found = detect(draw_roads(*roads_of(90), width_m=8, turned_deg=17), PAPER)
     assert len(found.world_xy) == 1
@@ -182,13 +177,13 @@ def test_paper_finds_right_angled_junctions(draw_roads: Draw, detect: Detect, sh
 # --- what is told about each -----------------------------------------------------------------------------------------
 
 
-def test_branches_point_along_the_roads(draw_roads: Draw, detect: Detect) -> None:
+def test_branches_point_along_the_roads() -> None:
     found = detect(draw_roads(*t_shape(70), width_m=8, turned_deg=20))
     angles = np.sort(np.degrees(found.branch_angles_rad[0]) % 360)
     np.testing.assert_allclose(angles, [20, 90, 200], atol=1.0)
 
 
-def test_position_is_told_in_the_frame_of_the_vehicle_too(draw_roads: Draw) -> None:
+def test_position_is_told_in_the_frame_of_the_vehicle_too() -> None:
     road = draw_roads(*x_shape(90), width_m=8)
     yaw, place = math.radians(30), np.array([12.0, -5.0])
     T = np.eye(4)
@@ -202,7 +197,7 @@ def test_position_is_told_in_the_frame_of_the_vehicle_too(draw_roads: Draw) -> N
     np.testing.assert_allclose(T[:2, :2] @ found.lidar_xy[0] + place, found.world_xy[0], atol=1e-9)
 
 
-def test_score_lies_between_0_and_1_and_is_high_for_an_ideal_junction(draw_roads: Draw, detect: Detect) -> None:
+def test_score_lies_between_0_and_1_and_is_high_for_an_ideal_junction() -> None:
     (score,) = detect(draw_roads(*x_shape(90), width_m=8)).score
     assert 0.9 < score <= 1
 
@@ -228,7 +223,7 @@ def quick(lookahead: int | None) -> DetectorConfig:
 
 
 @pytest.fixture(scope="module")
-def drive(draw_roads: Draw) -> list[Scan]:
+def drive() -> list[Scan]:
     """40 scans, 1 m apart, past a junction 20 m ahead; each sees 30 m."""
     world = draw_roads((arm(0), arm(180)), ((20.0, 0.0), (20.0, 90.0)), width_m=8)[::5]
     scans = []

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from interloc.arrays import FloatArray
-from interloc.drives.checks import turning_with_path
 from interloc.drives.inspect import inspect_drive
 from interloc.drives.open import open_drive
 from interloc.geometry import invert_transform, rotation_from_rpy
@@ -125,14 +124,3 @@ def test_a_georeference_that_starts_at_another_frame(street: Path, scans: int) -
     streets.write_geo(street, streets.poses()[np.clip(np.arange(streets.COUNT) - scans, 0, streets.COUNT - 1)])
     found = errors(street)
     assert "another motion" in found or f"scans {'late' if scans > 0 else 'early'} against the poses" in found
-
-
-def test_how_a_body_turns_with_its_path() -> None:
-    true = streets.poses()
-    turned, share = turning_with_path(true)
-    assert np.degrees(turned) > 60
-    assert share == pytest.approx(1.0, abs=0.1)
-    mirrored = true.copy()
-    mirrored[:, :3, :3] = np.swapaxes(true[:, :3, :3], 1, 2)
-    assert turning_with_path(mirrored)[1] == pytest.approx(-1.0, abs=0.1)
-    assert turning_with_path(true[:2]) == (0.0, 1.0)

@@ -7,10 +7,9 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from interloc.drives.files import MAX_ROWS, SourceFile, list_numbered, listed
+from interloc.drives.files import MAX_ROWS, SourceFile, list_numbered
 from interloc.errors import DriveError
 
 
@@ -97,13 +96,6 @@ def test_numbered_files_are_sorted_by_number(tmp_path: Path) -> None:
     assert files.path(2) == tmp_path / "000002.bin"
 
 
-def test_names_without_zeros_in_front(tmp_path: Path) -> None:
-    for name in ("9.bin", "10.bin"):
-        (tmp_path / name).touch()
-    files = list_numbered(SourceFile(tmp_path, tmp_path), ".bin")
-    assert [files.path(int(number)).name for number in files.numbers] == ["9.bin", "10.bin"]
-
-
 @pytest.mark.parametrize(
     ("names", "words"),
     [
@@ -130,8 +122,3 @@ def test_what_is_no_scan_among_them(tmp_path: Path) -> None:
     (tmp_path / "000000.bin").symlink_to(tmp_path / "gone.bin")
     with pytest.raises(DriveError, match="cannot be read"):
         list_numbered(SourceFile(tmp_path, tmp_path), ".bin")
-
-
-def test_many_numbers_are_shortened() -> None:
-    assert listed(np.arange(7)) == "0, 1, 2, 3, 4 and 2 more"
-    assert listed(np.arange(2)) == "0, 1"

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 from interloc.drives.inspect import DriveReport, inspect_drive
-from interloc.errors import ConfigError
 
 
 def errors(report: DriveReport) -> dict[str, str]:
@@ -33,14 +32,6 @@ def test_sound_drive(sequence: Path) -> None:
     assert report.georeference is None
     assert report.georeference_reason == "the drive has neither oxts/ nor geo.csv"
     assert report.flatness_m == pytest.approx(0, abs=1e-3)
-
-
-def test_it_is_json(sequence: Path) -> None:
-    data = json.loads(json.dumps(inspect_drive(sequence).to_dict()))
-    assert data["ok"] is True
-    assert data["label_ids"].keys() == {"40", "48", "70"}
-    with pytest.raises(ConfigError):  # an option without meaning is the caller's fault
-        inspect_drive(sequence, label_scheme="kitty")
 
 
 def test_every_problem_is_listed(sequence: Path) -> None:

@@ -47,11 +47,6 @@ def test_choices_that_are_none(choice: str) -> None:
         named_scheme(choice)
 
 
-def test_auto_is_left_to_the_ids() -> None:
-    assert named_scheme("auto") is None
-    assert named_scheme("learning") is LEARNING
-
-
 @pytest.mark.parametrize(
     ("ids", "kitti360", "expected"),
     [

@@ -14,19 +14,6 @@ from interloc.drives.open import open_drive
 from interloc.errors import DriveError
 
 
-def test_semantickitti(sequence: Path) -> None:
-    drive = open_drive(sequence)
-    assert (drive.layout, drive.pose_frame, drive.scheme.name) == ("semantickitti", "camera", "semantickitti")
-
-
-@pytest.mark.parametrize("calib", [False, True])
-def test_lidar_poses_need_no_calibration(tmp_path: Path, make: ModuleType, calib: bool) -> None:
-    drive = open_drive(make.write_semantickitti(tmp_path / "own", pose_frame="lidar", calib=calib))
-    assert drive.pose_frame == "lidar"
-    assert "along its x axis" in drive.pose_frame_reason
-    np.testing.assert_allclose(drive.T_world_lidar, make.lidar_poses(), atol=1e-6)
-
-
 def test_kitti_raw_takes_its_poses_from_oxts(tmp_path: Path, make: ModuleType) -> None:
     root = make.write_kitti_raw(tmp_path / "2011_09_26" / "2011_09_26_drive_0001_sync")
     (root / "calib_imu_to_velo.txt").rename(root.parent / "calib_imu_to_velo.txt")
@@ -54,24 +41,6 @@ def test_kitti360_maps_frames_explicitly(tmp_path: Path, make: ModuleType, rows:
     assert (drive.layout, drive.scheme.name) == ("kitti360", "kitti360")
     assert drive.frames.tolist() == frames
     np.testing.assert_allclose(drive.T_world_lidar, poses, atol=1e-6)
-
-
-def test_kitti360_camera_poses(tmp_path: Path, make: ModuleType) -> None:
-    lidar, frames = make.lidar_poses(), list(range(12))
-    root = make.write_semantickitti(tmp_path / "360", pose_frame="lidar", scheme="kitti360")
-    (root / "poses.txt").unlink()
-    (root / "cam0_to_world.txt").write_text(make.pose_text(make.camera_poses(lidar), frames=frames, rows=4))
-    numbers = " ".join(f"{v:.9f}" for v in np.linalg.inv(make.T_CAM_LIDAR)[:3].ravel())
-    (root / "calib_cam_to_velo.txt").write_text(numbers)
-    drive = open_drive(root)
-    assert (drive.layout, drive.pose_frame) == ("kitti360", "camera")
-    np.testing.assert_allclose(drive.T_world_lidar, lidar, atol=1e-6)
-
-
-def test_kitti360_scan_without_a_pose_is_left_out(tmp_path: Path, make: ModuleType) -> None:
-    root = make.write_semantickitti(tmp_path / "360", pose_frame="lidar", scheme="kitti360")
-    (root / "poses.txt").write_text(make.pose_text(make.lidar_poses(11), frames=list(range(11))))
-    assert open_drive(root).frames.tolist() == list(range(11))
 
 
 def test_a_layout_can_be_named(tmp_path: Path, sequence: Path, make: ModuleType) -> None:

@@ -32,10 +32,6 @@ def test_an_unknown_option_or_choice(arguments: dict[str, Any], words: str) -> N
         DriveOptions.of(**arguments)
 
 
-def test_ids_of_road_are_kept_as_text() -> None:
-    assert DriveOptions.of(label_scheme={60, 40}).label_scheme == "40,60"
-
-
 def test_arguments_come_before_given_options() -> None:
     given = DriveOptions(labels="predictions", layout="kitti_raw", name="08")
     assert DriveOptions.of(given, labels="auto") == DriveOptions(layout="kitti_raw", name="08")

@@ -12,7 +12,6 @@ import pytest
 
 from interloc.arrays import FloatArray
 from interloc.drives.inspect import inspect_drive
-from interloc.drives.plans import PlanMatch, road_plan, upright_plan
 from interloc.geometry import invert_transform, rotation_from_rpy
 from tests import streets
 
@@ -111,19 +110,3 @@ def test_a_sound_drive_is_sound_in_any_part(
             os.link(source / folder / f"{frame:06d}{suffix}", path / folder / f"{number:06d}{suffix}")
     (path / "poses.txt").write_text(streets.pose_text(streets.poses()[rows]))
     assert [p for p in inspect_drive(path).problems if p.severity != "note"] == []
-
-
-def test_two_plans_are_laid_onto_each_other_from_far_away() -> None:
-    first, second = (streets.poses()[row] for row in (24, 34))
-    expected = invert_transform(first) @ second
-    (target, _), (source, _) = streets.scan_at(first, 1), streets.scan_at(second, 2)
-    match = PlanMatch.of(upright_plan(target), upright_plan(source))
-    assert match.share > 0.5
-    assert np.abs(match.motion[:2] - expected[:2, 3]).max() < 1.0
-    assert abs(match.motion[2] - np.arctan2(expected[1, 0], expected[0, 0])) < np.radians(3.5)
-
-
-def test_plans_of_nothing_are_empty() -> None:
-    assert upright_plan(np.empty((0, 3))).shape == (0, 2)
-    assert road_plan(np.empty((0, 3))).shape == (0, 2)
-    assert upright_plan(np.full((5, 3), np.nan)).shape == (0, 2)

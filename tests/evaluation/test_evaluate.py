@@ -16,17 +16,13 @@ from interloc.geometry import wrap_longitude
 from interloc.osm.graph import RoadGraph
 from interloc.osm.intersections import intersection_nodes
 from interloc.osm.reader import read_osm
-from interloc.results import DriveResult
-
-Run = Callable[..., DriveResult]
-Graph = Callable[..., RoadGraph]
-At = Callable[[Any], np.ndarray]
+from tests.evaluation.made import at, graph, oxts_run, run
 
 # Sequence: nodes of policy `drive` in the relevant zones along the IMU's track.
 NODES_IN_ZONE = {"00": 26, "02": 30, "05": 13, "06": 11, "07": 7, "08": 19, "09": 11, "10": 8}
 
 
-def test_one_keyframe_two_nodes_three_detections(run: Run, graph: Graph) -> None:
+def test_one_keyframe_two_nodes_three_detections() -> None:
     made = run([(0, 0)], [(0, 1, 0), (0, 3, 4), (0, 12, 0)], [(0.5, 0)])
     record = report_record(evaluate(made, graph([(0, 0), (0, -18)], arm_m=15)))
     assert (record["keyframes"], record["detections"], record["matched"]) == (1, 3, 3)
@@ -49,7 +45,7 @@ def test_one_keyframe_two_nodes_three_detections(run: Run, graph: Graph) -> None
     }
 
 
-def test_the_record_is_json_without_nan_even_if_nothing_was_found(run: Run, graph: Graph) -> None:
+def test_the_record_is_json_without_nan_even_if_nothing_was_found() -> None:
     record = report_record(evaluate(run([(0, 0)]), graph([(0, 0)])))
     text = json.dumps(record, allow_nan=False)
     assert json.loads(text)["ace_m"] is None
@@ -58,14 +54,14 @@ def test_the_record_is_json_without_nan_even_if_nothing_was_found(run: Run, grap
     assert record["map_level"]["precision"] is None
 
 
-def test_a_road_without_junction_scores_nothing_and_says_so(run: Run, graph: Graph) -> None:
+def test_a_road_without_junction_scores_nothing_and_says_so() -> None:
     made = run([(0, 100)], [(0, 1, 100)])
     result = evaluate(made, graph([(0, 0)], arm_m=150))
     assert result.scores.at(5.0, result.scores.recall) is None
     assert any("recall is undefined" in warning for warning in result.warnings)
 
 
-def test_zones_come_from_the_configuration_of_the_run(run: Run, graph: Graph) -> None:
+def test_zones_come_from_the_configuration_of_the_run() -> None:
     config = {"bev": {"size_m": 100.0}, "branches": {"outer_radius_m": 30.0}}
     result = evaluate(run([(0, 0)], config=config), graph([(0, 0)]))
     assert (result.roi_m, result.relevant_zone_m) == (100.0, 40.0)
@@ -73,44 +69,42 @@ def test_zones_come_from_the_configuration_of_the_run(run: Run, graph: Graph) ->
     assert (result.roi_m, result.relevant_zone_m) == (120.0, 60.0)
 
 
-def test_a_zone_without_extent_is_refused(run: Run, graph: Graph) -> None:
+def test_a_zone_without_extent_is_refused() -> None:
     with pytest.raises(ConfigError, match="relevant zone is -20 m"):
         evaluate(run([(0, 0)], config={"branches": {"outer_radius_m": 70.0}}), graph([(0, 0)]))
 
 
-def test_without_georeference_there_is_no_evaluation(run: Run, graph: Graph) -> None:
+def test_without_georeference_there_is_no_evaluation() -> None:
     with pytest.raises(GeoreferenceError, match="--oxts"):
         evaluate(run([(0, 0)], georeferenced=False), graph([(0, 0)]))
 
 
-def test_a_map_of_another_place_is_refused(run: Run, graph: Graph) -> None:
+def test_a_map_of_another_place_is_refused() -> None:
     with pytest.raises(MapError, match=r"made-up\.osm covers lon .* the drive lies at .* 7\.0 km"):
         evaluate(run([(0, 7050)]), graph([(0, 0)]))
 
 
-def test_a_map_of_another_continent_is_refused(run: Run, graph: Graph) -> None:
+def test_a_map_of_another_continent_is_refused() -> None:
     elsewhere = graph([(0, 0)])
     elsewhere = graph([(0, 0)], lonlat=-elsewhere.lonlat)
     with pytest.raises(MapError, match="another sequence"):
         evaluate(run([(0, 0)]), elsewhere)
 
 
-def test_a_map_that_covers_half_the_drive_is_worth_a_warning(
-    run: Run, graph: Graph, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_map_that_covers_half_the_drive_is_worth_a_warning(caplog: pytest.LogCaptureFixture) -> None:
     with caplog.at_level(logging.WARNING, logger="interloc"):
         result = evaluate(run([(0, 0), (0, 400)]), graph([(0, 0)]))
     assert "50% of the keyframes" in result.warnings[0]
     assert "50% of the keyframes" in caplog.text
 
 
-def test_a_track_beside_the_roads_is_worth_a_warning(run: Run, graph: Graph) -> None:
+def test_a_track_beside_the_roads_is_worth_a_warning() -> None:
     result = evaluate(run([(20, 12)]), graph([(0, 0)]))
     assert result.track_to_road_m == pytest.approx(12.0, abs=0.01)
     assert "12.0 m (median)" in result.warnings[0]
 
 
-def test_what_lies_beyond_the_bounds_of_the_map_is_not_scored(run: Run, graph: Graph, at: At) -> None:
+def test_what_lies_beyond_the_bounds_of_the_map_is_not_scored() -> None:
     (west, south), (east, north) = at([(-60, -60), (20, 60)])
     clipped = graph([(0, 0), (30, 0)], arm_m=15, areas=((west, south, east, north),))
     result = evaluate(run([(0, 0)], [(0, 1, 0), (0, 30, 0)], [(0, 0), (30, 0)]), clipped)
@@ -118,16 +112,16 @@ def test_what_lies_beyond_the_bounds_of_the_map_is_not_scored(run: Run, graph: G
     assert result.scores.at(5.0, result.scores.precision) == 1.0
 
 
-def test_distance_to_the_road_is_to_the_line_not_to_its_nodes(graph: Graph, at: At) -> None:
+def test_distance_to_the_road_is_to_the_line_not_to_its_nodes() -> None:
     cross = graph([(0, 0)])
     assert track_to_road(at([(25, 2), (60, 0), (-3, -3)]), cross) == pytest.approx([2.0, 10.0, 3.0], abs=1e-3)
 
 
-def test_warnings_of_the_map_are_those_of_the_evaluation(run: Run, graph: Graph) -> None:
+def test_warnings_of_the_map_are_those_of_the_evaluation() -> None:
     assert evaluate(run([(0, 0)]), graph([(0, 0)], warnings=("odd",))).warnings[0] == "odd"
 
 
-def test_a_drive_across_the_180th_meridian_is_scored_like_any_other(run: Run, graph: Graph) -> None:
+def test_a_drive_across_the_180th_meridian_is_scored_like_any_other() -> None:
     made, roads = (
         run([(-20, 0), (0, 0), (20, 0)], detections=[(0, 1, 1), (2, 2, 0)], intersections=[(1, 1)]),
         graph([(0, 0)]),
@@ -156,13 +150,13 @@ def moved(thing: Any) -> Any:
     return replace(thing, **{name: replace(table, lonlat=east(table.lonlat)) for name, table in tables.items()})
 
 
-def test_bounds_of_a_drive_leave_room_for_the_roi(run: Run, at: At) -> None:
+def test_bounds_of_a_drive_leave_room_for_the_roi() -> None:
     west, south, east, north = track_bounds(run([(0, 0), (1000, 500)]).keyframes.lonlat, margin_m=100)
     assert np.array([[west, south], [east, north]]) == pytest.approx(at([(-100, -100), (1100, 600)]), abs=1e-5)
 
 
 @pytest.mark.parametrize("sequence", NODES_IN_ZONE)
-def test_kitti_tracks_lie_on_their_roads(sequence: str, data: Callable[[str], Path], oxts_run: Run) -> None:
+def test_kitti_tracks_lie_on_their_roads(sequence: str, data: Callable[[str], Path]) -> None:
     roads = read_osm(data(f"kitti/osm/{sequence}.osm.gz"))
     nodes = intersection_nodes(roads)
     result = evaluate(oxts_run(data(f"kitti/oxts/{sequence}.txt.gz"), nodes.lonlat, noise_m=1.0), roads)

@@ -1,4 +1,3 @@
-from collections.abc import Callable
 from itertools import permutations
 from typing import Any
 
@@ -8,39 +7,36 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from interloc.evaluation.map_level import MapLevel, assign_intersections
-from interloc.results import DriveResult
-
-Run = Callable[..., DriveResult]
-At = Callable[[Any], np.ndarray]
+from tests.evaluation.made import at, run
 
 
-def assign(run: Run, at: At, intersections: list[Any], nodes: list[Any], in_zone: list[bool]) -> MapLevel:
+def assign(intersections: list[Any], nodes: list[Any], in_zone: list[bool]) -> MapLevel:
     made = run([(0, 0)], (), intersections)
     return assign_intersections(
         made.keyframes, made.intersections, at(nodes), np.array(in_zone, dtype=np.bool_), relevant_zone_m=40
     )
 
 
-def test_one_node_is_claimed_once(run: Run, at: At) -> None:
-    level = assign(run, at, [(1, 0), (2, 0)], [(0, 0)], [True])
+def test_one_node_is_claimed_once() -> None:
+    level = assign([(1, 0), (2, 0)], [(0, 0)], [True])
     assert level.node.tolist() == [0, -1]
     assert (level.precision, level.recall) == (0.5, 1.0)
     assert level.errors_m == pytest.approx([1.0], abs=1e-3)
 
 
-def test_outside_the_zones_nothing_is_punished(run: Run, at: At) -> None:
-    level = assign(run, at, [(0, 0), (60, 0)], [(1, 0), (-60, 0)], [True, False])
+def test_outside_the_zones_nothing_is_punished() -> None:
+    level = assign([(0, 0), (60, 0)], [(1, 0), (-60, 0)], [True, False])
     assert level.counts.tolist() == [True, False]
     assert (level.precision, level.recall) == (1.0, 1.0)
 
 
-def test_an_intersection_in_the_zone_may_be_a_node_just_outside(run: Run, at: At) -> None:
-    level = assign(run, at, [(19, 0)], [(21, 0)], [False])
+def test_an_intersection_in_the_zone_may_be_a_node_just_outside() -> None:
+    level = assign([(19, 0)], [(21, 0)], [False])
     assert (level.precision, level.recall) == (1.0, None)
 
 
-def test_an_empty_map_has_no_precision(run: Run, at: At) -> None:
-    level = assign(run, at, [], [(0, 0)], [True])
+def test_an_empty_map_has_no_precision() -> None:
+    level = assign([], [(0, 0)], [True])
     assert (level.precision, level.recall) == (None, 0.0)
 
 
@@ -48,8 +44,8 @@ spots = st.lists(st.tuples(st.floats(-12, 12), st.floats(-12, 12)), max_size=4)
 
 
 @given(intersections=spots, nodes=spots)
-def test_no_assignment_is_cheaper(run: Run, at: At, intersections: list[Any], nodes: list[Any]) -> None:
-    level = assign(run, at, intersections, nodes, [True] * len(nodes))
+def test_no_assignment_is_cheaper(intersections: list[Any], nodes: list[Any]) -> None:
+    level = assign(intersections, nodes, [True] * len(nodes))
     taken = level.node[level.node >= 0]
     assert len(set(taken.tolist())) == len(taken)
     mine = float(level.errors_m.sum()) + 10.0 * int((level.node < 0).sum())

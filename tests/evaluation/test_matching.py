@@ -1,5 +1,4 @@
 import math
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -10,12 +9,10 @@ from hypothesis import strategies as st
 from interloc.evaluation.matching import UNMATCHED, match, pairs_in_square
 from interloc.geometry import enu_from_lonlat, rotate_2d
 from interloc.results import DriveResult
-
-Run = Callable[..., DriveResult]
-At = Callable[[Any], np.ndarray]
+from tests.evaluation.made import at, run
 
 
-def test_a_detection_takes_the_nearest_node_of_the_roi(run: Run, at: At) -> None:
+def test_a_detection_takes_the_nearest_node_of_the_roi() -> None:
     one = run([(0, 0)], [(0, 1, 0), (0, 28, 0), (0, -50, 50)])
     result = match(one.keyframes, one.detections, at([(0, 0), (30, 0)]), roi_m=120, relevant_zone_m=40)
     assert result.node.tolist() == [0, 1, 0]
@@ -24,14 +21,14 @@ def test_a_detection_takes_the_nearest_node_of_the_roi(run: Run, at: At) -> None
     assert result.zone_found.tolist() == [True]
 
 
-def test_a_far_detection_still_saves_its_node_from_being_missed(run: Run, at: At) -> None:
+def test_a_far_detection_still_saves_its_node_from_being_missed() -> None:
     """The paper asks for a matching detection, not for a close one."""
     one = run([(0, 0)], [(0, 55, 55)])
     result = match(one.keyframes, one.detections, at([(0, 0)]), roi_m=120, relevant_zone_m=40)
     assert result.zone_found.tolist() == [True]
 
 
-def test_the_squares_are_aligned_with_the_world_frame(run: Run, at: At) -> None:
+def test_the_squares_are_aligned_with_the_world_frame() -> None:
     corner = at([(19, 19)])  # in a 40 m square that looks east, outside of one turned by 45 degrees
     straight = run([(0, 0)], world_yaw_in_enu_rad=0.0)
     turned = run([(0, 0)], world_yaw_in_enu_rad=math.pi / 4)
@@ -40,13 +37,13 @@ def test_the_squares_are_aligned_with_the_world_frame(run: Run, at: At) -> None:
     assert pairs_in_square(turned.keyframes, at([(27, 0)]), 40)[1].tolist() == [0]
 
 
-def test_the_heading_of_the_car_does_not_turn_the_squares(run: Run, at: At) -> None:
+def test_the_heading_of_the_car_does_not_turn_the_squares() -> None:
     turning = run([(0, 0)], yaw_rad=[math.pi / 4], world_yaw_in_enu_rad=0.0)
     assert pairs_in_square(turning.keyframes, at([(19, 19)]), 40)[1].tolist() == [0]
 
 
 @pytest.mark.parametrize(("detections", "nodes"), [((), [(0, 0)]), ([(0, 1, 1)], []), ((), [])])
-def test_nothing_there_is_no_error(run: Run, at: At, detections: list[Any], nodes: list[Any]) -> None:
+def test_nothing_there_is_no_error(detections: list[Any], nodes: list[Any]) -> None:
     one = run([(0, 0)], detections)
     result = match(one.keyframes, one.detections, at(nodes), roi_m=120, relevant_zone_m=40)
     assert len(result.node) == len(detections)
@@ -99,7 +96,7 @@ places = st.lists(st.tuples(metres, metres), max_size=8)
     world_yaw=st.floats(-3, 3),
 )
 def test_matching_is_what_the_plain_loops_say(
-    run: Run, at: At, keyframes: list[Any], detections: list[Any], nodes: list[Any], world_yaw: float
+    keyframes: list[Any], detections: list[Any], nodes: list[Any], world_yaw: float
 ) -> None:
     detections = [(min(k, len(keyframes) - 1), x + 0.25, y - 0.125) for k, x, y in detections]
     made = run(keyframes, detections, world_yaw_in_enu_rad=world_yaw)

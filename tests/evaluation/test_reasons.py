@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
 from typing import Any, get_args
 
 import numpy as np
+import pytest
 from pyproj import Transformer
 
 from interloc.evaluation.reasons import (
@@ -81,14 +83,30 @@ def test_a_service_road_that_the_policy_leaves_out_explains_a_junction() -> None
     assert why_false(lines, (0, -10.5)).kind == "nothing"
 
 
-def test_a_counted_node_that_is_nearer_comes_before_a_service_road() -> None:
-    lines: list[Line] = [
-        ("residential", [(-90, 0), (0, 0), (14, 0), (90, 0)]),
-        ("residential", [(0, -90), (0, 0), (0, 90)]),
-        ("service", [(14, 0), (14, 60)]),
-    ]
-    assert why_false(lines, (5, 0)).kind == "off"
-    assert why_false(lines, (9, 0)).kind == "left_out"
+CORNER: list[Line] = [("residential", [(-90, 0), (0, 0), (0, 90)])]
+ROUNDED = [(round(20 * math.sin(a) - 20, 3), round(20 * math.cos(a), 3)) for a in np.linspace(0, np.pi / 2, 9)]
+BESIDE: list[Line] = [
+    ("residential", [(-90, 0), (0, 0), (14, 0), (90, 0)]),
+    ("residential", [(0, -90), (0, 0), (0, 90)]),
+    ("service", [(14, 0), (14, 60)]),
+]
+
+
+@pytest.mark.parametrize(
+    ("lines", "place", "policy", "kind"),
+    [
+        (CORNER, (-2, 2), "drive", "bend"),
+        (CORNER, (-60, 2), "drive", "nothing"),
+        ([("residential", [(-90, 0), (0, 0), (90, 30)])], (0, 2), "drive", "nothing"),  # a bend by 18 degrees
+        ([("residential", [(-90, 20), *ROUNDED, (0, -90)])], ROUNDED[4], "drive", "bend"),
+        ([STREET], (88, 3), "drive", "road_end"),
+        ([STREET, ("footway", [(0, 0), (0, 60)])], (12, 0), "all", "off"),
+        (BESIDE, (5, 0), "drive", "off"),  # a counted node that is nearer comes before a service road
+        (BESIDE, (9, 0), "drive", "left_out"),
+    ],
+)
+def test_kinds(lines: list[Line], place: tuple[float, float], policy: Policy, kind: str) -> None:
+    assert why_false(lines, place, policy=policy).kind == kind
 
 
 def test_a_place_off_a_node_names_it_and_how_far() -> None:
@@ -127,20 +145,6 @@ def test_a_slip_road_has_a_mouth() -> None:
     assert why_false(lines, (-12, 0)).kind == "off"
 
 
-def test_a_corner_without_a_junction_is_a_bend() -> None:
-    corner: list[Line] = [("residential", [(-90, 0), (0, 0), (0, 90)])]
-    reason = why_false(corner, (-2, 2))
-    assert reason.kind == "bend"
-    assert why_false(corner, (-60, 2)).kind == "nothing"
-    assert why_false([("residential", [(-90, 0), (0, 0), (90, 30)])], (0, 2)).kind == "nothing"  # by 18 degrees
-
-
-def test_a_rounded_corner_is_a_bend_too() -> None:
-    arc = [(20 * np.sin(a) - 20, 20 * np.cos(a)) for a in np.linspace(0, np.pi / 2, 9)]
-    rounded = [(round(float(x), 3), round(float(y), 3)) for x, y in arc]
-    assert why_false([("residential", [(-90, 20), *rounded, (0, -90)])], rounded[4]).kind == "bend"
-
-
 def test_a_ring_whose_nodes_lie_in_one_place_is_not_walked_for_ever() -> None:
     ring = draw_map([("residential", [(0, 0), (1, 0), (0, 1), (0, 0)])])
     graph = replace(ring, lonlat=np.repeat(ring.lonlat[:1], 3, axis=0))
@@ -149,19 +153,10 @@ def test_a_ring_whose_nodes_lie_in_one_place_is_not_walked_for_ever() -> None:
     assert reason.kind == "nothing"
 
 
-def test_the_end_of_a_road() -> None:
-    assert why_false([STREET], (88, 3)).kind == "road_end"
-
-
 def test_a_footway_explains_only_what_is_very_near() -> None:
     lines = [STREET, ("footway", [(0, 0), (0, 60)])]
     assert why_false(lines, (1, 1)).sentence == 'highway=footway "Way 1" meets a road, 1.4 m away'
     assert why_false(lines, (7, 1)).kind == "nothing"
-
-
-def test_policy_all_leaves_nothing_out() -> None:
-    lines = [STREET, ("footway", [(0, 0), (0, 60)])]
-    assert why_false(lines, (12, 0), policy="all").kind == "off"
 
 
 def test_a_map_without_junctions_explains_nothing() -> None:

@@ -1,6 +1,5 @@
 import json
 import re
-from collections.abc import Callable
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -14,11 +13,9 @@ from interloc.errors import OutputError
 from interloc.evaluation.evaluate import Evaluation, evaluate
 from interloc.evaluation.figures import error_figure, map_figure, threshold_figure
 from interloc.evaluation.report import write_report
-from interloc.osm.graph import RoadGraph
 from interloc.results import DriveResult
+from tests.evaluation.made import graph, run
 
-Run = Callable[..., DriveResult]
-Graph = Callable[..., RoadGraph]
 Scored = tuple[Evaluation, DriveResult]
 
 FILES = [
@@ -36,7 +33,7 @@ FILES = [
 
 
 @pytest.fixture(scope="module")
-def scored(run: Run, graph: Graph) -> Scored:
+def scored() -> Scored:
     """Two keyframes, three nodes: one found, one missed, one out of reach; a detection far from everything."""
     made = run([(0, 0), (5, 0)], [(0, 1, 0), (1, 0, 2), (1, 40, 40)], [(0.5, 1)])
     return evaluate(made, graph([(0, 0), (0, -15), (80, 0)], arm_m=15)), made
@@ -132,14 +129,14 @@ def test_names_cannot_smuggle_markup_into_the_page(scored: Scored, tmp_path: Pat
     assert "a $b_{ 2 $ 高速" in text
 
 
-def test_a_run_that_found_nothing_has_a_report(run: Run, graph: Graph, tmp_path: Path) -> None:
+def test_a_run_that_found_nothing_has_a_report(tmp_path: Path) -> None:
     made = run([(0, 0)])
     write_report(evaluate(made, graph([(0, 0)])), tmp_path)
     assert strict_json(tmp_path / "report.json")["ace_m"] is None
     assert "Nothing was detected" in (tmp_path / "report.html").read_text(encoding="utf-8")
 
 
-def test_a_road_without_junction_has_a_report(run: Run, graph: Graph, tmp_path: Path) -> None:
+def test_a_road_without_junction_has_a_report(tmp_path: Path) -> None:
     made = run([(0, 100)], [(0, 1, 100)])
     write_report(evaluate(made, graph([(0, 0)], arm_m=150), policy="consolidated"), tmp_path)
     assert "did not come close to any OSM intersection of this policy" in (tmp_path / "report.html").read_text(

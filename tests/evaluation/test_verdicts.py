@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,14 +13,11 @@ import pytest
 
 from interloc.evaluation.evaluate import Evaluation, evaluate
 from interloc.evaluation.report import LAYER_FEATURES, map_line, render_html, report_record, write_report
-from interloc.osm.graph import RoadGraph
 from interloc.output.read import read_results
 from interloc.output.vector_files import write_vector_file
 from interloc.output.write import write_results
 from interloc.results import DriveResult
-
-Run = Callable[..., DriveResult]
-Graph = Callable[..., RoadGraph]
+from tests.evaluation.made import at, graph, run
 
 NEW = ["outcome", "osm_id", "error_m", "reason"]
 
@@ -40,7 +36,7 @@ def told(folder: Path, layer: str, *names: str) -> list[tuple[Any, ...]]:
 
 
 @pytest.fixture(scope="module")
-def made(run: Run) -> DriveResult:
+def made() -> DriveResult:
     """Nodes at 0,0 (found) and 0,-15 (missed); intersections on the first, in the open, and far from the track."""
     result = run([(0, 0), (5, 0)], [(0, 1, 0), (1, 0, 2), (1, 12, 14), (1, 40, 40)], [(0.5, 1), (12, 14), (-45, 0)])
     fused = np.array([0, 0, 1, -1])
@@ -48,7 +44,7 @@ def made(run: Run) -> DriveResult:
 
 
 @pytest.fixture(scope="module")
-def folder(made: DriveResult, graph: Graph, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(made: DriveResult, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A result that was scored. Shared: do not change it."""
     out = tmp_path_factory.mktemp("scored") / "out"
     write_results(made, out)
@@ -89,7 +85,7 @@ def test_a_node_is_found_missed_or_outside(folder: Path) -> None:
     assert reasons[1]
 
 
-def test_service_roads_can_be_counted_without_another_run(run: Run, graph: Graph) -> None:
+def test_service_roads_can_be_counted_without_another_run() -> None:
     made = run([(0, 0)], [(0, 1, 0)], [(0.5, 1)])
     roads = graph([(0, 0)])
     roads = replace(roads, ways=replace(roads.ways, highway=("service",) * len(roads.ways)))
@@ -136,7 +132,7 @@ def test_the_report_leads_with_the_map(folder: Path) -> None:
     assert "What is wrong, and why" in page
 
 
-def test_a_node_that_was_detected_and_missed_is_not_found(run: Run, graph: Graph) -> None:
+def test_a_node_that_was_detected_and_missed_is_not_found() -> None:
     evaluation = evaluate(run([(0, 0)], [(0, 1, 0)]), graph([(0, 0)]))  # no intersection came of it
     (node,) = properties(evaluation, "osm_nodes")
     assert (node["outcome"], node["found"], node["detected"]) == ("missed", False, True)
@@ -147,7 +143,7 @@ def test_the_line_of_a_map_with_nothing_in_it() -> None:
     assert map_line(level) == "0 of 1 intersection right within 10 m, 0 of 1 node found"
 
 
-def test_scoring_again_replaces_the_verdicts(folder: Path, graph: Graph, tmp_path: Path) -> None:
+def test_scoring_again_replaces_the_verdicts(folder: Path, tmp_path: Path) -> None:
     out = Path(shutil.copytree(folder, tmp_path / "out"))
     other = evaluate(read_results(out), graph([(12, 14)]))
     write_report(other, out)
@@ -159,7 +155,7 @@ def test_scoring_again_replaces_the_verdicts(folder: Path, graph: Graph, tmp_pat
         assert [each | origin for each in properties(again, layer)] == written
 
 
-def test_detections_beyond_the_map_are_unscored(made: DriveResult, graph: Graph, at: Any) -> None:
+def test_detections_beyond_the_map_are_unscored(made: DriveResult) -> None:
     west, south = at((-60, -60))[0]
     east, north = at((30, 30))[0]
     evaluation = evaluate(made, graph([(0, 0)], areas=((west, south, east, north),)))

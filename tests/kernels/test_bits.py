@@ -79,18 +79,3 @@ def test_nearest_clear_pixel_is_that_of_the_plain_search(image: UInt8Array, limi
     row, col = data.draw(st.sampled_from(set_pixels))
     distance = bits.nearest_clear(packed(image), row, col, *image.shape, limit)
     assert distance == plain_nearest_clear(image, row, col, limit)
-
-
-def test_the_width_of_a_road_across_a_ray() -> None:
-    image = np.zeros((90, 200), np.uint8)
-    image[30:51, 20:180] = 1  # a road of 21 pixels
-    image[:, 60:64] = 1  # one along the way that leaves the image
-    rays = np.array([[0.0, 1.0], [-1.0, 0.0], [np.sin(0.3), np.cos(0.3)]])
-    distances = np.arange(5.0, 25.0)
-    start = np.array([40.0, 40.0])
-    widths = bits.median_runs_across(
-        packed(image), *image.shape, start, rays, distances, np.full((3, len(distances)), 80.0), 5
-    )
-    assert widths[0] == pytest.approx(21, abs=1)
-    assert np.isnan(widths[1])  # the run along the road is longer than the limit
-    assert widths[2] == pytest.approx(21 / np.cos(0.3), abs=1)

@@ -98,23 +98,6 @@ def test_behind_the_vehicle_the_image_begins_on_the_left_and_ends_on_the_right()
     assert columns == [0, WIDTH - 1, 0, WIDTH - 1]
 
 
-def test_nearest_point_wins_in_whatever_order() -> None:
-    for rows in ([(10, 0, 0), (5, 0, 0), (20, 0, 0)], [(20, 0, 0), (10, 0, 0), (5, 0, 0)], [(5, 0, 0), (20, 0, 0)]):
-        index, pixel, _ = project(scan(*rows))
-        assert rows[index.reshape(-1)[pixel[0]]] == (5, 0, 0)
-
-
-def test_of_equally_near_points_the_first_wins() -> None:
-    points = scan((5, 0.001, 0), (5, 0.001, 0), (5, 0.001, 0))
-    index, pixel, _ = project(points)
-    assert index.reshape(-1)[pixel[0]] == 0
-
-
-def test_points_outside_of_the_field_of_view_go_to_the_edge_rows() -> None:
-    rows = [row for row, _ in pixels(scan((1, 0, 5), (1, 0, -5), (0, 0, 1), (0, 0, -1)))]
-    assert rows == [0, HEIGHT - 1, 0, HEIGHT - 1]
-
-
 @pytest.mark.parametrize("bad", [(np.nan, 1, 1), (1, np.inf, 1), (1, 1, -np.inf), (0, 0, 0), (3e38, 3e38, 0)])
 def test_points_that_are_nowhere_get_no_pixel(bad: tuple[float, float, float]) -> None:
     index, pixel, depth = project(scan((5, 0, 0), bad))

@@ -151,13 +151,6 @@ def test_tip_at_the_border_is_kept() -> None:
     assert len(kept(line, road, 1.0, 36)) == 115
 
 
-def test_line_without_a_junction_is_kept() -> None:
-    image = np.zeros((100, 100), np.uint8)
-    image[50, 45:55] = 1
-    road = binary_image(np.ones((100, 100), np.uint8))
-    assert len(kept(binary_image(image), road, 10.0, 5)) == 10
-
-
 def test_of_two_spurs_at_the_end_of_a_road_one_becomes_its_end() -> None:
     image = np.zeros((100, 100), np.uint8)
     image[50, :51] = 1
@@ -167,13 +160,6 @@ def test_of_two_spurs_at_the_end_of_a_road_one_becomes_its_end() -> None:
     road[40:61, :62] = 1
     pixels = kept(binary_image(image), binary_image(road), 1.0, 5)
     assert len(pixels) == 51 + 8
-
-
-def test_spur_on_a_spur_goes_with_it() -> None:
-    line, road = comb(15)
-    image = line.to_array()
-    image[46, 51:56] = 1
-    assert len(kept(binary_image(image), road, 1.0, 5)) == 100
 
 
 @given(st.integers(0, 2**32 - 1), st.sampled_from([0.5, 1.0, 2.0]))

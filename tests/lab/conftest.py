@@ -87,7 +87,7 @@ def frame() -> LocalFrame:
     return FRAME
 
 
-def make_row(
+def row(
     drive: str = "00",
     errors_m: Sequence[float] = (1.0,),
     *,
@@ -132,11 +132,6 @@ def make_row(
         made_up_map=True,
         failures=(),
     )
-
-
-@pytest.fixture(scope="session")
-def row() -> Callable[..., Row]:
-    return make_row
 
 
 @pytest.fixture(scope="session")

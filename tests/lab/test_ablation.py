@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -15,12 +14,12 @@ from interloc.geometry import enu_from_lonlat
 from interloc.lab import cases
 from interloc.lab.ablation import NOTHING, SETS, ablation_table, taken_out
 from interloc.lab.cases import FolderCase, folder_cases
-from interloc.lab.measure import Place, Row
+from interloc.lab.measure import Place
 from interloc.lab.run import Benchmark, run_benchmark
 from interloc.osm.intersections import intersection_nodes
 from interloc.osm.reader import read_osm
+from tests.lab.conftest import row
 
-Rows = Callable[..., Row]
 CONFIGS = taken_out("default", DEFAULT, ["compound"])
 
 
@@ -53,7 +52,7 @@ def test_the_parts_have_no_place_in_common() -> None:
     assert not {*choosing.recorded} & {*reporting.recorded}
 
 
-def test_changes_stand_with_their_interval(row: Rows) -> None:
+def test_changes_stand_with_their_interval() -> None:
     with_it = [row(preset=NOTHING, places=[place(n, 10, 10.0, right=10, axes_m=5.0) for n in range(8)])]
     without = [row(preset="compound", places=[place(n, 10, 20.0, right=5, axes_m=10.0) for n in range(8)])]
     table = ablation_table([*with_it, *without], CONFIGS, "choosing")
@@ -63,7 +62,7 @@ def test_changes_stand_with_their_interval(row: Rows) -> None:
     ]
 
 
-def test_one_place_among_many_decides_nothing(row: Rows) -> None:
+def test_one_place_among_many_decides_nothing() -> None:
     places = [place(n, 10, 10.0, right=10) for n in range(7)]
     with_it = row(preset=NOTHING, places=[*places, place(7, 10, 10.0, right=10)])
     without = row(preset="compound", places=[*places, place(7, 10, 90.0, missed=3)])
@@ -72,7 +71,7 @@ def test_one_place_among_many_decides_nothing(row: Rows) -> None:
     assert axes == "–"  # noqa: RUF001
 
 
-def test_detections_without_a_node_are_false_but_have_no_error(row: Rows) -> None:
+def test_detections_without_a_node_are_false_but_have_no_error() -> None:
     rows = [row(preset=NOTHING, places=[place(1, 4, 4.0, right=4), place(-1, 4, 0.0)])]
     assert ablation_table(rows, CONFIGS[:1], "choosing").frame.values.tolist() == [["1.00", "–", "66.7"]]  # noqa: RUF001
 

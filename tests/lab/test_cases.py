@@ -40,19 +40,25 @@ def test_a_twin_for_each_seed(kitti_like: Path) -> None:
     assert [(case.name, case.seed) for case in cases] == [("00", 0), ("00", 1), ("00", 2)]
 
 
-def test_a_sequence_without_a_map_is_named_with_those_that_have_all(kitti_like: Path) -> None:
-    with pytest.raises(DriveError, match=r"sequence 03 has no osm/03\.osm\.gz\. .*all that a twin needs: 00\."):
-        twin_cases(kitti_like, ["03"])
+@pytest.mark.parametrize(
+    ("folder", "sequence", "words"),
+    [
+        (".", "03", r"sequence 03 has no osm/03\.osm\.gz\. .*all that a twin needs: 00\."),
+        (".", "77", r"sequence 77 has no oxts/77\.txt\.gz"),
+        ("nowhere", "00", "no such folder"),
+    ],
+)
+def test_what_a_twin_lacks_is_named(kitti_like: Path, folder: str, sequence: str, words: str) -> None:
+    with pytest.raises(DriveError, match=words):
+        twin_cases(kitti_like / folder, [sequence])
 
 
-def test_a_sequence_that_is_none(kitti_like: Path) -> None:
-    with pytest.raises(DriveError, match=r"sequence 77 has no oxts/77\.txt\.gz"):
-        twin_cases(kitti_like, ["77"])
-
-
-def test_a_missing_folder_of_twins(tmp_path: Path) -> None:
-    with pytest.raises(DriveError, match="no such folder"):
-        twin_cases(tmp_path / "nowhere", ["00"])
+@pytest.mark.parametrize(
+    ("sequence", "words"), [("00", "2011_10_03_drive_0027_sync"), ("03", "03 was never published")]
+)
+def test_a_missing_raw_drive_is_named(data_set: Path, sequence: str, words: str) -> None:
+    with pytest.raises(GeoreferenceError, match=words):
+        semantickitti_cases(data_set, data_set / "raw", data_set / "maps", [sequence])
 
 
 def test_rows_of_oxts_are_found(data_set: Path) -> None:
@@ -68,16 +74,6 @@ def test_raw_drives_are_found_under_their_published_names(data_set: Path, place:
     (data_set / "raw" / place / "oxts/data").mkdir(parents=True)
     (case,) = semantickitti_cases(data_set, data_set / "raw", data_set / "maps", ["00"])
     assert case.options.oxts == data_set / "raw" / place
-
-
-def test_a_missing_raw_drive_is_named(data_set: Path) -> None:
-    with pytest.raises(GeoreferenceError, match=r"2011_10_03_drive_0027_sync"):
-        semantickitti_cases(data_set, data_set / "raw", data_set / "maps", ["00"])
-
-
-def test_the_raw_drive_that_was_never_published(data_set: Path) -> None:
-    with pytest.raises(GeoreferenceError, match="03 was never published"):
-        semantickitti_cases(data_set, data_set / "raw", data_set / "maps", ["03"])
 
 
 def test_a_missing_sequence_or_map_is_named(data_set: Path) -> None:

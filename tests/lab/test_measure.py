@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,21 +11,22 @@ import pytest
 
 from interloc.errors import OutputError
 from interloc.evaluation.evaluate import evaluate
-from interloc.lab.measure import Cell, Row, find_failures, read_row, write_row
+from interloc.lab.measure import Cell, find_failures, read_row, write_row
 from interloc.osm.graph import RoadGraph
-from tests.evaluation.conftest import make_graph, make_run
+from tests.evaluation.made import graph, run
+from tests.lab.conftest import row
 
 
 def crossings(*places: tuple[float, float, str]) -> RoadGraph:
     """One node of four arms at each (east, north), of some class of highway."""
-    roads = make_graph([place[:2] for place in places])
+    roads = graph([place[:2] for place in places])
     highway = tuple(np.repeat([place[2] for place in places], 4).tolist())
     return replace(roads, ways=replace(roads.ways, highway=highway))
 
 
 def failures(detections: list[tuple[int, float, float]], *places: tuple[float, float, str]) -> list[dict[str, Any]]:
     """Drive from (0, 0) 100 m east, a keyframe every 10 m; detections are (keyframe, east, north)."""
-    result = make_run([(10.0 * row, 0.0) for row in range(11)], detections)
+    result = run([(10.0 * row, 0.0) for row in range(11)], detections)
     return find_failures(evaluate(result, crossings(*places)), lambda frame: [f"show {frame}"])
 
 
@@ -71,7 +71,7 @@ def test_nothing_went_wrong() -> None:
     assert failures([(k, 50.0, 0.0) for k in range(3, 8)], HERE) == []
 
 
-def test_a_row_comes_back_as_it_was_unless_something_is_new(row: Callable[..., Row], tmp_path: Path) -> None:
+def test_a_row_comes_back_as_it_was_unless_something_is_new(tmp_path: Path) -> None:
     made = row(errors_m=[0.1234, 5.0])
     assert read_row(made.cell, "f", tmp_path) is None
     write_row(made, tmp_path)
@@ -82,7 +82,7 @@ def test_a_row_comes_back_as_it_was_unless_something_is_new(row: Callable[..., R
     assert read_row(made.cell, "f", tmp_path) is None
 
 
-def test_a_row_that_cannot_be_read_is_named(row: Callable[..., Row], tmp_path: Path) -> None:
+def test_a_row_that_cannot_be_read_is_named(tmp_path: Path) -> None:
     cell = row().cell
     (tmp_path / f"{cell.file_name}.json").mkdir()
     with pytest.raises(OutputError, match=r"00_default_0-0_seed0\.json could not be read"):

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
 
 from interloc.evaluation.published import SEQUENCES
-from interloc.lab.measure import Row
 from interloc.lab.tables import (
     Measured,
     Table,
@@ -20,8 +18,7 @@ from interloc.lab.tables import (
     performance_table,
     tables,
 )
-
-Rows = Callable[..., Row]
+from tests.lab.conftest import row
 
 
 def lines_of(table: Table) -> dict[tuple[str, ...], tuple[str, ...]]:
@@ -52,12 +49,12 @@ def lines_of(table: Table) -> dict[tuple[str, ...], tuple[str, ...]]:
         ),
     ],
 )
-def test_figures_are_pooled_over_drives(row: Rows, rows: list[dict[str, Any]], expected: dict[str, float]) -> None:
+def test_figures_are_pooled_over_drives(rows: list[dict[str, Any]], expected: dict[str, float]) -> None:
     found = figures([row(**each) for each in rows])
     assert {name: found[name] for name in expected} == pytest.approx(expected)
 
 
-def test_uncertainty_and_confidence_are_counted_over_places(row: Rows) -> None:
+def test_uncertainty_and_confidence_are_counted_over_places() -> None:
     rows = [
         row(map_squared=[0.5, 5.9], outcomes=[(0.85, True), (0.85, False)]),
         row("02", map_squared=[6.1, 7.5], outcomes=[(0.35, True), (0.95, True)]),
@@ -71,7 +68,7 @@ def test_nothing_measured_is_undefined_or_none_found() -> None:
     assert all(value == 0.0 if name.startswith("nodes") else np.isnan(value) for name, value in figures([]).items())
 
 
-def test_seeds_give_mean_and_spread_where_a_figure_is_defined(row: Rows) -> None:
+def test_seeds_give_mean_and_spread_where_a_figure_is_defined() -> None:
     errors = ([1.0], [2.0], [3.0], [])
     rows = tuple(row(errors_m=values, seed=seed) for seed, values in enumerate(errors))
     estimate = Measured(rows, ("00",), ("default",), ("0/0",)).estimates.loc["default", "0/0", "00"]["ace_m"]
@@ -80,13 +77,13 @@ def test_seeds_give_mean_and_spread_where_a_figure_is_defined(row: Rows) -> None
     assert one.tolist() == pytest.approx([1.0, np.nan, 1], nan_ok=True)
 
 
-def test_a_drive_with_one_seed_takes_part_in_every_pool(row: Rows) -> None:
+def test_a_drive_with_one_seed_takes_part_in_every_pool() -> None:
     rows = (row("00", [0.0]), row("02", [2.0], seed=0), row("02", [4.0], seed=1))
     estimates = Measured(rows, ("00", "02"), ("default",), ("0/0",)).estimates
     assert estimates.loc["default", "0/0", "all"]["ace_m", "mean"] == pytest.approx((1.0 + 2.0) / 2)
 
 
-def test_performance_stands_beside_the_published_figures(row: Rows) -> None:
+def test_performance_stands_beside_the_published_figures() -> None:
     measured = Measured((row("00", [1.0, 2.0], fn=1), row("town", [7.0])), ("00", "town"), ("default",), ("0/0",))
     table = performance_table(measured, "0/0")
     lines = lines_of(table)
@@ -100,7 +97,7 @@ def test_performance_stands_beside_the_published_figures(row: Rows) -> None:
     assert lines["ms per keyframe", "preset default"] == ("5.0", "5.0", "5.0")
 
 
-def test_the_published_average_stands_only_beside_its_own_eight_sequences(row: Rows) -> None:
+def test_the_published_average_stands_only_beside_its_own_eight_sequences() -> None:
     measured = Measured(tuple(row(name) for name in SEQUENCES), SEQUENCES, ("default",), ("0/0",))
     assert lines_of(performance_table(measured, "0/0"))["ACE [m]", "published"][-1] == "1.92"
     assert not any("all eight" in note for note in comparison_table(measured).notes)
@@ -109,12 +106,12 @@ def test_the_published_average_stands_only_beside_its_own_eight_sequences(row: R
     assert comparison_table(some).notes == ("Published: all eight sequences of SemanticKITTI; this run: 07.",)
 
 
-def test_drives_of_no_known_sequence_have_no_published_row(row: Rows) -> None:
+def test_drives_of_no_known_sequence_have_no_published_row() -> None:
     measured = Measured((row("town"),), ("town",), ("default",), ("0/0",))
     assert "published" not in performance_table(measured, "0/0").text().lower()
 
 
-def test_comparison(row: Rows) -> None:
+def test_comparison() -> None:
     measured = Measured((row("00", [1.0, 6.0, 8.0, 20.0], fn=1),), ("00",), ("default",), ("0/0",))
     assert lines_of(comparison_table(measured)) == {
         ("MMInsectDet",): ("4.25", "89.2", "83.1"),
@@ -123,7 +120,7 @@ def test_comparison(row: Rows) -> None:
     }
 
 
-def test_levels_of_label_errors(row: Rows) -> None:
+def test_levels_of_label_errors() -> None:
     rows = [
         row(errors_m=[error], preset=preset, noise=noise)
         for preset, noise, error in (
@@ -141,12 +138,12 @@ def test_levels_of_label_errors(row: Rows) -> None:
     assert lines["20/20", "preset paper"] == ("9.00", "0.0", "–")  # noqa: RUF001
 
 
-def test_predicted_labels_stand_beside_the_published_network(row: Rows) -> None:
+def test_predicted_labels_stand_beside_the_published_network() -> None:
     measured = Measured((row(),), ("00",), ("default",), ("0/0",), labels="predictions")
     assert lines_of(noise_table(measured))["0/0", "published"] == ("1.92", "89.5", "76.7")
 
 
-def test_seeds_show_their_spread(row: Rows) -> None:
+def test_seeds_show_their_spread() -> None:
     rows = (row(errors_m=[1.0], seed=0, nodes=(1, 2)), row(errors_m=[2.0], seed=1, nodes=(2, 2)))
     table = performance_table(Measured(rows, ("00",), ("default",), ("0/0",)), "0/0")
     lines = lines_of(table)
@@ -155,7 +152,7 @@ def test_seeds_show_their_spread(row: Rows) -> None:
     assert table.notes[-1] == "2 seeds: mean ± standard deviation over the seeds."
 
 
-def test_a_drive_without_detections_shows_dashes(row: Rows) -> None:
+def test_a_drive_without_detections_shows_dashes() -> None:
     measured = Measured((row("00", [], fused=(0, 0, 0, 0), map_errors_m=[]),), ("00",), ("default",), ("0/0",))
     lines = lines_of(performance_table(measured, "0/0"))
     for name in ("ACE [m]", "Pre@5 [%]", "Rec@5 [%]", "map precision [%]", "map recall [%]", "map median error [m]"):
@@ -163,7 +160,7 @@ def test_a_drive_without_detections_shows_dashes(row: Rows) -> None:
     assert all(table.text() for table in tables(measured))
 
 
-def test_errors_from_the_axes_stand_beside_those_from_the_nodes(row: Rows) -> None:
+def test_errors_from_the_axes_stand_beside_those_from_the_nodes() -> None:
     known = row("real", map_axes_errors_m=[(2.0, 0.5), (1.0, 0.2), (3.0, 2.0)])
     measured = Measured((known, row("town")), ("real", "town"), ("default",), ("0/0",))
     lines = lines_of(axes_table(measured))

@@ -67,16 +67,13 @@ FORMS: dict[str, dict[str, Any]] = {
     "arg-max, flat": {"output": "argmax_hw"},
     "arg-max, one channel": {"output": "argmax_1hw"},
     "open sizes": {"dynamic": True},
-    "open sizes, arg-max": {"dynamic": True, "output": "argmax"},
     "channels last": {"layout": "NHWC"},
-    "channels last, open sizes": {"layout": "NHWC", "dynamic": True},
     "input without batch": {"layout": "CHW"},
     "input without batch, channels last": {"layout": "HWC"},
     "mask": {"mask": "NHW"},
     "mask, one channel": {"mask": "N1HW"},
     "smaller heads": {"aux": (2, 4)},
     "smaller heads first": {"aux": (4, 2), "aux_first": True},
-    "smaller heads first, open sizes": {"aux": (4, 2), "aux_first": True, "dynamic": True},
     "another head of the same size": {"aux": (1,)},
 }
 

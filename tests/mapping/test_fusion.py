@@ -169,15 +169,6 @@ def test_one_intersection_passed_once(seed: int, georeferenced: bool) -> None:
     assert np.abs(away).min(axis=1).max() < 10
 
 
-@seeds
-def test_single_false_detections_are_dropped(seed: int) -> None:
-    stream = Stream(ONE, seed=seed, false_rate=0.3).drive(straight((0, 0), (200, 0)))
-    intersections, assignment = run(stream)
-    assert len(intersections) == 1
-    assert errors(intersections, ONE)[0, 0] < 2
-    assert -1 in assignment
-
-
 def test_a_false_detection_in_one_of_twenty_keyframes_has_little_confidence() -> None:
     """It is dropped by default, and shows with its confidence for who asks for everything."""
     keyframes, detections = Stream(ONE, detected=0.0, seed=1).drive(straight((0, 0), (100, 0))).tables()
@@ -240,19 +231,6 @@ def test_an_intersection_seen_first_from_far_is_not_pulled_there(seed: int) -> N
     assert detections.lonlat is not None
     plain_mean = enu_from_lonlat(*ORIGIN, detections.lonlat).mean(axis=0)
     assert errors(intersections, ONE)[0, 0] < 0.6 * math.dist(plain_mean, ONE[0])
-
-
-@seeds
-def test_detections_that_jump_to_a_second_place_do_not_move_the_first(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    stream = Stream(ONE, seed=seed, wander_m=0.2).drive(straight((0, 0), (100, 0)))
-    keyframes, detections = stream.tables(georeferenced=False)
-    detections.world_xy[rng.random(len(detections)) < 0.3] += [5.0, -3.0]
-    intersections, assignment = fuse(keyframes, detections)
-    check_form(intersections, assignment, detections)
-    assert len(intersections) == 1
-    assert errors(intersections, ONE)[0, 0] < 1
-    assert intersections.position_std_m[0] > 0.7  # it does not pretend that all agreed
 
 
 # two passes ----------------------------------------------------------------------------------------------------------

@@ -6,6 +6,7 @@ import sys
 
 import numpy as np
 import pytest
+from numpy.typing import ArrayLike
 
 from interloc.arrays import FloatArray
 from interloc.errors import DriveError
@@ -48,21 +49,17 @@ def test_no_points_fit_nothing() -> None:
     assert register(np.zeros((0, 3), np.float32), np.full((9, 3), np.nan, np.float32)).inlier_share == 0
 
 
-@pytest.mark.parametrize("speed", [-1.2, 0.0, 0.7, 4.0])
-def test_it_starts_at_any_speed(speed: float) -> None:
-    poses = poses_along(np.full(4, speed))
-    assert error_m(follow(poses), poses) < 0.1
-
-
-def test_it_follows_turns_and_brakes() -> None:
-    poses = poses_along(np.linspace(2.0, 0.0, 11), turn_rad=0.05)
-    assert error_m(follow(poses), poses) < 0.1
-
-
-def test_missing_scans_are_bridged_by_the_clock() -> None:
-    steps = np.array([1.0, 1.0, 1.0, 3.0, 1.0, 1.0])
-    poses = poses_along(steps)
-    assert error_m(follow(poses, clock=np.concatenate([[0.0], np.cumsum(steps)])), poses) < 0.1
+@pytest.mark.parametrize(
+    ("steps", "turn_rad", "clock"),
+    [
+        *(([speed] * 4, 0.0, None) for speed in (-1.2, 0.0, 0.7, 4.0)),  # it starts at any speed
+        (np.linspace(2.0, 0.0, 11), 0.05, None),  # turns and brakes
+        ([1.0, 1.0, 1.0, 3.0, 1.0, 1.0], 0.0, [0.0, 1.0, 2.0, 3.0, 6.0, 7.0, 8.0]),  # scans are missing
+    ],
+)
+def test_a_drive_is_followed(steps: ArrayLike, turn_rad: float, clock: ArrayLike | None) -> None:
+    poses = poses_along(np.array(steps), turn_rad=turn_rad)
+    assert error_m(follow(poses, clock=None if clock is None else np.array(clock)), poses) < 0.1
 
 
 def test_motion_within_scans_is_taken_out() -> None:
@@ -77,14 +74,10 @@ def test_the_same_scans_give_the_same_poses() -> None:
     np.testing.assert_array_equal(follow(poses), follow(poses))
 
 
-def test_scans_too_far_apart_are_refused() -> None:
+@pytest.mark.parametrize("steps", [[17.0, 17.0, 17.0], [1.0, 1.0, 14.0, 1.0]])
+def test_scans_too_far_apart_are_refused(steps: list[float]) -> None:
     with pytest.raises(DriveError, match=r"it (does not fit|fits the scan before it at several places)|little in it"):
-        follow(poses_along(np.full(3, 17.0)))
-
-
-def test_a_jump_is_refused() -> None:
-    with pytest.raises(DriveError, match=r"it (does not fit|fits the scan before it at several places)|little in it"):
-        follow(poses_along(np.array([1.0, 1.0, 14.0, 1.0])))
+        follow(poses_along(np.array(steps)))
 
 
 def test_nothing_that_stands_out_is_told() -> None:

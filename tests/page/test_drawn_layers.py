@@ -4,31 +4,21 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import pytest
-from scipy.spatial import cKDTree
 
-from app.store.database import Database
-from interloc import open_drive
-from interloc.config import preset
 from interloc.geometry import lonlat_from_enu
-from interloc.output.write import write_results
-from interloc.pipeline import detect
-from interloc.results import DriveResult
-from tests.app.results.conftest import add_drive, add_job
 from tests.app.street import LAT_DEG, LON_DEG
 from tests.page.browsers import Browser, needs_page
 from tests.page.canvas import NOTE_PATHS, Part, painted, pixels_per_metre, screen_of
 from tests.page.canvas import Path as Painted
-from tests.page.results import SCANS, Done, Scored, address_of, show, visit
+from tests.page.results import SCANS, Scored, address_of, show, visit
 
 pytestmark = needs_page
 
-MANY = 3_000
 WIDE = {"width": 3000, "height": 480}  # the whole street at a scale at which its features lie apart
 NEAR_PX = 1.5
 
@@ -183,63 +173,3 @@ def test_each_road_is_drawn_along_all_its_points(sheet: Any, scored: Scored) -> 
     others = [len(roads) - len(driven)] if len(driven) < len(roads) else []
     assert sorted(colours.values()) == sorted([*by_class, *by_class, *others])
     assert_ink(drawn.parts)
-
-
-def test_each_error_line_goes_from_detection_to_node(sheet: Any, scored: Scored) -> None:
-    for outcome in ("TP", "FP"):
-        matches = [match for match in scored.features("matches") if match["properties"]["outcome"] == outcome]
-        drawn = sheet(f"errors,{outcome.lower()}")
-        lines = np.array([screen_of(drawn.page, match["geometry"]["coordinates"]).ravel() for match in matches])
-        (path,) = [
-            path for path in drawn.paths if [each[::2] for each in path.styles] == [("stroke", 1)]
-        ]  # thinner than any sign
-        found = np.array([part.points.ravel() for part in path.parts])
-        assert cKDTree(lines).query(found, p=np.inf)[0].max() < NEAR_PX
-        assert cKDTree(found).query(lines, p=np.inf)[0].max() < NEAR_PX
-        assert len({tuple(each) for each in np.round(found, 6).tolist()}) == len(found)  # none twice
-        assert_ink(path.parts)
-
-
-def many_detections(result: DriveResult) -> DriveResult:
-    """The result with a detection at every metre of a field beside the street."""
-    columns = MANY // 24
-    east, north = np.meshgrid(np.arange(columns) + 20.0, np.arange(24) - 12.0)
-    enu = np.stack([east.ravel(), north.ravel()], axis=1)
-    rows = np.arange(MANY)
-    detections = replace(
-        result.detections,
-        keyframe=rows % len(result.keyframes.frame),
-        lidar_xy=enu,
-        world_xy=enu,
-        lonlat=lonlat_from_enu(LAT_DEG, LON_DEG, enu),
-        bearings_deg=[np.array([0.0, 90.0, 180.0])] * MANY,
-        widths_m=[np.array([7.0, 6.0, 7.0])] * MANY,
-        score=np.ones(MANY),
-        intersection=np.full(MANY, -1),
-    )
-    order = np.argsort(detections.keyframe, kind="stable")
-    return replace(result, detections=replace(detections, keyframe=detections.keyframe[order]))
-
-
-def test_thousands_of_detections_are_all_drawn(sheet: Any, done: Done, tmp_path: Path) -> None:
-    write_results(many_detections(detect(open_drive(done.short), preset("default"))), tmp_path / "result")
-    database = Database(f"sqlite:///{done.data}/interloc.sqlite3")
-    add_drive(database, done.data, "wide", done.short)
-    add_job(database, done.data, "many", "wide", tmp_path / "result")
-    database.close()
-    job = Scored(done.server, "many")
-    features = job.features("detections")
-    assert len(features) == MANY
-    drawn = sheet("detections", job=job)
-    found = np.array([part.middle for part in drawn.parts])
-    assert len(found) == MANY
-    places = drawn.screen(features)
-    assert_all_near(found, places)
-    assert_ink(drawn.parts)
-
-
-def assert_all_near(found: np.ndarray, places: np.ndarray) -> None:
-    """Each sign has a place of its own."""
-    away, own = cKDTree(places).query(found)
-    assert len(set(own.tolist())) == len(found)
-    assert away.max() < NEAR_PX

@@ -32,21 +32,6 @@ def test_the_watch_sees_what_it_is_for(page: Any, done: Done, watch: Watch) -> N
     watch.check()
 
 
-def cut(route: Any) -> None:
-    """Leave a few addresses in the description of the API: to draw all of them takes seconds."""
-    document = route.fetch().json()
-    route.fulfill(json=document | {"paths": dict(list(document["paths"].items())[:3])})
-
-
-def test_the_description_of_the_api_leaves_no_trace(page: Any, done: Done, watch: Watch) -> None:
-    visit(page, done.server.address)
-    page.context.route("**/openapi.json", cut)
-    with page.expect_popup() as opened:
-        page.get_by_role("link", name="API", exact=True).click()
-    opened.value.wait_for_selector(".opblock")
-    assert watch.elsewhere == []
-
-
 BLOCKED = """
 for (const kind of ["localStorage", "sessionStorage", "indexedDB"])
   Object.defineProperty(window, kind, { get() { throw new DOMException("Access is denied", "SecurityError"); } });

@@ -129,16 +129,3 @@ def test_the_map_tells_coordinates_and_distances(page: Any, done: Done) -> None:
     page.mouse.click(*a)
     page.locator(".leaflet-popup").wait_for()
     assert page.get_by_role("button", name="Measure distances").get_attribute("aria-pressed") == "false"
-
-
-def test_without_a_score_the_list_is_there_too(page: Any, done: Done) -> None:
-    show(page, done, "panel=job", done.local_job)
-    page.get_by_role("button", name="List the intersections").click()
-    rows = page.locator(".intersections tbody tr")
-    rows.first.focus()
-    page.keyboard.press("ArrowDown")
-    page.keyboard.press("Enter")
-    popup = popup_of(page, "Intersection 2")
-    assert "x, y in W" in popup.inner_text()
-    assert popup.get_by_role("link").count() == 0
-    assert "intersection=2" in address_of(page)

@@ -155,24 +155,6 @@ def test_a_link_shows_the_same_again(page: Any, done: Done) -> None:
     assert page.locator("#tab-export").get_attribute("aria-selected") == "true"
 
 
-def test_the_pictures_of_a_drive_without_georeference_lie_in_its_frame(page: Any, done: Done) -> None:
-    frame = SCANS // 2
-    address = f"{API}/jobs/{done.local_job}/keyframes/{frame}/bev"
-    view = done.server.client.get(address).raise_for_status().json()
-    assert view["corners_lonlat"] is None
-    zoom, y, x = 1.5, 10.0, 90.0
-    show(page, done, f"frame={frame}&drawer=1&view={zoom}/{y}/{x}", done.local_job)
-    page.wait_for_selector(".turned-image >> nth=1")
-    zoom, y, x = (float(each) for each in re.search(r"view=([^&]+)", address_of(page))[1].split("/"))
-    box = page.locator("#map").bounding_box()
-    picture = page.locator(".turned-image").first.bounding_box()
-    left, top = view["corners_world_m"][0]
-    side = view["size_px"] * view["resolution_m"] * 2**zoom
-    expected = box["x"] + box["width"] / 2 + (left - x) * 2**zoom, box["y"] + box["height"] / 2 - (top - y) * 2**zoom
-    assert (picture["x"], picture["y"]) == pytest.approx(expected, abs=1.0)
-    assert (picture["width"], picture["height"]) == pytest.approx((side, side), abs=1.0)
-
-
 def test_where_else_a_drive_fits_the_map_is_a_layer(browser: Browser, done: Done) -> None:
     page = browser.new_page()
     track = done.features("trajectory")[0]
@@ -233,17 +215,3 @@ def test_without_georeference_the_map_is_in_metres(page: Any, done: Done) -> Non
             box["x"] + box["width"] / 2 + (east - x) * scale, box["y"] + box["height"] / 2 - (north - y) * scale
         )
         page.locator(".leaflet-tooltip", has_text=f"Intersection {feature['properties']['id']}").wait_for()
-
-
-def test_a_measured_road_tells_its_width(page: Any, done: Done) -> None:
-    known = [road for road in done.features("roads") if road["properties"]["width_m"] is not None]
-    road = max(known, key=lambda each: each["properties"]["length_m"])
-    line = road["geometry"]["coordinates"]
-    lon, lat = line[len(line) // 2]
-    show(page, done, f"layers=measured&view=19/{lat}/{lon}")
-    page.mouse.click(*on_screen(page, lon, lat))
-    popup = page.locator(".leaflet-popup-content")
-    popup.wait_for()
-    text = popup.inner_text().replace("\u00a0", " ").replace("\u202f", " ")
-    assert f"Road {road['properties']['id']}, measured" in text
-    assert f"{road['properties']['width_m']:.1f} m" in text

@@ -12,12 +12,11 @@ import numpy as np
 import pytest
 
 from tests.app.processes import API, ServerProcess, ended, suspended, wait_until
-from tests.drives.scans.test_pcd import as_pcd
 from tests.page.browsers import Browser, needs_page
 from tests.page.canvas import NOTE_PATHS
 from tests.page.results import SHORT as SCANS
 from tests.page.results import Done
-from tests.page.uploads import Upload, drive_of, files_of, newest
+from tests.page.uploads import Upload, drive_of
 from tests.street_points import poses_along, seen, write_scans
 from tests.street_points import street as street_points
 
@@ -42,24 +41,6 @@ def at_stage(uploads: ServerProcess, stage: str) -> Iterator[None]:
     wait_until(look, f"a commit at the stage {stage}", every_s=0.05)
     with suspended(uploads.workers()):
         yield
-
-
-def test_pcd_files_are_sent_as_they_are(upload: Upload, uploads: ServerProcess, street: Path, tmp_path: Path) -> None:
-    root = as_pcd(street, tmp_path / "cloudy")
-    shutil.copy(street / "map.osm", root)
-    upload.pick(root)
-    upload.page.get_by_text("The network torn cannot be used").wait_for()
-    text = upload.text()
-    assert "PCD files" in text
-    assert re.search(rf"Scans\s+{SCANS} scans, \d.*MB", text)
-    assert "The browser cannot reduce these files: all" in text
-    assert upload.page.get_by_label("Labels of the points themselves").is_checked()
-    assert "arch_cfg.yaml" in text
-    upload.only()
-    drive = newest(uploads.client)
-    assert (drive["name"], drive["report"]["layout"], drive["options"]["model"]) == ("cloudy", "pcd", None)
-    assert {path for path in upload.sent if path.endswith(".pcd")} == {f"pcd/{frame:06d}.pcd" for frame in range(SCANS)}
-    assert "geo.csv" in files_of(uploads.client, drive["id"])
 
 
 def test_a_drive_without_labels_is_labelled_by_the_service(

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from interloc.drives.files import SourceFile
-from interloc.drives.folder import FolderDrive
 from interloc.drives.georeference.geodetic import ecef_poses
 from interloc.drives.open import open_drive
 from interloc.drives.options import DriveOptions
@@ -18,7 +17,6 @@ from interloc.errors import ConfigError, DriveError, OutputError
 from interloc.pipeline import detect
 from interloc.reduction.convert import convert_drive, label_drive
 from interloc.reduction.reduce import reduce_drive
-from interloc.results import DriveResult
 from tests.drives.scans.test_pcd import as_pcd
 from tests.networks import write_model
 from tests.pcd_files import write_pcd
@@ -67,12 +65,6 @@ def test_scans_with_gaps_are_numbered_anew(sequence: Path, tmp_path: Path) -> No
     (root / "poses.txt").write_text(pose_text(lidar_poses()))
     assert convert_drive(root, tmp_path / "out").is_renumbered
     assert open_drive(tmp_path / "out").frames.tolist() == list(range(12))
-
-
-def test_a_drive_without_labels_is_converted_too(sequence: Path, tmp_path: Path) -> None:
-    shutil.rmtree(sequence / "labels")
-    assert convert_drive(sequence, tmp_path / "out").labels is None
-    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["poses.txt", "times.txt", "velodyne"]
 
 
 def test_remission_is_scaled_to_one(tmp_path: Path) -> None:
@@ -154,11 +146,3 @@ def test_other_folders_are_not_replaced(sequence: Path, tmp_path: Path) -> None:
     reduce_drive(sequence, tmp_path / "reduced")
     with pytest.raises(DriveError, match="is a reduced drive"):
         convert_drive(tmp_path / "reduced", tmp_path / "out")
-
-
-def test_the_real_sample_by_hand_labels(sample: FolderDrive, sample_result: DriveResult, tmp_path: Path) -> None:
-    convert_drive(sample.root, tmp_path / "out")
-    before, after = sample_result, detect(open_drive(tmp_path / "out"))
-    np.testing.assert_allclose(after.detections.world_xy, before.detections.world_xy, atol=1e-6)
-    assert after.intersections.lonlat is not None
-    np.testing.assert_allclose(after.intersections.lonlat, before.intersections.lonlat, atol=1e-7)

@@ -18,13 +18,10 @@ from interloc.drives.open import open_drive
 from interloc.drives.options import DriveOptions
 from interloc.reduction.look import DriveLook, look_into
 from interloc.reduction.reduce import prepare_reduction, reduce_drive
-from tests import streets
 from tests.bags import write_bag
 from tests.las_files import write_scan_files
 from tests.pcd_files import write_pcd
 from tests.small_drives import (
-    calib_text,
-    camera_poses,
     lidar_poses,
     oxts_lines,
     pose_text,
@@ -170,47 +167,6 @@ def test_what_is_missing_or_does_not_fit_is_listed_by_name(tmp_path: Path) -> No
     assert (look.track, look.plan) == (None, None)
 
 
-def test_poses_that_no_vehicle_has_are_told(tmp_path: Path) -> None:
-    """Only what the poses tell by themselves: the scans are elsewhere."""
-    far = streets.poses().copy()
-    far[:, :3, 3] *= 1000.0
-    root = streets.write_street(tmp_path / "street", written=far)
-    (found,) = errors(look_at(root))
-    assert found.startswith("poses.txt from scan to scan it moves by")
-
-
-def test_calibration_is_missed_where_the_poses_are_those_of_a_camera(tmp_path: Path) -> None:
-    root = write_semantickitti(tmp_path / "07")
-    (root / "poses.txt").write_text(pose_text(camera_poses(lidar_poses())))
-    (root / "calib.txt").unlink(missing_ok=True)
-    (error,) = errors(look_at(root))
-    assert "holds camera poses" in error
-    assert "there is no calib.txt" in error
-    (root / "calib.txt").write_text(calib_text())
-    assert look_at(root).pose_frame == "camera"
-
-
-def test_names_that_are_not_scan_numbers_are_listed(drive: Path) -> None:
-    (drive / "velodyne/scan.bin").write_bytes(bytes(16))
-    (error, *_) = errors(look_at(drive))
-    assert error.startswith("velodyne/scan.bin is not named by its scan number")
-
-
-def test_a_drive_without_labels_is_told_how_labels_are_made(drive: Path) -> None:
-    shutil.rmtree(drive / "labels")
-    look = look_at(drive)
-    assert errors(look) == []  # a network may label it
-    (only,) = look.unlabelled
-    assert only.path == "labels"
-    assert "any other segmentation that writes SemanticKITTI .label files" in only.message
-
-
-def test_pose_lines_that_start_with_the_frame_number_are_those_of_kitti_360(tmp_path: Path) -> None:
-    root = write_semantickitti(tmp_path / "07")
-    (root / "poses.txt").write_text(pose_text(lidar_poses(), frames=list(range(12))))
-    assert look_at(root).layout == "kitti360"
-
-
 def test_pcd_files_without_a_field_for_the_label_are_named(tmp_path: Path) -> None:
     points = np.ones((5, 4), np.float32)
     for frame in (9, 10):
@@ -227,15 +183,6 @@ def test_pcd_files_without_a_field_for_the_label_are_named(tmp_path: Path) -> No
     assert labelled.carries_labels
     assert labelled.unlabelled == []
     assert labelled.track is not None
-
-
-def test_labels_beside_pcd_files_are_counted(tmp_path: Path) -> None:
-    for frame in (1, 2):
-        write_pcd(tmp_path / f"{frame}.pcd", np.ones((5, 4), np.float32))
-    (tmp_path / "labels").mkdir()
-    (tmp_path / "labels/000001.label").write_bytes(bytes(20))
-    (only,) = look_at(tmp_path).labels["labels"].problems
-    assert "1 of 2 scans have no labels" in only.message
 
 
 @pytest.mark.parametrize(

@@ -183,14 +183,6 @@ def test_a_file_inside_the_drive_keeps_its_place(bare: Path, tmp_path: Path, mak
     assert "extra/rows.txt" in inside(tmp_path / "out")
 
 
-def test_the_name_of_the_drive(bare: Path, tmp_path: Path) -> None:
-    """A folder of any name can stand for a drive, as the folders of a service do."""
-    folder = bare.rename(tmp_path / "files")
-    reduce_drive(folder, tmp_path / "out", DriveOptions(name="08"), keyframes=None)
-    assert open_drive(tmp_path / "out").name == open_drive(folder, name="08").name == "08"
-    assert inspect_drive(tmp_path / "out").name == "08"
-
-
 def test_scan_by_scan_and_in_place(drive: Path) -> None:
     """What a service does: reduce scans in any order, then write the rest where the drive lies."""
     before = open_drive(drive)

@@ -102,7 +102,8 @@ function sections(result, link) {
       get([icon("download"), "QGIS project"], `${at}/export.qgz`, `${slug}.qgz`, { title: QGZ }),
       !local && get([icon("download"), "Google Earth"], `${at}/export.kmz`, `${slug}.kmz`, { title: KMZ }),
       get([icon("download"), "Everything (.zip)"], `${at}/archive.zip`, `${slug}.zip`, {}),
-      !local && get([icon("download"), "PMTiles, intersections for web maps"], `${at}/export.pmtiles`, `${slug}.pmtiles`, {}),
+      !local &&
+        get([icon("download"), "PMTiles, intersections for web maps"], `${at}/export.pmtiles`, `${slug}.pmtiles`, {}),
     ]),
     local && el("p.note", IN_METRES),
     resultSection("Layers", el("div.downloads", layers.map(vector), surface && raster())),

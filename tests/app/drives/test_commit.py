@@ -16,9 +16,7 @@ import pytest
 from app.jobs import executors
 from interloc.cli.main import run
 from interloc.config import KeyframeConfig
-from interloc.drives.inspect import inspect_drive
 from interloc.reduction.reduce import reduce_drive
-from tests import streets
 from tests.app import processes
 from tests.app.conftest import client_of
 from tests.app.processes import as_by_command, ended, suspended, wait_until, workers_of
@@ -217,17 +215,6 @@ def test_every_problem_is_told_with_its_path(client: httpx.Client, drive: Path) 
     assert paths == {"velodyne/000003.bin", "labels/000004.label", "predictions/000005.label", "poses.txt"}
 
 
-def test_poses_that_the_scans_contradict_are_told_with_their_cause(client: httpx.Client, tmp_path: Path) -> None:
-    flip = np.diag([1.0, -1.0, -1.0, 1.0])
-    root = streets.write_street(tmp_path / "07", written=flip @ streets.poses() @ flip)
-    drive = upload(client, root)
-    (fault,) = refused(client, drive)
-    assert fault["path"] == "poses.txt"
-    assert "with left and right exchanged" in fault["message"]
-    (same,) = (each for each in inspect_drive(root).problems if each.severity == "error")
-    assert fault["message"] == same.message
-
-
 def test_a_drive_is_mended_and_committed_again(client: httpx.Client, street: Path, drive: Path) -> None:
     (drive / "labels/000004.label").unlink()
     address = upload(client, drive)
@@ -247,22 +234,6 @@ def test_points_that_only_the_reduction_sees(client: httpx.Client, drive: Path) 
     errors = refused(client, upload(client, drive))
     assert {error["path"] for error in errors} == {"velodyne/000007.bin", "velodyne/000008.bin"}
     assert "not finite" in errors[0]["message"]
-
-
-def test_a_reduced_scan_that_is_damaged(client: httpx.Client, street: Path, tmp_path: Path) -> None:
-    reduce_drive(street, tmp_path / "07", keyframes=KeyframeConfig())
-    path = tmp_path / "07/ground/predictions/000007.ground"
-    path.write_bytes(path.read_bytes()[:-20])
-    (error,) = refused(client, upload(client, tmp_path / "07"))
-    assert error["path"] == "ground/predictions/000007.ground"
-
-
-@pytest.mark.parametrize("manifest", ["{}", "nonsense", '{"format": "interloc-reduced-drive", "format_version": 2}'])
-def test_a_manifest_that_is_none(client: httpx.Client, street: Path, tmp_path: Path, manifest: str) -> None:
-    reduce_drive(street, tmp_path / "07", keyframes=KeyframeConfig())
-    (tmp_path / "07/reduced.json").write_text(manifest)
-    errors = refused(client, upload(client, tmp_path / "07"))
-    assert {error["path"] for error in errors} == {"reduced.json"}
 
 
 def test_a_manifest_cannot_reach_out_of_its_drive(client: httpx.Client, street: Path, tmp_path: Path) -> None:
@@ -351,11 +322,6 @@ def test_the_trajectory_needs_a_commit(client: httpx.Client) -> None:
     assert client.get(f"{drive}/trajectory").status_code == 409
     assert client.get("/api/v1/drives/0123456789abcdef/trajectory").status_code == 404
     assert client.post("/api/v1/drives/0123456789abcdef/commit").status_code == 404
-
-
-def test_a_name_with_slashes(client: httpx.Client, street: Path) -> None:
-    address = upload(client, street, name="sequences/07: a test")
-    assert commit(client, address)["name"] == "sequences/07: a test"
 
 
 def test_a_check_under_way_is_joined_only_by_who_asks_for_the_same(client: httpx.Client, street: Path) -> None:

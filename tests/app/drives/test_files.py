@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import base64
 import hashlib
 import os
@@ -18,10 +17,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from sqlalchemy import update
-from starlette.types import Message
 
 from app.drives import records
-from app.http.delivery import WholeFile
 from app.paths import PATH_PATTERN, BadNameError, check_path
 from app.settings import Settings
 from app.store.database import Database
@@ -67,15 +64,6 @@ def test_a_file_comes_back_as_it_went(client: httpx.Client, drive: str, data: by
     assert got.headers["content-type"] == "application/octet-stream"
     shown = client.get(drive).json()
     assert (shown["files"], shown["size_bytes"], shown["stored_bytes"]) == (1, len(data), len(data))
-
-
-def test_a_file_is_replaced(client: httpx.Client, drive: str, shared_data: Path) -> None:
-    address = f"{drive}/files/poses.txt"
-    assert client.put(address, content=b"first").status_code == 201
-    assert client.put(address, content=b"the second").status_code == 200
-    assert client.get(address).content == b"the second"
-    assert client.get(drive).json()["size_bytes"] == 10
-    assert [name.split("/", 2)[2] for name in stored(shared_data, drive)] == ["files/poses.txt"]
 
 
 def test_a_file_is_deleted(client: httpx.Client, drive: str, shared_data: Path) -> None:
@@ -476,28 +464,6 @@ def test_a_file_that_has_its_name_before_its_row_is_waited_for(
     place.with_name("other").write_bytes(b"old")
     place.with_name("other").replace(place)  # of another time, but with the bytes of its row
     assert client.get(address).content == b"old"
-
-
-def test_what_is_sent_is_what_was_opened(tmp_path: Path) -> None:
-    """Though another file gets its name, or none has it, before the first byte is sent."""
-    path = tmp_path / "a.bin"
-    path.write_bytes(b"old" * 2_000_000)
-    with path.open("rb") as file:
-        answer = WholeFile(file)
-    path.unlink()
-    sent: list[bytes] = []
-
-    async def send(message: Message) -> None:
-        sent.append(message.get("body", b""))
-
-    async def receive() -> Message:
-        await asyncio.sleep(3600)
-        raise AssertionError
-
-    scope = {"type": "http", "method": "GET", "headers": []}
-    with ThreadPoolExecutor(1) as pool:  # a browser may have its event loop in this thread
-        pool.submit(asyncio.run, answer(scope, receive, send)).result()
-    assert b"".join(sent) == b"old" * 2_000_000
 
 
 def test_names_that_an_older_version_took_can_be_read_and_deleted(

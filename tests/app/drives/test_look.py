@@ -46,15 +46,6 @@ def test_the_service_answers_what_the_library_finds_and_keeps_nothing(
     assert files_below(tmp_path / "data/incoming") == []
 
 
-def test_options_are_those_of_a_drive(client: httpx.Client, tmp_path: Path) -> None:
-    street = told(write_street(tmp_path / "street", 8))
-    camera = client.post(LOOK, json={**street, "options": {"pose_frame": "camera"}}).json()["drive"]
-    assert "declared as poses of the camera" in camera["problems"][0]["message"]
-    assert camera["track"] is None
-    wide = client.post(LOOK, json={**street, "keyframes": {"distance_m": 5.0}}).json()["drive"]
-    assert wide["keyframes"] < wide["scans"]["count"]
-
-
 def test_what_is_too_large_for_the_service_is_named_with_its_setting(serve: Callable[..., httpx.Client]) -> None:
     client = serve(max_file_bytes=1 * MB, max_recording_bytes=2 * MB, max_drive_bytes=3 * MB, max_drive_files=4)
 
@@ -101,12 +92,6 @@ def test_a_bad_request_is_refused_by_its_field(client: httpx.Client, body: dict[
     answer = client.post(LOOK, json=body)
     assert answer.status_code == 422
     assert answer.json()["problems"][0]["path"] == field
-
-
-def test_a_folder_without_a_drive_is_explained(client: httpx.Client) -> None:
-    look = client.post(LOOK, json={"name": "photos", "files": {"a.jpg": 9}}).json()
-    assert (look["drives"], look["drive"]) == ([], None)
-    assert look["reason"].startswith("photos is not a drive. Expected the folder of one drive")
 
 
 def test_a_client_that_reduces_is_told_what_to_send_and_what_its_labels_mean(

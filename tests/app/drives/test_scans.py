@@ -161,15 +161,6 @@ def test_a_name_that_comes_twice(client: httpx.Client, drive: str, shared_data: 
     assert left(shared_data, drive) == []
 
 
-def test_names_in_conflict_leave_what_was_there(client: httpx.Client, drive: str, shared_data: Path) -> None:
-    assert send(client, drive, [("poses", ("", b"old")), ("files", ("a/b", b"old"))]).status_code == 200
-    answer = send(client, drive, [("poses", ("", b"new")), ("files", ("a/c", b"new")), ("files", ("a", b"new"))])
-    assert (answer.status_code, answer.json()["title"]) == (409, "Names in conflict")
-    assert listed(client, drive) == ["a/b", "poses.txt"]
-    assert client.get(f"{drive}/files/poses.txt").content == b"old"
-    assert sorted(left(shared_data, drive)) == ["b", "poses.txt"]
-
-
 def test_a_refused_batch_leaves_no_folder_in_the_way(client: httpx.Client, drive: str) -> None:
     answer = send(client, drive, [("files", ("a/b/c", b"1")), ("files", ("a/b", b"2"))])
     assert (answer.status_code, answer.json()["title"]) == (409, "Names in conflict")
@@ -194,10 +185,6 @@ def test_limits_of_a_batch(serve: Callable[..., httpx.Client], tmp_path: Path, m
         assert (answer.status_code, answer.json()["title"]) == (413, title)
     assert left(tmp_path / "data", drive) == []
     assert send(client, drive, scans(3, 130_000)).status_code == 200
-
-
-def test_there_must_be_a_drive(client: httpx.Client) -> None:
-    assert send(client, "/api/v1/drives/0123456789abcdef", [("poses", ("", b"1"))]).status_code == 404
 
 
 def test_many_batches_at_once(client: httpx.Client, drive: str) -> None:

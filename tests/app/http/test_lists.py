@@ -185,10 +185,6 @@ def test_drives_and_jobs_are_renamed(client: httpx.Client) -> None:
     client.patch("/drives/d4", json={"name": NAMES[3]}).raise_for_status()
 
 
-def test_errors_of_older_versions_get_their_type(client: httpx.Client) -> None:
-    assert client.get("/jobs/j1").json()["error"]["type"] == "/problems/disk-full"
-
-
 def test_a_key_makes_one_drive(client: httpx.Client) -> None:
     def make(name: str = "keyed") -> httpx.Response:
         return client.post("/drives", json={"name": name}, headers={"Idempotency-Key": "one drive"})

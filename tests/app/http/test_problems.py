@@ -10,14 +10,6 @@ import pytest
 AS_JSON = {"Content-Type": "application/json"}
 
 
-def test_unknown_address_is_a_problem_document(client: httpx.Client) -> None:
-    answer = client.get("/api/v1/nowhere")
-    assert answer.status_code == 404
-    assert answer.headers["content-type"] == "application/problem+json"
-    assert answer.json()["instance"] == "/api/v1/nowhere"
-    assert answer.json()["status"] == 404
-
-
 def test_names_that_have_no_utf8_are_told(client: httpx.Client) -> None:
     answer = client.post("/api/v1/drives", content=b'{"name": "a", "\\ud800": 1}', headers=AS_JSON)
     assert answer.status_code == 422

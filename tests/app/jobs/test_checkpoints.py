@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
 import resource
 import shutil
 from collections.abc import Iterator
@@ -10,7 +9,6 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from app.jobs.work import intersections
@@ -20,29 +18,13 @@ from app.work.documents import IntersectionsJob
 from app.work.progress import ProgressFiles
 from app.work.task import Cancelled, Part, Task
 from interloc.config import preset
-from interloc.detection.detector import KeyframeDetections
-from interloc.detection.keyframes import Keyframe
 from interloc.errors import InterLocError, OutputError
 from interloc.pipeline import RangeResult
 from interloc.reduction.reduce import reduce_drive
-from interloc.results import RoadPatch
 from tests.app.street import write_street
 from tests.tasks import task_for
 
 SCANS = 120
-
-
-def test_a_checkpoint_keeps_what_was_found(tmp_path: Path) -> None:
-    keyframe = Keyframe(7, np.eye(4), None)
-    found = KeyframeDetections(keyframe, np.ones((1, 2)), np.zeros((1, 2)), [np.ones(3)], np.ones(1), [np.ones(3)])
-    road = RoadPatch.pack(7, np.zeros(2), 0.5, np.eye(4, dtype=np.uint8), None)
-    part = RangeResult(3, [found], {"read": 0.5}, 123, (road,))
-    write_checkpoint(tmp_path / "range", part)
-    again = read_checkpoint(tmp_path / "range")
-    assert again is not None
-    assert (again.start, again.seconds, again.peak_memory_bytes) == (3, {"read": 0.5}, 123)
-    assert pickle.dumps(again.detections[0].lidar_xy) == pickle.dumps(found.lidar_xy)
-    assert (again.road[0].keyframe, again.road[0].packed) == (road.keyframe, road.packed)
 
 
 @pytest.mark.parametrize("content", [b"", b"half a file", b"a head\nand more", None])

@@ -15,7 +15,7 @@ import httpx
 import pytest
 
 from app.jobs.executors import DaskExecutor
-from app.jobs.processes import WorkerLostError
+from app.jobs.processes import NoWorkersError, WorkerLostError
 from interloc.cli.main import run
 from tests.app.processes import Gate, as_by_command, ended, half_way, submit, upload, wait_until
 from tests.app.street import write_street
@@ -111,3 +111,15 @@ def test_a_batch_on_a_cluster_needs_no_folder_that_workers_share(cluster: str, s
     out = tmp_path / "out"
     assert run(["batch", str(listed), "-o", str(out), "--dask", cluster, "--quiet"]) == 0
     assert len({(out / name / "detections.geojson").read_bytes() for name in "ab"}) == 1
+
+
+def test_a_cluster_that_was_away_takes_work_again(cluster: str) -> None:
+    executor = DaskExecutor(cluster, lambda: None)
+    try:
+        executor._client.close()  # what Dask does where its scheduler is away for longer than its patience
+        with pytest.raises(NoWorkersError, match="the Dask scheduler is away"):
+            executor.submit(os.getpid)
+        wait_until(lambda: executor.alive > 0, "the cluster to be there again")
+        assert executor.submit(len, "abc").result(60) == 3
+    finally:
+        executor.stop()

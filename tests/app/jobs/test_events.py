@@ -141,12 +141,6 @@ def test_a_token_that_is_revoked_ends_its_events(
     database.close()
 
 
-def test_an_unknown_job_has_no_events(client: httpx.Client) -> None:
-    answer = client.get(f"{API}/jobs/nothing/events")
-    assert answer.status_code == 404
-    assert "There is no job nothing" in answer.json()["detail"]
-
-
 def test_a_server_that_stops_ends_its_events(tmp_path: Path) -> None:
     with running_server(tmp_path) as address, httpx.Client(base_url=address, timeout=60) as client:
         database = Database(Settings(data_dir=tmp_path).sqlalchemy_url)

@@ -24,9 +24,7 @@ from app.jobs.processes import (
     WorkerLimitError,
     WorkerLostError,
     _cgroup_limits,
-    machine_memory,
     memory_of,
-    memory_share,
 )
 from app.settings import Settings
 from interloc.errors import ConfigError, DriveError
@@ -177,29 +175,6 @@ def test_errors_come_back_with_their_words(executor: ProcessExecutor) -> None:
     assert executor.submit(pid_of).result(60) in pids_of(executor)
 
 
-def test_urgent_work_goes_before_what_waits(one: ProcessExecutor, tmp_path: Path) -> None:
-    gate, patient = tmp_path / "gate", tmp_path / "patient"
-    running = one.submit(wait_for_file, gate)
-    waiting = one.submit(wait_for_file, patient)
-    urgent = one.submit(begun, patient, urgent=True)
-    gate.touch()
-    running.result(60)
-    assert not urgent.result(60)
-    patient.touch()
-    waiting.result(60)
-
-
-def test_cancelled_work_is_never_begun(one: ProcessExecutor, tmp_path: Path) -> None:
-    gate, never = tmp_path / "gate", tmp_path / "never"
-    running = one.submit(wait_for_file, gate)
-    waiting = one.submit(wait_for_file, never)
-    assert waiting.cancel()
-    gate.touch()
-    running.result(60)
-    one.submit(pid_of).result(60)
-    assert not begun(never)
-
-
 def test_a_stop_ends_what_runs(tmp_path: Path) -> None:
     executor = ProcessExecutor(1)
     running = executor.submit(sleep_for_ever, tmp_path / "pid")
@@ -325,12 +300,6 @@ def test_a_worker_that_is_left_large_is_replaced() -> None:
         assert executor.submit(pid_of).result(60) != large
     finally:
         executor.stop()
-
-
-def test_every_worker_has_its_share_of_the_memory() -> None:
-    assert 2**28 < machine_memory() <= psutil.virtual_memory().total
-    assert memory_share(1000) == 2**30  # no worker can do with less
-    assert memory_share(1) == max(2**30, machine_memory() * 3 // 4)
 
 
 @pytest.mark.parametrize(

@@ -117,17 +117,6 @@ def test_a_job_finds_what_the_command_line_finds(
     assert (job["attempts"], job["error"], job["stage"]) == (1, None, "finished")
 
 
-def test_the_roads_of_the_map_come_with_the_result(client: httpx.Client, scored: dict[str, Any]) -> None:
-    roads = client.get(scored["links"]["osm-roads"]).json()["features"]
-    (along,) = [road for road in roads if road["properties"]["osm_id"] == 1000]
-    assert along["geometry"]["type"] == "LineString"
-    assert len(along["geometry"]["coordinates"]) > SCANS * 2.1 / 60  # a crossing every 60 m
-    properties = along["properties"]
-    known = {"osm_id": 1000, "highway": "residential", "name": None, "is_drivable": True, "is_driven": True}
-    assert {name: properties[name] for name in known} == known
-    assert properties["offset_m"] < 0.5
-
-
 def test_other_settings_of_a_job(client: httpx.Client, drive: str) -> None:
     config = {"bev": {"resolution_m": 0.4}, "candidates": {"kind": "harris", "min_score": 0.5}}
     job = ended(client, submit(client, drive, config=config, name="coarse"))
@@ -207,11 +196,6 @@ def test_a_map_is_found_whether_its_umlauts_are_one_letter_or_two(client: httpx.
     assert job["request"]["osm"]["file"] == stored
     detail = problem(client.post(f"{API}/jobs", json=order | {"osm": {"file": "Nord.osm"}}), 422)
     assert "It has 'Su\u0308d 1.osm', 'map.osm'" in detail
-
-
-def test_a_drive_that_is_not_committed_has_no_jobs(client: httpx.Client) -> None:
-    drive_id = client.post(f"{API}/drives", json={"name": "new"}).json()["id"]
-    assert "Commit it first" in problem(client.post(f"{API}/jobs", json={"drive_id": drive_id}), 409)
 
 
 def test_overpass_can_be_switched_off(serve: Serve, street: Path) -> None:
@@ -434,25 +418,10 @@ def test_a_map_that_is_a_bomb_is_not_unpacked(client: httpx.Client, drive: str) 
     assert "bomb.osm.gz: unpacks to more than 0.1 GB" in job["error"]["detail"]
 
 
-def test_the_ending_of_a_map_may_be_in_capitals(client: httpx.Client, street: Path, drive: str) -> None:
-    map_ = (street / "map.osm").read_bytes()
-    assert client.put(f"{API}/drives/{drive}/files/CITY.OSM", content=map_).status_code in {200, 201}
-    assert ended(client, submit(client, drive, osm={"file": "CITY.OSM"}))["state"] == "successful"
-
-
 def test_labels_that_are_not_there_are_told(client: httpx.Client, drive: str) -> None:
     answer = client.post(f"{API}/jobs", json={"drive_id": drive, "labels": "predictions"})
     assert "has no 'predictions'. Expected one of its label_folders: labels" in problem(answer, 422)
     assert answer.json()["type"] == "/problems/labels-not-found"
-
-
-def test_a_job_waits_for_the_check_of_its_drive(client: httpx.Client, data_dir: Path, drive: str) -> None:
-    set_state(data_dir, drive, "checking")
-    waiting = submit(client, drive)
-    job = job_of(client, waiting)
-    assert (job["state"], job["message"]) == ("accepted", "Waiting for the check of its drive.")
-    set_state(data_dir, drive, "ready")
-    assert ended(client, waiting)["state"] == "successful"
 
 
 def test_a_job_fails_when_the_check_of_its_drive_does(client: httpx.Client, data_dir: Path, drive: str) -> None:

@@ -163,7 +163,7 @@ def test_a_silent_server_loses_its_job_and_changes_nothing_more(database: Databa
 
     assert silent.heartbeat([old.lease]) == {old.lease: "lost"}
     assert not silent.progress(old, done=99)
-    assert not silent.release(old)
+    assert not silent.release(old, "It waits.")
     assert not finish(database, silent, old)
     assert finish(database, other, new)
     assert not finish(database, other, new)
@@ -191,7 +191,7 @@ def test_a_job_that_is_given_back_keeps_its_attempts(database: Database, drive: 
         claim = queue.claim()
         assert claim is not None
         assert claim.job.attempts == 1
-        assert queue.release(claim)
+        assert queue.release(claim, "It waits.")
     job = read_job(database, job_id)
     assert (job.state, job.attempts, job.lease_owner) == ("accepted", 0, None)
 
@@ -245,13 +245,7 @@ def test_the_same_key_is_the_same_job(database: Database, drive: str) -> None:
     job_id = add_job(database, drive, key="k")
     with database.writing() as session:
         job, is_new = submit(
-            session,
-            database,
-            kind="intersections",
-            drive_id=drive,
-            owner="ann",
-            request={"name": "ann"},
-            key="k",
+            session, database, kind="intersections", drive_id=drive, owner="ann", request={"name": "ann"}, key="k"
         )
     assert (job.id, is_new) == (job_id, False)
     assert add_job(database, drive, "bob", key="k") != job_id  # another client's key

@@ -103,15 +103,6 @@ def test_a_server_without_networks(serve: Callable[..., httpx.Client], unlabelle
     assert "INTERLOC_MODELS" in answer.json()["detail"]
 
 
-def test_pcd_files_are_read_by_the_service(client: httpx.Client, tmp_path: Path) -> None:
-    street = write_street(tmp_path / "07", 20)
-    root = as_pcd(street, tmp_path / "pcd-street")
-    ours, theirs = (commit(client, upload(client, each)) for each in (root, street))
-    assert ours["report"]["layout"] == "pcd"
-    same = ("scans", "road_share", "length_m", "label_ids")
-    assert {name: ours["report"][name] for name in same} == {name: theirs["report"][name] for name in same}
-
-
 @pytest.mark.parametrize("form", ["bag", "db3", "mcap", "laz"])
 def test_bags_and_las_files_are_read_by_the_service(client: httpx.Client, tmp_path: Path, form: str) -> None:
     street = open_drive(write_street(tmp_path / "07", 20))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gzip
 import http.client
 import io
 import json
@@ -61,18 +60,6 @@ def test_layers_are_the_bytes_of_the_command_line(layer: str, finished: Finished
         assert answer.headers.get("vary") == ("Accept-Encoding" if len(expected) >= 1400 else None)
         assert answer.headers["cache-control"] == "private, no-cache"
         assert re.search(rf'filename="Stra_e_street-{layer}\.geojson"', answer.headers["content-disposition"])
-
-
-def test_compression_pays_and_has_a_validator_of_its_own(finished: Finished) -> None:
-    plain = finished.get("/jobs/default/detections", headers=IDENTITY)
-    with finished.client.stream(
-        "GET", "/api/v1/jobs/default/detections", headers={"accept-encoding": "br, gzip"}
-    ) as packed:
-        raw = b"".join(packed.iter_raw())
-    assert packed.headers["content-encoding"] == "gzip"
-    assert int(packed.headers["content-length"]) == len(raw) < len(plain.content) / 3
-    assert gzip.decompress(raw) == plain.content
-    assert packed.headers["etag"] == f"W/{plain.headers['etag']}"
 
 
 @pytest.mark.parametrize("encoding", ["identity", "gzip"])
@@ -243,9 +230,3 @@ def test_a_job_that_was_removed_has_no_results_any_more(finished: Finished) -> N
         assert (answer.status_code, answer.json()["title"]) == (404, "Job not found")
     assert finished.client.delete("/api/v1/trash/jobs/shortlived").status_code == 204
     assert not (finished.data_dir / "jobs/shortlived").exists()
-
-
-def test_a_layer_is_given_whole(finished: Finished) -> None:
-    """Parts of it are at `/ogc`; a parameter that would select one is refused, not ignored."""
-    answer = finished.get("/jobs/default/detections?limit=3")
-    assert (answer.status_code, answer.json()["type"]) == (400, "/problems/unknown-parameter")

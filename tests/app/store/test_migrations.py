@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from pathlib import Path
 
@@ -12,7 +12,6 @@ from alembic import command
 from alembic.autogenerate import compare_metadata
 from alembic.config import Config
 from alembic.runtime.migration import MigrationContext
-from alembic.script import ScriptDirectory
 from sqlalchemy import inspect, text
 
 from app.store import database as module
@@ -84,12 +83,6 @@ def test_processes_that_start_together_agree(url: str) -> None:
             assert tables >= TABLES
 
 
-def test_threads_that_start_together_agree(url: str) -> None:
-    with ThreadPoolExecutor(4) as pool:
-        for tables in pool.map(upgrade, [url] * 8):
-            assert tables >= TABLES
-
-
 @pytest.mark.parametrize("revision", [RELEASED, BEFORE])
 def test_a_database_of_before_is_brought_up_to_date_with_its_content(revision: str, url: str) -> None:
     database = Database(url)
@@ -120,12 +113,6 @@ def test_models_and_migrations_describe_the_same_tables(how: Callable[[Database]
         context = MigrationContext.configure(connection, opts={"compare_type": True, "compare_server_default": True})
         assert compare_metadata(context, Base.metadata) == []
     database.close()
-
-
-def test_migrations_form_one_line() -> None:
-    scripts = ScriptDirectory.from_config(config())
-    assert scripts.get_bases() == [RELEASED]
-    assert len(scripts.get_heads()) == 1
 
 
 @pytest.mark.parametrize(("revision", "message"), [("9999", "a newer version of InterLoc"), ("0003", "is too old")])

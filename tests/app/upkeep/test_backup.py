@@ -27,7 +27,7 @@ from app.http.intake import Arrival
 from app.jobs import queue
 from app.settings import Settings
 from app.store.database import Database
-from app.store.models import Base, Drive, Job
+from app.store.models import Drive, Job
 from app.trash.deletion import empty_trash, list_trash
 from app.upkeep.backup import DATABASE, RECORD, BackupRecord, BackupReport, back_up, restore
 from app.upkeep.check import check
@@ -176,19 +176,6 @@ def test_a_restored_service_answers_as_before(
     assert (again.brought_files, again.removed_files) == (0, 0)
     restore_to(tmp_path / "back", tmp_path / "backup")  # from PostgreSQL to SQLite, too
     assert answers(tmp_path / "back") == told
-
-
-def test_every_row_is_backed_up_but_those_made_anew_from_the_results(data: Path, tmp_path: Path) -> None:
-    make_backup(data, tmp_path / "backup")
-    counts = []
-    for path in (data / "interloc.sqlite3", tmp_path / "backup" / DATABASE):
-        database = Database(f"sqlite:///{path}")
-        with database.reading() as session:
-            tables = [table for table in Base.metadata.sorted_tables if not table.name.startswith("feature")]
-            counts.append({table.name: len(session.execute(select(table)).all()) for table in tables})
-        database.close()
-    assert counts[0] == counts[1]
-    assert counts[0]["drive_files"] > SCANS
 
 
 def test_the_next_backup_brings_what_has_changed(data: Path, street: Path, tmp_path: Path) -> None:
@@ -352,12 +339,6 @@ def test_places_where_no_backup_can_be(data: Path, used: Path, tmp_path: Path) -
     (tmp_path / "backup" / RECORD).write_text('{"format": 2}')
     with pytest.raises(InterLocError, match="damaged, or written by a newer version"):
         make_backup(tmp_path / "other", tmp_path / "backup")
-
-
-def test_a_folder_without_its_database_is_no_service(data: Path, tmp_path: Path) -> None:
-    (data / "interloc.sqlite3").unlink()
-    with pytest.raises(ConfigError, match=r"but there is no .*interloc\.sqlite3"):
-        make_backup(data, tmp_path / "backup")
 
 
 def test_places_where_no_backup_is_restored(data: Path, tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from sqlalchemy import update
 from app.context import Context
 from app.drives.commit import finish_drive
 from app.drives.models import NewDrive
-from app.drives.records import create_drive, delete_file, find_drive, list_drives, list_files
+from app.drives.records import create_drive, find_drive, list_drives
 from app.drives.upload import keep
 from app.http.intake import Arrival
 from app.jobs.queue import submit
@@ -187,22 +187,6 @@ def test_raw_scans_stay_where_nothing_replaces_them(context: Context, caplog: py
     sweep(context)
     assert context.storage.folder(f"drives/{drive}/files/velodyne/000000.bin").is_file()
     assert "its reduced folder is not there" in caplog.text
-
-
-def test_files_replaced_counted_and_listed_in_order(context: Context) -> None:
-    drive = make_drive(context)
-    for path, size in (("b.txt", 5), ("C.txt", 6), ("\u00e4.txt", 7), ("b.txt", 2)):
-        temporary = context.storage.incoming() / "file"
-        temporary.write_bytes(bytes(size))
-        keep(context, drive, [Arrival(path, temporary, size, "0" * 64)])
-    paths = [file.path for file in list_files(context, drive, None, 100).files]
-    assert paths == ["C.txt", "b.txt", "map.osm", "velodyne/000000.bin", "\u00e4.txt"]
-    assert [file.path for file in list_files(context, drive, "b.txt", 1).files] == ["map.osm"]
-    (shown,) = list_drives(context, None, 100).drives
-    assert (shown.files, shown.size_bytes) == (5, 1 + 1 + 2 + 6 + 7)
-    delete_file(context, drive, "b.txt")
-    (shown,) = list_drives(context, None, 100).drives
-    assert (shown.files, shown.size_bytes) == (4, 1 + 1 + 6 + 7)
 
 
 @pytest.mark.parametrize("jump_s", [0.0, 8 * 86400.0, -8 * 86400.0])

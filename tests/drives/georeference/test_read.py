@@ -17,7 +17,6 @@ from interloc.drive import Georeference
 from interloc.drives.files import GeoreferenceFile, SourceFile
 from interloc.drives.georeference.geodetic import ecef_poses, poses_of
 from interloc.drives.georeference.read import (
-    ODOMETRY_OF_RAW,
     geo_csv_text,
     georeference_of_lidar,
     raw_offset,
@@ -168,11 +167,6 @@ def test_raw_drive_of_another_sequence(tmp_path: Path) -> None:
     assert raw_offset(tmp_path / "elsewhere", "07", FRAMES) == 0
 
 
-def test_the_published_table_is_whole() -> None:
-    assert sorted(sequence for sequence, _, _ in ODOMETRY_OF_RAW.values()) == [f"{n:02d}" for n in range(11) if n != 3]
-    assert ODOMETRY_OF_RAW["2011_09_30_drive_0028"] == ("08", 1100, 5170)
-
-
 def test_what_oxts_state_of_their_accuracy_survives_a_geo_csv(tmp_path: Path) -> None:
     rows = np.zeros((3, 30))
     rows[:, :2] = [49.0, 8.4]
@@ -238,14 +232,6 @@ def test_oxts_agrees_with_the_ground_truth_and_the_lever_arm_has_the_right_sign(
     }
     assert error["right"] < 0.5
     assert error["right"] < error["none"] - 0.2 < error["inverse"] - 0.4
-
-
-def test_geo_csv_of_kitti360_agrees_with_its_poses(data: Callable[[str], Path]) -> None:
-    root = data("kitti360_0009")
-    poses = read_poses(SourceFile(root / "poses.txt", root)).poses
-    georeference = read_geo_csv(GeoreferenceFile(root / "geo.csv", root), np.arange(len(poses)))
-    assert rigid_rmse(plane_positions(georeference), poses[:, :2, 3]) < 0.5
-    np.testing.assert_allclose(poses_of(georeference)[:, :3, 3], poses[:, :3, 3], atol=2.0)
 
 
 def with_oxts(root: Path, make: ModuleType, times_s: np.ndarray, poses: np.ndarray) -> Path:

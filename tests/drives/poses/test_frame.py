@@ -16,7 +16,6 @@ from interloc.drives.findings import Findings
 from interloc.drives.layouts import DriveParts
 from interloc.drives.poses.files import read_poses
 from interloc.drives.poses.frame import find_camera_calibration, guess_frame, to_lidar
-from interloc.drives.poses.motion import body_motion
 from interloc.errors import DriveError
 from interloc.geometry import invert_transform, rotation_from_rpy
 
@@ -175,11 +174,3 @@ def test_damaged_calibration(tmp_path: Path, text: str, words: str) -> None:
     (tmp_path / "calib.txt").write_text(text)
     with pytest.raises(DriveError, match=words):
         find_camera_calibration(parts(tmp_path))
-
-
-def test_motion_is_measured_in_the_body(make: ModuleType) -> None:
-    motion = body_motion(make.lidar_poses(10, step_m=4.0, turn_rad=0.0))
-    assert motion is not None
-    np.testing.assert_allclose(motion.along, [1, 0, 0], atol=1e-12)
-    assert motion.forward == pytest.approx(1)
-    assert motion.distance_m == pytest.approx(36)

@@ -7,7 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import laspy
 import numpy as np
 import pytest
 from pyproj import Transformer
@@ -309,15 +308,6 @@ def test_formats_of_points(tmp_path: Path, point_format: int, version: str) -> N
     assert sum(drive.ground_points(index).road_count for index in range(len(drive.frames))) == 6000
 
 
-def test_points_may_have_more_dimensions(tmp_path: Path) -> None:
-    street(tmp_path)
-    cloud = laspy.read(tmp_path / "strip.laz")
-    cloud.add_extra_dim(laspy.ExtraBytesParams(name="reflectance", type=np.float32))
-    cloud.write(tmp_path / "strip.laz")
-    drive = interloc.open_drive(tmp_path)
-    assert sum(drive.ground_points(index).road_count for index in range(len(drive.frames))) == 6000
-
-
 def test_a_vehicle_that_stands_is_one_scan(tmp_path: Path) -> None:
     street(tmp_path)
     _, _, track = straight_cloud()
@@ -409,11 +399,6 @@ def test_files_in_sensor_coordinates_are_scans(tmp_path: Path) -> None:
     np.testing.assert_allclose(drive.T_world_lidar[:, 0, 3], 3 * np.arange(12))
     assert drive.ground_points(0).road_count == 500
     assert drive.scans.name(7) == "scan_007.laz"
-
-
-def test_withheld_points_of_a_scan_are_nothing(tmp_path: Path) -> None:
-    drive = interloc.open_drive(sensor_files(tmp_path, withheld=np.arange(500) < 100))
-    assert drive.ground_points(0).road_count == 400
 
 
 def test_scans_of_too_many_points_are_maps(tmp_path: Path) -> None:

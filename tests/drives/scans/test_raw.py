@@ -9,20 +9,9 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from interloc.drive import Drive, scans_of
+from interloc.drive import scans_of
 from interloc.drives.open import open_drive
 from interloc.errors import DriveError
-
-
-def test_it_is_a_drive(sequence: Path, make: ModuleType) -> None:
-    drive = open_drive(sequence)
-    assert isinstance(drive, Drive)
-    assert drive.name == "07"
-    assert drive.frames.tolist() == list(range(12))
-    assert drive.times_s is not None
-    assert drive.times_s[3] == pytest.approx(0.3)
-    np.testing.assert_array_equal(drive.T_world_lidar[0], np.eye(4))
-    np.testing.assert_allclose(drive.T_world_lidar, make.lidar_poses(), atol=1e-6)
 
 
 def test_ground_points_are_road_first(sequence: Path, make: ModuleType) -> None:

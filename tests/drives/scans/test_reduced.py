@@ -17,7 +17,6 @@ from interloc.drives.inspect import inspect_drive
 from interloc.drives.open import open_drive
 from interloc.errors import DriveError, GeoreferenceError
 from interloc.pipeline import detect
-from interloc.reduction.reduce import reduce_drive
 
 
 def same_points(first: Drive, second: Drive, index: int) -> bool:
@@ -74,12 +73,6 @@ def test_a_scan_that_was_not_kept(reduced: Path) -> None:
         detect(drive, finer)
 
 
-def test_all_scans_serve_any_keyframes(drive: Path, tmp_path: Path) -> None:
-    reduce_drive(drive, tmp_path / "all", keyframes=None)
-    before, after = open_drive(drive), open_drive(tmp_path / "all")
-    assert all(same_points(before, after, index) for index in range(12))
-
-
 def test_the_report_is_that_of_the_drive(drive: Path, reduced: Path) -> None:
     before, after = inspect_drive(drive, thorough=True), inspect_drive(reduced, thorough=True)
     assert after.ok
@@ -101,13 +94,6 @@ def test_a_report_without_facts_of_the_scans(reduced: Path, edit: Callable[..., 
     assert open_drive(reduced).scheme.name == "semantickitti"
 
 
-def test_labels_without_road_are_refused_as_ever(reduced: Path, edit: Callable[..., None]) -> None:
-    labels = [{"folder": "labels", "scheme": "semantickitti", "road": [40, 60], "counts": {"70": 100}}]
-    edit(labels=labels)
-    with pytest.raises(DriveError, match="no point of the scans looked at is road"):
-        open_drive(reduced)
-
-
 def test_the_pose_frame_is_not_guessed_again(reduced: Path, edit: Callable[..., None]) -> None:
     """A drive that was declared so stays so, whatever the motion suggests."""
     edit(pose_frame="lidar", pose_frame_reason="declared so")
@@ -119,11 +105,7 @@ def test_the_pose_frame_is_not_guessed_again(reduced: Path, edit: Callable[..., 
 def test_options_that_contradict_it(reduced: Path) -> None:
     assert open_drive(reduced, pose_frame="camera", layout="semantickitti", label_scheme="semantickitti").name == "07"
     for option, value, words in (
-        (
-            "pose_frame",
-            "lidar",
-            r"^poses\.txt: declared as poses of the LiDAR .* reduced with them as those of the",
-        ),
+        ("pose_frame", "lidar", r"^poses\.txt: declared as poses of the LiDAR .* reduced with them as those of the"),
         ("layout", "kitti_raw", r"^reduced\.json: is a drive of layout semantickitti, not kitti_raw"),
         ("label_scheme", "learning", r"^reduced\.json: its points were chosen by label scheme semantickitti"),
         ("label_scheme", "40,60", r"^reduced\.json: its points were chosen by label scheme semantickitti"),
@@ -190,12 +172,3 @@ def test_damage_while_running_is_named(reduced: Path) -> None:
     (reduced / "ground/labels/000006.ground").unlink()
     with pytest.raises(DriveError, match=r"^ground/labels/000006\.ground: cannot be read: no such file"):
         detect(drive)
-
-
-def test_a_road_that_is_not_flat_is_refused_as_ever(reduced: Path) -> None:
-    """The checks of open_drive look at the ground points of the scans that were kept."""
-    rows = [line.split() for line in (reduced / "poses.txt").read_text().splitlines()]
-    climbing = [" ".join([*row[:7], str(-0.9 * i), *row[8:]]) for i, row in enumerate(rows)]
-    (reduced / "poses.txt").write_text("\n".join(climbing) + "\n")
-    with pytest.raises(DriveError, match=r"^poses\.txt: the road is not flat"):
-        open_drive(reduced)

@@ -20,7 +20,6 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 import interloc.drives.scans.reduced_format as described
-from interloc.arrays import UInt32Array
 from interloc.drive import GroundPoints
 from interloc.drives.labels import LEARNING, SCHEMES, LabelScheme
 from interloc.drives.open import open_drive
@@ -31,12 +30,10 @@ from interloc.drives.scans.reduced_format import (
     ReducedLabels,
     decode_ground,
     encode_ground,
-    from_planes,
     from_runs,
     make_manifest,
     parse_manifest,
     read_manifest,
-    to_planes,
     to_runs,
 )
 from interloc.errors import DriveError
@@ -65,10 +62,6 @@ def test_runs_are_the_numbers_again(numbers: set[int]) -> None:
     runs = to_runs(ascending)
     np.testing.assert_array_equal(from_runs(runs), ascending)
     assert all(a + count < b for (a, count), (b, _) in pairwise(runs))
-
-
-def test_runs_of_some_numbers() -> None:
-    assert to_runs(np.array([0, 1, 2, 7, 9, 10])) == [(0, 3), (7, 1), (9, 2)]
 
 
 def test_a_manifest_comes_back_as_it_was() -> None:
@@ -164,11 +157,6 @@ def test_an_example_of_the_format_is_one() -> None:
     assert parse_manifest(example.encode()).kept_frames.tolist() == [0, 19, 31]
 
 
-def test_edited_manifest_is_read(reduced: Path, edit: Callable[..., None]) -> None:
-    edit(name="another")
-    assert open_drive(reduced).name == "another"
-
-
 FINITE = st.floats(width=32, allow_nan=False, allow_infinity=False, allow_subnormal=True)
 NAME = "ground/labels/000003.ground"
 
@@ -189,17 +177,6 @@ def test_every_finite_float_comes_back_bit_by_bit(data: st.DataObject) -> None:
     again = decode_ground(encode_ground(GroundPoints(xyz, road)), NAME)
     assert again.xyz.tobytes() == xyz.tobytes()
     assert (again.xyz.shape, again.xyz.dtype, again.road_count) == (xyz.shape, np.float32, road)
-
-
-def test_zeros_of_either_sign_and_the_edges_of_floats() -> None:
-    tiny, largest = np.finfo(np.float32).smallest_subnormal, np.finfo(np.float32).max
-    xyz = np.array([[0.0, -0.0, tiny], [-tiny, largest, -largest]], np.float32)
-    assert decode_ground(encode_ground(GroundPoints(xyz, 1)), NAME).xyz.tobytes() == xyz.tobytes()
-
-
-def test_a_scan_without_ground() -> None:
-    again = decode_ground(encode_ground(GroundPoints(np.empty((0, 3), np.float32), 0)), NAME)
-    assert (again.xyz.shape, again.road_count) == ((0, 3), 0)
 
 
 def test_the_bytes_are_those_of_the_format() -> None:
@@ -284,40 +261,6 @@ def test_whatever_byte_is_wrong_it_is_refused_or_harmless(at: int, byte: int, cu
     else:
         assert points.xyz.tobytes() == ground().xyz.tobytes()
         assert 0 <= points.road_count <= 6
-
-
-ROWS = st.integers(0, 40).flatmap(lambda n: arrays.arrays(np.uint32, (n, 3)))
-
-
-def described_planes(bits: UInt32Array) -> bytes:
-    n = len(bits)
-    planes = bytearray(12 * n)
-    for c in range(3):
-        before = 0
-        for i, value in enumerate(bits[:, c].tolist()):
-            step = (value - before) % 2**32
-            before = value
-            folded = ((step << 1) % 2**32) ^ (2**32 - 1 if step >> 31 else 0)
-            for k in range(4):
-                planes[(3 * k + c) * n + i] = folded >> (24 - 8 * k) & 0xFF
-    return bytes(planes)
-
-
-def test_small_steps_of_either_sign_become_small_numbers() -> None:
-    bits = np.array([[0, 5, 0x01020304], [1, 4, 0x01020304], [0, 4, 0x01020303]], np.uint32)
-    planes = np.frombuffer(to_planes(bits), np.uint8).reshape(4, 3, 3)
-    assert planes[3].tolist() == [[0, 2, 1], [10, 1, 0], [8, 0, 1]]
-    assert planes[0].tolist() == [[0, 0, 0], [0, 0, 0], [2, 0, 0]]
-
-
-@given(ROWS)
-def test_planes_are_as_described(bits: UInt32Array) -> None:
-    assert to_planes(bits) == described_planes(bits)
-
-
-@given(ROWS)
-def test_planes_give_back_their_coordinates(bits: UInt32Array) -> None:
-    np.testing.assert_array_equal(from_planes(to_planes(bits)), bits)
 
 
 WRITER = """

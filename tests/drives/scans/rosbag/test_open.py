@@ -116,38 +116,6 @@ def test_scans_are_read_by_other_processes_and_several_threads(tmp_path: Path, f
     assert all(np.array_equal(points.values, scans[row % COUNT]) for row, points in enumerate(read))
 
 
-@pytest.mark.parametrize("form", FORMATS)
-def test_the_sample_rewritten_as_a_bag_is_the_same_drive(tmp_path: Path, sample: FolderDrive, form: str) -> None:
-    original, folder = sample, sample.root
-    scans = [np.fromfile(folder / f"velodyne/{row:06d}.bin", "<f4").reshape(-1, 4) for row in range(COUNT)]
-    labels = [np.fromfile(folder / f"labels/{row:06d}.label", "<u4") for row in range(COUNT)]
-    geo = original.georeference
-    assert geo is not None
-    fixes = [(START + 2.0 * row, (geo.lat_deg[row], geo.lon_deg[row], geo.alt_m[row])) for row in range(COUNT)]
-    path = write_bag(
-        tmp_path / "sample",
-        form,
-        scans,
-        times_of(step_s=2.0),
-        labels=labels,
-        poses=original.T_world_lidar,
-        fixes=fixes,
-    )
-    recording, trajectory, _ = opened(path)
-    assert recording.points is not None
-    for frame in (0, 7):
-        points = recording.points.read(frame)
-        assert np.array_equal(points.values, scans[frame])
-        assert np.array_equal(points.labels if points.labels is not None else [], labels[frame])
-    assert np.abs(poses_of(trajectory) - original.T_world_lidar[:COUNT]).max() < 1e-6
-    found = trajectory.georeference
-    assert found is not None
-    lonlat = np.stack([found.lon_deg, found.lat_deg], axis=-1)
-    assert np.abs(enu_from_lonlat(geo.lat_deg[:COUNT], geo.lon_deg[:COUNT], lonlat)).max() < 0.2
-    turned = wrap_angle(yaw_of(found.R_enu_lidar) - yaw_of(geo.R_enu_lidar[:COUNT]))
-    assert np.degrees(np.abs(turned).max()) < 0.3
-
-
 def test_a_bag_gives_the_detections_of_the_original(
     tmp_path: Path, sample: FolderDrive, sample_result: DriveResult
 ) -> None:
@@ -358,12 +326,7 @@ def drive_with_fixes(
 
 @pytest.mark.parametrize(
     ("settings", "metres", "degrees"),
-    [
-        ({}, 0.01, 0.02),
-        ({"drift": 2e-4}, 0.4, 0.8),
-        ({"noise_m": 0.5}, 0.6, 1.5),
-        ({"antenna": True}, 0.01, 0.02),
-    ],
+    [({}, 0.01, 0.02), ({"drift": 2e-4}, 0.4, 0.8), ({"noise_m": 0.5}, 0.6, 1.5), ({"antenna": True}, 0.01, 0.02)],
 )
 def test_fixes_and_motion_make_a_georeference(
     tmp_path: Path, settings: dict[str, Any], metres: float, degrees: float

@@ -103,12 +103,6 @@ def test_rows_of_an_organised_cloud_may_be_padded(maker: BagWriter) -> None:
     assert np.array_equal(points.values[:, :3], np.concatenate([XYZ, XYZ]))
 
 
-def test_an_empty_cloud_is_a_scan_without_points(maker: BagWriter) -> None:
-    made = cells(["x", "y", "z"], ["<f4", "<f4", "<f4"], [0, 4, 8], 12)
-    message = serialized(maker, made, width=0, row_step=0, data=np.empty(0, np.uint8))
-    assert read_points(message, POINT_CLOUD, encoding(maker)).values.shape == (0, 4)
-
-
 @pytest.mark.parametrize(
     ("changes", "words"),
     [

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from itertools import pairwise
 
 import numpy as np
-import pytest
 
 from interloc.arrays import Float32Array
 from interloc.config import DEFAULT, DetectorConfig
@@ -16,7 +14,7 @@ from interloc.detection.scan import Scan
 Polyline = tuple[tuple[float, float], ...]
 
 
-def road_points(*roads: Polyline, width_m: float, turned_deg: float = 0.0, extent_m: float = 62.0) -> Float32Array:
+def draw_roads(*roads: Polyline, width_m: float, turned_deg: float = 0.0, extent_m: float = 62.0) -> Float32Array:
     """Return one point a 16 cm cell on all that lies within half a width of one of the polylines, (N, 3).
 
     The whole is turned counter-clockwise about the origin. It covers the window around a vehicle at the origin.
@@ -40,7 +38,7 @@ def road_points(*roads: Polyline, width_m: float, turned_deg: float = 0.0, exten
     return np.column_stack([centres[cols], centres[rows], np.full(rows.size, -1.73)]).astype(np.float32)
 
 
-def detect_at_origin(points: Float32Array, config: DetectorConfig = DEFAULT) -> KeyframeDetections:
+def detect(points: Float32Array, config: DetectorConfig = DEFAULT) -> KeyframeDetections:
     """Push one scan taken at the origin of W; one point makes a cell road."""
     values = config.model_dump()
     values["bev"] |= {"min_points": 1}
@@ -48,15 +46,3 @@ def detect_at_origin(points: Float32Array, config: DetectorConfig = DEFAULT) -> 
     found = Detector(DetectorConfig.model_validate(values)).push(Scan(0, np.eye(4), points))
     assert found is not None
     return found
-
-
-@pytest.fixture(scope="session")
-def draw_roads() -> Callable[..., Float32Array]:
-    """See `road_points`."""
-    return road_points
-
-
-@pytest.fixture(scope="session")
-def detect() -> Callable[..., KeyframeDetections]:
-    """See `detect_at_origin`."""
-    return detect_at_origin

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import gzip
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
 
 from interloc.geometry import enu_from_lonlat, lonlat_from_enu, rotate_2d
 from interloc.osm.graph import RoadGraph, Ways
@@ -16,16 +15,13 @@ from interloc.results import DetectionTable, DriveResult, IntersectionTable, Key
 
 LAT, LON = 49.0, 8.4
 
-RunBuilder = Callable[..., DriveResult]
-GraphBuilder = Callable[..., RoadGraph]
 
-
-def lonlat(enu: Any) -> np.ndarray:
+def at(enu: Any) -> np.ndarray:
     """Degrees of (..., 2) metres east, north of the origin of the tests."""
     return lonlat_from_enu(LAT, LON, np.asarray(enu, dtype=np.float64).reshape(-1, 2))
 
 
-def make_run(
+def run(
     keyframes: Sequence[tuple[float, float]],
     detections: Sequence[tuple[int, float, float]] = (),
     intersections: Sequence[tuple[float, float]] = (),
@@ -50,14 +46,14 @@ def make_run(
             time_s=np.arange(len(key_enu), dtype=np.float64),
             world_xy=world,
             world_yaw_rad=enu_yaw - world_yaw_in_enu_rad,
-            lonlat=lonlat(key_enu) if georeferenced else None,
+            lonlat=at(key_enu) if georeferenced else None,
             enu_yaw_rad=enu_yaw if georeferenced else None,
         ),
         detections=DetectionTable(
             keyframe=row,
             lidar_xy=rotate_2d(det[:, 1:] - key_enu[row], -enu_yaw[row]),
             world_xy=rotate_2d(det[:, 1:] - key_enu[:1], -world_yaw_in_enu_rad),
-            lonlat=lonlat(det[:, 1:]) if georeferenced else None,
+            lonlat=at(det[:, 1:]) if georeferenced else None,
             bearings_deg=[np.array([0.0, 90.0, 180.0])] * len(det),
             score=np.ones(len(det)),
             intersection=np.full(len(det), -1, dtype=np.int64),
@@ -66,7 +62,7 @@ def make_run(
         intersections=IntersectionTable(
             id=np.arange(1, count + 1),
             world_xy=rotate_2d(its_enu - key_enu[:1], -world_yaw_in_enu_rad),
-            lonlat=lonlat(its_enu) if georeferenced else None,
+            lonlat=at(its_enu) if georeferenced else None,
             position_std_m=np.full(count, 0.5),
             observations=np.full(count, 4, dtype=np.int64),
             confidence=np.ones(count),
@@ -76,12 +72,12 @@ def make_run(
             widths_m=[np.full(3, np.nan)] * count,
         ),
         trajectory_world_xy=world,
-        trajectory_lonlat=lonlat(key_enu) if georeferenced else None,
+        trajectory_lonlat=at(key_enu) if georeferenced else None,
         run={"config": config or {}, "versions": {"interloc": "0.1.0"}, "timings_s": {"detect": 1.5}},
     )
 
 
-def make_graph(crossings: Sequence[tuple[float, float]], *, arm_m: float = 50.0, **changes: Any) -> RoadGraph:
+def graph(crossings: Sequence[tuple[float, float]], *, arm_m: float = 50.0, **changes: Any) -> RoadGraph:
     """Make a map with one node of four residential arms at each (east, north)."""
     centres = np.array(crossings, dtype=np.float64).reshape(-1, 2)
     arms = arm_m * np.array([[0, 0], [1, 0], [0, 1], [-1, 0], [0, -1]])
@@ -91,7 +87,7 @@ def make_graph(crossings: Sequence[tuple[float, float]], *, arm_m: float = 50.0,
     way_count = len(edges)
     values: dict[str, Any] = {
         "node_id": 100 + np.arange(len(enu)),
-        "lonlat": lonlat(enu),
+        "lonlat": at(enu),
         "edges": edges,
         "edge_way": np.arange(way_count),
         "ways": Ways(
@@ -106,7 +102,7 @@ def make_graph(crossings: Sequence[tuple[float, float]], *, arm_m: float = 50.0,
     return RoadGraph(**{**values, **changes})
 
 
-def run_on_oxts(
+def oxts_run(
     oxts: Path, node_lonlat: np.ndarray, *, noise_m: float, seed: int = 0, reach_m: float = 35.0
 ) -> DriveResult:
     """Drive the real track of a KITTI sequence past nodes, seeing each of them within reach with some noise."""
@@ -121,7 +117,7 @@ def run_on_oxts(
     keyframe, node = np.nonzero(np.hypot(*(node_enu[None] - key_enu[:, None]).transpose(2, 0, 1)) < reach_m)
     seen = node_enu[node] + rng.normal(0.0, noise_m, (len(node), 2))
     fused = np.unique(node)
-    return make_run(
+    return run(
         key_enu,
         np.column_stack([keyframe, seen]),
         node_enu[fused] + rng.normal(0.0, noise_m / 3.0, (len(fused), 2)),
@@ -129,23 +125,3 @@ def run_on_oxts(
         world_yaw_in_enu_rad=float(yaw[0]),
         config={"bev": {"size_m": 120.0}, "branches": {"outer_radius_m": 40.0}},
     )
-
-
-@pytest.fixture(scope="session")
-def run() -> RunBuilder:
-    return make_run
-
-
-@pytest.fixture(scope="session")
-def graph() -> GraphBuilder:
-    return make_graph
-
-
-@pytest.fixture(scope="session")
-def oxts_run() -> RunBuilder:
-    return run_on_oxts
-
-
-@pytest.fixture(scope="session")
-def at() -> Callable[[Any], np.ndarray]:
-    return lonlat
