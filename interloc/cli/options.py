@@ -250,11 +250,7 @@ def open_for_evaluation(
 ) -> tuple[FolderDrive, DetectorConfig, RoadGraph | None]:
     """Check and open all that `evaluation_options` name, before any long work starts.
 
-    Returns
-    -------
-    tuple of Drive, DetectorConfig, RoadGraph or None
-        The drive, which has a georeference where it needs one; the configuration; the map, None if it will come from
-        Overpass.
+    The drive has a georeference where it needs one; the map is None if it will come from Overpass.
     """
     if osm is None and not overpass and needs_georeference:
         raise click.UsageError(_no_map(drive, reading))
@@ -323,11 +319,7 @@ def no_georeference(drive: str, otherwise: str) -> GeoreferenceError:
 def read_map(osm: Path | None, lonlat: FloatArray | None = None) -> RoadGraph | None:
     """Read the map given as a file, before any long work starts; None when it will come from Overpass.
 
-    Parameters
-    ----------
-    osm
-    lonlat : (K, 2) float64 or None
-        Longitude, latitude of the keyframes: only what lies around them is read.
+    Only what lies around the keyframes, (K, 2) degrees, is read.
     """
     from interloc.evaluation.coverage import map_bounds
     from interloc.osm.reader import read_osm

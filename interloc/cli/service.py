@@ -227,15 +227,7 @@ def open_service(data_dir: Path | None) -> Iterator[Context]:
 
 
 def read_settings(given: dict[str, Any]) -> Settings:
-    """Read the settings from the environment and from the options that were given, which take precedence.
-
-    Raises
-    ------
-    InterLocError
-        The service is not installed.
-    ConfigError
-        A setting is not valid.
-    """
+    """Read the settings from the environment and from the options that were given, which take precedence."""
     try:
         from app.settings import Settings
     except ModuleNotFoundError as error:

@@ -123,13 +123,7 @@ def _figures(folder: Path) -> Row:
 
 
 class Records:
-    """What is known of the units of a batch, one file each, in the folder of the batch.
-
-    Parameters
-    ----------
-    out
-        Folder of the batch, or its address in object storage.
-    """
+    """What is known of the units of a batch, a file each, in its folder or at its address in object storage."""
 
     def __init__(self, out: str) -> None:
         self.out = out
@@ -173,16 +167,8 @@ def do_all(
 ) -> dict[str, Row]:
     """Do units; one that fails stops nothing, one whose process dies is tried again.
 
-    Parameters
-    ----------
-    units
-    records
-    workers
-        Processes of this machine.
-    dask
-        Address of a Dask scheduler whose workers do it instead.
-    progress
-        Called several times per second with how many are done; whatever it raises ends the batch.
+    By `workers` processes of this machine, or by those of the Dask scheduler at an address. `progress` is called
+    several times per second with how many are done; whatever it raises ends the batch.
     """
     rows: dict[str, Row] = {}
     with _dask(dask) if dask is not None else _processes(workers) as submit:

@@ -21,11 +21,8 @@ GATE_M = 10.0
 class MapLevel:
     """The M fused intersections assigned to the N nodes.
 
-    Notes
-    -----
-    All intersections and all nodes take part in the assignment, so an intersection at the rim of what was driven may
-    claim a node just beyond it. Precision counts the intersections within the union of the relevant zones, recall
-    the nodes within it; an intersection outside is neither rewarded nor punished, nor is a node outside.
+    All take part in the assignment, so an intersection at the rim of what was driven may claim a node just beyond it.
+    Precision counts the intersections within the union of the relevant zones, recall the nodes within it.
     """
 
     node: IntArray

@@ -168,16 +168,9 @@ class _Points:
 
 
 class MapEvidence:
-    """The map around a drive in a plane, prepared for the questions of the rules.
+    """The map around a drive, (K, 2) degrees, in a plane, prepared for the questions of the rules.
 
-    Parameters
-    ----------
-    graph
-        The whole map, with the ways that the policy leaves out.
-    nodes
-        Its nodes that count.
-    lonlat : (K, 2) float64
-        Where the drive was, degrees.
+    `graph` is the whole map, with the ways that the policy leaves out; `nodes` are those of it that count.
     """
 
     def __init__(self, graph: RoadGraph, nodes: IntersectionNodes, lonlat: FloatArray) -> None:
@@ -414,16 +407,7 @@ class MapEvidence:
 
 
 class _Network:
-    """Some edges of a graph, as lines in the plane to be near to and to walk along.
-
-    Parameters
-    ----------
-    xy : (N, 2) float64
-        All nodes of the graph.
-    edges : (E, 2) int64
-    near : (N,) bool
-        Nodes around the drive; edges without any of them are left out.
-    """
+    """The (E, 2) edges of a graph that have a node `near`, as lines in the plane to be near to and to walk along."""
 
     def __init__(self, xy: FloatArray, edges: IntArray, near: BoolArray) -> None:
         edges = distinct_edges(edges)

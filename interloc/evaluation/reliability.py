@@ -51,42 +51,21 @@ class Bin:
 
 
 def map_std_m(intersections: IntersectionTable, level: MapLevel, node_lonlat: FloatArray) -> float | None:
-    """Estimate what the nodes of the map themselves are off: one standard deviation along each axis, metres.
+    """Estimate what the nodes of the map, (N, 2) degrees, are off: one standard deviation along each axis, metres.
 
     The covariance of an intersection is that of the place where its roads meet; the node was drawn somewhere near it.
-
-    Parameters
-    ----------
-    intersections : IntersectionTable
-        With longitude and latitude.
-    level
-        Their nodes.
-    node_lonlat : (N, 2) float64
-        Degrees.
-
-    Returns
-    -------
-    float or None
-        Of largest likelihood, where errors are normal with the covariances of the intersections and this variance on
-        top; 0 where the covariances explain the errors alone. None for fewer than `_MIN_PLACES` nodes.
+    Of largest likelihood, where errors are normal with these covariances and this variance on top; 0 where the
+    covariances explain the errors alone. None for fewer than `_MIN_PLACES` nodes.
     """
     costs = _costs(*_errors_at_nodes(intersections, level, node_lonlat)[1:])
     return float(_MAP_STD_M[costs.sum(axis=0).argmin()]) if len(costs) >= _MIN_PLACES else None
 
 
 def squared_errors(intersections: IntersectionTable, level: MapLevel, node_lonlat: FloatArray) -> FloatArray:
-    """Return the error of each intersection in units of its covariance, squared: e^T (C + s^2 I)^-1 e.
+    """Return the error of each intersection in units of its covariance, squared: e^T (C + s^2 I)^-1 e, (M,) float64.
 
-    Parameters
-    ----------
-    intersections, level, node_lonlat
-        See `map_std_m`, which is s: that of the other intersections, so that no error excuses itself.
-
-    Returns
-    -------
-    (M,) float64
-        NaN for those that no node is assigned to. Of errors as large as said, the mean is 2 (the dimensions of the
-        plane) and 95 % are at most `BOUND_95`.
+    s is `map_std_m` of the other intersections, so that no error excuses itself. NaN for those that no node is assigned
+    to. Of errors as large as said, the mean is 2 (the dimensions of the plane) and 95 % are at most `BOUND_95`.
     """
     rows, variance, error = _errors_at_nodes(intersections, level, node_lonlat)
     costs = _costs(variance, error)
@@ -159,20 +138,10 @@ def with_interval(statistic: Statistic, *columns: FloatArray | BoolArray) -> Int
 
 
 def calibration_error_by_chance(confidence: FloatArray) -> Interval:
-    """Return the calibration error that these places would show if their confidence were exactly true.
+    """Return mean and middle 95 % of the calibration error of places whose confidence would be exactly true.
 
     Few places do not fall out in the shares that they should: whether each is right is drawn by its confidence, many
-    times (consistency resampling, Broecker and Smith 2007). A calibration error within the interval says nothing
-    against the confidence.
-
-    Parameters
-    ----------
-    confidence : (N,) float64
-
-    Returns
-    -------
-    Interval
-        Mean and middle 95 % of the draws.
+    times (consistency resampling, Broecker and Smith 2007). An error within the interval says nothing against it.
     """
     count = len(confidence)
     if not count:

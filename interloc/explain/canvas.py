@@ -51,29 +51,11 @@ class Square(NamedTuple):
 
 
 class Canvas:
-    """A square picture; its rows go down against +y of W. Places are given from the vehicle along the axes of W.
+    """A square picture of a keyframe; its rows go down against +y of W.
 
-    Parameters
-    ----------
-    explained
-        The keyframe.
-    size_px : int
-        Side of the picture.
-    square
-        What it shows; the region of interest by default.
-    px_per_m : float
-        Scale of the sizes of lines and marks; that of the picture by default.
-    background
-        A colour; transparent by default.
-
-    Attributes
-    ----------
-    key : dict
-        Name -> how matplotlib draws its sign in a legend.
-    facts : list of str
-        Lines of text.
-    notes : list of (place, text)
-        Texts to be written beside (2,) places.
+    Places are given from the vehicle along the axes of W. It shows `square`, by default the region of interest; sizes
+    of lines and marks are scaled by `px_per_m`, by default that of the picture. `key` says by name how matplotlib draws
+    a sign in a legend; `facts` are lines of text, `notes` texts beside (2,) places.
     """
 
     def __init__(

@@ -39,20 +39,10 @@ def simulate_drive(
 ) -> int:
     """Write a drive in SemanticKITTI format, with OXTS; scans whose turn takes time as PCD files.
 
-    Parameters
-    ----------
-    scene, track
-        The world and the poses in it, one for each scan, as `build_scene(track, ...)` made it.
-    out
-        Folder to be made; complete or not at all. An older simulated drive is replaced.
-    options
-        Scan k depends on the seed and k alone: any order and any selection gives the same scans.
-    extra_files
-        More files to put into the folder: name and content.
-    about
-        Facts to keep in `simulation.json`.
-    progress
-        Called with the scans written and the number of scans.
+    `track` has a pose for each scan, in the scene that `build_scene(track, ...)` made. The folder is complete or not
+    made at all; an older simulated drive is replaced. Scan k depends on the seed and k alone: any order and any
+    selection gives the same scans. `extra_files` are written beside (name and content), `about` is kept in
+    `simulation.json`.
     """
     tr = parse_tr(track.calib_text)
     poses_camera = camera_poses(scene.T_map_lidar, tr) if track.poses_camera is None else track.poses_camera
@@ -138,15 +128,7 @@ class Trip:
 def simulate(
     trip: Trip, out: Path, options: SimulationOptions = DEFAULT_OPTIONS, *, progress: Progress | None = None
 ) -> int:
-    """Simulate a drive along a track over the streets of a map; see `simulate_drive`.
-
-    Raises
-    ------
-    MapError
-        The map lies elsewhere.
-    OutputError
-        `out` could not be written.
-    """
+    """Simulate a drive along a track over the streets of a map; one that lies elsewhere is a MapError."""
     scene = build_scene(
         trip.track, trip.map, config=options.scene, sensor_height_m=options.sensor.height_m, seed=options.seed
     )

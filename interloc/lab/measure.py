@@ -62,20 +62,11 @@ class Cell(_Record):
 
 
 class Place(_Record):
-    """What was found of a node of the map, over all keyframes of a drive.
+    """What was found of a node of the map (-1: none is in the region of the detections), over all keyframes.
 
-    Attributes
-    ----------
-    node : int
-        Of OpenStreetMap; -1 for detections without any node in their region of interest.
-    detections, right : int
-        Matched to the node; within 5 m of it.
-    missed : int
-        Keyframes that had it in their relevant zone and no detection of it.
-    error_m : float
-        Sum of the distances of the detections from the node.
-    axes_error_m : float or None
-        Sum of their distances from where the axes of the roads meet; None where that is not known.
+    `detections` are matched to it, `right` of them within 5 m; `missed` are keyframes that had it in their relevant
+    zone and no detection of it. `error_m` is the sum of the distances from the node, `axes_error_m` from where the axes
+    of the roads meet; None where that is not known.
     """
 
     node: int
@@ -169,21 +160,10 @@ def measure(
     axes: Mapping[int, tuple[float, float]] | None = None,
     progress: Progress | None = None,
 ) -> Row:
-    """Measure a cell of the benchmark.
+    """Measure a cell of the benchmark, by a drive without label errors and its map.
 
-    Parameters
-    ----------
-    cell, fingerprint
-        Which measurement this is.
-    drive, graph
-        Drive without label errors, and its map.
-    config, truth
-    explain
-        Gives the command lines that show a frame.
-    axes
-        Longitude and latitude of where the axes of the roads meet, by node; None: at the nodes.
-    progress
-        See `interloc.pipeline.detect`.
+    `explain` gives the command lines that show a frame; `axes` longitude and latitude of where the axes of the roads
+    meet, by node (None: at the nodes).
     """
     r_fpr, r_fnr = parse_level(cell.noise)
     source = MislabelledDrive(drive, r_fpr, r_fnr, cell.seed) if r_fpr or r_fnr else drive
@@ -274,15 +254,11 @@ def _rounded(values: FloatArray) -> tuple[float, ...]:
 def find_failures(evaluation: Evaluation, explain: Explain) -> list[dict[str, Any]]:
     """List what went wrong on a drive, place by place: what cost most first.
 
-    Returns
-    -------
-    list of dict
-        `what`: "false" for a group of false detections, "missed" for a node that was missed at keyframes; `kind`: one
-        of `interloc.evaluation.reasons.KINDS`, of a group the most frequent one, or of a node "part_of_the_time"
-        (found, but not at every keyframe) and "on_the_map" (by no detection within 5 m, but by an intersection of the
-        map within 10 m); `times`: detections, or keyframes (one at least where it was never found); `off_m`: distance
-        of the group from the nearest node, smallest error at the node; `osm_id`, `degree` of that node, None where
-        there is none; `lon`, `lat`, `frames`; `see`: the command lines that draw the frame in the middle.
+    `what`: "false" for a group of false detections, "missed" for a node that was missed at keyframes. `kind`: one of
+    `interloc.evaluation.reasons.KINDS`, of a group the most frequent one, or of a node "part_of_the_time" (found, but
+    not at every keyframe) and "on_the_map" (only by an intersection of the map within 10 m). `times`: detections, or
+    keyframes. `off_m`: of the group from the nearest node, or the smallest error at the node. `see`: the command lines
+    that draw the frame in the middle.
     """
     found = [*_false_detections(evaluation), *_missed_nodes(evaluation)]
     for failure in found:

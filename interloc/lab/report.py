@@ -48,14 +48,10 @@ _SHOWN = ("off_m", "osm_id", "lon", "lat", "frames", "see")
 def benchmark_record(benchmark: Benchmark, measured: Measured) -> dict[str, Any]:
     """Return the figures of a benchmark as plain values for JSON; what is undefined is None.
 
-    Returns
-    -------
-    dict
-        `results`: one entry per preset, level of label errors and drive ("all": pooled), each figure with `mean`,
-        `spread` (sample standard deviation over the seeds, None for one seed) and `seeds`; `rows`: the same per
-        seed, with the counts behind them; `reliability`: whether uncertainty and confidence are true, one entry per
-        preset and level, with bootstrap intervals and the bins of the diagram; `published`: the paper's figures;
-        `config`: settings of each preset; `attribution`, `license`: of the maps.
+    `results`: by preset, level of label errors and drive ("all": pooled), each figure with `mean`, `spread` (sample
+    standard deviation over the seeds, None for one seed) and `seeds`; `rows`: the same per seed, with the counts behind
+    them; `reliability`: by preset and level, with bootstrap intervals and the bins of the diagram; `published`: the
+    paper's.
     """
     results = []
     for (preset, noise, drive), line in measured.estimates.iterrows():

@@ -395,23 +395,10 @@ def build_scene(
     sensor_height_m: float = 1.73,
     seed: int = 0,
 ) -> Scene:
-    """Draw the world of a map around a track.
+    """Draw the world of a map, from `read_map`, around a track; a map that lies elsewhere is a MapError.
 
-    Parameters
-    ----------
-    track
-        All poses of the drive, also those that are not simulated: they carry the heights.
-    data
-        The map, from `read_map`. Houses are made up if it has no building at all.
-    config, seed
-        What to draw, and the seed of everything random.
-    sensor_height_m
-        Height of the LiDAR above the ground.
-
-    Raises
-    ------
-    MapError
-        The map lies elsewhere.
+    The track has all poses of the drive, also those that are not simulated: they carry the heights. Houses are made up
+    if the map has no building at all. All that is random follows from the seed.
     """
     config = config or SceneConfig()
     frame = track.frame()

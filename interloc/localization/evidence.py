@@ -46,18 +46,9 @@ MIN_SEEN = 2
 class Evidence:
     """How well a place explains a drive.
 
-    Attributes
-    ----------
-    road : float
-        Share of the track that runs within its lane, 0..1, softly: exp(-d^2 / 2 sigma^2) of each pose.
-    seen, at_nodes : int
-        Passages of intersections that the drive saw, and those of them at a node of the map.
-    passed, missed : int
-        Nodes of the map along the track, and those of them at which the drive saw none.
-    branches : float
-        Share of the branches of those at nodes that agree with roads of the node, 0..1.
-    strain : float
-        How far the odometry had to be bent; see `Fit`.
+    `road` is the share of the track within its lane, 0..1, softly: exp(-d^2 / 2 sigma^2) of each pose. The drive saw
+    `seen` passages of intersections, `at_nodes` of them at a node of the map, and `branches` is the share of their
+    branches that agree with its roads; of `passed` nodes along the track it `missed` some. `strain`: see `Fit`.
     """
 
     road: float
@@ -133,15 +124,9 @@ def _passed(chain: Chain, fitted: Fit, node_xy: FloatArray, apart: FloatArray) -
 
 @dataclass(frozen=True)
 class Decision:
-    """What came out of a search, and why.
+    """What came out of a search, and why: `reason` stands after "the drive was not placed: " or "found: ".
 
-    Attributes
-    ----------
-    outcome : {"found", "ambiguous", "not_found"}
-    reason : str
-        Why, to stand after "the drive was not placed: " or "found: ".
-    advice : str
-        What would help, a whole sentence; "" where it was found.
+    `advice` says in a sentence what would help; "" where it was found.
     """
 
     outcome: Literal["found", "ambiguous", "not_found"]

@@ -122,13 +122,7 @@ class RoadMap:
 
     @cached_property
     def raster(self) -> RoadRaster:
-        """The raster of the roads.
-
-        Raises
-        ------
-        MapError
-            The map is too large for one.
-        """
+        """The raster of the roads; a MapError where the map is too large for one."""
         low = self.segments.reshape(-1, 2).min(axis=0) - REACH_M
         size = self.segments.reshape(-1, 2).max(axis=0) + REACH_M - low
         fitting = (each for each in CELLS_M if float(np.prod(size)) / each**2 <= MAX_CELLS)

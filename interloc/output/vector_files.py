@@ -64,32 +64,12 @@ class _Export(NamedTuple):
 
 
 def write_vector_file(result: Path, out: Path, *, layer: str | None = None) -> list[str]:
-    """Write a result folder as one vector file, whole or not at all.
+    """Write a result folder as one vector file, whole or not at all, and return the names of the layers written.
 
-    Parameters
-    ----------
-    result
-        Result folder. One without georeference is written in metres of its own frame, without a coordinate system.
-    out
-        Its suffix, one of `FORMATS`, says the format; an older file of that name is replaced.
-    layer : str or None
-        One of `EXPORTS`. None: all layers of the result where the format holds several, else the intersections.
-
-    Returns
-    -------
-    list of str
-        The layers written.
-
-    Raises
-    ------
-    ConfigError
-        The format or the layer is unknown, the result has no such layer because it was not evaluated, a format
-        that holds all was to hold one, GeoParquet is asked for without the extra ``parquet``, PMTiles of a layer
-        without features, or `out` is a file that makes up a result folder.
-    GeoreferenceError
-        The result is in local metres, and is to be written as KML or PMTiles.
-    OutputError
-        `result` is not a result folder, or `out` could not be written.
+    The suffix of `out` says the format. Without georeference it is in metres, without a coordinate system. `layer`
+    None: all layers of the result where the format holds several, else the intersections. What cannot be had is a
+    ConfigError; longitude and latitude of a result in metres a GeoreferenceError; what could not be read or written an
+    OutputError.
     """
     suffix = out.suffix.lower()
     if suffix not in FORMATS:
