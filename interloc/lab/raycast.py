@@ -47,10 +47,23 @@ def surface_at(tiles: UInt8Array, index: Int32Array, x0: float, y0: float, tile_
 
 @compiled
 def bucket_walls(walls: FloatArray, x: float, y: float, reach: float) -> tuple[Int32Array, Int32Array, FloatArray]:
-    """Sort walls into buckets of azimuth as seen from (x, y), the nearest first in each, within `reach`.
+    """Sort walls into buckets of azimuth as seen from (x, y), the nearest first in each.
 
-    (S, 6) float64 walls are x, y of both ends, bottom, top. Returns where each bucket starts, (BUCKETS + 1,) int32, in
-    the second, (M,) int32 indices of walls; and the distance of each wall, (S,) float64.
+    Parameters
+    ----------
+    walls : (S, 6) float64
+        x, y of both ends, bottom, top.
+    x, y, reach
+        Place of the eye; walls beyond `reach` are left out.
+
+    Returns
+    -------
+    start : (BUCKETS + 1,) int32
+        Where each bucket starts in `member`.
+    member : (M,) int32
+        Indices of walls.
+    nearest : (S,) float64
+        Distance of each wall.
     """
     n = walls.shape[0]
     nearest = np.empty(n, np.float64)
@@ -113,17 +126,37 @@ def cast_rays(
     normal: Float32Array,
     uniform: Float32Array,
 ) -> tuple[Float32Array, UInt8Array, UInt8Array]:
-    """Measure one turn of the LiDAR from (3,) `origin` in M, turned by R_map_lidar.
+    """Measure one turn of the LiDAR.
 
-    Rays go by `elevations` (falling) and `azimuths`, radians. `tiles`, `index`, `raster`: (P, n, n) uint8 surface codes; (rows, columns) int32 slot of each tile or -1; x0, y0,
-    side of a tile. `heights`, `height_frame`: (h, w) float32; x0, y0, cell. `walls`, `wall_surfaces`: (S, 6) x, y of
-    both ends, bottom, top; (S,) codes. `materials`: rows of `interloc.lab.ground.Material`. `limits`: least and largest
-    range, range noise, factor on roughness, share of lost shots, ln of the signal seen half of the time (-inf: every
-    shot returns). `normal`, `uniform`: (2, rings, columns), (rings, columns) float32 random numbers: range and surface
-    noise; returns.
+    Parameters
+    ----------
+    origin : (3,) float64
+        Place of the sensor in M.
+    rotation : (3, 3) float64
+        R_map_lidar.
+    elevations, azimuths : (rings,), (columns,) float64
+        Directions of the rays in L, radians, elevations falling.
+    tiles, index, raster
+        (P, n, n) uint8 surface codes; (rows, columns) int32 slot of each tile or -1; x0, y0, side of a tile.
+    heights, height_frame
+        (h, w) float32 grid; x0, y0, cell.
+    walls, wall_surfaces
+        (S, 6) float64 x, y of both ends, bottom, top; (S,) uint8 surface codes.
+    materials : (surfaces, 6) float64
+        Rows of `interloc.lab.ground.Material`.
+    limits : (6,) float64
+        Least and largest range, range noise, factor on roughness, share of lost shots, ln of the signal
+        seen half of the time (-inf: every shot returns).
+    normal, uniform : (2, rings, columns), (rings, columns) float32
+        Random numbers: range noise and surface noise; returns.
 
-    Returns (rings, columns, 4) float32 x, y, z in L and remission, (rings, columns) uint8 surfaces, and 1 where there
-    is a hit.
+    Returns
+    -------
+    points : (rings, columns, 4) float32
+        x, y, z in L and remission.
+    surfaces : (rings, columns) uint8
+    hit : (rings, columns) uint8
+        1 where there is a return.
     """
     rings = elevations.shape[0]
     columns = azimuths.shape[0]
