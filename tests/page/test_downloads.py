@@ -26,7 +26,7 @@ FILES = {
     "QGIS project": "export.qgz",
     "Google Earth": "export.kmz",
     "Everything (.zip)": "archive.zip",
-    "PMTiles, intersections for web maps": "export.pmtiles",
+    "PMTiles": "export.pmtiles",
     "GeoTIFF: street-road.tif": "road.tif",
     "HTML: street-report.html": "report?format=html",
     "JSON: street-report.json": "report?format=json",

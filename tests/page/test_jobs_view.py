@@ -47,7 +47,7 @@ def test_a_drive_is_run_again_with_a_map_and_the_job_named_and_compared(page: An
     before, after = (client.get(f"{API}/jobs/{each}").json()["request"] for each in (first, again))
     assert after == before | {"osm": {"file": "map-2.osm"}}
 
-    assert page.inner_text(".job-title") == "paper, map-2.osm"
+    assert page.inner_text(".job-title") == "paper, drive, map-2.osm"
     page.get_by_role("button", name="Rename this job").click()
     page.get_by_label("Name", exact=True).fill("coarse")
     page.get_by_label("Note", exact=True).fill("Two\nlines")
@@ -67,7 +67,7 @@ def test_a_drive_is_run_again_with_a_map_and_the_job_named_and_compared(page: An
     page.get_by_role("heading", name="Intersections of the map").wait_for()
     assert address_of(page).endswith(f"&compare={done.job}")
     heads = page.locator("#panel-compare .wide-table").first.locator("th").all_inner_texts()
-    assert [head.split("\n")[0] for head in heads] == ["Figure", "coarse", "default"]
+    assert [head.split("\n")[0] for head in heads] == ["Figure", "coarse", "default, drive"]
     count = len(done.features("intersections"))
     assert f"{count} found by both" in page.inner_text("#panel-compare")
     page.wait_for_selector(f"#map .sign.beside >> nth={count - 1}")

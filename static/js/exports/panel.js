@@ -33,6 +33,7 @@ const DERIVED = /** @type {Record<string, string>} */ ({
 const LAYER_FORMATS = { ".fgb": "FGB", ".kml": "KML", ".csv": "CSV", ".parquet": "Parquet" };
 const QGZ =
   "All layers in groups, drawn as on this page, in one file that holds the data, too: for QGIS 3.22 and newer.";
+const PMTILES = "The intersections as vector tiles, for web maps";
 const KMZ = "KMZ: all layers in one file.";
 const TIFF =
   "Cells of 0.5 m: from how many keyframes each was seen as road. In UTM, or in metres without georeference.";
@@ -102,8 +103,7 @@ function sections(result, link) {
       get([icon("download"), "QGIS project"], `${at}/export.qgz`, `${slug}.qgz`, { title: QGZ }),
       !local && get([icon("download"), "Google Earth"], `${at}/export.kmz`, `${slug}.kmz`, { title: KMZ }),
       get([icon("download"), "Everything (.zip)"], `${at}/archive.zip`, `${slug}.zip`, {}),
-      !local &&
-        get([icon("download"), "PMTiles, intersections for web maps"], `${at}/export.pmtiles`, `${slug}.pmtiles`, {}),
+      !local && get([icon("download"), "PMTiles"], `${at}/export.pmtiles`, `${slug}.pmtiles`, { title: PMTILES }),
     ]),
     local && el("p.note", IN_METRES),
     resultSection("Layers", el("div.downloads", layers.map(vector), surface && raster())),
