@@ -1,4 +1,4 @@
-"""The live sessions of this server: each works in a thread, and tells its sender and all who watch; some are kept as drives."""
+"""The live sessions of this server: each works in a thread, and tells its sender and all who watch."""
 
 from __future__ import annotations
 
