@@ -31,7 +31,7 @@ def begun(hand_out: HandOut) -> list[Work]:
         (1, "eve", "eve eve ann ann", [], "ann"),  # who has nothing at work never waits for the many of another
         (2, "eve eve ann", "eve ann", [0], ""),  # as many are at work as there are slots
         (2, "eve eve ann", "eve ann", [0, 2], "ann"),  # the client with the fewest is next
-        (1, "eve", "eve eve!", [0], "eve! eve"),
+        (1, "eve", "eve eve!", [0], "eve!"),
     ],
 )
 def test_what_begins_next(slots: int, at_work: str, waiting: str, ended: list[int], expected: str) -> None:
