@@ -7,7 +7,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
-from typing import Any, ClassVar, ParamSpec, TypeVar, cast
+from typing import Any, ParamSpec, TypeVar, cast
 
 from numba import njit
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, UserProvidedCacheLocator
@@ -52,7 +52,7 @@ class _ReadOnlyFolder(UserProvidedCacheLocator):
 
 
 class _Locations(CompileResultCacheImpl):
-    _locator_classes: ClassVar = [*CompileResultCacheImpl._locator_classes, _ReadOnlyFolder]  # noqa: SLF001 - numba has no other way
+    _locator_classes = CompileResultCacheImpl._locator_classes + [_ReadOnlyFolder]  # noqa: SLF001, RUF005 - as numba has it
 
 
 class _KeptCode(FunctionCache):
