@@ -31,7 +31,7 @@ from interloc.errors import ConfigError, InterLocError
 router = APIRouter(tags=["Live"])
 sockets = APIRouter()
 
-_FIRST_WORD_S = 20.0
+_FIRST_WORD_S, _SILENCE_S = 20.0, 5.0
 _MAX_REASON_BYTES = 120  # of the 125 of a control frame (RFC 6455, section 5.5)
 _MAX_TEXT = 64 * 1024
 _REFUSED, _GOING_AWAY = 1008, 1001
@@ -62,8 +62,10 @@ async def end_live(session: SessionId, live: LiveDep, client: ClientDep) -> None
     live.find(session, client).refuse("it was ended by a request of its owner.")
 
 
-async def _entry(session: SessionId, live: LiveDep) -> LiveEntry:
-    return live.find(session)
+async def _watched(session: SessionId, live: LiveDep, client: ClientDep) -> AsyncIterator[LiveEntry]:
+    entry = live.find(session)
+    with live.watching(client):
+        yield entry
 
 
 @router.get(
@@ -76,7 +78,7 @@ async def _entry(session: SessionId, live: LiveDep) -> LiveEntry:
     },
 )
 async def watch_live(
-    entry: Annotated[LiveEntry, Depends(_entry)], request: Request, context: ContextDep, _client: ClientDep
+    entry: Annotated[LiveEntry, Depends(_watched)], request: Request, context: ContextDep, _client: ClientDep
 ) -> AsyncIterator[ServerSentEvent]:
     """Send the session as it is now, then what is said to its sender, until it ends (server-sent events).
 
@@ -116,8 +118,11 @@ async def drive_live(socket: WebSocket) -> None:
         await socket.send_json({"type": "session", "id": entry.id, "last_frame": entry.last_frame})
         reading = asyncio.create_task(_read(socket, entry, sender, context, holder))
         try:
-            while (text := await sender.get()) is not None:
-                await socket.send_text(text)
+            while (text := await _next_of(sender)) is not None:
+                if text:
+                    await socket.send_text(text)
+                elif not await _may_go_on(context, holder):  # one that sends nothing is heard of here
+                    entry.refuse("its token was revoked.")
             if entry.refusal is not None:
                 await _close(socket, entry.refusal)
             else:
@@ -125,6 +130,13 @@ async def drive_live(socket: WebSocket) -> None:
         finally:
             reading.cancel()
             entry.detach(sender)
+
+
+async def _next_of(sender: asyncio.Queue[str | None]) -> str | None:
+    """Return what a sender is to be told next; an empty text where there is nothing for a while."""
+    with suppress(TimeoutError):
+        return await asyncio.wait_for(sender.get(), _SILENCE_S)
+    return ""
 
 
 async def _first_word(socket: WebSocket, live: LiveSessions, holder: Holder) -> tuple[LiveEntry, int]:
@@ -136,10 +148,15 @@ async def _first_word(socket: WebSocket, live: LiveSessions, holder: Holder) -> 
         raise ConfigError('the session has not begun. Expected {"type": "begin", "name": ...} as the first message.')
     config = config_of(word.preset, word.config)
     await run_in_threadpool(warm_up, config)
-    live.refuse_more(holder.name)
-    context: Context = socket.app.state.context
-    keeper = await run_in_threadpool(Keeper, context, holder.name, word.name, config) if word.keep else None
-    return live.begin(word, holder.name, config, keeper), -1
+    entry = live.begin(word, holder.name, config)  # its place is taken before a drive is made for it
+    if word.keep:
+        context: Context = socket.app.state.context
+        try:
+            entry.keeper = await run_in_threadpool(Keeper, context, holder.name, word.name, config)
+        except Problem as problem:
+            entry.refuse(problem.detail)
+            raise
+    return entry, -1
 
 
 async def _text(socket: WebSocket) -> str:
