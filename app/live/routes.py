@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import AsyncIterator
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from typing import Annotated
 
 from fastapi import APIRouter, Depends, Path, Request, WebSocket
@@ -62,10 +62,8 @@ async def end_live(session: SessionId, live: LiveDep, client: ClientDep) -> None
     live.find(session, client).refuse("it was ended by a request of its owner.")
 
 
-async def _watched(session: SessionId, live: LiveDep, client: ClientDep) -> AsyncIterator[LiveEntry]:
-    entry = live.find(session)
-    with live.watching(client):
-        yield entry
+async def _watched(session: SessionId, live: LiveDep, client: ClientDep) -> LiveEntry:
+    return live.watched(session, client)
 
 
 @router.get(
@@ -74,11 +72,15 @@ async def _watched(session: SessionId, live: LiveDep, client: ClientDep) -> Asyn
     summary="Watch a live session",
     responses={
         200: {"description": "The stream of events.", "content": {"text/event-stream": {"schema": {}}}},
-        **_ANSWERS,
+        **problems({404: "There is no such session.", 429: "This client watches too many times."}),
     },
 )
 async def watch_live(
-    entry: Annotated[LiveEntry, Depends(_watched)], request: Request, context: ContextDep, _client: ClientDep
+    entry: Annotated[LiveEntry, Depends(_watched)],
+    request: Request,
+    context: ContextDep,
+    live: LiveDep,
+    client: ClientDep,
 ) -> AsyncIterator[ServerSentEvent]:
     """Send the session as it is now, then what is said to its sender, until it ends (server-sent events).
 
@@ -86,7 +88,9 @@ async def watch_live(
     `intersections` and `roads` so far; those after it are as docs/live.md has them. After a broken connection the
     stream begins with the state again.
     """
-    with context.metrics.listeners.track_inprogress():
+    live.watching[client] += 1
+    with context.metrics.listeners.track_inprogress(), ExitStack() as stack:
+        stack.callback(live.watching.subtract, [client])
         async for text in entry.watch(request.scope.get("root_path", "")):
             if context.stopping.is_set() or not await _may_go_on(context, request.state.holder):
                 return

@@ -9,8 +9,8 @@ import sys
 import threading
 import time
 from collections import Counter, deque
-from collections.abc import AsyncIterator, Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+from collections.abc import AsyncIterator, Callable
+from contextlib import AbstractContextManager, nullcontext, suppress
 from functools import partial
 from typing import Any, Literal
 
@@ -33,6 +33,7 @@ from app.live.models import Begin, LiveModel
 from app.settings import MB
 from app.states import JobKind
 from interloc.config import DetectorConfig
+from interloc.drives.folder import DROPPED
 from interloc.drives.labels import SEMANTICKITTI, LabelScheme, named_scheme
 from interloc.errors import DriveError
 from interloc.geometry import rpy_from_rotation
@@ -121,6 +122,7 @@ class Keeper:
         self.drive_id = drive.id
         self._context, self._owner, self._config = context, owner, config
         self._scans: list[LiveScan] = []  # without their points
+        self._lost: list[int] = []
 
     def keep(self, scan: LiveScan) -> None:
         """Write the points of a keyframe; a 413 where the drive, a 507 where the disk would be too full."""
@@ -137,12 +139,20 @@ class Keeper:
         without = np.empty((0, 4), np.float32)  # a slice would hold all points
         self._scans.append(LiveScan(scan.frame, scan.T_world_lidar, without, time_s=scan.time_s, fix=scan.fix))
 
+    def lose(self, frame: int) -> None:
+        """Take note of a scan that was dropped or refused."""
+        self._lost.append(frame)
+
     def finish(self) -> dict[str, str]:
-        """Write poses, times, fixes; begin check and job of the drive (429: too many wait); return both ids."""
+        """Write poses, times, fixes, losses; begin check and job of the drive (429: too many wait); return both ids."""
         poses = [" ".join(f"{value:.17g}" for value in scan.T_world_lidar[:3].ravel()) for scan in self._scans]
         files = {"poses.txt": poses}
         if all(scan.time_s is not None for scan in self._scans):
             files["times.txt"] = [f"{scan.time_s:.17g}" for scan in self._scans]
+        if self._lost:  # by the scans before them, as they are numbered here
+            after = np.searchsorted([scan.frame for scan in self._scans], self._lost) - 1
+            counts = zip(*np.unique(after, return_counts=True), strict=True)
+            files[DROPPED] = ["after_frame,scans", *(f"{frame},{scans}" for frame, scans in counts)]
         fixes = [scan.fix for scan in self._scans]
         if fixes and fixes[0] is not None:
             files["geo.csv"] = ["frame,lat_deg,lon_deg,alt_m,roll_rad,pitch_rad,yaw_rad"]
@@ -306,8 +316,10 @@ class LiveEntry:
         return f'{json.dumps(state)[:-1]}, "roads": [{", ".join(self._road)}]}}'
 
     def _say(self, document: dict[str, Any], answer: Answer | None) -> None:
-        """Pass on what the session says; called by its thread."""
+        """Pass on what the session says; called by its thread, and of what is dropped by the event loop."""
         del answer
+        if document["type"] == "dropped" and self.keeper is not None:
+            self.keeper.lose(document["frame"])
         if document["type"] == "end" and self.keeper is not None:
             try:
                 document |= self.keeper.finish()
@@ -376,7 +388,8 @@ class LiveSessions:
     def __init__(self, context: Context) -> None:
         self._context = context
         self._budget = Budget()
-        self._watching: Counter[str] = Counter()
+        self.watching: Counter[str] = Counter()
+        """How many times each client watches."""
         self._entries: dict[str, LiveEntry] = {}
 
     def begin(self, begin: Begin, owner: str, config: DetectorConfig) -> LiveEntry:
@@ -407,17 +420,12 @@ class LiveSessions:
             raise Problem(NOT_FOUND, f"There is no live session {session} that goes on. Begin another one.")
         return entry
 
-    @contextmanager
-    def watching(self, client: str) -> Iterator[None]:
-        """Count one who watches; a 429 where the client has too many."""
-        if self._watching[client] >= _MAX_WATCHING:
+    def watched(self, session: str, client: str) -> LiveEntry:
+        """Return a session that a client is to watch, as `find`; a 429 where it watches too many times already."""
+        if self.watching[client] >= _MAX_WATCHING:
             detail = f"A client may watch live sessions {_MAX_WATCHING} times at once. Close another page first."
             raise Problem(TOO_MANY_SESSIONS, detail)
-        self._watching[client] += 1
-        try:
-            yield
-        finally:
-            self._watching[client] -= 1
+        return self.find(session)
 
     def list(self) -> list[LiveEntry]:
         """Return the sessions, the newest first."""

@@ -131,6 +131,8 @@ class IntersectionsOutcome(Outcome):
     """Whether its layers hold a map of the roads: those of versions before do not."""
     doubtful_labels_m: list[tuple[float, float]] = []
     """From where to where along the track labels by geometry are doubtful."""
+    dropped: dict[str, Any] | None = None
+    """Scans that were lost before they came into the drive: `FolderDrive.dropped`."""
 
 
 class CommitOutcome(Outcome):

@@ -119,6 +119,7 @@ class LiveWorker:
         finally:
             with self._changed:
                 self._waiting.clear()
+                self._at_work = None
             self.session.close()
 
     def _next(self) -> LiveScan | None:
