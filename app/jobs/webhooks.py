@@ -249,6 +249,8 @@ def _call(delivery: Delivery, secret: bytes, seconds: int) -> str | None:
         in_time.start()  # the timeout above is that of each step, and an answer may come one byte at a time
         connection.request("POST", (parts.path or "/") + (f"?{parts.query}" if parts.query else ""), body, headers)
         answer = connection.getresponse()
+        if is_late.is_set():
+            raise TimeoutError
         if 200 <= answer.status < 300:
             return None
         return f"{answer.status} {answer.reason}: {answer.read(_TOLD_BYTES).decode(errors='replace')}"[:500]

@@ -157,8 +157,8 @@ async def _first_word(socket: WebSocket, live: LiveSessions, holder: Holder) -> 
         context: Context = socket.app.state.context
         try:
             entry.keeper = await run_in_threadpool(Keeper, context, holder.name, word.name, config)
-        except Problem as problem:
-            entry.refuse(problem.detail)
+        except BaseException:
+            entry.refuse("no drive could be made for it.")
             raise
     return entry, -1
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import logging
 import secrets
 import sys
 import threading
@@ -12,9 +13,10 @@ from collections import Counter, deque
 from collections.abc import AsyncIterator, Callable
 from contextlib import AbstractContextManager, nullcontext, suppress
 from functools import partial
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import numpy as np
+from sqlalchemy.exc import SQLAlchemyError
 
 from app.context import Context
 from app.drives.commit import begin_commit
@@ -54,6 +56,9 @@ _MAX_ROAD = 4 * MB  # of pieces of road, as text
 _MAX_WATCHING = 24  # of one client: each may hold a state that it does not read
 
 _FINAL = {"end", "refused", "failed"}
+_log = logging.getLogger(__name__)
+
+Written = TypeVar("Written")
 
 
 class Budget:
@@ -172,6 +177,7 @@ class Keeper:
                 drive_id=self.drive_id,
                 owner=owner,
                 request=check_request(session, context, new),
+                key=f"live-{self.drive_id}",
                 limit=job_limit(context, owner),
             )
             job_id = job.id
@@ -189,6 +195,17 @@ class Keeper:
         finally:
             for intake in intakes:
                 intake.discard()
+
+
+def _patiently(write: Callable[[], Written]) -> Written:
+    """Write into the database, again where it is away for a moment: scans that come meanwhile are dropped at worst."""
+    for wait_s in (0.5, 1, 2, 4, 8):
+        try:
+            return write()
+        except SQLAlchemyError as error:
+            _log.warning("a live session waits for the database: %s", error)
+            time.sleep(wait_s)
+    return write()
 
 
 class LiveEntry:
@@ -322,7 +339,7 @@ class LiveEntry:
             self.keeper.lose(document["frame"])
         if document["type"] == "end" and self.keeper is not None:
             try:
-                document |= self.keeper.finish()
+                document |= _patiently(self.keeper.finish)
             except Problem as problem:
                 document |= {"drive_id": self.keeper.drive_id, "problem": problem.detail}
         with suppress(RuntimeError):  # the loop is closed
@@ -331,7 +348,7 @@ class LiveEntry:
     def _keep(self, scan: LiveScan) -> None:
         if self.keeper is not None:
             try:
-                self.keeper.keep(scan)
+                _patiently(partial(self.keeper.keep, scan))
             except Problem as problem:
                 raise DriveError(f"the scan could not be kept: {problem.detail}") from problem
 
