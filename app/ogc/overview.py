@@ -20,8 +20,8 @@ from app.http.delivery import answer_tagged
 from app.http.openapi import TAGGED, get_and_head
 from app.http.paging import After, lies_in, next_link
 from app.http.parameters import BoxFilter
+from app.http.prices import priced
 from app.http.security import ClientDep
-from app.http.turns import IN_TURN
 from app.jobs.view import Choice, choice_of, chosen_results, title_of
 from app.ogc.work import outline_of
 from app.results.models import MEDIA_TYPE, LineGeometry, Position
@@ -99,13 +99,13 @@ class Overview(BaseModel):
     router,
     "/overview",
     summary="Show all drives on one map",
-    dependencies=IN_TURN,
     response_class=Response,
     responses={
         **TAGGED,
         200: {"model": Overview, "description": "GeoJSON."},
     },
 )
+@priced("heavy")
 def show_overview(
     request: Request,
     context: ContextDep,
