@@ -22,9 +22,9 @@ from app.http.prices import TURN, Turns
 from app.http.problems import add_handlers
 from app.http.security import client_of
 from app.jobs import routes as jobs
-from app.jobs.deliverer import Deliverer
 from app.jobs.runner import Runner
-from app.jobs.watcher import JobWatcher
+from app.jobs.view import JobWatcher
+from app.jobs.webhooks import Deliverer
 from app.live import routes as live
 from app.live.sessions import LiveSessions
 from app.maps import queue

@@ -20,8 +20,7 @@ from app.http.problems import Problem
 from app.http.security import ClientDep
 from app.jobs.failures import raise_failure
 from app.jobs.queue import submit
-from app.jobs.view import is_alive
-from app.jobs.watcher import wait_for_job
+from app.jobs.view import is_alive, wait_for_job
 from app.states import DriveState, JobKind, JobState
 from app.store.models import Drive, Job
 from app.trash.deletion import delete_drive

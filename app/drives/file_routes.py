@@ -24,7 +24,7 @@ from app.http.paging import answer_page
 from app.http.patterns import TEXT
 from app.http.prices import priced
 from app.http.security import ClientDep
-from app.jobs.watcher import wait_for_job
+from app.jobs.view import wait_for_job
 from app.paths import MAX_PATH, PATH_PATTERN, check_path
 from app.states import FINAL
 from app.store.models import Job

@@ -22,7 +22,7 @@ from app.http.patterns import ID
 from app.http.prices import priced
 from app.http.security import ClientDep
 from app.jobs.runner import RunnerDep
-from app.jobs.watcher import wait_for_job
+from app.jobs.view import wait_for_job
 from app.states import DriveState
 from app.store.models import Drive
 from app.work.documents import UploadOptions

@@ -23,8 +23,7 @@ from app.http.security import ClientDep
 from app.jobs.models import JobChanges, JobList, JobModel, NewJob, PresetList, PresetModel
 from app.jobs.queue import submit
 from app.jobs.submission import check_request
-from app.jobs.view import find_job, is_alive, job_models
-from app.jobs.watcher import Change, WatcherDep, wait_for_job
+from app.jobs.view import Change, WatcherDep, find_job, is_alive, job_models, wait_for_job
 from app.states import FINAL, JobKind, JobState
 from app.store.models import Drive, Job
 from interloc.config import PRESETS, DetectorConfig

@@ -22,9 +22,8 @@ from app.http.problem_types import TOKEN_MAY_ONLY_READ
 from app.http.problems import Problem, respond
 from app.http.security import ClientDep
 from app.jobs.submission import config_of
-from app.live.keeper import Keeper
 from app.live.models import SENT, Begin, Continue, End, LiveList, LiveModel
-from app.live.sessions import LiveEntry, LiveSessions
+from app.live.sessions import Keeper, LiveEntry, LiveSessions
 from app.states import Scope
 from app.store.tokens import ANONYMOUS, Holder
 from interloc.detection.warm import warm_up

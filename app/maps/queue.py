@@ -26,8 +26,7 @@ from app.maps.records import find_map, judgements_of, map_key
 from app.maps.work import AUDIT
 from app.ogc.routes import MapId
 from app.store.models import MapVerdict
-from interloc.city.settings import Kind
-from interloc.city.verdicts import Judgement, Precision, Verdict, judgement_of, latest
+from interloc.city.models import Judgement, Kind, Precision, Verdict, judgement_of, latest
 from interloc.errors import OutputError
 from interloc.output.geojson import encode, read_json
 

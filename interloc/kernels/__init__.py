@@ -5,11 +5,12 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 from contextlib import suppress
+from functools import cache
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar, cast
 
 from numba import njit
-from numba.core.caching import FunctionCache
+from numba.core.caching import CompileResultCacheImpl, FunctionCache, UserProvidedCacheLocator
 from numba.core.runtime.nrt import rtsys
 
 P = ParamSpec("P")
@@ -28,15 +29,41 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
     except RuntimeError as error:  # numba found no folder to write to
         if "cannot cache" not in str(error):
             raise
-        _log.warning(
-            "compiled kernels cannot be kept on disk, so every start compiles them anew (20 s and more). "
-            "Set NUMBA_CACHE_DIR to a folder that can be written."
-        )
+        _warn()
     return cast("Callable[P, R]", kernel)
+
+
+@cache
+def _warn() -> None:
+    """Say once why every start takes long."""
+    _log.warning(
+        "compiled kernels cannot be kept on disk, so every start compiles them anew (20 s and more). "
+        "Set NUMBA_CACHE_DIR to a folder that can be written."
+    )
+
+
+class _ReadOnlyFolder(UserProvidedCacheLocator):
+    """The folder NUMBA_CACHE_DIR of a container whose file system cannot be written: what lies there is used."""
+
+    def ensure_cache_path(self) -> None:
+        """Raise OSError where nothing was kept."""
+        if not Path(self.get_cache_path()).is_dir():  # type: ignore[no-untyped-call]
+            raise FileNotFoundError(self.get_cache_path())  # type: ignore[no-untyped-call]
+
+
+class _Locations(CompileResultCacheImpl):
+    _locator_classes = CompileResultCacheImpl._locator_classes + [_ReadOnlyFolder]  # noqa: SLF001, RUF005 - as numba has it
 
 
 class _KeptCode(FunctionCache):
     """Machine code on disk that is read without setting up the compiler first, which takes longer than the reading."""
+
+    _impl_class = _Locations
+
+    def save_overload(self, sig: object, data: object) -> None:
+        """Keep the code for a signature, where the folder can be written."""
+        with suppress(OSError):
+            super().save_overload(sig, data)  # type: ignore[no-untyped-call]
 
     def load_overload(self, sig: object, target_context: object) -> object:
         """Return the code for a signature, or None, whereupon numba sets up its compiler."""
