@@ -16,10 +16,10 @@ from app.http.limits import check_free_space, declared_length
 from app.http.openapi import PAGED, TAGGED, get_and_head
 from app.http.paging import answer_page
 from app.http.patterns import ID
+from app.http.prices import priced
 from app.http.problem_types import MAP_IS_OF_THE_SERVER, NO_SUCH_MAP, TOO_MANY_MAPS
 from app.http.problems import Problem, ProblemDocument
 from app.http.security import ClientDep
-from app.http.turns import IN_TURN
 from app.jobs.queue import no_drive
 from app.maps.models import MapDriveList, MapDriveModel, MapList, MapModel, NewMap
 from app.maps.records import OSM, find_map, map_key, map_models
@@ -46,6 +46,7 @@ _DriveId = Annotated[str, Path(description="Id of the drive.", pattern=ID)]
 
 
 @router.post("", status_code=201, summary="Make a map of many drives", responses=_MADE)
+@priced("heavy", bound="the drives of one map")
 def create_map(new: NewMap, response: Response, context: ContextDep, client: ClientDep) -> MapModel:
     """Make a map of drives; the best or pinned result of each is merged into it, now and whenever that changes."""
     with context.database.writing() as session:
@@ -58,8 +59,11 @@ def create_map(new: NewMap, response: Response, context: ContextDep, client: Cli
         city = CityMap(name=new.name, owner=client, created_at=context.database.clock(session))
         session.add(city)
         session.flush()
+        known = set(session.scalars(select(Drive.id).where(Drive.deleted_at.is_(None))))
         for drive_id in dict.fromkeys(new.drives):
-            _put(session, city, drive_id)
+            if drive_id not in known:
+                raise no_drive(drive_id)
+            session.add(MapDrive(map_id=city.id, drive_id=drive_id, is_member=True))
         session.flush()
         (made,) = map_models(session, context, [city])
     context.maps_changed.set()
@@ -67,7 +71,8 @@ def create_map(new: NewMap, response: Response, context: ContextDep, client: Cli
     return made
 
 
-@get_and_head(router, "", summary="List maps", response_model=MapList, responses=PAGED, dependencies=IN_TURN)
+@get_and_head(router, "", summary="List maps", response_model=MapList, responses=PAGED)
+@priced("heavy")
 def list_maps(
     request: Request,
     context: ContextDep,
@@ -87,14 +92,8 @@ def list_maps(
     return answer_page(request, MapList(maps=maps, next=maps[-1].id if len(rows) > limit else None))
 
 
-@get_and_head(
-    router,
-    "/{map_id}",
-    summary="Show a map",
-    response_model=MapModel,
-    responses={**TAGGED, **_NOT_FOUND},
-    dependencies=IN_TURN,
-)
+@get_and_head(router, "/{map_id}", summary="Show a map", response_model=MapModel, responses={**TAGGED, **_NOT_FOUND})
+@priced("heavy", bound="one map")
 def show_map(map_id: MapId, request: Request, context: ContextDep, _client: ClientDep) -> Response:
     """Show what is on a map of many drives, and how far it is."""
     with context.database.reading() as session:
@@ -108,6 +107,7 @@ def show_map(map_id: MapId, request: Request, context: ContextDep, _client: Clie
     summary="Delete a map",
     responses={**_NOT_FOUND, 409: {"model": ProblemDocument, "description": "It is that of the server."}},
 )
+@priced("cheap")
 def delete_map(map_id: MapId, context: ContextDep, _client: ClientDep) -> None:
     """Delete a map for good, with its names of places and all verdicts; its drives stay."""
     with context.database.reading() as session:
@@ -127,6 +127,7 @@ def delete_map(map_id: MapId, context: ContextDep, _client: ClientDep) -> None:
     response_model=MapDriveList,
     responses={**PAGED, **_NOT_FOUND},
 )
+@priced("cheap")
 def list_map_drives(
     map_id: MapId,
     request: Request,
@@ -151,6 +152,7 @@ def list_map_drives(
 
 
 @router.put("/{map_id}/drives/{drive_id}", status_code=204, summary="Put a drive into a map", responses=_NOT_FOUND)
+@priced("cheap")
 def put_drive(map_id: MapId, drive_id: _DriveId, context: ContextDep, _client: ClientDep) -> None:
     """Let a drive belong to a map: its result is merged as soon as there is one. Repeating it changes nothing."""
     with context.database.writing() as session:
@@ -161,6 +163,7 @@ def put_drive(map_id: MapId, drive_id: _DriveId, context: ContextDep, _client: C
 @router.delete(
     "/{map_id}/drives/{drive_id}", status_code=204, summary="Take a drive out of a map", responses=_NOT_FOUND
 )
+@priced("cheap")
 def take_drive_out(map_id: MapId, drive_id: _DriveId, context: ContextDep, _client: ClientDep) -> None:
     """Take a drive out of a map: it is then as if it had never been there, but for names of places that stay taken."""
     with context.database.writing() as session:
@@ -191,6 +194,7 @@ def _put(session: Session, city: CityMap, drive_id: str, *, is_member: bool = Tr
         }
     },
 )
+@priced("streaming")
 async def put_osm(
     map_id: MapId,
     name: Annotated[str, Path(max_length=200, description="Its name: .osm, .osm.gz, .osm.bz2 or .osm.pbf.")],
@@ -251,6 +255,7 @@ _FILES: dict[_File, str] = {
         200: {"description": "The file.", "content": {"application/json": {"schema": {"type": "object"}}}},
     },
 )
+@priced("streaming")
 def read_map_file(
     map_id: MapId,
     name: Annotated[_File, Path(description="; ".join(f"{key}: {told}" for key, told in _FILES.items()))],
