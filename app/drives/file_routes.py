@@ -22,8 +22,9 @@ from app.http.multipart import BatchReader, Place, bad_part, boundary_of
 from app.http.openapi import BINARY, PAGED, Responses, body_of, problems
 from app.http.paging import answer_page
 from app.http.patterns import TEXT
+from app.http.prices import priced
 from app.http.security import ClientDep
-from app.jobs.watcher import wait_for_job
+from app.jobs.view import wait_for_job
 from app.paths import MAX_PATH, PATH_PATTERN, check_path
 from app.states import FINAL
 from app.store.models import Job
@@ -63,6 +64,7 @@ UPLOAD: Responses = {
     response_model=FileList,
     summary="List the files of a drive",
 )
+@priced("cheap")
 def list_files(
     drive_id: DriveId,
     request: Request,
@@ -97,6 +99,7 @@ def list_files(
     },
     summary="Upload a file",
 )
+@priced("streaming")
 async def put_file(
     drive_id: DriveId, path: FilePath, request: Request, response: Response, context: ContextDep, client: ClientDep
 ) -> UploadedFile:
@@ -137,6 +140,7 @@ async def put_file(
     },
     summary="Download a file",
 )
+@priced("streaming")
 def get_file(drive_id: DriveId, path: FilePath, context: ContextDep, _client: ClientDep) -> WholeFile:
     """Return an uploaded file, as long as it is kept."""
     file, sha256 = records.open_file(context, drive_id, path)
@@ -147,6 +151,7 @@ def get_file(drive_id: DriveId, path: FilePath, context: ContextDep, _client: Cl
 
 
 @router.delete("/files/{path:path}", status_code=204, responses={**NOT_FOUND, **CLOSED}, summary="Delete a file")
+@priced("cheap")
 def delete_file(drive_id: DriveId, path: FilePath, context: ContextDep, _client: ClientDep) -> None:
     """Remove a file of a drive that is not committed yet, or a map of a ready one that no job waits for or reads."""
     records.delete_file(context, drive_id, path)
@@ -205,6 +210,7 @@ _BATCH = {
     openapi_extra=body_of({"multipart/form-data": _BATCH}),
     summary="Upload a batch of scans",
 )
+@priced("streaming")
 async def post_scans(drive_id: DriveId, request: Request, context: ContextDep, client: ClientDep) -> UploadedBatch:
     """Upload several files at once, all or none of them. A repeated request replaces files of the same names."""
     limits = context.settings
@@ -244,6 +250,7 @@ _ARCHIVE = {
     openapi_extra=body_of({"application/octet-stream": BINARY, "multipart/form-data": _ARCHIVE}),
     summary="Upload an archive",
 )
+@priced("streaming")
 async def post_archive(
     drive_id: DriveId,
     request: Request,

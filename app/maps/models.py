@@ -9,8 +9,7 @@ from pydantic import BaseModel, Field
 
 from app.http.patterns import ID
 from app.http.strict import Name, Note
-from interloc.city.settings import Kind
-from interloc.city.verdicts import Judgement, Verdict
+from interloc.city.models import Judgement, Kind, Verdict
 from interloc.output.properties import FindingProperties
 
 

@@ -21,7 +21,7 @@ from app.states import JobKind, JobState
 from app.store.database import moment
 from app.store.models import CityMap, Drive, FeatureLayer, Job, MapDrive, MapVerdict
 from app.store.storage import Storage
-from interloc.city.verdicts import Judgement, wrong_ones
+from interloc.city.models import Judgement, wrong_ones
 from interloc.osm.container import is_map
 
 SERVER_MAP = "default"

@@ -16,6 +16,7 @@ from app.http.limits import check_free_space, declared_length
 from app.http.openapi import PAGED, TAGGED, get_and_head
 from app.http.paging import answer_page
 from app.http.patterns import ID
+from app.http.prices import priced
 from app.http.problem_types import MAP_IS_OF_THE_SERVER, NO_SUCH_MAP
 from app.http.problems import Problem, ProblemDocument
 from app.http.security import ClientDep
@@ -37,6 +38,7 @@ _DriveId = Annotated[str, Path(description="Id of the drive.", pattern=ID)]
 
 
 @router.post("", status_code=201, summary="Make a map of many drives", responses=_NOT_FOUND)
+@priced("cheap")
 def create_map(new: NewMap, response: Response, context: ContextDep, client: ClientDep) -> MapModel:
     """Make a map of drives; the best or pinned result of each is merged into it, now and whenever that changes."""
     with context.database.writing() as session:
@@ -53,6 +55,7 @@ def create_map(new: NewMap, response: Response, context: ContextDep, client: Cli
 
 
 @get_and_head(router, "", summary="List maps", response_model=MapList, responses=TAGGED)
+@priced("heavy", bound="all maps")
 def list_maps(request: Request, context: ContextDep, _client: ClientDep) -> Response:
     """List the maps of many drives: that of the server, which holds all drives, first."""
     with context.database.reading() as session:
@@ -62,6 +65,7 @@ def list_maps(request: Request, context: ContextDep, _client: ClientDep) -> Resp
 
 
 @get_and_head(router, "/{map_id}", summary="Show a map", response_model=MapModel, responses={**TAGGED, **_NOT_FOUND})
+@priced("cheap")
 def show_map(map_id: MapId, request: Request, context: ContextDep, _client: ClientDep) -> Response:
     """Show what is on a map of many drives, and how far it is."""
     with context.database.reading() as session:
@@ -75,6 +79,7 @@ def show_map(map_id: MapId, request: Request, context: ContextDep, _client: Clie
     summary="Delete a map",
     responses={**_NOT_FOUND, 409: {"model": ProblemDocument, "description": "It is that of the server."}},
 )
+@priced("cheap")
 def delete_map(map_id: MapId, context: ContextDep, _client: ClientDep) -> None:
     """Delete a map for good, with its names of places and all verdicts; its drives stay."""
     with context.database.writing() as session:
@@ -92,6 +97,7 @@ def delete_map(map_id: MapId, context: ContextDep, _client: ClientDep) -> None:
     response_model=MapDriveList,
     responses={**PAGED, **_NOT_FOUND},
 )
+@priced("cheap")
 def list_map_drives(
     map_id: MapId,
     request: Request,
@@ -116,6 +122,7 @@ def list_map_drives(
 
 
 @router.put("/{map_id}/drives/{drive_id}", status_code=204, summary="Put a drive into a map", responses=_NOT_FOUND)
+@priced("cheap")
 def put_drive(map_id: MapId, drive_id: _DriveId, context: ContextDep, _client: ClientDep) -> None:
     """Let a drive belong to a map: its result is merged as soon as there is one. Repeating it changes nothing."""
     with context.database.writing() as session:
@@ -126,6 +133,7 @@ def put_drive(map_id: MapId, drive_id: _DriveId, context: ContextDep, _client: C
 @router.delete(
     "/{map_id}/drives/{drive_id}", status_code=204, summary="Take a drive out of a map", responses=_NOT_FOUND
 )
+@priced("cheap")
 def take_drive_out(map_id: MapId, drive_id: _DriveId, context: ContextDep, _client: ClientDep) -> None:
     """Take a drive out of a map: it is then as if it had never been there, but for names of places that stay taken."""
     with context.database.writing() as session:
@@ -156,6 +164,7 @@ def _put(session: Session, city: CityMap, drive_id: str, *, is_member: bool = Tr
         }
     },
 )
+@priced("streaming")
 async def put_osm(
     map_id: MapId,
     name: Annotated[str, Path(max_length=200, description="Its name: .osm, .osm.gz, .osm.bz2 or .osm.pbf.")],
@@ -216,6 +225,7 @@ _FILES: dict[_File, str] = {
         200: {"description": "The file.", "content": {"application/json": {"schema": {"type": "object"}}}},
     },
 )
+@priced("streaming")
 def read_map_file(
     map_id: MapId,
     name: Annotated[_File, Path(description="; ".join(f"{key}: {told}" for key, told in _FILES.items()))],

@@ -73,8 +73,8 @@ def merge(folder: Path, wanted: Mapping[str, Source], register: Register) -> Mer
     register
         As the database has it.
     """
+    from interloc.city.drives import Pass  # noqa: PLC0415
     from interloc.city.folder import city_record, locked, write_city  # noqa: PLC0415 - of workers only
-    from interloc.city.passes import Pass  # noqa: PLC0415
     from interloc.output.read import read_results  # noqa: PLC0415
 
     problems: dict[str, str] = {}
@@ -169,8 +169,7 @@ def audit(folder: Path, osm: Path, wrong: Sequence[dict[str, Any]]) -> Audited:
     from interloc.city.audit import audit as compare  # noqa: PLC0415
     from interloc.city.delivery import FINDINGS_FILE, audit_record, known_findings, write_audit  # noqa: PLC0415
     from interloc.city.folder import locked, read_city  # noqa: PLC0415
-    from interloc.city.settings import AuditConfig  # noqa: PLC0415
-    from interloc.city.verdicts import Judgement  # noqa: PLC0415
+    from interloc.city.models import AuditConfig, Judgement  # noqa: PLC0415
     from interloc.evaluation.coverage import map_bounds  # noqa: PLC0415
     from interloc.osm.reader import read_osm  # noqa: PLC0415
     from interloc.output.geojson import read_json  # noqa: PLC0415

@@ -231,7 +231,7 @@ class MapVerdict(Base):
     finding: Mapped[str] = mapped_column(String(64))
     at: Mapped[float]
     judgement: Mapped[dict[str, Any]]
-    """See `interloc.city.verdicts.Judgement`."""
+    """See `interloc.city.models.Judgement`."""
 
     __table_args__ = (Index("ix_map_verdicts", "map_id", "finding"),)
 

@@ -17,10 +17,9 @@ import numpy as np
 
 from interloc.arrays import FloatArray, IntArray
 from interloc.city.citymap import CityMap
+from interloc.city.models import AuditConfig, Judgement, Kind
 from interloc.city.osm_plane import OsmPlane
 from interloc.city.places import SAME_PASS_S, PlaceTable
-from interloc.city.settings import AuditConfig, Kind
-from interloc.city.verdicts import Judgement
 from interloc.osm.graph import RoadGraph
 
 WRONG_M = 15.0
@@ -117,7 +116,7 @@ def audit(
         Ids of findings of before. They stay while they reach 70 % of what a new one must, so that a finding near a
         threshold does not come and go.
     wrong
-        Findings that people marked wrong (`interloc.city.verdicts.wrong_ones`): nothing is claimed there again.
+        Findings that people marked wrong (`interloc.city.models.wrong_ones`): nothing is claimed there again.
     """
     found = _Auditor(city, graph, config or AuditConfig(), frozenset(known)).run()
     places = city.plane(np.array([(each.lon, each.lat) for each in wrong])) if wrong else np.zeros((0, 2))

@@ -18,11 +18,10 @@ from app.drives.upload import keep
 from app.http.intake import Arrival
 from app.jobs.queue import submit
 from app.settings import Settings
-from app.store.clock import ClockWatch
 from app.store.incoming import LEFT_ALONE_S
 from app.store.models import Drive, Job
 from app.trash.deletion import list_trash, restore
-from app.upkeep.cleanup import Sweeper, sweep
+from app.upkeep.cleanup import ClockWatch, Sweeper, sweep
 from app.work.documents import CommitOutcome
 from interloc.drives.inspect import DriveReport
 
