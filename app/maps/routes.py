@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Path, Query, Request, Response
-from fastapi.concurrency import run_in_threadpool
 from sqlalchemy import delete, func, select, tuple_
 from sqlalchemy.orm import Session
 
-from app.context import ContextDep
+from app.context import Context, ContextDep
 from app.http.delivery import answer_tagged, deliver
-from app.http.intake import Intake, receive
-from app.http.limits import check_free_space, declared_length
+from app.http.intake import Arrival, Placement, receive_file
+from app.http.limits import check_quota
 from app.http.openapi import PAGED, TAGGED, get_and_head
 from app.http.paging import answer_page
 from app.http.patterns import ID
@@ -200,34 +200,26 @@ async def put_osm(
     name: Annotated[str, Path(max_length=200, description="Its name: .osm, .osm.gz, .osm.bz2 or .osm.pbf.")],
     request: Request,
     context: ContextDep,
-    _client: ClientDep,
+    client: ClientDep,
 ) -> None:
     """Send an OSM file; without one of its own a map is compared with those that its drives were scored with."""
     check_path(name)
     if not is_map(name):
         raise Problem(NO_SUCH_MAP, f"{name} is not an OSM file: .osm, .osm.gz, .osm.bz2 or .osm.pbf.", status=422)
-    limit = context.settings.max_file_bytes
-    length = declared_length(request, limit, name)
-    intake = Intake(context, name, limit)
-    folder = context.storage.folder(map_key(map_id)) / OSM
+    await receive_file(request, name, context.settings.max_file_bytes, partial(_keep_osm, context, map_id, client))
 
-    def finish() -> None:
-        check_free_space(context, 0)
-        arrival = intake.finish()
-        with context.database.reading() as session:
-            find_map(session, map_id)
-        folder.mkdir(parents=True, exist_ok=True)
-        arrival.temporary.replace(folder / name)
-        for other in folder.iterdir():
-            if other.name != name:
-                other.unlink()
-        context.maps_changed.set()
 
-    await run_in_threadpool(check_free_space, context, length or 0)
-    try:
-        await receive(request, intake.write, finish)
-    finally:
-        intake.discard()
+def _keep_osm(context: Context, map_id: str, client: str, arrival: Arrival) -> None:
+    """Let a file that was received be the OSM file of a map, in the place of the one before."""
+    key = f"{map_key(map_id)}/{OSM}"
+    with Placement(context.storage, key) as placement, context.database.writing() as session:
+        city = find_map(session, map_id, lock=True)
+        known = city.osm_bytes or 0 if city.osm_sender == client else 0
+        check_quota(context, session, client, client, arrival.size_bytes - known)
+        city.osm, city.osm_bytes, city.osm_sender = arrival.path, arrival.size_bytes, client
+        placement.move([arrival])
+        placement.remove_others([arrival])
+    context.maps_changed.set()
 
 
 _File = Literal[
