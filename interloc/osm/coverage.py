@@ -30,6 +30,7 @@ _STEP_DEG = 5.0
 _CROSSING = 5  # ways across a line, at least
 _EXPECTED = 4.0  # whole ways expected beyond a line, by its length of road and the median way
 _ON_LINE_M = 1.0
+_AT_LINE_M = 20.0  # the last junction that is whole lies on the line, and what is detected of it on either side
 
 
 def covered(graph: RoadGraph, lonlat: FloatArray) -> BoolArray:
@@ -136,7 +137,7 @@ class Content:
         is_border = (crossing >= _CROSSING) & (expected >= _EXPECTED)
         furthest = reaches.max(axis=0)
         on_line = (ends_xy @ directions.T > furthest - _ON_LINE_M).sum(axis=0) >= _CROSSING
-        limits = np.where(is_border, limits, furthest + _ON_LINE_M)
+        limits = np.where(is_border, limits, furthest) + _AT_LINE_M
         return directions[is_border | on_line], limits[is_border | on_line]
 
 
