@@ -18,7 +18,7 @@ PYTEST := -m pytest -n auto --dist worksteal
 RUN := PYTHONDONTWRITEBYTECODE= $(BIN)/python
 BIOME := static/node_modules/.bin/biome
 
-.PHONY: install serve demo page-tools test coverage test-quick lint format types bench load torture hostile bench-page screenshots attributes clean
+.PHONY: install serve demo page-tools test coverage test-quick lint format types bench load torture hostile bench-page screenshots attributes image clean
 
 install: $(READY)
 
@@ -128,6 +128,12 @@ screenshots: $(READY_TO_TEST)
 # The meaning of every attribute of the result layers, from the models that also make the files.
 attributes: $(READY)
 	$(BIN)/python docs/attributes.py > docs/attributes.md
+
+# The image, by docker, podman or buildah, whichever is there; tests/test_image.py starts it where it was built.
+CONTAINER ?= $(or $(shell command -v docker),$(shell command -v podman),$(shell command -v buildah))
+image:
+	@[ -n "$(CONTAINER)" ] || { echo "docker, podman or buildah builds the image; none was found"; exit 1; }
+	BUILDAH_FORMAT=docker $(CONTAINER) build $(BUILD_OPTIONS) -t interloc .
 
 clean:
 	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .hypothesis coverage.txt

@@ -16,7 +16,7 @@ import numpy as np
 from interloc.arrays import FloatArray
 from interloc.city.audit import Audit, Finding
 from interloc.city.citymap import CityMap
-from interloc.city.settings import AuditConfig
+from interloc.city.models import AuditConfig
 from interloc.files import atomic_folder, write_file
 from interloc.output.credits import map_credit
 from interloc.output.geojson import encode, positions, read_json, write_collection

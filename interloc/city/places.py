@@ -10,7 +10,7 @@ import numpy as np
 
 from interloc.arrays import BoolArray, FloatArray, IntArray, distinct
 from interloc.city.drives import DriveOnMap, system_of
-from interloc.city.settings import CityConfig
+from interloc.city.models import CityConfig
 from interloc.config import FusionConfig
 from interloc.mapping.branches import SeenBranches, fuse_branches
 
