@@ -10,17 +10,12 @@ or several dead ends on one line. The score, its reasons, and the audit ask `cov
 from __future__ import annotations
 
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import numpy as np
 
-from interloc.arrays import BoolArray, FloatArray
+from interloc.arrays import BoolArray, FloatArray, IntArray
 from interloc.geometry import enu_from_lonlat, middle_of
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from interloc.osm.graph import Bounds, RoadGraph
 
 FAR_M = 300.0
 """Nothing is known of a place that is further from all highways of the file."""
@@ -33,7 +28,20 @@ _ON_LINE_M = 1.0
 _AT_LINE_M = 20.0  # the last junction that is whole lies on the line, and what is detected of it on either side
 
 
-def covered(graph: RoadGraph, lonlat: FloatArray) -> BoolArray:
+class Extract(Protocol):
+    """What is asked of a map: `RoadGraph`."""
+
+    def declares(self, lonlat: FloatArray) -> BoolArray:
+        """Return which places lie in the areas that the file declares."""
+        ...
+
+    @property
+    def content(self) -> Content:
+        """What the highways say."""
+        ...
+
+
+def covered(graph: Extract, lonlat: FloatArray) -> BoolArray:
     """Return which places a map covers, so that what it lacks there does not exist.
 
     Parameters
@@ -59,14 +67,23 @@ def covered(graph: RoadGraph, lonlat: FloatArray) -> BoolArray:
 class Content:
     """The ways of a map in a plane, to tell where the file ends."""
 
-    def __init__(self, graph: RoadGraph) -> None:
-        self._is_made_up = graph.is_made_up  # the simulator cuts nothing, and its streets are as long as the town
-        self._lon, self._lat = middle_of(graph.lonlat)
-        self._xy = self._plane(graph.lonlat)
-        self._edges = graph.edges[np.argsort(graph.edge_way, kind="stable")]
-        self._way, self._first = np.unique(np.sort(graph.edge_way), return_index=True)
-        self._loose = graph.loose_ends
-        self._degree = graph.degree()
+    def __init__(
+        self,
+        lonlat: FloatArray,
+        edges: IntArray,
+        edge_way: IntArray,
+        loose_ends: IntArray,
+        degree: IntArray,
+        *,
+        is_made_up: bool,
+    ) -> None:
+        self._is_made_up = is_made_up  # the simulator cuts nothing, and its streets are as long as the town
+        self._lon, self._lat = middle_of(lonlat)
+        self._xy = self._plane(lonlat)
+        self._edges = edges[np.argsort(edge_way, kind="stable")]
+        self._way, self._first = np.unique(np.sort(edge_way), return_index=True)
+        self._loose = loose_ends
+        self._degree = degree
 
     def _plane(self, lonlat: FloatArray) -> FloatArray:
         return enu_from_lonlat(self._lat, self._lon, lonlat)
@@ -153,11 +170,3 @@ def _directions(ends_xy: FloatArray) -> FloatArray:
     side = np.diff(shapely.get_coordinates(shapely.orient_polygons(hull)), axis=0)
     across = np.stack([side[:, 1], -side[:, 0]], axis=-1) / np.hypot(*side.T)[:, None]
     return np.concatenate([around, across])
-
-
-def sensible(areas: Sequence[Bounds], lonlat: FloatArray) -> tuple[Bounds, ...]:
-    """Return those of the declared boxes that hold any of (N, 2) nodes; others, and inverted ones, are mistakes."""
-    from interloc.osm.graph import within  # noqa: PLC0415 - which asks this module
-
-    upright = (area for area in areas if area[0] <= area[2] or area[0] - area[2] > 180.0)  # across the 180th meridian
-    return tuple(area for area in upright if within(area, lonlat).any())

@@ -21,7 +21,6 @@ import numpy as np
 
 from interloc.arrays import BoolArray, FloatArray, IntArray
 from interloc.osm.container import MAX_UNPACKED_BYTES, Prolog, read_prolog, write_plain
-from interloc.osm.coverage import sensible
 from interloc.osm.graph import (
     KEPT_TAGS,
     NO_BUILDINGS,
@@ -129,7 +128,7 @@ def _read(stream: _OsmStream, bounds: Bounds | None) -> RoadGraph:
     node_id, lonlat = nodes.id[used], nodes.lonlat[used]
     few = bounds is not None and len(nodes.id) + nodes.beyond <= MAX_NODES_WITH_BUILDINGS
     buildings = _buildings(stream, nodes) if few else NO_BUILDINGS
-    areas = sensible(prolog.areas, lonlat if bounds is None else nodes.lonlat)
+    areas = _sensible(prolog.areas, lonlat if bounds is None else nodes.lonlat)
     edges, edge_way, loose_ends, clipped = _edges([len(way.refs) for way in found], refs, node_id)
     if len(edges) == 0:
         raise no_nodes(path, len(found))
@@ -158,6 +157,12 @@ def _read(stream: _OsmStream, bounds: Bounds | None) -> RoadGraph:
         warnings=odd_bounds(path.name, len(prolog.areas) - len(areas))
         + oddities(path.name, np.array([way.id for way in found], dtype=np.int64), edges, edge_way),
     )
+
+
+def _sensible(areas: Sequence[Bounds], lonlat: FloatArray) -> tuple[Bounds, ...]:
+    """Return those of the declared boxes that hold any of (N, 2) nodes; others, and inverted ones, are mistakes."""
+    upright = (area for area in areas if area[0] <= area[2] or area[0] - area[2] > 180.0)  # across the 180th meridian
+    return tuple(area for area in upright if within(area, lonlat).any())
 
 
 def _common(declared: Sequence[Bounds], bounds: Bounds | None) -> tuple[Bounds, ...]:
