@@ -18,7 +18,7 @@ import { news } from "./news.js";
  * @property {string|null} filter Which intersections of the job are looked at, see map/filter.js.
  * @property {string|null} map Id of the map of many drives; null for that of the server.
  * @property {string|null} finding Id of the finding of that map that is looked at.
- * @property {string|null} places Which intersections of that map are shown, see map/city_filter.js.
+ * @property {string|null} places Which intersections of that map are shown, see map/city_places.js.
  */
 
 /** What may stand in an address as it is. @param {any} value */

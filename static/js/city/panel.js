@@ -26,12 +26,10 @@ import {
 } from "../data/city.js";
 import { announce, el, fill, formatAgo, formatCount, formatMetres, icon, plural } from "../dom.js";
 import { VERDICTS } from "../map/city.js";
-import { getCityFilter, setCityFilter } from "../map/city_filter.js";
-import { kindName } from "../map/city_places.js";
+import { getCityFilter, kindName, precisionText, setCityFilter, streetsOf } from "../map/city_places.js";
 import { problemNote, showError } from "../messages.js";
 import { getState, setState, subscribe } from "../state.js";
 import { manageDrives, newMap, removeMap } from "./dialogs.js";
-import { precisionText, streetsOf } from "./words.js";
 
 /** @import { City, Entry } from "../data/city.js" */
 
