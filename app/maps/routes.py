@@ -6,7 +6,7 @@ from functools import partial
 from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Path, Query, Request, Response
-from sqlalchemy import delete, select
+from sqlalchemy import delete, func, select, tuple_
 from sqlalchemy.orm import Session
 
 from app.context import Context, ContextDep
@@ -17,13 +17,14 @@ from app.http.openapi import PAGED, TAGGED, get_and_head
 from app.http.paging import answer_page
 from app.http.patterns import ID
 from app.http.prices import priced
-from app.http.problem_types import MAP_IS_OF_THE_SERVER, NO_SUCH_MAP
+from app.http.problem_types import MAP_IS_OF_THE_SERVER, NO_SUCH_MAP, TOO_MANY_MAPS
 from app.http.problems import Problem, ProblemDocument
 from app.http.security import ClientDep
 from app.jobs.queue import no_drive
 from app.maps.models import MapDriveList, MapDriveModel, MapList, MapModel, NewMap
-from app.maps.records import OSM, find_map, map_key, map_model
+from app.maps.records import OSM, find_map, map_key, map_models
 from app.maps.work import AUDIT, CITY
+from app.ogc.indexing import sweep_map_rows
 from app.ogc.routes import MapId
 from app.paths import check_path
 from app.store.models import CityMap, Drive, MapDrive
@@ -34,42 +35,69 @@ router = APIRouter(prefix="/maps", tags=["Maps"])
 _NOT_FOUND: dict[int | str, dict[str, Any]] = {
     404: {"model": ProblemDocument, "description": "There is no such map, drive or finding, or not yet."}
 }
+_MADE: dict[int | str, dict[str, Any]] = {
+    **_NOT_FOUND,
+    429: {"model": ProblemDocument, "description": "The client has as many maps as it may have."},
+}
+MAX_MAPS = 100
+"""Of one client."""
+
 _DriveId = Annotated[str, Path(description="Id of the drive.", pattern=ID)]
 
 
-@router.post("", status_code=201, summary="Make a map of many drives", responses=_NOT_FOUND)
-@priced("cheap")
+@router.post("", status_code=201, summary="Make a map of many drives", responses=_MADE)
+@priced("heavy", bound="the drives of one map")
 def create_map(new: NewMap, response: Response, context: ContextDep, client: ClientDep) -> MapModel:
     """Make a map of drives; the best or pinned result of each is merged into it, now and whenever that changes."""
     with context.database.writing() as session:
+        context.database.lock_owner(session, client)
+        own = session.scalar(select(func.count()).where(CityMap.owner == client)) or 0
+        if own >= MAX_MAPS:
+            raise Problem(
+                TOO_MANY_MAPS, f"{client} has {own} maps, and may have {MAX_MAPS}. Delete one that is done with."
+            )
         city = CityMap(name=new.name, owner=client, created_at=context.database.clock(session))
         session.add(city)
         session.flush()
+        known = set(session.scalars(select(Drive.id).where(Drive.deleted_at.is_(None))))
         for drive_id in dict.fromkeys(new.drives):
-            _put(session, city, drive_id)
+            if drive_id not in known:
+                raise no_drive(drive_id)
+            session.add(MapDrive(map_id=city.id, drive_id=drive_id, is_member=True))
         session.flush()
-        made = map_model(session, context, city)
+        (made,) = map_models(session, context, [city])
     context.maps_changed.set()
     response.headers["Location"] = f"{context.settings.root_path}/api/v1/maps/{made.id}"
     return made
 
 
-@get_and_head(router, "", summary="List maps", response_model=MapList, responses=TAGGED)
-@priced("heavy", bound="all maps")
-def list_maps(request: Request, context: ContextDep, _client: ClientDep) -> Response:
+@get_and_head(router, "", summary="List maps", response_model=MapList, responses=PAGED)
+@priced("heavy")
+def list_maps(
+    request: Request,
+    context: ContextDep,
+    _client: ClientDep,
+    after: Annotated[str | None, Query(pattern=ID, description="`next` of the previous page.")] = None,
+    limit: Annotated[int, Query(ge=1, le=100)] = 100,
+) -> Response:
     """List the maps of many drives: that of the server, which holds all drives, first."""
+    order = CityMap.holds_all, -CityMap.created_at, CityMap.id
     with context.database.reading() as session:
-        rows = session.scalars(select(CityMap).order_by(CityMap.holds_all.desc(), CityMap.created_at, CityMap.id))
-        found = MapList(maps=[map_model(session, context, each) for each in rows])
-    return answer_tagged(request, found.model_dump_json().encode())
+        asked = select(CityMap).order_by(*(each.desc() for each in order))
+        if after is not None:
+            last = find_map(session, after)
+            asked = asked.where(tuple_(*order) < tuple_(last.holds_all, -last.created_at, last.id))
+        rows = session.scalars(asked.limit(limit + 1)).all()
+        maps = map_models(session, context, rows[:limit])
+    return answer_page(request, MapList(maps=maps, next=maps[-1].id if len(rows) > limit else None))
 
 
 @get_and_head(router, "/{map_id}", summary="Show a map", response_model=MapModel, responses={**TAGGED, **_NOT_FOUND})
-@priced("cheap")
+@priced("heavy", bound="one map")
 def show_map(map_id: MapId, request: Request, context: ContextDep, _client: ClientDep) -> Response:
     """Show what is on a map of many drives, and how far it is."""
     with context.database.reading() as session:
-        found = map_model(session, context, find_map(session, map_id))
+        (found,) = map_models(session, context, [find_map(session, map_id)])
     return answer_tagged(request, found.model_dump_json().encode())
 
 
@@ -82,9 +110,11 @@ def show_map(map_id: MapId, request: Request, context: ContextDep, _client: Clie
 @priced("cheap")
 def delete_map(map_id: MapId, context: ContextDep, _client: ClientDep) -> None:
     """Delete a map for good, with its names of places and all verdicts; its drives stay."""
-    with context.database.writing() as session:
-        if find_map(session, map_id, lock=True).holds_all:
+    with context.database.reading() as session:
+        if find_map(session, map_id).holds_all:
             raise Problem(MAP_IS_OF_THE_SERVER, f"The map {map_id} holds all drives of the server, and stays.")
+    sweep_map_rows(context.database, map_id, is_gone=True)
+    with context.database.writing() as session:
         session.execute(delete(CityMap).where(CityMap.id == map_id))
     context.storage.delete(map_key(map_id))
     context.map_rows.pop(map_id, None)
@@ -172,7 +202,7 @@ async def put_osm(
     context: ContextDep,
     client: ClientDep,
 ) -> None:
-    """Send an OSM file; without one of its own a map is compared with that of its newest drive that was scored."""
+    """Send an OSM file; without one of its own a map is compared with those that its drives were scored with."""
     check_path(name)
     if not is_map(name):
         raise Problem(NO_SUCH_MAP, f"{name} is not an OSM file: .osm, .osm.gz, .osm.bz2 or .osm.pbf.", status=422)

@@ -20,6 +20,7 @@ from interloc.city.citymap import CityMap, merge
 from interloc.city.delivery import FINDINGS_FILE, MAPROULETTE_FILE, known_findings, write_audit
 from interloc.city.drives import Pass
 from interloc.city.models import AuditConfig, judgement_of
+from interloc.city.osm_plane import joined
 from interloc.geometry import lonlat_from_enu
 from interloc.mapping.mosaic import Mosaic, Raster
 from interloc.osm.graph import RoadGraph
@@ -257,6 +258,71 @@ def test_a_driveway_on_the_map_is_nothing_missing(city: CityMap, tmp_path: Path)
         '<tag k="access" v="private"/></way>'
     )
     assert told(audit(city, osm(tmp_path, all_but(100.0), extra=nodes + way))) == []
+
+
+def test_nothing_is_said_of_what_a_made_up_map_lacks(city: CityMap, tmp_path: Path) -> None:
+    found = audit(city, replace(osm(tmp_path, all_but(100.0)), is_made_up=True), ALL_KINDS)
+    assert (found.findings, found.held_back) == ([], {"made-up map": 10})
+
+
+def test_nothing_is_missing_far_from_any_road_of_the_map(city: CityMap, tmp_path: Path) -> None:
+    """Without bounds, as extracts of Overpass are: the file of another drive, or one that ends on the way."""
+    for count, missing in ((2, 8), (1, 9)):
+        (tmp_path / str(count)).mkdir()
+        whole = osm(tmp_path / str(count), [(x, 0.0) for x in SIDES_M[:count]])
+        there = whole.edge_way != np.flatnonzero(whole.ways.id == 1000)[0]
+        graph = replace(whole, edges=whole.edges[there], edge_way=whole.edge_way[there])  # the side roads alone
+        found = audit(city, graph, AuditConfig(kinds=("missing_junction",)))
+        assert found.held_back.get("edge of the map", 0) >= missing - 3, "but those within 300 m"
+        assert max(x for _, x in told(found)) <= 100
+
+
+def test_a_place_is_compared_with_the_maps_of_its_own_drives(tmp_path: Path) -> None:
+    whole = osm(tmp_path)
+
+    def without(*sides_m: float) -> RoadGraph:
+        ways = [np.flatnonzero(whole.ways.id == 1001 + SIDES_M.index(x))[0] for x in sides_m]
+        left = ~np.isin(whole.edge_way, ways)
+        return replace(whole, edges=whole.edges[left], edge_way=whole.edge_way[left])
+
+    lacks, older = without(100.0), without(100.0, 300.0)
+    city = merge(passes(3))
+    both = [("missing_junction", 100), ("missing_junction", 300)]
+    assert told(audit(city, [(older, ["d0"]), (lacks, ["d1", "d2"])])) == both[:1], "what any of them has is there"
+    assert told(audit(city, [(older, ["d0", "d1", "d2"])])) == both
+    assert told(audit(city, [(whole, ["d0"]), (lacks, ["d1"])])) == []
+    elsewhere = audit(city, [(lacks, ["a drive of another town"])])
+    assert (elsewhere.findings, elsewhere.held_back) == ([], {"no map of these drives": 1})
+    made_up = replace(whole, is_made_up=True)
+    assert told(audit(city, [(lacks, ["d0"]), (made_up, ["d1", "d2"])])) == both[:1], "made up is nothing"
+
+
+def test_several_maps_are_one(tmp_path: Path) -> None:
+    graph = osm(tmp_path)
+    west, east = (graph.lonlat[:, 0] < 8.4035, graph.lonlat[:, 0] > 8.4005)
+    parts = []
+    for inside in (west, east):
+        kept = inside[graph.edges].all(axis=1)
+        cut = graph.edges[inside[graph.edges].any(axis=1) & ~kept]
+        ends = np.column_stack([cut[:, :1], graph.node_id[cut[:, 1]], np.zeros(len(cut), np.int64)])
+        ends = ends[inside[cut[:, 0]]] if len(cut) else ends
+        parts.append(replace(graph, edges=graph.edges[kept], edge_way=graph.edge_way[kept], loose_ends=ends))
+    moved = parts[1].lonlat.copy()
+    moved[0] += 1e-5
+    whole, _ = joined([parts[0], replace(parts[1], lonlat=moved)])
+    assert np.array_equal(whole.degree(), graph.degree()), "roads that both have count once, and no end is loose"
+    assert whole.lonlat[0].tolist() == moved[0].tolist(), "the last one says where a node lies"
+    assert (whole.ways.highway, whole.ways.tags) == (graph.ways.highway, graph.ways.tags)
+
+
+def test_a_track_with_a_hole_drove_straight_past_nothing(tmp_path: Path) -> None:
+    """Scans were lost for 60 m around the junction: the line between is no evidence that it lies elsewhere."""
+    found = []
+    for each in passes(2, [x for x in SIDES_M if x != 300.0]):
+        seen = np.abs(each.track_along_m - 700.0) > 30.0
+        found.append(replace(each, track_lonlat=each.track_lonlat[seen], track_along_m=each.track_along_m[seen]))
+    graph = osm(tmp_path, [*all_but(300.0), (300.0, -12.0)])
+    assert audit(merge(found), graph).findings == []
 
 
 # receivers ------------------------------------------------------------------------------------------------------------
