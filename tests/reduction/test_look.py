@@ -212,7 +212,7 @@ def test_tables_beside_clouds_are_opened_where_their_contents_are_given(monkeypa
     opened: list[str] = []
     is_track = look_module.is_track
     monkeypatch.setattr(look_module, "is_track", lambda path: opened.append(path.name) or is_track(path))
-    files = {"a.las": 10**8, "las/b.out": 272, **{f"{number}.csv": 20 for number in range(1000)}}
+    files = {"a.las": 10**8, "las/b.out": 272, **{f"{number}.csv": 19 for number in range(1000)}}
     look = look_into(files, {"7.csv": b"time,x,y,z\n1,2,3,4\n"}, "picked").drive
     assert look is not None
     assert opened == ["7.csv", "b.out"]
