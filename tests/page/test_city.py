@@ -59,7 +59,7 @@ def test_the_start_is_the_map_of_all_drives(page: Any, done: Done, city: dict[st
     assert not note.is_visible()
     page.locator("#tab-map").click()
     note.locator("[title^='OpenStreetMap seems']").wait_for()
-    page.locator("#tab-job").click()
+    page.locator("#tab-result").click()
     page.locator(".legend:visible").wait_for()
 
 
