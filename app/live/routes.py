@@ -17,6 +17,7 @@ from starlette.websockets import WebSocketDisconnect
 from app.context import Context, ContextDep, part_of_app
 from app.http.openapi import problems
 from app.http.patterns import ID
+from app.http.prices import priced
 from app.http.problem_types import TOKEN_MAY_ONLY_READ
 from app.http.problems import Problem, respond
 from app.http.security import ClientDep
@@ -44,6 +45,7 @@ _log = logging.getLogger(__name__)
 
 
 @router.get("/live", summary="List live sessions")
+@priced("cheap", bound="the sessions that may be at once")
 async def list_live(request: Request, live: LiveDep, _client: ClientDep) -> LiveList:
     """List the drives that are under way, or have just ended, the newest first."""
     root = request.scope.get("root_path", "")
@@ -51,12 +53,14 @@ async def list_live(request: Request, live: LiveDep, _client: ClientDep) -> Live
 
 
 @router.get("/live/{session}", summary="Look at a live session", responses=_ANSWERS)
+@priced("cheap")
 async def read_live(session: SessionId, request: Request, live: LiveDep, _client: ClientDep) -> LiveModel:
     """Tell how far a drive has come."""
     return live.find(session).model(request.scope.get("root_path", ""))
 
 
 @router.delete("/live/{session}", status_code=204, summary="End a live session", responses=_ANSWERS)
+@priced("cheap")
 async def end_live(session: SessionId, live: LiveDep, client: ClientDep) -> None:
     """End a session of this client; its sender is told."""
     live.find(session, client).refuse("it was ended by a request of its owner.")
@@ -75,6 +79,7 @@ async def _watched(session: SessionId, live: LiveDep, client: ClientDep) -> Live
         **problems({404: "There is no such session.", 429: "This client watches too many times."}),
     },
 )
+@priced("streaming")
 async def watch_live(
     entry: Annotated[LiveEntry, Depends(_watched)],
     request: Request,
@@ -99,6 +104,7 @@ async def watch_live(
 
 
 @sockets.websocket("/live")
+@priced("streaming")
 async def drive_live(socket: WebSocket) -> None:
     """Take the scans of a sender: see the tag Live of the description of the API, and docs/live.md."""
     context: Context = socket.app.state.context

@@ -62,9 +62,10 @@ class MapModel(BaseModel):
 
 
 class MapList(BaseModel):
-    """The maps of the service, that of the server first."""
+    """A page of the maps of the service, that of the server first."""
 
     maps: list[MapModel]
+    next: str | None = Field(description="Value of `after` for the next page; null on the last page.")
 
 
 class MapDriveModel(BaseModel):

@@ -19,8 +19,8 @@ from app.http.delivery import answer_tagged
 from app.http.openapi import TAGGED, get_and_head
 from app.http.paging import After, lies_in, next_link
 from app.http.parameters import BoxFilter
+from app.http.prices import priced
 from app.http.security import ClientDep
-from app.http.turns import IN_TURN
 from app.jobs.view import choice_of, chosen_results, title_of
 from app.ogc.work import outline_of
 from app.results.models import MEDIA_TYPE
@@ -44,13 +44,13 @@ router = APIRouter(tags=["Drives"])
     router,
     "/overview",
     summary="Show all drives on one map",
-    dependencies=IN_TURN,
     response_class=Response,
     responses={
         **TAGGED,
         200: {"description": "GeoJSON.", "content": {MEDIA_TYPE: {"schema": {"type": "object"}}}},
     },
 )
+@priced("heavy")
 def show_overview(
     request: Request,
     context: ContextDep,

@@ -14,9 +14,9 @@ from app.http.delivery import answer_tagged, service_address
 from app.http.openapi import TAGGED, get_and_head, problems
 from app.http.parameters import OF_ITS_DATA, refuse_others
 from app.http.patterns import ID
+from app.http.prices import priced
 from app.http.problem_types import NO_SUCH_COLLECTION, NO_SUCH_FEATURE, NO_SUCH_MAP
 from app.http.problems import Problem
-from app.http.turns import IN_TURN
 from app.ogc.collections import Collection
 from app.ogc.documents import GEOJSON, OPENAPI, SCHEMA, Place
 from app.ogc.filters import equals
@@ -99,51 +99,60 @@ def _served(request: Request) -> _Served:
 _ServedDep = Annotated[_Served, Depends(_served)]
 
 
+@priced("cheap")
 def _landing(served: _ServedDep) -> Response:
     """Lead to everything else: give this address to QGIS (OGC API - Features) or to GDAL (`OAPIF:` before it)."""
     return served.answer(served.place.landing())
 
 
+@priced("cheap")
 def _conformance(served: _ServedDep) -> Response:
     """List the classes of OGC API - Features and CQL2 that the interface keeps to."""
     return served.answer(served.place.conformance())
 
 
+@priced("cheap")
 def _interface(served: _ServedDep) -> Response:
     """Describe by OpenAPI 3.0 what can be asked of the collections, as far as GDAL and QGIS look at it."""
     known = [served.source.collections[name] for name in served.extents()]
     return served.answer(served.place.interface(known, MAX_LIMIT), OPENAPI)
 
 
+@priced("cheap")
 def _collections(served: _ServedDep) -> Response:
     """List the layers with their extents in space and time."""
     return served.answer(served.place.collections(served.extents(), served.source.collections))
 
 
+@priced("cheap")
 def _collection(collection_id: _CollectionId, served: _ServedDep) -> Response:
     """Describe a layer: what a feature is, its extent in space and time, whose data it is."""
     found = served.collection(collection_id)
     return served.answer(served.place.collection(found, served.extents()[found.id]))
 
 
+@priced("cheap")
 def _schema(collection_id: _CollectionId, served: _ServedDep) -> Response:
     """Describe the properties of the features: type, unit, title and meaning."""
     found = served.collection(collection_id)
     return served.answer(found.schema(served.place.of_collection(found, "schema")), SCHEMA)
 
 
+@priced("cheap")
 def _feature_schema(collection_id: _CollectionId, served: _ServedDep) -> Response:
     """Describe the features as they are in GeoJSON, for programs such as GDAL."""
     found = served.collection(collection_id)
     return served.answer(found.feature_schema(served.place.of_collection(found, "feature-schema")), SCHEMA)
 
 
+@priced("cheap")
 def _queryables(collection_id: _CollectionId, served: _ServedDep) -> Response:
     """Describe what filters may name."""
     found = served.collection(collection_id)
     return served.answer(found.queryables_schema(served.place.of_collection(found, "queryables")), SCHEMA)
 
 
+@priced("heavy", bound="a page, by its own parameters")
 def _items(collection_id: _CollectionId, request: Request, served: _ServedDep, asked: AskedDep) -> Response:
     """Give features as GeoJSON, page by page: follow the link `next`.
 
@@ -162,6 +171,7 @@ def _items(collection_id: _CollectionId, request: Request, served: _ServedDep, a
     return served.answer(served.place.items(found, page, request.query_params.multi_items(), following), GEOJSON)
 
 
+@priced("heavy", bound="one feature")
 def _feature(collection_id: _CollectionId, feature_id: _FeatureId, served: _ServedDep) -> Response:
     """Give one feature; its id stays the same for as long as there is its job."""
     found = served.collection(collection_id)
@@ -202,7 +212,7 @@ def _router(prefix: str, name: str, source: Callable[..., None], problems: dict[
             summary=summary,
             operation_id=f"read_{name}{endpoint.__name__}",
             openapi_extra=OF_ITS_DATA if endpoint is _items else None,
-            dependencies=[*(IN_TURN if endpoint in {_items, _feature} else []), Depends(source)],
+            dependencies=[Depends(source)],
             response_class=Response,
             responses={**TAGGED, 200: answer, **(_MISSING if "{" in path else {}), **problems},
         )(endpoint)

@@ -25,7 +25,7 @@ from app.metrics import Removal
 from app.ogc.indexing import index_missing
 from app.states import FINAL, DriveState, JobKind, JobState
 from app.store.incoming import is_old, remove_dead, size_of
-from app.store.models import Drive, Job
+from app.store.models import CityMap, Drive, Job
 from app.store.storage import INCOMING
 from app.trash.deletion import delete_drive, empty_trash
 from app.work.places import REDUCED
@@ -94,8 +94,8 @@ def sweep(context: Context, *, by_age: bool = True) -> Counter[Removal]:
 
 
 def unknown_folders(context: Context) -> Iterator[str]:
-    """Find the folders of drives and jobs that have no row, by their keys."""
-    for kind, table in (("drives", Drive), ("jobs", Job)):
+    """Find the folders of drives, jobs and maps that have no row, by their keys."""
+    for kind, table in (("drives", Drive), ("jobs", Job), ("maps", CityMap)):
         root = context.storage.folder(kind)
         paths = sorted(root.iterdir()) if root.is_dir() else []
         with context.database.reading() as session:  # after the folders, which are made after their rows
@@ -110,7 +110,7 @@ def _remove_unknown(context: Context, *, by_age: bool) -> int:
     named, removed = [], 0
     for key in unknown_folders(context):
         folder = context.storage.folder(key)
-        if any((folder / name).exists() for name in ("files", REDUCED, "result")):
+        if any((folder / name).exists() for name in ("files", REDUCED, "result", "osm")):
             named.append(key)
         elif by_age and is_old(folder):
             context.metrics.count_removal("unknown", size_of(folder))
@@ -118,7 +118,7 @@ def _remove_unknown(context: Context, *, by_age: bool) -> int:
             removed += 1
     if named:
         _log.warning(
-            "no row knows %d folders of drives and jobs: %s. Is the database an older copy? They stay; `interloc "
+            "no row knows %d folders of drives, jobs or maps: %s. Is the database an older copy? They stay; `interloc "
             "check` names them, `interloc restore` brings back a backup, and what nobody needs may be removed",
             len(named),
             ", ".join(named[:3]) + (", ..." if len(named) > 3 else ""),

@@ -30,6 +30,9 @@ if TYPE_CHECKING:
 ASSUMED_STD_M = 0.3
 """Standard deviation along each axis of fixes, and of scatter, that a result does not state."""
 
+HOLE_M = 15.0
+"""Nobody knows where a drive went between keyframes farther apart: scans were lost."""
+
 _MAX_LOST_SHARE = 0.05
 _TEXTS = ("name", "key")
 _RAGGED = ("bearings_deg", "widths_m")
@@ -273,9 +276,11 @@ class DriveOnMap:
 
     @cached_property
     def track_each_m(self) -> FloatArray:
-        """Positions each metre along the keyframes, (n, 2)."""
-        travelled = np.append(0.0, np.cumsum(np.hypot(*np.diff(self.track_xy, axis=0).T)))
+        """Positions each metre along the keyframes, (n, 2), but within holes: keyframes farther apart than `HOLE_M`."""
+        steps = np.hypot(*np.diff(self.track_xy, axis=0).T)
+        travelled = np.append(0.0, np.cumsum(steps))
         at = np.arange(0.0, travelled[-1] + 0.5)
+        at = at[np.append(steps, 0.0)[np.searchsorted(travelled, at, side="right") - 1] <= HOLE_M]
         return np.stack([np.interp(at, travelled, axis) for axis in self.track_xy.T], axis=-1)
 
     @cached_property
