@@ -39,6 +39,7 @@ LABEL_FIELDS = ("label", "labels", "semantic", "class", "classification", "categ
 _MAX_HEADER_BYTES = 65_536
 _MAX_POINT_BYTES = 4096
 _MAX_ASCII_BYTES_PER_POINT = 1024
+_MAX_RATIO = 100  # of LZF, which makes at most 264 bytes of 3
 _MAX_FILES = 1_000_000
 _TYPES = {("F", 4), ("F", 8), *((kind, size) for kind in "IU" for size in (1, 2, 4, 8))}
 _STAMPS_US, _STAMPS_NS = 1e14, 1e17
@@ -373,7 +374,7 @@ def _from_compressed(header: PcdHeader, data: UInt8Array, file: SourceFile) -> N
     if len(data) < 8:
         raise file.fault("is cut short: its packed points are missing. Usual cause: a copy that did not finish.")
     packed, size = (int(number) for number in data[:8].view("<u4"))
-    if size != promised or packed > len(data) - 8:
+    if size != promised or packed > len(data) - 8 or size > _MAX_RATIO * packed:
         raise file.fault(
             f"is damaged: its points would unpack from {packed:,} to {size:,} bytes; {len(data) - 8:,} bytes "
             f"are there, and {header.points:,} points take {promised:,}. Usual cause: a copy that did not finish."
