@@ -48,10 +48,6 @@ def layout_of(values: Float32Array, sizes: IntArray, label_counts: FloatArray) -
         if not (sizes % 8).any() and _looks_like_nclt(values):
             cause = _NCLT
         return BinLayout(4, _NO_FLOATS.format(share=share, cause=cause))
-    known = np.isfinite(label_counts) & (label_counts > 0)
-    ratios = np.unique(sizes[known] / (4 * label_counts[known]))
-    if len(ratios) == 1 and float(ratios[0]) in range(4, 17):
-        return BinLayout(int(ratios[0]))
     values = values[:_MAX_VALUES]
     if len(values) >= _MIN_VALUES and np.isfinite(values).all():
         edges = np.quantile(values[::7], np.linspace(0, 1, _BINS + 1)[1:-1])
@@ -66,6 +62,10 @@ def layout_of(values: Float32Array, sizes: IntArray, label_counts: FloatArray) -
             return BinLayout(least)
         if mixed[4] < max(mixed.values()) - _CLEAR:
             return BinLayout(4)
+    known = np.isfinite(label_counts) & (label_counts > 0)
+    ratios = np.unique(sizes[known] / (4 * label_counts[known]))
+    if len(ratios) == 1 and float(ratios[0]) in {4, 5, 6}:  # 8 may be labels of two bytes each
+        return BinLayout(int(ratios[0]))
     fits_five = bool(sizes.all()) and not (sizes % 20).any() and bool((sizes % 16).any())
     return BinLayout(5 if fits_five else 4)
 

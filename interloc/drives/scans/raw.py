@@ -36,6 +36,8 @@ from interloc.kernels.points import select_points
 _BELOW = 5
 """How many scans are looked at for what lies under the vehicle."""
 
+_GLANCE_BYTES = 4096
+
 LABEL_BYTES = 4
 """uint32, the label id in the lower half."""
 
@@ -102,6 +104,8 @@ class RawScans:
     """None where there are none, which was raised or listed."""
     usable: IntArray
     """(M,) int64: positions of the scans that have labels, of the size that fits."""
+    labelled: IntArray | None = None
+    """(N,) int64: rows of the whole recording, where scans whose labels are all 0 were left out."""
     scheme: LabelScheme = SEMANTICKITTI
     """Which label ids are road; known once they were judged."""
 
@@ -136,6 +140,17 @@ class RawScans:
             within = in_part(options.frames, files.numbers)
             files = replace(files, numbers=files.numbers[within], sizes=files.sizes[within])
             usable = _check_label_files(recording, usable, files, findings, sizes=options.check)
+            blank = np.array([row for row in usable if _is_blank(files.path(int(recording.frames[row])))], np.int64)
+            if 0 < len(blank) < len(usable):
+                every = len(recording.frames)
+                findings.warning(
+                    labels.name,
+                    f"{len(blank):,} of {every:,} scans have no label (all ids are 0) and are left out. Usual cause: a "
+                    "data set of which some scans are labelled only.",
+                )
+                labelled = np.setdiff1d(np.arange(every), blank)
+                usable = np.flatnonzero(np.isin(labelled, usable))
+                return cls(recording.within(labelled), labels, usable, labelled=labelled)
         return cls(recording, labels, usable)
 
     @property
@@ -159,6 +174,7 @@ class RawScans:
         if source is None or frames is None or labels is None:
             return LabelJudgement()
         counts: Counter[int] = Counter()
+        blank = 0
         for index in sample:
             frame = int(frames[index])
             with findings.stage():
@@ -167,6 +183,13 @@ class RawScans:
                 else:
                     ids = labels.of(frame, self.points_of(frame), source.name(frame))
                 counts.update(count_ids(ids))
+                blank += not ids.any()
+        if 0 < blank < len(sample):
+            findings.warning(
+                labels.name,
+                f"{blank} of {len(sample)} scans looked at have no label (all ids are 0): they count as scans without "
+                "road. Usual cause: a data set of which some scans are labelled only; leave the others out.",
+            )
         chosen = options.label_scheme
         judgement = judge_labels(
             labels.name,
@@ -314,6 +337,13 @@ def read_labels(file: SourceFile) -> UInt32Array:
             + _CONVERT.format(type="float32")
         )
     return labels
+
+
+def _is_blank(path: Path) -> bool:
+    """Return whether all labels of a file are 0; of other files the beginning is read only."""
+    with suppress(OSError):  # their reader says why
+        return not np.fromfile(path, np.uint8, _GLANCE_BYTES).any() and not np.fromfile(path, np.uint8).any()
+    return False
 
 
 def count_ids(labels: UInt32Array) -> dict[int, int]:
