@@ -22,6 +22,13 @@ from interloc.drives.trajectory import Trajectory
 
 _SAMPLED = 3  # scans
 
+CARLA_FIELD = "objtag"
+CARLA_WORDS = (
+    "the points have the field ObjTag, the labels of CARLA's semantic LiDAR, which is not read. Write it as a field "
+    "label, and give the ids of road: --label-scheme 7,6 (road and its lines; from CARLA 0.9.14 on 1,24)."
+)
+"""Field, in lower case, and what is said of it."""
+
 
 @dataclass(frozen=True)
 class ScanPoints:
