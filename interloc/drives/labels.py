@@ -190,7 +190,7 @@ def check_labels(folder: str, judgement: LabelJudgement, findings: Findings) -> 
     if len(ids) == 1 and folder != "geometry" and scheme.name not in _DELIBERATE:
         findings.refuse(
             folder,
-            f"every point looked at has the id {ids[0]}, so that nothing tells road from what is none. Usual cause: a "
+            f"every point looked at has the id {ids[0]}, and nothing tells road from other ground. Usual cause: a "
             f"field that nobody filled, or labels of ground without classes. {_WITHOUT}",
         )
         return
