@@ -309,6 +309,7 @@ def _checked(reading: DriveReading, findings: Findings) -> DriveReading:
     if findings.errors == errors and not is_cut:  # else what follows is the same fault in other words
         check_scan_motion(drive, scans.usable, pose_file, findings)
     if isinstance(scans, RawScans):
+        scans.check_turns(findings)
         scans.tell_doubts(findings)
     if drive.georeference is None or drive.pose_frame == "oxts":
         return reading

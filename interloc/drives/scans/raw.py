@@ -38,6 +38,12 @@ _BELOW = 5
 
 _GLANCE_BYTES = 4096
 
+WIDE_VIEW_DEG = 200.0
+"""A sensor that turns sees more around it."""
+
+_SECTOR_DEG, _SCANS_OF_TURN = 10, 40
+_TURN_DEG, _PARTS = 330, 2.5
+
 LABEL_BYTES = 4
 """uint32, the label id in the lower half."""
 
@@ -213,6 +219,35 @@ class RawScans:
                 points = self.points_of(frame := int(self.frames[index]))
                 below += ids_below(points.values, labels.of(frame, points, source.name(frame)))
         check_below(labels.name, below, judgement.scheme, set(judgement.counts), findings)
+
+    def check_turns(self, findings: Findings) -> None:
+        """Warn where a scan is a part of a turn, and those after it are the other parts."""
+        if self.frames is None or not len(self.usable):
+            return
+        first = len(self.usable) // 2
+        own, seen = self._sectors(int(self.usable[first])), set[int]()
+        if len(own) * _SECTOR_DEG >= WIDE_VIEW_DEG or not own:
+            return
+        for index in self.usable[first : first + _SCANS_OF_TURN]:
+            seen |= self._sectors(int(index))
+        if len(seen) * _SECTOR_DEG < min(_TURN_DEG, _PARTS * len(own) * _SECTOR_DEG):
+            return  # a sensor that looks into one direction, or two
+        findings.warning(
+            self.parts.file(self.parts.scans).name,
+            f"a scan sees {len(own) * _SECTOR_DEG} degrees around the sensor, those after it see other parts, and "
+            f"together they see {len(seen) * _SECTOR_DEG}: each is a part of a turn, and roads are seen in pieces. "
+            "Usual cause: packets of the sensor as messages. Have the driver publish whole turns, or join the points of "
+            "each turn, moved by the poses.",
+        )
+
+    def _sectors(self, index: int) -> set[int]:
+        """Return in which sectors around the sensor a scan has points."""
+        assert self.frames is not None
+        with suppress(DriveError):  # which is said where the scan is read
+            x, y = self.points_of(int(self.frames[index])).values[:, :2].T
+            angles = np.degrees(np.arctan2(y, x))[np.isfinite(x) & np.isfinite(y)]
+            return set(np.unique(np.floor(angles / _SECTOR_DEG).astype(int) % (360 // _SECTOR_DEG)).tolist())
+        return set()
 
     def tell_doubts(self, findings: Findings) -> None:
         """Warn of labels that were made by geometry, where the checks have seen that they are doubtful."""
