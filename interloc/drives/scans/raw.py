@@ -236,8 +236,8 @@ class RawScans:
             self.parts.file(self.parts.scans).name,
             f"a scan sees {len(own) * _SECTOR_DEG} degrees around the sensor, those after it see other parts, and "
             f"together they see {len(seen) * _SECTOR_DEG}: each is a part of a turn, and roads are seen in pieces. "
-            "Usual cause: packets of the sensor as messages. Have the driver publish whole turns, or join the points of "
-            "each turn, moved by the poses.",
+            "Usual cause: packets of the sensor as messages. Have the driver publish whole turns, or join the points "
+            "of each turn, moved by the poses.",
         )
 
     def _sectors(self, index: int) -> set[int]:
