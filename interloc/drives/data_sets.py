@@ -60,8 +60,8 @@ _SIGNS = {
 
 def known_data_set(root: Path) -> str:
     """Return which public data set lies in a folder, or around it, and the way out, in sentences; "" for none."""
-    patterns = ("*", "*/*", "*/*/*", "*/*/*/*")
-    for path in islice((each for pattern in patterns for each in root.absolute().glob(pattern)), _MAX_LOOKED_AT):
+    paths = (path for depth in range(1, 6) for path in root.absolute().glob("/".join("*" * depth)))
+    for path in islice(paths, _MAX_LOOKED_AT):
         for sign, what in _SIGNS.items():
             if re.search(f"(^|/)({sign})$", path.as_posix()):
                 return f"It looks like {what}. {_scenes(root)}{'' if 'as they are' in what else _WRITE}"
