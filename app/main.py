@@ -18,13 +18,13 @@ from app.drives.commit import finish_drive
 from app.http.middleware import add_middleware
 from app.http.openapi import DESCRIPTION, TAGS, Description, operation_id, problems
 from app.http.parameters import refuse_unknown_parameters
+from app.http.prices import TURN, Turns
 from app.http.problems import add_handlers
 from app.http.security import client_of
-from app.http.turns import Turns
 from app.jobs import routes as jobs
-from app.jobs.deliverer import Deliverer
 from app.jobs.runner import Runner
-from app.jobs.watcher import JobWatcher
+from app.jobs.view import JobWatcher
+from app.jobs.webhooks import Deliverer
 from app.live import routes as live
 from app.live.sessions import LiveSessions
 from app.maps import queue
@@ -57,7 +57,7 @@ def _assemble() -> APIRouter:
     )
     of_drives = (drives, overview, files, demo, networks)
     of_jobs = (jobs, results, pictures, exports, compare)
-    shared = [Depends(client_of), Depends(refuse_unknown_parameters)]
+    shared = [Depends(client_of), Depends(refuse_unknown_parameters), TURN]
     for module in (*of_drives, *of_jobs, live, maps, queue, trash):
         router.include_router(module.router, prefix=API, dependencies=shared)
     for more in (ogc.of_job, ogc.of_map, trash.of_items):

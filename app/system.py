@@ -12,6 +12,7 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from app.context import Context, ContextDep, part_of_app
 from app.http.openapi import problems
+from app.http.prices import priced
 from app.http.problem_types import NOT_FOUND, TYPES
 from app.http.problems import Problem
 from app.http.security import ClientDep
@@ -97,6 +98,7 @@ class Probe:
 
 
 @router.get("/healthz", summary="Show that the process runs")
+@priced("cheap")
 async def show_health() -> Health:
     """Answer without any check. For the probe that restarts a container that hangs."""
     return Health()
@@ -107,6 +109,7 @@ async def show_health() -> Health:
     summary="Show whether the service can work",
     responses={503: {"model": Readiness, "description": "It cannot; `reasons` lists why."}},
 )
+@priced("cheap")
 async def show_readiness(probe: Annotated[Probe, part_of_app("probe")], response: Response) -> Readiness:
     """Check the database by a write, the disk and the workers. For load balancers: while this is 503, none is sent."""
     reasons = await probe.reasons()
@@ -132,6 +135,7 @@ class ProblemTypeList(BaseModel):
 
 
 @router.get("/problems", summary="List the kinds of problems")
+@priced("cheap", bound="the kinds that there are")
 async def list_problem_types() -> ProblemTypeList:
     """List every `type` that a problem document of this service can have, except about:blank."""
     return ProblemTypeList(problems=[ProblemType.model_validate(kind) for kind in TYPES.values()])
@@ -142,6 +146,7 @@ async def list_problem_types() -> ProblemTypeList:
     summary="Explain a kind of problem",
     responses=problems({404: "There is no such kind."}),
 )
+@priced("cheap")
 async def show_problem_type(
     name: Annotated[str, Path(description="Last part of a `type`.", examples=["drive-not-usable"], max_length=100)],
 ) -> ProblemType:
@@ -160,6 +165,7 @@ async def show_problem_type(
         **problems({401: "The service needs an API token."}),
     },
 )
+@priced("cheap")
 def show_metrics(context: ContextDep, _client: ClientDep) -> Response:
     """Show requests, uploads, jobs by state, queue wait, time of the stages, worker restarts, free disk."""
     return Response(context.metrics.render(context.database, context.storage), media_type=CONTENT_TYPE)

@@ -15,12 +15,12 @@ from app.drives.models import CommitRequest, DriveModel, DriveOptionsModel
 from app.http.headers import WaitSeconds
 from app.http.limits import check_free_space
 from app.http.openapi import Responses, problems
+from app.http.prices import priced
 from app.http.problems import Problem
 from app.http.security import ClientDep
 from app.jobs.failures import raise_failure
 from app.jobs.queue import submit
-from app.jobs.view import is_alive
-from app.jobs.watcher import wait_for_job
+from app.jobs.view import is_alive, wait_for_job
 from app.states import DriveState, JobKind, JobState
 from app.store.models import Drive, Job
 from app.trash.deletion import delete_drive
@@ -37,6 +37,7 @@ _ANSWERS: Responses = {
 
 
 @router.post("/demo", summary="Make a demo drive", operation_id="make_demo_drive", responses=_ANSWERS)
+@priced("cheap")
 async def make_demo(response: Response, context: ContextDep, client: ClientDep, wait_s: WaitSeconds) -> DriveModel:
     """Simulate a drive through a small made-up town, and commit it; its map is `map.osm` among its files.
 

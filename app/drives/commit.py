@@ -23,10 +23,9 @@ from app.drives.records import (
     lock_drive,
     note_extent,
     reduced_key,
-    remove_empty,
 )
-from app.drives.upload import Placement, lock_counts, refuse_similar_names, refuse_unless_open, register, sizes_of
-from app.http.intake import Arrival
+from app.drives.upload import lock_counts, refuse_similar_names, refuse_unless_open, register, sizes_of
+from app.http.intake import Arrival, Placement
 from app.http.limits import check_free_space, check_quota, job_limit
 from app.http.problem_types import (
     ARCHIVE_IS_BEING_UNPACKED,
@@ -43,7 +42,7 @@ from app.states import DriveState, JobKind, JobState
 from app.store.database import Database, afterwards
 from app.store.incoming import size_of
 from app.store.models import Drive, DriveFile, Job
-from app.store.storage import files_below
+from app.store.storage import files_below, remove_empty
 from app.work.documents import CommitJob, CommitOutcome, Outcome, UnpackJob
 from app.work.places import REDUCED, TRAJECTORY, UNPACKED, link, read_listing
 from interloc.drives.inspect import DriveReport
@@ -269,7 +268,7 @@ def _finish_unpack(session: Session, context: Context, job: Job, drive: Drive, o
         for file in read_listing(scratch)
     ]
     try:
-        with session.begin_nested(), Placement(context.storage, drive.id) as placement:
+        with session.begin_nested(), Placement(context.storage, files_key(drive.id)) as placement:
             refuse_unless_open(drive, ["archive"])
             for arrival in arrivals:
                 # A second name: if the server dies before the end of the transaction, all of this is repeated.

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any
 
 from fastapi import APIRouter, Path, Query, Request, Response
 from fastapi.concurrency import run_in_threadpool
@@ -15,15 +14,16 @@ from app.drives.models import FileList, UnpackedArchive, UploadedBatch, Uploaded
 from app.drives.routes import DriveId
 from app.drives.upload import check_magic, check_upload, keep, queue_archive, unpacked
 from app.http.delivery import WholeFile
-from app.http.headers import WaitSeconds, sha256_of
-from app.http.intake import PIECE_BYTES, Intake, receive
-from app.http.limits import check_free_space, declared_length
+from app.http.headers import WaitSeconds
+from app.http.intake import Arrival, Intake, receive, receive_file
+from app.http.limits import declared_length
 from app.http.multipart import BatchReader, Place, bad_part, boundary_of
 from app.http.openapi import BINARY, PAGED, Responses, body_of, problems
 from app.http.paging import answer_page
 from app.http.patterns import TEXT
+from app.http.prices import priced
 from app.http.security import ClientDep
-from app.jobs.watcher import wait_for_job
+from app.jobs.view import wait_for_job
 from app.paths import MAX_PATH, PATH_PATTERN, check_path
 from app.states import FINAL
 from app.store.models import Job
@@ -63,6 +63,7 @@ UPLOAD: Responses = {
     response_model=FileList,
     summary="List the files of a drive",
 )
+@priced("cheap")
 def list_files(
     drive_id: DriveId,
     request: Request,
@@ -97,6 +98,7 @@ def list_files(
     },
     summary="Upload a file",
 )
+@priced("streaming")
 async def put_file(
     drive_id: DriveId, path: FilePath, request: Request, response: Response, context: ContextDep, client: ClientDep
 ) -> UploadedFile:
@@ -105,25 +107,17 @@ async def put_file(
     It gets its name only when it was received completely and is on disk; repeating the request changes nothing.
     """
     check_path(path)
-    sha256 = sha256_of(request.headers)
     settings = context.settings
     limit = settings.max_recording_bytes if is_recording(path) else settings.max_file_bytes
-    length = declared_length(request, limit, path)
-    intake = Intake(context, path, limit)
 
-    def finish() -> tuple[UploadedFile, bool]:
-        check_free_space(context, 0)
-        arrival = intake.finish(sha256)
-        new = keep(context, drive_id, [arrival], client)
-        return UploadedFile(path=path, size_bytes=arrival.size_bytes, sha256=arrival.sha256), new
+    def keep_file(arrival: Arrival) -> UploadedFile:
+        response.status_code = 201 if keep(context, drive_id, [arrival], client) else 200
+        return UploadedFile(path=path, size_bytes=arrival.size_bytes, sha256=arrival.sha256)
 
-    is_small = length is not None and length <= PIECE_BYTES  # it is read sooner than the drive is looked up
-    if not is_small:
-        await run_in_threadpool(check_upload, context, drive_id, path, length or 0, client)
-    announced = 0 if is_small else length
-    file, new = await _receive(context, request, announced, intake.write, finish, intake.discard)
-    response.status_code = 201 if new else 200
-    return file
+    def check(length: int) -> None:
+        check_upload(context, drive_id, path, length, client)
+
+    return await receive_file(request, path, limit, keep_file, check)
 
 
 @router.get(
@@ -137,6 +131,7 @@ async def put_file(
     },
     summary="Download a file",
 )
+@priced("streaming")
 def get_file(drive_id: DriveId, path: FilePath, context: ContextDep, _client: ClientDep) -> WholeFile:
     """Return an uploaded file, as long as it is kept."""
     file, sha256 = records.open_file(context, drive_id, path)
@@ -147,6 +142,7 @@ def get_file(drive_id: DriveId, path: FilePath, context: ContextDep, _client: Cl
 
 
 @router.delete("/files/{path:path}", status_code=204, responses={**NOT_FOUND, **CLOSED}, summary="Delete a file")
+@priced("cheap")
 def delete_file(drive_id: DriveId, path: FilePath, context: ContextDep, _client: ClientDep) -> None:
     """Remove a file of a drive that is not committed yet, or a map of a ready one that no job waits for or reads."""
     records.delete_file(context, drive_id, path)
@@ -205,6 +201,7 @@ _BATCH = {
     openapi_extra=body_of({"multipart/form-data": _BATCH}),
     summary="Upload a batch of scans",
 )
+@priced("streaming")
 async def post_scans(drive_id: DriveId, request: Request, context: ContextDep, client: ClientDep) -> UploadedBatch:
     """Upload several files at once, all or none of them. A repeated request replaces files of the same names."""
     limits = context.settings
@@ -221,12 +218,11 @@ async def post_scans(drive_id: DriveId, request: Request, context: ContextDep, c
     )
 
     def finish() -> list[UploadedFile]:
-        check_free_space(context, 0)
         arrivals = reader.finish()
         keep(context, drive_id, arrivals, client)
         return [UploadedFile(path=each.path, size_bytes=each.size_bytes, sha256=each.sha256) for each in arrivals]
 
-    return UploadedBatch(files=await _receive(context, request, length, reader.take, finish, reader.discard))
+    return UploadedBatch(files=await receive(request, length, reader.take, finish, reader.discard))
 
 
 _ARCHIVE = {
@@ -244,6 +240,7 @@ _ARCHIVE = {
     openapi_extra=body_of({"application/octet-stream": BINARY, "multipart/form-data": _ARCHIVE}),
     summary="Upload an archive",
 )
+@priced("streaming")
 async def post_archive(
     drive_id: DriveId,
     request: Request,
@@ -273,10 +270,9 @@ async def post_archive(
             intake.write(data)
 
         def finish() -> Job:
-            check_free_space(context, 0)
             return queue_archive(context, drive_id, client, intake.finish())
 
-        job = await _receive(context, request, length, take, finish, intake.discard)
+        job = await receive(request, length, take, finish, intake.discard)
     job = await wait_for_job(context, job.id, wait_s)
     if job.state not in FINAL:
         response.status_code = 202
@@ -293,30 +289,9 @@ async def _receive_form(
     reader = BatchReader(context, boundary, fields, max_bytes=limit + (1 << 16), max_files=1, max_file_bytes=limit)
 
     def finish() -> Job:
-        check_free_space(context, 0)
         (arrival,) = reader.finish()
         with arrival.temporary.open("rb") as file:
             check_magic(file.read(512))
         return queue_archive(context, drive_id, client, arrival)
 
-    return await _receive(context, request, length, reader.take, finish, reader.discard)
-
-
-Kept = TypeVar("Kept")
-
-
-async def _receive(
-    context: Context,
-    request: Request,
-    length: int | None,
-    take: Callable[[bytes], None],
-    finish: Callable[[], Kept],
-    discard: Callable[[], None],
-) -> Kept:
-    """Receive a body piece by piece, while there is room on the disk; discard what was not kept."""
-    if length != 0:
-        await run_in_threadpool(check_free_space, context, length or 0)
-    try:
-        return await receive(request, take, finish)
-    finally:
-        await run_in_threadpool(discard)
+    return await receive(request, length, reader.take, finish, reader.discard)

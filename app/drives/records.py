@@ -38,7 +38,7 @@ from app.settings import Settings
 from app.states import ACTIVE, DriveState, JobKind, JobState
 from app.store.database import moment
 from app.store.models import Drive, DriveFile, Job, columns_for
-from app.store.storage import Storage
+from app.store.storage import Storage, remove_empty
 from app.work.places import TRAJECTORY
 from interloc.drives.inspect import DriveReport
 from interloc.errors import ConfigError, InterLocError
@@ -296,14 +296,6 @@ def _refuse_map_in_use(session: Session, drive_id: str, path: str) -> None:
             f"Job {using.id} is {using.state} and needs {path}. Delete the map when the job has ended, or cancel the "
             f"job (DELETE /api/v1/jobs/{using.id}).",
         )
-
-
-def remove_empty(folder: Path, root: Path) -> None:
-    """Remove a folder and those above it below a root, as far as they are empty, so that a file can take the name."""
-    while folder != root:
-        with suppress(OSError):
-            folder.rmdir()
-        folder = folder.parent
 
 
 def drive_model(drive: Drive, settings: Settings, *, report: bool = True, result: str | None = None) -> DriveModel:

@@ -19,9 +19,10 @@ from app.http.openapi import CHANGED, CHANGES_NOTHING, PAGED, TAGGED, get_and_he
 from app.http.paging import After, answer_page, has_part, lies_in, made_between
 from app.http.parameters import BoxFilter, CreatedAfter, CreatedBefore, NamePart
 from app.http.patterns import ID
+from app.http.prices import priced
 from app.http.security import ClientDep
 from app.jobs.runner import RunnerDep
-from app.jobs.watcher import wait_for_job
+from app.jobs.view import wait_for_job
 from app.states import DriveState
 from app.store.models import Drive
 from app.work.documents import UploadOptions
@@ -47,6 +48,7 @@ NOT_FOUND = problems({404: "There is no such drive."})
         **problems({422: "A member is refused, or the key was used for another request."}),
     },
 )
+@priced("cheap")
 def create_drive(
     new: NewDrive, response: Response, context: ContextDep, client: ClientDep, key: IdempotencyKey = None
 ) -> DriveModel:
@@ -58,6 +60,7 @@ def create_drive(
 
 
 @get_and_head(router, "", tags=["Drives"], response_model=DriveList, summary="List drives", responses=PAGED)
+@priced("cheap")
 def list_drives(
     request: Request,
     context: ContextDep,
@@ -86,19 +89,19 @@ def list_drives(
     "/look",
     tags=["Drives"],
     summary="Look into a folder before it is sent",
+    response_model=FolderLook,
     openapi_extra=CHANGES_NOTHING,
     responses=problems({413: "The listing is too large.", 422: "A member is refused, or the work takes too long."}),
 )
-async def look_into_folder(
-    request: LookRequest, context: ContextDep, runner: RunnerDep, client: ClientDep
-) -> FolderLook:
+@priced("heavy", bound="the body: listing, small files and ranges", body_bytes=32 * 1024**2)
+async def look_into_folder(request: LookRequest, context: ContextDep, runner: RunnerDep, client: ClientDep) -> Response:
     """Tell which drives a folder of yours holds, what is wrong with one of them, where it went, and what to send of it.
 
     Nothing is made or kept. The folder is judged by the names and sizes of its files and by the contents of the small
     ones; give those that `wanted` names, and what was counted in `frames_to_look_into`, and ask again, to learn all.
     A client that reduces scans itself sends what `plan` says: `ground/...` of these scans and `reduced.json`.
     """
-    return await runner.run_in_worker(
+    found = await runner.run_in_worker(
         look,
         request.files,
         request.contents,
@@ -112,6 +115,7 @@ async def look_into_folder(
         await run_in_threadpool(context.storage.incoming),
         client=client,
     )
+    return Response(found, media_type="application/json")
 
 
 @get_and_head(
@@ -122,6 +126,7 @@ async def look_into_folder(
     responses={**TAGGED, **NOT_FOUND},
     summary="Show a drive",
 )
+@priced("cheap")
 def show_drive(drive_id: DriveId, request: Request, context: ContextDep, _client: ClientDep) -> Response:
     """Show a drive, with the report of its last commit."""
     with context.database.reading() as session:
@@ -140,6 +145,7 @@ def _shown(session: Session, context: Context, drive: Drive) -> bytes:
     summary="Rename a drive, note something about it, or pin a result",
     responses={**NOT_FOUND, **CHANGED},
 )
+@priced("cheap")
 def change_drive(drive_id: DriveId, changes: DriveChanges, context: ContextDep, _client: ClientDep) -> Response:
     """Change the name, the note or the pinned job of a drive, in whatever state; what is left out stays as it is."""
     with context.database.writing() as session:
@@ -169,6 +175,7 @@ _CONFLICT = problems({409: "The drive is not in the state for this."})
     },
     summary="Commit a drive",
 )
+@priced("cheap")
 async def commit_drive(
     drive_id: DriveId,
     response: Response,
@@ -207,6 +214,7 @@ async def commit_drive(
     },
     summary="Show the trajectory of a drive",
 )
+@priced("streaming")
 def show_trajectory(drive_id: DriveId, context: ContextDep, _client: ClientDep) -> WholeFile:
     """Return the trajectory of a ready drive: longitude and latitude, or metres with `"local": true`."""
     with records.find_trajectory(context, drive_id).open("rb") as file:

@@ -2,24 +2,19 @@
 
 from __future__ import annotations
 
-import os
 import secrets
 from collections.abc import Iterable, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
-from pathlib import Path
-from types import TracebackType
-from typing import Any, Self, cast
+from typing import Any, cast
 
 from sqlalchemy import Table, bindparam, delete, insert, select, update
-from sqlalchemy.exc import DBAPIError
 from sqlalchemy.orm import Session
 
 from app.context import Context
 from app.drives.models import UnpackedArchive
-from app.drives.records import drive_key, files_key, find_drive, lock_drive, remove_empty
+from app.drives.records import drive_key, files_key, find_drive, lock_drive
 from app.drives.work.unpack import MAGIC_BYTES, archive_kind
-from app.http.intake import Arrival
+from app.http.intake import Arrival, Placement
 from app.http.limits import check_drive, check_quota, job_limit
 from app.http.problem_types import DRIVE_IS_BEING_CHECKED, DRIVE_IS_CLOSED, NAMES_IN_CONFLICT, NOT_AN_ARCHIVE
 from app.http.problems import Problem
@@ -28,7 +23,6 @@ from app.jobs.queue import no_drive, submit
 from app.paths import folded, folded_hash, hash_of
 from app.states import DriveState, JobKind
 from app.store.models import Drive, DriveFile, Job
-from app.store.storage import Storage
 from app.work.documents import FilesOutcome
 from interloc.osm.container import is_map
 
@@ -61,7 +55,7 @@ def keep(context: Context, drive_id: str, arrivals: Sequence[Arrival], sender: s
     The sender is the owner of the drive where none is named. A problem (404; 409 it takes no files now, or a name is
     that of a folder or too similar to another one; 413 it would become too large) changes nothing.
     """
-    with Placement(context.storage, drive_id) as placement, context.database.writing() as session:
+    with Placement(context.storage, files_key(drive_id)) as placement, context.database.writing() as session:
         counts = lock_counts(session, drive_id)
         refuse_unless_open(counts, [arrival.path for arrival in arrivals])
         known = sizes_of(session, drive_id, [arrival.path for arrival in arrivals])
@@ -192,77 +186,6 @@ def register(
         _COUNT,
         {"of": drive.id, "fresh": fresh, "more": more, "now": context.database.clock(session)},
     )
-
-
-class Placement:
-    """Moves files to their places; if the block or its transaction fails, the old files are restored.
-
-    A server that is killed between the moves and the end of the transaction leaves files without rows, never a row
-    without its file. So does a database that goes away at that end: whether the rows are there is not known then.
-    """
-
-    def __init__(self, storage: Storage, drive_id: str) -> None:
-        self._incoming = storage.incoming
-        self._files = storage.folder(files_key(drive_id))
-        self._moved: list[tuple[Path, Path | None]] = []
-
-    def __enter__(self) -> Self:
-        return self
-
-    def move(self, arrivals: Iterable[Arrival]) -> None:
-        """Rename files from their temporary names."""
-        try:
-            self._move(arrivals)
-        except BaseException:
-            self._restore()  # while the drive is still locked, so that no other request has put a file there
-            raise
-
-    def _move(self, arrivals: Iterable[Arrival]) -> None:
-        for arrival in arrivals:
-            target = self._files / arrival.path
-            try:
-                target.parent.mkdir(parents=True, exist_ok=True)
-                old = None if target.is_dir() else self._save(target)
-                self._moved.append((target, old))
-                arrival.temporary.replace(target)  # fails where a folder has the name
-            except (NotADirectoryError, FileExistsError, IsADirectoryError):
-                raise Problem(
-                    NAMES_IN_CONFLICT,
-                    f"{arrival.path}: the drive has a folder of this name, or a file that has the name of one of its "
-                    "folders. Nothing of this request was kept; DELETE what is in the way first.",
-                ) from None
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
-        if kind is not None and not (isinstance(error, DBAPIError) and error.connection_invalidated):
-            self._restore()
-        for _, old in self._moved:
-            if old is not None:
-                with suppress(OSError):
-                    old.unlink()
-
-    def _restore(self) -> None:
-        """Restore everything, folders too: an empty one would block a file of its name."""
-        while self._moved:
-            target, old = self._moved.pop()
-            with suppress(OSError):
-                if old is not None:
-                    old.replace(target)
-                else:
-                    target.unlink(missing_ok=True)
-            remove_empty(target.parent, self._files)
-
-    def _save(self, target: Path) -> Path | None:
-        """Keep the file that is about to be replaced; until then readers find it under its name."""
-        old = self._incoming() / secrets.token_hex(12)
-        try:
-            os.link(target, old)
-        except FileNotFoundError:
-            return None
-        except OSError:  # a file system without links
-            target.replace(old)
-        return old
 
 
 def check_magic(head: bytes) -> None:

@@ -11,7 +11,7 @@ from app.http.problem_types import COMPRESSED_BODY, PART_OF_A_FILE, QUOTA_USED_U
 from app.http.problems import Problem, disk_full
 from app.settings import MB
 from app.states import DriveState
-from app.store.models import Drive, DriveFile, Token
+from app.store.models import CityMap, Drive, DriveFile, Token
 
 CLOSE = {"Connection": "close"}
 """Sent when a body is refused before it is read: the rest of it would be taken for the next request."""
@@ -96,14 +96,15 @@ def check_quota(context: Context, session: Session, owner: str, sender: str, mor
 
 
 def _kept_bytes(session: Session, client: str) -> int:
-    """Return the bytes of the drives of a client, but for what others sent there, and of what it sent to others."""
+    """Return the bytes of the drives of a client, but for what others sent there, and of what it sent elsewhere."""
     own = select(func.sum(Drive.stored_bytes)).where(Drive.owner == client)
     foreign = select(func.sum(DriveFile.size_bytes)).join(Drive, Drive.id == DriveFile.drive_id)
     is_there = or_(Drive.state != DriveState.READY, Drive.keep_raw, DriveFile.path.contains(".osm", autoescape=True))
     by_others = foreign.where(Drive.owner == client, DriveFile.sender.is_not(None), is_there)
     to_others = foreign.where(DriveFile.sender == client, is_there)
-    sums = [int(session.scalar(query) or 0) for query in (own, by_others, to_others)]
-    return max(0, sums[0] - sums[1]) + sums[2]
+    of_maps = select(func.sum(CityMap.osm_bytes)).where(CityMap.osm_sender == client)
+    sums = [int(session.scalar(query) or 0) for query in (own, by_others, to_others, of_maps)]
+    return max(0, sums[0] - sums[1]) + sums[2] + sums[3]
 
 
 def job_limit(context: Context, owner: str) -> int:

@@ -10,6 +10,7 @@ import time
 from urllib.parse import urlsplit
 
 from fastapi import FastAPI
+from fastapi.routing import iter_route_contexts
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.exceptions import HTTPException
 from starlette.middleware.cors import CORSMiddleware
@@ -18,6 +19,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from app import logs
 from app.http.gate import Gate, is_api, path_of
+from app.http.prices import MAX_JSON_BYTES, price_of
 from app.http.problem_types import BODY_REFUSED
 from app.http.problems import Problem, problem_of, respond
 from app.metrics import Metrics
@@ -25,9 +27,6 @@ from app.settings import Settings
 
 DATA_POLICY = "default-src 'none'; frame-ancestors 'none'; base-uri 'none'; sandbox"
 """Policy of what lies below the API, should a browser take it for a document: it may be anything that was uploaded."""
-
-MAX_JSON_BYTES = 1024**2
-_MAX_LISTING_BYTES = 32 * 1024**2
 
 _READABLE = (
     "Accept-Ranges", "Content-Disposition", "Content-Range", "ETag", "Last-Modified", "Link", "Location",
@@ -58,11 +57,6 @@ _HSTS_S = 180 * 24 * 3600
 _QUIET = {"/healthz", "/readyz", "/metrics"}
 _FREQUENT = {"put_file", "post_scans", "look_into_folder"}
 _GONE = 499  # nginx's status for a client that did not wait for the answer
-
-# Uploads stream their body and count it themselves, against limits of their own.
-_STREAMS = re.compile(r"/api/v1/drives/[^/]+/(files/.+|scans|archive)")
-
-_LISTING = "/api/v1/drives/look"
 
 _log = logging.getLogger("app.access")
 _audit = logging.getLogger("app.audit")
@@ -269,6 +263,7 @@ class Bodies:
 
     def __init__(self, app: ASGIApp) -> None:
         self._app = app
+        self._own_limits: list[tuple[re.Pattern[str], set[str], int | None]] | None = None
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Read or limit the body, then go on."""
@@ -276,14 +271,38 @@ class Bodies:
             await self._app(scope, receive, send)
             return
         receive_in_time = _with_time_limit(receive)
-        if not _STREAMS.fullmatch(path_of(scope)):
+        limit = self._limit_of(scope)
+        if limit is not None:
             try:
-                receive_in_time = await _read(scope, receive_in_time)
+                receive_in_time = await _read(scope, receive_in_time, limit)
             except HTTPException as error:
                 problem = Problem(BODY_REFUSED, error.detail, status=error.status_code, headers={"Connection": "close"})
                 await respond(problem, scope["path"])(scope, receive, send)
                 return
         await self._app(scope, receive_in_time, send)
+
+    def _limit_of(self, scope: Scope) -> int | None:
+        """Return what the body may have by the price of the operation; None where that counts it itself."""
+        if self._own_limits is None:
+            declared = [
+                (each.path_regex, each.methods or set(), price)
+                for each in iter_route_contexts(scope["app"].routes)
+                if (price := price_of(each.endpoint)) is not None
+            ]
+            self._own_limits = [
+                (path, methods, price.body_bytes)
+                for path, methods, price in declared
+                if price.body_bytes != MAX_JSON_BYTES and not methods <= {"GET", "HEAD"}
+            ]
+        path = path_of(scope)
+        return next(
+            (
+                limit
+                for pattern, methods, limit in self._own_limits
+                if scope["method"] in methods and pattern.match(path)
+            ),
+            MAX_JSON_BYTES,
+        )
 
 
 def _with_time_limit(receive: Receive) -> Receive:
@@ -317,13 +336,12 @@ def _too_slow(detail: str) -> HTTPException:
     return HTTPException(408, detail, headers={"Connection": "close"})
 
 
-async def _read(scope: Scope, receive: Receive) -> Receive:
+async def _read(scope: Scope, receive: Receive, limit: int) -> Receive:
     """Read a small body at once; return how it is received again."""
     headers = Headers(scope=scope)
     length = headers.get("content-length")
     if length is None and "transfer-encoding" not in headers:
         return receive
-    limit = _MAX_LISTING_BYTES if path_of(scope) == _LISTING else MAX_JSON_BYTES
     too_large = HTTPException(413, f"The body is larger than {limit:,} bytes, which no such request needs.")
     if length is not None and int(length) > limit:
         raise too_large

@@ -38,20 +38,31 @@ class Box(NamedTuple):
     east: float
     north: float
 
+    @property
+    def parts(self) -> list[tuple[float, float, float, float]]:
+        """Its boxes among -180 to 540 degrees: what crosses the meridian lies beyond 180."""
+        spans = [(self.west, self.east), (self.west + 360.0, self.east + 360.0)]
+        if self.west > self.east:
+            spans = [(self.west, self.east + 360.0), (-180.0, self.east)]
+        return [(west, self.south, east, self.north) for west, east in spans]
+
 
 async def _box(
     bbox: Annotated[
         str | None,
         Query(
             pattern=BOX,
-            description="Only what touches this box: west,south,east,north in degrees (WGS 84).",
+            description="Only what touches this box: west,south,east,north in degrees (WGS 84); of six numbers heights "
+            "are ignored. West is larger than east across the 180th meridian.",
             examples=["8.41,49.00,8.45,49.03"],
         ),
     ] = None,
 ) -> Box | None:
     if bbox is None:
         return None
-    box = Box(*(float(part) for part in bbox.split(",")))
+    numbers = [float(part) for part in bbox.split(",")]
+    half = len(numbers) // 2
+    box = Box(*numbers[:2], *numbers[half : half + 2])
     is_on_earth = all(abs(lon) <= 180 for lon in (box.west, box.east)) and -90 <= box.south <= box.north <= 90
     if not is_on_earth:
         raise refusal(REQUEST_NOT_VALID, "query.bbox", f"found {bbox!r}; expected {EXPECTED[BOX]}.")

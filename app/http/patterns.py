@@ -5,7 +5,7 @@ from __future__ import annotations
 from interloc.drives.options import CRS_PATTERN, PART_PATTERN
 
 _PRINTED = r"[^\x00-\x1f\x7f]*"
-_NUMBER = r"-?[0-9]{1,3}(\.[0-9]{1,15})?"
+_NUMBER = r"[+-]?([0-9]{1,12}(\.[0-9]{0,30})?|\.[0-9]{1,30})([eE][+-]?[0-9]{1,3})?"
 
 TEXT = r"^[^\x00]*$"
 NAME = rf"^{_PRINTED}[^\s\x00-\x1f\x7f]{_PRINTED}$"  # not only blanks
@@ -13,7 +13,8 @@ NOTE = r"^[^\x00-\x08\x0b-\x1f\x7f]*$"
 NETWORK = r"^[^./\\\x00-\x1f][^/\\\x00-\x1f]*$"
 ID = r"^[A-Za-z0-9_-]{1,64}$"
 """What ids of drives and jobs look like; there may be one or not."""
-BOX = rf"^{_NUMBER}(,{_NUMBER}){{3}}$"
+BOX = rf"^ *{_NUMBER}( *, *{_NUMBER}){{3}}(( *, *{_NUMBER}){{2}})? *$"
+"""Four numbers, or six with heights, as OGC API - Features has them."""
 
 EXPECTED = {
     TEXT: "text without zero characters",

@@ -144,6 +144,7 @@ TOO_LARGE = _kind("too-large", 413, "A body or drive is larger than allowed.")
 TOO_MANY_FILES = _kind("too-many-files", 413, "A request or drive has more files than allowed.")
 TOO_MANY_HEADERS = _kind("too-many-headers", 431, "The request has too many headers.")
 TOO_MANY_JOBS = _kind("too-many-jobs", 429, "Too many jobs of this client wait or run.")
+TOO_MANY_MAPS = _kind("too-many-maps", 429, "The client has as many maps of many drives as it may have.")
 TOO_MANY_SESSIONS = _kind("too-many-sessions", 429, "The client has as many live sessions as it may have.")
 TOO_MANY_WRONG_TOKENS = _kind(
     "too-many-wrong-tokens", 429, "Too many tokens that do not exist were sent within a minute."

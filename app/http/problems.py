@@ -187,6 +187,8 @@ async def _handle(request: Request, error: Exception) -> JSONResponse:
     if isinstance(error, RequestValidationError) and isinstance(error.body, bytes):  # it was not read as JSON
         error = _not_json(request.headers.get("content-type"))
     problem = problem_of(error)
+    if "GIS" in getattr(request.scope.get("route"), "tags", ()) and problem.status == 422:
+        problem.status = HTTPStatus.BAD_REQUEST  # as OGC API - Features wants it
     if problem.status == HTTPStatus.METHOD_NOT_ALLOWED:  # the framework names the methods of the first route only
         problem.headers = {"Allow": ", ".join(_methods_at(request))}
     return respond(problem, request.url.path)

@@ -14,8 +14,7 @@ from app.store.storage import Storage
 from app.work.documents import JobRequest
 from app.work.kinds import KINDS
 from app.work.places import REDUCED
-from app.work.progress import ProgressFiles
-from app.work.task import Task, WorkSettings
+from app.work.task import ProgressFiles, Task, WorkSettings
 from interloc.drives.options import LabelFolder
 from interloc.drives.scans.reduced_format import read_manifest
 from interloc.errors import InterLocError

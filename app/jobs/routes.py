@@ -18,12 +18,12 @@ from app.http.openapi import CHANGED, PAGED, TAGGED, Responses, get_and_head, pr
 from app.http.paging import After, answer_page, cursor_of, has_part, lies_in, made_between, newest_first, rows_after
 from app.http.parameters import BoxFilter, CreatedAfter, CreatedBefore, NamePart
 from app.http.patterns import ID
+from app.http.prices import priced
 from app.http.security import ClientDep
 from app.jobs.models import JobChanges, JobList, JobModel, NewJob, PresetList, PresetModel
 from app.jobs.queue import submit
 from app.jobs.submission import check_request
-from app.jobs.view import find_job, is_alive, job_models
-from app.jobs.watcher import Change, WatcherDep, wait_for_job
+from app.jobs.view import Change, WatcherDep, find_job, is_alive, job_models, wait_for_job
 from app.states import FINAL, JobKind, JobState
 from app.store.models import Drive, Job
 from interloc.config import PRESETS, DetectorConfig
@@ -55,6 +55,7 @@ NOT_FOUND = problems({404: "There is no such job."})
         ),
     },
 )
+@priced("cheap")
 async def create_job(
     new: NewJob,
     response: Response,
@@ -104,6 +105,7 @@ def _submit(context: Context, client: str, new: NewJob, key: str | None) -> tupl
     summary="List jobs",
     responses={**PAGED, **problems({422: "A parameter is refused."})},
 )
+@priced("cheap")
 def list_jobs(
     request: Request,
     context: ContextDep,
@@ -153,6 +155,7 @@ def load_job(job_id: JobId, context: ContextDep, _client: ClientDep) -> JobModel
 @get_and_head(
     router, "/jobs/{job_id}", response_model=JobModel, responses={**TAGGED, **NOT_FOUND}, summary="Show a job"
 )
+@priced("cheap")
 def show_job(request: Request, job: Annotated[JobModel, Depends(load_job)]) -> Response:
     """Show the progress of a job, why it failed, or what it found and the addresses of its results."""
     return answer_tagged(request, job.model_dump_json().encode())
@@ -169,6 +172,7 @@ _EVENTS: Responses = {
 
 
 @router.get("/jobs/{job_id}/events", response_class=EventSourceResponse, responses=_EVENTS, summary="Follow a job")
+@priced("streaming")
 async def follow_job(
     job: Annotated[JobModel, Depends(load_job)],
     request: Request,
@@ -206,6 +210,7 @@ def _event(change: Change) -> ServerSentEvent:
     summary="Rename a job, or note something about it",
     responses={**NOT_FOUND, **CHANGED},
 )
+@priced("cheap")
 def change_job(job_id: JobId, changes: JobChanges, context: ContextDep, _client: ClientDep) -> Response:
     """Change the name or the note of a job, in whatever state it is; what is left out stays as it is.
 
@@ -225,6 +230,7 @@ def change_job(job_id: JobId, changes: JobChanges, context: ContextDep, _client:
 
 
 @router.get("/presets", summary="List presets")
+@priced("cheap", bound="the presets of the method")
 def list_presets(_client: ClientDep) -> PresetList:
     """List the settings to start from, with the JSON schema of all settings, for a form."""
     return PresetList(
@@ -234,6 +240,7 @@ def list_presets(_client: ClientDep) -> PresetList:
 
 
 @router.get("/presets/{name}", summary="Show a preset")
+@priced("cheap")
 def show_preset(name: Literal["default", "paper"], _client: ClientDep) -> PresetModel:
     """Show all settings of a preset: the shape of `config` of a job."""
     return _preset_model(name)

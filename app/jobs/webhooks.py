@@ -1,28 +1,46 @@
 """Webhooks: who is told of a job, kept in the database until it is told.
 
 A request names addresses (the `subscriber` of OGC API - Processes). What happens to the job is written as a row in the
-same transaction, so that no kill comes in between; `app.jobs.deliverer` makes the calls, as Standard Webhooks says.
+same transaction, so that no kill comes in between; a `Deliverer` makes the calls, as Standard Webhooks says.
 """
 
 from __future__ import annotations
 
+import base64
+import hashlib
+import hmac
+import http.client
 import json
-from collections import defaultdict
+import logging
+import threading
+from collections import Counter, defaultdict
 from collections.abc import Collection, Mapping
 from datetime import datetime
 from typing import Any, Literal
 from urllib.parse import urlsplit
 
 from pydantic import BaseModel, ConfigDict, Field
-from sqlalchemy import select
+from sqlalchemy import select, update
+from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.orm import Session
 
+from app.context import Context
 from app.http.problem_types import WEBHOOK_REFUSED
 from app.http.problems import Problem
 from app.settings import Settings
 from app.states import JobState
 from app.store.database import moment
 from app.store.models import Delivery, Job, columns_for, new_id
+
+RETRIES_S = (5, 300)
+"""Pauses after the first try and the second; the third is the last."""
+
+_LOOK_S = 1.0
+_CALL_S = 15.0  # for each step of a call; after twice that time its server is taken for dead, and it is made again
+_AT_ONCE_PER_HOST = 4  # a host that answers slowly, or not at all, keeps only itself waiting
+_TOLD_BYTES = 200  # of an answer that is no success: what of it is kept
+
+_log = logging.getLogger(__name__)
 
 Uri = Field(None, max_length=2000, pattern=r"^https?://[!-~]+$", examples=["https://hooks.example.org/interloc"])
 
@@ -121,3 +139,113 @@ def _model(row: Delivery) -> DeliveryModel:
     if row.next_at is None:
         state = "given up" if row.delivered_at is None else "delivered"
     return DeliveryModel(**columns_for(DeliveryModel, row), state=state)
+
+
+class Deliverer:
+    """Makes the calls, from `start` to `stop`; several servers share them out through the database.
+
+    A call that was made, but whose answer was not written before a kill, is made again with the same `webhook-id`.
+    """
+
+    def __init__(self, context: Context) -> None:
+        self._context = context
+        self._at_work: Counter[str] = Counter()
+        """Number of calls under way by host."""
+        self._lock = threading.Lock()
+        self._stopping = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="deliverer", daemon=True)
+
+    def start(self) -> None:
+        """Begin, in the background, where there are hosts that may be called."""
+        if self._context.settings.webhook_hosts:
+            self._thread.start()
+
+    def stop(self) -> None:
+        """Begin no further call."""
+        self._stopping.set()
+        if self._thread.is_alive():
+            self._thread.join(5)
+
+    def _run(self) -> None:
+        while not self._stopping.is_set():
+            try:
+                delivery = self._claim()
+            except SQLAlchemyError as error:
+                _log.warning("webhooks could not be looked for: %s", error)
+                delivery = None
+            if delivery is None:
+                self._stopping.wait(_LOOK_S)
+            else:
+                threading.Thread(target=self._deliver, args=(delivery,), name=delivery.id, daemon=True).start()
+
+    def _claim(self) -> Delivery | None:
+        """Take a call that is due: it is held back from other servers for as long as it may take."""
+        database = self._context.database
+        with self._lock:
+            full = [host for host, count in self._at_work.items() if count >= _AT_ONCE_PER_HOST]
+        due = select(Delivery).where(Delivery.host.not_in(full)).order_by(Delivery.next_at).limit(1)
+        with database.reading() as session:
+            if session.scalar(due.where(Delivery.next_at <= database.clock(session))) is None:
+                return None
+        with database.writing(patient=True) as session:
+            now = database.clock(session)
+            due = due.where(Delivery.next_at <= now)
+            row = session.scalar(due if database.is_sqlite else due.with_for_update(skip_locked=True))
+            if row is not None:
+                row.next_at = now + 2 * _CALL_S
+                row.attempts += 1
+                with self._lock:
+                    self._at_work[row.host] += 1
+        return row
+
+    def _deliver(self, delivery: Delivery) -> None:
+        database = self._context.database
+        try:
+            with database.reading() as session:
+                seconds = int(database.clock(session))
+            error = _call(delivery, self._context.settings.webhook_key, seconds)
+            with database.writing(patient=True) as session:
+                now = database.clock(session)
+                is_last = error is None or delivery.attempts > len(RETRIES_S)
+                next_at = None if is_last else now + RETRIES_S[delivery.attempts - 1]
+                values = {"next_at": next_at, "error": error, "delivered_at": now if error is None else None}
+                session.execute(update(Delivery).where(Delivery.id == delivery.id).values(**values))
+            self._context.metrics.webhooks.labels("delivered" if error is None else "failed").inc()
+            extra = {"job": delivery.job_id}
+            _log.info("webhook %s, try %d: %s", delivery.id, delivery.attempts, error or "delivered", extra=extra)
+        except SQLAlchemyError as failure:  # it is made again when it is not held back any more
+            _log.warning("webhook %s: its outcome could not be written: %s", delivery.id, failure)
+        finally:
+            with self._lock:
+                self._at_work[delivery.host] -= 1
+
+
+def _call(delivery: Delivery, secret: bytes, seconds: int) -> str | None:
+    """Send a message by POST, without redirects and proxies; return why that failed."""
+    parts, body = urlsplit(delivery.uri), delivery.body.encode()
+    headers = {
+        "Content-Type": "application/json",
+        "User-Agent": "InterLoc",
+        "Connection": "close",
+        "webhook-id": delivery.id,
+        "webhook-timestamp": str(seconds),
+        "webhook-signature": signature(secret, delivery.id, seconds, body),
+    }
+    kind = http.client.HTTPSConnection if parts.scheme == "https" else http.client.HTTPConnection
+    connection = kind(str(parts.hostname), parts.port, timeout=_CALL_S)
+    try:
+        connection.request("POST", (parts.path or "/") + (f"?{parts.query}" if parts.query else ""), body, headers)
+        answer = connection.getresponse()
+        if 200 <= answer.status < 300:
+            return None
+        return f"{answer.status} {answer.reason}: {answer.read(_TOLD_BYTES).decode(errors='replace')}"[:500]
+    except (OSError, http.client.HTTPException, UnicodeError) as error:
+        return f"{type(error).__name__}: {error}"[:500]
+    finally:
+        connection.close()
+
+
+def signature(secret: bytes, id_: str, seconds: int, body: bytes) -> str:
+    """Return the header `webhook-signature` of Standard Webhooks."""
+    signed = hmac.digest(secret, f"{id_}.{seconds}.".encode() + body, hashlib.sha256)
+    return f"v1,{base64.b64encode(signed).decode()}"

@@ -17,13 +17,13 @@ from starlette.websockets import WebSocketDisconnect
 from app.context import Context, ContextDep, part_of_app
 from app.http.openapi import problems
 from app.http.patterns import ID
+from app.http.prices import priced
 from app.http.problem_types import TOKEN_MAY_ONLY_READ
 from app.http.problems import Problem, respond
 from app.http.security import ClientDep
 from app.jobs.submission import config_of
-from app.live.keeper import Keeper
 from app.live.models import SENT, Begin, Continue, End, LiveList, LiveModel
-from app.live.sessions import LiveEntry, LiveSessions
+from app.live.sessions import Keeper, LiveEntry, LiveSessions
 from app.states import Scope
 from app.store.tokens import ANONYMOUS, Holder
 from interloc.detection.warm import warm_up
@@ -45,6 +45,7 @@ _log = logging.getLogger(__name__)
 
 
 @router.get("/live", summary="List live sessions")
+@priced("cheap", bound="the sessions that may be at once")
 async def list_live(request: Request, live: LiveDep, _client: ClientDep) -> LiveList:
     """List the drives that are under way, or have just ended, the newest first."""
     root = request.scope.get("root_path", "")
@@ -52,12 +53,14 @@ async def list_live(request: Request, live: LiveDep, _client: ClientDep) -> Live
 
 
 @router.get("/live/{session}", summary="Look at a live session", responses=_ANSWERS)
+@priced("cheap")
 async def read_live(session: SessionId, request: Request, live: LiveDep, _client: ClientDep) -> LiveModel:
     """Tell how far a drive has come."""
     return live.find(session).model(request.scope.get("root_path", ""))
 
 
 @router.delete("/live/{session}", status_code=204, summary="End a live session", responses=_ANSWERS)
+@priced("cheap")
 async def end_live(session: SessionId, live: LiveDep, client: ClientDep) -> None:
     """End a session of this client; its sender is told."""
     live.find(session, client).refuse("it was ended by a request of its owner.")
@@ -76,6 +79,7 @@ async def _entry(session: SessionId, live: LiveDep) -> LiveEntry:
         **_ANSWERS,
     },
 )
+@priced("streaming")
 async def watch_live(
     entry: Annotated[LiveEntry, Depends(_entry)], request: Request, context: ContextDep, _client: ClientDep
 ) -> AsyncIterator[ServerSentEvent]:
@@ -94,6 +98,7 @@ async def watch_live(
 
 
 @sockets.websocket("/live")
+@priced("streaming")
 async def drive_live(socket: WebSocket) -> None:
     """Take the scans of a sender: see the tag Live of the description of the API, and docs/live.md."""
     context: Context = socket.app.state.context

@@ -10,6 +10,7 @@ from __future__ import annotations
 import logging
 import secrets
 import threading
+import time
 from collections.abc import Callable
 from concurrent.futures import Future, wait
 from contextlib import suppress
@@ -23,14 +24,17 @@ from app.context import Context
 from app.jobs.processes import WorkerLimitError, WorkerLostError
 from app.jobs.runner import Runner
 from app.maps import work
-from app.maps.records import Standing, map_key, standing_of
+from app.maps.records import Standing, map_key, standings_of, state_of_all
 from app.maps.work import Audited, Merged, Register, Source
 from app.ogc.indexing import write_map_rows
+from app.ogc.work import LayerRows
 from app.store.models import CityMap, Drive, MapDrive, MapPlace
 from interloc.errors import InterLocError
 
 _LOOK_S = 1.0
+_LOOK_AT_ALL_S = 10.0  # for what no row tells: files that are gone, or were put past this server
 _AGAIN_S = 5.0
+_AT_ONCE = 10_000  # rows that are written before others may write
 _OWNER = "maps"
 _log = logging.getLogger(__name__)
 Outcome = TypeVar("Outcome")
@@ -61,27 +65,40 @@ class Merger:
         self._thread.join(5)
 
     def _run(self) -> None:
+        seen: tuple[Any, ...] | None = None
+        looked = 0.0
         while not self._stopping.is_set():
-            self._context.maps_changed.wait(_LOOK_S)
+            is_told = self._context.maps_changed.wait(_LOOK_S)
             self._context.maps_changed.clear()
             with suppress(SQLAlchemyError):  # the database is told of elsewhere
                 with self._context.database.reading() as session:
-                    known = list(session.scalars(select(CityMap.id)))
-                for map_id in known:
-                    if self._stopping.is_set():
-                        return
-                    self._look_at(map_id)
+                    now = state_of_all(session)
+                if now != seen or is_told or time.monotonic() > looked + _LOOK_AT_ALL_S:
+                    seen = None if self._look() else now
+                    looked = time.monotonic()
+
+    def _look(self) -> bool:
+        """Bring up to date what is not; return whether anything was not."""
+        with self._context.database.reading() as session:
+            cities = session.scalars(select(CityMap).order_by(CityMap.created_at)).all()
+            standings = standings_of(session, self._context, cities)
+        waiting = [city.id for city in cities if standings[city.id].is_waiting(city)]
+        for map_id in waiting:
+            if self._stopping.is_set():
+                break
+            self._look_at(map_id)
+        return bool(waiting)
 
     def _look_at(self, map_id: str) -> None:
         try:
             with self._context.database.reading() as session:
                 city = session.get(CityMap, map_id)
-                standing = None if city is None else standing_of(session, self._context, city)
+                standing = None if city is None else standings_of(session, self._context, [city])[map_id]
             if city is None or standing is None:
                 return
             if standing.is_stale:
                 self._merge(city, standing)
-            elif standing.audit_key is not None and standing.audit_key != city.audited:
+            elif standing.is_waiting(city):
                 self._audit(city, standing)
         except _LostError:
             pass
@@ -101,10 +118,11 @@ class Merger:
         label_of = _labels(standing, names)
         wanted = {label_of[j.drive_id]: Source(j.id, storage.folder(f"jobs/{j.id}/result")) for j in standing.jobs}
         merged = self._work(city, work.merge, storage.folder(map_key(city.id)), wanted, register)
+        show = self._write(city, merged.layers, merged.register)
 
         def write(session: Session, row: CityMap) -> None:
             _write_rows(session, city.id, standing, label_of, merged)
-            write_map_rows(session, city.id, merged.layers)
+            show(session)
             row.revision, row.epsg, row.summary = row.revision + 1, merged.register.epsg, merged.record
             row.merged_at = self._context.database.clock(session)
 
@@ -112,21 +130,25 @@ class Merger:
         _log.info("map %s: %d drives merged, %d refused", city.id, len(wanted), len(merged.problems))
 
     def _audit(self, city: CityMap, standing: Standing) -> None:
-        assert standing.osm is not None
+        files = {
+            path: [label for drive in drives if (label := standing.rows[drive].label)]
+            for path, drives in standing.osm.items()
+        }
         wrong = [each.model_dump(mode="json") for each in standing.wrong]
         outcome: Audited | InterLocError
         try:
-            outcome = self._work(city, work.audit, self._context.storage.folder(map_key(city.id)), standing.osm, wrong)
+            outcome = self._work(city, work.audit, self._context.storage.folder(map_key(city.id)), files, wrong)
         except (WorkerLostError, WorkerLimitError):
             raise
         except InterLocError as error:  # the file is at fault: tried again when something changes
             outcome = error
+        show = self._write(city, outcome.layers) if isinstance(outcome, Audited) else None
 
         def write(session: Session, row: CityMap) -> None:
             row.audited = standing.audit_key
-            if isinstance(outcome, Audited):
+            if isinstance(outcome, Audited) and show is not None:
                 row.audit = outcome.record
-                write_map_rows(session, city.id, outcome.layers)
+                show(session)
             else:
                 row.audit = {"problem": str(outcome).replace(f"{self._context.storage.root}/", "")}
 
@@ -149,6 +171,26 @@ class Merger:
                 raise _LostError
         try:
             return future.result()
+        except BaseException:
+            self._end(city.id, None)
+            raise
+
+    def _write(
+        self, city: CityMap, layers: list[LayerRows], register: Register | None = None
+    ) -> Callable[[Session], None]:
+        """Write what nobody is shown yet, in slices between which others write; return what shows it."""
+
+        def go_on() -> None:
+            if self._stopping.is_set() or not self._hold(city.id):
+                raise _LostError
+
+        places = [] if register is None else [(uid, *lonlat) for uid, lonlat in register.places.items()]
+        try:
+            for start in range(0, len(places), _AT_ONCE):
+                go_on()
+                with self._context.database.writing(patient=True) as session:
+                    _write_places(session, city.id, places[start : start + _AT_ONCE])
+            return write_map_rows(self._context.database, city.id, layers, go_on)
         except BaseException:
             self._end(city.id, None)
             raise
@@ -210,10 +252,11 @@ def _write_rows(session: Session, map_id: str, standing: Standing, label_of: dic
         row.problem = None if row.label is None else merged.problems.get(row.label)
         if job is None and row.is_member is None:
             session.delete(row)
-    places = [
-        {"map_id": map_id, "uid": uid, "lon": lon, "lat": lat} for uid, (lon, lat) in merged.register.places.items()
-    ]
-    if places:
-        here = [MapPlace.map_id == map_id, MapPlace.uid == bindparam("uid")]
-        session.connection().execute(delete(MapPlace).where(*here), [{"uid": each["uid"]} for each in places])
-        session.execute(insert(MapPlace), places)
+
+
+def _write_places(session: Session, map_id: str, places: list[tuple[str, float, float]]) -> None:
+    """Write names of places, which are never given to others: it does not matter when they are known."""
+    here = [MapPlace.map_id == map_id, MapPlace.uid == bindparam("uid")]
+    session.connection().execute(delete(MapPlace).where(*here), [{"uid": uid} for uid, *_ in places])
+    rows = [{"map_id": map_id, "uid": uid, "lon": lon, "lat": lat} for uid, lon, lat in places]
+    session.execute(insert(MapPlace), rows)

@@ -9,8 +9,7 @@ from pydantic import BaseModel, Field
 
 from app.http.patterns import ID
 from app.http.strict import Name, Note
-from interloc.city.settings import Kind
-from interloc.city.verdicts import Judgement, Verdict
+from interloc.city.models import Judgement, Kind, Verdict
 from interloc.output.properties import FindingProperties
 
 
@@ -63,9 +62,10 @@ class MapModel(BaseModel):
 
 
 class MapList(BaseModel):
-    """The maps of the service, that of the server first."""
+    """A page of the maps of the service, that of the server first."""
 
     maps: list[MapModel]
+    next: str | None = Field(description="Value of `after` for the next page; null on the last page.")
 
 
 class MapDriveModel(BaseModel):

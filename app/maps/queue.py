@@ -17,6 +17,7 @@ from app.http.delivery import answer_tagged, deliver
 from app.http.openapi import PAGED, TAGGED, get_and_head
 from app.http.paging import answer_page
 from app.http.patterns import TEXT
+from app.http.prices import priced
 from app.http.problem_types import NO_SUCH_FINDING
 from app.http.problems import Problem, ProblemDocument
 from app.http.security import ClientDep
@@ -25,8 +26,7 @@ from app.maps.records import find_map, judgements_of, map_key
 from app.maps.work import AUDIT
 from app.ogc.routes import MapId
 from app.store.models import MapVerdict
-from interloc.city.settings import Kind
-from interloc.city.verdicts import Judgement, Precision, Verdict, judgement_of, latest
+from interloc.city.models import Judgement, Kind, Precision, Verdict, judgement_of, latest
 from interloc.errors import OutputError
 from interloc.output.geojson import encode, read_json
 
@@ -58,6 +58,7 @@ _DELIVERIES: dict[_Delivery, tuple[str, str]] = {
         },
     },
 )
+@priced("heavy", bound="the findings of one map")
 def read_delivery(
     map_id: MapId,
     name: Annotated[_Delivery, Path(description=" ".join(f"{key}: {of[1]}" for key, of in _DELIVERIES.items()))],
@@ -87,6 +88,7 @@ def read_delivery(
     response_model=QueuePage,
     responses={**PAGED, **_NOT_FOUND},
 )
+@priced("heavy")
 def list_queue(
     map_id: MapId,
     request: Request,
@@ -128,6 +130,7 @@ def list_queue(
     response_model=WholeEntry,
     responses={**TAGGED, **_NOT_FOUND},
 )
+@priced("heavy", bound="the findings of one map")
 def show_finding(
     map_id: MapId, finding: _FindingId, request: Request, context: ContextDep, _client: ClientDep
 ) -> Response:
@@ -136,6 +139,7 @@ def show_finding(
 
 
 @router.put("/queue/{finding}/verdict", summary="Say whether a finding is right", responses=_NOT_FOUND)
+@priced("heavy", bound="the findings of one map")
 def judge_finding(
     map_id: MapId, finding: _FindingId, new: NewVerdict, context: ContextDep, client: ClientDep
 ) -> WholeEntry:
@@ -159,6 +163,7 @@ def judge_finding(
 
 
 @router.delete("/queue/{finding}/verdict", status_code=204, summary="Take the last verdict back", responses=_NOT_FOUND)
+@priced("cheap")
 def take_verdict_back(map_id: MapId, finding: _FindingId, context: ContextDep, _client: ClientDep) -> None:
     """Take back what was said last of a finding, as after a slip: the verdict before it counts again."""
     with context.database.writing() as session:
@@ -178,6 +183,7 @@ def take_verdict_back(map_id: MapId, finding: _FindingId, context: ContextDep, _
     response_class=Response,
     responses={**TAGGED, **_NOT_FOUND, 200: {"content": {"image/png": {}}, "description": "80 m, north up."}},
 )
+@priced("cheap")
 def show_picture(
     map_id: MapId, finding: _FindingId, request: Request, context: ContextDep, _client: ClientDep
 ) -> Response:

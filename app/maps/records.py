@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import hashlib
+from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from sqlalchemy import exists, func, select
+from sqlalchemy import case, func, select
 from sqlalchemy.orm import Session
 
 from app.context import Context
@@ -21,7 +22,7 @@ from app.states import JobKind, JobState
 from app.store.database import moment
 from app.store.models import CityMap, Drive, FeatureLayer, Job, MapDrive, MapVerdict
 from app.store.storage import Storage
-from interloc.city.verdicts import Judgement, wrong_ones
+from interloc.city.models import Judgement, wrong_ones
 from interloc.osm.container import is_map
 
 SERVER_MAP = "default"
@@ -71,66 +72,118 @@ class Standing:
     wrong: list[Judgement]
     is_stale: bool
     """Whether it is to be merged."""
-    osm: Path | None
-    """The file to compare it with."""
+    osm: dict[Path, set[str]]
+    """The files to compare it with, the newest last, and the ids of drives whose places each is for."""
     audit_key: str | None
     """Of the comparison that it should have."""
 
-
-def standing_of(session: Session, context: Context, city: CityMap) -> Standing:
-    """Compare what a map should hold with what it holds; rows are read anew only where something changed."""
-    stamp = _stamp(session, city)
-    known = context.map_rows.get(city.id)
-    if known is None or known[0] != stamp:
-        known = context.map_rows[city.id] = stamp, _rows(session, city)
-    jobs, rows, wrong = known[1]
-    held = {each.drive_id: each.job_id for each in rows.values() if each.job_id is not None}
-    folder = context.storage.folder(map_key(city.id))
-    is_stale = held != {job.drive_id: job.id for job in jobs}
-    if not is_stale and held:
-        is_indexed = session.scalar(select(exists().where(FeatureLayer.map_id == city.id)))
-        is_whole = is_indexed and "bbox" in (city.summary or {}) and (folder / CITY / "city.json").is_file()
-        is_stale = not is_whole
-    osm, key = _osm_of(context.storage, folder, jobs) if held else (None, None)
-    last = max((each.at for each in wrong), default=None)
-    audit_key = None if key is None else f"{city.revision} {len(wrong)} {last} {key}"[-255:]
-    if city.audited is not None and audit_key == city.audited and not (folder / AUDIT).is_dir() and not _failed(city):
-        audit_key = f"{audit_key} again"[-255:]
-    return Standing(jobs, rows, wrong, is_stale, osm, audit_key)
+    def is_waiting(self, city: CityMap) -> bool:
+        """Return whether the map is to be merged or compared."""
+        return self.is_stale or (self.audit_key is not None and self.audit_key != city.audited)
 
 
-def _stamp(session: Session, city: CityMap) -> tuple[Any, ...]:
-    """Return what differs where a row does that says which results a map should hold or holds, or what is wrong."""
+def state_of_all(session: Session) -> tuple[Any, ...]:
+    """Return what differs where a row does that says what any map should hold or holds, or what is wrong."""
+    of = MapDrive.is_member
+    members = select(func.count(), func.count(of), func.count(case((of.is_(True), 1)))).select_from(MapDrive)
+    maps = select(func.count(), func.sum(CityMap.revision), func.count(CityMap.lease_owner))
+    verdicts = select(func.count(), func.sum(MapVerdict.at))
+    return *_state_of_jobs(session), *(tuple(session.execute(each).one()) for each in (members, maps, verdicts))
+
+
+def _state_of_jobs(session: Session) -> tuple[Any, ...]:
     is_result = (Job.kind == JobKind.INTERSECTIONS, Job.state == JobState.SUCCESSFUL, is_alive())
     of_jobs = select(func.count(), func.sum(Job.finished_at)).join(Drive, Drive.id == Job.drive_id).where(*is_result)
-    of_verdicts = select(func.count(), func.sum(MapVerdict.at)).where(MapVerdict.map_id == city.id)
-    named = select(MapDrive.drive_id, MapDrive.is_member).where(MapDrive.map_id == city.id)
     pinned = select(Drive.id, Drive.pinned_job).where(Drive.pinned_job.is_not(None))
-    asked = (of_jobs, of_verdicts, named.where(MapDrive.is_member.is_not(None)), pinned)
-    return city.revision, *(frozenset(map(tuple, session.execute(each))) for each in asked)
+    return tuple(frozenset(map(tuple, session.execute(each))) for each in (of_jobs, pinned))
 
 
-def _rows(session: Session, city: CityMap) -> tuple[list[Any], dict[str, MapDrive], list[Judgement]]:
-    drives = {each.drive_id: each for each in session.scalars(select(MapDrive).where(MapDrive.map_id == city.id))}
-    named = select(MapDrive.drive_id).where(MapDrive.map_id == city.id, MapDrive.is_member.is_(not city.holds_all))
-    chosen = chosen_results(Drive.id.not_in(named) if city.holds_all else Drive.id.in_(named))
-    columns = chosen.with_only_columns(Job.id, Job.drive_id, Job.request["osm"]["file"].as_string().label("osm"))
-    jobs = list(session.execute(columns.order_by(Job.created_at, Job.id)))
-    return jobs, drives, wrong_ones(judgements_of(session, city.id))
+def standings_of(session: Session, context: Context, cities: Sequence[CityMap]) -> dict[str, Standing]:
+    """Compare what maps should hold with what they hold: a few queries for however many maps."""
+    of_these = [city.id for city in cities]
+    jobs = _chosen(session, context)
+    rows: dict[str, dict[str, MapDrive]] = defaultdict(dict)
+    for row in session.scalars(select(MapDrive).where(MapDrive.map_id.in_(of_these))):
+        rows[row.map_id][row.drive_id] = row
+    are_shown = select(FeatureLayer.map_id).where(FeatureLayer.map_id.in_(of_these), FeatureLayer.layer == CITY)
+    shown = set(session.scalars(are_shown))
+    wrong = _wrong_of(session, context, of_these)
+    return {
+        city.id: _standing_of(context.storage, city, jobs, rows[city.id], wrong.get(city.id, []), city.id in shown)
+        for city in cities
+    }
+
+
+def _chosen(session: Session, context: Context) -> dict[str, tuple[int, Any]]:
+    """Return the job that stands for each drive, with its place in their order; ranked where something changed."""
+    state = _state_of_jobs(session)
+    known = context.map_rows.get("")
+    if known is None or known[0] != state:
+        columns = (Job.id, Job.drive_id, Job.request["osm"]["file"].as_string().label("osm"))
+        asked = chosen_results().with_only_columns(*columns).order_by(Job.created_at, Job.id)
+        found = {job.drive_id: (place, job) for place, job in enumerate(session.execute(asked))}
+        known = context.map_rows[""] = state, found
+    return known[1]
+
+
+def _wrong_of(session: Session, context: Context, maps: Sequence[str]) -> dict[str, list[Judgement]]:
+    """Return the findings marked wrong, by map; verdicts are read where something changed."""
+    of = MapVerdict
+    states = select(of.map_id, func.count(), func.sum(of.at)).where(of.map_id.in_(maps)).group_by(of.map_id)
+    found = {}
+    for map_id, *state in session.execute(states):
+        known = context.map_rows.get(map_id)
+        if known is None or known[0] != state:
+            known = context.map_rows[map_id] = state, wrong_ones(judgements_of(session, map_id))
+        found[map_id] = known[1]
+    return found
+
+
+def _standing_of(
+    storage: Storage,
+    city: CityMap,
+    chosen: dict[str, tuple[int, Any]],
+    rows: dict[str, MapDrive],
+    wrong: list[Judgement],
+    is_shown: bool,
+) -> Standing:
+    def said(is_member: bool) -> set[str]:
+        return {each.drive_id for each in rows.values() if each.is_member is is_member}
+
+    drives = chosen.keys() - said(False) if city.holds_all else chosen.keys() & said(True)
+    jobs = [job for _, job in sorted(chosen[drive] for drive in drives)]
+    held = {each.drive_id: each.job_id for each in rows.values() if each.job_id is not None}
+    folder = storage.folder(map_key(city.id))
+    is_stale = held != {job.drive_id: job.id for job in jobs}
+    if not is_stale and held:
+        is_stale = not (is_shown and "bbox" in (city.summary or {}) and (folder / CITY / "city.json").is_file())
+    osm, key = _osm_of(storage, folder, jobs) if held else ({}, "")
+    last = max((each.at for each in wrong), default=None)
+    audit_key = f"{city.revision} {len(wrong)} {last} {key}" if osm else None
+    if city.audited is not None and audit_key == city.audited and not (folder / AUDIT).is_dir() and not _failed(city):
+        audit_key = f"{audit_key} again"
+    return Standing(jobs, rows, wrong, is_stale, osm, audit_key)
 
 
 def _failed(city: CityMap) -> bool:
     return city.audit is not None and "problem" in city.audit
 
 
-def _osm_of(storage: Storage, folder: Path, jobs: Sequence[Any]) -> tuple[Path | None, str | None]:
-    """Return the OSM file of a map: its own, else that of its newest job that was scored with one of its drive."""
-    files = (storage.folder(f"drives/{job.drive_id}/files/{job.osm}") for job in reversed(jobs) if job.osm)
-    for path in chain(sorted((folder / OSM).glob("*")), files):
-        if path.is_file() and is_map(path.name):
+def _osm_of(storage: Storage, folder: Path, jobs: Sequence[Any]) -> tuple[dict[Path, set[str]], str]:
+    """Return the OSM files of a map (its own, else those of its drives), and a text that differs where they do."""
+    own = next((path for path in sorted((folder / OSM).glob("*")) if is_map(path.name)), None)
+    found: dict[Path, set[str]] = defaultdict(set)
+    for job in jobs:
+        if own is not None or (job.osm and is_map(job.osm)):
+            found[own or storage.folder(f"drives/{job.drive_id}/files/{job.osm}")].add(job.drive_id)
+    facts = []
+    for path in list(found):
+        try:
             stat = path.stat()
-            return path, f"{path.relative_to(storage.root)} {stat.st_size} {stat.st_mtime_ns}"
-    return None, None
+            facts.append((str(path.relative_to(storage.root)), stat.st_size, stat.st_mtime_ns, sorted(found[path])))
+        except OSError:  # it is gone
+            del found[path]
+    return found, hashlib.sha256(repr(facts).encode()).hexdigest()[:32]
 
 
 def judgements_of(session: Session, map_id: str, finding: str | None = None) -> list[Judgement]:
@@ -141,9 +194,13 @@ def judgements_of(session: Session, map_id: str, finding: str | None = None) -> 
     return [Judgement.model_validate(each) for each in session.scalars(asked)]
 
 
-def map_model(session: Session, context: Context, city: CityMap) -> MapModel:
-    """Return a map as clients see it."""
-    standing = standing_of(session, context, city)
+def map_models(session: Session, context: Context, cities: Sequence[CityMap]) -> list[MapModel]:
+    """Return maps as clients see them."""
+    standings = standings_of(session, context, cities)
+    return [_model(city, standings[city.id]) for city in cities]
+
+
+def _model(city: CityMap, standing: Standing) -> MapModel:
     summary: dict[str, Any] = city.summary or {}
     audit: dict[str, Any] = city.audit or {}
     return MapModel(
@@ -154,7 +211,7 @@ def map_model(session: Session, context: Context, city: CityMap) -> MapModel:
         created_at=moment(city.created_at),
         revision=city.revision,
         merged_at=None if city.merged_at is None else moment(city.merged_at),
-        is_waiting=standing.is_stale or (standing.audit_key is not None and standing.audit_key != city.audited),
+        is_waiting=standing.is_waiting(city),
         is_at_work=city.lease_owner is not None,
         drives=summary.get("drives", 0),
         refused=sum(row.problem is not None for row in standing.rows.values()),

@@ -2,27 +2,29 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Path, Query, Request, Response
-from fastapi.concurrency import run_in_threadpool
-from sqlalchemy import delete, select
+from sqlalchemy import delete, func, select, tuple_
 from sqlalchemy.orm import Session
 
-from app.context import ContextDep
+from app.context import Context, ContextDep
 from app.http.delivery import answer_tagged, deliver
-from app.http.intake import Intake, receive
-from app.http.limits import check_free_space, declared_length
+from app.http.intake import Arrival, Placement, receive_file
+from app.http.limits import check_quota
 from app.http.openapi import PAGED, TAGGED, get_and_head
 from app.http.paging import answer_page
 from app.http.patterns import ID
-from app.http.problem_types import MAP_IS_OF_THE_SERVER, NO_SUCH_MAP
+from app.http.prices import priced
+from app.http.problem_types import MAP_IS_OF_THE_SERVER, NO_SUCH_MAP, TOO_MANY_MAPS
 from app.http.problems import Problem, ProblemDocument
 from app.http.security import ClientDep
 from app.jobs.queue import no_drive
 from app.maps.models import MapDriveList, MapDriveModel, MapList, MapModel, NewMap
-from app.maps.records import OSM, find_map, map_key, map_model
+from app.maps.records import OSM, find_map, map_key, map_models
 from app.maps.work import AUDIT, CITY
+from app.ogc.indexing import sweep_map_rows
 from app.ogc.routes import MapId
 from app.paths import check_path
 from app.store.models import CityMap, Drive, MapDrive
@@ -33,39 +35,69 @@ router = APIRouter(prefix="/maps", tags=["Maps"])
 _NOT_FOUND: dict[int | str, dict[str, Any]] = {
     404: {"model": ProblemDocument, "description": "There is no such map, drive or finding, or not yet."}
 }
+_MADE: dict[int | str, dict[str, Any]] = {
+    **_NOT_FOUND,
+    429: {"model": ProblemDocument, "description": "The client has as many maps as it may have."},
+}
+MAX_MAPS = 100
+"""Of one client."""
+
 _DriveId = Annotated[str, Path(description="Id of the drive.", pattern=ID)]
 
 
-@router.post("", status_code=201, summary="Make a map of many drives", responses=_NOT_FOUND)
+@router.post("", status_code=201, summary="Make a map of many drives", responses=_MADE)
+@priced("heavy", bound="the drives of one map")
 def create_map(new: NewMap, response: Response, context: ContextDep, client: ClientDep) -> MapModel:
     """Make a map of drives; the best or pinned result of each is merged into it, now and whenever that changes."""
     with context.database.writing() as session:
+        context.database.lock_owner(session, client)
+        own = session.scalar(select(func.count()).where(CityMap.owner == client)) or 0
+        if own >= MAX_MAPS:
+            raise Problem(
+                TOO_MANY_MAPS, f"{client} has {own} maps, and may have {MAX_MAPS}. Delete one that is done with."
+            )
         city = CityMap(name=new.name, owner=client, created_at=context.database.clock(session))
         session.add(city)
         session.flush()
+        known = set(session.scalars(select(Drive.id).where(Drive.deleted_at.is_(None))))
         for drive_id in dict.fromkeys(new.drives):
-            _put(session, city, drive_id)
+            if drive_id not in known:
+                raise no_drive(drive_id)
+            session.add(MapDrive(map_id=city.id, drive_id=drive_id, is_member=True))
         session.flush()
-        made = map_model(session, context, city)
+        (made,) = map_models(session, context, [city])
     context.maps_changed.set()
     response.headers["Location"] = f"{context.settings.root_path}/api/v1/maps/{made.id}"
     return made
 
 
-@get_and_head(router, "", summary="List maps", response_model=MapList, responses=TAGGED)
-def list_maps(request: Request, context: ContextDep, _client: ClientDep) -> Response:
+@get_and_head(router, "", summary="List maps", response_model=MapList, responses=PAGED)
+@priced("heavy")
+def list_maps(
+    request: Request,
+    context: ContextDep,
+    _client: ClientDep,
+    after: Annotated[str | None, Query(pattern=ID, description="`next` of the previous page.")] = None,
+    limit: Annotated[int, Query(ge=1, le=100)] = 100,
+) -> Response:
     """List the maps of many drives: that of the server, which holds all drives, first."""
+    order = CityMap.holds_all, -CityMap.created_at, CityMap.id
     with context.database.reading() as session:
-        rows = session.scalars(select(CityMap).order_by(CityMap.holds_all.desc(), CityMap.created_at, CityMap.id))
-        found = MapList(maps=[map_model(session, context, each) for each in rows])
-    return answer_tagged(request, found.model_dump_json().encode())
+        asked = select(CityMap).order_by(*(each.desc() for each in order))
+        if after is not None:
+            last = find_map(session, after)
+            asked = asked.where(tuple_(*order) < tuple_(last.holds_all, -last.created_at, last.id))
+        rows = session.scalars(asked.limit(limit + 1)).all()
+        maps = map_models(session, context, rows[:limit])
+    return answer_page(request, MapList(maps=maps, next=maps[-1].id if len(rows) > limit else None))
 
 
 @get_and_head(router, "/{map_id}", summary="Show a map", response_model=MapModel, responses={**TAGGED, **_NOT_FOUND})
+@priced("heavy", bound="one map")
 def show_map(map_id: MapId, request: Request, context: ContextDep, _client: ClientDep) -> Response:
     """Show what is on a map of many drives, and how far it is."""
     with context.database.reading() as session:
-        found = map_model(session, context, find_map(session, map_id))
+        (found,) = map_models(session, context, [find_map(session, map_id)])
     return answer_tagged(request, found.model_dump_json().encode())
 
 
@@ -75,11 +107,14 @@ def show_map(map_id: MapId, request: Request, context: ContextDep, _client: Clie
     summary="Delete a map",
     responses={**_NOT_FOUND, 409: {"model": ProblemDocument, "description": "It is that of the server."}},
 )
+@priced("cheap")
 def delete_map(map_id: MapId, context: ContextDep, _client: ClientDep) -> None:
     """Delete a map for good, with its names of places and all verdicts; its drives stay."""
-    with context.database.writing() as session:
-        if find_map(session, map_id, lock=True).holds_all:
+    with context.database.reading() as session:
+        if find_map(session, map_id).holds_all:
             raise Problem(MAP_IS_OF_THE_SERVER, f"The map {map_id} holds all drives of the server, and stays.")
+    sweep_map_rows(context.database, map_id, is_gone=True)
+    with context.database.writing() as session:
         session.execute(delete(CityMap).where(CityMap.id == map_id))
     context.storage.delete(map_key(map_id))
     context.map_rows.pop(map_id, None)
@@ -92,6 +127,7 @@ def delete_map(map_id: MapId, context: ContextDep, _client: ClientDep) -> None:
     response_model=MapDriveList,
     responses={**PAGED, **_NOT_FOUND},
 )
+@priced("cheap")
 def list_map_drives(
     map_id: MapId,
     request: Request,
@@ -116,6 +152,7 @@ def list_map_drives(
 
 
 @router.put("/{map_id}/drives/{drive_id}", status_code=204, summary="Put a drive into a map", responses=_NOT_FOUND)
+@priced("cheap")
 def put_drive(map_id: MapId, drive_id: _DriveId, context: ContextDep, _client: ClientDep) -> None:
     """Let a drive belong to a map: its result is merged as soon as there is one. Repeating it changes nothing."""
     with context.database.writing() as session:
@@ -126,6 +163,7 @@ def put_drive(map_id: MapId, drive_id: _DriveId, context: ContextDep, _client: C
 @router.delete(
     "/{map_id}/drives/{drive_id}", status_code=204, summary="Take a drive out of a map", responses=_NOT_FOUND
 )
+@priced("cheap")
 def take_drive_out(map_id: MapId, drive_id: _DriveId, context: ContextDep, _client: ClientDep) -> None:
     """Take a drive out of a map: it is then as if it had never been there, but for names of places that stay taken."""
     with context.database.writing() as session:
@@ -156,39 +194,32 @@ def _put(session: Session, city: CityMap, drive_id: str, *, is_member: bool = Tr
         }
     },
 )
+@priced("streaming")
 async def put_osm(
     map_id: MapId,
     name: Annotated[str, Path(max_length=200, description="Its name: .osm, .osm.gz, .osm.bz2 or .osm.pbf.")],
     request: Request,
     context: ContextDep,
-    _client: ClientDep,
+    client: ClientDep,
 ) -> None:
-    """Send an OSM file; without one of its own a map is compared with that of its newest drive that was scored."""
+    """Send an OSM file; without one of its own a map is compared with those that its drives were scored with."""
     check_path(name)
     if not is_map(name):
         raise Problem(NO_SUCH_MAP, f"{name} is not an OSM file: .osm, .osm.gz, .osm.bz2 or .osm.pbf.", status=422)
-    limit = context.settings.max_file_bytes
-    length = declared_length(request, limit, name)
-    intake = Intake(context, name, limit)
-    folder = context.storage.folder(map_key(map_id)) / OSM
+    await receive_file(request, name, context.settings.max_file_bytes, partial(_keep_osm, context, map_id, client))
 
-    def finish() -> None:
-        check_free_space(context, 0)
-        arrival = intake.finish()
-        with context.database.reading() as session:
-            find_map(session, map_id)
-        folder.mkdir(parents=True, exist_ok=True)
-        arrival.temporary.replace(folder / name)
-        for other in folder.iterdir():
-            if other.name != name:
-                other.unlink()
-        context.maps_changed.set()
 
-    await run_in_threadpool(check_free_space, context, length or 0)
-    try:
-        await receive(request, intake.write, finish)
-    finally:
-        intake.discard()
+def _keep_osm(context: Context, map_id: str, client: str, arrival: Arrival) -> None:
+    """Let a file that was received be the OSM file of a map, in the place of the one before."""
+    key = f"{map_key(map_id)}/{OSM}"
+    with Placement(context.storage, key) as placement, context.database.writing() as session:
+        city = find_map(session, map_id, lock=True)
+        known = city.osm_bytes or 0 if city.osm_sender == client else 0
+        check_quota(context, session, client, client, arrival.size_bytes - known)
+        city.osm, city.osm_bytes, city.osm_sender = arrival.path, arrival.size_bytes, client
+        placement.move([arrival])
+        placement.remove_others([arrival])
+    context.maps_changed.set()
 
 
 _File = Literal[
@@ -216,6 +247,7 @@ _FILES: dict[_File, str] = {
         200: {"description": "The file.", "content": {"application/json": {"schema": {"type": "object"}}}},
     },
 )
+@priced("streaming")
 def read_map_file(
     map_id: MapId,
     name: Annotated[_File, Path(description="; ".join(f"{key}: {told}" for key, told in _FILES.items()))],

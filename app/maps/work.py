@@ -6,6 +6,7 @@ what is missing: done again, after a kill or by two servers, it changes nothing.
 
 from __future__ import annotations
 
+import hashlib
 import json
 import logging
 import shutil
@@ -21,11 +22,13 @@ from interloc.errors import DamagedResultError, InterLocError, OutputError
 from interloc.files import atomic_write
 
 if TYPE_CHECKING:
+    from interloc.city.audit import OwnMap
     from interloc.city.citymap import CityMap
 
 CITY, AUDIT = "city", "audit"
 JOBS_FILE = "jobs.json"
 
+_FEW_FILES = 3  # whose names are said
 _log = logging.getLogger(__name__)
 
 
@@ -62,19 +65,12 @@ class Merged:
 
 
 def merge(folder: Path, wanted: Mapping[str, Source], register: Register) -> Merged:
-    """Bring the map in a folder up to date.
+    """Bring the map in a folder up to date: it should hold a result of each wanted drive, by their names.
 
-    Parameters
-    ----------
-    folder
-        Of the map; without a map that can be read, a new one is made with the names of the register.
-    wanted
-        Name of each drive -> its result.
-    register
-        As the database has it.
+    Without a map that can be read, a new one is made with the names of the register, as the database has it.
     """
+    from interloc.city.drives import Pass  # noqa: PLC0415
     from interloc.city.folder import city_record, locked, write_city  # noqa: PLC0415 - of workers only
-    from interloc.city.passes import Pass  # noqa: PLC0415
     from interloc.output.read import read_results  # noqa: PLC0415
 
     problems: dict[str, str] = {}
@@ -150,42 +146,55 @@ class Audited:
     """The findings."""
 
 
-def audit(folder: Path, osm: Path, wrong: Sequence[dict[str, Any]]) -> Audited:
-    """Compare the map in a folder with an OSM file.
+def audit(folder: Path, files: Mapping[Path, Sequence[str]], wrong: Sequence[dict[str, Any]]) -> Audited:
+    """Compare the map in a folder with OSM files, the newest last, each for the drives of some names.
 
-    Parameters
-    ----------
-    folder
-        Of the map.
-    osm
-    wrong
-        Judgements of findings that people marked wrong.
-
-    Raises
-    ------
-    InterLocError
-        The file cannot be read, or the map is damaged.
+    Judgements of findings that people marked wrong are given as JSON. An `InterLocError` says that no file can be read,
+    or that the map is damaged.
     """
     from interloc.city.audit import audit as compare  # noqa: PLC0415
     from interloc.city.delivery import FINDINGS_FILE, audit_record, known_findings, write_audit  # noqa: PLC0415
     from interloc.city.folder import locked, read_city  # noqa: PLC0415
-    from interloc.city.settings import AuditConfig  # noqa: PLC0415
-    from interloc.city.verdicts import Judgement  # noqa: PLC0415
-    from interloc.evaluation.coverage import map_bounds  # noqa: PLC0415
-    from interloc.osm.reader import read_osm  # noqa: PLC0415
+    from interloc.city.models import AuditConfig, Judgement  # noqa: PLC0415
     from interloc.output.geojson import read_json  # noqa: PLC0415
 
     with locked(folder / CITY):
         city, config = read_city(folder / CITY), AuditConfig()
     if not city.drives:
         raise DamagedResultError(f"{folder.name}: the map holds no drives.")
-    track = np.concatenate([drive.data.track_lonlat for drive in city.drives.values()])
-    graph = read_osm(osm, map_bounds(track))
+    maps = _maps_of(city, files)
+    made_up = all(graph.is_made_up for graph, _ in maps)
+    names = sorted({graph.source for graph, _ in maps})
+    source = ", ".join(names) if len(names) <= _FEW_FILES else f"{len(names)} files"
     marked = [Judgement.model_validate(each) for each in wrong]
-    found = compare(city, graph, config, known=known_findings(folder / AUDIT), wrong=marked)
-    write_audit(found, city, folder / AUDIT, config, source=osm.name, made_up=graph.is_made_up)
+    found = compare(city, maps, config, known=known_findings(folder / AUDIT), wrong=marked)
+    write_audit(found, city, folder / AUDIT, config, source=source, made_up=made_up)
     collection = read_json(folder / AUDIT / FINDINGS_FILE)
     credit: dict[str, str] = {name: collection[name] for name in ("attribution", "license") if name in collection}
     layers = rows_of_map({"findings": collection["features"]}, credit)
-    record = audit_record(found, config, osm.name) | {"is_made_up": graph.is_made_up}
-    return Audited(record, layers)
+    return Audited(audit_record(found, config, source) | {"is_made_up": made_up}, layers)
+
+
+def _maps_of(city: CityMap, files: Mapping[Path, Sequence[str]]) -> list[OwnMap]:
+    """Read OSM files around the drives that each is for; those that hold the same are one."""
+    from interloc.evaluation.coverage import map_bounds  # noqa: PLC0415
+    from interloc.osm.reader import read_osm  # noqa: PLC0415
+
+    same: dict[str, tuple[Path, list[str]]] = {}
+    for path, names in files.items():
+        with path.open("rb") as file:
+            digest = hashlib.file_digest(file, "sha256").hexdigest()
+        same.setdefault(digest, (path, []))[1].extend(name for name in names if name in city.drives)
+    found: list[OwnMap] = []
+    problem: InterLocError | None = None
+    for path, names in same.values():
+        try:
+            if names:
+                track = np.concatenate([city.drives[name].data.track_lonlat for name in names])
+                found.append((read_osm(path, map_bounds(track)), names))
+        except InterLocError as error:  # another one may do
+            problem = error
+            _log.warning("%s: not compared with it: %s", path, error)
+    if not found:
+        raise problem or DamagedResultError("no OSM file is of a drive of the map.")
+    return found

@@ -6,6 +6,7 @@ from fastapi import APIRouter
 from pydantic import BaseModel, Field
 
 from app.context import ContextDep
+from app.http.prices import priced
 from app.http.security import ClientDep
 from app.networks import work as models
 
@@ -34,6 +35,7 @@ class NetworkList(BaseModel):
 
 
 @router.get("/models", summary="List networks that label scans")
+@priced("cheap", bound="what the operator has put into the folder of networks")
 def list_models(context: ContextDep, _client: ClientDep) -> NetworkList:
     """Return the networks of the service (INTERLOC_MODELS): a drive that is committed with one needs no labels."""
     cache, folder = context.storage.folder("cache"), context.settings.models

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
 from urllib.parse import quote, urlencode
 
-from app.ogc.collections import Collection, schema_of
+from app.ogc.collections import Collection
 from app.ogc.filters import CRS84
-from app.ogc.index import Extent, Key, Page
+from app.ogc.index import Extent, Page
 from interloc.output.credits import ODBL
 from interloc.output.geojson import encode
 
@@ -76,21 +76,19 @@ class Place:
         Without it they fetch all of a collection, in small pages, and filter by themselves.
         """
         languages = {"type": "string", "enum": ["cql-text", "cql2-text", "cql2-json"]}
+        texts = dict.fromkeys(("bbox", "datetime", "filter", "after"), "string")
         limit = {"name": "limit", "in": "query", "schema": {"type": "integer", "minimum": 1, "maximum": max_limit}}
-        texts = [(name, {"type": "string"}) for name in ("bbox", "datetime", "filter", "after")]
         paths = {}
         for each in known:
-            own = {attribute.name: schema_of(attribute) for attribute in each.attributes}
-            schemas = [("filter-lang", languages), *texts]
-            schemas += [(name, {"type": own[name]["type"]}) for name in each.queryables]
+            named = {"filter-lang": languages}
+            named |= {name: {"type": kind} for name, kind in {**texts, **each.queryable_types}.items()}
             parameters: list[dict[str, Any]] = [{"$ref": "#/components/parameters/limit"}]  # as GDAL looks for it
-            parameters += [{"name": name, "in": "query", "schema": schema} for name, schema in schemas]
+            parameters += [{"name": name, "in": "query", "schema": schema} for name, schema in named.items()]
             answers = {"200": {"description": "GeoJSON."}}
             paths[f"/collections/{each.id}/items"] = {"get": {"parameters": parameters, "responses": answers}}
-        info = {"title": self.title, "version": "1"}
         return {
             "openapi": "3.0.3",
-            "info": info,
+            "info": {"title": self.title, "version": "1"},
             "servers": [{"url": self.address}],
             "paths": paths,
             "components": {"parameters": {"limit": limit}},
@@ -148,20 +146,17 @@ class Place:
             ],
         }
 
-    def items(
-        self, collection: Collection, page: Page, asked: list[tuple[str, str]], *, token: Callable[[Key], str]
-    ) -> str:
-        """Return a page of features; `asked` are the parameters of the request, `token` makes `after` of others."""
+    def items(self, collection: Collection, page: Page, asked: list[tuple[str, str]], following: str | None) -> str:
+        """Return a page of features; `asked` are the parameters of the request, `following` is `after` of the next."""
         address = f"{self.address}/collections/{collection.id}"
         links = [
             _link("self", f"{address}/items{_query(asked)}", GEOJSON, "This document"),
             _link("collection", address, "application/json", collection.layer.title),
             _link("describedby", f"{address}/feature-schema", SCHEMA, "Schema of the GeoJSON"),
         ]
-        if page.next is not None:
+        if following is not None:
             rest = [(name, value) for name, value in asked if name not in {"after", "offset"}]
-            following = _query([*rest, ("after", token(page.next))])
-            links.append(_link("next", f"{address}/items{following}", GEOJSON, "Next page"))
+            links.append(_link("next", f"{address}/items{_query([*rest, ('after', following)])}", GEOJSON, "Next page"))
         head = {
             "type": "FeatureCollection",
             "links": links,

@@ -11,7 +11,7 @@ import math
 import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime
 from operator import eq, ge, gt, le, lt, ne
 from typing import Any, Literal
 
@@ -44,7 +44,6 @@ _COORDINATES = re.compile(r"\([-+0-9.eE,()\s]*\)")
 _ILIKE = re.compile(r"\b(?P<name>\w+) +ILIKE +(?P<pattern>'(?:[^']|'')*')|'(?:[^']|'')*'", re.IGNORECASE)
 _WORD = re.compile(r"\w[\w.]*|[^\w\s,()]")
 _GEOMETRY = {"property": GEOMETRY}
-_BEFORE_ALL, _AFTER_ALL = "", "~"  # times as texts
 
 
 def bad_filter(found: str) -> Problem:
@@ -52,25 +51,8 @@ def bad_filter(found: str) -> Problem:
     return refusal(FILTER_NOT_VALID, "query.filter", found)
 
 
-def read_filter(
-    content: str | None, language: Language, collection: Collection, values: Mapping[str, str] | None = None
-) -> Any:  # noqa: ANN401 - JSON
-    """Read a filter on the features of a collection as CQL2 JSON; a 400 where it is none, or too large.
-
-    Parameters
-    ----------
-    values
-        Queryables with the values that they must have, too, as they stand in addresses.
-    """
-    parts = [] if content is None else [_parse(content, language)]
-    for name, text in (values or {}).items():
-        parts.append({"op": "=", "args": [{"property": name}, _value(name, text, collection)]})
-    tree = parts[0] if len(parts) == 1 else {"op": "and", "args": parts}
-    _refuse_large(tree)
-    return tree
-
-
-def _parse(content: str, language: Language) -> Any:  # noqa: ANN401 - JSON
+def read_filter(content: str, language: Language) -> Any:  # noqa: ANN401 - JSON
+    """Read a filter as CQL2 JSON; a 400 where it is none, or too large."""
     if len(content) > MAX_CHARACTERS:
         raise bad_filter(f"It has {len(content):,} characters, more than {MAX_CHARACTERS:,}.")
     if language == "cql-text":
@@ -84,9 +66,11 @@ def _parse(content: str, language: Language) -> Any:  # noqa: ANN401 - JSON
             content = json.dumps(json.loads(content, parse_constant=_no_number))
         expression = cql2.parse_json(content) if language == "cql2-json" else cql2.parse_text(content)
         # Not what cql2 makes of numbers, which are all float64 there: as JSON, where NaN and infinity are null.
-        return json.loads(json.dumps(expression.to_json()), parse_constant=_no_number)
+        tree = json.loads(json.dumps(expression.to_json()), parse_constant=_no_number)
     except (cql2.ParseError, cql2.ValidationError, ValueError, RecursionError) as error:
         raise bad_filter(f"It is not {language}: {_short(error)}") from None
+    _refuse_large(tree)
+    return tree
 
 
 def _without_ilike(match: re.Match[str]) -> str:
@@ -96,20 +80,16 @@ def _without_ilike(match: re.Match[str]) -> str:
     return f"CASEI({match['name']}) LIKE CASEI({match['pattern']})"
 
 
-def _value(name: str, text: str, collection: Collection) -> str | float | bool:
-    """Return the value that a queryable must have, as its kind has it; a 400 where it has no such values."""
-    kind = collection.queryables[name]
-    if kind in {"text", "time"}:
-        return text
+def equals(name: str, text: str, kind: str) -> Any:  # noqa: ANN401 - JSON
+    """Return the filter that a property has a value, which stands in the address; a 400 where it has no such values."""
     try:
-        value = json.loads(text, parse_constant=_no_number)
-        if isinstance(value, bool) == (kind == "bool") and isinstance(value, int | float) and math.isfinite(value):
-            return value
-    except (ValueError, OverflowError, RecursionError):
+        value = text if kind in {"text", "time"} else json.loads(text, parse_constant=_no_number)
+        if isinstance(value, str) or (isinstance(value, bool) == (kind == "bool") and math.isfinite(value)):
+            return {"op": "=", "args": [{"property": name}, value]}
+    except (ValueError, TypeError, OverflowError, RecursionError):
         pass
-    raise bad_filter(
-        f"{name}={_shown(text)} is not valid. Expected {'true or false' if kind == 'bool' else 'a number'}."
-    )
+    expected = "true or false" if kind == "bool" else "a number"
+    raise bad_filter(f"{name}={_shown(text)} is not valid. Expected {expected}.")
 
 
 def _short(error: Exception) -> str:
@@ -159,8 +139,8 @@ def _refuse_large(tree: Any) -> None:  # noqa: ANN401
 
 
 def _parts_of(node: Any) -> Iterator[Any]:  # noqa: ANN401
-    members = [node.get(name) for name in ("args", "interval")] if isinstance(node, dict) else []
-    for each in (part for member in members if isinstance(member, list) for part in member):
+    arguments = node.get("args") if isinstance(node, dict) else None
+    for each in arguments if isinstance(arguments, list) else ():
         yield from each if isinstance(each, list) else (each,)
 
 
@@ -190,8 +170,6 @@ class _Value:
     kind: str
     """number, id, bool, text or time."""
     sql: ColumnElement[Any]
-    end: ColumnElement[Any] | None = None
-    """Of a day."""
     text: str | None = None
     """Of a text that the filter holds."""
     number: float | None = None
@@ -222,16 +200,9 @@ class Translator:
     def _truth(self, node: Any, *, is_alone: bool = False) -> ColumnElement[bool]:  # noqa: ANN401 - JSON
         if isinstance(node, bool):
             return true() if node else false()
-        if isinstance(node, dict) and "property" in node:
-            flag = self._value(node)
-            if flag.kind != "bool":
-                raise bad_filter(f"{node['property']} alone is not true or false. Compare it with a value.")
-            return flag.sql == true()
         name, arguments = self._operation(node) if isinstance(node, dict) else ("", [])
         if name in _COMPARISONS:
             return self._compared(name, *map(self._value, arguments))
-        if name in _TEMPORAL:
-            return _TEMPORAL[name](*(end for each in arguments for end in self._span(each)))
         if name == "s_intersects":
             return self._near(*arguments, is_alone=is_alone)
         others: dict[str, Callable[..., ColumnElement[bool]]] = {
@@ -325,21 +296,6 @@ class Translator:
         globs = [signs[sign] if sign else re.sub(r"([*?[])", r"[\1]", one + other) for one, sign, other in pieces]
         return text.bool_op("GLOB")("".join(globs))
 
-    def _span(self, node: Any) -> tuple[ColumnElement[Any], ColumnElement[Any]]:  # noqa: ANN401
-        """Return the begin and the end of a time, or of an interval."""
-        if isinstance(node, dict) and "interval" in node:
-            if not isinstance(node["interval"], list) or len(node["interval"]) != 2:
-                raise bad_filter("An interval has two ends.")
-            first, last = node["interval"]
-            begin = literal(_BEFORE_ALL) if first == ".." else self._span(first)[0]
-            return begin, literal(_AFTER_ALL) if last == ".." else self._span(last)[1]
-        value = self._value(node)
-        if value.text is not None:
-            value = _time_of(value.text)
-        if value.kind != "time":
-            raise bad_filter(f"{_shown(node)} is not a time.")
-        return value.sql, value.sql if value.end is None else value.end
-
     def _near(self, left: Any, right: Any, *, is_alone: bool) -> ColumnElement[bool]:  # noqa: ANN401
         """Return the condition that the box of a feature touches that of a geometry."""
         import shapely  # noqa: PLC0415 - an eighth of a second of start-up time
@@ -374,12 +330,10 @@ def _as_other(value: _Value, other: _Value) -> _Value:
 
 
 def _time_of(text: str) -> _Value:
-    """Return a time of a filter; a date is the day."""
+    """Return a time of a filter; a date is the begin of the day."""
     try:
-        begin = datetime.fromisoformat(text)
-        begin = begin if begin.tzinfo is not None else begin.replace(tzinfo=UTC)
-        end = begin if "T" in text.upper() else begin + timedelta(days=1) - timedelta(milliseconds=1)
-        return _Value("time", literal(time_text(begin)), end=literal(time_text(end)))
+        moment = datetime.fromisoformat(text)
+        return _Value("time", literal(time_text(moment if moment.tzinfo is not None else moment.replace(tzinfo=UTC))))
     except ValueError:
         raise bad_filter(f"{_shown(text)} is not a time as 2026-01-31T12:00:00Z, or a date.") from None
     except OverflowError:
@@ -420,17 +374,8 @@ def _shown(value: Any) -> str:  # noqa: ANN401
 
 
 _COMPARISONS: dict[str, Callable[[Any, Any], Any]] = {"=": eq, "<>": ne, "<": lt, ">": gt, "<=": le, ">=": ge}
-# Begin and end of one time and of the other (CQL2, table 7).
-_TEMPORAL: dict[str, Callable[..., ColumnElement[bool]]] = {
-    "t_after": lambda a, _b, _c, d: a > d,
-    "t_before": lambda _a, b, c, _d: b < c,
-    "t_disjoint": lambda a, b, c, d: or_(a > d, b < c),
-    "t_during": lambda a, b, c, d: and_(a > c, b < d),
-    "t_equals": lambda a, b, c, d: and_(a == c, b == d),
-    "t_intersects": lambda a, b, c, d: and_(a <= d, b >= c),
-}
 _OPERATORS = {
-    **dict.fromkeys((*_COMPARISONS, *_TEMPORAL, "and", "or", "like", "in", "s_intersects"), 2),
+    **dict.fromkeys((*_COMPARISONS, "and", "or", "like", "in", "s_intersects"), 2),
     "not": 1,
     "isnull": 1,
     "casei": 1,

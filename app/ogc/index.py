@@ -54,18 +54,6 @@ _FEW = 5_000
 _OF_RESULT = ("drive", "job", "preset", "labels")
 
 
-class Area(Box):
-    """A box, and what longitudes it has."""
-
-    @property
-    def parts(self) -> list[tuple[float, float, float, float]]:
-        """Its boxes among -180 to 540 degrees: what crosses the meridian lies beyond 180."""
-        spans = [(self.west, self.east), (self.west + 360.0, self.east + 360.0)]
-        if self.west > self.east:
-            spans = [(self.west, self.east + 360.0), (-180.0, self.east)]
-        return [(west, self.south, east, self.north) for west, east in spans]
-
-
 class Key(NamedTuple):
     """The place of a feature in the order of pages."""
 
@@ -81,12 +69,14 @@ class Key(NamedTuple):
 class Query:
     """What is asked for."""
 
-    area: Area | None = None
+    area: Box | None = None
     interval: Interval | None = None
     filter: Any = None
     """CQL2 JSON."""
     after: Key | None = None
     """Where the page begins: with the feature after this one."""
+    until: float | None = None
+    """Until when jobs had ended whose features are asked for, seconds since 1970, as the first page had them."""
     offset: int = 0
     """Or after so many, for clients that count by themselves."""
     limit: int = 100

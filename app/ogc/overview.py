@@ -6,10 +6,9 @@ from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from functools import lru_cache
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 from fastapi import APIRouter, Query, Request, Response
-from pydantic import BaseModel, ConfigDict, Field
 from pydantic_core import from_json
 from sqlalchemy import select
 from sqlalchemy.orm import Session
@@ -20,11 +19,11 @@ from app.http.delivery import answer_tagged
 from app.http.openapi import TAGGED, get_and_head
 from app.http.paging import After, lies_in, next_link
 from app.http.parameters import BoxFilter
+from app.http.prices import priced
 from app.http.security import ClientDep
-from app.http.turns import IN_TURN
-from app.jobs.view import Choice, choice_of, chosen_results, title_of
+from app.jobs.view import choice_of, chosen_results, title_of
 from app.ogc.work import outline_of
-from app.results.models import MEDIA_TYPE, LineGeometry, Position
+from app.results.models import MEDIA_TYPE
 from app.states import DriveState
 from app.store.features import OF_RESULTS
 from app.store.models import Drive, FeatureLayer, Job
@@ -41,71 +40,17 @@ _DECIMALS = 6  # 0.1 m
 router = APIRouter(tags=["Drives"])
 
 
-class PointsGeometry(BaseModel):
-    """Some places."""
-
-    type: Literal["MultiPoint"]
-    coordinates: list[Position]
-
-
-class OverviewProperties(BaseModel):
-    """Which drive a feature is of."""
-
-    layer: Literal["drives", "intersections"] = Field(
-        description="`drives`: the track of a drive; `intersections`: those of the result that stands for it."
-    )
-    drive: str = Field(description="Id of the drive.", examples=["1f6c0a7e5d2b9348"])
-    name: str = Field(description="Name of the drive.", examples=["07"])
-    job: str | None = Field(
-        description="Id of the job that stands for it; null: none was successful.", examples=["9b1e44f00c7a2d53"]
-    )
-    chosen: Choice | None = Field(
-        description="pinned: somebody has chosen that job. best: the best of preset default, else of paper, by F1 of "
-        "its intersections; null: there is no such job."
-    )
-    title: str | None = Field(description="What that job is called; null: there is none.", examples=["default"])
-    intersections: int | None = Field(description="How many intersections that job found; null: there is no such job.")
-    outcomes: list[Literal["right", "wrong", "unscored"]] | None = Field(
-        None, description="Of `intersections`: the verdict on each, in the order of the points; left out of tracks."
-    )
-    verdict: str | None = Field(
-        description="How many of them are right, in words; null: the job was not scored.",
-        examples=["5 of 6 intersections right within 10 m, 5 of 5 nodes found, median 1.0 m"],
-    )
-
-
-class OverviewFeature(BaseModel):
-    """The track of a drive, simplified, or its intersections."""
-
-    type: Literal["Feature"]
-    id: str
-    geometry: LineGeometry | PointsGeometry | None = Field(
-        description="Null for the track of a drive that has no georeference."
-    )
-    properties: OverviewProperties
-
-
-class Overview(BaseModel):
-    """A page of the map of all drives, the newest first."""
-
-    model_config = ConfigDict(json_schema_extra={"x-media-type": MEDIA_TYPE})
-
-    type: Literal["FeatureCollection"]
-    features: list[OverviewFeature]
-    next: str | None = Field(description="Value of `after` for the next page; null on the last page.")
-
-
 @get_and_head(
     router,
     "/overview",
     summary="Show all drives on one map",
-    dependencies=IN_TURN,
     response_class=Response,
     responses={
         **TAGGED,
-        200: {"model": Overview, "description": "GeoJSON."},
+        200: {"description": "GeoJSON.", "content": {MEDIA_TYPE: {"schema": {"type": "object"}}}},
     },
 )
+@priced("heavy")
 def show_overview(
     request: Request,
     context: ContextDep,
@@ -116,8 +61,10 @@ def show_overview(
 ) -> Response:
     """Give the track of every ready drive, simplified, and the intersections of the job that stands for it.
 
-    A drive without georeference has no geometry, unless that job has placed it on the map. `bbox` selects drives by
-    their own georeference.
+    That is the job that somebody has pinned, else the best. A drive without georeference has no geometry, unless that
+    job has placed it on the map. `bbox` selects drives by their own georeference. Intersections of a drive are one
+    feature of many points; `outcomes` has the verdict on each, in their order. The newest drives come first; `next` is
+    `after` of the next page.
     """
     conditions = [Drive.state == DriveState.READY, *([] if box is None else [lies_in(box)])]
     page = records.list_drives(context, after, limit, conditions)

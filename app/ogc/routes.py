@@ -1,12 +1,10 @@
-"""OGC API - Features: the pinned or best result of every drive at /ogc, and each result by itself."""
+"""OGC API - Features: the pinned or best result of every drive at /ogc, and each result and each map by itself."""
 
 from __future__ import annotations
 
-import inspect
 import json
 from collections.abc import Callable
 from dataclasses import replace
-from functools import wraps
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Path, Request, Response
@@ -16,23 +14,18 @@ from app.http.delivery import answer_tagged, service_address
 from app.http.openapi import TAGGED, get_and_head, problems
 from app.http.parameters import OF_ITS_DATA, refuse_others
 from app.http.patterns import ID
+from app.http.prices import priced
 from app.http.problem_types import NO_SUCH_COLLECTION, NO_SUCH_FEATURE, NO_SUCH_MAP
 from app.http.problems import Problem
-from app.http.turns import IN_TURN
 from app.ogc.collections import Collection
 from app.ogc.documents import GEOJSON, OPENAPI, SCHEMA, Place
+from app.ogc.filters import equals
 from app.ogc.index import Extent, Source, extents, find_feature, find_page
 from app.ogc.indexing import index_job, is_indexed
 from app.ogc.parameters import MAX_LIMIT, AskedDep, page_token
 from app.results.folder import ResultsDep
 from app.results.routes.results import PROBLEMS, JobId
 from app.store.models import CityMap
-
-of_all = APIRouter(tags=["GIS"])
-"""The result that stands for every drive; it has its own address beside the API."""
-
-of_job = APIRouter(tags=["GIS"])
-of_map = APIRouter(tags=["GIS"])
 
 _CollectionId = Annotated[
     str, Path(description="Name of the collection, as listed.", max_length=100, examples=["intersections"])
@@ -44,11 +37,12 @@ _FeatureId = Annotated[str, Path(description="Id of the feature.", max_length=40
 class _Served:
     """A source of features, where it is shown, and its database."""
 
-    def __init__(self, request: Request, context: ContextDep, source: Source, place: Place) -> None:
-        self.request = request
-        self.database = context.database
-        self.source = source
-        self.place = place
+    def __init__(
+        self, request: Request, context: ContextDep, source: Source, path: str, title: str, description: str
+    ) -> None:
+        service = service_address(request)
+        self.request, self.database, self.source = request, context.database, source
+        self.place = Place(f"{service}{path}/ogc", title, description, service)
 
     def extents(self) -> dict[str, Extent]:
         """Return what the collections hold."""
@@ -69,17 +63,12 @@ class _Served:
         return answer_tagged(self.request, content.encode(), media_type)
 
 
-def _of_all(request: Request, context: ContextDep) -> _Served:
-    place = Place(
-        f"{service_address(request)}/ogc",
-        "InterLoc",
-        "Road intersections found in LiDAR drives: the pinned job of every drive, else its best.",
-        service_address(request),
-    )
-    return _Served(request, context, Source(), place)
+def _serve_all(request: Request, context: ContextDep) -> None:
+    description = "Road intersections found in LiDAR drives: the pinned job of every drive, else its best."
+    request.state.served = _Served(request, context, Source(), "", "InterLoc", description)
 
 
-def _one_job(job_id: JobId, request: Request, context: ContextDep, results: ResultsDep) -> _Served:
+def _serve_job(job_id: JobId, request: Request, context: ContextDep, results: ResultsDep) -> None:
     result = results.open(job_id)
     result.require_georeference("A GIS cannot show it")
     with context.database.reading() as session:
@@ -87,96 +76,110 @@ def _one_job(job_id: JobId, request: Request, context: ContextDep, results: Resu
     if not is_there:  # of an older version, and the clean-up has not come to it yet
         index_job(context, job_id)
     description = f"Road intersections found by job {job_id} in drive {result.drive_name}."
-    service = service_address(request)
-    place = Place(f"{service}{result.address}/ogc", f"InterLoc: {result.drive_name}", description, service)
-    return _Served(request, context, Source(job_id), place)
+    title = f"InterLoc: {result.drive_name}"
+    request.state.served = _Served(request, context, Source(job_id), result.address, title, description)
 
 
-def _one_map(map_id: MapId, request: Request, context: ContextDep) -> _Served:
+def _serve_map(map_id: MapId, request: Request, context: ContextDep) -> None:
     with context.database.reading() as session:
         city = session.get(CityMap, map_id)
     if city is None:
         raise Problem(NO_SUCH_MAP, f"There is no map {map_id}. GET /api/v1/maps lists them.")
     description = f"Road intersections of many drives, fused, and what OpenStreetMap has wrong: map {city.name}."
-    service = service_address(request)
-    place = Place(f"{service}/api/v1/maps/{map_id}/ogc", f"InterLoc: {city.name}", description, service)
-    return _Served(request, context, Source(map=map_id), place)
+    path, title = f"/api/v1/maps/{map_id}", f"InterLoc: {city.name}"
+    request.state.served = _Served(request, context, Source(map=map_id), path, title, description)
 
 
-def _landing(served: _Served) -> Response:
+def _served(request: Request) -> _Served:
+    """Return what the dependency of the router has put there."""
+    found: _Served = request.state.served
+    return found
+
+
+_ServedDep = Annotated[_Served, Depends(_served)]
+
+
+@priced("cheap")
+def _landing(served: _ServedDep) -> Response:
     """Lead to everything else: give this address to QGIS (OGC API - Features) or to GDAL (`OAPIF:` before it)."""
     return served.answer(served.place.landing())
 
 
-def _conformance(served: _Served) -> Response:
+@priced("cheap")
+def _conformance(served: _ServedDep) -> Response:
     """List the classes of OGC API - Features and CQL2 that the interface keeps to."""
     return served.answer(served.place.conformance())
 
 
-def _interface(served: _Served) -> Response:
+@priced("cheap")
+def _interface(served: _ServedDep) -> Response:
     """Describe by OpenAPI 3.0 what can be asked of the collections, as far as GDAL and QGIS look at it."""
     known = [served.source.collections[name] for name in served.extents()]
     return served.answer(served.place.interface(known, MAX_LIMIT), OPENAPI)
 
 
-def _collections(served: _Served) -> Response:
+@priced("cheap")
+def _collections(served: _ServedDep) -> Response:
     """List the layers with their extents in space and time."""
     return served.answer(served.place.collections(served.extents(), served.source.collections))
 
 
-def _collection(collection_id: _CollectionId, served: _Served) -> Response:
+@priced("cheap")
+def _collection(collection_id: _CollectionId, served: _ServedDep) -> Response:
     """Describe a layer: what a feature is, its extent in space and time, whose data it is."""
     found = served.collection(collection_id)
     return served.answer(served.place.collection(found, served.extents()[found.id]))
 
 
-def _schema(collection_id: _CollectionId, served: _Served) -> Response:
+@priced("cheap")
+def _schema(collection_id: _CollectionId, served: _ServedDep) -> Response:
     """Describe the properties of the features: type, unit, title and meaning."""
     found = served.collection(collection_id)
     return served.answer(found.schema(served.place.of_collection(found, "schema")), SCHEMA)
 
 
-def _feature_schema(collection_id: _CollectionId, served: _Served) -> Response:
+@priced("cheap")
+def _feature_schema(collection_id: _CollectionId, served: _ServedDep) -> Response:
     """Describe the features as they are in GeoJSON, for programs such as GDAL."""
     found = served.collection(collection_id)
     return served.answer(found.feature_schema(served.place.of_collection(found, "feature-schema")), SCHEMA)
 
 
-def _queryables(collection_id: _CollectionId, served: _Served) -> Response:
+@priced("cheap")
+def _queryables(collection_id: _CollectionId, served: _ServedDep) -> Response:
     """Describe what filters may name."""
     found = served.collection(collection_id)
     return served.answer(found.queryables_schema(served.place.of_collection(found, "queryables")), SCHEMA)
 
 
-def _items(collection_id: _CollectionId, request: Request, served: _Served, asked: AskedDep) -> Response:
+@priced("heavy", bound="a page, by its own parameters")
+def _items(collection_id: _CollectionId, request: Request, served: _ServedDep, asked: AskedDep) -> Response:
     """Give features as GeoJSON, page by page: follow the link `next`.
 
     All conditions must hold. A filter that is too large, too deep or takes too long is refused.
     """
     found = served.collection(collection_id)
     refuse_others(request, found.queryables)
-    values = {name: value for name, value in request.query_params.items() if name in found.queryables}
-    query = asked.of(found, values)
+    named = [(name, value) for name, value in request.query_params.items() if name in found.queryables]
+    if named:  # a property that must have one value
+        parts = [equals(name, value, found.queryables[name]) for name, value in named]
+        asked = replace(asked, filter={"op": "and", "args": [*parts, True if asked.filter is None else asked.filter]})
     with served.database.reading() as session:
         source = replace(served.source, until=asked.until).pinned(session)
-        page = find_page(session, source, found, query)
-    content = served.place.items(
-        found, page, request.query_params.multi_items(), token=lambda key: page_token(key, source.until)
-    )
-    return served.answer(content, GEOJSON)
+        page = find_page(session, source, found, asked)
+    following = None if page.next is None else page_token(page.next, source.until)
+    return served.answer(served.place.items(found, page, request.query_params.multi_items(), following), GEOJSON)
 
 
-def _feature(collection_id: _CollectionId, feature_id: _FeatureId, served: _Served) -> Response:
+@priced("heavy", bound="one feature")
+def _feature(collection_id: _CollectionId, feature_id: _FeatureId, served: _ServedDep) -> Response:
     """Give one feature; its id stays the same for as long as there is its job."""
     found = served.collection(collection_id)
     with served.database.reading() as session:
         content = find_feature(session, served.source, found, feature_id)
     if content is None:
-        hint = (
-            ""
-            if not served.source.is_of_all or "." in feature_id
-            else " Ids of features of all drives begin with the job: JOB.ID."
-        )
+        is_job_missing = served.source.is_of_all and "." not in feature_id
+        hint = " Ids of features of all drives begin with the job: JOB.ID." if is_job_missing else ""
         raise Problem(NO_SUCH_FEATURE, f"{found.id} has no feature {feature_id[:80]!r}.{hint}")
     return served.answer(served.place.feature(found, feature_id, content), GEOJSON)
 
@@ -198,10 +201,9 @@ _ADDRESSES: tuple[tuple[str, Callable[..., Response], str, str], ...] = (
 _MISSING = problems({404: "No such collection or feature."})
 
 
-def _add(
-    router: APIRouter, prefix: str, name: str, source: Callable[..., _Served], problems: dict[int | str, Any]
-) -> None:
-    """Register all addresses of a source of features."""
+def _router(prefix: str, name: str, source: Callable[..., None], problems: dict[int | str, Any]) -> APIRouter:
+    """Return all addresses of a source of features."""
+    router = APIRouter(tags=["GIS"])
     for path, endpoint, media_type, summary in _ADDRESSES:
         answer = {"description": f"{summary}.", "content": {media_type: {"schema": {"type": "object"}}}}
         get_and_head(
@@ -210,26 +212,15 @@ def _add(
             summary=summary,
             operation_id=f"read_{name}{endpoint.__name__}",
             openapi_extra=OF_ITS_DATA if endpoint is _items else None,
-            dependencies=IN_TURN if endpoint in {_items, _feature} else [],
+            dependencies=[Depends(source)],
             response_class=Response,
             responses={**TAGGED, 200: answer, **(_MISSING if "{" in path else {}), **problems},
-        )(_bound(endpoint, source))
+        )(endpoint)
+    return router
 
 
-def _bound(endpoint: Callable[..., Response], source: Callable[..., _Served]) -> Callable[..., Response]:
-    """Return an endpoint whose `served` comes from a source."""
+of_all = _router("/ogc", "ogc", _serve_all, {})
+"""The result that stands for every drive; it has its own address beside the API."""
 
-    @wraps(endpoint)
-    def bound(**arguments: Any) -> Response:  # noqa: ANN401 - those of the endpoint
-        return endpoint(**arguments)
-
-    signature = inspect.signature(endpoint, eval_str=True)
-    own = signature.parameters["served"].replace(annotation=Annotated[_Served, Depends(source)])
-    parameters = {**signature.parameters, "served": own}
-    bound.__signature__ = signature.replace(parameters=list(parameters.values()))  # type: ignore[attr-defined]
-    return bound
-
-
-_add(of_all, "/ogc", "ogc", _of_all, {})
-_add(of_job, "/jobs/{job_id}/ogc", "job_ogc", _one_job, PROBLEMS)
-_add(of_map, "/maps/{map_id}/ogc", "map_ogc", _one_map, PROBLEMS)
+of_job = _router("/jobs/{job_id}/ogc", "job_ogc", _serve_job, PROBLEMS)
+of_map = _router("/maps/{map_id}/ogc", "map_ogc", _serve_map, PROBLEMS)

@@ -10,6 +10,7 @@ from fastapi.responses import HTMLResponse, RedirectResponse, Response
 from app.context import ContextDep, part_of_app
 from app.http.delivery import answer_tagged, deliver, media_type_of
 from app.http.openapi import get_and_head
+from app.http.prices import priced
 from app.http.problem_types import NOT_FOUND
 from app.http.problems import Problem
 from app.page.files import (
@@ -36,6 +37,7 @@ _HIDDEN: dict[str, Any] = {"include_in_schema": False, "response_class": Respons
 
 
 @get_and_head(router, "/", **_HIDDEN)
+@priced("cheap")
 def read_index(request: Request, files: PageFilesDep) -> Response:
     """Give the page, or redirect to the documentation where it is not installed."""
     if not files.are_complete():
@@ -44,6 +46,7 @@ def read_index(request: Request, files: PageFilesDep) -> Response:
 
 
 @get_and_head(router, "/static/{path:path}", **_HIDDEN)
+@priced("streaming")
 def read_asset(path: str, request: Request, files: PageFilesDep) -> Response:
     """Give a file of the page; under the address with its version it stays what it is."""
     cache_control = _ASK
@@ -57,6 +60,7 @@ def read_asset(path: str, request: Request, files: PageFilesDep) -> Response:
 
 
 @get_and_head(router, "/docs", **_HIDDEN)
+@priced("cheap")
 def read_docs(request: Request, files: PageFilesDep) -> Response:
     """Give the documentation of the API; where the page is not installed, its description for programs."""
     if files.find(SWAGGER) is None:
@@ -65,12 +69,14 @@ def read_docs(request: Request, files: PageFilesDep) -> Response:
 
 
 @get_and_head(router, "/docs/start.js", **_HIDDEN)
+@priced("cheap")
 def read_docs_start() -> Response:
     """Give the script that starts Swagger UI: the policy of the service allows none within a page."""
     return Response(SWAGGER_START, media_type="text/javascript", headers={"cache-control": _ASK})
 
 
 @router.get("/config.json", summary="What the page needs to know", operation_id="read_page_config")
+@priced("cheap")
 def read_config(request: Request, context: ContextDep) -> PageConfig:
     """Give version, tiles, limits, the words for what a user chooses, and whether a token is needed.
 

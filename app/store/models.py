@@ -190,6 +190,11 @@ class CityMap(Base):
     """Its `audit.json`; or the problem that it had."""
     lease_owner: Mapped[str | None]
     lease_until: Mapped[float | None]
+    osm: Mapped[str | None]
+    """Name of its own OSM file, in its folder."""
+    osm_bytes: Mapped[int | None]
+    osm_sender: Mapped[str | None]
+    """Client that sent it: its bytes count for that client."""
 
 
 class MapDrive(Base):
@@ -231,7 +236,7 @@ class MapVerdict(Base):
     finding: Mapped[str] = mapped_column(String(64))
     at: Mapped[float]
     judgement: Mapped[dict[str, Any]]
-    """See `interloc.city.verdicts.Judgement`."""
+    """See `interloc.city.models.Judgement`."""
 
     __table_args__ = (Index("ix_map_verdicts", "map_id", "finding"),)
 

@@ -31,6 +31,14 @@ def files_below(folder: Path) -> Iterator[str]:
         yield from ((place / name).as_posix() for name in names)
 
 
+def remove_empty(folder: Path, root: Path) -> None:
+    """Remove a folder and those above it below a root, as far as they are empty, so that a file can take the name."""
+    while folder != root:
+        with suppress(OSError):
+            folder.rmdir()
+        folder = folder.parent
+
+
 class DataFolderGoneError(SQLAlchemyError):
     """The data folder is not where it was: whatever waits for the database to answer waits for this too."""
 

@@ -10,6 +10,7 @@ from app.context import ContextDep
 from app.drives import routes as drives
 from app.http.openapi import PAGED, problems
 from app.http.paging import answer_page
+from app.http.prices import priced
 from app.http.security import ClientDep
 from app.jobs import routes as jobs
 from app.jobs.models import JobModel
@@ -32,6 +33,7 @@ NOT_THERE = problems({404: "It is not in the trash.", 409: "The drive of the job
 @of_items.delete(
     "/drives/{drive_id}", tags=["Drives"], status_code=204, responses=drives.NOT_FOUND, summary="Delete a drive"
 )
+@priced("cheap")
 def delete_drive(
     drive_id: drives.DriveId,
     context: ContextDep,
@@ -60,6 +62,7 @@ def delete_drive(
         **problems({409: "It has not ended, so it cannot be removed."}),
     },
 )
+@priced("cheap")
 def delete_job(
     job_id: jobs.JobId,
     request: Request,
@@ -89,6 +92,7 @@ def delete_job(
 
 
 @router.get("", response_model=TrashList, summary="List the trash", responses=PAGED)
+@priced("cheap")
 def list_trash(
     request: Request,
     context: ContextDep,
@@ -102,18 +106,21 @@ def list_trash(
 
 
 @router.delete("", status_code=204, summary="Empty the trash")
+@priced("heavy", bound="what is in the trash")
 def empty_trash(context: ContextDep, _client: ClientDep) -> None:
     """Delete everything in the trash for good, now."""
     trash.empty_trash(context)
 
 
 @router.post("/{kind}/{item_id}/restore", responses=NOT_THERE, summary="Restore from the trash")
+@priced("cheap")
 def restore_item(kind: Kind, item_id: Id, context: ContextDep, _client: ClientDep) -> TrashItem:
     """Take a drive with its jobs and their results, or a job with its results, out of the trash."""
     return trash.restore(context, kind, item_id)
 
 
 @router.delete("/{kind}/{item_id}", status_code=204, responses=NOT_THERE, summary="Delete for good")
+@priced("heavy", bound="one drive or job")
 def purge_item(kind: Kind, item_id: Id, context: ContextDep, _client: ClientDep) -> None:
     """Delete a drive or a job of the trash for good, now."""
     trash.purge_item(context, kind, item_id)

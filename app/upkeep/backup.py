@@ -288,7 +288,7 @@ class _Bringer:
 def _prune(out: Path, keys: Collection[str]) -> int:
     """Remove the files of a backup that are not among the keys, and folders that are empty then; return how many."""
     removed = 0
-    for kind in ("drives", "jobs"):
+    for kind in ("drives", "jobs", "maps"):
         for parent, folders, names in os.walk(out / kind, topdown=False):
             for path in (Path(parent, name) for name in names):
                 if path.relative_to(out).as_posix() not in keys:

@@ -19,7 +19,7 @@ from sqlalchemy.orm import Session, defer
 from app.context import Context
 from app.drives.records import files_key, reduced_key, stays_uploaded
 from app.states import ACTIVE, DriveState, JobKind, JobState
-from app.store.models import Drive, DriveFile, Job
+from app.store.models import CityMap, Drive, DriveFile, Job
 from app.store.storage import files_below
 from app.upkeep.cleanup import unknown_folders
 from app.work.places import TRAJECTORY
@@ -122,6 +122,9 @@ def wanted_files(session: Session, root: Path, *, all_of_folders: bool = False) 
     is_there = or_(Job.deleted_at.is_(None), Job.deleted_at > 0)
     for job_id in session.scalars(of_kept.where(*has_result, is_there).with_only_columns(Job.id)).all():
         yield from _wanted_folder(root, f"jobs/{job_id}/result", [RUN_FILE], all_of_folders=all_of_folders)
+    for map_id, name, osm_bytes in session.execute(select(CityMap.id, CityMap.osm, CityMap.osm_bytes)):
+        if name is not None:
+            yield Wanted(f"maps/{map_id}/osm/{name}", osm_bytes)
 
 
 def _wanted_reduced(root: Path, drive_id: str, *, all_of_folders: bool) -> Iterator[Wanted]:

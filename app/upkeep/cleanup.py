@@ -11,7 +11,7 @@ import logging
 import threading
 import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 
 from sqlalchemy import ColumnElement, and_, exists, select
@@ -24,9 +24,8 @@ from app.http.problems import Problem
 from app.metrics import Removal
 from app.ogc.indexing import index_missing
 from app.states import FINAL, DriveState, JobKind, JobState
-from app.store.clock import ClockWatch
 from app.store.incoming import is_old, remove_dead, size_of
-from app.store.models import Drive, Job
+from app.store.models import CityMap, Drive, Job
 from app.store.storage import INCOMING
 from app.trash.deletion import delete_drive, empty_trash
 from app.work.places import REDUCED
@@ -38,6 +37,34 @@ _STEADY_S = 3500.0  # one period, for which the clock must not have jumped befor
 _JUMP_S = 600.0
 
 _log = logging.getLogger(__name__)
+
+
+class ClockWatch:
+    """Notices when the clock of the database was set, so that nobody is taken for dead or expired.
+
+    It compares it with one that never jumps; between two looks they may part by a tolerance.
+    """
+
+    def __init__(self, tolerance_s: float, monotonic: Callable[[], float] = time.monotonic) -> None:
+        self._tolerance_s = tolerance_s
+        self._monotonic = monotonic
+        self._last: tuple[float, float] | None = None
+        self._since = float("inf")
+        self.has_jumped = False
+
+    def look(self, now: float) -> float:
+        """Take note of the time by the database; return the seconds since it jumped last, or since the first look.
+
+        What happened before that is not known.
+        """
+        moment = self._monotonic()
+        if self._last is None:
+            self._since = moment
+        elif abs((now - self._last[0]) - (moment - self._last[1])) > self._tolerance_s:
+            self._since = moment
+            self.has_jumped = True
+        self._last = now, moment
+        return moment - self._since
 
 
 def sweep(context: Context, *, by_age: bool = True) -> Counter[Removal]:
@@ -67,8 +94,8 @@ def sweep(context: Context, *, by_age: bool = True) -> Counter[Removal]:
 
 
 def unknown_folders(context: Context) -> Iterator[str]:
-    """Find the folders of drives and jobs that have no row, by their keys."""
-    for kind, table in (("drives", Drive), ("jobs", Job)):
+    """Find the folders of drives, jobs and maps that have no row, by their keys."""
+    for kind, table in (("drives", Drive), ("jobs", Job), ("maps", CityMap)):
         root = context.storage.folder(kind)
         paths = sorted(root.iterdir()) if root.is_dir() else []
         with context.database.reading() as session:  # after the folders, which are made after their rows
@@ -83,7 +110,7 @@ def _remove_unknown(context: Context, *, by_age: bool) -> int:
     named, removed = [], 0
     for key in unknown_folders(context):
         folder = context.storage.folder(key)
-        if any((folder / name).exists() for name in ("files", REDUCED, "result")):
+        if any((folder / name).exists() for name in ("files", REDUCED, "result", "osm")):
             named.append(key)
         elif by_age and is_old(folder):
             context.metrics.count_removal("unknown", size_of(folder))
@@ -91,7 +118,7 @@ def _remove_unknown(context: Context, *, by_age: bool) -> int:
             removed += 1
     if named:
         _log.warning(
-            "no row knows %d folders of drives and jobs: %s. Is the database an older copy? They stay; `interloc "
+            "no row knows %d folders of drives, jobs or maps: %s. Is the database an older copy? They stay; `interloc "
             "check` names them, `interloc restore` brings back a backup, and what nobody needs may be removed",
             len(named),
             ", ".join(named[:3]) + (", ..." if len(named) > 3 else ""),

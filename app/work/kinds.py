@@ -9,8 +9,7 @@ from types import ModuleType
 
 from app.states import JobKind
 from app.work.documents import CommitJob, IntersectionsJob, JobRequest, Outcome, UnpackJob
-from app.work.progress import ProgressFiles
-from app.work.task import Part, Plan, Task
+from app.work.task import Part, Plan, ProgressFiles, Task
 from interloc.errors import InterLocError
 
 

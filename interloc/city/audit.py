@@ -17,10 +17,10 @@ import numpy as np
 
 from interloc.arrays import FloatArray, IntArray
 from interloc.city.citymap import CityMap
+from interloc.city.drives import HOLE_M
+from interloc.city.models import AuditConfig, Judgement, Kind
 from interloc.city.osm_plane import OsmPlane
 from interloc.city.places import SAME_PASS_S, PlaceTable
-from interloc.city.settings import AuditConfig, Kind
-from interloc.city.verdicts import Judgement
 from interloc.osm.graph import RoadGraph
 
 WRONG_M = 15.0
@@ -50,37 +50,24 @@ _BEGINS_M = 4.0  # a road that bends away from the straight line is still within
 
 @dataclass(frozen=True)
 class Finding:
-    """A place where OpenStreetMap seems to be wrong.
-
-    Attributes
-    ----------
-    id : str
-        Of the kind and the place, or the node: it stays when drives are added.
-    kind : Kind
-    xy : (2,) float64
-        Where to look, in the plane of the map.
-    uid : str or None
-        The place on the map; None: there is none.
-    osm_node : int or None
-        The node that it is about; None where OpenStreetMap lacks something.
-    passes : int
-        Independent passes that say so.
-    drives : tuple of str
-    text : str
-        What was found, for a person who looks at it.
-    evidence : dict
-        Distances and shares that led to it, and tags of the ways around.
-    """
+    """A place where OpenStreetMap seems to be wrong."""
 
     id: str
+    """Of the kind and the place, or the node: it stays when drives are added."""
     kind: Kind
     xy: FloatArray
+    """(2,) float64: where to look, in the plane of the map."""
     uid: str | None
+    """The place on the map; None: there is none."""
     osm_node: int | None
+    """The node that it is about; None where OpenStreetMap lacks something."""
     passes: int
+    """Independent passes that say so."""
     drives: tuple[str, ...]
     text: str
+    """What was found, for a person who looks at it."""
     evidence: dict[str, Any] = field(default_factory=dict)
+    """Distances and shares that led to it, and tags of the ways around."""
 
 
 @dataclass(frozen=True)
@@ -96,9 +83,13 @@ class Audit:
     """How many candidates were not claimed, by reason."""
 
 
+OwnMap = tuple[RoadGraph, Collection[str]]
+"""A map, and the names of the drives whose places it is for."""
+
+
 def audit(
     city: CityMap,
-    graph: RoadGraph,
+    maps: RoadGraph | Sequence[OwnMap],
     config: AuditConfig | None = None,
     *,
     known: Collection[str] = (),
@@ -109,17 +100,23 @@ def audit(
     Parameters
     ----------
     city
-    graph
-        The roads of OpenStreetMap around it.
+    maps
+        The roads of OpenStreetMap around all its drives, or several maps, each with the drives that it is for, the
+        newest last. A place is compared with those of the drives that came by; nothing is claimed where there is none,
+        or where they end. Made-up maps say nothing of OpenStreetMap.
     config
         Settings.
     known
         Ids of findings of before. They stay while they reach 70 % of what a new one must, so that a finding near a
         threshold does not come and go.
     wrong
-        Findings that people marked wrong (`interloc.city.verdicts.wrong_ones`): nothing is claimed there again.
+        Findings that people marked wrong (`interloc.city.models.wrong_ones`): nothing is claimed there again.
     """
-    found = _Auditor(city, graph, config or AuditConfig(), frozenset(known)).run()
+    own = [(maps, city.drives.keys())] if isinstance(maps, RoadGraph) else maps
+    real = [(graph, frozenset(names)) for graph, names in own if not graph.is_made_up]
+    if not real:
+        return Audit([], 0, np.zeros(2), {"made-up map": int(city.places.is_shown.sum())})
+    found = _Auditor(city, real, config or AuditConfig(), frozenset(known)).run()
     places = city.plane(np.array([(each.lon, each.lat) for each in wrong])) if wrong else np.zeros((0, 2))
     about = {each.uid for each in wrong} | {each.osm_id for each in wrong} - {None}
     left = [
@@ -132,9 +129,11 @@ def audit(
 
 
 class _Auditor:
-    def __init__(self, city: CityMap, graph: RoadGraph, config: AuditConfig, known: frozenset[str]) -> None:
-        self.city, self.config, self.known = city, config, known
-        self.osm = OsmPlane.of(city, graph)
+    def __init__(
+        self, city: CityMap, maps: list[tuple[RoadGraph, frozenset[str]]], config: AuditConfig, known: frozenset[str]
+    ) -> None:
+        self.city, self.maps, self.config, self.known = city, maps, config, known
+        self.osm = OsmPlane.of(city, *(graph for graph, _ in maps))
         self.places: PlaceTable = city.places
         self.held_back: dict[str, int] = {}
 
@@ -157,7 +156,7 @@ class _Auditor:
             for each, metres in zip(findings, away, strict=True)
             if each.kind in wanted and not (each.kind.startswith("missing") and metres < _ALSO_ELSEWHERE_M)
         ]
-        passed = [node for node in self.osm.open_junctions.tolist() if self._enough(self._came_by(node))]
+        passed = [node for node in self.osm.open_junctions.tolist() if self._enough(self.came_by.get(node, ()))]
         findings.sort(key=lambda each: each.id)
         return Audit(findings, len(passed), self.osm.offset_m, dict(sorted(self.held_back.items())))
 
@@ -176,7 +175,7 @@ class _Auditor:
             origins = [table.xy[row], *([osm.xy[osm.junctions[node[row]]]] if kind == "missing_branch" else [])]
             saw = {i: self._lacks(row, i, origins, ease) for i in range(len(table.bearings_deg[row]))}
             branches = [i for i, drives in saw.items() if self._enough(drives)]
-            if not branches or self._is_held_back(self._excuse(table.xy[row])):
+            if not branches or self._is_held_back(self._excuse(table.xy[row], table.near[row])):
                 continue
             drives = saw[branches[0]]
             bearings = [float(table.bearings_deg[row][i]) for i in branches]
@@ -254,7 +253,7 @@ class _Auditor:
                 if osm.is_odd(node)
                 else "node and its roads lie on what was seen as road"
                 if not self._enough(drives)
-                else self._excuse(here)
+                else self._excuse(here, table.near[row])
             )
             if self._is_held_back(reason):
                 continue
@@ -300,7 +299,7 @@ class _Auditor:
         for node, found in past.items():
             least = config.moved_m * self._ease("moved", osm.graph.node_id[node])
             drives = tuple(name for name, distance in found.items() if distance > least)
-            if not self._enough(drives) or self._is_held_back(self._excuse(osm.xy[node])):
+            if not self._enough(drives) or self._is_held_back(self._excuse(osm.xy[node], drives)):
                 continue
             distance = float(np.median([found[name] for name in drives]))
             yield self._finding(
@@ -323,6 +322,9 @@ class _Auditor:
             into = track[first] - track[max(first - _AHEAD_M, 0)]
             out = track[min(last + _AHEAD_M, len(track) - 1)] - track[last]
             margin = (last - first) // 4
+            driven = track[max(first - _AHEAD_M, 0) : last + _AHEAD_M + 1]
+            if np.hypot(*np.diff(driven, axis=0).T).max(initial=0.0) > HOLE_M:
+                continue  # a hole: nobody knows where it drove
             if into @ out > _STRAIGHT * np.hypot(*into) * np.hypot(*out):
                 off = self.osm.distance(track[first + margin : last - margin + 1])
                 if np.median(off) > _OFF_MAP_M:
@@ -334,7 +336,7 @@ class _Auditor:
         osm, config = self.osm, self.config
         nearest, _ = _nearest(osm.xy, self.places.xy[self.places.is_shown])
         for node in osm.open_junctions.tolist():
-            drives = self._came_by(node)
+            drives = tuple(self.came_by.get(node, ()))
             ease = self._ease("phantom", osm.graph.node_id[node])
             if not self._enough(drives) or nearest[node] <= config.junction_m:
                 continue
@@ -352,7 +354,7 @@ class _Auditor:
                 if share[0] < config.max_phantom_road / ease and share[1] >= config.min_phantom_other * ease
             ]  # fmt: skip
             blind = None if unseen else "side road seen, or not told from what was not seen"
-            if self._is_held_back(blind or self._excuse(osm.xy[node])):
+            if self._is_held_back(blind or self._excuse(osm.xy[node], drives)):
                 continue
             yield self._finding(
                 "phantom",
@@ -372,7 +374,7 @@ class _Auditor:
         for nodes in osm.groups(_GROUP_M):
             middle = osm.xy[nodes].mean(axis=0)
             rows = shown[np.hypot(*(table.xy[shown] - middle).T) <= _PARTNER_M]
-            if len(rows) != 1 or self._excuse(middle) is not None:
+            if len(rows) != 1 or self._excuse(middle, table.near[rows[0]]) is not None:
                 continue
             row, node = int(rows[0]), nodes[0]
             apart = np.hypot(*(osm.xy[nodes] - table.xy[row]).T)
@@ -392,12 +394,9 @@ class _Auditor:
 
     # what they share --------------------------------------------------------------------------------------------------
 
-    def _came_by(self, node: int) -> tuple[str, ...]:
-        """Return the drives that came by an open junction: three keyframes or more within 15 m."""
-        return tuple(self.came_by.get(node, ()))
-
     @cached_property
     def came_by(self) -> dict[int, list[str]]:
+        """The drives that came by each open junction: three keyframes or more within 15 m."""
         from scipy.spatial import cKDTree  # noqa: PLC0415
 
         rows, found = self.osm.open_junctions, defaultdict[int, list[str]](list)
@@ -433,13 +432,15 @@ class _Auditor:
         found: FloatArray = self.places.confidence * np.array([len(near) / len(saw) for near, saw in pairs])
         return found
 
-    def _excuse(self, xy: FloatArray) -> str | None:
-        """Return why nothing is to be claimed at a place; None where nothing speaks against it."""
+    def _excuse(self, xy: FloatArray, drives: Sequence[str]) -> str | None:
+        """Return why nothing is to be claimed at a place that drives came by; None where nothing speaks against it."""
         osm = self.osm
-        if osm.graph.areas:
-            corners = self.city.lonlat(xy + osm.offset_m + _EDGE_M * np.array([[1, 1], [1, -1], [-1, 1], [-1, -1]]))
-            if not osm.graph.covers(corners).all():
-                return "edge of the map"
+        own = [graph for graph, names in self.maps if not names.isdisjoint(drives)]
+        if not own:
+            return "no map of these drives"
+        corners = self.city.lonlat(xy + osm.offset_m + _EDGE_M * np.array([[1, 1], [1, -1], [-1, 1], [-1, -1]]))
+        if not np.any([graph.covers(corners) for graph in own], axis=0).all():
+            return "edge of the map"
         around = np.array([xy])
         if osm.distance(around, osm.tagged("tunnel") | osm.tagged("covered"))[0] < _PORTAL_M:
             return "tunnel"

@@ -15,12 +15,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from interloc.arrays import BoolArray, FloatArray, IntArray, distinct
-from interloc.city.adjustment import Prior, adjust, knots_along
-from interloc.city.association import CELL_M, LINK_M, group, linked, offsets_of, vote
-from interloc.city.drives import DriveOnMap, system_of
-from interloc.city.passes import Pass
+from interloc.city.alignment import CELL_M, LINK_M, Prior, adjust, group, knots_along, linked, offsets_of, vote
+from interloc.city.drives import DriveOnMap, Pass, system_of
+from interloc.city.models import CityConfig
 from interloc.city.places import Branches, PlaceTable, tabulate
-from interloc.city.settings import CityConfig
 from interloc.errors import ConfigError, GeoreferenceError
 from interloc.mapping.mosaic import utm_zone
 from interloc.results import DriveResult
@@ -104,11 +102,15 @@ class CityMap:
         self._change(names, ())
 
     @property
+    def in_order(self) -> list[DriveOnMap]:
+        """Its drives by their names."""
+        return [self.drives[name] for name in sorted(self.drives)]
+
+    @property
     def places(self) -> PlaceTable:
         """What is on the map: one row per physical intersection."""
         if self._places is None:
-            drives = [self.drives[name] for name in sorted(self.drives)]
-            self._places = tabulate(drives, self.uid_of, self.lonlat, self.config, self._branches_of)
+            self._places = tabulate(self.in_order, self.uid_of, self.lonlat, self.config, self._branches_of)
         return self._places
 
     def lonlat(self, xy: FloatArray) -> FloatArray:
@@ -189,7 +191,7 @@ class CityMap:
         if not names:
             self.uid_of = {}
             return
-        drives = [self.drives[name] for name in names]
+        drives = self.in_order
         shifts = np.round(offsets_of(names, self.votes) / ROUNDING_M) * ROUNDING_M
         moves = [not np.array_equal(drive.shift, shift) for drive, shift in zip(drives, shifts, strict=True)]
         is_moved = np.repeat(moves, [len(drive.xy) for drive in drives])

@@ -25,26 +25,19 @@ from typing import Any
 
 import numpy as np
 
-from interloc.city.change import changes_of
 from interloc.city.citymap import CityMap
-from interloc.city.drives import DriveOnMap
-from interloc.city.passes import Pass
-from interloc.city.roads import fuse_roads
-from interloc.city.settings import CityConfig
+from interloc.city.drives import Pass
+from interloc.city.layers import city_features
+from interloc.city.models import CityConfig
 from interloc.errors import DamagedResultError, OutputError
 from interloc.files import atomic_folder, write_file
-from interloc.geometry import thin
-from interloc.output.geojson import bearings, positions, read_json, write_collection, write_record
-from interloc.output.layers import CITY_LAYERS
-from interloc.results import moment
+from interloc.output.geojson import read_json, write_collection, write_record
 
 CITY_FILE, STATE_FILE, PASSES = "city.json", "state.npz", "passes"
 FORMAT, FORMAT_VERSION = "interloc-city", 2
 CITY_NAMES = frozenset(
     [CITY_FILE, STATE_FILE, PASSES, *(f"{name}.geojson" for name in ("city", "drives", "roads", "changes"))]
 )
-
-_TRACK_STEP_M = 5.0
 
 
 @contextmanager
@@ -150,98 +143,11 @@ def city_record(city: CityMap) -> dict[str, Any]:
                 "key": drive.data.key,
                 "intersections": len(drive.data),
                 "offset_m": [round(value, 3) for value in drive.knots.mean(axis=0).tolist()],
-                "drift_m": round(_range_of(drive), 3),
+                "drift_m": round(drive.offset_range_m, 3),
             }
-            for drive in _sorted(city)
+            for drive in city.in_order
         ],
     }
-
-
-def city_features(city: CityMap) -> dict[str, list[dict[str, Any]]]:
-    """Return the features of each layer of a map; intersections that too few drives saw are left out."""
-    table, drives = city.places, _sorted(city)
-    rows = np.flatnonzero(table.is_shown).tolist()
-    intersections = CITY_LAYERS["city"].features(
-        positions(table.lonlat[rows], local=False),
-        uid=[table.uid[row] for row in rows],
-        observations=table.observations[rows],
-        drives=[len(table.drives[row]) for row in rows],
-        passes=table.passes[rows],
-        drives_near=[len(table.near[row]) for row in rows],
-        drive_names=[", ".join(table.drives[row]) for row in rows],
-        position_std_m=table.position_std_m[rows],
-        position_cov_m2=table.position_cov_m2[rows],
-        relative_std_m=table.relative_std_m[rows],
-        branch_count=[len(table.bearings_deg[row]) for row in rows],
-        branch_bearings_deg=[bearings(table.bearings_deg[row]) for row in rows],
-        branch_widths_m=[table.widths_m[row].tolist() for row in rows],
-        branch_drives=[table.branch_drives[row].tolist() for row in rows],
-        confidence=table.confidence[rows],
-        first_time=[moment(seconds) for seconds in table.seen_s[rows, 0].tolist()],
-        last_time=[moment(seconds) for seconds in table.seen_s[rows, 1].tolist()],
-    )
-    offsets = np.array([drive.knots.mean(axis=0) for drive in drives]).reshape(-1, 2)
-    tracks = [drive.track_xy - offset for drive, offset in zip(drives, offsets, strict=True)]
-    lines = CITY_LAYERS["drives"].features(
-        [positions(city.lonlat(track[thin(track, _TRACK_STEP_M)]), local=False) for track in tracks],
-        drive=[drive.data.name for drive in drives],
-        intersections=[len(drive.data) for drive in drives],
-        offset_east_m=offsets[:, 0],
-        offset_north_m=offsets[:, 1],
-        offset_range_m=[_range_of(drive) for drive in drives],
-        fix_std_m=[float(np.median(drive.data.fix_std_m)) if len(drive.data) else np.nan for drive in drives],
-        first_time=[moment(float(drive.data.span_s[0])) for drive in drives],
-        last_time=[moment(float(drive.data.span_s[1])) for drive in drives],
-    )
-    return {
-        "city": intersections,
-        "drives": lines,
-        "roads": _road_features(city),
-        "changes": _change_features(city),
-    }
-
-
-def _road_features(city: CityMap) -> list[dict[str, Any]]:
-    roads = fuse_roads(city)
-    return CITY_LAYERS["roads"].features(
-        [positions(city.lonlat(road.xy), local=False) for road in roads],
-        id=list(range(1, len(roads) + 1)),
-        start_uid=[road.start for road in roads],
-        end_uid=[road.end for road in roads],
-        length_m=[road.length_m for road in roads],
-        width_m=[road.width_m for road in roads],
-        width_std_m=[road.width_std_m for road in roads],
-        is_driven=[road.is_driven for road in roads],
-        drives=[len(road.drives) for road in roads],
-        drive_names=[", ".join(road.drives) for road in roads],
-    )
-
-
-def _change_features(city: CityMap) -> list[dict[str, Any]]:
-    changes = changes_of(city)
-    xy = np.array([each.xy for each in changes]).reshape(-1, 2)
-    return CITY_LAYERS["changes"].features(
-        positions(city.lonlat(xy), local=False) if changes else [],
-        id=[
-            f"{each.kind}-{each.uid}" + ("" if each.bearing_deg is None else f"-{round(each.bearing_deg)}")
-            for each in changes
-        ],
-        kind=[each.kind for each in changes],
-        uid=[each.uid for each in changes],
-        bearing_deg=[each.bearing_deg for each in changes],
-        seen_by=[", ".join(each.seen_by) for each in changes],
-        not_seen_by=[", ".join(each.not_seen_by) for each in changes],
-        after_time=[moment(each.between_s[0]) for each in changes],
-        before_time=[moment(each.between_s[1]) for each in changes],
-    )
-
-
-def _sorted(city: CityMap) -> list[DriveOnMap]:
-    return [city.drives[name] for name in sorted(city.drives)]
-
-
-def _range_of(drive: DriveOnMap) -> float:
-    return float(np.hypot(*np.ptp(drive.knots, axis=0)))
 
 
 def _median(values: Any) -> float | None:  # noqa: ANN401 - an array
@@ -250,7 +156,7 @@ def _median(values: Any) -> float | None:  # noqa: ANN401 - an array
 
 def _state(city: CityMap) -> dict[str, Any]:
     """Return all that would have to be worked out anew as arrays without objects."""
-    drives = _sorted(city)
+    drives = city.in_order
     pairs = sorted(city.votes)
     return {
         "names": np.array([drive.data.name for drive in drives], dtype=np.str_),

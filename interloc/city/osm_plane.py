@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -10,7 +11,7 @@ import numpy as np
 
 from interloc.arrays import BoolArray, FloatArray, IntArray
 from interloc.city.citymap import CityMap
-from interloc.osm.graph import RoadGraph, distinct_edges
+from interloc.osm.graph import RoadGraph, Ways, distinct_edges
 from interloc.osm.intersections import MIN_DEGREE, road_ways
 
 _ALIKE_M = 10.0  # place and node that are each other's nearest within this say how the two maps lie
@@ -22,11 +23,63 @@ _NOT_OPEN = ("private", "no", "customers", "delivery", "permit")
 _MINOR = ("driveway", "parking_aisle", "drive-through", "emergency_access")
 
 
+def joined(graphs: Sequence[RoadGraph]) -> tuple[RoadGraph, BoolArray]:
+    """Return several maps as one, and which of its nodes any of them covers; what two have is as the last has it.
+
+    A road of any of them is a road: what one extract lacks may lie beyond its edge, or be newer.
+    """
+    if len(graphs) == 1:
+        return graphs[0], graphs[0].inside_bounds
+    nodes, ways = (np.cumsum([0, *map(len, each)]) for each in zip(*((g.node_id, g.ways) for g in graphs), strict=True))
+    node_id, row = np.unique(np.concatenate([g.node_id for g in graphs]), return_inverse=True)
+    way_id, way = np.unique(np.concatenate([g.ways.id for g in graphs]), return_inverse=True)
+    lonlat, is_covered, last = np.zeros((len(node_id), 2)), np.zeros(len(node_id), np.bool_), np.zeros_like(way_id)
+    lonlat[row] = np.concatenate([g.lonlat for g in graphs])
+    is_covered[row[np.concatenate([g.inside_bounds for g in graphs])]] = True
+    last[way] = np.arange(len(way))
+
+    def of_ways(name: str) -> list[Any]:
+        values = [value for g in graphs for value in getattr(g.ways, name)]
+        return [values[each] for each in last.tolist()]
+
+    def rows(name: str) -> IntArray:
+        """Return edges or loose ends with the rows of all maps; loose ends that another map goes on with are none."""
+        found = []
+        for g, node, first in zip(graphs, nodes[:-1], ways[:-1], strict=True):
+            if name == "edges":
+                found.append(np.column_stack([row[g.edges + node], way[g.edge_way + first]]))
+            else:
+                ends = g.loose_ends[~np.isin(g.loose_ends[:, 1], node_id)]
+                found.append(np.column_stack([row[ends[:, 0] + node], ends[:, 1], way[ends[:, 2] + first]]))
+        return np.unique(np.concatenate(found), axis=0)
+
+    edges = rows("edges")
+    one = replace(
+        graphs[-1],
+        node_id=node_id,
+        lonlat=lonlat,
+        edges=edges[:, :2],
+        edge_way=edges[:, 2],
+        ways=Ways(
+            way_id,
+            tuple(of_ways("highway")),
+            tuple(of_ways("name")),
+            np.array(of_ways("is_area"), dtype=np.bool_),
+            np.array(of_ways("layer"), dtype=np.int64),
+            tuple(of_ways("tags")),
+        ),
+        loose_ends=rows("loose_ends"),
+    )
+    return one, is_covered
+
+
 @dataclass(frozen=True)
 class OsmPlane:
     """A road graph in the plane of a map of many drives."""
 
     graph: RoadGraph
+    is_covered: BoolArray
+    """(N,) bool: its nodes where nothing is missing around them."""
     xy: FloatArray
     """(N, 2) float64: its nodes, metres."""
     offset_m: FloatArray
@@ -34,11 +87,12 @@ class OsmPlane:
     `xy`."""
 
     @classmethod
-    def of(cls, city: CityMap, graph: RoadGraph) -> OsmPlane:
-        """Lay a road graph over a map: a common offset of the two is no error of either place."""
+    def of(cls, city: CityMap, *graphs: RoadGraph) -> OsmPlane:
+        """Lay road graphs over a map: a common offset of the two is no error of either place."""
         from scipy.spatial import cKDTree  # noqa: PLC0415 - slow to import
 
-        whole = cls(graph, city.plane(graph.lonlat), np.zeros(2))
+        graph, is_covered = joined(graphs)
+        whole = cls(graph, is_covered, city.plane(graph.lonlat), np.zeros(2))
         places, nodes = city.places.xy[city.places.is_shown], whole.xy[whole.junctions]
         if not len(places) or not len(nodes):
             return whole
@@ -48,7 +102,7 @@ class OsmPlane:
         if len(rows) < _ENOUGH:
             return whole
         offset = np.median(nodes[node[rows]] - places[rows], axis=0)
-        return cls(graph, whole.xy - offset, offset)
+        return cls(graph, is_covered, whole.xy - offset, offset)
 
     @cached_property
     def highway(self) -> Any:  # noqa: ANN401 - an array of str
@@ -123,8 +177,8 @@ class OsmPlane:
 
     @cached_property
     def open_junctions(self) -> IntArray:
-        """Rows of the nodes where three open roads or more meet, within the bounds of the map."""
-        return np.flatnonzero((self.graph.degree(self.open_roads) >= MIN_DEGREE) & self.graph.inside_bounds)
+        """Rows of the nodes where three open roads or more meet, which the map covers."""
+        return np.flatnonzero((self.graph.degree(self.open_roads) >= MIN_DEGREE) & self.is_covered)
 
     def distance(self, xy: FloatArray, ways: BoolArray | None = None) -> FloatArray:
         """Return the distance of (N, 2) positions from the nearest way under a mask, (N,) metres; infinite without."""

@@ -10,7 +10,7 @@ import click
 from interloc.cli import console, options
 
 if TYPE_CHECKING:
-    from interloc.city.settings import Kind
+    from interloc.city.models import Kind
 
 
 @click.command(short_help="List what OpenStreetMap has wrong, by several drives.")
@@ -43,7 +43,7 @@ def command(city: Path, osm: Path, out: Path, kinds: tuple[Kind, ...], passes: i
     from interloc.city.audit import audit
     from interloc.city.delivery import audit_record, known_findings, write_audit
     from interloc.city.folder import read_city
-    from interloc.city.settings import AuditConfig
+    from interloc.city.models import AuditConfig
     from interloc.errors import MapError
     from interloc.evaluation.coverage import map_bounds
     from interloc.osm.reader import read_osm

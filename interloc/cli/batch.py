@@ -241,8 +241,8 @@ def _merge(rows: Sequence[Row], records: Records) -> list[str]:
     from dataclasses import replace
 
     from interloc.city.citymap import CityMap
+    from interloc.city.drives import Pass
     from interloc.city.folder import write_city
-    from interloc.city.passes import Pass
     from interloc.output.read import read_results
 
     left_out: list[str] = []

@@ -87,7 +87,7 @@ def _send_scans(
     prints: bool,
 ) -> None:
     from interloc.client.live import LiveSender
-    from interloc.live.play import play
+    from interloc.live.scan import play
 
     def hear(said: dict[str, Any]) -> None:
         if prints:
@@ -124,10 +124,9 @@ def _in_words(said: dict[str, Any]) -> Iterator[str]:
 
 def _print_answers(drive: FolderDrive, config: DetectorConfig, speed: float | None) -> None:
     from interloc.detection.warm import warm_up
-    from interloc.live.documents import answer_document
-    from interloc.live.play import play
+    from interloc.live.scan import play
     from interloc.live.session import LiveSession
-    from interloc.live.worker import LiveWorker, end_document
+    from interloc.live.worker import LiveWorker, answer_document, end_document
 
     def say(document: dict[str, Any], _: Answer | None = None) -> None:
         click.echo(json.dumps(document, allow_nan=False))

@@ -32,8 +32,8 @@ def command(results: tuple[str, ...], out: Path, replace: bool, remove: tuple[st
     from dataclasses import replace as changed
 
     from interloc.city.citymap import CityMap
+    from interloc.city.drives import Pass
     from interloc.city.folder import city_record, is_city, locked, read_city, write_city
-    from interloc.city.passes import Pass
     from interloc.errors import ConfigError
     from interloc.output.read import read_results
     from interloc.storage import fetch_older

@@ -102,6 +102,23 @@ def check_coverage(track_lonlat: FloatArray, graph: RoadGraph, *, roi_m: float) 
     return median, tuple(warnings)
 
 
+def warn_of_border(track_lonlat: FloatArray, detection_lonlat: FloatArray, graph: RoadGraph) -> tuple[str, ...]:
+    """Say where the content of a map ends within a drive, given (K, 2) and (D, 2) degrees, though it declares more."""
+    keyframes, detections = (
+        int((graph.declares(lonlat) & ~graph.covers(lonlat)).sum()) for lonlat in (track_lonlat, detection_lonlat)
+    )
+    if not detections and keyframes <= 0.01 * len(track_lonlat):
+        return ()
+    warning = (
+        f"{graph.source} ends within the drive: at {keyframes} of {len(track_lonlat)} keyframes and "
+        f"{detections} of {len(detection_lonlat)} detections it has no roads but those that come across its border, "
+        "and what meets them there is missing. Nothing beyond the border is scored. Usual cause: an extract that was "
+        "cut by a polygon or a box; take one that holds all of the drive."
+    )
+    logger.warning(warning)
+    return (warning,)
+
+
 def _elsewhere(track_lonlat: FloatArray, graph: RoadGraph) -> str:
     from scipy.spatial import cKDTree  # noqa: PLC0415 - slow to import
 

@@ -12,9 +12,9 @@ import numpy as np
 from interloc.arrays import IntArray
 from interloc.drawing import Sign, map_sketch
 from interloc.errors import ConfigError, GeoreferenceError, expect
-from interloc.evaluation.coverage import check_coverage
+from interloc.evaluation.coverage import check_coverage, warn_of_border
 from interloc.evaluation.map_level import MapLevel, assign_intersections
-from interloc.evaluation.matching import Matching, match
+from interloc.evaluation.matching import Matching, match, pairs_in_square
 from interloc.evaluation.metrics import (
     STANDARD_THRESHOLD_M,
     ErrorSummary,
@@ -263,6 +263,7 @@ def evaluate(
         )
     roi_m, relevant_zone_m = _zones(result.run, roi_m, relevant_zone_m)
     track_to_road_m, warnings = check_coverage(result.keyframes.lonlat, graph, roi_m=roi_m)
+    warnings += warn_of_border(result.keyframes.lonlat, result.detections.lonlat, graph)
     for warning in graph.warnings:
         logger.warning(warning)
     return _score(
@@ -293,6 +294,10 @@ def _score(
     assert result.detections.lonlat is not None
     assert result.intersections.lonlat is not None
     on_map = np.flatnonzero(graph.covers(result.detections.lonlat))
+    near = np.unique(pairs_in_square(result.keyframes, nodes.lonlat, roi_m)[1])
+    known = np.ones(len(nodes), dtype=np.bool_)  # what meets a node beyond the border of the file is missing
+    known[near] = graph.covers(nodes.lonlat[near])
+    nodes = nodes.select(known)
     detections = result.detections.select(on_map)
     matching = match(result.keyframes, detections, nodes.lonlat, roi_m=roi_m, relevant_zone_m=relevant_zone_m)
     node_table = tabulate_nodes(matching, len(nodes))

@@ -5,11 +5,14 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 from contextlib import suppress
+from functools import cache
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar, cast
 
 from numba import njit
-from numba.core.caching import FunctionCache
+from numba.core.caching import CompileResultCacheImpl, FunctionCache, UserProvidedCacheLocator
+from numba.core.compiler import CompileResult
+from numba.core.environment import Environment, lookup_environment
 from numba.core.runtime.nrt import rtsys
 
 P = ParamSpec("P")
@@ -28,15 +31,71 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
     except RuntimeError as error:  # numba found no folder to write to
         if "cannot cache" not in str(error):
             raise
-        _log.warning(
-            "compiled kernels cannot be kept on disk, so every start compiles them anew (20 s and more). "
-            "Set NUMBA_CACHE_DIR to a folder that can be written."
-        )
+        _warn()
     return cast("Callable[P, R]", kernel)
+
+
+@cache
+def _warn() -> None:
+    """Say once why every start takes long."""
+    _log.warning(
+        "compiled kernels cannot be kept on disk, so every start compiles them anew (20 s and more). "
+        "Set NUMBA_CACHE_DIR to a folder that can be written."
+    )
+
+
+class _ReadOnlyFolder(UserProvidedCacheLocator):
+    """The folder NUMBA_CACHE_DIR of a container whose file system cannot be written: what lies there is used."""
+
+    def ensure_cache_path(self) -> None:
+        """Raise OSError where nothing was kept."""
+        if not Path(self.get_cache_path()).is_dir():  # type: ignore[no-untyped-call]
+            raise FileNotFoundError(self.get_cache_path())  # type: ignore[no-untyped-call]
+
+
+class _Code(CompileResultCacheImpl):
+    """What is kept of a kernel, and where.
+
+    numba keeps the environment of every function that a kernel calls with the name of its module, and imports them
+    all (170 of its own) to read a kernel. Only the constants of an environment are ever used without Python objects.
+    """
+
+    _locator_classes = CompileResultCacheImpl._locator_classes + [_ReadOnlyFolder]  # noqa: SLF001, RUF005 - as numba has it
+
+    def get_filename_base(self, fullname: str, abiflags: str) -> str:
+        """Return a name that numba's own form of a kernel does not have."""
+        return f"{super().get_filename_base(fullname, abiflags)}-plain"  # type: ignore[no-untyped-call]
+
+    def reduce(self, cres: CompileResult) -> tuple[Any, ...]:
+        """Return the parts of a compiled kernel, with the constants of its environments."""
+        *parts, environments = super().reduce(cres)  # type: ignore[no-untyped-call]
+        return *parts, [(each.env_name, each.globals["__name__"], each.consts) for each in environments]
+
+    def rebuild(self, target_context: object, payload: tuple[Any, ...]) -> CompileResult:
+        """Make a compiled kernel of its parts."""
+        *parts, environments = payload
+        return super().rebuild(target_context, (*parts, [_environment(*each) for each in environments]))  # type: ignore[no-any-return, no-untyped-call]
+
+
+def _environment(name: str, module: str, constants: list[object]) -> Environment:
+    environment = lookup_environment(name)  # type: ignore[no-untyped-call]
+    if environment is None:
+        environment = Environment({"__name__": module})
+        environment.consts[:] = constants
+        environment.env_name = name
+        Environment._memo[name] = environment  # noqa: SLF001 - where numba looks for it
+    return environment  # type: ignore[no-any-return]
 
 
 class _KeptCode(FunctionCache):
     """Machine code on disk that is read without setting up the compiler first, which takes longer than the reading."""
+
+    _impl_class = _Code
+
+    def save_overload(self, sig: object, data: object) -> None:
+        """Keep the code for a signature, where the folder can be written."""
+        with suppress(OSError):
+            super().save_overload(sig, data)  # type: ignore[no-untyped-call]
 
     def load_overload(self, sig: object, target_context: object) -> object:
         """Return the code for a signature, or None, whereupon numba sets up its compiler."""

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
@@ -10,11 +11,14 @@ from typing import Literal
 import numpy as np
 
 from interloc.arrays import Float32Array, FloatArray, UInt32Array
+from interloc.config import DetectorConfig
+from interloc.detection.keyframes import select_keyframes
 from interloc.drive import Drive, DriveScan, Georeference, GroundPoints
 from interloc.drives.labels import SEMANTICKITTI, LabelScheme
 from interloc.errors import DriveError, GeoreferenceError
 from interloc.kernels.points import select_points
 
+_USUAL_HZ = 10.0
 _OWN: tuple[Literal["C", "W"], ...] = ("C", "W")
 """Arrays as the kernels are compiled for: those of a message can only be read."""
 
@@ -147,3 +151,33 @@ def live_scan(drive: Drive, row: int) -> LiveScan:
         time_s=scan.time_s,
         fix=None if fixes is None else Fix.of(fixes, row),
     )
+
+
+def play(
+    drive: Drive,
+    config: DetectorConfig,
+    *,
+    speed: float | None = None,
+    after: int = -1,
+    wait: Callable[[float], None] = time.sleep,
+) -> Iterator[LiveScan]:
+    """Yield the scans of a drive that are keyframes: a session looks at no others.
+
+    At speed 1 they come at the times at which they were taken, at 2 twice as fast, at None as fast as they are taken.
+    Scans up to `after` have arrived already. `wait` is called with the seconds until the next scan is due.
+    """
+    rows = select_keyframes(drive.T_world_lidar, config.keyframes)
+    rows = rows[drive.frames[rows] > after]
+    due_s = _times(drive)[rows]
+    began = time.monotonic()
+    for row, seconds in zip(rows.tolist(), due_s.tolist(), strict=True):
+        scan = live_scan(drive, row)
+        if speed is not None:
+            wait(max(0.0, began + (seconds - due_s[0]) / speed - time.monotonic()))
+        yield scan
+
+
+def _times(drive: Drive) -> FloatArray:
+    if drive.times_s is not None and np.isfinite(drive.times_s).all():
+        return drive.times_s
+    return np.asarray(drive.frames / _USUAL_HZ, np.float64)

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from interloc.arrays import BoolArray, FloatArray, IntArray
+from interloc.osm.coverage import Content, covered
 
 Bounds = tuple[float, float, float, float]
 """West, south, east, north in degrees; west > east where the box crosses the 180th meridian, as in RFC 7946."""
@@ -113,14 +114,25 @@ class RoadGraph:
             return self.areas[0] if self.areas else None
         return bounds_of(np.array(self.areas).reshape(-1, 2))
 
-    def covers(self, lonlat: FloatArray) -> BoolArray:
-        """Return which (N, 2) longitudes, latitudes the map covers, (N,); all where the file does not say."""
+    def declares(self, lonlat: FloatArray) -> BoolArray:
+        """Return which (N, 2) longitudes, latitudes lie in the areas of the map; all where the file declares none."""
         return within_any(self.areas, lonlat)
 
     @cached_property
+    def content(self) -> Content:
+        """What the highways say of the places that the map covers."""
+        return Content(
+            self.lonlat, self.edges, self.edge_way, self.loose_ends, self.degree(), is_made_up=self.is_made_up
+        )
+
+    def covers(self, lonlat: FloatArray) -> BoolArray:
+        """Return which (N, 2) longitudes, latitudes the map covers: `interloc.osm.coverage.covered`."""
+        return covered(self, lonlat)
+
+    @cached_property
     def inside_bounds(self) -> BoolArray:
-        """(N,) bool: nodes that the map covers."""
-        return self.covers(self.lonlat)
+        """(N,) bool: nodes in the declared areas."""
+        return self.declares(self.lonlat)
 
     def edges_of(self, way_mask: BoolArray) -> IntArray:
         """Return the edges, (M, 2) int64, of the ways under a (W,) mask."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -42,6 +42,10 @@ class IntersectionNodes:
     def __len__(self) -> int:
         return len(self.osm_id)
 
+    def select(self, rows: BoolArray) -> IntersectionNodes:
+        """Return those under a (N,) mask."""
+        return replace(self, osm_id=self.osm_id[rows], lonlat=self.lonlat[rows], degree=self.degree[rows])
+
 
 def road_ways(graph: RoadGraph, policy: Policy) -> BoolArray:
     """Return the ways, (W,) bool, that are roads under a policy."""
@@ -56,9 +60,9 @@ def road_ways(graph: RoadGraph, policy: Policy) -> BoolArray:
 def intersection_nodes(graph: RoadGraph, policy: Policy = "drive", tolerance_m: float = 15.0) -> IntersectionNodes:
     """Find the ground truth intersections: nodes with at least three distinct neighbours along roads.
 
-    Only nodes within the bounds of the map: beyond them the crossing roads may be missing. The tolerance is the radius
-    of the merging under policy `consolidated`, metres. Paper, section V-A: "graph nodes with at least three connected
-    edges".
+    Only nodes within the declared areas of the map: beyond them the crossing roads may be missing. The tolerance is the
+    radius of the merging under policy `consolidated`, metres. Paper, section V-A: "graph nodes with at least three
+    connected edges".
     """
     if policy not in POLICIES:
         raise ConfigError(f"policy {policy!r} is unknown. Expected one of: {', '.join(POLICIES)}.")

@@ -78,6 +78,17 @@ def too_many(path: Path, what: str, most: int) -> MapError:
     )
 
 
+def odd_bounds(name: str, count: int) -> tuple[str, ...]:
+    """Say that declared boxes were left out, which hold nothing of the map or are inverted."""
+    if not count:
+        return ()
+    text = (
+        f"{name} declares bounds that hold none of its nodes, or are inverted: they were left out, and what it covers "
+        "was told from its highways. Usual cause: a program that wrote 0 0 0 0, or the corners in another order."
+    )
+    return (text,)
+
+
 def oddities(name: str, way_id: IntArray, edges: IntArray, edge_way: IntArray) -> tuple[str, ...]:
     """Say what is odd about the highways of a map.
 

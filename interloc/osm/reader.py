@@ -32,7 +32,16 @@ from interloc.osm.graph import (
     layer_of,
     within,
 )
-from interloc.osm.mistakes import history_file, lanelet_map, no_highways, no_nodes, not_read, oddities, too_many
+from interloc.osm.mistakes import (
+    history_file,
+    lanelet_map,
+    no_highways,
+    no_nodes,
+    not_read,
+    odd_bounds,
+    oddities,
+    too_many,
+)
 from interloc.osm.multipolygons import Multipolygon, holes_of, rings_of
 
 logger = logging.getLogger(__name__)
@@ -119,6 +128,7 @@ def _read(stream: _OsmStream, bounds: Bounds | None) -> RoadGraph:
     node_id, lonlat = nodes.id[used], nodes.lonlat[used]
     few = bounds is not None and len(nodes.id) + nodes.beyond <= MAX_NODES_WITH_BUILDINGS
     buildings = _buildings(stream, nodes) if few else NO_BUILDINGS
+    areas = _sensible(prolog.areas, lonlat if bounds is None else nodes.lonlat)
     edges, edge_way, loose_ends, clipped = _edges([len(way.refs) for way in found], refs, node_id)
     if len(edges) == 0:
         raise no_nodes(path, len(found))
@@ -139,13 +149,20 @@ def _read(stream: _OsmStream, bounds: Bounds | None) -> RoadGraph:
         ),
         source=path.name,
         date=prolog.date or _latest_edit(found),
-        areas=_common(prolog.areas, bounds) if left_out else prolog.areas,
+        areas=_common(areas, bounds) if left_out else areas,
         clipped_ways=clipped,
         loose_ends=loose_ends,
         is_made_up=prolog.is_made_up,
         buildings=buildings,
-        warnings=oddities(path.name, np.array([way.id for way in found], dtype=np.int64), edges, edge_way),
+        warnings=odd_bounds(path.name, len(prolog.areas) - len(areas))
+        + oddities(path.name, np.array([way.id for way in found], dtype=np.int64), edges, edge_way),
     )
+
+
+def _sensible(areas: Sequence[Bounds], lonlat: FloatArray) -> tuple[Bounds, ...]:
+    """Return those of the declared boxes that hold any of (N, 2) nodes; others, and inverted ones, are mistakes."""
+    upright = (area for area in areas if area[0] <= area[2] or area[0] - area[2] > 180.0)  # across the 180th meridian
+    return tuple(area for area in upright if within(area, lonlat).any())
 
 
 def _common(declared: Sequence[Bounds], bounds: Bounds | None) -> tuple[Bounds, ...]:

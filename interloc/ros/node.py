@@ -9,18 +9,21 @@ from __future__ import annotations
 import json
 import math
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
 import rclpy
+from geometry_msgs.msg import Point
 from nav_msgs.msg import Odometry
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
 from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import PointCloud2
-from std_msgs.msg import Float64, Header, String
-from visualization_msgs.msg import MarkerArray
+from std_msgs.msg import ColorRGBA, Float64, Header, String
+from visualization_msgs.msg import Marker, MarkerArray
 
 from interloc.arrays import Float32Array, FloatArray
 from interloc.config import DetectorConfig
@@ -37,11 +40,11 @@ from interloc.drives.scans.rosbag.messages import (
 )
 from interloc.errors import ConfigError
 from interloc.labelling.networks import remission_scale
+from interloc.live.growing_map import MapIntersection
 from interloc.live.scan import Label, LiveScan
 from interloc.live.session import Answer, LiveSession
-from interloc.live.worker import LiveWorker
+from interloc.live.worker import LiveWorker, intersection_document
 from interloc.ros.frames import Frames
-from interloc.ros.markers import map_json, map_markers
 
 _WAITING = 8  # clouds whose poses have not come yet
 _LATE_S = 1.0  # a cloud that waits for longer goes
@@ -49,6 +52,44 @@ _SIGNALS_S = 0.5  # in between Python sees that it is to stop
 _TOLD_EVERY_S = 5.0
 _LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 _STATIC = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+_BRANCH_M = 15.0
+_SIZE_M = 3.0
+_SURE, _UNSURE = ColorRGBA(r=0.94, g=0.89, b=0.26, a=1.0), ColorRGBA(r=0.94, g=0.89, b=0.26, a=0.35)
+
+
+def map_markers(header: Header, intersections: Sequence[MapIntersection], z_m: float) -> MarkerArray:
+    """Return the intersections as spheres, those that are not confirmed yet paler, and their branches as lines.
+
+    They are drawn at a height in metres, in the frame of the poses, which the header names.
+    """
+    spheres = _marker(header, "intersections", Marker.SPHERE_LIST, _SIZE_M)
+    lines = _marker(header, "branches", Marker.LINE_LIST, _SIZE_M / 6)
+    for each in intersections:
+        x, y = each.world_xy.tolist()
+        colour = _SURE if each.is_confirmed else _UNSURE
+        spheres.points.append(Point(x=x, y=y, z=z_m))
+        spheres.colors.append(colour)
+        for bearing in np.radians(each.bearings_deg).tolist():  # clockwise from +y
+            end = Point(x=x + _BRANCH_M * math.sin(bearing), y=y + _BRANCH_M * math.cos(bearing), z=z_m)
+            lines.points.extend([Point(x=x, y=y, z=z_m), end])
+            lines.colors.extend([colour, colour])
+    for marker in (spheres, lines):
+        marker.action = Marker.ADD if marker.points else Marker.DELETE  # RViz complains of empty lists
+    return MarkerArray(markers=[spheres, lines])
+
+
+def map_json(header: Header, intersections: Sequence[MapIntersection]) -> str:
+    """Return the intersections with covariances and branches, as JSON: no message of ROS has a place for them."""
+    stamp = header.stamp.sec + header.stamp.nanosec / 1e9
+    document: dict[str, Any] = {"stamp": stamp, "frame_id": header.frame_id}
+    return json.dumps(document | {"intersections": [intersection_document(each) for each in intersections]})
+
+
+def _marker(header: Header, namespace: str, kind: int, size_m: float) -> Marker:
+    marker = Marker(header=header, ns=namespace, id=0, type=kind)
+    marker.scale.x = marker.scale.y = marker.scale.z = size_m
+    marker.pose.orientation.w = 1.0
+    return marker
 
 
 @dataclass(frozen=True)

@@ -18,9 +18,9 @@ import pytest
 from interloc.city.audit import Audit, audit
 from interloc.city.citymap import CityMap, merge
 from interloc.city.delivery import FINDINGS_FILE, MAPROULETTE_FILE, known_findings, write_audit
-from interloc.city.passes import Pass
-from interloc.city.settings import AuditConfig
-from interloc.city.verdicts import judgement_of
+from interloc.city.drives import Pass
+from interloc.city.models import AuditConfig, judgement_of
+from interloc.city.osm_plane import joined
 from interloc.geometry import lonlat_from_enu
 from interloc.mapping.mosaic import Mosaic, Raster
 from interloc.osm.graph import RoadGraph
@@ -84,7 +84,10 @@ def osm(
     extra: str = "",
     tags: str = "",
 ) -> RoadGraph:
-    """Return a map with the street through the feet of its side roads, (x, y), of which each goes north for 60 m."""
+    """Return a map with the street through the feet of its side roads, (x, y), of which each goes north for 60 m.
+
+    Streets beside it show that the map goes on there: a comb alone looks as if it were cut off at its teeth.
+    """
     lines, refs, number = [], [], 1
     for x, y in ((-400.0, 0.0), *sorted(sides), (700.0, 0.0)):
         lon, lat = lonlat_from_enu(*ORIGIN, np.array([x, y])).tolist()
@@ -96,6 +99,11 @@ def osm(
         lon, lat = lonlat_from_enu(*ORIGIN, np.array([x, 60.0])).tolist()
         lines.append(f'<node id="{100 + ref}" version="1" lat="{lat:.8f}" lon="{lon:.8f}"/>')
         ways.append(("residential", [ref, 100 + ref], ""))
+    for first, y in ((500, -150.0), (600, 150.0)):
+        for number, x in enumerate(np.arange(-400.0, 701.0, 100.0), first):
+            lon, lat = lonlat_from_enu(*ORIGIN, np.array([x, y])).tolist()
+            lines.append(f'<node id="{number}" version="1" lat="{lat:.8f}" lon="{lon:.8f}"/>')
+        ways += [("residential", [number, number + 1], "") for number in range(first, first + 11)]
     for way, (highway, nodes, more) in enumerate(ways, 1000):
         of = "".join(f'<nd ref="{each}"/>' for each in nodes)
         lines.append(f'<way id="{way}" version="1">{of}<tag k="highway" v="{highway}"/>{more}</way>')
@@ -258,6 +266,68 @@ def test_a_driveway_on_the_map_is_nothing_missing(city: CityMap, tmp_path: Path)
         '<tag k="access" v="private"/></way>'
     )
     assert told(audit(city, osm(tmp_path, all_but(100.0), extra=nodes + way))) == []
+
+
+def test_nothing_is_said_of_what_a_made_up_map_lacks(city: CityMap, tmp_path: Path) -> None:
+    found = audit(city, replace(osm(tmp_path, all_but(100.0)), is_made_up=True), ALL_KINDS)
+    assert (found.findings, found.held_back) == ([], {"made-up map": 10})
+
+
+def test_nothing_is_missing_far_from_any_road_of_the_map(city: CityMap, tmp_path: Path) -> None:
+    """Without bounds, as extracts of Overpass are: the file of another drive, or one that ends on the way."""
+    whole = osm(tmp_path)
+    there = np.isin(whole.ways.id, [1001, 1002])[whole.edge_way]  # the first two side roads alone
+    found = audit(city, replace(whole, edges=whole.edges[there], edge_way=whole.edge_way[there]))
+    assert found.held_back["edge of the map"] >= 6
+    assert all(x <= 100 for _, x in told(found))
+
+
+def test_a_place_is_compared_with_the_maps_of_its_own_drives(tmp_path: Path) -> None:
+    whole = osm(tmp_path)
+
+    def without(*sides_m: float) -> RoadGraph:
+        ways = [np.flatnonzero(whole.ways.id == 1001 + SIDES_M.index(x))[0] for x in sides_m]
+        left = ~np.isin(whole.edge_way, ways)
+        return replace(whole, edges=whole.edges[left], edge_way=whole.edge_way[left])
+
+    lacks, older = without(100.0), without(100.0, 300.0)
+    city = merge(passes(3))
+    both = [("missing_junction", 100), ("missing_junction", 300)]
+    assert told(audit(city, [(older, ["d0"]), (lacks, ["d1", "d2"])])) == both[:1], "what any of them has is there"
+    assert told(audit(city, [(older, ["d0", "d1", "d2"])])) == both
+    assert told(audit(city, [(whole, ["d0"]), (lacks, ["d1"])])) == []
+    elsewhere = audit(city, [(lacks, ["a drive of another town"])])
+    assert (elsewhere.findings, elsewhere.held_back) == ([], {"no map of these drives": 1})
+    made_up = replace(whole, is_made_up=True)
+    assert told(audit(city, [(lacks, ["d0"]), (made_up, ["d1", "d2"])])) == both[:1], "made up is nothing"
+
+
+def test_several_maps_are_one(tmp_path: Path) -> None:
+    graph = osm(tmp_path)
+    west, east = (graph.lonlat[:, 0] < 8.4035, graph.lonlat[:, 0] > 8.4005)
+    parts = []
+    for inside in (west, east):
+        kept = inside[graph.edges].all(axis=1)
+        cut = graph.edges[inside[graph.edges].any(axis=1) & ~kept]
+        ends = np.column_stack([cut[:, :1], graph.node_id[cut[:, 1]], np.zeros(len(cut), np.int64)])
+        ends = ends[inside[cut[:, 0]]] if len(cut) else ends
+        parts.append(replace(graph, edges=graph.edges[kept], edge_way=graph.edge_way[kept], loose_ends=ends))
+    moved = parts[1].lonlat.copy()
+    moved[0] += 1e-5
+    whole, _ = joined([parts[0], replace(parts[1], lonlat=moved)])
+    assert np.array_equal(whole.degree(), graph.degree()), "roads that both have count once, and no end is loose"
+    assert whole.lonlat[0].tolist() == moved[0].tolist(), "the last one says where a node lies"
+    assert (whole.ways.highway, whole.ways.tags) == (graph.ways.highway, graph.ways.tags)
+
+
+def test_a_track_with_a_hole_drove_straight_past_nothing(tmp_path: Path) -> None:
+    """Scans were lost for 60 m around the junction: the line between is no evidence that it lies elsewhere."""
+    found = []
+    for each in passes(2, [x for x in SIDES_M if x != 300.0]):
+        seen = np.abs(each.track_along_m - 700.0) > 30.0
+        found.append(replace(each, track_lonlat=each.track_lonlat[seen], track_along_m=each.track_along_m[seen]))
+    graph = osm(tmp_path, [*all_but(300.0), (300.0, -12.0)])
+    assert audit(merge(found), graph).findings == []
 
 
 # receivers ------------------------------------------------------------------------------------------------------------

@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from interloc.city.citymap import CityMap, merge
-from interloc.city.passes import Pass
+from interloc.city.drives import Pass
 from interloc.errors import ConfigError, GeoreferenceError
 from interloc.results import IntersectionTable
 from tests.city.towns import drive, metres, town

@@ -11,8 +11,8 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from interloc.city.citymap import merge
+from interloc.city.drives import Pass
 from interloc.city.folder import CITY_FILE, city_features, read_city, write_city
-from interloc.city.passes import Pass
 from interloc.errors import DamagedResultError, OutputError
 from interloc.mapping.mosaic import Mosaic, Raster
 from tests.city.towns import drive, town
@@ -33,6 +33,8 @@ def test_a_map_goes_on_where_it_was_written(tmp_path: Path) -> None:
     write_city(again, tmp_path / "city")
     assert city_features(read_city(tmp_path / "city")) == city_features(city)
     assert len(list((tmp_path / "city" / "passes").iterdir())) == 3
+    record = json.loads((tmp_path / "city" / CITY_FILE).read_text())
+    assert (record["intersections"], record["seen_by_several"], len(record["drives"])) == (12, 12, 3)
 
 
 def test_the_ground_is_kept_and_that_of_an_older_version_opens(tmp_path: Path) -> None:
@@ -54,20 +56,6 @@ def test_the_ground_is_kept_and_that_of_an_older_version_opens(tmp_path: Path) -
         for raster, kept in ((road, found.raster), (other, found.other)):
             assert kept.tiles.keys() == raster.tiles.keys()
             assert all(np.array_equal(kept.tiles[key], cells) for key, cells in raster.tiles.items())
-
-
-def test_intersections_and_tracks_are_layers(tmp_path: Path) -> None:
-    write_city(merge([drive(NODES, name, start_s=1.7e9 + 1e5 * k) for k, name in enumerate("ab")]), tmp_path / "city")
-    places = json.loads((tmp_path / "city" / "city.geojson").read_text())["features"]
-    assert len(places) == 12
-    facts = places[0]["properties"]
-    assert (facts["drives"], facts["passes"], facts["drive_names"], facts["branch_drives"]) == (2, 2, "a, b", [2, 2, 2])
-    assert facts["branch_widths_m"] == [6.0, 5.0, None]
-    assert facts["first_time"] < facts["last_time"]
-    tracks = json.loads((tmp_path / "city" / "drives.geojson").read_text())["features"]
-    assert [each["id"] for each in tracks] == ["a", "b"]
-    record = json.loads((tmp_path / "city" / CITY_FILE).read_text())
-    assert (record["intersections"], record["seen_by_several"], len(record["drives"])) == (12, 12, 2)
 
 
 def test_what_is_no_map_or_damaged_is_refused(tmp_path: Path) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from interloc.arrays import FloatArray
-from interloc.city.passes import Pass
+from interloc.city.drives import Pass
 from interloc.geometry import enu_from_lonlat, lonlat_from_enu
 
 ORIGIN = (49.0, 8.4)  # latitude, longitude

@@ -141,6 +141,16 @@ def spoil_label(drive: Path, frame: int, label: int) -> None:
     os.utime(path, ns=(time.time_ns(), time.time_ns()))
 
 
+def spoil_points(drive: Path) -> tuple[Path, bytes]:
+    """Make the points of a scan NaN that is not among those looked into; return its path, and what was there."""
+    path = drive / "velodyne" / "000007.bin"
+    good = path.read_bytes()
+    points = np.frombuffer(good, np.float32).reshape(-1, 4).copy()
+    points[:, 2] = np.nan
+    points.tofile(path)
+    return path, good
+
+
 @pytest.mark.parametrize("stop", [signal.SIGKILL, signal.SIGINT])
 def test_a_push_that_is_stopped_goes_on_where_it_was(
     stop: signal.Signals, here: Any, server: ServerProcess, street: Path, complete: dict[str, str], tmp_path: Path
@@ -222,17 +232,13 @@ def test_a_fault_that_shows_while_reading_stops_the_push_and_mending_goes_on(
     here: Any, server: ServerProcess, street: Path, tmp_path: Path
 ) -> None:
     drive = copy_of(street, tmp_path / "nan")
-    path = drive / "velodyne" / "000007.bin"
-    sound = path.read_bytes()
-    points = np.frombuffer(sound, np.float32).reshape(-1, 4).copy()
-    points[:, 2] = np.nan
-    points.tofile(path)
+    path, good = spoil_points(drive)
     outcome = here("push", drive, "--jobs", "1")
     assert outcome.code == 1
     assert "velodyne/000007.bin: point" in outcome.err
     (begun,) = [each for each in drives_on(server) if each["name"] == "nan"]
     assert begun["state"] == "uploading"
-    path.write_bytes(sound)
+    path.write_bytes(good)
     pushed = here("push", drive, "--json").json
     assert pushed["drive_id"] == begun["id"]
     assert pushed["files_sent"] < 44
@@ -242,16 +248,12 @@ def test_what_the_server_finds_wrong_is_told_and_can_be_mended(
     here: Any, server: ServerProcess, street: Path, tmp_path: Path
 ) -> None:
     drive = copy_of(street, tmp_path / "raw")
-    path = drive / "velodyne" / "000007.bin"  # sizes are right, and it is not among the scans looked into
-    sound = path.read_bytes()
-    points = np.frombuffer(sound, np.float32).reshape(-1, 4).copy()
-    points[:, 2] = np.nan
-    points.tofile(path)
+    path, good = spoil_points(drive)
     outcome = here("push", drive, "--raw")
     assert outcome.code == 1
     assert "velodyne/000007.bin" in outcome.err
     assert "is not finite" in outcome.err
-    path.write_bytes(sound)
+    path.write_bytes(good)
     pushed = here("push", drive, "--raw", "--json").json
     assert pushed["files_sent"] == 1
     assert server.client.get(f"{API}/drives/{pushed['drive_id']}").json()["state"] == "ready"
@@ -310,17 +312,20 @@ def test_a_map_needs_a_georeference_or_a_place_to_search_before_anything_is_sent
     assert job["request"]["near"] == {"lat_deg": 49.01, "lon_deg": 8.43, "radius_km": 2.0}
 
 
-def test_a_server_that_gives_other_bytes_than_it_got_is_not_trusted(
-    faulty: Any, make: ModuleType, street: Path, tmp_path: Path
-) -> None:
-    drive = {"id": "d1", "name": "street", "state": "uploading"}
-    wrong = {"path": "x", "size_bytes": 1, "sha256": "00" * 32}
+def takes_files(faulty: Any, make: ModuleType, put: Callable[..., None]) -> None:
+    """Let the faulty server answer as one that has a drive, but each file that is sent in this way."""
     by_method: dict[str, Callable[..., None]] = {
-        "POST": make.answer(201, drive),
-        "PUT": make.answer(201, wrong),
+        "POST": make.answer(201, {"id": "d1", "name": "street", "state": "uploading"}),
+        "PUT": put,
         "GET": make.answer(200, {"drives": [], "files": [], "next": None}),
     }
     faulty.script = [lambda handler: by_method[handler.command](handler)]
+
+
+def test_a_server_that_gives_other_bytes_than_it_got_is_not_trusted(
+    faulty: Any, make: ModuleType, street: Path, tmp_path: Path
+) -> None:
+    takes_files(faulty, make, make.answer(201, {"path": "x", "size_bytes": 1, "sha256": "00" * 32}))
     outcome = make.Here(faulty.address, tmp_path / "cache")("push", street)
     assert outcome.code == 1
     assert "but with other content than was sent" in outcome.err
@@ -336,12 +341,7 @@ def test_stopping_does_not_wait_for_a_server_that_does_not_answer(
         over.wait(60)
         make.hang_up(handler)
 
-    by_method: dict[str, Callable[..., None]] = {
-        "POST": make.answer(201, {"id": "d1", "name": "street", "state": "uploading"}),
-        "PUT": hang,
-        "GET": make.answer(200, {"drives": [], "files": [], "next": None}),
-    }
-    faulty.script = [lambda handler: by_method[handler.command](handler)]
+    takes_files(faulty, make, hang)
     with make.Here(faulty.address, tmp_path / "cache").start("push", street) as process:
         assert asked.wait(60)
         process.send_signal(signal.SIGINT)
@@ -362,11 +362,14 @@ def test_a_network_labels_what_is_pushed(here: Any, server: ServerProcess, stree
     assert here("push", unlabelled, "--model", other, "--json").json["drive_id"] != pushed["drive_id"]
 
 
-def test_a_bag_is_reduced_on_the_way(here: Any, server: ServerProcess, tmp_path: Path) -> None:
-    poses = lidar_poses()
+def bag_along(path: Path, poses: np.ndarray) -> Path:
     scans, labels = zip(*(scan_at(pose, (40, 48, 70)) for pose in poses), strict=True)
     times = (1.7e9 + 0.1 * np.arange(12)).tolist()
-    bag = write_bag(tmp_path / "drive", "bag", scans, times, labels=labels, poses=list(poses))
+    return write_bag(path, "bag", scans, times, labels=labels, poses=list(poses))
+
+
+def test_a_bag_is_reduced_on_the_way(here: Any, server: ServerProcess, tmp_path: Path) -> None:
+    bag = bag_along(tmp_path / "drive", lidar_poses())
     pushed = here("push", bag, "--json").json
     assert (pushed["name"], pushed["scans"]) == ("drive", 12)
     files = files_on(server, pushed["drive_id"])
@@ -379,9 +382,7 @@ def test_what_was_odd_about_a_bag_arrives_with_it(here: Any, server: ServerProce
     """The reduced drive is whole again: only its manifest tells that the odometry jumped."""
     poses = lidar_poses()
     poses[9:, 1, 3] += 60.0
-    scans, labels = zip(*(scan_at(pose, (40, 48, 70)) for pose in poses), strict=True)
-    times = (1.7e9 + 0.1 * np.arange(12)).tolist()
-    bag = write_bag(tmp_path / "lost", "bag", scans, times, labels=labels, poses=list(poses))
+    bag = bag_along(tmp_path / "lost", poses)
     pushed = here("push", bag, "--json")
     assert "the poses of /odom jump" in pushed.err
     assert pushed.json["scans"] == 9

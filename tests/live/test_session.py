@@ -14,8 +14,7 @@ from interloc.detection.keyframes import Keyframe
 from interloc.drives.folder import FolderDrive
 from interloc.errors import DriveError, GeoreferenceError, InterLocError
 from interloc.live.growing_map import GrowingMap
-from interloc.live.play import play
-from interloc.live.scan import Fix, LiveScan, live_scan
+from interloc.live.scan import Fix, LiveScan, live_scan, play
 from interloc.live.session import Answer, LiveSession
 from interloc.pipeline import detect
 from tests.crossing import pose_at

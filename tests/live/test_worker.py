@@ -10,8 +10,7 @@ import numpy as np
 
 from interloc.config import DetectorConfig
 from interloc.drives.folder import FolderDrive
-from interloc.live.play import play
-from interloc.live.scan import live_scan
+from interloc.live.scan import live_scan, play
 from interloc.live.session import Answer, LiveSession
 from interloc.live.worker import LiveWorker
 

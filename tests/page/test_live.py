@@ -10,8 +10,7 @@ from typing import Any
 from interloc.client.live import LiveSender
 from interloc.config import DetectorConfig
 from interloc.drives.folder import FolderDrive
-from interloc.live.play import play
-from interloc.live.scan import LiveScan
+from interloc.live.scan import LiveScan, play
 from tests.live.conftest import config, crossing
 from tests.page.browsers import needs_page
 from tests.page.results import Done, address_of, visit

@@ -16,6 +16,7 @@ from interloc.config import KeyframeConfig
 from interloc.drives.inspect import inspect_drive
 from interloc.drives.open import open_drive
 from interloc.drives.options import DriveOptions
+from interloc.reduction import look as look_module
 from interloc.reduction.look import DriveLook, look_into
 from interloc.reduction.reduce import prepare_reduction, reduce_drive
 from tests.bags import write_bag
@@ -204,6 +205,18 @@ def test_what_is_wrong_with_recordings_is_told_from_their_names(files: dict[str,
     assert len(found) == len(expected)
     assert all(text.startswith(start) for text, start in zip(found, expected, strict=True))
     assert look.whole == {name: name for name in files if not name.endswith(".txt")}
+
+
+def test_tables_beside_clouds_are_opened_where_their_contents_are_given(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of very many files the others cost nothing; a binary trajectory is told by its size."""
+    opened: list[str] = []
+    is_track = look_module.is_track
+    monkeypatch.setattr(look_module, "is_track", lambda path: opened.append(path.name) or is_track(path))
+    files = {"a.las": 10**8, "las/b.out": 272, **{f"{number}.csv": 19 for number in range(1000)}}
+    look = look_into(files, {"7.csv": b"time,x,y,z\n1,2,3,4\n"}, "picked").drive
+    assert look is not None
+    assert opened == ["7.csv", "b.out"]
+    assert look.pose_files == ["7.csv", "las/b.out"]
 
 
 def test_poses_of_las_files_with_one_scan_each_are_shown(drive: Path, tmp_path: Path) -> None:

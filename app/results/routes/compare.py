@@ -11,9 +11,9 @@ from fastapi import APIRouter, Query
 from pydantic import BaseModel, Field
 
 from app.context import ContextDep
+from app.http.prices import priced
 from app.http.problem_types import DIFFERENT_DRIVES, REQUEST_NOT_VALID
 from app.http.problems import Problem
-from app.http.turns import IN_TURN
 from app.jobs.models import MAX_COMPARED_JOBS
 from app.jobs.view import find_job, own_settings, title_of
 from app.results.folder import ResultsDep
@@ -46,11 +46,11 @@ class Comparison(compare.Comparison):
 @router.get(
     "/compare",
     summary="Compare jobs of one drive",
-    dependencies=IN_TURN,
     operation_id="compare_jobs",
     response_model=Comparison,
     responses=PROBLEMS,
 )
+@priced("heavy", bound="the reports of a few jobs")
 def compare_jobs(
     context: ContextDep,
     results: ResultsDep,
@@ -111,6 +111,7 @@ class PaperFigures(BaseModel):
 
 
 @router.get("/paper", summary="The paper's figures", operation_id="read_paper", response_model=PaperFigures)
+@priced("cheap")
 def read_paper() -> dict[str, Any]:
     """Give the tables of the paper, to stand beside a report of a KITTI sequence."""
     from interloc.evaluation.published import AVERAGE, COMPARISON, LABEL_ERRORS, PERFORMANCE  # noqa: PLC0415

@@ -10,6 +10,7 @@ from fastapi.concurrency import run_in_threadpool
 
 from app.http.delivery import MEDIA_TYPES, answer_tagged, deliver, service_address
 from app.http.openapi import BINARY, get_and_head, problems
+from app.http.prices import priced
 from app.http.problem_types import FORMAT_NOT_INSTALLED
 from app.http.problems import Problem
 from app.results.folder import ResultsDep
@@ -85,6 +86,7 @@ router = APIRouter(tags=["Exports"])
         **problems({501: "The service lacks the package that writes this format."}),
     },
 )
+@priced("cheap")
 async def export(
     job_id: JobId,
     file_format: Annotated[

@@ -10,6 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from app.http.delivery import MEDIA_TYPES, deliver
 from app.http.openapi import BINARY, Responses, get_and_head, problems
+from app.http.prices import priced
 from app.results.folder import Results, ResultsDep
 from app.results.on_demand import OnDemand, OnDemandDep
 from app.results.routes.results import PROBLEMS, WORKED_OUT, JobId, answers
@@ -75,6 +76,7 @@ async def _deliver_keyframe(
     response_class=Response,
     responses={**answers("image/png", BINARY, "The picture."), **_PROBLEMS},
 )
+@priced("cheap")
 async def read_keyframe_picture(
     job_id: JobId,
     frame: Frame,
@@ -99,6 +101,7 @@ async def read_keyframe_picture(
     response_model=KeyframeView,
     responses=_PROBLEMS,
 )
+@priced("cheap")
 async def read_keyframe_view(
     job_id: JobId, frame: Frame, request: Request, results: ResultsDep, on_demand: OnDemandDep
 ) -> Response:
@@ -136,6 +139,7 @@ class RoadView(BaseModel):
     response_class=Response,
     responses=answers(MEDIA_TYPES[".tif"], BINARY, "The raster."),
 )
+@priced("streaming")
 def read_road_raster(job_id: JobId, request: Request, results: ResultsDep) -> Response:
     """Give the occupancy of the keyframes as one raster: the surface that the LiDAR saw as road.
 
@@ -155,6 +159,7 @@ def read_road_raster(job_id: JobId, request: Request, results: ResultsDep) -> Re
     response_class=Response,
     responses={**answers("image/png", BINARY, "The picture."), **WORKED_OUT},
 )
+@priced("cheap")
 async def read_road_picture(job_id: JobId, request: Request, results: ResultsDep, on_demand: OnDemandDep) -> Response:
     """Give a picture in Web Mercator, or in W without georeference; transparent where no road was seen.
 
@@ -171,6 +176,7 @@ async def read_road_picture(job_id: JobId, request: Request, results: ResultsDep
     response_model=RoadView,
     responses=WORKED_OUT,
 )
+@priced("cheap")
 async def read_road_view(job_id: JobId, request: Request, results: ResultsDep, on_demand: OnDemandDep) -> Response:
     """Give the bounds of the picture, and the size of the cells."""
     return await _deliver_road(request, results, on_demand, job_id, VIEW)

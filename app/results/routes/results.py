@@ -14,6 +14,7 @@ from app.http.delivery import REVALIDATE, deliver, media_type_of, not_modified
 from app.http.headers import prefers_html
 from app.http.openapi import BINARY, Responses, get_and_head, problems
 from app.http.patterns import ID
+from app.http.prices import priced
 from app.results.folder import Result, ResultsDep
 from app.results.models import ResultFile, ResultFileList, collection_model
 from interloc.errors import OutputError
@@ -55,6 +56,7 @@ router = APIRouter(tags=["Results"])
 
 
 def _add_layer(layer: Layer) -> None:
+    @priced("streaming")
     def read_layer(job_id: JobId, request: Request, results: ResultsDep) -> Response:
         result = results.open(job_id)
         return deliver(request, result.layer(layer.address), name=f"{result.slug}-{layer.address}.geojson")
@@ -97,6 +99,7 @@ for _layer in LAYERS.values():
         },
     },
 )
+@priced("cheap")
 def read_report(
     job_id: JobId,
     request: Request,
@@ -125,6 +128,7 @@ def read_report(
     response_class=Response,
     responses=answers("application/json", {"type": "object"}, "`run.json`."),
 )
+@priced("streaming")
 def read_run(job_id: JobId, request: Request, results: ResultsDep) -> Response:
     """Give the full configuration, versions, timings per stage and peak memory."""
     result = results.open(job_id)
@@ -139,6 +143,7 @@ def read_run(job_id: JobId, request: Request, results: ResultsDep) -> Response:
     response_model=ResultFileList,
     responses=PROBLEMS,
 )
+@priced("cheap", bound="the files of one result")
 def list_result_files(job_id: JobId, results: ResultsDep) -> ResultFileList:
     """List the result folder, exactly as the command line writes it."""
     result = results.open(job_id)
@@ -163,6 +168,7 @@ def list_result_files(job_id: JobId, results: ResultsDep) -> ResultFileList:
     response_class=Response,
     responses=answers("*/*", {}, "The file, in its own media type."),
 )
+@priced("streaming")
 def read_result_file(
     job_id: JobId,
     name: Annotated[
@@ -185,6 +191,7 @@ def read_result_file(
     response_class=Response,
     responses=answers("application/zip", BINARY, "The result folder, packed."),
 )
+@priced("streaming")
 def download_archive(job_id: JobId, request: Request, results: ResultsDep) -> Response:
     """Give the whole result folder as a .zip, packed while it is sent; beside each layer its style for QGIS (.qml)."""
     result = results.open(job_id)

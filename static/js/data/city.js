@@ -57,7 +57,7 @@ export function wantsCity() {
 
 /** Ask for the maps again. */
 export async function loadMaps() {
-  const { maps } = await getJson("maps");
+  const maps = await all("maps", "maps", 100);
   const isFirst = cities.maps === null;
   const isSame = JSON.stringify(maps) === JSON.stringify(cities.maps);
   cities.maps = maps;
@@ -91,12 +91,15 @@ export async function featuresIn(map, layer, box, { filter, limit, signal }) {
 }
 
 /** @param {string} map Id. @returns {Promise<Member[]>} All drives that belong to it. */
-export async function loadMembers(map) {
-  const all = [];
+export const loadMembers = (map) => all(`maps/${map}/drives`, "drives", 1000);
+
+/** @param {string} path Of a list. @param {string} member That holds its entries. @param {number} limit Of a page. @returns {Promise<any[]>} */
+async function all(path, member, limit) {
+  const found = [];
   for (let after = ""; ; ) {
-    const page = await getJson(`maps/${map}/drives?limit=1000${after && `&after=${after}`}`);
-    all.push(...page.drives);
-    if (!page.next) return all;
+    const page = await getJson(`${path}?limit=${limit}${after && `&after=${after}`}`);
+    found.push(...page[member]);
+    if (!page.next) return found;
     after = page.next;
   }
 }

@@ -12,9 +12,9 @@ from sqlalchemy.exc import OperationalError
 
 from app.context import Context
 from app.drives.models import NewDrive
-from app.drives.records import create_drive
-from app.drives.upload import Placement, keep
-from app.http.intake import Intake
+from app.drives.records import create_drive, files_key
+from app.drives.upload import keep
+from app.http.intake import Intake, Placement
 from app.settings import Settings
 from tests.app import kills
 
@@ -96,7 +96,7 @@ def test_a_database_that_goes_away_at_the_end_leaves_no_row_without_its_file(beg
     place = context.storage.folder(f"drives/{drive}/files/a.txt")
 
     def place_and_fail(*, is_gone: bool) -> None:
-        with Placement(context.storage, drive) as placement:
+        with Placement(context.storage, files_key(drive)) as placement:
             placement.move([Intake(context, "a.txt", 1000).finish()])
             raise OperationalError("COMMIT", {}, Exception("closed"), connection_invalidated=is_gone)
 

@@ -15,8 +15,7 @@ from app.jobs.work import intersections
 from app.jobs.work.intersections import read_checkpoint, write_checkpoint
 from app.work import kinds
 from app.work.documents import IntersectionsJob
-from app.work.progress import ProgressFiles
-from app.work.task import Cancelled, Part, Task
+from app.work.task import Cancelled, Part, ProgressFiles, Task
 from interloc.config import preset
 from interloc.errors import InterLocError, OutputError
 from interloc.pipeline import RangeResult

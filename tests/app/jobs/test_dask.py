@@ -95,16 +95,6 @@ def test_work_that_kills_its_worker_is_lost_and_the_cluster_goes_on(cluster: str
         executor.stop()
 
 
-def test_a_scheduler_that_was_away_for_long_is_asked_again(cluster: str) -> None:
-    executor = DaskExecutor(cluster, lambda: None)
-    try:
-        executor._client.close()  # as it does by itself after ten seconds without the scheduler
-        assert executor.alive
-        assert executor.submit(os.getpid).result(60) != os.getpid()
-    finally:
-        executor.stop()
-
-
 def test_a_batch_on_a_cluster_needs_no_folder_that_workers_share(cluster: str, street: Path, tmp_path: Path) -> None:
     listed = tmp_path / "list.csv"
     listed.write_text("drive,name\n" + "".join(f"{street},{name}\n" for name in "ab"))

@@ -32,8 +32,7 @@ def database(client: httpx.Client, shared_data: Path) -> Iterator[Database]:
     database.close()
 
 
-@pytest.fixture
-def job(database: Database) -> str:
+def add_job(database: Database) -> str:
     """A job that waits for a drive whose check never ends."""
     with database.writing() as session:
         now = database.clock(session)
@@ -42,6 +41,11 @@ def job(database: Database) -> str:
         session.flush()
         row, _ = submit(session, database, kind="intersections", drive_id=drive.id, owner="ann", request={})
         return row.id
+
+
+@pytest.fixture
+def job(database: Database) -> str:
+    return add_job(database)
 
 
 def change(database: Database, job_id: str, **values: Any) -> int:
@@ -123,12 +127,7 @@ def test_a_token_that_is_revoked_ends_its_events(
     monkeypatch.setattr(tokens, "_BELIEVED_S", 0.0)
     client = serve()
     database = Database(Settings(data_dir=tmp_path / "data").sqlalchemy_url)
-    with database.writing() as session:
-        now = database.clock(session)
-        drive = Drive(name="town", owner="ann", state="checking", options={}, created_at=now, touched_at=now)
-        session.add(drive)
-        session.flush()
-        job = submit(session, database, kind="intersections", drive_id=drive.id, owner="ann", request={})[0].id
+    job = add_job(database)
     tokens.add_token(database, "other")
     client.headers["Authorization"] = f"Bearer {tokens.add_token(database, 'ann')}"
     with events(client, job) as stream:
@@ -144,17 +143,12 @@ def test_a_token_that_is_revoked_ends_its_events(
 def test_a_server_that_stops_ends_its_events(tmp_path: Path) -> None:
     with running_server(tmp_path) as address, httpx.Client(base_url=address, timeout=60) as client:
         database = Database(Settings(data_dir=tmp_path).sqlalchemy_url)
-        with database.writing() as session:
-            now = database.clock(session)
-            drive = Drive(name="town", owner="ann", state="checking", options={}, created_at=now, touched_at=now)
-            session.add(drive)
-            session.flush()
-            job, _ = submit(session, database, kind="intersections", drive_id=drive.id, owner="ann", request={})
+        job = add_job(database)
         database.close()
         pool = ThreadPoolExecutor(1)
 
         def listen() -> list[str]:
-            with httpx.Client(base_url=address, timeout=60) as own, events(own, job.id) as stream:
+            with httpx.Client(base_url=address, timeout=60) as own, events(own, job) as stream:
                 return [number for number, _ in stream]
 
         heard = pool.submit(listen)

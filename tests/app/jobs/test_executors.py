@@ -128,12 +128,6 @@ def begun(path: Path) -> list[int]:
     return [int(each.name.rpartition("-")[2]) for each in path.parent.glob(f"{path.name}.began-*")]
 
 
-def test_work_is_done_in_other_processes(executor: ProcessExecutor) -> None:
-    pids = {future.result(60) for future in [executor.submit(pid_of, 0.05) for _ in range(20)]}
-    assert os.getpid() not in pids
-    assert pids <= set(pids_of(executor))
-
-
 def test_a_killed_worker_takes_only_its_own_work_with_it(tmp_path: Path) -> None:
     lost: list[int] = []
     executor = ProcessExecutor(2, lambda: lost.append(1))

@@ -176,6 +176,7 @@ def test_a_request_can_wait_for_its_job(client: httpx.Client, drive: str, data_d
         ({"osm": {"overpass": False}}, 422, "osm"),
         ({"preset": "best"}, 422, "preset"),
         ({"policy": "bicycle"}, 422, "policy"),
+        ({"labels": "predictions"}, 422, "has no 'predictions'. Expected one of its label_folders: labels"),
         ({"speed": 3}, 422, "speed"),
     ],
 )
@@ -318,32 +319,6 @@ def test_a_job_that_needs_too_much_memory_fails(serve: Serve, street: Path) -> N
     assert upload(own, street) != drive_id  # another worker has taken its place, and commits
 
 
-def test_a_job_that_waits_is_cancelled_at_once(client: httpx.Client, drive: str, data_dir: Path) -> None:
-    gate = Gate(data_dir, drive, MIDDLE)
-    ids = [submit(client, drive) for _ in range(3)]  # two at a time are worked on
-    answer = client.delete(f"{API}/jobs/{ids[2]}")
-    assert (answer.status_code, answer.json()["state"]) == (200, "dismissed")
-    for job_id in ids[:2]:
-        client.delete(f"{API}/jobs/{job_id}")
-    gate.open()
-    for job_id in ids[:2]:
-        assert ended(client, job_id)["state"] == "dismissed"
-
-
-def test_a_short_job_does_not_wait_for_a_long_one(
-    client: httpx.Client, drive: str, street: Path, data_dir: Path
-) -> None:
-    other = upload(client, street)
-    gate = Gate(data_dir, other, MIDDLE)
-    long = submit(client, other)
-    half_way(client, long)
-    short = ended(client, submit(client, drive, config={"bev": {"resolution_m": 0.6}}))
-    assert short["state"] == "successful"
-    assert job_of(client, long)["state"] == "running"
-    gate.open()
-    assert ended(client, long)["state"] == "successful"
-
-
 def test_a_client_has_its_turn_while_another_holds_every_worker(serve: Serve, street: Path, tmp_path: Path) -> None:
     own = serve(workers=1, jobs_at_once=1)
     database = Database(Settings(data_dir=tmp_path / "data").sqlalchemy_url)
@@ -416,12 +391,6 @@ def test_a_map_that_is_a_bomb_is_not_unpacked(client: httpx.Client, drive: str) 
     job = ended(client, submit(client, drive, osm={"file": "bomb.osm.gz"}))
     assert (job["state"], job["attempts"], job["error"]["status"]) == ("failed", 1, 422)
     assert "bomb.osm.gz: unpacks to more than 0.1 GB" in job["error"]["detail"]
-
-
-def test_labels_that_are_not_there_are_told(client: httpx.Client, drive: str) -> None:
-    answer = client.post(f"{API}/jobs", json={"drive_id": drive, "labels": "predictions"})
-    assert "has no 'predictions'. Expected one of its label_folders: labels" in problem(answer, 422)
-    assert answer.json()["type"] == "/problems/labels-not-found"
 
 
 def test_a_job_fails_when_the_check_of_its_drive_does(client: httpx.Client, data_dir: Path, drive: str) -> None:

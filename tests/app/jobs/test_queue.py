@@ -136,13 +136,6 @@ def test_a_job_waits_for_the_check_of_its_drive(database: Database) -> None:
     assert read_job(database, job_id).message is None
 
 
-def test_threads_never_get_the_same_job(url: str, database: Database, drive: str) -> None:
-    jobs = [add_job(database, drive, f"client {number % 3}") for number in range(40)]
-    with ThreadPoolExecutor(8) as pool:
-        found = [job_id for some in pool.map(claim_all, [url] * 8) for job_id in some]
-    assert Counter(found) == Counter(jobs)
-
-
 def test_processes_never_get_the_same_job(url: str, database: Database, drive: str) -> None:
     jobs = [add_job(database, drive) for _ in range(40)]
     with ProcessPoolExecutor(2, mp_context=forks.context) as pool:

@@ -15,8 +15,8 @@ from typing import Any
 import httpx
 import pytest
 
-from app.jobs import deliverer
-from app.jobs.deliverer import signature
+from app.jobs import webhooks
+from app.jobs.webhooks import signature
 from tests.app.processes import API, job_of, started, wait_until
 
 KEY = b"0123456789abcdef0123456789abcdef"
@@ -79,8 +79,8 @@ def commit(client: httpx.Client, **subscriber: str) -> str:
 def test_a_subscriber_is_told_signed_and_again_where_that_failed(
     serve: Callable[..., httpx.Client], receiver: Receiver, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(deliverer, "RETRIES_S", (0.0, 0.0))
-    monkeypatch.setattr(deliverer, "_LOOK_S", 0.05)
+    monkeypatch.setattr(webhooks, "RETRIES_S", (0.0, 0.0))
+    monkeypatch.setattr(webhooks, "_LOOK_S", 0.05)
     client = serve(webhook_hosts="127.0.0.1", webhook_secret=SECRET)
     receiver.answers = [204, 500]  # the begin; then the end, twice
     uris = {"inProgressUri": f"{receiver.uri}/began", "failedUri": f"{receiver.uri}/failed?x=1"}

@@ -20,8 +20,7 @@ from interloc.client.live import LiveSender
 from interloc.config import DetectorConfig
 from interloc.drives.folder import FolderDrive
 from interloc.errors import NetworkError
-from interloc.live.play import play
-from interloc.live.scan import LiveScan, live_scan
+from interloc.live.scan import LiveScan, live_scan, play
 from interloc.live.wire import encode_scan
 from interloc.pipeline import detect
 from tests.app.conftest import API

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,12 +14,13 @@ import httpx
 import pytest
 from sqlalchemy import delete
 
+from app.maps import routes
 from app.store.database import Database
 from app.store.models import FeatureLayer
 from tests.app.conftest import running_server
 from tests.app.processes import wait_until
 from tests.app.results.conftest import add_drive, add_job, work
-from tests.app.street import write_street
+from tests.app.street import in_a_town, write_street
 
 API = "/api/v1"
 EAST_DEG = 1.37e-4  # 10 m
@@ -43,7 +45,7 @@ def street(tmp_path_factory: pytest.TempPathFactory) -> Street:
     root = tmp_path_factory.mktemp("street")
     for name, scans, job in (("monday", 62, "first"), ("tuesday", 63, "second")):
         work(write_street(root / name, scans), root / job, scored=False)
-    osm = (root / "monday" / "map.osm").read_text()
+    osm = in_a_town((root / "monday" / "map.osm").read_text())
     moved = re.sub(r'(<node id="[789]" .*lon=)"([^"]*)"', lambda node: f'{node[1]}"{float(node[2]) + EAST_DEG}"', osm)
     return Street(root, moved.encode())
 
@@ -171,6 +173,40 @@ def test_findings_are_looked_at_one_after_the_other(served: Served) -> None:
     assert served.get(f"/maps/default/queue/{entry['id']}")["verdict"]["verdict"] == "right"
     served.client.delete(f"{address}/verdict").raise_for_status()
     assert served.client.delete(f"{address}/verdict").status_code == 404
+
+
+def test_maps_come_in_pages_and_a_client_has_no_more_than_it_may(
+    served: Served, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(routes, "MAX_MAPS", 3)
+    answers = [served.client.post(f"{API}/maps", json={"name": f"map {number}"}) for number in range(4)]
+    assert [each.status_code for each in answers] == [201, 201, 201, 429]
+    assert answers[3].json()["type"] == "/problems/too-many-maps"
+    names, after = [], None
+    while True:
+        page = served.get("/maps", params={"limit": 2} | ({"after": after} if after else {}))
+        names += [each["name"] for each in page["maps"]]
+        after = page["next"]
+        if after is None:
+            break
+    assert names == ["All drives", "map 0", "map 1", "map 2"]
+    for each in answers[:3]:
+        served.client.delete(each.headers["location"]).raise_for_status()
+
+
+def test_two_verdicts_at_once_are_both_kept(served: Served) -> None:
+    served.until("/maps/default", ready)
+    (entry,) = served.get("/maps/default/queue", params={"state": "all"})["entries"]
+    address = f"{API}/maps/default/queue/{entry['id']}"
+    with ThreadPoolExecutor(8) as threads:
+        given = ["right", "cannot_tell"] * 4
+        put = lambda verdict: served.client.put(f"{address}/verdict", json={"verdict": verdict})  # noqa: E731
+        assert {each.status_code for each in threads.map(put, given)} == {200}
+    kept = served.client.get(address).json()
+    assert len(kept["history"]) == 8
+    assert kept["verdict"] == kept["history"][-1]
+    for _ in given:
+        served.client.delete(f"{address}/verdict").raise_for_status()
 
 
 def test_what_is_lost_is_made_anew_with_the_same_names(street: Street, served: Served) -> None:

@@ -4,15 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
-from sqlalchemy import event
+from sqlalchemy import event, select
 from sqlalchemy.orm import Session
 
 from app.context import Context
-from app.maps.records import SERVER_MAP, Standing, find_map, make_server_map, standing_of
+from app.maps.records import SERVER_MAP, Standing, find_map, make_server_map, standings_of, state_of_all
+from app.ogc import indexing
+from app.ogc.collections import OF_MAP
+from app.ogc.index import Query, Source, find_page
+from app.ogc.work import rows_of_map
 from app.settings import Settings
-from app.store.models import Drive, Job, MapDrive, MapVerdict
+from app.store.features import OF_MAPS
+from app.store.models import CityMap, Drive, Job, MapDrive, MapVerdict
+from interloc.output.layers import CITY_LAYERS
 
 
 @pytest.fixture
@@ -64,7 +71,85 @@ def belong(session: Session, drive: str, is_member: bool | None) -> None:
 
 def standing(context: Context) -> Standing:
     with context.database.reading() as session:
-        return standing_of(session, context, find_map(session, SERVER_MAP))
+        return standings_of(session, context, [find_map(session, SERVER_MAP)])[SERVER_MAP]
+
+
+def test_many_maps_cost_few_queries_and_idle_ones_less(context: Context) -> None:
+    asked: list[str] = []
+    event.listen(context.database.engine, "before_cursor_execute", lambda *of: asked.append(of[2]))
+    with context.database.writing() as session:
+        for number in range(300):
+            session.add(CityMap(id=f"m{number}", name="m", owner="me", created_at=float(number)))
+            session.flush()
+            session.add(MapDrive(map_id=f"m{number}", drive_id="monday", is_member=True))
+    asked.clear()
+    with context.database.reading() as session:
+        cities = session.scalars(select(CityMap)).all()
+        found = standings_of(session, context, cities)
+        assert [[job.id for job in found[name].jobs] for name in ("m0", "m299")] == [["first"]] * 2
+        assert len(asked) < 10
+        asked.clear()
+        state = state_of_all(session)
+        assert len(asked) < 7
+    for change in (
+        lambda session: add_job(session, "third", "tuesday", 4.0),
+        lambda session: pin(session, "old"),
+        lambda session: trash(session, Drive, "tuesday"),
+        lambda session: session.merge(MapDrive(map_id="m7", drive_id="tuesday", is_member=True)),
+        lambda session: session.merge(MapDrive(map_id="m7", drive_id="monday", is_member=False)),
+        lambda session: judge(session, "1", "wrong"),
+        lambda session: session.delete(session.get_one(CityMap, "m5")),
+    ):
+        with context.database.writing() as session:
+            change(session)
+        with context.database.reading() as session:
+            before, state = state, state_of_all(session)
+        assert state != before
+
+
+def test_rows_of_a_map_are_written_between_those_of_others(context: Context, monkeypatch: pytest.MonkeyPatch) -> None:
+    """They are seen all at once; what a kill left is swept, and a map that goes takes no long transaction."""
+    monkeypatch.setattr(indexing, "_AT_ONCE", 2)
+    database, between = context.database, list[int]()
+
+    def place(number: int) -> dict[str, Any]:
+        facts = {each.name: None for each in CITY_LAYERS["city"].attributes} | {"uid": f"p{number}", "passes": number}
+        return {"id": f"p{number}", "geometry": {"type": "Point", "coordinates": [8.4, 49.0]}, "properties": facts}
+
+    def others_write() -> None:
+        with database.writing() as session:
+            session.get_one(Drive, "monday").name = f"name {len(between)}"
+        between.append(matched())
+
+    def matched() -> int:
+        with database.reading() as session:
+            return find_page(session, Source(map=SERVER_MAP), OF_MAP["city"], Query()).matched
+
+    def rows() -> int:
+        with database.reading() as session:
+            return session.query(OF_MAPS["city"]).count()
+
+    def write(count: int, go_on: Callable[[], None] = others_write) -> None:
+        layers = rows_of_map({"city": [place(number) for number in range(count)]})
+        show = indexing.write_map_rows(database, SERVER_MAP, layers, go_on)
+        with database.writing() as session:
+            show(session)
+
+    write(7)
+    assert (between, matched()) == ([0] * 4, 7)
+    with pytest.raises(KeyboardInterrupt):
+        write(5, lambda: between.append(1) if len(between) < 6 else _killed())
+    assert (matched(), rows()) == (7, 11)
+    write(3)
+    assert (between[-2:], matched()) == ([7, 7], 3)
+    indexing.sweep_map_rows(database, SERVER_MAP)
+    assert rows() == 3
+    indexing.sweep_map_rows(database, SERVER_MAP, is_gone=True)
+    assert (matched(), rows()) == (0, 0)
+
+
+def _killed() -> None:
+    raise KeyboardInterrupt
 
 
 CHANGES: list[tuple[Callable[[Session], None], list[str], int]] = [

@@ -18,11 +18,10 @@ from app.drives.upload import keep
 from app.http.intake import Arrival
 from app.jobs.queue import submit
 from app.settings import Settings
-from app.store.clock import ClockWatch
 from app.store.incoming import LEFT_ALONE_S
 from app.store.models import Drive, Job
 from app.trash.deletion import list_trash, restore
-from app.upkeep.cleanup import Sweeper, sweep
+from app.upkeep.cleanup import ClockWatch, Sweeper, sweep
 from app.work.documents import CommitOutcome
 from interloc.drives.inspect import DriveReport
 
@@ -116,7 +115,7 @@ def test_only_empty_folders_that_no_row_knows_go(context: Context, caplog: pytes
         if key != young:
             os.utime(context.storage.folder(key), (0, 0))
     assert sweep(context, by_age=False)["unknown"] == 0
-    assert "no row knows 2 folders of drives and jobs: drives/1, jobs/2." in caplog.text
+    assert "no row knows 2 folders of drives, jobs or maps: drives/1, jobs/2." in caplog.text
     assert sweep(context)["unknown"] == 1
     there = [context.storage.folder(key).exists() for key in (empty, young, *full, f"drives/{known}")]
     assert there == [False, True, True, True, True]

@@ -6,7 +6,7 @@ from datetime import UTC, datetime, timedelta
 
 import pytest
 
-from interloc.city.verdicts import Judgement, Precision, Verdict, latest, wilson, wrong_ones
+from interloc.city.models import Judgement, Precision, Verdict, latest, wilson, wrong_ones
 
 NOON = datetime(2026, 3, 1, 12, tzinfo=UTC)
 

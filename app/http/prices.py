@@ -1,12 +1,19 @@
-"""Turns at reading that takes longer than a moment: few at a time, shared by the clients, and no thread is held."""
+"""What operations cost: each declares it where it is declared, and its limits follow from that.
+
+A cheap one takes less than 50 ms of CPU time, whatever is stored. A heavy one begins when its client has a turn: few
+are at work at a time, shared by the clients, and no thread is held by those that wait; it gives pages, or says what
+bounds it. A streaming one gives or takes bytes for as long as its client does, and limits what it takes itself.
+"""
 
 from __future__ import annotations
 
 import asyncio
+import inspect
 from collections import Counter
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from contextlib import AsyncExitStack, asynccontextmanager
-from typing import Annotated
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal, TypeVar
 from weakref import WeakValueDictionary
 
 from fastapi import Depends, Request
@@ -16,6 +23,7 @@ from app.http.problem_types import BUSY
 from app.http.problems import Problem
 from app.store.tokens import ANONYMOUS
 
+MAX_JSON_BYTES = 1024**2
 _AT_ONCE = 3  # each may take a hundred megabytes, and all share one interpreter with everything else
 _OF_ONE_CLIENT = _AT_ONCE - 1  # whatever one client asks for, another has a turn at once
 _PATIENCE_S = 10.0
@@ -72,10 +80,49 @@ def _busy() -> Problem:
 TurnsDep = Annotated[Turns, part_of_app("turns")]
 
 
-async def _turn(request: Request, turns: TurnsDep) -> AsyncIterator[None]:
+@dataclass(frozen=True)
+class Price:
+    """What an operation takes of the server."""
+
+    kind: Literal["cheap", "heavy", "streaming"]
+    bound: str | None = None
+    """What bounds it, where it does not give pages."""
+    body_bytes: int | None = MAX_JSON_BYTES
+    """What its body may have, which is read before it begins; None: the operation itself counts what it receives."""
+
+
+Endpoint = TypeVar("Endpoint", bound=Callable[..., Any])
+
+
+def priced(
+    kind: Literal["cheap", "heavy", "streaming"], *, bound: str | None = None, body_bytes: int = MAX_JSON_BYTES
+) -> Callable[[Endpoint], Endpoint]:
+    """Declare what an operation costs; one that is heavy or lists something has pages (`limit`) or says its bound."""
+
+    def declare(endpoint: Endpoint) -> Endpoint:
+        gives_much = kind == "heavy" or endpoint.__name__.startswith("list_")
+        if gives_much and bound is None and "limit" not in inspect.signature(endpoint).parameters:
+            raise TypeError(f"{endpoint.__name__} gives no pages, and does not say what bounds it")
+        endpoint.price = Price(kind, bound, None if kind == "streaming" else body_bytes)  # type: ignore[attr-defined]
+        return endpoint
+
+    return declare
+
+
+def price_of(endpoint: object) -> Price | None:
+    """Return what an operation costs; None where it does not say so."""
+    price: Price | None = getattr(endpoint, "price", None)
+    return price
+
+
+async def in_turn(request: Request, turns: TurnsDep) -> AsyncIterator[None]:
+    """Wait for a turn if the operation is heavy; the whole API depends on it."""
+    price = price_of(request.scope["endpoint"])
+    if price is None or price.kind != "heavy":
+        yield
+        return
     async with turns.of(request):
         yield
 
 
-IN_TURN = [Depends(_turn, scope="function")]
-"""``dependencies`` of an address whose every answer is heavy: its endpoint begins when the client has a turn."""
+TURN = Depends(in_turn, scope="function")

@@ -1,4 +1,4 @@
-"""Turns at heavy reading: whoever asks for much waits for himself only, and holds no thread meanwhile."""
+"""Prices: every operation declares its own, and whoever asks for much waits for himself only and holds no thread."""
 
 from __future__ import annotations
 
@@ -11,11 +11,13 @@ from typing import Any
 
 import httpx
 import pytest
+from fastapi.routing import iter_route_contexts
 
 from app.context import Context
-from app.http import turns as turns_module
+from app.http import prices
+from app.http.prices import MAX_JSON_BYTES, Turns, price_of, priced
 from app.http.problems import Problem
-from app.http.turns import Turns
+from app.main import ROUTES
 from app.ogc import routes
 from app.settings import Settings
 from app.states import Scope
@@ -69,6 +71,33 @@ def run_alone(coroutine: Coroutine[Any, Any, None]) -> None:
         thread.submit(asyncio.run, coroutine).result()
 
 
+def test_every_operation_declares_what_it_costs() -> None:
+    own = [each for each in iter_route_contexts(ROUTES) if each.endpoint is not None]
+    assert len(own) > 150
+    assert [each.path for each in own if price_of(each.endpoint) is None] == []
+
+
+def test_an_operation_that_gives_much_has_pages_or_says_what_bounds_it() -> None:
+    def list_things() -> None: ...
+
+    def read_thing(limit: int = 100) -> None: ...
+
+    for kind, endpoint in (("cheap", list_things), ("heavy", list_things), ("heavy", test_nobody_waits_for_ever)):
+        with pytest.raises(TypeError, match="gives no pages"):
+            priced(kind)(endpoint)  # type: ignore[arg-type]
+    priced("heavy")(read_thing)
+    priced("heavy", bound="ten things")(list_things)
+
+
+def test_what_a_body_may_have_follows_from_the_price(client: httpx.Client) -> None:
+    new = {"name": "a", "options": {}, "padding": "x" * MAX_JSON_BYTES}
+    assert client.post(f"{API}/drives", json=new).status_code == 413
+    made = client.post(f"{API}/maps", json={"name": "town"}).json()["id"]
+    larger = b"<osm>" + b" " * 2 * MAX_JSON_BYTES + b"</osm>"
+    assert client.put(f"{API}/maps/{made}/osm/town.osm", content=larger).status_code == 204
+    assert client.delete(f"{API}/maps/{made}").status_code == 204
+
+
 def test_who_asks_for_much_waits_for_himself_only() -> None:
     async def run() -> None:
         readers = Readers()
@@ -108,7 +137,7 @@ def test_clients_without_a_token_are_told_apart_by_their_address() -> None:
 
 
 def test_a_line_does_not_grow_for_ever(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(turns_module, "_MAX_WAITING", 2)
+    monkeypatch.setattr(prices, "_MAX_WAITING", 2)
 
     async def run() -> None:
         readers = Readers()
@@ -121,7 +150,7 @@ def test_a_line_does_not_grow_for_ever(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_nobody_waits_for_ever(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(turns_module, "_PATIENCE_S", 0.01)
+    monkeypatch.setattr(prices, "_PATIENCE_S", 0.01)
 
     async def run() -> None:
         readers = Readers()
