@@ -19,7 +19,7 @@ from interloc.errors import ConfigError
 ROAD, CONFUSABLE = 1, 2
 """Groups of the selection kernel."""
 
-MIN_ROAD_SHARE, MAX_ROAD_SHARE = 0.05, 0.85
+MIN_ROAD_SHARE, MAX_ROAD_SHARE = 0.05, 0.9
 MAX_UNKNOWN_SHARE = 0.05
 
 _LABEL_COUNT = 1 << 16
@@ -187,11 +187,11 @@ def check_labels(folder: str, judgement: LabelJudgement, findings: Findings) -> 
     if scheme is None or not total:
         return
     ids = sorted(counts)
-    if len(ids) == 1 and folder != "geometry" and scheme.name not in _DELIBERATE:
+    if len(ids) == 1 and folder != "geometry" and ids[0] not in scheme.road and scheme.name not in _DELIBERATE:
         findings.refuse(
             folder,
-            f"every point looked at has the id {ids[0]}, and nothing tells road from other ground. Usual cause: a "
-            f"field that nobody filled, or labels of ground without classes. {_WITHOUT}",
+            f"no point of the scans looked at is road: every one has the id {ids[0]}. Usual cause: a field that nobody "
+            f"filled, or labels of ground without classes. {_WITHOUT}",
         )
         return
     road = sum(counts.get(label, 0) for label in scheme.road)

@@ -132,7 +132,7 @@ EVERY = dict.fromkeys(SEMANTICKITTI.known or (), 9)
     [
         ({**EVERY, 44: 0}, "labels of moving objects .*--labels geometry"),
         ({**EVERY, 50: 251}, "labels of moving objects"),
-        (dict.fromkeys(EVERY, 7), "every point looked at has the id 7.*--labels geometry"),
+        (dict.fromkeys(EVERY, 7), "every one has the id 7.*--labels geometry"),
     ],
 )
 def test_labels_that_cannot_be_of_road_are_refused(street: Path, ids: dict[int, int], words: str) -> None:
