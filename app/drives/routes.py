@@ -45,7 +45,12 @@ NOT_FOUND = problems({404: "There is no such drive."})
             "model": DriveModel,
             "description": "The key was sent before: the drive of that request.",
         },
-        **problems({422: "A member is refused, or the key was used for another request."}),
+        **problems(
+            {
+                422: "A member is refused, or the key was used for another request.",
+                429: "The client has as many drives that take files as it may have.",
+            }
+        ),
     },
 )
 @priced("cheap")
@@ -89,20 +94,19 @@ def list_drives(
     "/look",
     tags=["Drives"],
     summary="Look into a folder before it is sent",
+    response_model=FolderLook,
     openapi_extra=CHANGES_NOTHING,
     responses=problems({413: "The listing is too large.", 422: "A member is refused, or the work takes too long."}),
 )
 @priced("heavy", bound="the body: listing, small files and ranges", body_bytes=32 * 1024**2)
-async def look_into_folder(
-    request: LookRequest, context: ContextDep, runner: RunnerDep, client: ClientDep
-) -> FolderLook:
+async def look_into_folder(request: LookRequest, context: ContextDep, runner: RunnerDep, client: ClientDep) -> Response:
     """Tell which drives a folder of yours holds, what is wrong with one of them, where it went, and what to send of it.
 
     Nothing is made or kept. The folder is judged by the names and sizes of its files and by the contents of the small
     ones; give those that `wanted` names, and what was counted in `frames_to_look_into`, and ask again, to learn all.
     A client that reduces scans itself sends what `plan` says: `ground/...` of these scans and `reduced.json`.
     """
-    return await runner.run_in_worker(
+    found = await runner.run_in_worker(
         look,
         request.files,
         request.contents,
@@ -116,6 +120,7 @@ async def look_into_folder(
         await run_in_threadpool(context.storage.incoming),
         client=client,
     )
+    return Response(found, media_type="application/json")
 
 
 @get_and_head(

@@ -65,16 +65,9 @@ class Merged:
 
 
 def merge(folder: Path, wanted: Mapping[str, Source], register: Register) -> Merged:
-    """Bring the map in a folder up to date.
+    """Bring the map in a folder up to date: it should hold a result of each wanted drive, by their names.
 
-    Parameters
-    ----------
-    folder
-        Of the map; without a map that can be read, a new one is made with the names of the register.
-    wanted
-        Name of each drive -> its result.
-    register
-        As the database has it.
+    Without a map that can be read, a new one is made with the names of the register, as the database has it.
     """
     from interloc.city.drives import Pass  # noqa: PLC0415
     from interloc.city.folder import city_record, locked, write_city  # noqa: PLC0415 - of workers only

@@ -58,27 +58,12 @@ def linked(xy: FloatArray) -> IntArray:
 
 
 def group(xy: FloatArray, drive: IntArray, neighbourhood: IntArray, config: CityConfig) -> IntArray:
-    """Group sightings by place.
+    """Return the place of each of (N, 2) sightings, metres, roughly without the offsets of their drives: (N,) from 0.
 
-    Parameters
-    ----------
-    xy : (N, 2) float64
-        Metres, roughly without the offsets of the drives.
-    drive : (N,) int64
-    neighbourhood : (N,) int64
-        Of `linked`; whole ones.
-    config
-
-    Returns
-    -------
-    (N,) int64
-        Number of the place, from 0.
-
-    Notes
-    -----
-    A neighbourhood that no drive saw twice, and that is small, is one place. In all others the peaks of the density of
-    the sightings are joined, closest first, unless drives saw them side by side: the steps by which the detections of
-    one drive are fused, with drives instead of keyframes. Nothing depends on the order.
+    `neighbourhood` is of `linked`, whole ones. A neighbourhood that no drive saw twice, and that is small, is one
+    place. In all others the peaks of the density of the sightings are joined, closest first, unless drives saw them
+    side by side: the steps by which the detections of one drive are fused, with drives instead of keyframes. Nothing
+    depends on the order.
     """
     count = int(neighbourhood.max(initial=-1)) + 1
     if not count:
@@ -102,28 +87,11 @@ def group(xy: FloatArray, drive: IntArray, neighbourhood: IntArray, config: City
 def vote(
     xy: FloatArray, others: FloatArray, drive: IntArray, count: int, config: CityConfig
 ) -> tuple[FloatArray, FloatArray]:
-    """Find the offset of a drive against each of several others.
+    """Find the offset of a drive that saw (M, 2) places against each of `count` others, metres in one plane.
 
-    Parameters
-    ----------
-    xy : (M, 2) float64
-        What it saw, metres in one plane.
-    others : (N, 2) float64
-        What the others saw.
-    drive : (N,) int64
-        Which of them, 0..count-1.
-    count : int
-    config
+    They saw (N, 2) places; `drive`, (N,) from 0, says which of them. Returns the mode of the differences, (count, 2),
+    and how many pairs of sightings agree with it, (count,); 0: the drives share nothing.
 
-    Returns
-    -------
-    offset : (count, 2) float64
-        Mode of the differences, metres.
-    pairs : (count,) float64
-        How many pairs of sightings agree with it; 0: the drives share nothing.
-
-    Notes
-    -----
     Differences up to `vote_radius_m` are counted in a grid and smoothed by a Gaussian kernel. A shift of nothing is
     preferred to a large one by a wide prior, which decides where two drives share two places or fewer.
     """
@@ -260,21 +228,9 @@ class Sightings:
 
 
 def adjust(sightings: Sightings, prior: Prior, start: FloatArray, free: BoolArray) -> tuple[FloatArray, FloatArray]:
-    """Return the knots of least squares.
+    """Return the (K, 2) knots of least squares, and how far each would move if it alone were free, metres.
 
-    Parameters
-    ----------
-    sightings, prior
-    start : (K, 2) float64
-        Where to look first; the result does not depend on it but for some tenths of a millimetre.
-    free : (K,) bool
-        Knots that may move.
-
-    Returns
-    -------
-    knots : (K, 2) float64
-    pull : (K, 2) float64
-        How far each knot would move if it alone were free, metres.
+    Only those that are `free`, (K,), move. Where to `start`, (K, 2), changes the result by tenths of a millimetre.
     """
     from scipy.linalg import cho_solve_banded, cholesky_banded  # noqa: PLC0415 - slow to import
     from scipy.sparse import csc_array, csr_array  # noqa: PLC0415

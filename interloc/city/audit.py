@@ -34,7 +34,6 @@ _BESIDE_M = 8.0  # as far from a node its own junction hides what a side road is
 _LEVEL_M = 25.0
 _PORTAL_M = 50.0
 _EDGE_M = 40.0
-_FAR_M = 300.0  # without any way the map is of somewhere else, or empty there
 _PARTNER_M = 25.0
 _APART_DEG = 50.0
 _TRACK_M = 15.0
@@ -51,37 +50,24 @@ _BEGINS_M = 4.0  # a road that bends away from the straight line is still within
 
 @dataclass(frozen=True)
 class Finding:
-    """A place where OpenStreetMap seems to be wrong.
-
-    Attributes
-    ----------
-    id : str
-        Of the kind and the place, or the node: it stays when drives are added.
-    kind : Kind
-    xy : (2,) float64
-        Where to look, in the plane of the map.
-    uid : str or None
-        The place on the map; None: there is none.
-    osm_node : int or None
-        The node that it is about; None where OpenStreetMap lacks something.
-    passes : int
-        Independent passes that say so.
-    drives : tuple of str
-    text : str
-        What was found, for a person who looks at it.
-    evidence : dict
-        Distances and shares that led to it, and tags of the ways around.
-    """
+    """A place where OpenStreetMap seems to be wrong."""
 
     id: str
+    """Of the kind and the place, or the node: it stays when drives are added."""
     kind: Kind
     xy: FloatArray
+    """(2,) float64: where to look, in the plane of the map."""
     uid: str | None
+    """The place on the map; None: there is none."""
     osm_node: int | None
+    """The node that it is about; None where OpenStreetMap lacks something."""
     passes: int
+    """Independent passes that say so."""
     drives: tuple[str, ...]
     text: str
+    """What was found, for a person who looks at it."""
     evidence: dict[str, Any] = field(default_factory=dict)
+    """Distances and shares that led to it, and tags of the ways around."""
 
 
 @dataclass(frozen=True)
@@ -170,7 +156,7 @@ class _Auditor:
             for each, metres in zip(findings, away, strict=True)
             if each.kind in wanted and not (each.kind.startswith("missing") and metres < _ALSO_ELSEWHERE_M)
         ]
-        passed = [node for node in self.osm.open_junctions.tolist() if self._enough(self._came_by(node))]
+        passed = [node for node in self.osm.open_junctions.tolist() if self._enough(self.came_by.get(node, ()))]
         findings.sort(key=lambda each: each.id)
         return Audit(findings, len(passed), self.osm.offset_m, dict(sorted(self.held_back.items())))
 
@@ -350,7 +336,7 @@ class _Auditor:
         osm, config = self.osm, self.config
         nearest, _ = _nearest(osm.xy, self.places.xy[self.places.is_shown])
         for node in osm.open_junctions.tolist():
-            drives = self._came_by(node)
+            drives = tuple(self.came_by.get(node, ()))
             ease = self._ease("phantom", osm.graph.node_id[node])
             if not self._enough(drives) or nearest[node] <= config.junction_m:
                 continue
@@ -408,12 +394,9 @@ class _Auditor:
 
     # what they share --------------------------------------------------------------------------------------------------
 
-    def _came_by(self, node: int) -> tuple[str, ...]:
-        """Return the drives that came by an open junction: three keyframes or more within 15 m."""
-        return tuple(self.came_by.get(node, ()))
-
     @cached_property
     def came_by(self) -> dict[int, list[str]]:
+        """The drives that came by each open junction: three keyframes or more within 15 m."""
         from scipy.spatial import cKDTree  # noqa: PLC0415
 
         rows, found = self.osm.open_junctions, defaultdict[int, list[str]](list)
@@ -451,13 +434,14 @@ class _Auditor:
 
     def _excuse(self, xy: FloatArray, drives: Sequence[str]) -> str | None:
         """Return why nothing is to be claimed at a place that drives came by; None where nothing speaks against it."""
-        osm, around = self.osm, np.array([xy])
+        osm = self.osm
         own = [graph for graph, names in self.maps if not names.isdisjoint(drives)]
         if not own:
             return "no map of these drives"
         corners = self.city.lonlat(xy + osm.offset_m + _EDGE_M * np.array([[1, 1], [1, -1], [-1, 1], [-1, -1]]))
-        if not np.any([graph.covers(corners) for graph in own], axis=0).all() or osm.distance(around)[0] > _FAR_M:
+        if not np.any([graph.covers(corners) for graph in own], axis=0).all():
             return "edge of the map"
+        around = np.array([xy])
         if osm.distance(around, osm.tagged("tunnel") | osm.tagged("covered"))[0] < _PORTAL_M:
             return "tunnel"
         if osm.distance(around, osm.on_levels)[0] < _LEVEL_M:

@@ -59,24 +59,10 @@ def write_audit(
     source: str,
     made_up: bool = False,
 ) -> None:
-    """Write the findings of an audit in all forms, all or nothing.
+    """Write the findings of an audit in all forms, all or nothing; an earlier audit in the folder goes.
 
-    Parameters
-    ----------
-    found, city
-    folder
-        A new one, or that of an earlier audit, which is replaced.
-    config
-        That the audit was made with.
-    source
-        The OpenStreetMap data.
-    made_up : bool
-        Whether that was made up by a simulator.
-
-    Raises
-    ------
-    OutputError
-        The folder is something else, or could not be written.
+    `source` is the OpenStreetMap data, or was made up by a simulator. An `OutputError` says that the folder is
+    something else, or could not be written.
     """
     credit = map_credit(is_made_up=made_up)
     features = finding_features(found.findings, city)
@@ -147,17 +133,10 @@ def _link(lon: float, lat: float) -> str:
 
 
 def picture_of(city: CityMap, xy: FloatArray, names: tuple[str, ...], node_xy: FloatArray | None = None) -> bytes:
-    """Draw the 80 m around a place, north up, as PNG.
+    """Draw the 80 m around a place in the plane of the map (a cross), north up, as PNG.
 
-    Parameters
-    ----------
-    city
-    xy : (2,) float64
-        In the plane of the map: a cross.
-    names
-        Drives whose ground and tracks (blue) are drawn: the darker the road, the more of them saw it.
-    node_xy : (2,) float64, optional
-        The node of OpenStreetMap that it is about: a ring.
+    The ground and tracks (blue) of some drives are drawn: the darker the road, the more of them saw it. The node of
+    OpenStreetMap that it is about is a ring.
     """
     step = (np.arange(_SIDE) + 0.5) * _CELL_M - HALF_M
     east, south = np.meshgrid(step, step)

@@ -81,22 +81,11 @@ def tabulate(
     config: CityConfig,
     branches_of: dict[int, Branches],
 ) -> PlaceTable:
-    """Return the places of a map.
+    """Return the places of a map of drives.
 
-    Parameters
-    ----------
-    drives
-        Those of the map.
-    uid_of
-        Number of a place to its name.
-    to_lonlat
-        Of (N, 2) positions in the plane of the map.
-    config
-    branches_of
-        Number of a place to its branches, where they were worked out before; changed in place.
+    `uid_of` has the name of a place by its number, `branches_of` its branches where they were worked out before, and
+    is changed in place; `to_lonlat` takes (N, 2) positions in the plane of the map.
 
-    Notes
-    -----
     The covariance of a place is the sum of what all drives share, the shape (mean of what they state, never divided),
     and of what they do not: fix and scatter, one over the sum of one over their variances. That other places tie the
     drives together is left out of it, which makes it a little too wide where a place was seen by few of many drives.

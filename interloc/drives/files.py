@@ -163,6 +163,11 @@ class SourceFile:
         return b"".join(pieces)
 
     def _decoded(self, data: bytes) -> str:
+        if data.startswith((b"\xff\xfe", b"\xfe\xff")):
+            raise self.fault(
+                "is UTF-16, as PowerShell writes with >. Expected UTF-8: `Get-Content FILE | Set-Content -Encoding "
+                "utf8 NEW`, or iconv -f UTF-16 -t UTF-8."
+            )
         try:
             text = data.decode("utf-8-sig")
         except UnicodeDecodeError as error:

@@ -72,16 +72,16 @@ class Trajectory:
         Returns the rows of the longest piece between two jumps (None where there are none) and its trajectory; scan
         numbers that are None count from 0.
         """
-        if self.poses is None or self.times_s is None:
+        if self.poses is None:
             return None, self
-        frames = np.arange(len(self.times_s)) if frames is None else frames
+        frames = np.arange(len(self.poses.T_world_lidar)) if frames is None else frames
         rows, jumps = longest_piece(self.poses.T_world_lidar[:, :3, 3], self.times_s, frames)
         if not jumps:
             return None, self
         findings.warning(pose_file, f"the poses {jumps}")
         return rows, self.part(rows)
 
-    def part(self, rows: slice) -> Trajectory:
+    def part(self, rows: slice | IntArray) -> Trajectory:
         """Return that of some of the scans; W is the LiDAR at the first of them."""
         poses, times_s, georeference = self.poses, self.times_s, self.georeference
         if poses is not None:
@@ -162,7 +162,12 @@ def _in_kitti360_world(
 
 def _read_timed(file: SourceFile, times_s: FloatArray | None, frames: IntArray, findings: Findings) -> PoseLines:
     """Read the poses of a TUM file at the times of the scans, or one per scan where these have none."""
-    timed = read_tum(file)
+    timed = read_tum(file, findings)
+    numbers = timed.times_s.astype(np.int64)
+    is_numbered = bool((timed.times_s == numbers).all() and np.isin(frames, numbers).all())
+    if is_numbered and (times_s is None or not timed.covers(times_s).any()):
+        findings.note(file.name, "the times of its poses are taken for the numbers of the scans.")
+        return PoseLines(timed.poses, numbers)
     if times_s is not None:
         return PoseLines(timed.at(times_s), frames)
     if len(timed.poses) != len(frames):

@@ -11,8 +11,9 @@ import numpy as np
 
 from interloc.arrays import FloatArray, IntArray
 from interloc.drives.files import MAX_NUMBER, SourceFile, is_number
+from interloc.drives.findings import Findings
 from interloc.drives.layouts import INDEXED_LENGTHS
-from interloc.drives.poses.motion import TimedPoses, rotations_from_quaternions
+from interloc.drives.poses.motion import TimedPoses, body_motion, rotations_from_quaternions
 from interloc.geometry import rigid_transforms
 
 SEPARATED_BY_COMMAS = "numbers are separated by commas; spaces were expected. Usual cause: a CSV export."
@@ -26,13 +27,18 @@ _MAX_FRAME = 10**15
 TUM_FIELDS = 8
 """Numbers of a line: time x y z qx qy qz qw."""
 
-_SPLIT_FIELDS = 9
-"""Numbers of a line of the Newer College data set and others: sec nsec x y z qx qy qz qw."""
+_MORE_FIELDS = 9
+"""One more: sec nsec ... (Newer College), num t ... (MCD), or an id at the end (RTAB-Map)."""
 
 _STAMPS_US, _STAMPS_NS = 1e14, 1e17
 """Times from here on are microseconds and nanoseconds, not seconds, since 1970."""
 
 _OFF_UNIT = 1e-2
+_EPOCH_S = 1e8
+_SHUFFLED = 0.2
+"""More of the lines run backwards in time in a file that is not sorted; few where recordings follow each other."""
+
+_SLIDES, _STEADY, _UPRIGHT = 10.0, 1e-3, 0.9
 _HEAD_BYTES = 65536
 
 
@@ -62,7 +68,7 @@ def read_poses(file: SourceFile) -> PoseLines:
     if values.shape[1] == 16 and (wrong := np.abs(values[:, 12:] - (0, 0, 0, 1)).max(axis=1) > _ORTHONORMAL).any():
         raise file.fault(
             "the last four of 16 numbers are not 0 0 0 1. Expected a 4x4 matrix, row by row. "
-            "Usual cause: a matrix written column by column.",
+            "Usual cause: a matrix written column by column; transpose each.",
             lines[int(np.argmax(wrong))],
         )
     refuse_far(poses[:, :3, 3], lines, file)
@@ -162,6 +168,11 @@ def _plain_table(texts: list[str], lengths: Collection[int]) -> FloatArray | Non
 def _length_complaint(fields: list[str], length: int) -> str:
     if any("," in field for field in fields):
         return SEPARATED_BY_COMMAS
+    if fields[0].startswith(("VERTEX", "EDGE", "FIX")):
+        return (
+            "a pose graph of g2o. Expected poses only: write each VERTEX_SE3:QUAT as time x y z qx qy qz qw (TUM), "
+            "without the edges."
+        )
     expected = (
         f"{length} as in the lines above" if length else "12 (3x4 matrix), 16 (4x4), 13 or 17 (frame number first)"
     )
@@ -175,6 +186,11 @@ def _length_complaint(fields: list[str], length: int) -> str:
         )
     elif len(fields) == 4 and not length:
         usual = "4x4 matrices written over four lines; write one matrix per line"
+    elif len(fields) == 3 and not length:
+        usual = (
+            "a .log of Open3D, three numbers and a 4x4 matrix over four lines; write one matrix per line, or positions "
+            "without orientation"
+        )
     return f"{len(fields)} numbers; expected {expected}. Usual cause: {usual}."
 
 
@@ -209,8 +225,10 @@ def is_tum(head: bytes) -> bool:
     for line in _plain(head.decode("utf-8-sig", errors="replace").splitlines()):
         fields = line.split()
         if fields and not fields[0].startswith("#"):
-            split = len(fields) == _SPLIT_FIELDS and "." not in "".join(fields[:2])
-            return (len(fields) == TUM_FIELDS or split) and all(map(is_number, fields))
+            if len(fields) not in {TUM_FIELDS, _MORE_FIELDS} or not all(map(is_number, fields)):
+                return False
+            values = np.array([fields], dtype=np.float64)
+            return len(fields) == TUM_FIELDS or bool(_are_units(values[:, 5:]) or _are_units(values[:, 4:8]))
     return False
 
 
@@ -223,14 +241,18 @@ def _plain(lines: list[str]) -> list[str]:
     return lines
 
 
-def read_tum(file: SourceFile) -> TimedPoses:
-    """Read and check the lines ``time x y z qx qy qz qw`` of a file; lines that start with # are comments."""
+def read_tum(file: SourceFile, findings: Findings | None = None) -> TimedPoses:
+    """Read and check the lines ``time x y z qx qy qz qw`` of a file; lines that start with # are comments.
+
+    A number or an id beside them is left out; quaternions w x y z are read as such where the motion shows that they
+    are, of which findings get a warning.
+    """
     if not file.path.exists():
         raise file.fault("is missing. Expected one line per pose: time x y z qx qy qz qw (TUM).")
-    values, lines = read_rows(file, (TUM_FIELDS, _SPLIT_FIELDS), _tum_complaint, plain=_plain)
-    if values.shape[1] == _SPLIT_FIELDS:
-        values = np.column_stack([values[:, 0] + values[:, 1] * 1e-9, values[:, 2:]])
-    elif values[0, 0] > _STAMPS_US:
+    values, lines = read_rows(file, (TUM_FIELDS, _MORE_FIELDS), _tum_complaint, plain=_plain)
+    if values.shape[1] == _MORE_FIELDS:
+        values = _of_eight(values)
+    if values[0, 0] > _STAMPS_US:
         values = np.column_stack([values[:, 0] * (1e-6 if values[0, 0] < _STAMPS_NS else 1e-9), values[:, 1:]])
     values, lines = _without_repetitions(values, lines, file)
     refuse_far(values[:, 1:4], lines, file)
@@ -244,7 +266,41 @@ def read_tum(file: SourceFile) -> TimedPoses:
             lines[row],
         )
     poses = rigid_transforms(rotations_from_quaternions(values[:, 4:]), values[:, 1:4])
+    w_first = rigid_transforms(rotations_from_quaternions(values[:, [5, 6, 7, 4]]), values[:, 1:4])
+    if findings is not None and _is_better(w_first, poses):
+        findings.warning(
+            file.name,
+            "the quaternions are in the order w x y z, and are read so: in the order of TUM (x y z w) the vehicle "
+            "would not look where it drives.",
+        )
+        poses = w_first
     return TimedPoses(values[:, 0].copy(), poses, file.name)
+
+
+def _are_units(quaternions: FloatArray) -> bool:
+    return bool((np.abs(np.linalg.norm(quaternions, axis=1) - 1) < _OFF_UNIT).all())
+
+
+def _of_eight(values: FloatArray) -> FloatArray:
+    """Bring (P, 9) values to time x y z and quaternion."""
+    if _are_units(values[:, 4:8]) and not _are_units(values[:, 5:]):
+        return values[:, :8]  # an id at the end
+    first, second = values[:, 0], values[:, 1]
+    is_counted = first[0] < _EPOCH_S and bool((np.diff(first) > 0).all() and (np.diff(second) > 0).all())
+    time_s = second if is_counted else first + second * 1e-9
+    return np.column_stack([time_s, values[:, 2:]])
+
+
+def _is_better(other: FloatArray, poses: FloatArray) -> bool:
+    """Return whether by others of (P, 4, 4) poses the vehicle drives where it looks, and by these it does not."""
+    motion, others = body_motion(poses), body_motion(other)
+    if motion is None or others is None:
+        return False
+    if 1 - motion.steadiness > _SLIDES * (1 - others.steadiness) + _STEADY:
+        return True
+    upright, other_upright = (float(np.median(each[:, 2, 2])) for each in (poses, other))
+    is_straight = min(motion.steadiness, others.steadiness) > 1 - _SLIDES * _STEADY
+    return is_straight and upright < -_UPRIGHT and other_upright > _UPRIGHT  # 1 0 0 0 is meant for no turn
 
 
 def _without_repetitions(values: FloatArray, lines: IntArray, file: SourceFile) -> tuple[FloatArray, IntArray]:
@@ -253,6 +309,9 @@ def _without_repetitions(values: FloatArray, lines: IntArray, file: SourceFile) 
     kept = np.concatenate([[True], ~repeated])
     values, lines = values[kept], lines[kept]
     steps = np.diff(values[:, 0])
+    if np.count_nonzero(steps < 0) > max(1, _SHUFFLED * len(steps)):
+        order = np.argsort(values[:, 0], kind="stable")
+        values, lines, steps = values[order], lines[order], np.diff(values[order, 0])
     if (steps <= 0).any():
         row = int(np.argmax(steps <= 0)) + 1
         before, after = values[row - 1, 0], values[row, 0]

@@ -19,6 +19,7 @@ TURNED_RAD = 0.15
 
 _JUMP_M, _ACCELERATION_MPS2, _LONGEST_S = 5.0, 10.0, 2.0
 _AROUND, _RARELY = 11, 0.05
+_STANDS_M = 0.2
 
 _STEP_M = 3.0
 _JUDGED = 100_000  # poses at the beginning of a file; hours of driving tell enough
@@ -127,26 +128,34 @@ def _rotation_vectors(rotation: FloatArray) -> FloatArray:
     return vectors
 
 
-def longest_piece(positions: FloatArray, times_s: FloatArray, frames: IntArray) -> tuple[slice, str]:
+def longest_piece(positions: FloatArray, times_s: FloatArray | None, frames: IntArray) -> tuple[slice, str]:
     """Cut a drive where its poses jump: what lies beyond a jump would come to another place of the map.
 
-    Returns the rows of the longest piece between two jumps, which are steps longer than any vehicle drives meanwhile
-    (all, where they jump so often that it is noise), and where and by how much they jump, in words; "" where they do
-    not.
+    Returns the rows of the longest piece between two jumps (all, where they jump so often that it is noise), and where
+    and by how much they jump, in words; "" where they do not. A jump is a step longer than any vehicle drives
+    meanwhile, or, where no times are known, longer than twice the usual steps around it and 5 m.
     """
-    steps, passed_s = np.linalg.norm(np.diff(positions, axis=0), axis=1), np.diff(times_s)
+    steps = np.linalg.norm(np.diff(positions, axis=0), axis=1)
     if len(steps) < 2:
         return slice(0, len(positions)), ""
-    speeds_mps = np.pad(steps / np.maximum(passed_s, 1e-3), _AROUND // 2, mode="edge")
-    usual_mps = np.median(sliding_window_view(speeds_mps, _AROUND), axis=1)
-    allowed_m = usual_mps * passed_s + _JUMP_M + _ACCELERATION_MPS2 * passed_s**2
-    after = np.flatnonzero((steps > allowed_m) & (passed_s < _LONGEST_S))
+    passed = np.diff(frames) / np.median(np.diff(frames)) if times_s is None else np.diff(times_s)
+    speeds = steps / np.maximum(passed, 1e-3)
+    usual = np.median(sliding_window_view(np.pad(speeds, _AROUND // 2, mode="symmetric"), _AROUND), axis=1)
+    if times_s is None:
+        moving = speeds[speeds > _STANDS_M]
+        typical = np.quantile(moving, 0.75, method="higher") if len(moving) else 0.0
+        after = np.flatnonzero(steps > 2 * np.maximum(usual, typical) * np.maximum(passed, 1.0) + _JUMP_M)
+    else:
+        allowed_m = usual * passed + _JUMP_M + _ACCELERATION_MPS2 * passed**2
+        after = np.flatnonzero((steps > allowed_m) & (passed < _LONGEST_S))
     if not 0 < len(after) <= max(2, _RARELY * len(steps)):
         return slice(0, len(positions)), ""
     ends = [0, *(after + 1).tolist(), len(positions)]
     first, last = max(pairwise(ends), key=lambda piece: piece[1] - piece[0])
     driven_m = np.concatenate([[0.0], np.cumsum(steps)])
-    named = [f"by {steps[row]:.0f} m after scan {frames[row]} ({driven_m[row]:.0f} m on)" for row in after[:3].tolist()]
+    named = [
+        f"by {steps[row]:,.0f} m after scan {frames[row]} ({driven_m[row]:,.0f} m on)" for row in after[:3].tolist()
+    ]
     return slice(first, last), (
         f"jump: {', '.join([*named, '...'] if len(after) > len(named) else named)}. The drive is cut there, and its "
         f"longest piece is used: scans {frames[first]} to {frames[last - 1]}, {last - first:,} of {len(positions):,}. "

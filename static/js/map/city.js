@@ -8,8 +8,16 @@ import { lineOf } from "../data/results.js";
 import { el, formatCount, formatDate, formatMetres, formatPercent, groupBy, plural } from "../dom.js";
 import { showError } from "../messages.js";
 import { getState, setState } from "../state.js";
-import { cqlOf, getCityFilter, isOfChange } from "./city_filter.js";
-import { kindName, PLACE_SIGNS, partsOf, placeSign, signOfChange } from "./city_places.js";
+import {
+  cqlOf,
+  getCityFilter,
+  isOfChange,
+  kindName,
+  PLACE_SIGNS,
+  partsOf,
+  placeSign,
+  signOfChange,
+} from "./city_places.js";
 import { popupOf } from "./details.js";
 import { branchesOf } from "./facts.js";
 import { coordinates, linksAt } from "./links.js";
@@ -104,6 +112,7 @@ export class CityScene extends OverviewScene {
     this.spots = this.#spots(places.features, changes.features, findings.features, isCompared);
     this.onChange(this.isNew);
     this.isNew = false;
+    this.loadRoads(() => this.onChange(false));
   }
 
   /** @param {number[]} box @param {string|null} filter @param {AbortSignal} signal */

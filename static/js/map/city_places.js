@@ -1,4 +1,5 @@
-/** Places of a map of many drives: their signs, what they are called, where they are asked for. */
+/** Places and findings of a map of many drives: their signs, names and words, and which of them are looked at. */
+import { getState, setState } from "../state.js";
 
 /**
  * Signs, their names and what they say, in the order in which they are drawn: what is worth a look lies above.
@@ -39,3 +40,69 @@ export const kindName = (kind) => `${kind[0].toUpperCase()}${kind.slice(1).repla
 
 /** @param {any} change Of the layer `changes`. @returns {string} */
 export const signOfChange = ({ properties }) => (properties.kind.startsWith("new_") ? "here" : "elsewhere");
+
+/** @param {import("../data/city.js").Precision} precision */
+export function precisionText({ right, wrong, share, low, high }) {
+  if (share === null || low === null || high === null) return "How many are right is not known yet.";
+  const [at, least, most] = [share, low, high].map((each) => Math.round(100 * each));
+  return `${right} of ${right + wrong} right: ${at} % (95 %: ${least} to ${most} %).`;
+}
+
+/**
+ * The names of the streets at a place.
+ * @param {string|null|undefined} ways Of OpenStreetMap with their tags, the nearest first.
+ * @returns {string} "Bahnhofstraße / Am Markt"; empty where none has a name.
+ */
+export function streetsOf(ways) {
+  const names = (ways ?? "").split("; ").flatMap((way) => / name=(.+?)(?= [\w:]+=|$)/.exec(way)?.[1] ?? []);
+  return [...new Set(names)].slice(0, 2).join(" / ");
+}
+
+/**
+ * @typedef {object} CityFilter
+ * @property {number|null} drives Least number of drives that saw an intersection.
+ * @property {number|null} confidence Least, 0..1.
+ * @property {"new"|"gone"|"changed"|null} change Only intersections that came, or went, or whose branches did.
+ * @property {string|null} kind Of findings.
+ * @property {"open"|"judged"|"all"} state Of findings.
+ */
+
+/** @type {Readonly<CityFilter>} */
+const NONE = { drives: null, confidence: null, change: null, kind: null, state: "open" };
+const NUMBERS = new Set(["drives", "confidence"]);
+const WORDS = /** @type {Record<string, string[]>} */ ({
+  change: ["new", "gone", "changed"],
+  state: ["open", "judged", "all"],
+});
+
+/** @param {string|null} text "drives:2;change:new" @returns {CityFilter} Of what it understands; the rest is left out. */
+export function parseCityFilter(text) {
+  const filter = /** @type {any} */ ({ ...NONE });
+  for (const part of text?.split(";") ?? []) {
+    const [name, value = ""] = part.split(":");
+    if (NUMBERS.has(name)) filter[name] = /^\d+(\.\d+)?$/.test(value) ? Number(value) : null;
+    else if (WORDS[name]?.includes(value) || (name === "kind" && /^\w+$/.test(value))) filter[name] = value;
+  }
+  return filter;
+}
+
+/** @param {CityFilter} filter @returns {string|null} As in the address; null for none. */
+export function formatCityFilter(filter) {
+  const parts = Object.entries(filter).filter(([name, value]) => value !== /** @type {any} */ (NONE)[name]);
+  return parts.map(([name, value]) => `${name}:${value}`).join(";") || null;
+}
+
+/** @returns {CityFilter} What the address says. */
+export const getCityFilter = () => parseCityFilter(getState().places);
+
+/** @param {Partial<CityFilter>} patch */
+export const setCityFilter = (patch) => setState({ places: formatCityFilter({ ...getCityFilter(), ...patch }) });
+
+/** @param {CityFilter} filter @returns {string|null} For the service, CQL2; null for all intersections. */
+export function cqlOf({ drives, confidence }) {
+  const parts = [drives !== null && `drives >= ${drives}`, confidence !== null && `confidence >= ${confidence}`];
+  return parts.filter(Boolean).join(" AND ") || null;
+}
+
+/** @param {CityFilter} filter @param {{kind: string}} change @returns {boolean} Whether it is of the kind looked for. */
+export const isOfChange = ({ change }, { kind }) => change === "changed" || kind.startsWith(`${change}_`);

@@ -10,9 +10,15 @@ import pytest
 
 from interloc import open_drive
 from interloc.drives.files import SourceFile
+from interloc.drives.findings import Findings
 from interloc.drives.folder import FolderDrive
 from interloc.drives.poses.files import PoseLines, looks_like_tum, read_poses, read_tum
-from interloc.drives.poses.motion import TimedPoses, quaternions_from_rotations, rotations_from_quaternions
+from interloc.drives.poses.motion import (
+    TimedPoses,
+    longest_piece,
+    quaternions_from_rotations,
+    rotations_from_quaternions,
+)
 from interloc.errors import DriveError
 from interloc.geometry import rotation_from_rpy, yaw_of
 
@@ -76,12 +82,22 @@ def test_eleven_numbers(tmp_path: Path) -> None:
         ("1 0 0 0 0 1 0 0 0 0 1 0 5 5 5 1", "0 0 0 1"),
         ("0.5 1 0 0 0 0 1 0 0 0 0 1 0", "frame number"),
         ("0 0 0 0 0 0 0 0 0 0 0 0", "not a rotation"),
+        ("VERTEX_SE3:QUAT 0 1 2 3 0 0 0 1", "a pose graph of g2o"),
+        ("0 0 1", "a .log of Open3D"),
+        ("1 0 0 0 0 1 0 0 0 0 1 0 7 8 9 1", "transpose each"),
     ],
 )
 def test_bad_lines_are_named(tmp_path: Path, line: str, words: str) -> None:
     text = complaint(tmp_path, line + "\n")
     assert text.startswith("poses.txt: line 1: ")
     assert words in text
+
+
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-16-be"])
+def test_text_of_another_encoding_is_named(tmp_path: Path, encoding: str) -> None:
+    (tmp_path / "poses.txt").write_bytes("\ufeff1 0 0 0\n".encode(encoding))
+    with pytest.raises(DriveError, match=r"UTF-16, as PowerShell"):
+        read_poses(SourceFile(tmp_path / "poses.txt", tmp_path))
 
 
 def test_two_poses_of_one_frame(tmp_path: Path, make: ModuleType) -> None:
@@ -124,6 +140,8 @@ def test_lines_become_poses(tmp_path: Path) -> None:
         "# sec,nsec,x,y,z,qx,qy,qz,qw\n1600000001,500000000,1,2,3,0,0,0,1\n1600000002,250000000,4,5,6,0,0,0,1\n",
         "1600000001500000000 1 2 3 0 0 0 1\n1600000002250000000 4 5 6 0 0 0 1\n",
         "1600000001500000 1 2 3 0 0 0 1\n1600000002250000 4 5 6 0 0 0 1\n",
+        "#timestamp x y z qx qy qz qw id\n1600000001.5 1 2 3 0 0 0 1 7\n1600000002.25 4 5 6 0 0 0 1 8\n",
+        "num,t,x,y,z,qx,qy,qz,qw\n1,1600000001.5,1,2,3,0,0,0,1\n2,1600000002.25,4,5,6,0,0,0,1\n",
     ],
 )
 def test_relatives_of_the_format(tmp_path: Path, text: str) -> None:
@@ -173,6 +191,45 @@ def test_damaged_lines_are_refused_in_words(tmp_path: Path, text: str, complaint
 )
 def test_tum_is_recognised_by_its_first_line(tmp_path: Path, text: str, is_tum: bool) -> None:
     assert looks_like_tum(write(tmp_path, text).path) is is_tum
+
+
+@pytest.mark.parametrize("turn_deg", [0.0, 1.0], ids=["straight", "in a bend"])
+@pytest.mark.parametrize("order", ["xyzw", "wxyz"])
+def test_the_order_of_quaternions_shows_in_the_motion(tmp_path: Path, order: str, turn_deg: float) -> None:
+    yaw = np.radians(turn_deg * np.arange(60))
+    x, y = np.cumsum([np.cos(yaw), np.sin(yaw)], axis=1)
+    quaternion = {"x": 0 * yaw, "y": 0 * yaw, "z": np.sin(yaw / 2), "w": np.cos(yaw / 2)}
+    np.savetxt(tmp_path / "poses.txt", np.column_stack([np.arange(60), x, y, 0 * x, *(quaternion[e] for e in order)]))
+    findings = Findings(stop_at_first=False)
+    timed = read_tum(SourceFile(tmp_path / "poses.txt", tmp_path), findings)
+    np.testing.assert_allclose(yaw_of(timed.poses[:, :3, :3]), yaw, atol=1e-9)
+    assert [each.message[:40] for each in findings.found] == ["the quaternions are in the order w x y z"] * (
+        order == "wxyz"
+    )
+
+
+def test_shuffled_lines_are_sorted(tmp_path: Path) -> None:
+    timed = read_tum(write(tmp_path, "".join(f"{time} {time} 0 0 0 0 0 1\n" for time in (3, 1, 4, 2, 5))))
+    np.testing.assert_array_equal(timed.poses[:, 0, 3], [1, 2, 3, 4, 5])
+
+
+@pytest.mark.parametrize("numbered", [True, False], ids=["numbered", "by rows"])
+@pytest.mark.parametrize(
+    ("jumped_at", "by_m", "kept"), [(30, 60.0, slice(0, 30)), (10, -9.0, slice(10, 40)), (1, 5e6, slice(1, 40))]
+)
+def test_jumps_are_cut_where_no_times_are_known(jumped_at: int, by_m: float, kept: slice, numbered: bool) -> None:
+    positions = np.outer(np.arange(40), [1.0, 0, 0])
+    positions[jumped_at:, 1] += by_m
+    frames = np.arange(0, 200, 5) if numbered else np.arange(40)
+    rows, jumps = longest_piece(positions, None, frames)
+    assert rows == kept
+    assert f"by {abs(by_m):,.0f} m after scan {frames[jumped_at - 1]}" in jumps
+
+
+@pytest.mark.parametrize("steps_m", [[0, 0, 0, 6, 14, 17, 17, 25], [5, 17, 25, 25], [1] * 50 + [3] * 20, [0] * 30])
+def test_what_a_vehicle_may_drive_is_no_jump(steps_m: list[float]) -> None:
+    positions = np.outer(np.cumsum([0, *steps_m]), [1.0, 0, 0])
+    assert longest_piece(positions, None, np.arange(len(positions)))[1] == ""
 
 
 def test_between_two_poses_the_body_turns_steadily() -> None:

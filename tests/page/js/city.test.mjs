@@ -1,10 +1,19 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 
-import { precisionText, streetsOf } from "../../../static/js/city/words.js";
 import { versionOf } from "../../../static/js/data/city.js";
-import { cqlOf, formatCityFilter, isOfChange, parseCityFilter } from "../../../static/js/map/city_filter.js";
-import { kindName, partsOf, placeSign, signOfChange } from "../../../static/js/map/city_places.js";
+import {
+  cqlOf,
+  formatCityFilter,
+  isOfChange,
+  kindName,
+  parseCityFilter,
+  partsOf,
+  placeSign,
+  precisionText,
+  signOfChange,
+  streetsOf,
+} from "../../../static/js/map/city_places.js";
 
 test("what is looked at of a map stands in its address, and nothing else does", () => {
   const text = "drives:2;confidence:0.8;change:gone;kind:missing_junction;state:judged";
