@@ -221,6 +221,8 @@ def assemble(
     }
     if isinstance(drive, FolderDrive) and (dropped := drive.dropped) is not None:
         run["dropped"] = dropped
+    if intersections.bends:
+        run["bends"] = intersections.bends
     road = tuple(patch for part in parts for patch in part.road)
     return DriveResult(drive.name, keyframe_table, detection_table, intersections, world_xy, lonlat, run, road)
 
