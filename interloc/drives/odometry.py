@@ -7,7 +7,7 @@ import os
 import tempfile
 import time
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +19,7 @@ from interloc.drives.findings import DriveFileError, Findings
 from interloc.drives.options import ODOMETRY, DriveOptions
 from interloc.drives.scans.raw import trajectory_of
 from interloc.drives.scans.recorded import PointSource, Recording
+from interloc.drives.trajectory import Trajectory
 from interloc.errors import DriveError
 from interloc.files import atomic_write
 from interloc.odometry import MIN_INLIER_SHARE, Odometry, Velocity, is_bent, register, require_small_gicp
@@ -54,6 +55,24 @@ class Track:
             numbers = np.loadtxt(file, dtype=np.int64, usecols=0, ndmin=1)
         first = int(np.searchsorted(frames, numbers[0]))
         return cls(path, how, slice(first, first + len(numbers)))
+
+    def trajectory(self, recording: Recording, options: DriveOptions, findings: Findings) -> Trajectory:
+        """Return the trajectory of a recording that is read by these poses: nothing is told of the file they are in."""
+        told = Findings(stop_at_first=False)
+        found = trajectory_of(recording, options, told)
+        for finding in told.found:
+            if finding.path != str(self.path):
+                findings.tell(finding)
+            elif finding.severity == "error":
+                findings.refuse(
+                    "poses",
+                    "were computed from the points, and are not those of a vehicle that drives where the sensor looks. "
+                    "Usual cause: points with the axes of a camera, in the frame of the world, or of scans that do not "
+                    f"follow each other ({finding.message.split('. ')[0]}).",
+                )
+        if found.poses is None:
+            return found
+        return replace(found, poses=replace(found.poses, reason=self.how, is_computed=True))
 
 
 def track_of(
