@@ -37,7 +37,7 @@ with tempfile.TemporaryDirectory() as folder:
         for name in ("paper", "default"):
             result = detect(open_drive(root / folder_name), preset(name))  # numba compiles, or finds all compiled
     write_model(root / "model", height=16, width=128)
-    detect(open_drive(root / "street", model=root / "model"), preset("default"))
+    detect(open_drive(root / "street", model=root / "model", label_scheme="40,60"), preset("default"))
     write_results(result, root / "result")
     write_report(evaluate(result, read_osm(root / "street" / "map.osm")), root / "result")
 
