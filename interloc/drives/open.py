@@ -12,7 +12,7 @@ from typing import Unpack, cast
 from interloc.drives.checks import NEAR_M, RoadSeen, check_flat_road, check_motion, check_points, sample_indices
 from interloc.drives.files import each_read_once, rows_of_part
 from interloc.drives.findings import Findings
-from interloc.drives.folder import FolderDrive, Scans
+from interloc.drives.folder import DROPPED, FolderDrive, Scans, dropped_in_words
 from interloc.drives.formats import FORMATS, ScanFormat, find_format, installed_formats
 from interloc.drives.georeference.geodetic import check_against_poses
 from interloc.drives.labels import SEMANTICKITTI, LabelJudgement
@@ -311,6 +311,9 @@ def _checked(reading: DriveReading, findings: Findings) -> DriveReading:
     if isinstance(scans, RawScans):
         scans.check_turns(findings)
         scans.tell_doubts(findings)
+        with findings.stage():  # a reduced drive has the warning in its manifest
+            if (dropped := drive.dropped) is not None:
+                findings.warning(DROPPED, dropped_in_words(dropped))
     if drive.georeference is None or drive.pose_frame == "oxts":
         return reading
     error = check_against_poses(drive.T_world_lidar, drive.georeference, findings)
