@@ -8,6 +8,7 @@ WORKDIR /static
 COPY static/package.json static/package-lock.json static/.npmrc ./
 RUN npm ci --omit=dev
 COPY static ./
+RUN npm run build
 
 # What InterLoc needs, without what nobody runs: tests, headers, debug symbols, pip, and bytecode of modules that are never
 # imported. GeoParquet needs 170 MB more: --build-arg EXTRAS=service,dask,label,ros,las,odometry,storage,parquet

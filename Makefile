@@ -17,10 +17,11 @@ PIP_INSTALL := $(BIN)/python -m pip install --disable-pip-version-check --progre
 PYTEST := -m pytest -n auto --dist worksteal
 RUN := PYTHONDONTWRITEBYTECODE= $(BIN)/python
 BIOME := static/node_modules/.bin/biome
+BUNDLE := static/bundle/main.js
 
 .PHONY: install serve demo page-tools test coverage test-quick lint format types bench load torture hostile bench-page screenshots attributes image clean
 
-install: $(READY)
+install: $(READY) $(BUNDLE)
 
 $(READY): pyproject.toml $(CONSTRAINTS) static/package-lock.json
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "InterLoc needs Python 3.11 or newer; PYTHON=... chooses one")'
@@ -32,6 +33,11 @@ $(READY): pyproject.toml $(CONSTRAINTS) static/package-lock.json
 	@if command -v npm >/dev/null; then npm ci --silent --omit=dev --prefix static; fi
 	@touch $(READY)
 
+# The page in a few small files; without them, or when they are older than the modules, those are served as they are.
+$(BUNDLE): $(READY) static/package.json $(wildcard static/js/*.js static/js/*/*.js static/css/*.css)
+	@if command -v npm >/dev/null; then npm run --silent build --prefix static \
+	|| echo "The page could not be bundled: its modules are served as they are."; fi
+
 # What linters, types and tests need besides; what they import of it is compiled then.
 $(READY_TO_TEST): $(READY)
 	$(PIP_INSTALL) --no-compile -e ".[service,dask,label,live,mcap,ros,ros2,las,odometry,parquet,storage,dev]"
@@ -39,7 +45,7 @@ $(READY_TO_TEST): $(READY)
 
 # The web service and its page, for this machine only: drives and results in ./interloc-data. `make serve PORT=8001` has
 # it elsewhere.
-serve: $(READY)
+serve: $(READY) $(BUNDLE)
 	$(BIN)/interloc serve --port $(PORT)
 
 # A drive through a made-up town, made once. Its folder appears when it is complete; another version of the simulator or
@@ -49,7 +55,7 @@ demo/drive/simulation.json: $(READY) Makefile $(wildcard interloc/lab/*.py inter
 
 # The drive mapped and scored against the town's own map, all in demo/; then the same in the web service, until Ctrl-C.
 # `make demo SERVE=` leaves the service out, `make demo PORT=8001` has it elsewhere.
-demo: demo/drive/simulation.json
+demo: demo/drive/simulation.json $(BUNDLE)
 	$(BIN)/interloc run demo/drive -o demo/drive_result --osm demo/drive/map.osm
 	@echo
 	@echo "The report:                            demo/drive_result/report.html"
@@ -64,7 +70,7 @@ ifneq ($(SERVE),)
 	} & $(BIN)/interloc serve --port $(PORT) --data-dir demo/service --log-level error; kill $$! 2>/dev/null || true
 endif
 
-test: page-tools
+test: page-tools $(BUNDLE)
 	@$(MAKE) --no-print-directory -j 2 lint types $(COMPILED)
 	$(RUN) $(COVER) $(PYTEST) $(AGAIN)
 

@@ -82,29 +82,23 @@ class Studio:
 
 def show_map(page: Any, studio: Studio) -> None:
     """Show the whole town, and the report beside it."""
-    studio.show(page, "panel=report")
-    page.wait_for_selector("#panel-report tbody tr")
-
-
-def show_job(page: Any, studio: Studio) -> None:
-    """Show the figures of the job."""
-    studio.show(page, "panel=job")
-    page.wait_for_selector("#panel-job .figure")
+    studio.show(page, "panel=result")
+    page.wait_for_selector("#panel-result tbody tr")
 
 
 def show_report(page: Any, studio: Studio) -> None:
     """Show a node on the map, and both presets side by side."""
-    studio.show(page, "panel=report")
+    studio.show(page, "panel=result")
     page.locator(".osm-nodes tbody tr.can").first.click()
     page.locator(".leaflet-popup-content").wait_for()
-    page.get_by_role("tab", name="Compare").click()
+    page.get_by_role("button", name="Compare", exact=True).click()
     page.locator("#panel-compare .others input").first.check()
     page.wait_for_selector("#panel-compare td.better")
 
 
 def show_keyframe(page: Any, studio: Studio) -> None:
     """Show what the method saw at a keyframe."""
-    studio.show(page, f"panel=job&frame={studio.frame}&drawer=1")
+    studio.show(page, f"panel=result&frame={studio.frame}&drawer=1")
     page.wait_for_selector("#drawer img:not(.waiting) >> nth=5")
 
 
@@ -156,11 +150,11 @@ def play(browser: Any, studio: Studio) -> bytes:
     context.set_default_timeout(PATIENCE_MS)
     page = context.new_page()
     page.add_init_script("localStorage.setItem('interloc.legend', 'no')")
-    studio.show(page, "panel=report")
+    studio.show(page, "panel=result")
     page.wait_for_load_state("networkidle")
     pictures = []
     for frame in range(0, studio.frames, PLAYED_EVERY):
-        page.evaluate("(hash) => { location.hash = hash; }", f"panel=report&job={studio.job}&frame={frame}")
+        page.evaluate("(hash) => { location.hash = hash; }", f"panel=result&job={studio.job}&frame={frame}")
         page.wait_for_timeout(120)  # the canvas is painted at the next frame
         picture = Image.open(io.BytesIO(page.screenshot(clip=page.locator("#map").bounding_box()))).convert("RGB")
         height = round(PLAYED_WIDTH * picture.height / picture.width)
@@ -196,7 +190,7 @@ def take_all(look: Path | None) -> Iterator[Path]:
             if look is None:
                 return
             look.mkdir(parents=True, exist_ok=True)
-            for name, show in (VIEWS | {"page_job": show_job}).items():
+            for name, show in VIEWS.items():
                 for size, scheme in ((SIZE, "light"), (LARGE, "light"), (SIZE, "dark"), ((400, 800), "light")):
                     path = look / f"{name}_{size[0]}_{scheme}.png"
                     path.write_bytes(take(browser, studio, show, size, scheme))

@@ -95,7 +95,7 @@ def test_the_demo_ends_in_the_service(demo: Path, tmp_path: Path) -> None:
     try:
         lines = iter(process.stdout.readline, "")
         address = next(line for line in lines if line.startswith("page ")).split()[1]
-        base, job = address.split("/#panel=report&job=")
+        base, job = address.split("/#panel=result&job=")
         assert base == f"http://127.0.0.1:{port}"
         told = httpx.get(f"{base}/api/v1/jobs/{job}", verify=NO_TLS).json()
         assert told["state"] == "successful"

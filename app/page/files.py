@@ -16,6 +16,7 @@ INDEX = "index.html"
 VERSION_MARK = "@"
 """`static/@VERSION/js/main.js` is `static/js/main.js` of one version."""
 _PACKAGES = "node_modules"
+_BUNDLE = "bundle"
 
 SWAGGER = "node_modules/swagger-ui-dist/swagger-ui-bundle.js"
 
@@ -63,6 +64,7 @@ class PageFiles:
 
     def __init__(self, settings: Settings) -> None:
         package = Path(app.__file__).parent
+        self._bundled = "", False  # of which version of the files it is known
         self._places = [settings.static_dir] if settings.static_dir else [package.parent / "static", package / "static"]
         self._find()
 
@@ -83,6 +85,21 @@ class PageFiles:
     def _have_all(self) -> bool:
         return (self.root / INDEX).is_file() and all((self.root / _PACKAGES / p).is_dir() for p in self.packages)
 
+    def is_bundled(self, version: str) -> bool:
+        """Tell whether `npm run build` bundled the files as they are now: its source maps hold them."""
+        if self._bundled[0] != version:
+            self._bundled = version, self._is_current()
+        return self._bundled[1]
+
+    def _is_current(self) -> bool:
+        try:
+            maps = [json.loads(path.read_bytes()) for path in (self.root / _BUNDLE).glob("*.map")]
+            sources = [pair for each in maps for pair in zip(each["sources"], each["sourcesContent"], strict=True)]
+            own = [(self.root / _BUNDLE / name, text) for name, text in sources if f"/{_PACKAGES}/" not in name]
+            return bool(own) and all(path.read_bytes().decode() == text for path, text in own)
+        except (OSError, ValueError, LookupError, TypeError):
+            return False
+
     def version(self) -> str:
         """Return what is another when any file of the page is: part of the addresses that browsers may keep."""
         named = [self.root / _PACKAGES / package / "package.json" for package in sorted(self.packages)]
@@ -98,8 +115,10 @@ class PageFiles:
 
     def index(self) -> bytes:
         """Return the page, whose scripts and styles have the version in their addresses."""
-        address = f'"static/{VERSION_MARK}{self.version()}/'
-        return (self.root / INDEX).read_bytes().replace(b'"static/', address.encode())
+        page, version = (self.root / INDEX).read_bytes(), self.version()
+        if self.is_bundled(version):
+            page = page.replace(b'"static/js/', b'"static/bundle/').replace(b'"static/css/', b'"static/bundle/')
+        return page.replace(b'"static/', f'"static/{VERSION_MARK}{version}/'.encode())
 
     def find(self, name: str) -> Path | None:
         """Return a file that may be served, by its path below the root."""

@@ -14,6 +14,7 @@ from interloc.errors import require_lab
 if TYPE_CHECKING:
     from interloc.drives.options import LabelFolder
     from interloc.lab.measure import Row
+    from interloc.lab.places import Part
     from interloc.lab.run import Benchmark, NamedConfig
     from interloc.lab.twins import Case, Poses
     from interloc.osm.policies import Policy
@@ -114,6 +115,7 @@ def command() -> None:
       interloc benchmark semantickitti --root data --oxts raw --osm maps --labels predictions -o out
       interloc benchmark drives first second --osm map.osm.gz -o out   any drives
       interloc benchmark ablation --kitti kitti -o out                 what each rule and setting of a preset gives
+      interloc benchmark places                                        drawn places, kind by kind; needs no data
 
     OUT/benchmark.html has the tables, OUT/failures lists what went wrong where. A run that was stopped
     continues where it was: finished rows are kept in OUT/rows as long as settings, inputs and program are the same.
@@ -310,6 +312,60 @@ def ablation(
         )
     else:
         click.echo(table.text())
+
+
+@command.command()
+@click.option(
+    "--part",
+    type=click.Choice(["choosing", "reporting"]),
+    default="choosing",
+    show_default=True,
+    help="Places to choose settings by, or others, to report afterwards.",
+)
+@click.option(
+    "--kind", "kinds", multiple=True, metavar="KIND", help="Kind to measure; may be repeated; all by default."
+)
+@click.option(
+    "--places",
+    type=click.IntRange(1, 1000),
+    default=6,
+    show_default=True,
+    help="Places of each kind. Six have all conditions once: clear, cars and houses, wrong labels, wavering borders, "
+    "few keyframes, and all at once.",
+)
+@options.config_options
+@click.option("--rows", type=options.PATH, help="CSV file to write: a line for each node of each drive.")
+@options.QUIET
+@options.JSON
+def places(
+    part: Part,
+    kinds: tuple[str, ...],
+    places: int,
+    preset: str,
+    settings: tuple[str, ...],
+    rows: Path | None,
+) -> None:
+    """Measure drawn places, kind by kind: how far intersections are from where the axes of the roads meet.
+
+    Each place is driven through along each pair of its arms. Takes some minutes on one processor.
+
+    \b
+    Example:
+      interloc benchmark places --kind T --kind "slip road" --places 12
+    """
+    from interloc.files import write_file
+    from interloc.lab.places import measure_places, table_of_kinds
+
+    config = options.configure(preset, settings)
+    with console.progress("measure", "place") as bar:
+        found = measure_places(config, part, kinds=kinds, places=places, progress=bar)
+    if rows is not None:
+        write_file(rows, found.to_csv(index=False, float_format="%.4f"))
+    table = table_of_kinds(found)
+    if console.wants_json():
+        console.say_json({"part": part, "kinds": table.rename_axis("kind").reset_index().to_dict("records")})
+    else:
+        click.echo(table.to_string(float_format="{:.2f}".format, na_rep="-"))
 
 
 def _measure(

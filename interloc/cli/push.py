@@ -232,4 +232,4 @@ def _facts(pushed: Pushed, job: JobAnswer | None, out: Path | None) -> list[tupl
         rows.append(("next", _fetch_line(job, pushed.server)))
     else:
         rows += result_facts(job, out)[1:]
-    return [*rows, ("page", f"{pushed.server}/#panel=report&job={job.id}")]
+    return [*rows, ("page", f"{pushed.server}/#panel=result&job={job.id}")]

@@ -8,9 +8,9 @@ import { keep, recall } from "./storage.js";
 
 /**
  * Where the page is served, with a slash at the end; right behind a reverse proxy with a path prefix too. This module is
- * `static/js/api.js` or, with the version of the page, `static/@VERSION/js/api.js`.
+ * `static/js/api.js` or a file of `static/bundle/`, with the version of the page behind `static/` as it is served.
  */
-export const ROOT = new URL(import.meta.url.replace(/static\/(@\w+\/)?js\/api\.js.*$/, ""));
+export const ROOT = new URL(import.meta.url.replace(/static\/(@\w+\/)?(js|bundle)\/[^/]*$/, ""));
 const API = new URL("api/v1/", ROOT);
 const TOKEN_KEY = "interloc.token";
 

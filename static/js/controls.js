@@ -128,6 +128,10 @@ export const bullets = (texts) => el("ul.reasons", [texts.map((each) => el("li",
 /** A link to another site, in a tab of its own. @param {string} href @param {string} text @param {object} [props] */
 export const outLink = (href, text, props) => el("a", { href, target: "_blank", rel: "noopener", ...props }, text);
 
+/** Says that something takes a moment. @param {string} text */
+export const busy = (text) =>
+  el("div", el("p.small", { role: "status" }, text), el("progress", { "aria-label": text }));
+
 /** A figure in large. @param {string} value @param {string} name @param {string} [more] */
 export function figure(value, name, more) {
   return el("div.figure.box", el("b", value), el("span", name), more && el("em", more));

@@ -2,7 +2,7 @@
  * The page: puts header, panels, map, timeline and drawer together.
  *
  * A panel is a module with `mount(container)`: called once, when the panel is first shown. It keeps itself up to date by
- * `subscribe` (state.js) and leaves for another panel by `setState({panel: "job", job: id})`.
+ * `subscribe` (state.js) and leaves for another panel by `setState({panel: "result", job: id})`.
  *
  * Layers, the lowest first; a module imports from its own folder and from lines above its own, no others:
  *   dom  leaflet  news  storage
@@ -13,25 +13,31 @@
  *   map  job
  *   city
  *   bev  drives  exports  report  upload
+ *   later
  *   shell
  *   main
  */
 import { loadConfig, onTokenNeeded } from "./api.js";
 import { mountDrawer } from "./bev/drawer.js";
+import { mount as mountMaps } from "./city/panel.js";
+import { mount as mountDrives } from "./drives/panel.js";
 import { mountStage } from "./map/stage.js";
 import { askForToken, showError } from "./messages.js";
+import { mount as mountResult } from "./report/panel.js";
 import { mountHeader, mountTabs } from "./shell.js";
 import { mountShortcuts } from "./shortcuts.js";
 import { setState } from "./state.js";
 
+/** @param {"upload"|"compare"|"exports"} name @returns {(container: HTMLElement) => Promise<void>} Loaded when it is needed. */
+const later = (name) => async (container) => (await import("./later.js"))[name](container);
+
 const PANELS = {
-  drives: { title: "Drives", load: () => import("./drives/panel.js") },
-  map: { title: "Map", load: () => import("./city/panel.js") },
-  upload: { title: "Upload", load: () => import("./upload/panel.js") },
-  job: { title: "Job", load: () => import("./job/panel.js") },
-  report: { title: "Report", load: () => import("./report/panel.js") },
-  compare: { title: "Compare", load: () => import("./report/comparison.js") },
-  export: { title: "Export", load: () => import("./exports/panel.js") },
+  drives: { title: "Drives", mount: mountDrives },
+  upload: { title: "Upload", mount: later("upload") },
+  result: { title: "Result", mount: mountResult },
+  map: { title: "Map", mount: mountMaps },
+  compare: { title: "Compare", tab: "result", mount: later("compare") },
+  export: { title: "Export", tab: "result", mount: later("exports") },
 };
 
 /** @param {string} id */

@@ -96,13 +96,14 @@ async function changeToken() {
 }
 
 /**
- * Panels are loaded when they are first shown.
- * @param {Record<string, {title: string, load: () => Promise<{mount: (container: HTMLElement) => void}>}>} panels
+ * Panels are made when they are first shown; one with a `tab` is reached from the panel of that tab, and leads back.
+ * @param {Record<string, {title: string, tab?: string, mount: (container: HTMLElement) => void | Promise<void>}>} panels
  */
 export function mountTabs(panels) {
   const list = /** @type {HTMLElement} */ (document.getElementById("tabs"));
   const panel = /** @type {HTMLElement} */ (document.getElementById("panel"));
-  const names = Object.keys(panels);
+  const all = Object.keys(panels);
+  const names = all.filter((name) => !panels[name].tab);
   const uncover = () => narrow.matches && setState({ drawer: false });
   const choose = (/** @type {string} */ name) => (setState({ panel: name }), uncover());
   /** @type {Record<string, HTMLElement>} */
@@ -122,32 +123,34 @@ export function mountTabs(panels) {
     const step = { ArrowRight: 1, ArrowLeft: -1 }[event.key];
     if (!step) return;
     const usable = names.filter((_, i) => !tabs[i].disabled);
-    const next = usable[(usable.indexOf(shown()) + step + usable.length) % usable.length];
+    const next = usable[(usable.indexOf(tabOf(shown())) + step + usable.length) % usable.length];
     setState({ panel: next });
     document.getElementById(`tab-${next}`)?.focus();
     event.preventDefault();
   });
 
-  const shown = () => (names.includes(getState().panel) ? getState().panel : names[0]);
+  const shown = () => (all.includes(getState().panel) ? getState().panel : names[0]);
+  const tabOf = (/** @type {string} */ name) => panels[name].tab ?? name;
   const update = () => {
     const current = shown();
-    const others = names.filter((name) => name !== current);
-    const leaves = others.some((name) => bodies[name]?.contains(document.activeElement));
+    const tab = tabOf(current);
+    const leaves = all.some((name) => name !== current && bodies[name]?.contains(document.activeElement));
     names.forEach((name, i) => {
-      const needsJob = ["job", "report", "compare", "export"].includes(name);
-      tabs[i].disabled = needsJob && !getState().job && name !== current;
-      tabs[i].setAttribute("aria-selected", String(name === current));
-      tabs[i].tabIndex = name === current ? 0 : -1;
-      if (bodies[name]) bodies[name].hidden = name !== current;
+      tabs[i].disabled = name === "result" && !getState().job && name !== tab;
+      tabs[i].setAttribute("aria-selected", String(name === tab));
+      tabs[i].tabIndex = name === tab ? 0 : -1;
     });
+    for (const [name, body] of Object.entries(bodies)) body.hidden = name !== current;
     if (!bodies[current]) {
-      const body = el("div.body", { role: "tabpanel", id: `panel-${current}`, "aria-labelledby": `tab-${current}` });
+      const body = el("div.body", { role: "tabpanel", id: `panel-${current}`, "aria-labelledby": `tab-${tab}` });
+      const inside = el("div");
+      const back = () => setState({ panel: tab });
+      if (tab !== current) body.append(el("button.link.back", { onClick: back }, icon("previous"), panels[tab].title));
+      body.append(inside);
       bodies[current] = body;
       panel.append(body);
-      panels[current].load().then(
-        (module) => module.mount(body),
-        (error) => fill(body, problemNote(error)),
-      );
+      const mounted = async () => panels[current].mount(inside);
+      mounted().catch((error) => fill(inside, problemNote(error)));
     }
     if (leaves) panel.focus(); // what had the focus is hidden now
     panel.scrollTop = 0;

@@ -3,7 +3,7 @@ import { news } from "./news.js";
 
 /**
  * @typedef {object} State
- * @property {string} panel drives, map, upload, job, report, compare, export; an address that names none shows that of its job.
+ * @property {string} panel drives, upload, result, map, compare, export; an address that names none shows the result of its job.
  * @property {string|null} drive Id of the drive that is shown.
  * @property {string|null} job Id of the job that is shown.
  * @property {number|null} frame Scan number of the keyframe that is shown.
@@ -121,7 +121,8 @@ function parse(hash) {
   const fields = new URLSearchParams(hash.replace(/^#/, ""));
   const read = Object.entries(PARTS).map(([key, part]) => [key, part.read(fields.get(key) ?? "")]);
   const state = Object.fromEntries(read);
-  state.panel ??= state.job ? "job" : USUAL_PANEL;
+  state.panel ??= state.job ? "result" : USUAL_PANEL;
+  if (["job", "report"].includes(state.panel)) state.panel = "result"; // as older links say
   if (state.frame < 0) state.frame = null;
   if (!state.compare.length) state.compare = null;
   if (!fields.has("layers")) state.layers = null; // the usual ones; "layers=" is none

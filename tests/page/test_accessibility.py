@@ -127,18 +127,18 @@ def see_drive(page: Any, done: Done) -> None:
 
 
 def see_job(page: Any, done: Done) -> None:
-    go(page, done, "panel=job")
-    page.wait_for_selector("#panel-job .figure")
+    go(page, done, "panel=result")
+    page.locator("#panel-result summary", has_text="How it was made").wait_for()
 
 
 def see_report(page: Any, done: Done) -> None:
-    go(page, done, "panel=report&frame=12")
-    page.wait_for_selector("#panel-report tbody tr")
-    page.evaluate("document.querySelectorAll('#panel-report details').forEach((each) => (each.open = true))")
+    go(page, done, "panel=result&frame=12")
+    page.wait_for_selector("#panel-result tbody tr")
+    page.evaluate("document.querySelectorAll('#panel-result details').forEach((each) => (each.open = true))")
 
 
 def see_popup(page: Any, done: Done) -> None:
-    page.locator("#panel-report tbody tr").first.focus()
+    page.locator("#panel-result tbody tr").first.focus()
     page.keyboard.press("Enter")
     page.wait_for_selector(".leaflet-popup-content")
     page.wait_for_function(UNCOVERED, arg=".leaflet-popup-close-button")  # the map moves until the popup is clear
@@ -146,11 +146,11 @@ def see_popup(page: Any, done: Done) -> None:
 
 def see_export(page: Any, done: Done) -> None:
     go(page, done, "panel=export")
-    page.wait_for_selector("#panel-export .downloads")
+    page.get_by_role("button", name="Download", exact=True).wait_for()
 
 
 def see_keyframe(page: Any, done: Done) -> None:
-    go(page, done, "panel=job&frame=45&drawer=1")
+    go(page, done, "panel=result&frame=45&drawer=1")
     page.wait_for_selector("#drawer img:not(.waiting) >> nth=5")
 
 
@@ -160,7 +160,7 @@ def see_picture(page: Any, done: Done) -> None:
 
 
 def see_layers(page: Any, done: Done) -> None:
-    go(page, done, "panel=job&layers=keyframes,detections,outside,zone")
+    go(page, done, "panel=result&layers=keyframes,detections,outside,zone")
     if not page.locator("#layer-roads").is_visible():
         page.locator(".legend summary").click()
     page.locator("#layer-roads").wait_for()
@@ -189,8 +189,8 @@ def see_trash(page: Any, done: Done) -> None:
 
 
 def see_unscored(page: Any, done: Done) -> None:
-    show(page, done, "panel=report", done.local_job)
-    page.wait_for_selector("#panel-report .note")
+    show(page, done, "panel=result", done.local_job)
+    page.locator("#panel-result .note:visible", has_text="Not scored").wait_for()
 
 
 WALK = [
@@ -236,7 +236,7 @@ def halted_job(done: Done) -> Iterator[str]:
 
 
 def test_a_running_job_is_told_to_everyone(tab: Any, done: Done, halted_job: str) -> None:
-    visit(tab, done.server.address, f"panel=job&job={halted_job}")
+    visit(tab, done.server.address, f"panel=result&job={halted_job}")
     progress = tab.get_by_role("progressbar", name="Progress")
     progress.wait_for()
     assert 0 < float(progress.get_attribute("value")) < 1
@@ -326,11 +326,9 @@ def test_from_a_drive_to_its_report_by_keyboard(browser: Browser, done: Done, tm
     page.wait_for_selector(".upload-form")
     keys.tab_to("^Upload and run")
     keys.press("Enter")
-    page.wait_for_selector("#panel-job .badge.good")
+    page.wait_for_selector("#panel-result .badge.good")
     page.wait_for_selector(".legend:visible")
-    keys.tab_to("^Open the report")
-    keys.press("Enter")
-    rows = page.locator("#panel-report tbody tr.can")
+    rows = page.locator("#panel-result tbody tr.can")
     rows.first.wait_for()
     keys.tab_to("found|missed")
     keys.press("Enter")

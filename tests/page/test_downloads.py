@@ -20,19 +20,19 @@ from tests.page.results import TOKEN, Done, show
 pytestmark = needs_page
 
 FILES = {
-    "GeoJSON: street-intersections.geojson": "intersections",
-    "FGB: street-detections.fgb": "export.fgb?layer=detections",
-    "GeoPackage, all layers": "export.gpkg",
+    "GeoPackage": "export.gpkg",
     "QGIS project": "export.qgz",
-    "Google Earth": "export.kmz",
     "Everything (.zip)": "archive.zip",
-    "PMTiles": "export.pmtiles",
-    "GeoTIFF: street-road.tif": "road.tif",
-    "HTML: street-report.html": "report?format=html",
-    "JSON: street-report.json": "report?format=json",
-    "JSON: street-run.json": "run",
+    "Report": "report?format=html",
+    "Intersections, GeoJSON": "intersections",
+    "Intersections, PMTiles, for web maps": "export.pmtiles",
+    "Detections, FlatGeobuf": "export.fgb?layer=detections",
+    "All layers, KMZ, for Google Earth": "export.kmz",
+    "Road seen by LiDAR, GeoTIFF": "road.tif",
+    "Report, JSON": "report?format=json",
+    "Settings, versions, timings, JSON": "run",
 }
-"""Title or name of a button -> address of what it gives, below the job; what is in the files is for tests/app."""
+"""Name of a button, or layer and format to choose -> address of what it gives, below the job."""
 # What the page gets of a click.
 COUNT_CLICKS = """() => {
   if (!window.clicked)
@@ -108,25 +108,21 @@ def opened(request: pytest.FixtureRequest, browser: Browser, done: Done) -> Open
 
 def test_files_come_by_a_click_and_boxes_by_their_copy_buttons(opened: Open, tmp_path: Path) -> None:
     page, panel = opened.page, opened.page.locator("#panel-export")
+    layers, formats = (panel.get_by_role("combobox", name=name) for name in ("Layer", "Format"))
     for name, path in FILES.items():
-        button = panel.get_by_title(name, exact=True).or_(panel.get_by_role("button", name=name))
-        content = opened.take(button.first, tmp_path).read_bytes()
+        layer = next(
+            (each for each in layers.locator("option").all_inner_texts() if name.startswith(f"{each}, ")), None
+        )
+        if layer:
+            layers.select_option(layer)
+            formats.select_option(name.removeprefix(f"{layer}, "))
+        button = panel.get_by_role("button", name="Download" if layer else name, exact=True)
+        content = opened.take(button, tmp_path).read_bytes()
         assert len(content) == len(opened.served(path)) > 100, name
         if opened.token:  # which goes another way, the same for all
             break
-    titles = panel.locator(".formats button").evaluate_all("(all) => all.map((each) => each.title)")
-    for layer in (
-        "intersections",
-        "detections",
-        "keyframes",
-        "trajectory",
-        "roads",
-        "junctions",
-        "osm_nodes",
-        "matches",
-    ):
-        for text, suffix in (("GeoJSON", "geojson"), ("FGB", "fgb"), ("KML", "kml"), ("CSV", "csv")):
-            assert f"{text}: street-{layer}.{suffix}" in titles
+    layers.select_option("Trajectory")
+    assert formats.locator("option").all_inner_texts()[:4] == ["GeoJSON", "FlatGeobuf", "KML", "CSV"]
 
     command, *addresses = boxes = panel.locator(".code-box pre").all_inner_texts()
     shown = [panel.get_by_label("Link to this view").input_value(), *boxes]
@@ -135,7 +131,7 @@ def test_files_come_by_a_click_and_boxes_by_their_copy_buttons(opened: Open, tmp
     for number, text in enumerate(shown):
         assert text
         page.evaluate("navigator.clipboard.writeText('of before')")
-        row = panel.locator(".row:has(> .grow), .code-box").nth(number)
+        row = panel.locator(".row:has(> .grow > input), .code-box").nth(number)
         assert copied_by(row.get_by_role("button")) == text
         assert TOKEN not in text
 

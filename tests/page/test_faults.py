@@ -42,8 +42,8 @@ def test_the_page_works_in_a_browser_that_blocks_storage(browser: Browser, done:
     """As Chromium does where all cookies are blocked: what would be remembered is forgotten with the page."""
     page = browser.new_page()
     page.add_init_script(BLOCKED)
-    show(page, done, "panel=report")
-    page.locator("#panel-report tbody tr.can").first.wait_for()
+    show(page, done, "panel=result")
+    page.locator("#panel-result tbody tr.can").first.wait_for()
     layers = page.locator(".legend summary")
     layers.click()
     page.get_by_role("tab", name="Drives").click()
@@ -65,7 +65,7 @@ def test_tiles_come_from_the_configured_server_only(page: Any, done: Done, watch
         route.fulfill(body=picture, content_type="image/png")
 
     page.context.route("https://tiles.example/**", give)
-    show(page, done, "panel=job")
+    show(page, done, "panel=result")
     assert not asked
     assert watch.elsewhere == []
     page.locator("#layer-tiles").check()
@@ -83,7 +83,7 @@ def test_tiles_come_from_the_configured_server_only(page: Any, done: Done, watch
 
 def test_a_tile_server_that_fails_or_is_not_allowed_is_named(page: Any, done: Done, watch: Watch) -> None:
     watch.expect("ERR_NAME_NOT_RESOLVED")
-    show(page, done, "panel=job&view=16/49.02/8.45")  # of other tiles than before: those may be kept
+    show(page, done, "panel=result&view=16/49.02/8.45")  # of other tiles than before: those may be kept
     page.locator("#layer-tiles").check()
     told = page.locator(".toast .note.error")
     told.wait_for()
@@ -111,11 +111,10 @@ def test_a_job_that_fails_or_is_none_is_told_in_the_words_of_the_server(page: An
     elsewhere = {"lat_deg": 0, "lon_deg": 0}
     job = submit(client, drive, osm={"file": "map.osm"}, georeference="map", near=elsewhere)
     error = ended(client, job)["error"]
-    visit(page, done.server.address, f"panel=report&job={job}")  # as `interloc push` prints it
+    visit(page, done.server.address, f"panel=result&job={job}")  # as `interloc push` prints it
     page.locator("#stage .note.error", has_text=error["detail"]).wait_for()
-    page.locator("#tab-job").click()
-    page.locator("#panel-job .note.error", has_text=error["detail"]).wait_for()
-    assert page.locator("#panel-job .badge.error").inner_text() == "Failed"
+    page.locator("#panel-result .note.error", has_text=error["detail"]).wait_for()
+    assert page.locator("#panel-result .badge.error").inner_text() == "Failed"
     page.get_by_role("button", name="Run again…").click()
     dialog = page.locator("dialog[open]")
     near = dialog.get_by_label("Roughly where: latitude, longitude")
@@ -131,8 +130,8 @@ def test_a_job_that_fails_or_is_none_is_told_in_the_words_of_the_server(page: An
 
     watch.expect("404 .*jobs/0123456789abcdef")
     detail = client.get(f"{API}/jobs/0123456789abcdef").json()["detail"]
-    visit(page, done.server.address, "panel=job&job=0123456789abcdef")
-    page.locator("#panel-job .note.error", has_text=detail).wait_for()
+    visit(page, done.server.address, "panel=result&job=0123456789abcdef")
+    page.locator("#panel-result .note.error", has_text=detail).wait_for()
 
 
 def test_what_goes_on_survives_a_restart_of_the_server(
@@ -152,7 +151,7 @@ def test_what_goes_on_survives_a_restart_of_the_server(
         gate = Gate(tmp_path / "data", drive, 24)
         job = submit(first.client, drive)
         half_way(first.client, job)
-        page.goto(f"{first.address}/#panel=job&job={job}")
+        page.goto(f"{first.address}/#panel=result&job={job}")
         page.get_by_role("progressbar", name="Progress").wait_for()
         wait_until(lambda: "interloc_event_listeners 1.0" in first.client.get("/metrics").text, "the page to listen")
         held = Upload(sending, first.address)
@@ -164,15 +163,16 @@ def test_what_goes_on_survives_a_restart_of_the_server(
         gate.open()
         held.release()
         sending.wait_for_selector("text=Trying again in")
-        told = page.locator("#panel-job [role=status]", has_text="The server does not answer")
+        told = page.locator("#panel-result [role=status]", has_text="The server does not answer")
         told.wait_for()
         port = int(first.address.rsplit(":", 1)[1])
         with started(tmp_path / "data", tmp_path / "log", workers=1, port=port) as second:
-            page.wait_for_selector("#panel-job .badge.good")
+            page.wait_for_selector("#panel-result .badge.good")
             page.wait_for_selector(".legend:visible")
             assert not told.is_visible()
             summary = ended(second.client, job)["summary"]
-            assert re.search(rf"{summary['detections']}\s+detections", page.inner_text("#panel-job"))
+            page.locator("#panel-result summary", has_text="How it was made").click()
+            assert re.search(rf"Detections\s+{summary['detections']}\s", page.inner_text("#panel-result"))
             sending.wait_for_selector("text=Upload another")
             check_reduced_drive(second.client, newest(second.client)["id"], SHORT)
 
@@ -180,7 +180,7 @@ def test_what_goes_on_survives_a_restart_of_the_server(
             gate = Gate(tmp_path / "data", drive, 24)
             job = submit(second.client, drive)
             half_way(second.client, job)
-            visit(page, second.address, f"panel=job&job={job}")
+            visit(page, second.address, f"panel=result&job={job}")
             page.get_by_role("progressbar", name="Progress").wait_for()
             gate.open()
             ended(second.client, job)

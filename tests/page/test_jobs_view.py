@@ -16,7 +16,7 @@ def run(page: Any) -> str:
     """Press the button of the dialog, and wait for the end; returns the id of the job."""
     page.get_by_role("button", name="Run", exact=True).click()
     page.wait_for_selector("dialog", state="detached")
-    page.wait_for_selector("#panel-job .badge.good")
+    page.wait_for_selector("#panel-result .badge.good")
     page.wait_for_selector(".legend:visible")
     found = re.search(r"job=(\w+)", address_of(page))
     assert found
@@ -35,11 +35,11 @@ def test_a_drive_is_run_again_with_a_map_and_the_job_named_and_compared(page: An
     first = run(page)
     assert first not in {done.job, done.local_job}
     summary = client.get(f"{API}/jobs/{first}").json()["summary"]
-    assert re.search(rf"{summary['detections']}\s+detections", page.inner_text("#panel-job"))
-    assert "paper" in page.inner_text("#panel-job")
+    page.locator("#panel-result summary", has_text="How it was made").click()
+    assert re.search(rf"Detections\s+{summary['detections']}\s", page.inner_text("#panel-result"))
+    assert "paper" in page.inner_text("#panel-result")
 
-    page.locator("#tab-report").click()
-    page.locator("#panel-report").get_by_role("button", name="Run again with a map…").click()
+    page.locator("#panel-result").get_by_role("button", name="Run again with a map…").click()
     assert choices.filter(has_text="map.osm").locator("input").first.is_checked()
     choices.filter(has_text="A file of mine").locator("input").check()
     page.set_input_files("dialog input[name=osm-file]", done.short / "map.osm")
@@ -54,15 +54,15 @@ def test_a_drive_is_run_again_with_a_map_and_the_job_named_and_compared(page: An
     page.keyboard.press("Tab")
     page.keyboard.press("Enter")  # Save
     page.locator(".job-title", has_text="coarse").wait_for()
-    assert page.inner_text("#panel-job .noted") == "Two\nlines"
+    assert page.inner_text("#panel-result .noted") == "Two\nlines"
     assert page.title().split()[0] == "coarse"
 
-    page.get_by_role("button", name=re.compile("^(Show|Pin) this result")).click()
+    page.get_by_role("button", name="Pin this result", exact=True).click()
     page.get_by_role("button", name="No longer pin this result").wait_for()
     assert client.get(f"{API}/drives/{drive}").json()["pinned_job"] in address_of(page)
     page.get_by_role("button", name="No longer pin this result").click()
 
-    page.locator("#tab-compare").click()
+    page.get_by_role("button", name="Compare", exact=True).click()
     page.locator(f"#compare-{done.job}").check()
     page.get_by_role("heading", name="Intersections of the map").wait_for()
     assert address_of(page).endswith(f"&compare={done.job}")

@@ -33,7 +33,7 @@ def test_the_list_is_a_queue_that_the_map_follows(page: Any, scored: Scored) -> 
     assert wrong
     assert len(right) >= 2
     layers = "layers=right,wrong,unscored"
-    show(page, scored, f"panel=report&{layers}")
+    show(page, scored, f"panel=result&{layers}")
     rows = page.locator(".intersections tbody tr.can")
     rows.first.wait_for()  # the panel may come after the map
     assert [int(each) for each in rows.locator("td:nth-child(2)").all_inner_texts()] == [
@@ -52,7 +52,7 @@ def test_the_list_is_a_queue_that_the_map_follows(page: Any, scored: Scored) -> 
     popup_of(page, f"Intersection {last}: right")
     link = address_of(page)
 
-    page.locator("#panel-report .filter summary").click()
+    page.locator("#panel-result .filter summary").click()
     page.get_by_label("Observations, at least").fill(str(max(each["observations"] for each in right)))
     best = [each for each in [*wrong, *right] if each["observations"] >= max(one["observations"] for one in right)]
     assert rows.count() == len(best) < len(wrong) + len(right)
@@ -80,7 +80,7 @@ def test_the_list_is_a_queue_that_the_map_follows(page: Any, scored: Scored) -> 
     assert f"observations:{least}.." in filtered
     rows.first.wait_for()
     assert rows.count() == len(best)
-    page.get_by_role("tab", name="Export").click()
+    page.get_by_role("button", name="Export", exact=True).click()
     page.locator(".filter-note button").click()
     note.wait_for(state="hidden")
     assert "filter=" not in address_of(page)
@@ -100,10 +100,11 @@ def test_a_place_leads_out_without_a_request(page: Any, scored: Scored) -> None:
     show(page, scored, f"intersection={feature['properties']['uid']}")
     popup = popup_of(page, f"Intersection {feature['properties']['id']}: right")
     for name in ("OpenStreetMap", "iD", "JOSM", "Mapillary"):
-        link = popup.get_by_role("link", name=name, exact=True)
+        link = popup.locator("a", has_text=re.compile(f"^{name}$"))
         assert link.get_attribute("target") == "_blank"
         assert link.get_attribute("rel") == "noopener"
     assert f"/node/{feature['properties']['osm_id']}" in popup.locator(".why a").get_attribute("href")
+    popup.locator("summary").click()
     coordinates = copied_by(popup.get_by_role("button", name="Copy coordinates"))
     assert [float(each) for each in coordinates.split(",")] == [round(lat, 7), round(lon, 7)]
     assert "has it as node" in copied_by(popup.get_by_role("button", name="Copy OSM note"))

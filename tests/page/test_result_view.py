@@ -40,7 +40,7 @@ def test_each_intersection_is_where_its_coordinates_say(page: Any, done: Done) -
 
 
 def test_counts_of_the_legend_are_those_of_the_files(page: Any, done: Done) -> None:
-    show(page, done, "panel=report")
+    show(page, done, "panel=result")
     outcomes = [feature["properties"]["outcome"] for feature in done.features("matches")]
     nodes = [feature["properties"]["outcome"] for feature in done.features("osm-nodes")]
     fused = [feature["properties"]["outcome"] for feature in done.features("intersections")]
@@ -85,11 +85,11 @@ def test_details_stay_while_the_drive_plays_and_lead_to_their_keyframe(page: Any
     show(page, done, f"intersection={place['id']}")
     popup = page.locator(".leaflet-popup-content")
     popup.wait_for()
-    page.get_by_role("button", name="Look inside").click()
+    popup.get_by_role("button", name="Look inside").click()
     title = page.locator("#drawer h2")
     title.wait_for()
     assert place["first_frame"] <= int(title.inner_text().split()[-1]) <= place["last_frame"]
-    page.get_by_role("button", name="Look inside").click()
+    page.locator("#strip").get_by_role("button", name="Look inside").click()
     page.locator("#drawer").wait_for(state="hidden")
     before = popup.bounding_box()
     page.get_by_label("Speed").select_option("60")
@@ -101,10 +101,10 @@ def test_details_stay_while_the_drive_plays_and_lead_to_their_keyframe(page: Any
 
 def test_the_report_tells_the_figures_and_leads_to_the_map(page: Any, done: Done) -> None:
     report = done.report()
-    show(page, done, "panel=report")
+    show(page, done, "panel=result")
     rows = page.locator(".osm-nodes tbody tr.can")
     rows.first.wait_for()  # the panel may come after the map
-    text = page.inner_text("#panel-report").replace("\u00a0", " ")
+    text = page.inner_text("#panel-result").replace("\u00a0", " ")
     assert f"{report['ace_m']:.2f} m" in text
     assert f"{100 * report['precision']['5.0']:.1f} %" in text
     assert f"{report['nodes_found']} of {report['nodes_in_zone']}" in text
@@ -118,16 +118,18 @@ def test_the_report_tells_the_figures_and_leads_to_the_map(page: Any, done: Done
     popup = page.locator(".leaflet-popup-content")
     popup.wait_for()
     assert str(ids[1]) in popup.inner_text()
-    page.locator("#tab-job").click()
-    popup.get_by_role("button", name="See it in the report").click()
+    page.locator("#tab-drives").click()
+    popup.locator("summary").click()
+    popup.get_by_role("button", name="In the list").click()
     page.locator(".osm-nodes tbody tr.below.is", has_text=str(ids[1])).wait_for()
 
 
 def test_keys_choose_tabs_and_keyframes(page: Any, done: Done) -> None:
-    show(page, done, "panel=job")
-    page.locator("#tab-job").focus()
+    show(page, done, "panel=result")
+    page.locator("#tab-result").focus()
     page.keyboard.press("ArrowRight")
-    assert page.evaluate("document.activeElement.id") == "tab-report"
+    assert page.evaluate("document.activeElement.id") == "tab-map"
+    page.keyboard.press("ArrowLeft")
     page.get_by_role("slider", name="Keyframe").focus()
     page.keyboard.press("ArrowRight")
     page.keyboard.press("ArrowRight")
@@ -150,9 +152,9 @@ def test_a_link_shows_the_same_again(page: Any, done: Done) -> None:
     assert not page.locator("#layer-tp").is_checked()
     assert page.locator("#layer-fp, #layer-roads").first.is_checked()
     assert "Scan 12" in page.inner_text(".timeline-label")
-    page.locator("#tab-report").click()
+    page.get_by_role("button", name="Result", exact=True).click()
     page.go_back()
-    assert page.locator("#tab-export").get_attribute("aria-selected") == "true"
+    page.locator("#panel-export").wait_for()
 
 
 def test_where_else_a_drive_fits_the_map_is_a_layer(browser: Browser, done: Done) -> None:
@@ -162,7 +164,7 @@ def test_where_else_a_drive_fits_the_map_is_a_layer(browser: Browser, done: Done
     placed = {"lat_deg": 49.0, "lon_deg": 8.4, "heading_deg": 90.0, "position_std_m": 2.0}
     page.route("**/run", lambda route: route.fulfill(json=run | {"location": placed}))
     page.route("**/places", lambda route: route.fulfill(json={"features": [track, track, track]}))
-    show(page, done, "panel=job")
+    show(page, done, "panel=result")
     assert page.locator(".legend label", has_text="Next best places").inner_text().split()[-1] == "2"
 
 
@@ -185,12 +187,12 @@ def test_the_road_seen_by_lidar_lies_where_the_server_says(page: Any, done: Done
 
 
 def test_keys_play_the_drive_and_list_themselves(page: Any, done: Done) -> None:
-    show(page, done, "panel=job&frame=0")
+    show(page, done, "panel=result&frame=0")
     page.keyboard.press("Space")
     page.get_by_role("button", name="Pause").wait_for()
     page.keyboard.press("Space")
     page.get_by_role("button", name="Play").wait_for()
-    page.locator("#tab-job").focus()
+    page.locator("#tab-result").focus()
     page.keyboard.press("Space")  # which presses the tab
     assert page.get_by_role("button", name="Pause").count() == 0
     page.keyboard.press("?")
@@ -200,8 +202,8 @@ def test_keys_play_the_drive_and_list_themselves(page: Any, done: Done) -> None:
 
 
 def test_without_georeference_the_map_is_in_metres(page: Any, done: Done) -> None:
-    show(page, done, "panel=report&view=1.5/5/80", done.local_job)
-    page.locator("#panel-report").get_by_text("No georeference").wait_for()
+    show(page, done, "panel=result&view=1.5/5/80", done.local_job)
+    page.locator("#panel-result").get_by_text("no georeference").wait_for()
     assert "no georeference" in page.inner_text(".leaflet-control-attribution")
     assert page.locator("#layer-tiles").count() == 0
     files = done.server.client.get(f"{API}/jobs/{done.local_job}/files/intersections.local.json").json()["features"]
@@ -215,3 +217,17 @@ def test_without_georeference_the_map_is_in_metres(page: Any, done: Done) -> Non
             box["x"] + box["width"] / 2 + (east - x) * scale, box["y"] + box["height"] / 2 - (north - y) * scale
         )
         page.locator(".leaflet-tooltip", has_text=f"Intersection {feature['properties']['id']}").wait_for()
+
+
+def test_the_page_comes_in_few_requests_and_asks_for_nothing_twice(browser: Browser, done: Done) -> None:
+    page = browser.new_context().new_page()
+    page.goto(done.server.address)
+    page.wait_for_load_state("networkidle")
+    entries = '["navigation", "resource"].flatMap((type) => performance.getEntriesByType(type))'
+    answers = page.evaluate(f"{entries}.map((each) => [each.name, each.encodedBodySize])")
+    assert len(answers) == len({address for address, _ in answers})
+    files = {address: size for address, size in answers if "/api/" not in address}
+    if not any("/bundle/" in address for address in files):
+        pytest.skip("the page is not bundled: npm run build in static/")
+    assert len(files) <= 10
+    assert sum(files.values()) < 150_000

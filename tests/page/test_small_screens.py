@@ -45,7 +45,7 @@ def page(browser: Browser) -> Any:
 def test_everything_can_be_reached(page: Any, done: Done) -> None:
     for name, (width, height) in SIZES.items():
         page.set_viewport_size({"width": width, "height": height})
-        show(page, done, f"panel=report&frame={SCANS // 2}&drawer=1")
+        show(page, done, f"panel=result&frame={SCANS // 2}&drawer=1")
         page.wait_for_selector("#drawer img:not(.waiting) >> nth=5")
         stage = page.locator("#stage").bounding_box()
         assert stage["width"] >= min(480, width), name
@@ -54,9 +54,9 @@ def test_everything_can_be_reached(page: Any, done: Done) -> None:
         page.locator(".legend summary").click()
         assert not reach(page, ".legend"), name
         page.locator(".legend summary").click()
-        page.locator("#tab-report").click()  # its panel was below the keyframe
+        page.locator("#tab-result").click()  # its panel was below the keyframe
         page.locator("#drawer").wait_for(state="hidden")
-        assert not reach(page, "#tabs", "#panel-report"), name
+        assert not reach(page, "#tabs", "#panel-result"), name
         page.locator("#tab-upload").click()
         if not page.locator(".upload-form").is_visible():
             page.set_input_files("input[name=folder]", done.short)
@@ -65,7 +65,7 @@ def test_everything_can_be_reached(page: Any, done: Done) -> None:
             assert page.locator("#panel").bounding_box()["height"] > height / 2, name
         assert not reach(page, ".upload-form"), name
 
-    show(page, done, "panel=report")  # details are wholly on the map of a phone
+    show(page, done, "panel=result")  # details are wholly on the map of a phone
     page.keyboard.press("n")
     page.locator(".leaflet-popup-content h3").wait_for()
     page.wait_for_function("""() => {

@@ -152,7 +152,7 @@ def test_scans_alone_make_a_drive_on_a_service_without_networks(browser: Browser
     assert report["label_folder"] == "geometry"
 
     # All ground of this street is flat and alike: the page says along how much of it the labels are doubtful.
-    upload.page.wait_for_selector("#panel-job .badge.good")
-    doubts = upload.page.locator("#panel-job dt", has_text="Labels doubtful").locator("+ dd")
+    upload.page.wait_for_selector("#panel-result .badge.good")
+    doubts = upload.page.locator("#panel-result dt", has_text="Labels doubtful").locator("+ dd")
     ((start, stop),) = job["summary"]["doubtful_labels_m"]
     assert doubts.inner_text() == f"{start:.0f} to {stop:.0f} m of the track"

@@ -68,7 +68,7 @@ def measure(server: ServerProcess, job: str) -> Iterator[Row]:
         page = browser.new_page(viewport={"width": 1280, "height": 800})
         page.set_default_timeout(PATIENCE_MS)
         began = time.perf_counter()
-        page.goto(f"{server.address}/#panel=job&job={job}")
+        page.goto(f"{server.address}/#panel=result&job={job}")
         page.wait_for_selector(".legend:visible")
         yield "from the address to the map", f"{time.perf_counter() - began:.1f} s"
         page.wait_for_timeout(1000)

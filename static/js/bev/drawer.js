@@ -4,7 +4,7 @@
  * The server draws the pictures; the last ones are kept.
  */
 import { getJson, loadPicture } from "../api.js";
-import { bullets, iconButton, table } from "../controls.js";
+import { bullets, busy, iconButton, table } from "../controls.js";
 import { el, fill, formatMetres, plural } from "../dom.js";
 import { TurnedImage } from "../map/keyframe.js";
 import { firstDetection, onResult, shown } from "../map/shown.js";
@@ -129,6 +129,7 @@ export function mountDrawer(drawer) {
     document.documentElement.style.setProperty("--turned", `rotate(${-turn}rad) scale(${size})`);
     fill(seen, detectionTable(detections));
     for (const { image } of figures) image.classList.add("waiting");
+    fill(trouble, busy("The steps are being drawn…"));
     timer = setTimeout(() => void load(), PAUSE_MS);
   };
 

@@ -182,10 +182,15 @@ function fillQueue(holder, city, card) {
   const go = (/** @type {1|-1} */ by) => () => void stepFinding(by).catch(showError);
   const previous = iconButton("previous", "Previous finding", go(-1), "Previous finding (k)");
   const next = iconButton("next", "Next finding", go(1), "Next finding (j)");
+  const title = el("h3", "What OpenStreetMap seems to have wrong");
+  if (!queue.open && !queue.judged) {
+    const nothing = city.is_waiting ? "The comparison goes on." : "Nothing: it agrees with what the drives saw.";
+    return fill(holder, title, el("p.quiet", { role: "status" }, nothing));
+  }
   const readMore = () => void loadQueue(city, { kind, state }, true).catch(showError);
   fill(
     holder,
-    el("h3", "What OpenStreetMap seems to have wrong"),
+    title,
     el(
       "p.small",
       { role: "status" },
@@ -318,8 +323,7 @@ function filesOf(city) {
     });
   const gis = address(`maps/${city.id}/ogc`);
   return [
-    city.findings !== null &&
-      section("Findings, for those who mend the map", el("div.row", rows("deliveries", DELIVERIES))),
+    city.findings && section("Findings, for those who mend the map", el("div.row", rows("deliveries", DELIVERIES))),
     section("The map", el("div.row", [rows("files", FILES), copyButton("Address for QGIS", () => gis)])),
   ];
 }

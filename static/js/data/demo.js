@@ -49,5 +49,5 @@ async function run() {
   const request = { drive_id: drive.id, osm: { file: "map.osm" }, policy: "drive", name: "Demo" };
   const job = await sendJson("POST", "jobs", request);
   rememberJob(job);
-  setState({ drive: job.drive_id, job: job.id, panel: "job", frame: null, view: null });
+  setState({ drive: job.drive_id, job: job.id, panel: "result", frame: null, view: null });
 }

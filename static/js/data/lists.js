@@ -24,12 +24,15 @@ const MAX_ROWS = 2000;
 const HEAD_ROWS = 100; // what a look asks for: all there is on most servers
 const PAGE_ROWS = 1000;
 const LOOK_MS = 10000; // between looks for what others did; three short exchanges while nothing has changed
+const FRESH_MS = 2000;
 const WHOLE_LOOKS = 6; // every so many looks at everything: what was done to old rows
 const MAX_TRIES = 3;
 
 const changes = news();
 export const onListsChange = changes.hear;
 
+/** When the lists were last asked for. */
+let askedAt = -Infinity;
 /** Number of the last request for the lists, and of that whose answer is shown. */
 let asked = 0;
 let shown = 0;
@@ -48,6 +51,7 @@ let headsShown = "";
  */
 export async function refreshLists(isLook = false) {
   const mine = ++asked;
+  askedAt = performance.now();
   for (let tries = 1; ; tries += 1) {
     const before = made;
     const heads = await Promise.all([
@@ -67,6 +71,11 @@ export async function refreshLists(isLook = false) {
     showRows(pages, true);
     return;
   }
+}
+
+/** Ask the server again, where the lists are not those of just now. */
+export async function refreshOldLists() {
+  if (performance.now() - askedAt > FRESH_MS) await refreshLists();
 }
 
 /** Keep the lists up to date with what other tabs and programs do, while somebody looks at the page. */
@@ -93,6 +102,16 @@ function showRows(parts, isWhole) {
 function newer(job) {
   const known = lists.jobs.find((each) => each.id === job.id);
   return known && known.version > job.version ? known : job;
+}
+
+/** Requests for jobs that are under way, by ids. @type {Map<string, Promise<any>>} */
+const asking = new Map();
+
+/** Ask for a job; all who ask at the same time get the same answer. @param {string} id @returns {Promise<any>} */
+export function loadJob(id) {
+  const asked = asking.get(id) ?? getJson(`jobs/${id}`).finally(() => asking.delete(id));
+  asking.set(id, asked);
+  return asked;
 }
 
 /** @param {any} job A job as just received. @returns {any} The newest that is known of it, which is kept. */

@@ -111,6 +111,9 @@ async function load(job) {
 const linesOf = (layer) =>
   (layer?.features ?? []).map((/** @type {any} */ f) => ({ line: lineOf(f.geometry), properties: f.properties }));
 
+/** The roads of the map that a job was scored against. @param {any} job */
+export const loadRoads = async (job) => linesOf(await orNull(getJson(`jobs/${job.id}/osm-roads`)));
+
 /** @param {any} layer Of polygons. @returns {number[][][]} */
 const ringsOf = (layer) =>
   (layer?.features ?? []).flatMap((/** @type {any} */ f) =>

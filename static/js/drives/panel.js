@@ -3,7 +3,7 @@ import { getJson, sendJson } from "../api.js";
 import { mapsOfDrive } from "../city/dialogs.js";
 import { iconButton } from "../controls.js";
 import { demo, demoText, onDemoChange, tryDemo } from "../data/demo.js";
-import { lists, onListsChange, refreshLists, rememberDrive, titleOf } from "../data/lists.js";
+import { lists, onListsChange, refreshLists, refreshOldLists, rememberDrive, titleOf } from "../data/lists.js";
 import { el, fill, formatAgo, formatBytes, formatCount, formatMetres, groupBy, icon, plural } from "../dom.js";
 import { isEditing, naming } from "../job/naming.js";
 import { openRunDialog } from "../job/run_dialog.js";
@@ -87,8 +87,8 @@ export function mount(container) {
   };
   onListsChange(update);
   subscribe(["drive", "job"], update);
-  subscribe(["panel"], ({ panel }) => panel === "drives" && refreshLists().catch(showError));
-  if (lists.isLoaded) refreshLists().catch(showError); // they were loaded for another panel, some time ago
+  subscribe(["panel"], ({ panel }) => panel === "drives" && refreshOldLists().catch(showError));
+  refreshOldLists().catch(showError); // they may have been loaded for another panel, some time ago
   update();
 }
 

@@ -1,6 +1,6 @@
 /** Everything of a result to take along: files, a link to this view, the same by curl and in QGIS. */
 import { address, download, getConfig, getToken, onTokenChange } from "../api.js";
-import { copyButton, resultSection } from "../controls.js";
+import { copyButton, resultSection, select } from "../controls.js";
 import { el, fill, icon } from "../dom.js";
 import { onResult } from "../map/shown.js";
 import { showError } from "../messages.js";
@@ -29,14 +29,10 @@ const DERIVED = /** @type {Record<string, string>} */ ({
   uncertainty: "Uncertainty, as ellipses",
 });
 
-/** Ending -> what its button says, of formats that hold one layer. */
-const LAYER_FORMATS = { ".fgb": "FGB", ".kml": "KML", ".csv": "CSV", ".parquet": "Parquet" };
+/** Ending -> name, of formats that hold one layer. */
+const LAYER_FORMATS = { ".fgb": "FlatGeobuf", ".kml": "KML", ".csv": "CSV", ".parquet": "GeoParquet" };
 const QGZ =
   "All layers in groups, drawn as on this page, in one file that holds the data, too: for QGIS 3.22 and newer.";
-const PMTILES = "The intersections as vector tiles, for web maps";
-const KMZ = "KMZ: all layers in one file.";
-const TIFF =
-  "Cells of 0.5 m: from how many keyframes each was seen as road. In UTM, or in metres without georeference.";
 const IN_METRES = "Without a georeference the files hold metres of the drive's own frame, without a coordinate system.";
 const OF_OSM =
   "Report, verdicts, matches, OSM roads and intersections hold data of OpenStreetMap: © OpenStreetMap contributors, " +
@@ -61,71 +57,103 @@ export function mount(container) {
   });
 }
 
+/** @typedef {{title: string, path: string, name: string}} Format `path`: below the job; `name`: of the file. */
+
+/**
+ * @param {Result} result
+ * @param {string} slug
+ * @returns {Record<string, {title: string, formats: Format[]}>} What can be had alone, and in which formats.
+ */
+function partsOf({ local, surface, buildings, report }, slug) {
+  const { exports, layers } = getConfig(); // not every service has all of them
+  const isOfOsm = new Set(layers.filter(({ is_osm }) => is_osm).map(({ name }) => name));
+  const isThere = (/** @type {string} */ name) =>
+    name === "osm_buildings" ? buildings.length > 0 : report !== null || !isOfOsm.has(name);
+  const json = (/** @type {string} */ name) => [{ title: "JSON", path: name, name: `${slug}-${name}.json` }];
+  /** @param {string} name @returns {Format[]} */
+  const formatsOf = (name) => {
+    const layer = name.replaceAll("_", "-");
+    const ending = local ? ".local.json" : ".geojson";
+    const own = name in DERIVED ? `export.geojson?layer=${layer}` : local ? `files/${name}.local.json` : layer;
+    const others = Object.entries(LAYER_FORMATS).filter(
+      ([each]) => exports.includes(each) && !(local && each === ".kml"),
+    );
+    return [
+      { title: local ? "JSON" : "GeoJSON", path: own, name: `${slug}-${name}${ending}` },
+      ...others.map(([each, title]) => ({
+        title,
+        path: `export${each}?layer=${layer}`,
+        name: `${slug}-${name}${each}`,
+      })),
+      ...(name === "intersections" && !local && exports.includes(".pmtiles")
+        ? [{ title: "PMTiles, for web maps", path: "export.pmtiles", name: `${slug}.pmtiles` }]
+        : []),
+    ];
+  };
+  const names = Object.entries({ ...LAYERS, ...(local ? {} : DERIVED) }).filter(([name]) => isThere(name));
+  const tif = [{ title: "GeoTIFF", path: "road.tif", name: `${slug}-road.tif` }];
+  const kmz = [{ title: "KMZ, for Google Earth", path: "export.kmz", name: `${slug}.kmz` }];
+  return {
+    ...Object.fromEntries(names.map(([name, title]) => [name, { title, formats: formatsOf(name) }])),
+    ...(surface && { road: { title: "Road seen by LiDAR", formats: tif } }),
+    ...(!local && exports.includes(".kmz") && { all: { title: "All layers", formats: kmz } }),
+    ...(report && { report: { title: "Report", formats: json("report") } }),
+    run: { title: "Settings, versions, timings", formats: json("run") },
+  };
+}
+
+/** @param {string} at Path of the job. @param {ReturnType<typeof partsOf>} parts @returns {HTMLElement} One of them, in one format. */
+function chooser(at, parts) {
+  const formats = el("div.grow");
+  /** @type {HTMLSelectElement} */
+  let format;
+  const choose = (/** @type {string} */ part) => {
+    format = select(
+      Object.fromEntries(parts[part].formats.map(({ title }, i) => [i, title])),
+      "0",
+      undefined,
+      "Format",
+    );
+    fill(formats, format);
+  };
+  const titles = Object.fromEntries(Object.entries(parts).map(([part, { title }]) => [part, title]));
+  const part = select(titles, undefined, choose, "Layer");
+  choose(part.value);
+  const get = () => {
+    const { path, name } = parts[part.value].formats[Number(format.value)];
+    download(`${at}/${path}`, name).catch(showError);
+  };
+  return el("div.stack-s", part, el("div.row", formats, el("button", { onClick: get }, icon("download"), "Download")));
+}
+
 /** @param {Result} result @param {HTMLElement} link */
 function sections(result, link) {
-  const { job, local, surface } = result;
+  const { job, local } = result;
   const at = `jobs/${job.id}`;
   const slug = job.drive_name.replace(/[^A-Za-z0-9._-]+/g, "_");
-  const scored = result.report !== null;
   /** @param {any} text @param {string} path @param {string} name @param {Record<string, string>} [props] */
-  const get = (text, path, name, props = { title: `${text}: ${name}` }) =>
-    el("button", { ...props, onClick: () => download(path, name).catch(showError) }, text);
-  /** @param {any} title @param {...any} buttons */
-  const files = (title, ...buttons) => [el("span", title), el("div.formats.row", buttons)];
-  /** @param {string} name */
-  const vector = (name) => {
-    const title = el("span", { title: known.get(name)?.description }, LAYERS[name] ?? DERIVED[name]);
-    const path = name.replaceAll("_", "-");
-    const others = Object.entries(LAYER_FORMATS)
-      .filter(([ending]) => exports.includes(ending) && !(local && ending === ".kml"))
-      .map(([ending, text]) => get(text, `${at}/export${ending}?layer=${path}`, `${slug}-${name}${ending}`));
-    if (local) return files(title, get("JSON", `${at}/files/${name}.local.json`, `${slug}-${name}.local.json`), others);
-    const geojson = name in DERIVED ? `${at}/export.geojson?layer=${path}` : `${at}/${path}`;
-    return files(title, get("GeoJSON", geojson, `${slug}-${name}.geojson`), others);
-  };
-  const raster = () =>
-    files(el("span", { title: TIFF }, "Road seen by LiDAR"), get("GeoTIFF", `${surface}.tif`, `${slug}-road.tif`));
-  const { exports } = getConfig(); // not every service has all of them
-  const known = new Map(getConfig().layers.map((layer) => [layer.name, layer]));
-  const hasBuildings = result.buildings.length > 0; // few maps have any
-  const isThere = (/** @type {string} */ name) =>
-    name === "osm_buildings" ? hasBuildings : scored || !known.get(name)?.is_osm;
-  const layers = Object.keys(LAYERS).filter(isThere);
-  if (!local) layers.push(...Object.keys(DERIVED));
-  const gpkg = `${at}/export.gpkg`;
-  const live = get("project without data", `${at}/export.qgs`, `${slug}.qgs`, { class: "link" });
+  const get = (text, path, name, props = {}) =>
+    el("button", { ...props, onClick: () => download(`${at}/${path}`, name).catch(showError) }, text);
   const token = getToken() ? ' -H "Authorization: Bearer $INTERLOC_TOKEN"' : "";
-  const whole = address(gpkg);
+  const live = get("project without data", "export.qgs", `${slug}.qgs`, { class: "link" });
   return [
     el("h2", "Take it along"),
     el("div.row", [
-      get([icon("download"), "GeoPackage, all layers"], gpkg, `${slug}.gpkg`, { class: "primary" }),
-      get([icon("download"), "QGIS project"], `${at}/export.qgz`, `${slug}.qgz`, { title: QGZ }),
-      !local && get([icon("download"), "Google Earth"], `${at}/export.kmz`, `${slug}.kmz`, { title: KMZ }),
-      get([icon("download"), "Everything (.zip)"], `${at}/archive.zip`, `${slug}.zip`, {}),
-      !local && get([icon("download"), "PMTiles"], `${at}/export.pmtiles`, `${slug}.pmtiles`, { title: PMTILES }),
+      get([icon("download"), "GeoPackage"], "export.gpkg", `${slug}.gpkg`, { class: "primary", title: "All layers" }),
+      get([icon("download"), "QGIS project"], "export.qgz", `${slug}.qgz`, { title: QGZ }),
+      get([icon("download"), "Everything (.zip)"], "archive.zip", `${slug}.zip`),
+      result.report && get([icon("download"), "Report"], "report?format=html", `${slug}-report.html`),
     ]),
     local && el("p.note", IN_METRES),
-    resultSection("Layers", el("div.downloads", layers.map(vector), surface && raster())),
-    resultSection("Report", [
-      el("div.downloads", [
-        scored &&
-          files(
-            "Report",
-            get("HTML", `${at}/report?format=html`, `${slug}-report.html`),
-            get("JSON", `${at}/report?format=json`, `${slug}-report.json`),
-          ),
-        files("Settings, versions, timings", get("JSON", `${at}/run`, `${slug}-run.json`)),
-      ]),
-    ]),
+    resultSection("One layer", chooser(at, partsOf(result, slug))),
     resultSection(
       "Link to this view",
       el("div.row", el("div.grow", link), copyButton("Copy", permalink)),
       el("p.small", "Drive, job, place, keyframe, layers and filter; for everybody who can reach this server."),
     ),
-    resultSection("The same by curl", codeBox(`curl -fOJ${token} ${whole}`)),
+    resultSection("The same by curl", codeBox(`curl -fOJ${token} ${address(`${at}/export.gpkg`)}`)),
     !local && resultSection("In QGIS", qgis(address(`${at}/intersections`), live)),
-    scored && !result.isMadeUp && el("p.small.section", OF_OSM),
+    result.report && !result.isMadeUp && el("p.small.section", OF_OSM),
   ];
 }
 

@@ -1,19 +1,8 @@
 /** The job at hand: its progress while it runs, its outcome in figures, its failure explained. */
-import { follow, getJson, sendJson } from "../api.js";
-import { factList, figure } from "../controls.js";
-import { FINAL, lists, refreshLists, rememberDrive, rememberJob, titleOf } from "../data/lists.js";
-import {
-  announce,
-  el,
-  fill,
-  formatAgo,
-  formatBytes,
-  formatCount,
-  formatDuration,
-  formatMetres,
-  formatPercent,
-  icon,
-} from "../dom.js";
+import { follow, sendJson } from "../api.js";
+import { factList } from "../controls.js";
+import { FINAL, lists, loadJob, refreshLists, rememberDrive, rememberJob, titleOf } from "../data/lists.js";
+import { announce, el, fill, formatAgo, formatBytes, formatCount, formatDuration, icon } from "../dom.js";
 import { confirmAction, failureNote, problemNote, showError } from "../messages.js";
 import { getState, setState, subscribe } from "../state.js";
 import { isEditing, naming } from "./naming.js";
@@ -31,7 +20,7 @@ const STAGES = [
 const POLL_MS = 15000; // a proxy may hold events back: ask now and then, too
 
 /** @param {HTMLElement} container */
-export function mount(container) {
+export function mountJob(container) {
   let stop = new AbortController();
   const silence = el("p.note.warning", { role: "status", hidden: true }, [
     el("strong", "The server does not answer"),
@@ -48,12 +37,13 @@ export function mount(container) {
     try {
       const known = lists.jobs.find((each) => each.id === id);
       if (known) show(known);
-      const job = await getJson(`jobs/${id}`, { signal });
+      if (known && FINAL.has(known.state)) return;
+      const job = await loadJob(id);
       if (signal.aborted) return;
       update(job);
       if (FINAL.has(job.state)) return;
       const poll = async () => {
-        const now = await getJson(`jobs/${id}`, { signal }).catch(() => null);
+        const now = await loadJob(id).catch(() => null);
         if (now && !signal.aborted) update(now);
       };
       const polling = setInterval(() => void poll(), POLL_MS);
@@ -160,57 +150,58 @@ function outcome(job) {
   const { osm, policy } = job.request;
   const settings = Object.entries(job.own_settings);
   const own = settings.map(([name, value]) => el("code", `${name} = ${JSON.stringify(value)} `));
-  const list = osm ? "Open the report" : "List the intersections";
   const finished = new Date(job.finished_at).toLocaleString("en-GB", { dateStyle: "medium", timeStyle: "short" });
   const isPlaced = summary.georeferenced !== false;
   const unscored = isPlaced
     ? "The job had no map. Run it again with one to see which intersections are right."
     : "The drive has no georeference: run it again with a map, and it is placed there by its roads.";
   const withMap = () => openRunDialog(job.drive_id, { job, withMap: true }).catch(showError);
+  const isOther = (/** @type {any} */ each) => each.id !== job.id && each.drive_id === job.drive_id;
+  const canCompare = report && lists.jobs.some((each) => isOther(each) && each.summary?.report);
+  const unfold = (/** @type {any} */ event) => (isUnfolded = event.currentTarget.open);
+  const to = (/** @type {string} */ panel) => () => setState({ panel });
   return [
     report?.map_line && el("p.verdict", el("strong", report.map_line)),
-    el("div.tiles-row", [
-      figure(formatCount(summary.intersections ?? 0), "intersections"),
-      figure(formatCount(summary.detections ?? 0), "detections"),
-      figure(formatCount(keyframes ?? 0), "keyframes"),
-      report && [
-        figure(formatMetres(report.ace_m), "mean error of detections (ACE)"),
-        figure(formatPercent(report.precision_at_5), "precision, 5 m"),
-        figure(formatPercent(report.recall_at_5), "recall, 5 m"),
-      ],
-    ]),
-    !osm && el("p.note", el("strong", "Not scored"), unscored),
-    !osm && el("div.row", el("button.primary", { onClick: withMap }, "Run again with a map…")),
+    !report && el("p.note", el("strong", "Not scored"), unscored),
     el("div.row", [
-      el("button.primary", { onClick: () => setState({ panel: "report" }) }, list),
-      el("button", { onClick: () => setState({ panel: "export" }) }, icon("download"), "Download"),
+      !report && el("button.primary", { onClick: withMap }, "Run again with a map…"),
+      el("button", { class: report ? "primary" : "", onClick: to("export") }, icon("download"), "Export"),
+      canCompare && el("button", { onClick: to("compare") }, "Compare"),
+      report && runAgain(job, ""),
     ]),
-    factList("section", [
-      ["Preset", job.request.preset ?? "default"],
-      job.request.labels && ["Labels", job.request.labels],
-      summary.doubtful_labels_m?.length && ["Labels doubtful", doubtfulText(summary.doubtful_labels_m)],
-      ["Map", osm ? (osm.file ?? "OpenStreetMap, by Overpass") : "none"],
-      osm && ["Policy", policy ?? "drive"],
-      summary.location && ["Placed by its roads", placedText(summary.location)],
-      ["Own settings", own.length ? own : "none"],
-      seconds !== undefined && ["Time", formatDuration(seconds)],
-      methodSeconds && keyframes && ["Per keyframe", `${((1000 * methodSeconds) / keyframes).toFixed(1)} ms`],
-      summary.peak_memory_bytes && ["Peak memory", formatBytes(summary.peak_memory_bytes)],
-      ["Finished", finished],
-      ["Job", el("code", job.id)],
+    el("details.stack-s", { open: isUnfolded, onToggle: unfold }, [
+      el("summary", "How it was made"),
+      factList("", [
+        ["Preset", job.request.preset ?? "default"],
+        job.request.labels && ["Labels", job.request.labels],
+        summary.doubtful_labels_m?.length && ["Labels doubtful", doubtfulText(summary.doubtful_labels_m)],
+        summary.dropped && [
+          "Scans lost",
+          `${formatCount(summary.dropped.scans)} of ${formatCount(summary.dropped.of)}: ${doubtfulText(summary.dropped.stretches_m)}`,
+        ],
+        ["Map", osm ? (osm.file ?? "OpenStreetMap, by Overpass") : "none"],
+        osm && ["Policy", policy ?? "drive"],
+        summary.location && ["Placed by its roads", placedText(summary.location)],
+        ["Own settings", own.length ? own : "none"],
+        ["Keyframes", formatCount(keyframes ?? 0)],
+        ["Detections", formatCount(summary.detections ?? 0)],
+        seconds !== undefined && ["Time", formatDuration(seconds)],
+        methodSeconds && keyframes && ["Per keyframe", `${((1000 * methodSeconds) / keyframes).toFixed(1)} ms`],
+        summary.peak_memory_bytes && ["Peak memory", formatBytes(summary.peak_memory_bytes)],
+        ["Finished", finished],
+        ["Job", el("code", job.id)],
+      ]),
+      el("div.row", pinButton(job), removal(job)),
     ]),
-    el("div.row.section", runAgain(job, ""), pinButton(job), removal(job)),
   ];
 }
 
 /** @param {any} job */
 function pinButton(job) {
-  const why = standing(job);
-  const texts = { pinned: "No longer pin this result", best: "Pin this result" };
-  const text = why ? texts[why] : "Show this result for the drive";
-  const title = "On the map of all drives, and for GIS clients at /ogc; else the best of its jobs";
-  const onClick = () => pin(job, why === "pinned" ? null : job.id).catch(showError);
-  return el("button", { title, onClick }, text);
+  const isPinned = standing(job) === "pinned";
+  const title = "Shown for the drive on the map of all drives and at /ogc; else the best of its jobs is";
+  const onClick = () => pin(job, isPinned ? null : job.id).catch(showError);
+  return el("button", { title, onClick }, isPinned ? "No longer pin this result" : "Pin this result");
 }
 
 /** @param {any} job @param {string|null} pinned_job */
@@ -223,6 +214,8 @@ async function pin(job, pinned_job) {
 
 /** Of the panel. */
 let redraw = () => {};
+/** Whether it says how the result was made. */
+let isUnfolded = false;
 
 /** @param {any} location */
 function placedText({ lat_deg, lon_deg, heading_deg, position_std_m }) {

@@ -74,12 +74,12 @@ export function standing({ id, drive_id }) {
 export function openDrive(id) {
   const jobs = lists.jobs.filter((each) => each.drive_id === id);
   const job = jobs.find(standing) ?? jobs[0];
-  setState({ drive: id || null, job: job?.id ?? null, frame: null, view: null, panel: job ? "job" : "drives" });
+  setState({ drive: id || null, job: job?.id ?? null, frame: null, view: null, panel: job ? "result" : "drives" });
 }
 
 /** @param {any} job */
 export function openJob(job) {
-  setState({ drive: job.drive_id, job: job.id, panel: "job", frame: null, view: null });
+  setState({ drive: job.drive_id, job: job.id, panel: "result", frame: null, view: null });
 }
 
 /** @returns {string} What becomes of a thing that is deleted: said before. */

@@ -112,6 +112,7 @@ export class CityScene extends OverviewScene {
     this.spots = this.#spots(places.features, changes.features, findings.features, isCompared);
     this.onChange(this.isNew);
     this.isNew = false;
+    this.loadRoads(() => this.onChange(false));
   }
 
   /** @param {number[]} box @param {string|null} filter @param {AbortSignal} signal */

@@ -41,8 +41,9 @@ export function followCompared() {
     const mine = ++token;
     const { result } = shown;
     const others = comparedJobs();
-    if (compared || result?.compared.length) set(null);
-    if (!result || !others.length) return;
+    if (!result || !others.length) return set(null);
+    if (compared?.jobs.join() === [result.job.id, ...others].join()) return set(compared);
+    set(null);
     const path = result.local ? "files/intersections.local.json" : "intersections";
     try {
       const layers = await Promise.all(others.map((id) => getJson(`jobs/${id}/${path}`)));
@@ -54,13 +55,15 @@ export function followCompared() {
     }
   };
   subscribe(["compare"], () => void update());
+  subscribe(["panel"], () => compared && set(compared));
   onResult(() => void update());
 }
 
-/** @param {Comparison|null} next */
+/** The marks are those of the panel that compares. @param {Comparison|null} next */
 function set(next) {
+  if (!next && !compared) return;
   compared = next;
-  if (shown.result) shown.result.compared = next?.items ?? [];
+  if (shown.result) shown.result.compared = (getState().panel === "compare" && next?.items) || [];
   changes.tell(next);
 }
 
@@ -74,7 +77,7 @@ export class ComparedLayer {
   /** @param {Set<string>} on Layers that are on. */
   show(on) {
     this.group.clearLayers();
-    for (const item of compared?.items ?? []) {
+    for (const item of shown.result?.compared ?? []) {
       const kind = kindOfCompared(item);
       if (!on.has(kind)) continue;
       const sign = signIcon(kind);

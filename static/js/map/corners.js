@@ -12,6 +12,12 @@ export function addCorner(map, position, element) {
   control.addTo(map);
 }
 
+/** @param {any} map @returns {number} How much of it the open list of layers covers at the right, pixels. */
+export function legendWidth(map) {
+  const width = map.getContainer().querySelector(".legend:has(details[open])")?.offsetWidth ?? 0;
+  return width < map.getSize().x / 2 ? width : 0;
+}
+
 /**
  * A button below those of the zoom.
  * @param {any} map

@@ -5,6 +5,7 @@ import { el } from "../dom.js";
 import { Popup } from "../leaflet.js";
 import { showMessage } from "../messages.js";
 import { getState, setState } from "../state.js";
+import { legendWidth } from "./corners.js";
 import { factsOf, isOsmNode, signOf, summaryOf, titleOf, whyOf } from "./facts.js";
 import { coordinates, linksAt, noteText } from "./links.js";
 import { ring } from "./pointer.js";
@@ -13,6 +14,8 @@ import { signIcon } from "./symbols.js";
 
 /** @import { Result } from "../data/results.js" */
 /** @import { Hit } from "./scene.js" */
+
+const FEW = 2; // facts that are seen at once
 
 /** @param {Hit} hit @returns {HTMLElement} What it is, in a few words. */
 export function tipOf(hit) {
@@ -25,16 +28,19 @@ export function keepDetails(map) {
   const observer = new ResizeObserver(() => map.invalidateSize({ pan: false }));
   observer.observe(map.getContainer());
   map.on("unload", () => observer.disconnect());
-  map.on("resize", () => {
-    const box = map.getContainer().querySelector(".leaflet-popup");
-    if (!chosen || !box) return;
-    const { item } = chosen;
-    map.panInside([item.lat, item.lng], {
-      paddingTopLeft: [170, Math.min(box.offsetHeight + 24, map.getSize().y - 30)],
-      paddingBottomRight: [170, 30],
-      animate: false,
-    });
-  });
+  map.on("resize", () => showWhole(map));
+}
+
+/** Move the map so that the details are wholly on it. @param {any} map */
+function showWhole(map) {
+  const box = map.getContainer().querySelector(".leaflet-popup");
+  if (!chosen || !box) return;
+  const { item } = chosen;
+  const { x, y } = map.getSize();
+  const aside = Math.min(box.offsetWidth / 2 + 20, x / 2 - 10);
+  const paddingTopLeft = [aside, Math.min(box.offsetHeight + 24, y - 30)];
+  const right = Math.min(aside + legendWidth(map), x - aside - 1);
+  map.panInside([item.lat, item.lng], { paddingTopLeft, paddingBottomRight: [right, 30], animate: false });
 }
 
 /** What is open now, and what a move of the map leads to: the newest counts. @type {Hit|null} */
@@ -120,32 +126,39 @@ export function closeDetails() {
   shown.map?.closePopup();
 }
 
-/** @param {Hit} hit @param {Result} result */
+/** What matters of it, and the rest folded. @param {Hit} hit @param {Result} result */
 function contentOf(hit, result) {
+  const { kind, item } = hit;
   const sign = signOf(hit);
   const why = whyOf(hit, result);
+  const facts = factsOf(hit, result).filter((each) => each !== false);
+  const frame = kind === "road" ? null : chosenFrame();
+  const inReport = () => setState({ panel: "result" });
+  const [near, far] = waysOut(hit, result);
   return el("div.details", [
     el("h3", sign && signIcon(sign), titleOf(hit)),
-    hit.item.properties.names && el("p.streets", hit.item.properties.names),
+    item.properties.names && el("p.streets", item.properties.names),
     why && el("p.why", why),
-    factList("", factsOf(hit, result)),
-    el("div.row", actionsOf(hit, result)),
-    waysOut(hit, result),
+    factList("", facts.slice(0, FEW)),
+    el("div.row", [
+      frame !== null && el("button", { onClick: () => setState({ frame, drawer: true }) }, "Look inside"),
+      near,
+      (ofService(item.properties) || getState().service) && serviceSwitch(result),
+    ]),
+    el("details", { onToggle: () => showWhole(shown.map) }, [
+      el("summary", "More"),
+      factList("", facts.slice(FEW)),
+      el("div.ways-out.row", [
+        (kind === "intersection" || kind === "node") && el("button", { onClick: inReport }, "In the list"),
+        far,
+        copyButton("Copy coordinates", () => coordinates(item, result.local)),
+        !result.local &&
+          !result.isMadeUp &&
+          kind !== "road" &&
+          copyButton("Copy OSM note", () => noteText(hit, result.report?.osm.date)),
+      ]),
+    ]),
   ]);
-}
-
-/** @param {Hit} hit @param {Result} result */
-function actionsOf({ kind, item }, result) {
-  const { properties: p } = item;
-  const frame = chosenFrame();
-  if (kind === "road") return [];
-  const inReport = () => setState({ panel: "report" });
-  return [
-    frame !== null && el("button", { onClick: () => setState({ frame, drawer: true }) }, "Look at its keyframe"),
-    kind !== "detection" &&
-      el("button", { onClick: inReport }, kind === "node" ? "See it in the report" : "In the list"),
-    (ofService(p) || getState().service) && serviceSwitch(result),
-  ];
 }
 
 /** @param {any} properties @returns {boolean} Whether it is wrong for a junction with a service road alone. */
@@ -173,17 +186,14 @@ function frameOf({ id, first_frame, last_frame }, result) {
   return own[own.length >> 1]?.properties.frame ?? Math.round((first_frame + last_frame) / 2);
 }
 
-/** @param {Hit} hit @param {Result} result */
-function waysOut(hit, result) {
-  const { item, kind } = hit;
-  const copy = copyButton("Copy coordinates", () => coordinates(item, result.local));
-  if (result.local || result.isMadeUp) return el("div.ways-out.row", copy);
+/** Links to OpenStreetMap and its editor, and those to elsewhere. @param {Hit} hit @param {Result} result @returns {any[][]} */
+function waysOut({ item, kind }, result) {
+  if (result.local || result.isMadeUp) return [[], []];
   const id = kind === "detection" ? null : (item.properties.osm_id ?? null);
   const links = linksAt(item.lat, item.lng, isOsmNode(id, result) ? id : null).map(({ name, href, title }) =>
     outLink(href, name, { title, onClick: name === "JOSM" && tellOfJosm }),
   );
-  const note = kind !== "road" && copyButton("Copy OSM note", () => noteText(hit, result.report?.osm.date));
-  return el("div.ways-out.row", el("p", links), copy, note);
+  return [links.slice(0, 2), links.slice(2)];
 }
 
 function tellOfJosm() {

@@ -83,7 +83,7 @@ export const widthText = ({ width_m, is_driven }) =>
 /** @param {string} text */
 const sentence = (text) => `${text[0].toUpperCase()}${text.slice(1)}.`;
 
-/** All that is known of it. @param {Hit} hit @param {Result} result @returns {Array<[string, any]|false>} */
+/** All that is known of it, what matters most first. @param {Hit} hit @param {Result} result @returns {Array<[string, any]|false>} */
 export function factsOf({ kind, item }, result) {
   const { local } = result;
   const { properties: p } = item;
@@ -93,11 +93,11 @@ export function factsOf({ kind, item }, result) {
   const facts = {
     intersection: () => [
       ["Uncertainty (1 σ)", formatMetres(p.position_std_m)],
+      ...branchesOf(p, local),
       p.position_cov_m2 && ["Semi-axes of 95 %", ellipseText(p)],
       ["Confidence", formatPercent(p.confidence)],
       ["Detections", String(p.observations)],
       ["Seen in scans", `${p.first_frame} to ${p.last_frame}`],
-      ...branchesOf(p, local),
       p.uid && ["Identifier", p.uid],
     ],
     node: () => [

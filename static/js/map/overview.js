@@ -1,7 +1,11 @@
 /** All drives on the map, where none is chosen: a click opens one. */
+import { lists } from "../data/lists.js";
+import { loadRoads } from "../data/results.js";
 import { el, plural } from "../dom.js";
+import { showError } from "../messages.js";
 import { setState } from "../state.js";
 import { beginTexts, fill, nearestOn, project, stroke, strokePaths, writeText } from "./paths.js";
+import { paintRoads, roadsOf } from "./roads.js";
 import { paintSigns, SIGNS, trace } from "./symbols.js";
 
 /** @import { DriveOnMap } from "../data/overview.js" */
@@ -20,6 +24,8 @@ import { paintSigns, SIGNS, trace } from "./symbols.js";
 export const REACH_PX = 10;
 const SMALL_PX = 16; // a track that is smaller is a disc
 const SIGNS_FROM_ZOOM = 13;
+const ROADS_FROM_ZOOM = 12;
+const MAX_ROADS = 20; // drives whose roads are drawn
 const NAME_PX = 16;
 
 /** Painted as a scene is; see `Scene`. */
@@ -38,6 +44,8 @@ export class OverviewScene {
     this.result = { local: false };
     /** @type {Set<string>} */
     this.on = new Set();
+    /** By the job that they were read for. @type {Map<string|null, import("./roads.js").Road[]>} */
+    this.roads = new Map();
     this.progress = 0;
     this.hasTiles = false;
   }
@@ -58,7 +66,32 @@ export class OverviewScene {
     return project(this.map, places);
   }
 
-  paintGround() {}
+  /** Fetch the roads of the maps that its drives were scored against, each once. @param {() => void} redraw */
+  loadRoads(redraw) {
+    const jobs = new Set(this.items.map(({ drive }) => drive.job));
+    for (const id of this.roads.keys()) if (!jobs.has(id)) this.roads.delete(id);
+    for (const job of lists.jobs) {
+      if (!jobs.has(job.id) || !job.request.osm || this.roads.has(job.id) || this.roads.size >= MAX_ROADS) continue;
+      this.roads.set(job.id, []);
+      loadRoads(job).then((lines) => {
+        if (!this.roads.has(job.id)) return;
+        this.roads.set(job.id, roadsOf(this.map, lines));
+        redraw();
+      }, showError);
+    }
+  }
+
+  /** What lies below the tracks. @param {CanvasRenderingContext2D} context @param {View} view */
+  paintGround(context, view) {
+    if (!this.on.has("roads") || view.zoom < ROADS_FROM_ZOOM) return;
+    context.lineCap = "round";
+    context.lineJoin = "round";
+    paintRoads(
+      context,
+      view,
+      [...this.roads.values()].flat().sort((a, b) => a.width - b.width),
+    );
+  }
 
   /** @param {CanvasRenderingContext2D} context @param {View} view */
   paint(context, view) {
@@ -102,7 +135,7 @@ export class OverviewScene {
   /** @param {any} hit Found by `at`. */
   open({ item }) {
     const { id, job } = item.drive;
-    setState({ drive: id, job, frame: null, view: null, panel: job ? "job" : "drives" });
+    setState({ drive: id, job, frame: null, view: null, panel: job ? "result" : "drives" });
   }
 
   /** @param {Item|null} item Under the pointer: it is drawn above the others. */

@@ -1,5 +1,4 @@
 /** A result on the surface: positions projected once, painted layer by layer, found again under the pointer. */
-import { groupBy } from "../dom.js";
 import { setState } from "../state.js";
 import { openDetails, tipOf } from "./details.js";
 import { ellipseOf, SIGMAS_95 } from "./ellipse.js";
@@ -7,6 +6,7 @@ import { widthText } from "./facts.js";
 import { passes } from "./filter.js";
 import { kindOfNode, layerOfDetection, verdictOf } from "./layers.js";
 import { fill, fillRings, nearestOn, project, stroke, strokePaths } from "./paths.js";
+import { paintRoads, roadsOf } from "./roads.js";
 import { paintStreetNames, takenBySign } from "./street_names.js";
 import { paintSigns, SIGNS } from "./symbols.js";
 
@@ -16,17 +16,6 @@ import { paintSigns, SIGNS } from "./symbols.js";
  * @typedef {{xs: Float64Array, ys: Float64Array, items: any[]}} Points Projected at zoom 0.
  */
 
-/** Classes of roads: metres as drawn, and the name of the colours; the widest are drawn last. */
-const CLASSES = /** @type {Record<string, [number, string]>} */ ({
-  motorway: [12, "major"],
-  trunk: [11, "major"],
-  primary: [9, "major"],
-  secondary: [8.5, "main"],
-  tertiary: [7.5, "main"],
-  living_street: [5.5, "road"],
-  service: [4, "service"],
-});
-const USUAL_CLASS = /** @type {[number, string]} */ ([6.5, "road"]);
 const RAY_M = 14;
 const VERDICT_PX = { unscored: 8, right: 8, wrong: 10 };
 /** From so many pixels per metre on (zoom 18.5) a sign is a ring, in which the detections of a place are seen. */
@@ -54,10 +43,7 @@ export class Scene {
     this.places = result.places.map(flat);
     this.buildings = result.buildings.map(flat);
     this.errors = result.matches.map(({ line, outcome }) => ({ path: flat(line), layer: outcome.toLowerCase() }));
-    this.roads = result.roads.map(({ line, properties: { highway, is_drivable, name } }) => {
-      const [width, kind] = CLASSES[String(highway).replace(/_link$/, "")] ?? USUAL_CLASS;
-      return { path: flat(line), width, kind, isDrivable: Boolean(is_drivable ?? true), name: name ?? null };
-    });
+    this.roads = roadsOf(map, result.roads);
     this.measured = result.measured.map(({ line, properties }) => ({
       path: flat(line),
       width: properties.width_m ?? 0,
@@ -65,7 +51,6 @@ export class Scene {
       properties,
     }));
     this.mouths = result.mouths.map(flat);
-    this.roads.sort((a, b) => a.width - b.width);
     /** @type {Set<string>} */
     this.on = new Set();
     /** Share of the drive that a running job has processed. */
@@ -78,7 +63,10 @@ export class Scene {
   paintGround(context, view) {
     context.lineCap = "round";
     context.lineJoin = "round";
-    if (this.on.has("roads")) this.#paintRoads(context, view);
+    if (this.on.has("roads")) {
+      fillRings(context, view, this.buildings, "--building");
+      paintRoads(context, view, this.roads);
+    }
     if (this.on.has("measured")) this.#paintMeasured(context, view);
   }
 
@@ -136,26 +124,6 @@ export class Scene {
     if (this.on.has("roads") && !this.hasTiles) paintStreetNames(context, view, this.roads, taken); // tiles have their own
     const widths = this.measured.map((each) => ({ ...each, width: 0 })); // the text stands beside the line
     if (this.on.has("measured")) paintStreetNames(context, view, widths, taken);
-  }
-
-  /** @param {CanvasRenderingContext2D} context @param {View} view */
-  #paintRoads(context, view) {
-    /** @param {number} metres */
-    const width = (metres) => Math.max(1.2, Math.min(metres * view.perMetre, 40));
-    fillRings(context, view, this.buildings, "--building");
-    const driven = this.roads.filter((each) => each.isDrivable);
-    const paths = this.roads.filter((each) => !each.isDrivable).map((each) => each.path);
-    context.setLineDash(view.perMetre > 1 ? [5, 4] : []);
-    strokePaths(context, view, paths, "--road-path", Math.min(2, width(1.5)));
-    context.setLineDash([]);
-    const groups = groupBy(driven, (each) => each.width);
-    for (const [end, more] of Object.entries({ "-casing": 2, "": 0 })) {
-      for (const group of groups.values()) {
-        const [{ width: metres, kind }] = group;
-        const own = group.map((each) => each.path);
-        strokePaths(context, view, own, `--road-${kind}${end}`, width(metres) + more);
-      }
-    }
   }
 
   /** As wide as they were measured, on the picture of what was seen. @param {CanvasRenderingContext2D} context @param {View} view */

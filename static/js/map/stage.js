@@ -1,9 +1,9 @@
 /** The map: shows the result of the job at hand, or the trajectory of its drive while it runs. */
 
-import { follow, getJson } from "../api.js";
+import { follow } from "../api.js";
 import { chosenCity, cities, loadMaps, onCityChange, versionOf, wantsCity, watchMaps } from "../data/city.js";
 import { demo, onDemoChange, tryDemo } from "../data/demo.js";
-import { FINAL, lists, onListsChange, rememberJob } from "../data/lists.js";
+import { FINAL, lists, loadJob, onListsChange, rememberJob } from "../data/lists.js";
 import { loadOverview } from "../data/overview.js";
 import { loadResult, loadTrajectory, withService } from "../data/results.js";
 import { el, fill, icon, plural, takesDrops } from "../dom.js";
@@ -11,11 +11,10 @@ import { CRS, control, LeafletMap, latLngBounds } from "../leaflet.js";
 import { failureNote, problemNote } from "../messages.js";
 import { addShortcut } from "../shortcuts.js";
 import { getState, setState, subscribe } from "../state.js";
-import { recall } from "../storage.js";
 import { CITY_KEYS, CityScene } from "./city.js";
 import { PLACE_SIGNS, signOfChange } from "./city_places.js";
 import { ComparedLayer, followCompared, onCompared } from "./compared.js";
-import { addButton, addCoordinates, addCorner } from "./corners.js";
+import { addButton, addCoordinates, addCorner, legendWidth } from "./corners.js";
 import { closeDetails, goTo, hasDetails, keepDetails, openDetails, openSelection } from "./details.js";
 import { clearFilter, isFiltering, onFilterChange } from "./filter.js";
 import { KeyframeLayer } from "./keyframe.js";
@@ -43,7 +42,7 @@ const LOCAL_CREDIT = "Metres of the drive’s own frame: it has no georeference"
 
 /** @type {Scene|OverviewScene|null} */
 let scene = null;
-/** What the map was last fitted to. @type {{places: number[][], local: boolean, padding: number[][]}|null} */
+/** What the map was last fitted to. @type {{places: number[][], local: boolean}|null} */
 let whole = null;
 /** What was last shown before it was sent: its roads stay while its job runs. @type {Result|null} */
 let previewed = null;
@@ -97,8 +96,7 @@ export async function mountStage() {
         }
         return;
       }
-      let job =
-        lists.jobs.find((each) => each.id === id && each.state === "successful") ?? (await getJson(`jobs/${id}`));
+      let job = lists.jobs.find((each) => each.id === id && each.state === "successful") ?? (await loadJob(id));
       if (mine !== token) return;
       if (job.kind === "intersections") job = rememberJob(job);
       awaited = FINAL.has(job.state) ? null : id;
@@ -180,7 +178,7 @@ export async function mountStage() {
     scene.on = new Set(["roads", "places", "track", "keyframes"]);
     scene.progress = progress;
     parts.setAttribution(result);
-    if (isNew) fit(result.trajectory, false, result.local, below(note));
+    if (isNew) fit(result.trajectory, false, result.local);
     parts.redraw();
   };
 
@@ -207,7 +205,7 @@ export async function mountStage() {
       build(false);
       const fitIt = () => {
         const tracks = own.items.flatMap(({ drive }) => drive.track);
-        fit([box.slice(0, 2), box.slice(2), ...tracks], false, false, below(note));
+        fit([box.slice(0, 2), box.slice(2), ...tracks], false, false);
       };
       const own = new CityScene(city, shown.map, (isFirst) => {
         if (scene !== own) return;
@@ -218,7 +216,7 @@ export async function mountStage() {
       scene = own;
       tellOfCity(own);
       updateLayers();
-      parts.setAttribution({ roads: [], nodes: city.osm ? [city] : [], local: false, isMadeUp: city.is_made_up });
+      parts.setAttribution({ roads: [city], nodes: [], local: false, isMadeUp: city.is_made_up });
       fitIt();
       own.goToEntry(false);
       own.look();
@@ -273,10 +271,11 @@ export async function mountStage() {
     );
     build(false);
     scene = new OverviewScene(drives, shown.map);
+    scene.loadRoads(() => parts.redraw());
     updateLayers();
-    parts.setAttribution({ roads: [], nodes: [], local: false, isMadeUp: false });
+    parts.setAttribution({ roads: drives.filter(({ job }) => job), nodes: [], local: false, isMadeUp: false });
     const places = drives.flatMap(({ track }) => track);
-    if (isNew) fit(places, false, false, below(note));
+    if (isNew) fit(places, false, false);
     return true;
   };
 
@@ -512,7 +511,7 @@ function addFilterNote(made) {
 function fitDrive(animate) {
   const { result } = shown;
   if (!result) {
-    if (whole) fit(whole.places, animate, whole.local, whole.padding);
+    if (whole) fit(whole.places, animate, whole.local);
     return;
   }
   const places = [...result.keyframes, ...result.intersections].map(({ lng, lat }) => [lng, lat]);
@@ -523,28 +522,21 @@ function fitDrive(animate) {
  * @param {number[][]} places Longitude, latitude.
  * @param {boolean} animate
  * @param {boolean} local
- * @param {number[][]} [padding] Left and top, right and bottom, pixels.
  */
-function fit(places, animate, local, padding = margins()) {
+function fit(places, animate, local) {
   if (!places.length) return;
-  whole = { places, local, padding };
-  const [paddingTopLeft, paddingBottomRight] = padding;
+  whole = { places, local };
+  const [paddingTopLeft, paddingBottomRight] = margins();
   const bounds = latLngBounds(places.map(([lng, lat]) => [lat, lng]));
   shown.map.fitBounds(bounds, { paddingTopLeft, paddingBottomRight, animate, maxZoom: local ? 4 : 19.5 });
 }
 
-/** @param {HTMLElement} note @returns {number[][]} What controls and note cover: left and top, right and bottom, pixels. */
-const below = (note) => [
-  [56, note.offsetHeight + 40],
-  [40, 40],
-];
-
-/** @returns {number[][]} What the controls cover: left and top, right and bottom, pixels. */
+/** @returns {number[][]} What controls, legend and note cover: left and top, right and bottom, pixels. */
 function margins() {
-  const hasLegend = shown.map.getSize().x >= 640 && recall("interloc.legend") !== "no";
+  const note = shown.map.getContainer().parentElement.querySelector(".stage-note")?.offsetHeight ?? 0;
   return [
-    [56, 40],
-    [hasLegend ? 232 : 40, 40],
+    [56, Math.min(note, shown.map.getSize().y / 4) + 40],
+    [legendWidth(shown.map) + 40, 40],
   ];
 }
 

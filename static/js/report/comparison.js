@@ -1,6 +1,6 @@
 /** The panel that puts jobs of one drive side by side. */
 import { getConfig, getJson } from "../api.js";
-import { select, table } from "../controls.js";
+import { busy, select, table } from "../controls.js";
 import { kindOfCompared } from "../data/compared.js";
 import { lists, onListsChange, titleOf } from "../data/lists.js";
 import { el, fill, formatMetres, formatPercent, plural } from "../dom.js";
@@ -78,6 +78,7 @@ function comparison({ job, report }) {
     const { service } = getState();
     fill(places);
     if (ids.length < 2) return fill(holder);
+    fill(holder, busy("Comparing…"));
     try {
       const [compared, ...others] = await Promise.all([
         getJson(`compare?jobs=${ids.map(encodeURIComponent).join(",")}`),

@@ -1,12 +1,11 @@
-/** The report: how far off, how many right, how many missed; over D, per node, beside the paper, beside another job. */
+/** The result: its job, and the report: how far off, how many right, how many missed; over D, per node, beside the paper, beside another job. */
 import { getJson } from "../api.js";
 import { figure, resultSection as section, table } from "../controls.js";
 import { el, fill, formatCount, formatDate, formatMetres, formatPercent, plural } from "../dom.js";
-import { openRunDialog } from "../job/run_dialog.js";
+import { mountJob } from "../job/panel.js";
 import { serviceSwitch } from "../map/details.js";
-import { onResult } from "../map/shown.js";
-import { showError } from "../messages.js";
-import { getState, setState } from "../state.js";
+import { onResult, shown } from "../map/shown.js";
+import { getState, subscribe } from "../state.js";
 import { barChart, lineChart } from "./chart.js";
 import { intersectionList } from "./intersections.js";
 import { nodeTable } from "./nodes.js";
@@ -20,33 +19,19 @@ const DETECTIONS_HINT =
 
 /** @param {HTMLElement} container */
 export function mount(container) {
-  onResult((result) => {
-    if (!result) return fill(container, el("p.quiet", "The report appears here when a job is done."));
-    if (!result.report) return fill(container, unscored(result));
-    fill(container, el("div.stack", sections(result, result.report)));
-  });
-}
-
-/** @param {Result} result */
-function unscored(result) {
-  const [title, text] = result.local
-    ? [
-        "No georeference",
-        "The drive has neither oxts/ nor geo.csv, so it cannot be laid over OpenStreetMap. Its intersections are on the " +
-          "map in local metres.",
-      ]
-    : ["No map", "The job was submitted without a map. Run it again with one to see which intersections are right."];
-  const { job } = result;
-  const withMap = () => openRunDialog(job.drive_id, { job, withMap: true }).catch(showError);
-  return el("div.stack", [
-    el("h2", "Not scored"),
-    el("p.note", el("strong", title), text),
-    el("div.row", [
-      el("button.primary", { onClick: withMap }, "Run again with a map…"),
-      el("button", { onClick: () => setState({ panel: "job" }) }, "To the job"),
-    ]),
-    section("Intersections", intersectionList(result)),
-  ]);
+  const job = el("div");
+  const report = el("div.section");
+  fill(container, job, report);
+  mountJob(job);
+  const update = () => {
+    const { result } = shown;
+    report.hidden = result?.job.id !== getState().job;
+    if (report.hidden || !result) fill(report);
+    else if (result.report) fill(report, el("div.stack", sections(result, result.report)));
+    else fill(report, section("Intersections", intersectionList(result)));
+  };
+  subscribe(["job"], update);
+  onResult(update);
 }
 
 /** @param {Result} result @param {any} report */
@@ -70,10 +55,7 @@ function sections(result, report) {
     { name: "F1", colour: "var(--found)", dash: "2 3", points: points.map((p) => [p.d, p.f1]) },
   ];
   return [
-    el("div", [
-      el("h2.cut", result.job.drive_name),
-      el("p.small", `${source} under policy `, el("b", report.policy), merged, "."),
-    ]),
+    el("p.small", `${source} under policy `, el("b", report.policy), merged, "."),
     report.warnings.map((/** @type {string} */ text) => el("p.note.warning", text)),
     el("section.group", [
       el("h3", "The map"),

@@ -314,7 +314,7 @@ async function start(picked, upload) {
   current = null;
   if (upload.jobId) {
     rememberJob(await getJson(`jobs/${upload.jobId}`));
-    const next = getState().panel === "upload" ? { panel: "job" } : {};
+    const next = getState().panel === "upload" ? { panel: "result" } : {};
     setState({ drive: upload.driveId, job: upload.jobId, frame: null, view: null, ...next });
     await showStart();
   } else {

@@ -13,6 +13,8 @@ from urllib.parse import urlsplit
 import httpx
 import pytest
 
+from app.page.files import PageFiles
+from app.settings import Settings
 from interloc.evaluation.map_level import GATE_M
 from interloc.osm.container import SIMULATOR
 from interloc.osm.policies import POLICIES
@@ -88,6 +90,20 @@ def test_the_page_and_its_files(page: httpx.Client, page_files: Path) -> None:
         assert "'unsafe-inline'" not in answer.headers["content-security-policy"]
         assert page.get(address, headers={"if-none-match": answer.headers["etag"]}).status_code == 304
         assert page.head(address).headers["etag"] == answer.headers["etag"]
+
+
+def test_the_bundle_is_the_page_as_long_as_it_is_made_of_these_modules(static: Path) -> None:
+    source = (static / "js/main.js").read_text()
+    (static / "bundle").mkdir()
+    (static / "bundle/main.js").write_text("export const answer=42")
+    of_map = {"sources": ["../js/main.js", "../node_modules/gone.js"], "sourcesContent": [source, "of a package"]}
+    (static / "bundle/main.js.map").write_text(json.dumps(of_map))
+    files = PageFiles(Settings(static_dir=static))
+    assert b"/bundle/main.js" in files.index()
+    (static / "js/main.js").write_text(source.replace("42", "43"))
+    assert b"/js/main.js" in files.index()
+    (static / "bundle/main.js.map").write_text("no map")
+    assert b"/js/main.js" in files.index()
 
 
 def test_browsers_keep_the_files_of_one_version_of_the_page(page: httpx.Client, page_files: Path) -> None:
