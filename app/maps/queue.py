@@ -69,7 +69,7 @@ def read_delivery(
     """Give the findings but those marked wrong or fixed. The same finding has the same identity in each upload."""
     from interloc.city.delivery import MAX_TASKS, maproulette  # noqa: PLC0415 - of scientific packages
 
-    collection, last = _findings(context, map_id), _latest(context, map_id)
+    collection, last = _findings(context, map_id), latest(_judgements(context, map_id))
     done = {"wrong", "fixed"}
     features = [
         each for each in collection["features"] if each["id"] not in last or last[each["id"]].verdict not in done
@@ -103,7 +103,7 @@ def list_queue(
 
     Verdicts are kept with who gave them and when. A place marked wrong never comes back, whatever is merged later.
     """
-    features, last = _features(context, map_id), _latest(context, map_id)
+    features, last = _features(context, map_id), latest(_judgements(context, map_id))
     ids = sorted({*features, *last}) if state != "open" else sorted(features)
     some = [
         each
@@ -144,7 +144,7 @@ def judge_finding(
     map_id: MapId, finding: _FindingId, new: NewVerdict, context: ContextDep, client: ClientDep
 ) -> WholeEntry:
     """Keep what you saw there, with your name and the time; earlier verdicts stay in its history."""
-    features, last = _features(context, map_id), _latest(context, map_id)
+    features, last = _features(context, map_id), latest(_judgements(context, map_id))
     if finding not in features and finding not in last:
         raise _no_finding(map_id, finding)
     with context.database.writing() as session:
@@ -213,9 +213,9 @@ def _features(context: Context, map_id: str) -> dict[str, dict[str, Any]]:
     return {str(each["id"]): each for each in _findings(context, map_id)["features"]}
 
 
-def _latest(context: Context, map_id: str) -> dict[str, Judgement]:
+def _judgements(context: Context, map_id: str) -> list[Judgement]:
     with context.database.reading() as session:
-        return latest(judgements_of(session, map_id))
+        return judgements_of(session, [map_id])[map_id]
 
 
 def _no_finding(map_id: str, finding: str, kind: str = "") -> Problem:
@@ -263,13 +263,15 @@ def _links(lon: float, lat: float) -> Links:
 
 
 def _whole(context: Context, map_id: str, finding: str) -> WholeEntry:
-    features, last = _features(context, map_id), _latest(context, map_id)
+    features, judgements = _features(context, map_id), _judgements(context, map_id)
+    last = latest(judgements)
     if finding not in features and finding not in last:
         raise _no_finding(map_id, finding)
     open_ = sorted(features.keys() - last.keys())
     behind, before = [each for each in open_ if each > finding], [each for each in open_ if each < finding]
-    with context.database.reading() as session:
-        history = judgements_of(session, map_id, finding)
-    entry = _entry(map_id, finding, features.get(finding), last.get(finding))
-    following = behind[0] if behind else before[0] if before else None
-    return WholeEntry(**entry.model_dump(), next=following, previous=before[-1] if before else None, history=history)
+    return WholeEntry(
+        **_entry(map_id, finding, features.get(finding), last.get(finding)).model_dump(),
+        next=behind[0] if behind else before[0] if before else None,
+        previous=before[-1] if before else None,
+        history=[each for each in judgements if each.finding == finding],
+    )

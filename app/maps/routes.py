@@ -24,7 +24,6 @@ from app.jobs.queue import no_drive
 from app.maps.models import MapDriveList, MapDriveModel, MapList, MapModel, NewMap
 from app.maps.records import OSM, find_map, map_key, map_models
 from app.maps.work import AUDIT, CITY
-from app.ogc.indexing import sweep_map_rows
 from app.ogc.routes import MapId
 from app.paths import check_path
 from app.store.models import CityMap, Drive, MapDrive
@@ -110,14 +109,11 @@ def show_map(map_id: MapId, request: Request, context: ContextDep, _client: Clie
 @priced("cheap")
 def delete_map(map_id: MapId, context: ContextDep, _client: ClientDep) -> None:
     """Delete a map for good, with its names of places and all verdicts; its drives stay."""
-    with context.database.reading() as session:
+    with context.database.writing() as session:
         if find_map(session, map_id).holds_all:
             raise Problem(MAP_IS_OF_THE_SERVER, f"The map {map_id} holds all drives of the server, and stays.")
-    sweep_map_rows(context.database, map_id, is_gone=True)
-    with context.database.writing() as session:
         session.execute(delete(CityMap).where(CityMap.id == map_id))
     context.storage.delete(map_key(map_id))
-    context.map_rows.pop(map_id, None)
 
 
 @get_and_head(

@@ -183,13 +183,7 @@ def extents(session: Session, source: Source) -> dict[str, Extent]:
 
 
 def find_page(session: Session, source: Source, collection: Collection, query: Query) -> Page:
-    """Return a page of the features that a query finds.
-
-    Raises
-    ------
-    Problem
-        400: the filter holds what it cannot, or takes too long.
-    """
+    """Return a page of the features that a query finds; a 400 where its filter cannot be used or takes too long."""
     search = _Search(session, source, collection, query)
     with _patience(session):
         return search.page()

@@ -95,22 +95,11 @@ def audit(
     known: Collection[str] = (),
     wrong: Sequence[Judgement] = (),
 ) -> Audit:
-    """Compare a map of many drives with OpenStreetMap.
+    """Compare a map of many drives with one map of OpenStreetMap, or several, each for some drives, the newest last.
 
-    Parameters
-    ----------
-    city
-    maps
-        The roads of OpenStreetMap around all its drives, or several maps, each with the drives that it is for, the
-        newest last. A place is compared with those of the drives that came by; nothing is claimed where there is none,
-        or where they end. Made-up maps say nothing of OpenStreetMap.
-    config
-        Settings.
-    known
-        Ids of findings of before. They stay while they reach 70 % of what a new one must, so that a finding near a
-        threshold does not come and go.
-    wrong
-        Findings that people marked wrong (`interloc.city.models.wrong_ones`): nothing is claimed there again.
+    A place is compared with the maps of the drives that came by; nothing is claimed where there is none, where they
+    end, or near what people marked wrong. Findings that are known, by their ids, stay while they reach 70 % of what a
+    new one must, so that one near a threshold does not come and go.
     """
     own = [(maps, city.drives.keys())] if isinstance(maps, RoadGraph) else maps
     real = [(graph, frozenset(names)) for graph, names in own if not graph.is_made_up]
