@@ -132,10 +132,11 @@ class Merger:
             path: [label for drive in drives if (label := standing.rows[drive].label)]
             for path, drives in standing.osm.items()
         }
-        wrong = [each.model_dump(mode="json") for each in standing.wrong]
         outcome: Audited | InterLocError
         try:
-            outcome = self._work(city, work.audit, self._context.storage.folder(map_key(city.id)), files, wrong)
+            outcome = self._work(
+                city, work.audit, self._context.storage.folder(map_key(city.id)), files, standing.wrong
+            )
         except (WorkerLostError, WorkerLimitError):
             raise
         except InterLocError as error:  # the file is at fault: tried again when something changes

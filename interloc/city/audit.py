@@ -465,8 +465,9 @@ class _Auditor:
         names = drives or (() if row is None else self.places.drives[row])
         osm_node = None if node is None else int(self.osm.graph.node_id[node])
         ways = self.osm.graph.ways
+        tags = ways.tags or ({},) * len(ways)
         around = [
-            " ".join([f"way/{ways.id[way]} highway={ways.highway[way]}", *(f"{k}={v}" for k, v in _tags(ways, way))])
+            " ".join([f"way/{ways.id[way]} highway={ways.highway[way]}", *(f"{k}={v}" for k, v in tags[way].items())])
             for way in self.osm.ways_near(xy, _PARTNER_M)[:6]
         ]
         return Finding(
@@ -484,10 +485,6 @@ class _Auditor:
 
 def _key(kind: Kind, about: object) -> str:
     return f"{kind}-{about}"
-
-
-def _tags(ways: Any, way: int) -> list[tuple[str, str]]:  # noqa: ANN401
-    return list(ways.tags[way].items()) if ways.tags else []
 
 
 def _nearest(xy: FloatArray, others: FloatArray) -> tuple[FloatArray, IntArray]:

@@ -59,7 +59,6 @@ def test_published_settings_are_understood(tmp_path: Path) -> None:
 
 
 def test_without_knn_there_is_no_post_processing(tmp_path: Path) -> None:
-    assert read_model(write_model(tmp_path / "off", **SMALL, knn=False)).knn is None
     assert read_model(write_model(tmp_path / "none", **SMALL, edit_arch=changed("post", None))).knn is None
 
 
@@ -275,9 +274,6 @@ def test_models_of_a_folder_are_listed_with_those_that_are_broken(tmp_path: Path
     assert (broken.name, half.name) == ("a-broken", "d-half")
     assert "fov_up: is missing" in (broken.problem or "")
     assert "model.onnx is missing" in (half.problem or "")
-
-
-def test_list_of_a_folder_that_is_not_there(tmp_path: Path) -> None:
     with pytest.raises(ModelError, match="cannot be read: no such file"):
         describe_networks(tmp_path / "nowhere")
 

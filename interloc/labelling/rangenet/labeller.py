@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Lock
@@ -18,16 +17,12 @@ from interloc.labelling.rangenet.graph import Network
 from interloc.labelling.rangenet.model import CHANNELS, KnnSettings, Model, read_model
 from interloc.processes import cores
 
-_inherited: list[Network] = []
-"""Networks of a parent process, kept for ever: freeing one would wait for its threads, which only the parent has."""
-
 
 class Labeller:
     """Gives every point of a scan a label, as a `ScanLabeller`.
 
-    The network is loaded when the first scan comes, once per process: a labeller that is sent to another process, or
-    inherited by a forked one, loads its own there. Several threads may label at the same time; the stopwatch sums the
-    time of each step over those of this process, without the loading.
+    The network is loaded when the first scan comes: a labeller that is sent to another process loads its own there.
+    Several threads may label at the same time.
     """
 
     def __init__(self, model: Model, provider: str = "cpu", threads: int | None = None) -> None:
@@ -39,7 +34,6 @@ class Labeller:
         self._threads = threads
         self._ids = np.array(model.class_ids, np.uint32)
         self._network: Network | None = None
-        self._process = 0
         self._lock = Lock()
 
     def load(self) -> None:
@@ -74,10 +68,8 @@ class Labeller:
 
     def _loaded(self) -> Network:
         with self._lock:
-            if self._network is None or self._process != os.getpid():
+            if self._network is None:
                 model = self.model
-                if self._network is not None:
-                    _inherited.append(self._network)
                 self._network = Network(
                     model.graph,
                     model.form,
@@ -87,7 +79,6 @@ class Labeller:
                     provider=self._provider,
                     threads=self._threads or cores(),
                 )
-                self._process = os.getpid()
             return self._network
 
     def __getstate__(self) -> dict[str, Any]:

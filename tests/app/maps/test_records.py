@@ -44,17 +44,8 @@ def add_job(session: Session, job: str, drive: str, at: float) -> None:
 
 def judge(session: Session, number: str, verdict: str) -> None:
     at = f"2026-11-25T12:0{number}:00Z"
-    judgement = {
-        "finding": "moved-7",
-        "kind": "moved",
-        "verdict": verdict,
-        "by": "Anna",
-        "at": at,
-        "lon": 8.4,
-        "lat": 49,
-    }
-    verdicts = MapVerdict(id=number, map_id=SERVER_MAP, finding="moved-7", at=float(number), judgement=judgement)
-    session.add(verdicts)
+    judgement = {"finding": "moved-7", "kind": "moved", "verdict": verdict, "by": "Anna", "at": at, "lon": 8, "lat": 49}
+    session.add(MapVerdict(id=number, map_id=SERVER_MAP, finding="moved-7", at=float(number), judgement=judgement))
 
 
 def pin(session: Session, job: str) -> None:
