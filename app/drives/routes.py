@@ -45,7 +45,12 @@ NOT_FOUND = problems({404: "There is no such drive."})
             "model": DriveModel,
             "description": "The key was sent before: the drive of that request.",
         },
-        **problems({422: "A member is refused, or the key was used for another request."}),
+        **problems(
+            {
+                422: "A member is refused, or the key was used for another request.",
+                429: "The client has as many drives that take files as it may have.",
+            }
+        ),
     },
 )
 @priced("cheap")

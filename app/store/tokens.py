@@ -14,7 +14,7 @@ import threading
 import time
 from dataclasses import dataclass
 
-from sqlalchemy import delete, or_, select, update
+from sqlalchemy import delete, func, or_, select, update
 
 from app.settings import Settings
 from app.states import Scope
@@ -28,6 +28,7 @@ ANONYMOUS = "anonymous"
 OPERATOR = "operator"
 """Client of the token in the settings."""
 
+MAX_TOKENS = 1000
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._@-]{0,63}")
 _BELIEVED_S = 5.0  # a token that was revoked or has expired is refused after this time at the latest
 _PAUSE_S = 0.05  # between two readings of the table
@@ -62,6 +63,11 @@ def add_token(
             raise ConfigError(f"the token of {name} would have expired already; expected a date to come, or 30d")
         if session.get(Token, name) is not None:
             raise ConfigError(f"there is a token {name} already; `interloc token revoke {name}` takes it away")
+        if (session.scalar(select(func.count()).select_from(Token)) or 0) >= MAX_TOKENS:
+            raise ConfigError(
+                f"there are {MAX_TOKENS:,} tokens, which each server reads again and again, and no more can be; "
+                "`interloc token revoke` takes away those that nobody uses (`interloc token list`)"
+            )
         session.add(
             Token(
                 name=name,

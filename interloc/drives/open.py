@@ -150,7 +150,10 @@ def read_drive(
             if scans is None or scans.frames is None:
                 readings[folder] = DriveReading(scans)
                 continue
-            rows, where = trajectory().within_jumps(scans.frames, _pose_file(scans, trajectory()), findings)
+            where = trajectory()
+            if isinstance(scans, RawScans) and scans.labelled is not None:
+                where = where.part(scans.labelled)
+            rows, where = where.within_jumps(scans.frames, _pose_file(scans, where), findings)
             scans = scans if rows is None else _within(scans, rows)
             sample = sample_indices(scans.usable, len(scans.usable) if thorough else SAMPLED_SCANS)
             labels = scans.judge_labels(sample, options, findings)
@@ -306,6 +309,7 @@ def _checked(reading: DriveReading, findings: Findings) -> DriveReading:
     if findings.errors == errors and not is_cut:  # else what follows is the same fault in other words
         check_scan_motion(drive, scans.usable, pose_file, findings)
     if isinstance(scans, RawScans):
+        scans.check_turns(findings)
         scans.tell_doubts(findings)
     if drive.georeference is None or drive.pose_frame == "oxts":
         return reading

@@ -44,7 +44,7 @@ from interloc.drives.scans.rosbag.peek import MissingRangeError, peek
 from interloc.drives.trajectory import LidarPoses, Trajectory, read_trajectory
 from interloc.geometry import enu_from_lonlat, lonlat_from_enu
 from interloc.reduction.listing import ListedDrive, Listing, find_drives, reason_for_none
-from interloc.reduction.plan import plan_of
+from interloc.reduction.reduce import plan_of
 
 HEAD_BYTES = 65_536
 """What is enough of a file to see what it is."""

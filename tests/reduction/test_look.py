@@ -264,7 +264,7 @@ def test_a_name_that_is_file_and_folder_is_a_problem() -> None:
 
 @pytest.mark.parametrize(("form", "compression"), [
     ("bag", None), ("bag", (Writer1.CompressionFormat.LZ4,)),
-    ("mcap", None), ("mcap", (CompressionMode.STORAGE, CompressionFormat.ZSTD)), ("db3", None),
+    ("mcap", None), ("mcap", (CompressionMode.STORAGE, CompressionFormat.ZSTD)),
 ])  # fmt: skip
 def test_a_bag_is_looked_into_by_ranges_of_its_bytes(form: str, compression: Any, tmp_path: Path) -> None:
     scans = [np.ones((4000, 4), np.float32)] * 3
