@@ -42,7 +42,6 @@ COMMANDS = (
     ("live street --print", ""),
     ("config --preset default", ""),
     ("simulate town -o made --max-scans 3", ""),
-    ("label street --model nowhere", "label"),
     ("batch street -o dask --dask tcp://127.0.0.1:1", "dask"),
     ("export out -o out.mcap", "mcap"),
     ("export out -o out.parquet", "parquet"),
@@ -51,10 +50,10 @@ COMMANDS = (
     ("odometry street -o poses.txt", "odometry"),
     ("info s3://nowhere/drive", "storage"),
     ("live street --server http://127.0.0.1:1", "live"),
-    ("token list --data-dir data", "service"),
-    ("ros", "ros2"),
+    ("token add me --data-dir data", "service"),
+    ("ros /points", "ros2"),
 )
-FAILS_ELSEWHERE = ("nowhere", "127.0.0.1:1")  # with the extra too, for a reason that its message tells
+FAILS_ELSEWHERE = ("s3://", "127.0.0.1:1")  # with the extra too, for a reason that its message tells
 
 
 def environment(folder: Path, wheel: Path, extra: str) -> Path:
@@ -80,13 +79,14 @@ def try_all(python: Path, place: Path, extra: str) -> list[str]:
             text=True,
             check=False,
         )
-        asks = "pip install" in done.stderr
+        said = done.stdout + done.stderr
+        asks = "pip install" in said
         should_work = not needs or needs in has
         fails_elsewhere = any(sign in command for sign in FAILS_ELSEWHERE)
         works = not asks and (done.returncode == 0) != fails_elsewhere
-        good = works if should_work else asks and done.returncode == 1
-        if not good or "fault of InterLoc" in done.stderr or "Traceback" in done.stderr:
-            faults.append(f"[{extra}] interloc {command}: exit {done.returncode}: {done.stderr.strip()[-400:]}")
+        good = works if should_work else asks and done.returncode != 0
+        if not good or "fault of InterLoc" in said or "Traceback" in said:
+            faults.append(f"[{extra}] interloc {command}: exit {done.returncode}: {said.strip()[-400:]}")
     return faults
 
 
