@@ -85,7 +85,8 @@ def _complaint(path: str) -> str | None:
     rules = (
         (not path, "is empty"),
         (
-            any(unicodedata.category(character) in _CONTROLS for character in path) or "\ufffd" in path,
+            (not path.isprintable() and any(unicodedata.category(each) in _CONTROLS for each in path))
+            or "\ufffd" in path,
             "holds a control character, another one that is not shown, or bytes that are not UTF-8",
         ),
         ("\\" in path, "holds a backslash"),

@@ -62,7 +62,7 @@ class Georeference:
     """(N,) float64 or None: one-sigma uncertainty of the position along each horizontal axis, as its source states it;
     NaN where it does not."""
 
-    def part(self, rows: slice) -> Georeference:
+    def part(self, rows: slice | IntArray) -> Georeference:
         """Return that of some of the scans."""
         std_m = self.position_std_m
         return replace(

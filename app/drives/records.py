@@ -15,7 +15,7 @@ from sqlalchemy.orm import Session, defer
 
 from app.context import Context
 from app.drives.models import DriveList, DriveModel, FileList, NewDrive, UploadedFile
-from app.http.paging import cursor_of, newest_first, rows_after
+from app.http.parameters import cursor_of, newest_first, rows_after
 from app.http.problem_types import (
     BUSY,
     DRIVE_IS_CLOSED,
@@ -28,6 +28,7 @@ from app.http.problem_types import (
     MAP_IN_USE,
     RESULT_NOT_READY,
     SOURCE_REFUSED,
+    TOO_MANY_UPLOADS,
 )
 from app.http.problems import Problem
 from app.jobs.folders import label_folders
@@ -45,6 +46,9 @@ from interloc.errors import ConfigError, InterLocError
 from interloc.osm.container import MAP_ENDINGS, is_map
 from interloc.output.geojson import read_json
 from interloc.storage import check_address, is_within
+
+MAX_UPLOADS = 1000
+"""Drives of one client that take files."""
 
 _LOOKS, _LOOK_S = 20, 0.05  # at a file whose row is about to be committed
 
@@ -70,8 +74,8 @@ def create_drive(context: Context, owner: str, new: NewDrive, key: str | None = 
     as_before = {"source"} if new.source is None else None  # keys of older versions stay valid
     request = None if key is None else hashlib.sha256(new.model_dump_json(exclude=as_before).encode()).hexdigest()
     with context.database.writing() as session:
+        context.database.lock_owner(session, owner)
         if key is not None:
-            context.database.lock_owner(session, owner)
             earlier = session.scalar(select(Drive).where(Drive.owner == owner, Drive.idempotency_key == key))
             if earlier is not None and earlier.deleted_at is not None:
                 earlier.idempotency_key = None  # from the trash it comes back without
@@ -80,6 +84,13 @@ def create_drive(context: Context, owner: str, new: NewDrive, key: str | None = 
                 if earlier.request_sha256 != request:
                     raise key_used(key, f"drive {earlier.id}")
                 return drive_model(earlier, context.settings), False
+        of_owner = (Drive.owner == owner, Drive.state == DriveState.UPLOADING, Drive.deleted_at.is_(None))
+        if (session.scalar(select(func.count()).where(*of_owner)) or 0) >= MAX_UPLOADS:
+            raise Problem(
+                TOO_MANY_UPLOADS,
+                f"{MAX_UPLOADS:,} drives of {owner} still take files, and that is the limit. Commit or delete some of "
+                "them (GET /api/v1/drives?state=uploading lists them).",
+            )
         now = context.database.clock(session)
         drive = Drive(
             name=new.name,

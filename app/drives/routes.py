@@ -14,13 +14,22 @@ from app.drives.commit import begin_commit, committed
 from app.drives.models import CommitRequest, DriveChanges, DriveList, DriveModel, LookRequest, NewDrive
 from app.drives.work.look import look
 from app.http.delivery import WholeFile, answer_tagged, tag_of
+from app.http.gate import ClientDep
 from app.http.headers import IdempotencyKey, WaitSeconds
-from app.http.openapi import CHANGED, CHANGES_NOTHING, PAGED, TAGGED, get_and_head, problems
-from app.http.paging import After, answer_page, has_part, lies_in, made_between
-from app.http.parameters import BoxFilter, CreatedAfter, CreatedBefore, NamePart
+from app.http.openapi import CHANGED, CHANGES_NOTHING, TAGGED, get_and_head, problems
+from app.http.parameters import (
+    After,
+    BoxFilter,
+    CreatedAfter,
+    CreatedBefore,
+    NamePart,
+    answer_page,
+    has_part,
+    lies_in,
+    made_between,
+)
 from app.http.patterns import ID
 from app.http.prices import priced
-from app.http.security import ClientDep
 from app.jobs.runner import RunnerDep
 from app.jobs.view import wait_for_job
 from app.states import DriveState
@@ -45,7 +54,12 @@ NOT_FOUND = problems({404: "There is no such drive."})
             "model": DriveModel,
             "description": "The key was sent before: the drive of that request.",
         },
-        **problems({422: "A member is refused, or the key was used for another request."}),
+        **problems(
+            {
+                422: "A member is refused, or the key was used for another request.",
+                429: "The client has as many drives that take files as it may have.",
+            }
+        ),
     },
 )
 @priced("cheap")
@@ -59,7 +73,7 @@ def create_drive(
     return drive
 
 
-@get_and_head(router, "", tags=["Drives"], response_model=DriveList, summary="List drives", responses=PAGED)
+@get_and_head(router, "", tags=["Drives"], response_model=DriveList, summary="List drives", responses=TAGGED)
 @priced("cheap")
 def list_drives(
     request: Request,
@@ -89,20 +103,19 @@ def list_drives(
     "/look",
     tags=["Drives"],
     summary="Look into a folder before it is sent",
+    response_model=FolderLook,
     openapi_extra=CHANGES_NOTHING,
     responses=problems({413: "The listing is too large.", 422: "A member is refused, or the work takes too long."}),
 )
 @priced("heavy", bound="the body: listing, small files and ranges", body_bytes=32 * 1024**2)
-async def look_into_folder(
-    request: LookRequest, context: ContextDep, runner: RunnerDep, client: ClientDep
-) -> FolderLook:
+async def look_into_folder(request: LookRequest, context: ContextDep, runner: RunnerDep, client: ClientDep) -> Response:
     """Tell which drives a folder of yours holds, what is wrong with one of them, where it went, and what to send of it.
 
     Nothing is made or kept. The folder is judged by the names and sizes of its files and by the contents of the small
     ones; give those that `wanted` names, and what was counted in `frames_to_look_into`, and ask again, to learn all.
     A client that reduces scans itself sends what `plan` says: `ground/...` of these scans and `reduced.json`.
     """
-    return await runner.run_in_worker(
+    found = await runner.run_in_worker(
         look,
         request.files,
         request.contents,
@@ -116,6 +129,7 @@ async def look_into_folder(
         await run_in_threadpool(context.storage.incoming),
         client=client,
     )
+    return Response(found, media_type="application/json")
 
 
 @get_and_head(

@@ -146,6 +146,7 @@ TOO_MANY_HEADERS = _kind("too-many-headers", 431, "The request has too many head
 TOO_MANY_JOBS = _kind("too-many-jobs", 429, "Too many jobs of this client wait or run.")
 TOO_MANY_MAPS = _kind("too-many-maps", 429, "The client has as many maps of many drives as it may have.")
 TOO_MANY_SESSIONS = _kind("too-many-sessions", 429, "The client has as many live sessions as it may have.")
+TOO_MANY_UPLOADS = _kind("too-many-uploads", 429, "The client has as many drives that take files as it may have.")
 TOO_MANY_WRONG_TOKENS = _kind(
     "too-many-wrong-tokens", 429, "Too many tokens that do not exist were sent within a minute."
 )

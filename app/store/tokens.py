@@ -14,7 +14,8 @@ import threading
 import time
 from dataclasses import dataclass
 
-from sqlalchemy import delete, or_, select, update
+from sqlalchemy import delete, func, or_, select, update
+from sqlalchemy.exc import SQLAlchemyError
 
 from app.settings import Settings
 from app.states import Scope
@@ -28,6 +29,7 @@ ANONYMOUS = "anonymous"
 OPERATOR = "operator"
 """Client of the token in the settings."""
 
+MAX_TOKENS = 1000
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._@-]{0,63}")
 _BELIEVED_S = 5.0  # a token that was revoked or has expired is refused after this time at the latest
 _PAUSE_S = 0.05  # between two readings of the table
@@ -62,6 +64,11 @@ def add_token(
             raise ConfigError(f"the token of {name} would have expired already; expected a date to come, or 30d")
         if session.get(Token, name) is not None:
             raise ConfigError(f"there is a token {name} already; `interloc token revoke {name}` takes it away")
+        if (session.scalar(select(func.count()).select_from(Token)) or 0) >= MAX_TOKENS:
+            raise ConfigError(
+                f"there are {MAX_TOKENS:,} tokens, which each server reads again and again, and no more can be; "
+                "`interloc token revoke` takes away those that nobody uses (`interloc token list`)"
+            )
         session.add(
             Token(
                 name=name,
@@ -118,6 +125,7 @@ class TokenBook:
         self._exposed = not settings.is_loopback
         self._holders: dict[str, Holder] = {}
         self._read_at = _NEVER
+        self._failure: tuple[float, SQLAlchemyError] | None = None
         self._reading = threading.Lock()
         self._used: dict[str, float] = {}
 
@@ -142,10 +150,16 @@ class TokenBook:
             if self._read_at > since:
                 return
             time.sleep(max(0.0, min(_PAUSE_S, self._read_at + _PAUSE_S - time.monotonic())))
+            if self._failure is not None and self._failure[0] > since:
+                raise self._failure[1]
             begun = time.monotonic()
-            with self._database.reading() as session:
-                now = self._database.clock(session)
-                rows = session.scalars(select(Token)).all()
+            try:
+                with self._database.reading() as session:
+                    now = self._database.clock(session)
+                    rows = session.scalars(select(Token)).all()
+            except SQLAlchemyError as error:  # all who wait for this copy are told, instead of trying one by one
+                self._failure = time.monotonic(), error
+                raise
             holders = {row.sha256: _holder(row, now) for row in rows}
             if self._read_at != _NEVER:
                 _report_changes(self._holders, holders)

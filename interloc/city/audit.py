@@ -34,7 +34,6 @@ _BESIDE_M = 8.0  # as far from a node its own junction hides what a side road is
 _LEVEL_M = 25.0
 _PORTAL_M = 50.0
 _EDGE_M = 40.0
-_FAR_M = 300.0  # without any way the map is of somewhere else, or empty there
 _PARTNER_M = 25.0
 _APART_DEG = 50.0
 _TRACK_M = 15.0
@@ -409,8 +408,12 @@ class _Auditor:
         return found
 
     def _passes(self, names: Sequence[str]) -> int:
-        """Return how many passes drives are: one that begins within ten minutes of another's end is the same."""
-        spans = np.array([self.city.drives[name].data.span_s for name in names]).reshape(-1, 2)
+        """Return how many passes drives are: one that begins within ten minutes of another's end is the same.
+
+        One that has lost scans along more than a twentieth of its track is none.
+        """
+        passes = [self.city.drives[name].data for name in names]
+        spans = np.array([each.span_s for each in passes if each.is_whole]).reshape(-1, 2)
         timed = spans[np.isfinite(spans).all(axis=1)]
         first, last = timed[np.argsort(timed[:, 0])].T
         gaps = first[1:] - np.maximum.accumulate(last)[:-1]
@@ -435,13 +438,14 @@ class _Auditor:
 
     def _excuse(self, xy: FloatArray, drives: Sequence[str]) -> str | None:
         """Return why nothing is to be claimed at a place that drives came by; None where nothing speaks against it."""
-        osm, around = self.osm, np.array([xy])
+        osm = self.osm
         own = [graph for graph, names in self.maps if not names.isdisjoint(drives)]
         if not own:
             return "no map of these drives"
         corners = self.city.lonlat(xy + osm.offset_m + _EDGE_M * np.array([[1, 1], [1, -1], [-1, 1], [-1, -1]]))
-        if not np.any([graph.covers(corners) for graph in own], axis=0).all() or osm.distance(around)[0] > _FAR_M:
+        if not np.any([graph.covers(corners) for graph in own], axis=0).all():
             return "edge of the map"
+        around = np.array([xy])
         if osm.distance(around, osm.tagged("tunnel") | osm.tagged("covered"))[0] < _PORTAL_M:
             return "tunnel"
         if osm.distance(around, osm.on_levels)[0] < _LEVEL_M:

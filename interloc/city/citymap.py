@@ -231,9 +231,13 @@ class CityMap:
     def _adjust(self, drives: Sequence[DriveOnMap], changed: set[int]) -> None:
         """Solve for the knots of drives with changed places, and of as many others as would move with them."""
         free = changed
+        of = np.repeat(np.arange(len(drives)), [len(drive.place) for drive in drives])
+        place = np.unique(np.concatenate([drive.place for drive in drives]), return_inverse=True)[1].reshape(-1)
         while free:
-            seen = distinct(np.concatenate([drives[number].place for number in free]))
-            used = [n for n, drive in enumerate(drives) if n in free or np.isin(drive.place, seen).any()]
+            is_free = np.zeros(len(drives), dtype=np.bool_)
+            is_free[list(free)] = True
+            is_seen = np.bincount(place, is_free[of]) > 0
+            used = np.flatnonzero(is_free | (np.bincount(of, is_seen[place], len(drives)) > 0)).tolist()
             some = [drives[number] for number in used]
             sightings, _ = system_of(some, self.config)
             prior, start = Prior.joined([d.prior for d in some]), np.concatenate([d.knots for d in some])

@@ -36,7 +36,7 @@ def command(drive: Path, out: Path, **reading: Any) -> None:
       interloc run scans/ -o out --poses odometry --osm map.osm.gz
     """
     from interloc.drives.options import DriveOptions
-    from interloc.reduction.poses import write_poses
+    from interloc.reduction.convert import write_poses
 
     began = time.perf_counter()
     with console.progress("odometry", "scan") as bar:

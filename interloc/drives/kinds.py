@@ -17,7 +17,8 @@ from interloc.drives.options import LABEL_FILES
 Kind = Literal["bin", "pcd", "rosbag", "las", "reduced"]
 """How the scans of a drive are kept; of "bin" the small files tell the layout."""
 
-_ENDINGS = {each.name: each.endings for each in FORMATS}
+ENDINGS = {each.name: each.endings for each in FORMATS}
+"""Of scans, by the format."""
 
 RECORDING_ENDINGS = tuple(ending for each in FORMATS if not each.is_folders for ending in each.endings)
 """Endings of files that hold many scans, and are as large as a whole drive."""
@@ -62,16 +63,16 @@ def _any(words: tuple[str, ...]) -> str:
 _LABELS = rf"(?:{_any(LABEL_FILES)})/[^/]+\.label"
 _SMALL = (
     r"(?:poses|cam0_to_world|times|timestamps|calib[^/]*|calibration/[^/]+|velodyne_points/timestamps[^/]*)\.txt"
-    r"|geo\.csv|oxts/(?:[^/]+/)?[^/]+\.txt(?:\.gz)?|georeference/.+"
+    r"|geo\.csv|dropped\.csv|oxts/(?:[^/]+/)?[^/]+\.txt(?:\.gz)?|georeference/.+"
     rf"|{KITTI360_POSES}/[^/]+/(?:poses|cam0_to_world|oxts/(?:[^/]+/)?[^/]+)\.txt"
 )
 _SCAN_FOLDERS = _any(SCAN_FOLDERS)
 
 KINDS: dict[Kind, FileNames] = {
     "pcd": FileNames(rf"(?:(?:pcd|clouds|{_SCAN_FOLDERS})/)?[^/]+\.pcd(?:\.bin)?", _any(POSE_FILES)),
-    "rosbag": FileNames(rf"[^/]+(?i:{_any(_ENDINGS['rosbag'])})", r"metadata\.yaml"),
+    "rosbag": FileNames(rf"[^/]+(?i:{_any(ENDINGS['rosbag'])})", r"metadata\.yaml"),
     "las": FileNames(
-        rf"(?:(?:las|laz)/)?[^/]+(?i:{_any(_ENDINGS['las'])})", rf"(?:(?:las|laz)/)?[^/]+(?:{_any(TRACK_ENDINGS)})"
+        rf"(?:(?:las|laz)/)?[^/]+(?i:{_any(ENDINGS['las'])})", rf"(?:(?:las|laz)/)?[^/]+(?:{_any(TRACK_ENDINGS)})"
     ),
     "reduced": FileNames(
         r"ground/[^/]+/\d+\.ground", r".+\.(?:txt|csv)(?:\.gz)?|reduced\.json", False, r"reduced\.json"

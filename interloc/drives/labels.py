@@ -5,6 +5,7 @@ What lies under the vehicle is road: labels whose scheme says otherwise are read
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field
@@ -19,7 +20,7 @@ from interloc.errors import ConfigError
 ROAD, CONFUSABLE = 1, 2
 """Groups of the selection kernel."""
 
-MIN_ROAD_SHARE = 0.05
+MIN_ROAD_SHARE, MAX_ROAD_SHARE = 0.05, 0.9
 MAX_UNKNOWN_SHARE = 0.05
 
 _LABEL_COUNT = 1 << 16
@@ -28,6 +29,8 @@ _LOWEST, _ABOVE_M = 20.0, 0.3
 _HARDLY, _MOSTLY = 0.25, 0.5
 _ENOUGH = 50
 _NUSCENES_ROAD, _NUSCENES_IDS = 11, 16
+_MOVING_OBJECTS = frozenset({0, 9, 251})
+_WITHOUT = "--labels geometry does without labels."
 
 
 @dataclass(frozen=True)
@@ -82,6 +85,10 @@ LAS = LabelScheme(
     known=frozenset(range(256)),
 )
 SCHEMES = {scheme.name: scheme for scheme in (SEMANTICKITTI, LEARNING, KITTI360, LAS)}
+
+
+_DELIBERATE = ("custom", "las")
+"""Schemes by which clouds of road alone are read, as they are asked for, or delivered."""
 
 
 def named_scheme(choice: str) -> LabelScheme | None:
@@ -181,6 +188,27 @@ def check_labels(folder: str, judgement: LabelJudgement, findings: Findings) -> 
     if scheme is None or not total:
         return
     ids = sorted(counts)
+    is_doubted = scheme.name not in _DELIBERATE and not re.fullmatch("geometry|network .*", folder)
+    if len(ids) == 1 and is_doubted and ids[0] not in scheme.road:
+        findings.refuse(
+            folder,
+            f"no point of the scans looked at is road: every one has the id {ids[0]}. Usual cause: a field that nobody "
+            f"filled, or labels of ground without classes. {_WITHOUT}",
+        )
+        return
+    road = sum(counts.get(label, 0) for label in scheme.road)
+    is_moving = len(ids) > 1 and set(ids) <= _MOVING_OBJECTS
+    is_too_much = road > MAX_ROAD_SHARE * total or (is_moving and max(ids) > 9)
+    if is_too_much and is_doubted:
+        seen = f"{road / total:.0%} of the points are road" if road else "the points are static (9) or moving (251)"
+        cause = "labels of moving objects (9 static, 251 moving)" if is_moving else "labels of other classes"
+        findings.refuse(
+            folder,
+            f"{seen} (ids {listed(ids, 12)}, read as scheme {scheme.name}); 10 to 40 % are usual. Usual cause: "
+            f"{cause}, which do not tell road. {_WITHOUT} Scans that hold road alone are read by its ids "
+            f"(--label-scheme {listed(sorted(scheme.road), 12)}).",
+        )
+        return
     if scheme.name not in {"custom", "learning", "las"} and _looks_like_learning(counts):
         findings.refuse(
             folder,
@@ -199,7 +227,6 @@ def check_labels(folder: str, judgement: LabelJudgement, findings: Findings) -> 
             findings.warning(folder, f"{message} Usual cause: another label scheme; name it, or give the ids of road.")
         else:
             findings.note(folder, message)
-    road = sum(counts.get(label, 0) for label in scheme.road)
     wanted = listed(sorted(scheme.road), 12)
     if road == 0:
         findings.refuse(

@@ -14,6 +14,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Literal
 
+from interloc.drives.data_sets import known_data_set
 from interloc.drives.files import SourceFile
 from interloc.drives.findings import DriveFileError
 from interloc.drives.formats import FORMATS, find_format, installed_formats
@@ -284,7 +285,10 @@ def _seen_in(root: Path) -> str:
         return f"{seen} without the files that go with them. "
     place = Path(folder).relative_to(root)
     if suffix == ".bin":
-        return f"{seen} in {place}: name that folder velodyne/, and put poses.txt and labels/ beside it. "
+        return (
+            f"{seen} in {place}. Where every point is four float32 (x y z remission), put them into velodyne/, named "
+            "000000.bin, 000001.bin, ..., with poses.txt and labels/ beside it; write other values per point anew. "
+        )
     return (
         f"{seen} in {place}: give that folder; where its poses lie elsewhere, "
         f"`interloc convert {folder} --poses FILE -o DRIVE` writes a drive of all. "
@@ -330,6 +334,9 @@ def recognise_layout(root: Path, options: DriveOptions, *, announced: ScanFolder
         )
     asked = [find for name, find in _LAYOUTS.items() if options.layout in {"auto", name}]
     parts = next((found for find in asked if (found := find(root, scan_folders)) is not None), None)
+    has_none = parts is not None and not parts.has_poses and options.poses is None
+    if has_none and (root / "pose").is_dir() and (seen := known_data_set(root)):
+        raise DriveFileError(str(root), f"holds no poses.txt. {seen}")
     if parts is not None and options.poses is not None:
         parts = replace(parts, poses=Path(options.poses))
     return parts if parts is None or options.name is None else replace(parts, name=options.name)
@@ -350,6 +357,6 @@ def not_a_drive(root: Path, options: DriveOptions, *, announced: ScanFolder | No
     if (asked := find_format(options.layout)) is not None:
         return DriveFileError(name, f"is not of layout {asked.name}. Expected {asked.expected}.")
     usual = next((text for pattern, text in _USUAL_MISTAKES if any(re.fullmatch(pattern, each) for each in inside)), "")
-    if seen := usual or _seen_in(root):
+    if seen := known_data_set(root) or usual or _seen_in(root):
         return DriveFileError(name, f"is not a drive. {seen}docs/own-data.md lists all formats.")
     return DriveFileError(name, f"is not a drive. Expected {', or '.join(each.expected for each in formats)}.")

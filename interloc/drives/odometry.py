@@ -133,7 +133,8 @@ def _follow(
         for row, frame in enumerate(frames[first:].tolist(), first):
             points = source.read(frame)
             try:
-                pose = odometry.add(points.values[:, :3], float(clock[row]), points.times_s)
+                times_s = None if points.times_s is None else np.nan_to_num(points.times_s)
+                pose = odometry.add(points.values[:, :3], float(clock[row]), times_s)
             except DriveError as error:
                 so_far = f"after {counted(len(stretch.poses), 'scan')} and {stretch.driven_m:,.0f} m"
                 words = f"the odometry lost track here, {so_far}: {error}"
@@ -170,7 +171,7 @@ def _are_bent(source: PointSource, frames: IntArray, clock: FloatArray) -> bool:
         found = register(there.values[:, :3], here.values[:, :3])
         if found.inlier_share >= MIN_INLIER_SHARE:
             velocity = Velocity.between(found.T_target_source, float(clock[row + 1] - clock[row]))
-            votes.append(is_bent(here.values[:, :3], here.times_s, velocity))
+            votes.append(is_bent(here.values[:, :3], np.nan_to_num(here.times_s), velocity))
     return votes.count(True) > votes.count(False)
 
 

@@ -12,7 +12,7 @@ from typing import Unpack, cast
 from interloc.drives.checks import NEAR_M, RoadSeen, check_flat_road, check_motion, check_points, sample_indices
 from interloc.drives.files import each_read_once, rows_of_part
 from interloc.drives.findings import Findings
-from interloc.drives.folder import FolderDrive, Scans
+from interloc.drives.folder import DROPPED, FolderDrive, Scans, dropped_in_words
 from interloc.drives.formats import FORMATS, ScanFormat, find_format, installed_formats
 from interloc.drives.georeference.geodetic import check_against_poses
 from interloc.drives.labels import SEMANTICKITTI, LabelJudgement
@@ -150,7 +150,10 @@ def read_drive(
             if scans is None or scans.frames is None:
                 readings[folder] = DriveReading(scans)
                 continue
-            rows, where = trajectory().within_jumps(scans.frames, _pose_file(scans, trajectory()), findings)
+            where = trajectory()
+            if isinstance(scans, RawScans) and scans.labelled is not None:
+                where = where.part(scans.labelled)
+            rows, where = where.within_jumps(scans.frames, _pose_file(scans, where), findings)
             scans = scans if rows is None else _within(scans, rows)
             sample = sample_indices(scans.usable, len(scans.usable) if thorough else SAMPLED_SCANS)
             labels = scans.judge_labels(sample, options, findings)
@@ -306,7 +309,11 @@ def _checked(reading: DriveReading, findings: Findings) -> DriveReading:
     if findings.errors == errors and not is_cut:  # else what follows is the same fault in other words
         check_scan_motion(drive, scans.usable, pose_file, findings)
     if isinstance(scans, RawScans):
+        scans.check_turns(findings)
         scans.tell_doubts(findings)
+        with findings.stage():  # a reduced drive has the warning in its manifest
+            if (dropped := drive.dropped) is not None:
+                findings.warning(DROPPED, dropped_in_words(dropped))
     if drive.georeference is None or drive.pose_frame == "oxts":
         return reading
     error = check_against_poses(drive.T_world_lidar, drive.georeference, findings)

@@ -81,7 +81,7 @@ class Trajectory:
         findings.warning(pose_file, f"the poses {jumps}")
         return rows, self.part(rows)
 
-    def part(self, rows: slice) -> Trajectory:
+    def part(self, rows: slice | IntArray) -> Trajectory:
         """Return that of some of the scans; W is the LiDAR at the first of them."""
         poses, times_s, georeference = self.poses, self.times_s, self.georeference
         if poses is not None:

@@ -33,7 +33,7 @@ from interloc.drives.layouts import PCD_ENDINGS, POSE_FILES, DriveParts, find_la
 from interloc.drives.open import NO_POSES, SAMPLED_SCANS
 from interloc.drives.options import LABEL_FILES, ODOMETRY, DriveOptions, LabelFolder, LayoutName
 from interloc.drives.scans.bin_files import BinScans, open_bin_files
-from interloc.drives.scans.las.tracks import find_tracks
+from interloc.drives.scans.las.tracks import SBET_SUFFIXES, is_track
 from interloc.drives.scans.pcd import LABEL_FIELDS, PcdScans, number_scans, open_pcd_files, read_pcd_header
 from interloc.drives.scans.raw import RawScans, trajectory_of
 from interloc.drives.scans.recorded import Recording
@@ -44,7 +44,7 @@ from interloc.drives.scans.rosbag.peek import MissingRangeError, peek
 from interloc.drives.trajectory import LidarPoses, Trajectory, read_trajectory
 from interloc.geometry import enu_from_lonlat, lonlat_from_enu
 from interloc.reduction.listing import ListedDrive, Listing, find_drives, reason_for_none
-from interloc.reduction.plan import plan_of
+from interloc.reduction.reduce import plan_of
 
 HEAD_BYTES = 65_536
 """What is enough of a file to see what it is."""
@@ -479,11 +479,16 @@ class _Look:
     def _read_clouds(self, options: DriveOptions) -> None:
         """Look for the trajectory of LAS files, or for the poses where each holds a scan."""
         found, place = self._found, self.place
-        folders = [path for path in (place, place / "las", place / "laz") if path.is_dir()]
         poses = [place / name for name in POSE_FILES if (place / name).is_file()]
-        found.pose_files = [
-            path.relative_to(place).as_posix() for path in dict.fromkeys([*poses, *find_tracks(folders)])
+        # Of those whose contents are not there only a binary one can be told, by its size: there may be very many.
+        told = [
+            name.rpartition("/")
+            for name, path in self._drive.small.items()
+            if path in self._contents or Path(name).suffix.lower() in SBET_SUFFIXES
         ]
+        beside = [place / "".join(parts) for parts in sorted(told) if parts[0] in {"", "las", "laz"}]
+        tracks = [path for path in beside if is_track(path)]
+        found.pose_files = [path.relative_to(place).as_posix() for path in dict.fromkeys([*poses, *tracks])]
         if not found.pose_files and not found.wanted and options.poses is None:
             self.findings.refuse(
                 "trajectory",

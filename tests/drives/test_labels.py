@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from hypothesis import strategies as st
 
 from interloc.drives.inspect import inspect_drive
 from interloc.drives.labels import KITTI360, LEARNING, SCHEMES, SEMANTICKITTI, guess_scheme, named_scheme
+from interloc.drives.open import open_drive
 from interloc.errors import ConfigError
 from tests import streets
 
@@ -120,3 +122,29 @@ def test_labels_of_another_type(street: Path, dtype: type, words: str) -> None:
     for file in (street / "labels").iterdir():
         np.sort(np.fromfile(file, np.uint32)).astype(dtype).tofile(file)
     assert words in str([p.message for p in inspect_drive(street).problems])
+
+
+EVERY = dict.fromkeys(SEMANTICKITTI.known or (), 9)
+
+
+@pytest.mark.parametrize(
+    ("ids", "words"),
+    [
+        ({**EVERY, 44: 0}, "labels of moving objects .*--labels geometry"),
+        ({**EVERY, 50: 251}, "labels of moving objects"),
+        (dict.fromkeys(EVERY, 7), "every one has the id 7.*--labels geometry"),
+    ],
+)
+def test_labels_that_cannot_be_of_road_are_refused(street: Path, ids: dict[int, int], words: str) -> None:
+    found = relabelled(street, ids)
+    assert any(severity == "error" and re.search(words, message) for severity, message in found)
+
+
+def test_scans_without_any_label_are_left_out_and_counted(street: Path) -> None:
+    files = sorted((street / "labels").iterdir())
+    for file in files[1::2]:
+        file.write_bytes(bytes(file.stat().st_size))
+    report, drive = inspect_drive(street), open_drive(street)
+    assert drive.frames.tolist() == [int(file.stem) for file in files[::2]]
+    assert len(drive.T_world_lidar) == len(drive.frames) == report.scans
+    assert any(f"{len(files[1::2])} of {len(files)} scans have no label" in each.message for each in report.problems)

@@ -96,3 +96,34 @@ def test_path_that_no_file_system_takes() -> None:
     with pytest.raises(DriveError, match="cannot be read"):
         open_drive("a" * 5000)
     assert not inspect_drive("a" * 5000).ok
+
+
+@pytest.mark.parametrize(
+    ("file", "words"),
+    [
+        ("lidar/00.pkl.gz", "PandaSet"),
+        ("val/00a6ffc1/sensors/lidar/315968.feather", "Argoverse 2"),
+        ("training/lidar/1002.parquet", "Waymo"),
+        ("v1.0-mini/scene.json", r"nuScenes.*v1.0-mini names 2 scenes \(scene-0061, scene-0103\)"),
+        ("town/frames/frame_0000.ply", "KITTI-CARLA"),
+        ("velodyne_left/1400505893134088.bin", "Oxford RobotCar.*reshape"),
+        ("LiDAR/Ouster/1689519045126396000.bin", "HeLiPR"),
+        ("sensor_data/Ouster/1564718964124758686.bin", "MulRan"),
+        ("lidar/1606417097528152.bin", "Boreas: .*six float32"),
+        ("velodyne_sync/1326030979747850.bin", "NCLT: .*eight bytes"),
+        ("ouster_points/data/0000000000.bin", "VBR"),
+    ],
+)
+def test_public_data_sets_are_named_with_the_way_out(tmp_path: Path, file: str, words: str) -> None:
+    (tmp_path / file).parent.mkdir(parents=True)
+    (tmp_path / file).write_text('[{"name": "scene-0103"}, {"name": "scene-0061"}]')
+    with pytest.raises(DriveError, match=f"It looks like {words}"):
+        open_drive(tmp_path)
+
+
+def test_poses_in_files_of_their_own_are_named(sequence: Path) -> None:
+    (sequence / "poses.txt").unlink()
+    (sequence / "pose").mkdir()
+    (sequence / "pose" / "0000000.txt").write_text("1 0 0 0")
+    with pytest.raises(DriveError, match=r"holds no poses.txt. It looks like Waymo in KITTI's form"):
+        open_drive(sequence)

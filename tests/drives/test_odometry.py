@@ -17,7 +17,7 @@ from interloc.drives.options import DriveOptions
 from interloc.drives.trajectory import Trajectory
 from interloc.errors import DriveError
 from interloc.geometry import invert_transform
-from interloc.reduction.poses import write_poses
+from interloc.reduction.convert import write_poses
 from tests.bags import BagWriter
 from tests.street_points import TURN_S, poses_along, seen, seen_driving, street, write_scans
 

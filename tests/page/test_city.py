@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from tests.app.processes import API, wait_until
-from tests.app.street import write_street
+from tests.app.street import in_a_town, write_street
 from tests.page.browsers import SIZE, Watch, needs_page
 from tests.page.results import Done, address_of, look_again, run_street, visit
 from tests.page.test_accessibility import check_widths, tab
@@ -24,7 +24,7 @@ AGAIN = "street again"
 def city(done: Done, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     """The map of the server: the street twice, compared with a map that has one of its crossings 10 m to the east."""
     run_street(done.server, write_street(tmp_path_factory.mktemp("city") / AGAIN, 62))
-    osm = re.sub(r'(<node id="[789]" .*lon=)"([^"]*)"', _move, (done.short / "map.osm").read_text())
+    osm = re.sub(r'(<node id="[789]" .*lon=)"([^"]*)"', _move, in_a_town((done.short / "map.osm").read_text()))
     done.server.client.put(f"{API}/maps/default/osm/town.osm", content=osm).raise_for_status()
 
     def look() -> dict[str, Any] | None:

@@ -16,6 +16,7 @@ from interloc.config import KeyframeConfig
 from interloc.drives.inspect import inspect_drive
 from interloc.drives.open import open_drive
 from interloc.drives.options import DriveOptions
+from interloc.reduction import look as look_module
 from interloc.reduction.look import DriveLook, look_into
 from interloc.reduction.reduce import prepare_reduction, reduce_drive
 from tests.bags import write_bag
@@ -206,6 +207,18 @@ def test_what_is_wrong_with_recordings_is_told_from_their_names(files: dict[str,
     assert look.whole == {name: name for name in files if not name.endswith(".txt")}
 
 
+def test_tables_beside_clouds_are_opened_where_their_contents_are_given(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of very many files the others cost nothing; a binary trajectory is told by its size."""
+    opened: list[str] = []
+    is_track = look_module.is_track
+    monkeypatch.setattr(look_module, "is_track", lambda path: opened.append(path.name) or is_track(path))
+    files = {"a.las": 10**8, "las/b.out": 272, **{f"{number}.csv": 19 for number in range(1000)}}
+    look = look_into(files, {"7.csv": b"time,x,y,z\n1,2,3,4\n"}, "picked").drive
+    assert look is not None
+    assert opened == ["7.csv", "b.out"]
+    assert look.pose_files == ["7.csv", "las/b.out"]
+
+
 def test_poses_of_las_files_with_one_scan_each_are_shown(drive: Path, tmp_path: Path) -> None:
     pytest.importorskip("laspy", reason="laspy is not installed")
     root = write_scan_files(open_drive(drive), tmp_path / "clouds")
@@ -251,7 +264,7 @@ def test_a_name_that_is_file_and_folder_is_a_problem() -> None:
 
 @pytest.mark.parametrize(("form", "compression"), [
     ("bag", None), ("bag", (Writer1.CompressionFormat.LZ4,)),
-    ("mcap", None), ("mcap", (CompressionMode.STORAGE, CompressionFormat.ZSTD)), ("db3", None),
+    ("mcap", None), ("mcap", (CompressionMode.STORAGE, CompressionFormat.ZSTD)),
 ])  # fmt: skip
 def test_a_bag_is_looked_into_by_ranges_of_its_bytes(form: str, compression: Any, tmp_path: Path) -> None:
     scans = [np.ones((4000, 4), np.float32)] * 3

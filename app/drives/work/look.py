@@ -13,7 +13,7 @@ from app.work.task import WorkSettings
 from interloc.config import KeyframeConfig
 from interloc.drives.findings import Finding
 from interloc.drives.kinds import is_recording
-from interloc.reduction.look import DriveLook, FolderLook, LabelCounts, look_into
+from interloc.reduction.look import DriveLook, LabelCounts, look_into
 
 _MAX_PROBLEMS = 100
 
@@ -29,8 +29,8 @@ def look(
     ranges: dict[str, dict[int, bytes]],
     limits: WorkSettings,
     place: Path,
-) -> FolderLook:
-    """Look into a folder; parameters as of `LookRequest`."""
+) -> bytes:
+    """Look into a folder, and return a `FolderLook` as JSON; parameters as of `LookRequest`."""
     valid, refused = {}, []
     for path, size in files.items():
         try:
@@ -50,14 +50,15 @@ def look(
         place=place,
     )
     if found.drive is None:
-        return found
+        return found.model_dump_json().encode()
     problems = [*_too_large(found.drive, valid, limits), *found.drive.problems]
     if len(problems) > _MAX_PROBLEMS:
         more = f"And {len(problems) - _MAX_PROBLEMS:,} more problems."
         problems = [*problems[:_MAX_PROBLEMS], Finding("note", "", more)]
     if refused:
         problems.append(Finding("note", "files", f"{len(refused):,} are left out for their names: {refused[0]}"))
-    return found.model_copy(update={"drive": found.drive.model_copy(update={"problems": problems})})
+    drive = found.drive.model_copy(update={"problems": problems})
+    return found.model_copy(update={"drive": drive}).model_dump_json().encode()
 
 
 def _too_large(drive: DriveLook, files: dict[str, int], limits: WorkSettings) -> Iterator[Finding]:

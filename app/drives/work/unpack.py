@@ -295,8 +295,10 @@ def _too_many_files(max_files: int) -> ArchiveError:
 
 def _zip_members(file: BinaryIO, max_files: int) -> Iterator[Member]:
     end = zipfile._EndRecData(file)  # type: ignore[attr-defined] # noqa: SLF001 - the size of the list, before it is read
-    if end is not None and end[zipfile._ECD_SIZE] > (max_files + _MAX_FOLDERS) * _MAX_ENTRY_BYTES:  # type: ignore[attr-defined] # noqa: SLF001
-        raise _too_many_files(max_files)
+    if end is not None:
+        listed, size = end[zipfile._ECD_ENTRIES_TOTAL], end[zipfile._ECD_SIZE]  # type: ignore[attr-defined] # noqa: SLF001
+        if max(listed, size // _MAX_ENTRY_BYTES) > max_files + _MAX_FOLDERS:
+            raise _too_many_files(max_files)
     with zipfile.ZipFile(file) as archive:
         if len(archive.infolist()) > max_files + _MAX_FOLDERS:
             raise _too_many_files(max_files)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -11,9 +12,11 @@ from interloc.arrays import Float32Array
 from interloc.drives.files import EMPTY, MAX_NAMED, NumberedFiles, SourceFile, in_part, list_numbered, others_like_it
 from interloc.drives.findings import Findings
 from interloc.drives.layouts import DriveParts
-from interloc.drives.options import DriveOptions
+from interloc.drives.options import LABEL_FILES, DriveOptions
+from interloc.drives.scans.bin_values import layout_of
 from interloc.drives.scans.recorded import Recording, ScanPoints
 from interloc.drives.trajectory import posed_frames
+from interloc.errors import InterLocError
 
 POINT_BYTES = 16
 """float32 x y z remission."""
@@ -21,9 +24,13 @@ POINT_BYTES = 16
 RING_POINT_BYTES = 20
 """float32 x y z intensity ring."""
 
-_MAX_RINGS = 512
-_BARE_POINT_BYTES = 12
+_LABEL_BYTES, _BARE_POINT_BYTES = 4, 12
 """float32 x y z: a scan without remission, which is refused."""
+
+_BARE = (
+    "all {count:,} scans have 12 bytes per point: x y z without remission. Expected four float32 per point (x y z "
+    "remission); write 0 as the remission where there is none."
+)
 
 
 @dataclass(frozen=True)
@@ -54,29 +61,26 @@ def open_bin_files(parts: DriveParts, options: DriveOptions, findings: Findings)
         scans = list_numbered(parts.file(parts.scans), ".bin")
     if scans is None:
         return Recording(parts, None, None)
-    point_bytes = _bytes_per_point(scans)
+    point_bytes, fault = _layout_of(scans, parts)
+    if fault and options.check:
+        findings.error(scans.folder.fault(fault))
+        return Recording(parts, None, None)
     posed = np.isin(scans.numbers, posed_frames(parts, scans.numbers, findings))
     scans = replace(scans, numbers=scans.numbers[posed], sizes=scans.sizes[posed])
     usable = np.arange(len(scans.numbers), dtype=np.int64)
     if options.check:
         wrong = ((scans.sizes % point_bytes != 0) | (scans.sizes == 0)) & in_part(options.frames, scans.numbers)
-        if wrong.any() and len(wrong) > 1 and (scans.sizes % _BARE_POINT_BYTES == 0).all() and scans.sizes.all():
-            findings.error(
-                scans.folder.fault(
-                    f"all {len(wrong):,} scans have 12 bytes per point: x y z without remission. Expected four float32 "
-                    "per point (x y z remission); write 0 as the remission where there is none."
-                )
-            )
-        else:
-            for kind in (wrong & (scans.sizes == 0), wrong & (scans.sizes > 0)):
-                rows = np.flatnonzero(kind)
-                for row in rows[: 1 if len(rows) > MAX_NAMED else None]:
-                    complaint = _size_complaint(int(scans.sizes[row]), point_bytes)
-                    complaint += others_like_it(scans.numbers[kind], len(scans.numbers))
-                    findings.error(scans.file(int(scans.numbers[row])).fault(complaint))
+        for kind in (wrong & (scans.sizes == 0), wrong & (scans.sizes > 0)):
+            rows = np.flatnonzero(kind)
+            for row in rows[: 1 if len(rows) > MAX_NAMED else None]:
+                complaint = _size_complaint(int(scans.sizes[row]), point_bytes)
+                complaint += others_like_it(scans.numbers[kind], len(scans.numbers))
+                findings.error(scans.file(int(scans.numbers[row])).fault(complaint))
         usable = usable[~wrong]
-    if point_bytes == RING_POINT_BYTES:
-        findings.note(scans.folder.name, "20 bytes per point: read as x y z intensity ring (nuScenes).")
+    if point_bytes != POINT_BYTES:
+        others = f"and {point_bytes // 4 - 4} more values, which are not used"
+        more = "ring (nuScenes)" if point_bytes == RING_POINT_BYTES else others
+        findings.note(scans.folder.name, f"{point_bytes} bytes per point: read as x y z intensity {more}.")
     return Recording(
         parts,
         BinScans(scans, point_bytes),
@@ -101,25 +105,25 @@ def read_points(file: SourceFile, point_bytes: int = POINT_BYTES) -> Float32Arra
     return points if points.shape[1] == 4 else np.ascontiguousarray(points[:, :4])
 
 
-def _bytes_per_point(scans: NumberedFiles) -> int:
-    """Return 20 where all sizes are multiples of that, and not all of 16 as well, or the fifth value is a ring."""
-    fits_ring = scans.sizes.all() and not (scans.sizes % RING_POINT_BYTES).any()
-    if not fits_ring:
-        return POINT_BYTES
-    if (scans.sizes % POINT_BYTES).any() or _has_rings(scans.path(int(scans.numbers[0]))):
-        return RING_POINT_BYTES
-    return POINT_BYTES
-
-
-def _has_rings(path: Path) -> bool:
-    """Return whether every fifth value of a scan is the number of a laser: a whole number, and not always the same."""
-    try:
-        ring = np.fromfile(path, dtype="<f4")[4::5]
-    except OSError:  # its reader says why
-        return False
-    with np.errstate(invalid="ignore"):
-        whole = (ring == np.rint(ring)) & (ring >= 0) & (ring < _MAX_RINGS)
-    return bool(len(ring) and whole.all() and ring.min() < ring.max())
+def _layout_of(scans: NumberedFiles, parts: DriveParts) -> tuple[int, str]:
+    """Return the bytes per point, and what is wrong with how the values stand."""
+    labels = np.full(len(scans.numbers), np.nan)
+    for folder in map(parts.label_folder, LABEL_FILES):
+        with suppress(InterLocError):  # their reader says why
+            if folder.is_dir():
+                files = list_numbered(parts.file(folder), ".label")
+                _, at_scan, at_label = np.intersect1d(scans.numbers, files.numbers, return_indices=True)
+                labels[at_scan] = files.sizes[at_label] / _LABEL_BYTES
+                break
+    values = np.empty(0, np.float32)
+    with suppress(OSError):
+        values = np.fromfile(scans.path(int(scans.numbers[len(scans.numbers) // 2])), "<f4")
+    count, fault = layout_of(values, scans.sizes, labels)
+    sizes = scans.sizes
+    has_bare = not (sizes % _BARE_POINT_BYTES).any() and sizes.all() and len(sizes) > 1
+    if has_bare and (count == 3 or (count == 4 and (sizes % POINT_BYTES).any())):
+        return POINT_BYTES, _BARE.format(count=len(sizes))
+    return (POINT_BYTES if count == 3 else 4 * count), fault
 
 
 def _size_complaint(size: int, point_bytes: int) -> str:

@@ -25,6 +25,10 @@ TIME_FIELDS = ("t", "time", "timestamp", "time_stamp", "offset_time", "time_offs
 
 _USUAL_SCAN_S = 0.1
 _SCAN_S = (0.01, 1.0)
+_FAR_SPANS, _MIN_SOUND = 2.0, 0.75
+"""Beyond so many times the span of the middle four fifths a time is that of another scan; a share of the points."""
+
+_FEW = 0.002  # of the points: not worth a word
 _UNITS = 4  # seconds, ms, microseconds, ns
 _SAME_CLOCK_S = 1.0
 
@@ -38,12 +42,28 @@ def point_times(values: NDArray[Any], stamp_s: float | None = None) -> Float32Ar
     """Return the (N,) float32 times of the points of a scan, seconds after the time of the scan.
 
     A scan takes about a tenth of a second, which tells seconds from milli-, micro- and nanoseconds. Times of the clock
-    of `stamp_s`, the time of the scan, count from there; those of another clock from the first point. None where these
-    are no times of a scan: all the same, not finite, or over longer than any scan takes.
+    of `stamp_s`, the time of the scan, count from there; those of another clock from the first point. Points whose time
+    is far from that of most have NaN: late, or not set. None where these are no times of a scan: all the same, or over
+    longer than any scan takes.
     """
     times = values.astype(np.float64)
-    if not len(times) or not np.isfinite(times).all():
+    finite = np.isfinite(times)
+    if not finite.any():
         return None
+    low, high = np.percentile(times[finite], (10, 90))
+    with np.errstate(invalid="ignore"):
+        sound = finite & (times >= low - _FAR_SPANS * (high - low)) & (times <= high + _FAR_SPANS * (high - low))
+    if np.count_nonzero(sound) < _MIN_SOUND * len(times):
+        return None
+    found = _times_of_scan(times[sound], stamp_s)
+    if found is None or sound.all():
+        return found
+    every = np.full(len(times), np.nan, np.float32)
+    every[sound] = found
+    return every
+
+
+def _times_of_scan(times: FloatArray, stamp_s: float | None) -> Float32Array | None:
     first, span = float(times.min()), float(np.ptp(times))
     if span <= 0:
         return None
@@ -118,21 +138,31 @@ def deskewed(recording: Recording, trajectory: Trajectory, options: DriveOptions
         return recording
     velocities = _velocities(poses.T_world_lidar, times_s)
     found = DeskewedScans(source, frames, velocities)
+    rows = np.unique(np.linspace(0, len(frames) - 1, _SAMPLED).astype(int))
+    sampled = [source.read(int(frames[row])) for row in rows]
+    bad = [float(np.isnan(each.times_s).mean()) for each in sampled if each.times_s is not None]
+    if bad and np.mean(bad) > _FEW:
+        findings.warning(
+            name,
+            f"{np.mean(bad):.1%} of the points looked at have times far from those of their scan: they stay where they "
+            "were measured. Usual cause: points that are late, or whose time was not set.",
+        )
     if options.deskew == "auto":
-        bent = [_is_bent(found, row) for row in np.unique(np.linspace(0, len(frames) - 1, _SAMPLED).astype(int))]
+        bent = [_is_bent(points, velocities[row][1]) for row, points in zip(rows, sampled, strict=True)]
         if not bent.count(True) > bent.count(False):
             why = "the points show that it was taken out before" if False in bent else "the points do not show any"
+            if not bad:
+                why = "their times are those of no scan (all the same, or spread over more than a second)"
             findings.note(name, f"the points carry times, and the motion within scans is left in: {why} (--deskew on).")
             return recording
     findings.note(name, "the motion within each scan is taken out of its points by their times (--deskew off).")
     return replace(recording, points=found)
 
 
-def _is_bent(scans: DeskewedScans, row: int) -> bool | None:
-    points, velocity = scans.source.read(int(scans.frames[row])), scans.velocities[row][1]
+def _is_bent(points: ScanPoints, velocity: Velocity | None) -> bool | None:
     if points.times_s is None or velocity is None:
         return None
-    return is_bent(points.values[:, :3], points.times_s, velocity)
+    return is_bent(points.values[:, :3], np.nan_to_num(points.times_s), velocity)
 
 
 def _velocities(T_world_lidar: FloatArray, times_s: FloatArray) -> tuple[tuple[Velocity | None, Velocity | None], ...]:

@@ -36,6 +36,14 @@ from interloc.kernels.points import select_points
 _BELOW = 5
 """How many scans are looked at for what lies under the vehicle."""
 
+_GLANCE_BYTES = 4096
+
+WIDE_VIEW_DEG = 200.0
+"""A sensor that turns sees more around it."""
+
+_SECTOR_DEG, _SCANS_OF_TURN = 10, 40
+_TURN_DEG, _PARTS = 330, 2.5
+
 LABEL_BYTES = 4
 """uint32, the label id in the lower half."""
 
@@ -102,6 +110,8 @@ class RawScans:
     """None where there are none, which was raised or listed."""
     usable: IntArray
     """(M,) int64: positions of the scans that have labels, of the size that fits."""
+    labelled: IntArray | None = None
+    """(N,) int64: rows of the whole recording, where scans whose labels are all 0 were left out."""
     scheme: LabelScheme = SEMANTICKITTI
     """Which label ids are road; known once they were judged."""
 
@@ -136,6 +146,17 @@ class RawScans:
             within = in_part(options.frames, files.numbers)
             files = replace(files, numbers=files.numbers[within], sizes=files.sizes[within])
             usable = _check_label_files(recording, usable, files, findings, sizes=options.check)
+            blank = np.array([row for row in usable if _is_blank(files.path(int(recording.frames[row])))], np.int64)
+            if 0 < len(blank) < len(usable):
+                every = len(recording.frames)
+                findings.warning(
+                    labels.name,
+                    f"{len(blank):,} of {every:,} scans have no label (all ids are 0) and are left out. Usual cause: a "
+                    "data set of which some scans are labelled only.",
+                )
+                labelled = np.setdiff1d(np.arange(every), blank)
+                usable = np.flatnonzero(np.isin(labelled, usable))
+                return cls(recording.within(labelled), labels, usable, labelled=labelled)
         return cls(recording, labels, usable)
 
     @property
@@ -159,6 +180,7 @@ class RawScans:
         if source is None or frames is None or labels is None:
             return LabelJudgement()
         counts: Counter[int] = Counter()
+        blank = 0
         for index in sample:
             frame = int(frames[index])
             with findings.stage():
@@ -167,6 +189,13 @@ class RawScans:
                 else:
                     ids = labels.of(frame, self.points_of(frame), source.name(frame))
                 counts.update(count_ids(ids))
+                blank += not ids.any()
+        if 0 < blank < len(sample):
+            findings.warning(
+                labels.name,
+                f"{blank} of {len(sample)} scans looked at have no label (all ids are 0): they count as scans without "
+                "road. Usual cause: a data set of which some scans are labelled only; leave the others out.",
+            )
         chosen = options.label_scheme
         judgement = judge_labels(
             labels.name,
@@ -190,6 +219,35 @@ class RawScans:
                 points = self.points_of(frame := int(self.frames[index]))
                 below += ids_below(points.values, labels.of(frame, points, source.name(frame)))
         check_below(labels.name, below, judgement.scheme, set(judgement.counts), findings)
+
+    def check_turns(self, findings: Findings) -> None:
+        """Warn where a scan is a part of a turn, and those after it are the other parts."""
+        if self.frames is None or not len(self.usable):
+            return
+        first = len(self.usable) // 2
+        own, seen = self._sectors(int(self.usable[first])), set[int]()
+        if len(own) * _SECTOR_DEG >= WIDE_VIEW_DEG or not own:
+            return
+        for index in self.usable[first : first + _SCANS_OF_TURN]:
+            seen |= self._sectors(int(index))
+        if len(seen) * _SECTOR_DEG < min(_TURN_DEG, _PARTS * len(own) * _SECTOR_DEG):
+            return  # a sensor that looks into one direction, or two
+        findings.warning(
+            self.parts.file(self.parts.scans).name,
+            f"a scan sees {len(own) * _SECTOR_DEG} degrees around the sensor, those after it see other parts, and "
+            f"together they see {len(seen) * _SECTOR_DEG}: each is a part of a turn, and roads are seen in pieces. "
+            "Usual cause: packets of the sensor as messages. Have the driver publish whole turns, or join the points "
+            "of each turn, moved by the poses.",
+        )
+
+    def _sectors(self, index: int) -> set[int]:
+        """Return in which sectors around the sensor a scan has points."""
+        assert self.frames is not None
+        with suppress(DriveError):  # which is said where the scan is read
+            x, y = self.points_of(int(self.frames[index])).values[:, :2].T
+            angles = np.degrees(np.arctan2(y, x))[np.isfinite(x) & np.isfinite(y)]
+            return set(np.unique(np.floor(angles / _SECTOR_DEG).astype(int) % (360 // _SECTOR_DEG)).tolist())
+        return set()
 
     def tell_doubts(self, findings: Findings) -> None:
         """Warn of labels that were made by geometry, where the checks have seen that they are doubtful."""
@@ -314,6 +372,13 @@ def read_labels(file: SourceFile) -> UInt32Array:
             + _CONVERT.format(type="float32")
         )
     return labels
+
+
+def _is_blank(path: Path) -> bool:
+    """Return whether all labels of a file are 0; of other files the beginning is read only."""
+    with suppress(OSError):  # their reader says why
+        return not np.fromfile(path, np.uint8, _GLANCE_BYTES).any() and not np.fromfile(path, np.uint8).any()
+    return False
 
 
 def count_ids(labels: UInt32Array) -> dict[int, int]:

@@ -22,6 +22,13 @@ from interloc.drives.trajectory import Trajectory
 
 _SAMPLED = 3  # scans
 
+CARLA_FIELD = "objtag"
+CARLA_WORDS = (
+    "the points have the field ObjTag, the labels of CARLA's semantic LiDAR, which is not read. Write it as a field "
+    "label, and give the ids of road: --label-scheme 7,6 (road and its lines; from CARLA 0.9.14 on 1,24)."
+)
+"""Field, in lower case, and what is said of it."""
+
 
 @dataclass(frozen=True)
 class ScanPoints:
@@ -156,14 +163,17 @@ class Recording:
         is_own = not self.parts.in_kitti360_world and self.parts.layout not in NUMBERED_ANYHOW
         return self.read_trajectory is None and is_own
 
-    def within(self, rows: slice) -> Recording:
-        """Return a piece of the recording, by its rows from one on up to another."""
+    def within(self, rows: slice | IntArray) -> Recording:
+        """Return a piece of the recording, by its rows from one on up to another, or some of its scans."""
         frames, usable, counts, times_s = self.frames, self.usable, self.point_counts, self.times_s
         assert frames is not None
+        inside = rows_within(usable, rows) if isinstance(rows, slice) and usable is not None else None
+        if isinstance(rows, np.ndarray) and usable is not None:
+            inside = np.flatnonzero(np.isin(rows, usable))
         return replace(
             self,
             frames=frames[rows],
-            usable=None if usable is None else rows_within(usable, rows),
+            usable=inside,
             point_counts=None if counts is None else counts[rows],
             times_s=None if times_s is None else times_s[rows],
         )

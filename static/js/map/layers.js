@@ -106,7 +106,7 @@ export function kindOfNode({ properties }) {
 
 /** @param {{properties: any}} intersection @returns {"right"|"wrong"|"unscored"} */
 export function verdictOf({ properties }) {
-  return properties.outcome ?? "unscored";
+  return properties.outcome === "not_counted" ? "unscored" : (properties.outcome ?? "unscored");
 }
 
 const DETECTION_LAYERS = /** @type {const} */ ({ TP: "tp", FP: "fp", none: "detections" });

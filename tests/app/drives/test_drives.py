@@ -8,6 +8,7 @@ from pathlib import Path
 import httpx
 import pytest
 
+from app.drives import records
 from app.drives.models import DriveOptionsModel
 
 
@@ -39,6 +40,18 @@ def test_a_bad_drive_is_refused_by_its_field(client: httpx.Client, body: dict[st
     answer = client.post("/api/v1/drives", json=body)
     assert answer.status_code == 422
     assert answer.json()["problems"][0]["path"] == field
+
+
+def test_a_client_may_have_some_uploads_at_once(
+    serve: Callable[..., httpx.Client], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(records, "MAX_UPLOADS", 2)
+    client = serve()
+    answers = [client.post("/api/v1/drives", json={"name": "a"}) for _ in range(3)]
+    assert [answer.status_code for answer in answers] == [201, 201, 429]
+    assert answers[2].json()["type"] == "/problems/too-many-uploads"
+    client.delete(answers[0].headers["location"]).raise_for_status()
+    assert client.post("/api/v1/drives", json={"name": "a"}).status_code == 201
 
 
 def test_a_body_that_is_not_json_is_refused(client: httpx.Client) -> None:

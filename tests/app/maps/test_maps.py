@@ -20,7 +20,7 @@ from app.store.models import FeatureLayer
 from tests.app.conftest import running_server
 from tests.app.processes import wait_until
 from tests.app.results.conftest import add_drive, add_job, work
-from tests.app.street import write_street
+from tests.app.street import in_a_town, write_street
 
 API = "/api/v1"
 EAST_DEG = 1.37e-4  # 10 m
@@ -45,7 +45,7 @@ def street(tmp_path_factory: pytest.TempPathFactory) -> Street:
     root = tmp_path_factory.mktemp("street")
     for name, scans, job in (("monday", 62, "first"), ("tuesday", 63, "second")):
         work(write_street(root / name, scans), root / job, scored=False)
-    osm = (root / "monday" / "map.osm").read_text()
+    osm = in_a_town((root / "monday" / "map.osm").read_text())
     moved = re.sub(r'(<node id="[789]" .*lon=)"([^"]*)"', lambda node: f'{node[1]}"{float(node[2]) + EAST_DEG}"', osm)
     return Street(root, moved.encode())
 

@@ -34,7 +34,6 @@ from interloc.arrays import FloatArray
 from interloc.output.credits import ODBL, map_credit
 from interloc.output.geojson import write_collection
 from interloc.output.layers import LAYERS
-from interloc.output.osm_roads import SEEN
 from interloc.output.properties import ORIGIN
 from interloc.output.styles import RIGHT, ROAD, STYLES
 from tests.app.conftest import running_server
@@ -57,90 +56,59 @@ def line(start: tuple[float, float], count: int) -> FloatArray:
     return np.round(lonlat, 7)
 
 
+def write_layer(folder: Path, name: str, geometries: list[Any], **columns: Any) -> None:
+    """Write a layer; properties that are not given are 0 or null."""
+    layer, zero = LAYERS[name], {"int": 0, "float": 0.0}
+    nothing: dict[str, Any] = {each.name: [zero.get(each.kind)] * len(geometries) for each in layer.attributes}
+    credit = {"credit": map_credit(is_made_up=False)} if layer.is_osm or name == "matches" else {}
+    features = layer.features(geometries, **(nothing | columns))
+    write_collection(folder / f"{name}.geojson", features, local=False, **credit)
+
+
 def write_result(folder: Path, lonlat: FloatArray, *, with_times: bool = False, scored: bool = True) -> None:
     """Write a result whose detections are at these places; of four, the last one is wrong."""
     folder.mkdir(parents=True)
     n = len(lonlat)
     rows = np.arange(n)
-    zeros = np.zeros(n)
     wrong = (rows % 4 == 3) & scored
     times = [f"{HOUR}{i // 60 % 60:02}:{i % 60:02}.000Z" if with_times else None for i in range(n)]
     # First of old nodes, then of new ones, whose ids 32 bits do not hold: maps are sorted by id.
     nodes = np.where(rows < 80, 24_546_294 + rows // 8, 4_000_000_000 + rows // 8).tolist()
-    here = {"world_x_m": zeros, "world_y_m": zeros}
-    branches = {"branch_bearings_deg": [[0.0, 90.0, 180.5]] * n, "branch_widths_m": [[7.0, 6.5, None]] * n}
-    found = {"branch_count": rows % 3 + 3, **branches}
-    scores = {
+    found = {
+        "branch_count": rows % 3 + 3,
+        "branch_bearings_deg": [[0.0, 90.0, 180.5]] * n,
+        "branch_widths_m": [[7.0, 6.5, None]] * n,
         "outcome": np.where(wrong, "wrong", "right" if scored else "unscored").tolist(),
         "osm_id": nodes if scored else [None] * n,
         "error_m": np.where(wrong, 7.5, rows / n) if scored else [None] * n,
         "reason": [f"Müller's 100% {i}" if w else None for i, w in enumerate(wrong.tolist())],
     }
-    detections = LAYERS["detections"].features(
-        lonlat.tolist(),
-        frame=rows,
-        x_m=zeros,
-        y_m=zeros,
-        score=rows / n,
-        intersection=[None if i % 2 else i // 100 + 1 for i in range(n)],
-        id=[f"{i}-1" for i in range(n)],
-        time=times,
-        **here,
-        **found,
-        **scores,
-    )
-    keyframes = LAYERS["keyframes"].features(
-        lonlat.tolist(),
-        frame=rows,
-        time_s=[None] * n,
-        heading_deg=zeros,
-        detections=zeros.astype(int),
-        world_yaw_rad=zeros,
-        time=times,
-        **here,
-    )
+    own = {"frame": rows, "id": [f"{i}-1" for i in range(n)], "time": times, "score": rows / n}
+    belongs = [None if i % 2 else i // 100 + 1 for i in range(n)]
+    write_layer(folder, "detections", lonlat.tolist(), **own, **found, intersection=belongs)
+    write_layer(folder, "keyframes", lonlat.tolist(), frame=rows, heading_deg=np.zeros(n), time=times)
     few = slice(None, None, 100)
     seen = rows[few] + 1
-    intersections = LAYERS["intersections"].features(
+    write_layer(
+        folder,
+        "intersections",
         lonlat[few].tolist(),
         id=seen,
         uid=[f"u{i}" for i in seen],
         observations=seen,
-        position_std_m=zeros[few] + 0.5,
+        position_std_m=np.full(len(seen), 0.5),
         position_cov_m2=[[0.25, 0.0, 0.25]] * len(seen),
-        fix_std_m=zeros[few],
-        shape_cov_m2=[[0.25, 0.0, 0.25]] * len(seen),
-        scatter_std_m=zeros[few],
-        first_frame=rows[few],
-        last_frame=rows[few],
-        confidence=zeros[few],
         first_time=times[few],
         last_time=times[few],
-        names=[None] * len(seen),
-        **{name: values[few] for name, values in {**here, **found, **scores}.items()},
+        **{name: values[few] for name, values in found.items()},
     )
-    track = LAYERS["trajectory"].features([lonlat.tolist()], scans=[n], thinned_to_m=[0.5])
-    write_collection(folder / "detections.geojson", detections, local=False)
-    write_collection(folder / "keyframes.geojson", keyframes, local=False)
-    write_collection(folder / "intersections.geojson", intersections, local=False)
-    write_collection(folder / "trajectory.geojson", track, local=False)
+    write_layer(folder, "trajectory", [lonlat.tolist()], scans=[n], thinned_to_m=[0.5])
     if scored:
         links = [[[lon, lat], [lon, lat + 1e-4]] for lon, lat in lonlat[:9].tolist()]
-        matches = LAYERS["matches"].features(
-            links,
-            frame=rows[:9],
-            error_m=zeros[:9],
-            outcome=["TP"] * len(links),
-            osm_id=nodes[:9],
-            detection=[f"{i}-1" for i in range(len(links))],
-            intersection=[None] * len(links),
-        )
-        write_collection(folder / "matches.geojson", matches, local=False, credit=map_credit(is_made_up=False))
+        of = {"outcome": ["TP"] * 9, "frame": rows[:9], "osm_id": nodes[:9], "detection": [f"{i}-1" for i in range(9)]}
+        write_layer(folder, "matches", links[:n], **{name: values[:n] for name, values in of.items()})
         across = [[[lon, lat - 5e-4], [lon, lat + 5e-4]] for lon, lat in lonlat[:1].tolist()]
-        unseen = {name: [None] for name in SEEN}
-        way = {"osm_id": [7], "highway": ["service"], "name": [None], "is_drivable": [True], **unseen}
-        road = LAYERS["osm_roads"].features(across, **way)
-        write_collection(folder / "osm_roads.geojson", road, local=False, credit=map_credit(is_made_up=False))
+        write_layer(folder, "osm_roads", across, osm_id=[7], highway=["service"], is_drivable=[True])
     spans = {"georeferenced": True, "first_time": times[0], "last_time": times[-1]}
     (folder / "run.json").write_text(json.dumps({"labels": "predictions", **spans}))
 

@@ -19,6 +19,7 @@ from app.context import open_database
 from app.main import create_app
 from app.settings import Settings
 from app.states import Scope
+from app.store import tokens
 from app.store.database import Database
 from app.store.models import Token
 from app.store.tokens import Holder, TokenBook, add_token, list_tokens, revoke_token
@@ -82,6 +83,13 @@ def test_a_name_is_given_once(database: Database) -> None:
         add_token(database, "alice")
     with pytest.raises(ConfigError, match="there is no token carol"):
         revoke_token(database, "carol")
+
+
+def test_tokens_have_a_maximum(database: Database, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tokens, "MAX_TOKENS", 1)
+    add_token(database, "ann")
+    with pytest.raises(ConfigError, match="no more can be"):
+        add_token(database, "bob")
 
 
 def test_without_tokens_this_machine_needs_none(client: httpx.Client) -> None:

@@ -464,6 +464,9 @@ def test_chunks_that_lie_are_refused(tmp_path: Path) -> None:
     changed(path, table + 4, "<I", 1)
     with pytest.raises(DriveError, match=r"the chunk at byte \d+ of [\d,]+ bytes promises 2,14\d,\d+,\d+ bytes"):
         open_cloud(changed(path, start + 8 + 30 + 4, "<I", 2**31))
+    changed(path, table + 4, "<I", 0)  # then no chunk would be looked at, and 2 GB made room for
+    with pytest.raises(DriveError, match=r"promises 12,000 points, and the table at byte [\d,]+ lists chunks of 0"):
+        open_cloud(SourceFile(path, tmp_path))
 
 
 def read_all(file: SourceFile) -> None:

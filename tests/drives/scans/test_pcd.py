@@ -14,6 +14,7 @@ from interloc.drives.files import SourceFile
 from interloc.drives.inspect import inspect_drive
 from interloc.drives.open import open_drive
 from interloc.drives.scans.bin_files import read_points
+from interloc.drives.scans.deskewed import point_times
 from interloc.drives.scans.pcd import number_scans, read_pcd
 from interloc.drives.scans.raw import read_labels
 from interloc.errors import DriveError
@@ -130,6 +131,38 @@ def test_tum_poses_at_the_times_in_the_names(sequence: Path, tmp_path: Path) -> 
     )
 
 
+@pytest.mark.parametrize("in_world", [False, True])
+def test_a_viewpoint_that_changes_holds_the_poses(sequence: Path, tmp_path: Path, in_world: bool) -> None:
+    root, poses = as_pcd(sequence, tmp_path / "pcd-drive"), 10.0 * np.arange(12.0)
+    for name in ("poses.txt", "calib.txt"):
+        (root / name).unlink()
+    for x, path in zip(poses, sorted((root / "pcd").iterdir()), strict=True):
+        points = read_pcd(SourceFile(path, root))
+        points.values[:, 0] += x * in_world
+        data = labelled_points(points.values, points.labels)
+        path.write_bytes(pcd_bytes(data, "binary", header=[("VIEWPOINT", f"{x} 0 0 1 0 0 0")]))
+    drive = open_drive(root, check=False)
+    np.testing.assert_allclose(drive.T_world_lidar[:, 0, 3], poses)
+    np.testing.assert_allclose(drive.ground_points(9).xyz, open_drive(sequence).ground_points(9).xyz, atol=1e-4)
+
+
+def test_a_viewpoint_that_stays_is_named(sequence: Path, tmp_path: Path) -> None:
+    root = as_pcd(sequence, tmp_path / "pcd-drive")
+    for path in (root / "pcd").iterdir():
+        path.write_bytes(path.read_bytes().replace(b"VIEWPOINT 0 0 0", b"VIEWPOINT 1 0 2"))
+    assert any("VIEWPOINT is 1 0 2 1 0 0 0 in all files" in each.message for each in inspect_drive(root).problems)
+
+
+def test_late_times_are_left_out_and_the_others_used() -> None:
+    times = np.linspace(0.0, 0.1, 1000)
+    late = times * 1e9
+    late[::20] += 0.4e9
+    found = point_times(late)
+    assert found is not None
+    assert np.flatnonzero(np.isnan(found)).tolist() == list(range(0, 1000, 20))
+    np.testing.assert_allclose(found[~np.isnan(found)], np.delete(times, np.s_[::20]) - times[1], atol=1e-3)
+
+
 def test_fields_of_any_type_and_order(tmp_path: Path) -> None:
     points = np.zeros(
         3,
@@ -177,6 +210,7 @@ def test_label_files_beside_pcd_files(sequence: Path, tmp_path: Path) -> None:
         drive.ground_points(5)
 
 
+BOMB = np.array([9, 64_000_000], "<u4").tobytes() + bytes(9)  # a few bytes that say they are many
 GOOD = labelled_points(np.arange(40, dtype=np.float32).reshape(10, 4))
 
 
@@ -204,6 +238,7 @@ GOOD = labelled_points(np.arange(40, dtype=np.float32).reshape(10, 4))
         ),
         (pcd_bytes(GOOD, "ascii").replace(b"5.0", b"five"), "holds 'five', which is not a number"),
         (pcd_bytes(GOOD, "ascii")[:-6], "point 10 has 3 numbers; expected 4, as in the header"),
+        (pcd_bytes(GOOD[:0], "binary_compressed", header=[("POINTS", "4000000")])[:-8] + BOMB, "would unpack from 9"),
         (pcd_bytes(GOOD, "binary_compressed")[:-3], "is damaged: its points would unpack"),
         (pcd_bytes(GOOD, "binary_compressed", header=[("POINTS", "11")]), "is damaged: its points would unpack"),
     ],

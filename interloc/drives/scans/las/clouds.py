@@ -268,20 +268,23 @@ def _check_chunks(file: SourceFile, header: Any, stream: BinaryIO, size: int) ->
         )
     records = header.vlrs.get("LasZipVlr")
     items = records[0].record_data[34:] if records else b""
-    layers = sum(
-        _LAYERS.get(kind, length if kind == 14 else 0)
-        for kind, length, _ in struct.iter_unpack("<3H", items[: len(items) // 6 * 6])
-    )
+    kinds = list(struct.iter_unpack("<3H", items[: len(items) // 6 * 6]))
+    layers = sum(_LAYERS.get(kind, length if kind == 14 else 0) for kind, length, _ in kinds)
     if not layers:
         return  # points of the older formats are compressed without sizes
     stream.seek(start)
-    begin = start + 8
-    for _, held in lazrs.read_chunk_table(stream, lazrs.LazVlr(records[0].record_data)):
-        stream.seek(begin + int(header.point_format.size) + 4)
+    begin, listed, head = start + 8, 0, sum(length for _, length, _ in kinds) + 4  # a point, and how many there are
+    for count, held in lazrs.read_chunk_table(stream, lazrs.LazVlr(records[0].record_data)):
+        stream.seek(begin + head)
         sizes = np.frombuffer(stream.read(4 * layers), "<u4")
-        if len(sizes) < layers or sizes.sum(dtype=np.int64) > held or begin + held > size:
+        promised = head + 4 * layers + int(sizes.sum(dtype=np.int64))
+        if len(sizes) < layers or promised != held or begin + held > table:
             raise file.fault(
-                f"is damaged: the chunk at byte {begin:,} of {held:,} bytes promises {sizes.sum(dtype=np.int64):,} "
-                f"bytes of compressed points. {_USUAL}"
+                f"is damaged: the chunk at byte {begin:,} of {held:,} bytes promises {promised:,} bytes of compressed "
+                f"points. {_USUAL}"
             )
-        begin += held
+        begin, listed = begin + held, listed + count
+    if listed < points:  # what is in no chunk would be read without having been checked
+        raise file.fault(
+            f"promises {points:,} points, and the table at byte {table:,} lists chunks of {listed:,}. {_USUAL}"
+        )

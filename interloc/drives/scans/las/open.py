@@ -13,6 +13,7 @@ import numpy as np
 from interloc.arrays import IntArray
 from interloc.drives.files import SourceFile
 from interloc.drives.findings import DriveFileError, Findings
+from interloc.drives.kinds import ENDINGS
 from interloc.drives.layouts import POSE_FILES, SCAN_FOLDERS, DriveParts
 from interloc.drives.options import DriveOptions
 from interloc.drives.poses.files import looks_like_tum
@@ -23,7 +24,6 @@ from interloc.drives.scans.las.tracks import find_tracks, is_table
 from interloc.drives.scans.pcd import number_scans
 from interloc.drives.scans.recorded import Recording, ScanPoints
 
-SUFFIXES = frozenset({".las", ".laz"})
 SENSOR_RANGE_M = 1000.0
 """No LiDAR of a vehicle sees further; coordinates beyond are those of a map."""
 
@@ -61,7 +61,7 @@ def open_las(root: Path, options: DriveOptions, findings: Findings) -> Recording
 
 
 def _is_las(path: Path) -> bool:
-    return path.suffix.lower() in SUFFIXES and not path.name.startswith(".") and path.is_file()
+    return path.suffix.lower() in ENDINGS["las"] and not path.name.startswith(".") and path.is_file()
 
 
 def _is_one_per_scan(clouds: tuple[Cloud, ...], parts: DriveParts, options: DriveOptions) -> bool:

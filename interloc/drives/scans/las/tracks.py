@@ -65,16 +65,17 @@ class SurveyTrack:
 
 def find_tracks(folders: list[Path]) -> list[Path]:
     """Return the files in some folders that look like a trajectory."""
-    found = [
+    return [
         path
-        for folder in folders
-        for path in sorted(folder.iterdir())
-        if path.suffix.lower() in TRACK_SUFFIXES and path.is_file() and _is_track(path)
+        for path in dict.fromkeys(each for folder in folders for each in sorted(folder.iterdir()))
+        if is_track(path)
     ]
-    return list(dict.fromkeys(found))
 
 
-def _is_track(path: Path) -> bool:
+def is_track(path: Path) -> bool:
+    """Return whether a file looks like a trajectory."""
+    if path.suffix.lower() not in TRACK_SUFFIXES or not path.is_file():
+        return False
     if path.suffix.lower() in SBET_SUFFIXES:
         return path.stat().st_size % SBET_BYTES == 0 and path.stat().st_size > 0
     return looks_like_tum(path) or is_table(path)

@@ -17,6 +17,8 @@ from interloc.arrays import FloatArray, IntArray
 from interloc.drives.clocks import ClockShift, known_shift
 from interloc.drives.files import SourceFile
 from interloc.drives.findings import DriveFileError, Findings
+from interloc.drives.kinds import ENDINGS
+from interloc.drives.scans.recorded import CARLA_FIELD
 from interloc.drives.scans.rosbag.files import (
     CHUNK_START,
     HEAD_BYTES,
@@ -47,11 +49,11 @@ from interloc.drives.scans.rosbag.messages import (
 )
 from interloc.errors import install
 
-SUFFIXES = (".bag", ".db3", ".mcap")
+SUFFIXES = ENDINGS["rosbag"]
 
 Decoded = TypeVar("Decoded")
 
-_COMPRESSED = re.compile(r".*\.(bag|db3|mcap)\.(zst|zstd|gz|bz2|xz|lz4)")
+_COMPRESSED = re.compile(rf".*({'|'.join(map(re.escape, SUFFIXES))})\.(zst|zstd|gz|bz2|xz|lz4)")
 _PART = re.compile(r"(_\d{4}(-\d\d){5})?_\d+$")  # of a bag that was split while it was recorded
 _METADATA = "metadata.yaml"
 
@@ -284,6 +286,8 @@ class PointsTopic:
     has_labels: bool
     has_remission: bool
     has_times: bool = False
+    is_of_carla: bool = False
+    """The points have CARLA's labels, which are not read."""
 
 
 def choose_points(bag: Bag, given: str | None, findings: Findings) -> PointsTopic:
@@ -337,8 +341,11 @@ def _judged(bag: Bag, topic: BagTopic) -> tuple[tuple[bool, bool, int], PointsTo
         if layout.count or row > 100:
             break
     frame = layout.header.frame_id
+    is_of_carla = CARLA_FIELD in layout.names and not layout.has("label")
     rank = (layout.has("label"), frame not in _FIXED_FRAMES, len(topic) * layout.count)
-    return rank, PointsTopic(topic, frame, layout.has("label"), layout.has("remission"), layout.has("time"))
+    return rank, PointsTopic(
+        topic, frame, layout.has("label"), layout.has("remission"), layout.has("time"), is_of_carla
+    )
 
 
 def _no_points(bag: Bag, empty: list[BagTopic]) -> str:
@@ -370,6 +377,29 @@ def pose_topics(bag: Bag, given: str | None) -> list[BagTopic]:
         and ((topic.type in POSES and len(topic) > 1) or (topic.type in TRANSFORMS and not is_static(topic)))
     ]
     return sorted(candidates, key=lambda topic: (_USUAL_ORDER[topic.type], -len(topic), topic.name))
+
+
+_OTHER_FIXES = {  # what tells positions, too, and is not read -> what makes fixes of it
+    "nmea_msgs/msg/Sentence": "nmea_navsat_driver (nmea_topic_driver)",
+    "gps_msgs/msg/GPSFix": "gps_tools (gps_to_nav_sat_fix)",
+    "gps_common/msg/GPSFix": "gps_tools (gps_to_nav_sat_fix)",
+    "novatel_oem7_msgs/msg/BESTPOS": "novatel_oem7_driver",
+    "novatel_gps_msgs/msg/NovatelPosition": "novatel_gps_driver",
+    "ublox_msgs/msg/NavPVT": "ublox_gps",
+    "septentrio_gnss_driver/msg/PVTGeodetic": "septentrio_gnss_driver",
+    "sbg_driver/msg/SbgGpsPos": "sbg_driver",
+}
+
+
+def why_no_fixes(bag: Bag) -> str:
+    """Return why a bag without fixes has none."""
+    for topic in bag.topics:
+        if (tool := _OTHER_FIXES.get(topic.type)) is not None and len(topic):
+            return (
+                f"the bag holds no GNSS fixes (sensor_msgs/NavSatFix), but {topic.name} ({topic.type}), which is not "
+                f"read: play the bag through {tool}, record its fixes, or give a geo.csv (--oxts)"
+            )
+    return "the bag holds no GNSS fixes (sensor_msgs/NavSatFix)"
 
 
 def fix_topics(bag: Bag, given: str | None) -> tuple[BagTopic, ...]:

@@ -211,6 +211,8 @@ class CloudLayout:
     row_step: int
     data: memoryview
     """The points; of the beginning of a message, what there is of them."""
+    names: tuple[str, ...] = ()
+    """Of all fields, in lower case."""
 
     @property
     def count(self) -> int:
@@ -249,7 +251,7 @@ def read_layout(data: bytes, kind: str, encoding: Encoding, *, complete: bool = 
     dtype = _dtype_of(fields, order, point_step)
     if height <= 1:
         row_step = width * point_step  # some drivers leave the field at zero
-    layout = CloudLayout(header, height, width, dtype, point_step, row_step, block)
+    layout = CloudLayout(header, height, width, dtype, point_step, row_step, block, tuple(fields))
     _check_sizes(layout, complete=complete)
     return layout
 

@@ -85,6 +85,16 @@ class FrameTree:
             self._edges[child] = None if moves is None else Edge(self.parents[child], child, moves)
         return self._edges[child]
 
+    def cure(self, otherwise: str) -> str:
+        """Say what mends a transform that is missing: those that are there without a rotation, if any are."""
+        bad = [f"{self.parents[child]} -> {child}" for child in self.parents if self.edge(child) is None]
+        if not bad:
+            return otherwise
+        return (
+            f"{', '.join(bad[:5])} of the transforms has no rotation (a quaternion 0 0 0 0, or one whose length is not "
+            "1) and is not used: give it one, 0 0 0 1 where nothing is turned"
+        )
+
     @property
     def moving(self) -> list[Edge]:
         """All edges that change over time."""
@@ -244,7 +254,8 @@ def read_motion(
         findings.warning(
             bag.name,
             f"the poses of {topic.name} are {owner}, the points are in {points_frame or 'a frame without a name'}, and "
-            f"{why}: taken as poses of the LiDAR itself. Record /tf_static, or choose other poses with --poses.",
+            f"{why}: taken as poses of the LiDAR itself. {tree.cure('Record /tf_static')}, or choose other poses with "
+            "--poses.",
         )
         how = "taken as those of the LiDAR itself"
     elif edge.child == points_frame:
@@ -327,7 +338,7 @@ def _from_tree(bag: Bag, topic: BagTopic, tree: FrameTree, points_frame: str, fi
             findings.warning(
                 bag.name,
                 f"no transform leads from {points_frame or 'the frame of the points'} to {body}: the poses of {body} "
-                "are taken as those of the LiDAR itself. Record /tf_static.",
+                f"are taken as those of the LiDAR itself. {tree.cure('Record /tf_static')}.",
             )
         chain, how = tree.upwards(body), "taken as those of the LiDAR itself"
     if any(not edge.fixed and not edge.is_rare for edge in chain):

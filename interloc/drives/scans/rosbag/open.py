@@ -14,7 +14,7 @@ from interloc.drives.files import SourceFile
 from interloc.drives.findings import DriveFileError, Findings
 from interloc.drives.layouts import SCAN_FOLDERS, DriveParts
 from interloc.drives.options import DriveOptions
-from interloc.drives.scans.recorded import Recording, ScanPoints, Topic
+from interloc.drives.scans.recorded import CARLA_WORDS, Recording, ScanPoints, Topic
 from interloc.drives.scans.rosbag.bag import (
     Bag,
     BagTopic,
@@ -101,7 +101,7 @@ def _mounts(
             bag.name,
             f"{points.topic.name} holds scans in {len(others) + 1} frames ({', '.join(times.frame_ids)}), and no "
             f"transform leads from {', '.join(lost)} to {points.frame_id}. Usual cause: several sensors on one "
-            "topic; record /tf_static, or each sensor on a topic of its own.",
+            f"topic; {found.tree.cure('record /tf_static')}, or record each sensor on a topic of its own.",
         )
     if others and not lost:
         findings.note(
@@ -130,6 +130,15 @@ def open_rosbag(root: Path, options: DriveOptions, findings: Findings) -> Record
         return None
     bag = open_bag(files, findings)
     points = choose_points(bag, options.points, findings)
+    paths = [each.name for each in bag.topics if each.type == "nav_msgs/msg/Path" and len(each)]
+    if paths and options.poses is None and not pose_topics(bag, None):
+        findings.warning(
+            bag.name,
+            f"{paths[0]} (nav_msgs/Path) holds poses, which are not read from there. Write them to a file (evo_traj "
+            f"bag2 BAG {paths[0]} --save_as_tum) and give that (--poses), or record the Odometry they come from.",
+        )
+    if points.is_of_carla:
+        findings.warning(bag.name, f"{points.topic.name}: {CARLA_WORDS}")
     folder = root if root.is_dir() else root.parent
     parts = DriveParts(
         layout="rosbag",

@@ -35,6 +35,7 @@ from interloc.drives.scans.rosbag.bag import (
     fix_topics,
     pose_topics,
     topic_list,
+    why_no_fixes,
 )
 from interloc.drives.scans.rosbag.messages import NO_FIX, TRANSFORMS, read_fix
 from interloc.drives.scans.rosbag.motion import (
@@ -275,7 +276,7 @@ def _georeference(
                 why = f", because of {reasons[0]}" if reasons else f"; others are in {', '.join(others[:5])}"
                 findings.note(bag.name, f"the fixes are taken from {topic.name}{why}. Choose with --fix.")
             return georeference, ""
-    reason = "; ".join(reasons) or "the bag holds no GNSS fixes (sensor_msgs/NavSatFix)"
+    reason = "; ".join(reasons) or why_no_fixes(bag)
     findings.note(bag.name, f"no georeference: {reason}")
     return None, reason
 

@@ -8,6 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from interloc.drives.files import SourceFile
+from interloc.drives.findings import Findings
+from interloc.drives.inspect import inspect_drive
+from interloc.drives.options import DriveOptions
+from interloc.drives.scans.rosbag.bag import open_bag, why_no_fixes
+from interloc.drives.scans.rosbag.open import open_rosbag
 from interloc.geometry import enu_from_lonlat, rotation_from_rpy
 from tests.bags import BagWriter, cells_of
 from tests.drives.scans.rosbag.test_open import (
@@ -241,3 +247,46 @@ def refused_points(path: Path) -> str:
     with pytest.raises(Exception, match="is_bigendian") as caught:
         recording.points.read(0)
     return str(caught.value)
+
+
+def test_a_transform_without_a_rotation_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with BagWriter(tmp_path / "drive", "mcap") as bag:
+        with monkeypatch.context() as patch:
+            patch.setattr("tests.bags.quaternions_from_rotations", lambda _: np.zeros((1, 4)))
+            bag.transforms("/tf_static", START, {("base_link", "velodyne"): np.eye(4)})
+        for row, time in enumerate(times_of()):
+            bag.odometry("/odom", time, straight()[row], child="base_link")
+            bag.cloud("/points", time, cells_of(scans_of()[row]))
+    assert "base_link -> velodyne of the transforms has no rotation" in said(opened(tmp_path / "drive")[2])
+
+
+def test_what_is_like_fixes_poses_and_labels_is_named(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "drive.bag", "bag") as bag:
+        others = {"/nmea": "nmea_msgs/msg/Sentence", "/path": "nav_msgs/msg/Path"}
+        for topic, kind in others.items():
+            connection = bag.writer.add_connection(topic, kind, msgdef="string sentence", md5sum="0" * 32)
+            bag.writer.write(connection, round(START * 1e9), b"\0" * 4)
+        for row, time in enumerate(times_of()):
+            cells = cells_of(scans_of()[row], np.full(30, 7))
+            cells.dtype.names = ("x", "y", "z", "intensity", "ObjTag")
+            bag.cloud("/points", time, cells)
+    lines = [f"{time:.6f} {row} 0 0 0 0 0 1" for row, time in enumerate(times_of())]
+    (tmp_path / "poses.tum").write_text("\n".join(lines) + "\n")
+    findings = Findings(stop_at_first=False)
+    assert open_rosbag(tmp_path / "drive.bag", DriveOptions(), findings) is not None
+    assert "/path (nav_msgs/Path) holds poses" in said(findings)
+    assert "ObjTag, the labels of CARLA" in said(findings)
+    bag_of = open_bag((SourceFile(tmp_path / "drive.bag", tmp_path),), findings)
+    assert "but /nmea (nmea_msgs/msg/Sentence), which is not read" in why_no_fixes(bag_of)
+
+
+def test_scans_that_are_parts_of_a_turn_are_told(tmp_path: Path) -> None:
+    angle = np.radians(np.arange(0.0, 360.0, 0.5))
+    turn = np.column_stack([20 * np.cos(angle), 20 * np.sin(angle), np.full(720, -1.7), np.ones(720)])
+    parts = np.array_split(turn.astype(np.float32), 8)
+    with BagWriter(tmp_path / "drive", "mcap") as bag:
+        for row in range(48):
+            bag.odometry("/odom", START + 0.0125 * row, np.eye(4) + 0.05 * row * np.eye(4, k=3))
+            bag.cloud("/points", START + 0.0125 * row, cells_of(parts[row % 8], np.tile([40, 48], 45)))
+    told = [each.message for each in inspect_drive(tmp_path / "drive").problems]
+    assert any("a scan sees 50 degrees around" in each and "they see 360" in each for each in told)
