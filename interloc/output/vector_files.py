@@ -372,18 +372,12 @@ _KML_NAMES = {"id": "number", "name": "street", "time": "timestamp", "first_time
 """Properties that mean something else in KML, or something that KML has a name for -> what they are called there."""
 
 
-def _without_markup(value: Any) -> Any:  # noqa: ANN401 - text, or null
-    return value.replace("<", "&lt;").replace(">", "&gt;") if isinstance(value, str) else value
-
-
 def _write_kml(export: _Export, path: Path) -> None:
     for number, (layer, rows) in enumerate(export.layers):
         # GDAL writes integers of 64 bits as text.
         small = {name: "Int32" for name, kind in layer.fields.items() if kind == "int" and name != "osm_id"}
         table = _table(layer, rows).astype(small).rename(columns=_KML_NAMES)
         table.insert(0, "Name", [layer.label.format(**vars(feature.properties)) for feature in rows.features])
-        for name in table.select_dtypes("object"):  # GDAL copies text into CDATA, where readers take it for HTML
-            table[name] = [_without_markup(value) for value in table[name]]
         _write_by_gdal(path, "LIBKML", table, layer, append=number > 0, layer_options=_about("NAME", layer, rows))
     if not path.read_bytes().rstrip().endswith(b"</kml>"):  # GDAL does not report a full disk
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))

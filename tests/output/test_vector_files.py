@@ -30,7 +30,7 @@ from interloc.output.credits import ODBL, OSM_ATTRIBUTION
 from interloc.output.geojson import write_collection
 from interloc.output.layers import LAYERS
 from interloc.output.road import read_road
-from interloc.output.vector_files import EXPORTS, _without_markup, write_vector_file
+from interloc.output.vector_files import EXPORTS, write_vector_file
 from tests.output.small import MAP, small_result, with_roads, write_folder
 
 FILES = ["intersections", "detections", "trajectory", "keyframes", "roads", "junctions", "road_surface"]
@@ -395,8 +395,3 @@ def test_a_full_disk_leaves_nothing_behind(scored: Path, tmp_path: Path) -> None
     outcome = subprocess.run(command, check=False, capture_output=True, text=True)
     assert outcome.stdout.split() == ["refused"] * len(names), outcome.stderr
     assert list(tmp_path.iterdir()) == []
-
-
-def test_markup_in_names_is_text_in_kml() -> None:
-    assert _without_markup("A & <b> ]]>") == "A & &lt;b&gt; ]]&gt;"
-    assert _without_markup(None) is None
