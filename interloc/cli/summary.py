@@ -40,11 +40,13 @@ def _bends(count: int) -> str:
 
 
 def doubt_facts(result: DriveResult) -> list[tuple[str, str]]:
-    """Return the warning of stretches whose labels are doubtful, where there are any; a report holds it anyway."""
+    """Return the warnings of doubtful labels and of lost scans, where there are any; a report holds them anyway."""
+    from interloc.drives.folder import dropped_in_words
     from interloc.labelling.track import doubts_in_words
 
-    stretches = result.run["doubtful_labels_m"]
-    return [("warning", doubts_in_words(stretches))] if stretches else []
+    stretches, dropped = result.run["doubtful_labels_m"], result.run.get("dropped")
+    found = [doubts_in_words(stretches)] if stretches else []
+    return [("warning", each) for each in (*found, *([dropped_in_words(dropped)] if dropped else []))]
 
 
 def georeference_fact(run: dict[str, Any]) -> tuple[str, str]:

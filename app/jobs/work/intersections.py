@@ -114,6 +114,7 @@ def finish(task: Task[IntersectionsJob], plan: Plan) -> IntersectionsOutcome:
         report=scores,
         has_roads=True,
         doubtful_labels_m=result.run["doubtful_labels_m"],
+        **({"dropped": result.run["dropped"]} if "dropped" in result.run else {}),
         **({"missing": beside.missing} if beside.missing else {}),
     )
 

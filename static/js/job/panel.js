@@ -175,6 +175,10 @@ function outcome(job) {
         ["Preset", job.request.preset ?? "default"],
         job.request.labels && ["Labels", job.request.labels],
         summary.doubtful_labels_m?.length && ["Labels doubtful", doubtfulText(summary.doubtful_labels_m)],
+        summary.dropped && [
+          "Scans lost",
+          `${formatCount(summary.dropped.scans)} of ${formatCount(summary.dropped.of)}: ${doubtfulText(summary.dropped.stretches_m)}`,
+        ],
         ["Map", osm ? (osm.file ?? "OpenStreetMap, by Overpass") : "none"],
         osm && ["Policy", policy ?? "drive"],
         summary.location && ["Placed by its roads", placedText(summary.location)],
