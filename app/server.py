@@ -19,7 +19,7 @@ from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 
 from app import logs
 from app.context import Context
-from app.http.security import check_exposure
+from app.http.gate import check_exposure
 from app.main import create_app
 from app.settings import Settings
 from interloc.errors import ConfigError, InterLocError

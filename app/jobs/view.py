@@ -17,7 +17,7 @@ from sqlalchemy.exc import OperationalError
 from sqlalchemy.orm import Session
 
 from app.context import Context, part_of_app
-from app.http.paging import newest_first
+from app.http.parameters import newest_first
 from app.http.problem_types import JOB_NOT_FOUND
 from app.http.problems import Problem, ProblemDocument, stored
 from app.jobs.models import JobModel, Progress

@@ -15,12 +15,12 @@ from pydantic import ValidationError
 from starlette.websockets import WebSocketDisconnect
 
 from app.context import Context, ContextDep, part_of_app
+from app.http.gate import ClientDep
 from app.http.openapi import problems
 from app.http.patterns import ID
 from app.http.prices import priced
 from app.http.problem_types import TOKEN_MAY_ONLY_READ
 from app.http.problems import Problem, respond
-from app.http.security import ClientDep
 from app.jobs.submission import config_of
 from app.live.models import SENT, Begin, Continue, End, LiveList, LiveModel
 from app.live.sessions import Keeper, LiveEntry, LiveSessions

@@ -44,7 +44,7 @@ from interloc.live.session import Answer, LiveSession
 from interloc.live.wire import decode_scan
 from interloc.live.worker import LiveWorker
 
-_ROAD, _OTHER = 40, 48  # ids of SemanticKITTI: road, sidewalk
+_ROAD, _OTHER = 11, 2  # road surface and ground, by the ids of LAS: they may be all that was sent
 _MAX_OF_ALL = 16
 _OF_SESSION, _OF_CLIENT, _OF_ALL = 96 * MB, 128 * MB, max(256 * MB, machine_memory() // 16)
 _LARGE = 4 * MB
@@ -122,7 +122,7 @@ class Keeper:
 
     def __init__(self, context: Context, owner: str, name: str, config: DetectorConfig) -> None:
         check_free_space(context, 0)
-        options = DriveOptionsModel(label_scheme="semantickitti", pose_frame="lidar")
+        options = DriveOptionsModel(label_scheme="las", pose_frame="lidar")
         drive, _ = create_drive(context, owner, NewDrive(name=name, options=options))
         self.drive_id = drive.id
         self._context, self._owner, self._config = context, owner, config
