@@ -15,12 +15,12 @@ from app.demo import routes as demo
 from app.drives import file_routes as files
 from app.drives import routes as drives
 from app.drives.commit import finish_drive
+from app.http.gate import client_of
 from app.http.middleware import add_middleware
 from app.http.openapi import DESCRIPTION, TAGS, Description, operation_id, problems
 from app.http.parameters import refuse_unknown_parameters
 from app.http.prices import TURN, Turns
 from app.http.problems import add_handlers
-from app.http.security import client_of
 from app.jobs import routes as jobs
 from app.jobs.runner import Runner
 from app.jobs.view import JobWatcher

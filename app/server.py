@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+import ctypes
 import errno
 import logging
 import os
 import socket
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
 import uvicorn
@@ -17,7 +19,7 @@ from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 
 from app import logs
 from app.context import Context
-from app.http.security import check_exposure
+from app.http.gate import check_exposure
 from app.main import create_app
 from app.settings import Settings
 from interloc.errors import ConfigError, InterLocError
@@ -28,6 +30,7 @@ _KEEP_ALIVE_S = 75  # longer than the 60 s of common reverse proxies: they must 
 _CONNECTIONS = 4000  # 503 beyond
 _SPARE_FILES = 256  # descriptors that are not for connections
 _COMPLAIN_S = 60.0
+_M_MMAP_THRESHOLD = -3  # of malloc.h
 _GRACE_S = 4  # for uploads that are under way; `docker stop` kills after ten seconds
 
 _log = logging.getLogger(__name__)
@@ -160,6 +163,7 @@ class FewFiles:
 def serve(settings: Settings, started: Callable[[int], None] | None = None) -> None:
     """Serve until SIGINT or SIGTERM; an `InterLocError` says what token, folder or address is in the way."""
     logs.set_up(settings)
+    _give_back_memory()
     context = Context.open(settings)
     try:
         check_exposure(context)
@@ -176,6 +180,15 @@ def serve(settings: Settings, started: Callable[[int], None] | None = None) -> N
             if not server.started:
                 raise
     _log.info("stopped")
+
+
+def _give_back_memory() -> None:
+    """Let large pieces of memory go back to the system when they are free, where that can be told (glibc).
+
+    By itself it learns from each piece that was freed to keep the next ones up to that size, of 32 MB.
+    """
+    with suppress(OSError, AttributeError):
+        ctypes.CDLL(None).mallopt(_M_MMAP_THRESHOLD, 1024**2)
 
 
 def _allow_open_files(wanted: int) -> int:

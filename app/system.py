@@ -11,11 +11,11 @@ from pydantic import BaseModel, ConfigDict, Field
 from sqlalchemy.exc import SQLAlchemyError
 
 from app.context import Context, ContextDep, part_of_app
+from app.http.gate import ClientDep
 from app.http.openapi import problems
 from app.http.prices import priced
 from app.http.problem_types import NOT_FOUND, TYPES
 from app.http.problems import Problem
-from app.http.security import ClientDep
 from app.jobs.runner import Runner
 from app.metrics import CONTENT_TYPE
 from app.store.storage import DataFolderGoneError

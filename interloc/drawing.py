@@ -119,7 +119,7 @@ class Sign:
     xy: FloatArray
     """(2,) float64: metres."""
     outcome: str
-    """{"right", "wrong", "unscored", "missed"}: decides shape and colour."""
+    """{"right", "wrong", "not_counted", "unscored", "missed"}: decides shape and colour."""
     text: str
     """Shown under the pointer."""
 
@@ -127,6 +127,7 @@ class Sign:
 _SIGNS = {  # paths around (0, 0), filled or stroked, and their colour
     "right": ("M-5 0a5 5 0 1 0 10 0a5 5 0 1 0-10 0z", "fill", GREEN),
     "wrong": ("M-5-5L5 5M-5 5L5-5", "stroke", VERMILION),
+    "not_counted": ("M-5 0a5 5 0 1 0 10 0a5 5 0 1 0-10 0z", "stroke", GREEN),
     "unscored": ("M-5 0a5 5 0 1 0 10 0a5 5 0 1 0-10 0z", "fill", BLUE),
     "missed": ("M0-7L7 0L0 7L-7 0z", "stroke", PURPLE),
 }

@@ -5,10 +5,15 @@ A message names the file or field, what was found, what was expected, and the us
 
 from __future__ import annotations
 
+import logging
 import re
 import reprlib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib.metadata import requires
 from importlib.util import find_spec
+
+logger = logging.getLogger(__name__)
 
 
 class InterLocError(Exception):
@@ -65,6 +70,10 @@ class OutputError(InterLocError):
     """A result that could not be written or is not where it is looked for."""
 
     http_status = 507
+
+
+class IncompleteError(InterLocError):
+    """A result that was written without something beside the answer."""
 
 
 class DamagedResultError(OutputError):
@@ -127,3 +136,42 @@ def is_interruption(error: BaseException) -> bool:
     """
     compiled = isinstance(error, SystemError) and "returned a result with an exception set" in str(error)
     return compiled or isinstance(error, KeyboardInterrupt)
+
+
+class Beside:
+    """What is beside the answer of a run, and cannot lose it: roads, figures, the score.
+
+    What failed is missing, and said. A file that could not be written (a full disk) is no such failure: it ends the
+    work, as does everything where it is strict.
+    """
+
+    def __init__(self, *, is_strict: bool = False) -> None:
+        self.missing: list[str] = []
+        """What is missing, each with the reason."""
+        self._is_strict = is_strict
+
+    @contextmanager
+    def part(self, name: str) -> Iterator[None]:
+        """Make a part of a result; go on without it where that fails."""
+        try:
+            yield
+        except Exception as error:
+            is_output = isinstance(error, OutputError) and not isinstance(error, DamagedResultError)
+            if self._is_strict or is_output or is_interruption(error) or isinstance(error, MemoryError):
+                raise
+            reason = str(error)
+            if not isinstance(error, InterLocError):
+                reason = f"a fault of InterLoc itself: {type(error).__name__}: {reason}"
+            logger.info("%s: %s", name, reason, exc_info=True)
+            self.missing.append(f"{name}: {reason}")
+
+    def check(self, out: object) -> None:
+        """Say what is missing of a result that was written to a place.
+
+        Raises
+        ------
+        IncompleteError
+            Anything is.
+        """
+        if self.missing:
+            raise IncompleteError(f"{out} was written without {'; without '.join(self.missing)}")

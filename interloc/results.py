@@ -173,6 +173,8 @@ class IntersectionTable:
     parts: PositionParts | None = None
     """What that is the sum of. None, or NaN, where it is not known: in results of versions before, and where
     `DetectorConfig.calibration` is not set."""
+    bends: int = 0
+    """Places that were left out, because all their detections together saw two branches only."""
 
     @property
     def covariances(self) -> FloatArray:
@@ -193,7 +195,7 @@ class Verdicts:
     """What an evaluation says about each of the N rows of a table."""
 
     outcome: list[str]
-    """List of N str: right, wrong or unscored."""
+    """List of N str: right, wrong, not_counted (intersections only) or unscored."""
     osm_id: list[int | None]
     """List of N int or None: OpenStreetMap node that the row was compared with."""
     error_m: FloatArray

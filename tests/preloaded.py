@@ -36,7 +36,7 @@ with tempfile.TemporaryDirectory() as folder:
     for folder_name in ("street", "reduced"):
         for name in ("paper", "default"):
             result = detect(open_drive(root / folder_name), preset(name))  # numba compiles, or finds all compiled
-    write_model(root / "model", height=16, width=128)
+    write_model(root / "model", height=16, width=128, road_half_width_m=5.0)
     detect(open_drive(root / "street", model=root / "model"), preset("default"))
     write_results(result, root / "result")
     write_report(evaluate(result, read_osm(root / "street" / "map.osm")), root / "result")

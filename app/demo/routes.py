@@ -12,12 +12,12 @@ from sqlalchemy import select
 from app.context import Context, ContextDep
 from app.drives.commit import begin_commit, committed
 from app.drives.models import CommitRequest, DriveModel, DriveOptionsModel
+from app.http.gate import ClientDep
 from app.http.headers import WaitSeconds
 from app.http.limits import check_free_space
 from app.http.openapi import Responses, problems
 from app.http.prices import priced
 from app.http.problems import Problem
-from app.http.security import ClientDep
 from app.jobs.failures import raise_failure
 from app.jobs.queue import submit
 from app.jobs.view import is_alive, wait_for_job

@@ -14,15 +14,15 @@ from app.drives.models import FileList, UnpackedArchive, UploadedBatch, Uploaded
 from app.drives.routes import DriveId
 from app.drives.upload import check_magic, check_upload, keep, queue_archive, unpacked
 from app.http.delivery import WholeFile
+from app.http.gate import ClientDep
 from app.http.headers import WaitSeconds
 from app.http.intake import Arrival, Intake, receive, receive_file
 from app.http.limits import declared_length
 from app.http.multipart import BatchReader, Place, bad_part, boundary_of
-from app.http.openapi import BINARY, PAGED, Responses, body_of, problems
-from app.http.paging import answer_page
+from app.http.openapi import BINARY, TAGGED, Responses, body_of, problems
+from app.http.parameters import answer_page
 from app.http.patterns import TEXT
 from app.http.prices import priced
-from app.http.security import ClientDep
 from app.jobs.view import wait_for_job
 from app.paths import MAX_PATH, PATH_PATTERN, check_path
 from app.states import FINAL
@@ -59,7 +59,7 @@ UPLOAD: Responses = {
 
 @router.get(
     "/files",
-    responses={**PAGED, **NOT_FOUND},
+    responses={**TAGGED, **NOT_FOUND},
     response_model=FileList,
     summary="List the files of a drive",
 )

@@ -10,8 +10,7 @@ from typing import Annotated, Self
 from pydantic import Base64Encoder, BaseModel, ConfigDict, EncodedBytes, Field, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
-from app.http.patterns import ID, NETWORK
-from app.http.strict import Body, Flag, Name, Note, Whole, strictly
+from app.http.patterns import ID, NETWORK, Body, Flag, Name, Note, Whole, strictly
 from app.jobs.webhooks import Subscriber
 from app.paths import MAX_PATH, PATH_PATTERN, BadNameError, check_path
 from app.states import DriveState

@@ -15,7 +15,7 @@ from sqlalchemy.orm import Session, defer
 
 from app.context import Context
 from app.drives.models import DriveList, DriveModel, FileList, NewDrive, UploadedFile
-from app.http.paging import cursor_of, newest_first, rows_after
+from app.http.parameters import cursor_of, newest_first, rows_after
 from app.http.problem_types import (
     BUSY,
     DRIVE_IS_CLOSED,

@@ -14,13 +14,22 @@ from app.drives.commit import begin_commit, committed
 from app.drives.models import CommitRequest, DriveChanges, DriveList, DriveModel, LookRequest, NewDrive
 from app.drives.work.look import look
 from app.http.delivery import WholeFile, answer_tagged, tag_of
+from app.http.gate import ClientDep
 from app.http.headers import IdempotencyKey, WaitSeconds
-from app.http.openapi import CHANGED, CHANGES_NOTHING, PAGED, TAGGED, get_and_head, problems
-from app.http.paging import After, answer_page, has_part, lies_in, made_between
-from app.http.parameters import BoxFilter, CreatedAfter, CreatedBefore, NamePart
+from app.http.openapi import CHANGED, CHANGES_NOTHING, TAGGED, get_and_head, problems
+from app.http.parameters import (
+    After,
+    BoxFilter,
+    CreatedAfter,
+    CreatedBefore,
+    NamePart,
+    answer_page,
+    has_part,
+    lies_in,
+    made_between,
+)
 from app.http.patterns import ID
 from app.http.prices import priced
-from app.http.security import ClientDep
 from app.jobs.runner import RunnerDep
 from app.jobs.view import wait_for_job
 from app.states import DriveState
@@ -64,7 +73,7 @@ def create_drive(
     return drive
 
 
-@get_and_head(router, "", tags=["Drives"], response_model=DriveList, summary="List drives", responses=PAGED)
+@get_and_head(router, "", tags=["Drives"], response_model=DriveList, summary="List drives", responses=TAGGED)
 @priced("cheap")
 def list_drives(
     request: Request,

@@ -12,6 +12,8 @@ the user's browser. Two attacks are kept out:
 Neither is a danger where a token is needed: browsers add none by themselves, there are no cookies. A token may also
 come as the password of HTTP Basic, which is what QGIS can send; browsers repeat such a password by themselves once a
 user has typed it, so that it only serves to read.
+
+Endpoints see who sends a request by `client_of`.
 """
 
 from __future__ import annotations
@@ -22,18 +24,23 @@ import logging
 import re
 import time
 from collections import OrderedDict
+from typing import Annotated
 from urllib.parse import urlsplit
 
 from anyio import CapacityLimiter, to_thread
+from fastapi import Depends, Request
+from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
 from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Receive, Scope, Send
 from starlette.websockets import WebSocket
 
 from app import logs
 from app.context import Context
+from app.http.openapi import changes_something
 from app.http.problem_types import (
     HOST_NOT_CLEAR,
     REQUEST_OF_ANOTHER_SITE,
+    TOKEN_MAY_ONLY_READ,
     TOKEN_NEEDED,
     TOO_MANY_HEADERS,
     TOO_MANY_WRONG_TOKENS,
@@ -41,8 +48,10 @@ from app.http.problem_types import (
 )
 from app.http.problems import Problem, respond
 from app.settings import Settings
+from app.states import Scope as TokenScope
 from app.store.database import moment
 from app.store.tokens import ANONYMOUS, Holder, TokenBook
+from interloc.errors import ConfigError
 
 _SAFE = {"GET", "HEAD", "OPTIONS"}
 _PROBES = {"/healthz", "/readyz"}
@@ -254,3 +263,47 @@ def _is_this_machine(name: str) -> bool:
         return ipaddress.ip_address(name).is_loopback
     except ValueError:
         return False
+
+
+_bearer = HTTPBearer(
+    scheme_name="token",
+    description="A token of `interloc token add`; not needed where the service runs for one machine only.",
+    auto_error=False,
+)
+
+
+async def client_of(request: Request, _: Annotated[HTTPAuthorizationCredentials | None, Depends(_bearer)]) -> str:
+    """Return the name of the client, which the gate has determined; the whole API depends on it.
+
+    A request that would change something, with a token that may only read, is a 403.
+    """
+    holder: Holder = request.state.holder
+    route = request.scope["route"]
+    if changes_something(request.method, route.openapi_extra):
+        if holder.scope != TokenScope.WRITE:
+            context: Context = request.app.state.context
+            context.metrics.refused_tokens.labels("read only").inc()
+            raise Problem(
+                TOKEN_MAY_ONLY_READ,
+                f"The token of {holder.name} has the scope {holder.scope}, and {request.method} {request.url.path} "
+                "changes something. The operator makes one that may with `interloc token add NAME`.",
+                headers={"WWW-Authenticate": 'Bearer realm="interloc", error="insufficient_scope", scope="write"'},
+            )
+        request.state.action = route.name
+    return holder.name
+
+
+ClientDep = Annotated[str, Depends(client_of)]
+"""Name of the client, which is the name of its token: the owner of what it makes."""
+
+
+def check_exposure(context: Context) -> None:
+    """Refuse to listen where other machines can connect, unless there is a token or it is wanted."""
+    settings = context.settings
+    if settings.is_loopback or settings.allow_anonymous or context.tokens.exist():
+        return
+    raise ConfigError(
+        f"--host {settings.host} lets other machines in, and there is no token. Make one with `interloc token add "
+        "NAME`, which prints it once (in a container, on the same volume: `docker run --rm -v interloc:/data interloc "
+        "token add NAME`), or set INTERLOC_TOKEN; --allow-anonymous serves everybody who can connect."
+    )

@@ -87,10 +87,7 @@ def problems(meanings: dict[int, str]) -> Responses:
 
 
 TAGGED: Responses = {304: {"description": "Nothing has changed (If-None-Match)."}}
-"""Answers of `app.http.delivery.answer_tagged`, for `responses` of an operation."""
-
-PAGED = TAGGED
-"""Answers of `app.http.paging.answer_page`, likewise."""
+"""Answers of `app.http.delivery.answer_tagged` and `answer_page`, for `responses` of an operation."""
 
 CHANGED: Responses = problems({422: "A member is refused."})
 """Answers of a change, likewise."""

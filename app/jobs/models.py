@@ -7,9 +7,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
-from app.http.patterns import ID, TEXT
+from app.http.patterns import ID, TEXT, Body, Name, Note, Number, Yes
 from app.http.problems import ProblemDocument
-from app.http.strict import Body, Name, Note, Number, Yes
 from app.jobs.webhooks import DeliveryModel, Subscriber
 from app.paths import MAX_PATH
 from app.states import JobKind, JobState

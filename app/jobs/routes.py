@@ -12,14 +12,26 @@ from sqlalchemy import or_, select
 
 from app.context import Context, ContextDep
 from app.http.delivery import answer_tagged, tag_of
+from app.http.gate import ClientDep
 from app.http.headers import IdempotencyKey, WaitIfAsked
 from app.http.limits import job_limit
-from app.http.openapi import CHANGED, PAGED, TAGGED, Responses, get_and_head, problems
-from app.http.paging import After, answer_page, cursor_of, has_part, lies_in, made_between, newest_first, rows_after
-from app.http.parameters import BoxFilter, CreatedAfter, CreatedBefore, NamePart
+from app.http.openapi import CHANGED, TAGGED, Responses, get_and_head, problems
+from app.http.parameters import (
+    After,
+    BoxFilter,
+    CreatedAfter,
+    CreatedBefore,
+    NamePart,
+    answer_page,
+    cursor_of,
+    has_part,
+    lies_in,
+    made_between,
+    newest_first,
+    rows_after,
+)
 from app.http.patterns import ID
 from app.http.prices import priced
-from app.http.security import ClientDep
 from app.jobs.models import JobChanges, JobList, JobModel, NewJob, PresetList, PresetModel
 from app.jobs.queue import submit
 from app.jobs.submission import check_request
@@ -103,7 +115,7 @@ def _submit(context: Context, client: str, new: NewJob, key: str | None) -> tupl
     "/jobs",
     response_model=JobList,
     summary="List jobs",
-    responses={**PAGED, **problems({422: "A parameter is refused."})},
+    responses={**TAGGED, **problems({422: "A parameter is refused."})},
 )
 @priced("cheap")
 def list_jobs(

@@ -17,7 +17,7 @@ from sqlalchemy.exc import OperationalError
 from sqlalchemy.orm import Session
 
 from app.context import Context, part_of_app
-from app.http.paging import newest_first
+from app.http.parameters import newest_first
 from app.http.problem_types import JOB_NOT_FOUND
 from app.http.problems import Problem, ProblemDocument, stored
 from app.jobs.models import JobModel, Progress
@@ -36,6 +36,7 @@ _MAP_LAYERS = [layer.address for layer in LAYERS.values() if layer.is_osm and la
 _OTHER_KINDS = {JobKind.COMMIT: "check", JobKind.UNPACK: "archive", JobKind.DEMO: "demo drive"}
 _STEADY_S, _STEADY_SHARE = 5.0, 0.05  # the beginning tells nothing: drive and map are read first
 _POLL_S = 0.5
+_UNREAD = 16  # changes that a listener may be behind
 _FIRST_LOOK_S, _LAST_LOOK_S = 0.05, 0.5
 _NO_WORKER = "It waits for a worker: none can be started at present. The service keeps trying; its log says why."
 
@@ -206,7 +207,7 @@ class JobWatcher:
 
     async def follow(self, job_id: str, last: Change) -> AsyncIterator[Change]:
         """Yield what comes after a change of a job, until the job has ended, is deleted, or the server stops."""
-        queue: asyncio.Queue[Change | None] = asyncio.Queue()
+        queue: asyncio.Queue[Change | None] = asyncio.Queue(_UNREAD)
         self._listeners[job_id].add(queue)
         self._versions.pop(job_id, None)  # the next look passes on what it finds
         if self._polling is None or self._polling.done():
@@ -236,14 +237,21 @@ class JobWatcher:
                     if change is not None and self._versions.get(job_id) == followed[job_id]:
                         self._versions[job_id] = change.version
                     for queue in self._listeners.get(job_id, ()):
-                        queue.put_nowait(change)
+                        _put(queue, change)
                 await asyncio.sleep(_POLL_S)
         except Exception:  # noqa: BLE001 - the listeners must not wait for ever
             _log.exception("changes of jobs could not be passed on")
         finally:  # whatever happened, end the streams of all listeners
             for queues in self._listeners.values():
                 for queue in queues:
-                    queue.put_nowait(None)
+                    _put(queue, None)
+
+
+def _put(queue: asyncio.Queue[Change | None], change: Change | None) -> None:
+    """Pass on a change; of a listener that reads too slowly the oldest is left out: the newest says it all."""
+    if queue.full():
+        queue.get_nowait()
+    queue.put_nowait(change)
 
 
 def _changes(context: Context, followed: dict[str, int | None]) -> dict[str, Change | None]:

@@ -12,9 +12,11 @@ import hmac
 import http.client
 import json
 import logging
+import socket
 import threading
 from collections import Counter, defaultdict
 from collections.abc import Collection, Mapping
+from contextlib import suppress
 from datetime import datetime
 from typing import Any, Literal
 from urllib.parse import urlsplit
@@ -36,7 +38,7 @@ RETRIES_S = (5, 300)
 """Pauses after the first try and the second; the third is the last."""
 
 _LOOK_S = 1.0
-_CALL_S = 15.0  # for each step of a call; after twice that time its server is taken for dead, and it is made again
+_CALL_S = 15.0  # for a call as a whole; after twice that time its server is taken for dead, and it is made again
 _AT_ONCE_PER_HOST = 4  # a host that answers slowly, or not at all, keeps only itself waiting
 _TOLD_BYTES = 200  # of an answer that is no success: what of it is kept
 
@@ -233,15 +235,29 @@ def _call(delivery: Delivery, secret: bytes, seconds: int) -> str | None:
     }
     kind = http.client.HTTPSConnection if parts.scheme == "https" else http.client.HTTPConnection
     connection = kind(str(parts.hostname), parts.port, timeout=_CALL_S)
+    is_late = threading.Event()
+
+    def hang_up() -> None:
+        is_late.set()
+        with suppress(OSError):
+            connection.sock.shutdown(socket.SHUT_RDWR)
+
+    in_time = threading.Timer(_CALL_S, hang_up)
+    in_time.daemon = True
     try:
+        connection.connect()
+        in_time.start()  # the timeout above is that of each step, and an answer may come one byte at a time
         connection.request("POST", (parts.path or "/") + (f"?{parts.query}" if parts.query else ""), body, headers)
         answer = connection.getresponse()
+        if is_late.is_set():
+            raise TimeoutError
         if 200 <= answer.status < 300:
             return None
         return f"{answer.status} {answer.reason}: {answer.read(_TOLD_BYTES).decode(errors='replace')}"[:500]
     except (OSError, http.client.HTTPException, UnicodeError) as error:
-        return f"{type(error).__name__}: {error}"[:500]
+        return f"no answer within {_CALL_S:g} s" if is_late.is_set() else f"{type(error).__name__}: {error}"[:500]
     finally:
+        in_time.cancel()
         connection.close()
 
 

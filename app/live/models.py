@@ -6,8 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, Field, TypeAdapter
 
-from app.http.patterns import ID
-from app.http.strict import Body
+from app.http.patterns import ID, Body
 
 
 class Begin(Body):

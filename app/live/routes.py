@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import AsyncIterator
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from typing import Annotated
 
 from fastapi import APIRouter, Depends, Path, Request, WebSocket
@@ -15,12 +15,12 @@ from pydantic import ValidationError
 from starlette.websockets import WebSocketDisconnect
 
 from app.context import Context, ContextDep, part_of_app
+from app.http.gate import ClientDep
 from app.http.openapi import problems
 from app.http.patterns import ID
 from app.http.prices import priced
 from app.http.problem_types import TOKEN_MAY_ONLY_READ
 from app.http.problems import Problem, respond
-from app.http.security import ClientDep
 from app.jobs.submission import config_of
 from app.live.models import SENT, Begin, Continue, End, LiveList, LiveModel
 from app.live.sessions import Keeper, LiveEntry, LiveSessions
@@ -32,7 +32,7 @@ from interloc.errors import ConfigError, InterLocError
 router = APIRouter(tags=["Live"])
 sockets = APIRouter()
 
-_FIRST_WORD_S = 20.0
+_FIRST_WORD_S, _SILENCE_S = 20.0, 5.0
 _MAX_REASON_BYTES = 120  # of the 125 of a control frame (RFC 6455, section 5.5)
 _MAX_TEXT = 64 * 1024
 _REFUSED, _GOING_AWAY = 1008, 1001
@@ -66,8 +66,8 @@ async def end_live(session: SessionId, live: LiveDep, client: ClientDep) -> None
     live.find(session, client).refuse("it was ended by a request of its owner.")
 
 
-async def _entry(session: SessionId, live: LiveDep) -> LiveEntry:
-    return live.find(session)
+async def _watched(session: SessionId, live: LiveDep, client: ClientDep) -> LiveEntry:
+    return live.watched(session, client)
 
 
 @router.get(
@@ -76,12 +76,16 @@ async def _entry(session: SessionId, live: LiveDep) -> LiveEntry:
     summary="Watch a live session",
     responses={
         200: {"description": "The stream of events.", "content": {"text/event-stream": {"schema": {}}}},
-        **_ANSWERS,
+        **problems({404: "There is no such session.", 429: "This client watches too many times."}),
     },
 )
 @priced("streaming")
 async def watch_live(
-    entry: Annotated[LiveEntry, Depends(_entry)], request: Request, context: ContextDep, _client: ClientDep
+    entry: Annotated[LiveEntry, Depends(_watched)],
+    request: Request,
+    context: ContextDep,
+    live: LiveDep,
+    client: ClientDep,
 ) -> AsyncIterator[ServerSentEvent]:
     """Send the session as it is now, then what is said to its sender, until it ends (server-sent events).
 
@@ -89,7 +93,9 @@ async def watch_live(
     `intersections` and `roads` so far; those after it are as docs/live.md has them. After a broken connection the
     stream begins with the state again.
     """
-    with context.metrics.listeners.track_inprogress():
+    live.watching[client] += 1
+    with context.metrics.listeners.track_inprogress(), ExitStack() as stack:
+        stack.callback(live.watching.subtract, [client])
         async for text in entry.watch(request.scope.get("root_path", "")):
             if context.stopping.is_set() or not await _may_go_on(context, request.state.holder):
                 return
@@ -122,8 +128,11 @@ async def drive_live(socket: WebSocket) -> None:
         await socket.send_json({"type": "session", "id": entry.id, "last_frame": entry.last_frame})
         reading = asyncio.create_task(_read(socket, entry, sender, context, holder))
         try:
-            while (text := await sender.get()) is not None:
-                await socket.send_text(text)
+            while (text := await _next_of(sender)) is not None:
+                if text:
+                    await socket.send_text(text)
+                elif not await _may_go_on(context, holder):  # one that sends nothing is heard of here
+                    entry.refuse("its token was revoked.")
             if entry.refusal is not None:
                 await _close(socket, entry.refusal)
             else:
@@ -131,6 +140,13 @@ async def drive_live(socket: WebSocket) -> None:
         finally:
             reading.cancel()
             entry.detach(sender)
+
+
+async def _next_of(sender: asyncio.Queue[str | None]) -> str | None:
+    """Return what a sender is to be told next; an empty text where there is nothing for a while."""
+    with suppress(TimeoutError):
+        return await asyncio.wait_for(sender.get(), _SILENCE_S)
+    return ""
 
 
 async def _first_word(socket: WebSocket, live: LiveSessions, holder: Holder) -> tuple[LiveEntry, int]:
@@ -142,10 +158,15 @@ async def _first_word(socket: WebSocket, live: LiveSessions, holder: Holder) -> 
         raise ConfigError('the session has not begun. Expected {"type": "begin", "name": ...} as the first message.')
     config = config_of(word.preset, word.config)
     await run_in_threadpool(warm_up, config)
-    live.refuse_more(holder.name)
-    context: Context = socket.app.state.context
-    keeper = await run_in_threadpool(Keeper, context, holder.name, word.name, config) if word.keep else None
-    return live.begin(word, holder.name, config, keeper), -1
+    entry = live.begin(word, holder.name, config)  # its place is taken before a drive is made for it
+    if word.keep:
+        context: Context = socket.app.state.context
+        try:
+            entry.keeper = await run_in_threadpool(Keeper, context, holder.name, word.name, config)
+        except BaseException:
+            entry.refuse("no drive could be made for it.")
+            raise
+    return entry, -1
 
 
 async def _text(socket: WebSocket) -> str:

@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import asyncio
 import json
+import logging
 import secrets
 import sys
+import threading
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import AsyncIterator, Callable
-from contextlib import suppress
-from typing import Any, Literal
+from contextlib import AbstractContextManager, nullcontext, suppress
+from functools import partial
+from typing import Any, Literal, TypeVar
 
 import numpy as np
+from sqlalchemy.exc import SQLAlchemyError
 
 from app.context import Context
 from app.drives.commit import begin_commit
@@ -24,11 +28,14 @@ from app.http.limits import check_free_space, job_limit
 from app.http.problem_types import NOT_FOUND, TOO_MANY_SESSIONS
 from app.http.problems import Problem
 from app.jobs.models import NewJob
+from app.jobs.processes import machine_memory
 from app.jobs.queue import submit
 from app.jobs.submission import check_request
 from app.live.models import Begin, LiveModel
+from app.settings import MB
 from app.states import JobKind
 from interloc.config import DetectorConfig
+from interloc.drives.folder import DROPPED
 from interloc.drives.labels import SEMANTICKITTI, LabelScheme, named_scheme
 from interloc.errors import DriveError
 from interloc.geometry import rpy_from_rotation
@@ -37,13 +44,74 @@ from interloc.live.session import Answer, LiveSession
 from interloc.live.wire import decode_scan
 from interloc.live.worker import LiveWorker
 
-_ROAD, _OTHER = 40, 48  # ids of SemanticKITTI: road, sidewalk
+_ROAD, _OTHER = 11, 2  # road surface and ground, by the ids of LAS: they may be all that was sent
 _MAX_OF_ALL = 16
+_OF_SESSION, _OF_CLIENT, _OF_ALL = 96 * MB, 128 * MB, max(256 * MB, machine_memory() // 16)
+_LARGE = 4 * MB
+_WAITING = 16 * MB  # of one session: a message is no larger
 _UNREAD = 256  # messages that a slow watcher may be behind, then it has to begin anew; that are kept to be repeated
-_UNANSWERED = 4096  # likewise of a sender
-_MAX_SHOWN = 20_000  # places of the track, pieces of road: two hundred kilometres
+_UNANSWERED = 512  # likewise of a sender
+_MAX_PLACES = 20_000  # of the track
+_MAX_ROAD = 4 * MB  # of pieces of road, as text
+_MAX_WATCHING = 24  # of one client: each may hold a state that it does not read
 
 _FINAL = {"end", "refused", "failed"}
+_log = logging.getLogger(__name__)
+
+Written = TypeVar("Written")
+
+
+class Budget:
+    """How many bytes live sessions may hold: one, those of a client, all together; threads share it.
+
+    It is asked before anything is taken, so that no client fills the memory of the server.
+    """
+
+    def __init__(self) -> None:
+        self._held: dict[str, tuple[str, dict[str, int]]] = {}  # by session: its owner, bytes by what they are for
+        self._lock = threading.Lock()
+
+    def begin(self, session: str, owner: str) -> None:
+        """Take note of a session."""
+        with self._lock:
+            self._held[session] = owner, {}
+
+    def ask(self, session: str, what: str, size: int) -> None:
+        """Let a session hold so many bytes of something from now on; a `DriveError` says that it may not."""
+        with self._lock:
+            if session not in self._held:  # it is over
+                return
+            owner, own = self._held[session]
+            of_session = sum(own.values()) - own.get(what, 0) + size
+            others = [(by, sum(held.values())) for other, (by, held) in self._held.items() if other != session]
+            of_client = of_session + sum(held for by, held in others if by == owner)
+            of_all = of_session + sum(held for _, held in others)
+            for whose, held, bound in (
+                ("the session", of_session, _OF_SESSION),
+                ("the sessions of this client", of_client, _OF_CLIENT),
+                ("all sessions", of_all, _OF_ALL),
+            ):
+                if held > bound:
+                    raise DriveError(
+                        f"{whose} would hold {held / MB:,.0f} MB of the memory of the service, and may hold "
+                        f"{bound / MB:,.0f} MB. Send the points of the ground only, or take fewer keyframes "
+                        "(keyframes.window, keyframes.lookahead), larger cells (bev.resolution_m) or less range "
+                        "(bev.max_range_m)."
+                    )
+            own[what] = size
+
+    def end(self, session: str) -> None:
+        """Forget a session."""
+        with self._lock:
+            self._held.pop(session, None)
+
+
+_one_at_a_time = threading.Lock()
+
+
+def _turn(scan: LiveScan) -> AbstractContextManager[object]:
+    """Let no two large scans be worked on at once: each takes several times its size."""
+    return _one_at_a_time if scan.nbytes > _LARGE else nullcontext()
 
 
 class Keeper:
@@ -54,11 +122,12 @@ class Keeper:
 
     def __init__(self, context: Context, owner: str, name: str, config: DetectorConfig) -> None:
         check_free_space(context, 0)
-        options = DriveOptionsModel(label_scheme="semantickitti", pose_frame="lidar")
+        options = DriveOptionsModel(label_scheme="las", pose_frame="lidar")
         drive, _ = create_drive(context, owner, NewDrive(name=name, options=options))
         self.drive_id = drive.id
         self._context, self._owner, self._config = context, owner, config
         self._scans: list[LiveScan] = []  # without their points
+        self._lost: list[int] = []
 
     def keep(self, scan: LiveScan) -> None:
         """Write the points of a keyframe; a 413 where the drive, a 507 where the disk would be too full."""
@@ -72,14 +141,23 @@ class Keeper:
                 f"labels/{number:06d}.label": labels.tobytes(),
             }
         )
-        self._scans.append(LiveScan(scan.frame, scan.T_world_lidar, points[:0], time_s=scan.time_s, fix=scan.fix))
+        without = np.empty((0, 4), np.float32)  # a slice would hold all points
+        self._scans.append(LiveScan(scan.frame, scan.T_world_lidar, without, time_s=scan.time_s, fix=scan.fix))
+
+    def lose(self, frame: int) -> None:
+        """Take note of a scan that was dropped or refused."""
+        self._lost.append(frame)
 
     def finish(self) -> dict[str, str]:
-        """Write poses, times, fixes; begin check and job of the drive (429: too many wait); return both ids."""
+        """Write poses, times, fixes, losses; begin check and job of the drive (429: too many wait); return both ids."""
         poses = [" ".join(f"{value:.17g}" for value in scan.T_world_lidar[:3].ravel()) for scan in self._scans]
         files = {"poses.txt": poses}
         if all(scan.time_s is not None for scan in self._scans):
             files["times.txt"] = [f"{scan.time_s:.17g}" for scan in self._scans]
+        if self._lost:  # by the scans before them, as they are numbered here
+            after = np.searchsorted([scan.frame for scan in self._scans], self._lost) - 1
+            counts = zip(*np.unique(after, return_counts=True), strict=True)
+            files[DROPPED] = ["after_frame,scans", *(f"{frame},{scans}" for frame, scans in counts)]
         fixes = [scan.fix for scan in self._scans]
         if fixes and fixes[0] is not None:
             files["geo.csv"] = ["frame,lat_deg,lon_deg,alt_m,roll_rad,pitch_rad,yaw_rad"]
@@ -99,6 +177,7 @@ class Keeper:
                 drive_id=self.drive_id,
                 owner=owner,
                 request=check_request(session, context, new),
+                key=f"live-{self.drive_id}",
                 limit=job_limit(context, owner),
             )
             job_id = job.id
@@ -118,6 +197,17 @@ class Keeper:
                 intake.discard()
 
 
+def _patiently(write: Callable[[], Written]) -> Written:
+    """Write into the database, again where it is away for a moment: scans that come meanwhile are dropped at worst."""
+    for wait_s in (0.5, 1, 2, 4, 8):
+        try:
+            return write()
+        except SQLAlchemyError as error:
+            _log.warning("a live session waits for the database: %s", error)
+            time.sleep(wait_s)
+    return write()
+
+
 class LiveEntry:
     """One session. All but what `_say` does belongs to the event loop."""
 
@@ -127,7 +217,7 @@ class LiveEntry:
         owner: str,
         config: DetectorConfig,
         when_quiet: Callable[[], object],
-        keeper: Keeper | None = None,
+        budget: Budget,
     ) -> None:
         self.id = secrets.token_hex(8)
         self.name, self.owner = begin.name, owner
@@ -141,12 +231,16 @@ class LiveEntry:
         self._when_quiet = when_quiet
         self._said: deque[tuple[int, str]] = deque(maxlen=_UNREAD)
         self._watchers: set[asyncio.Queue[str | None]] = set()
-        self._track: deque[list[float]] = deque(maxlen=_MAX_SHOWN)
-        self._road: deque[Any] = deque(maxlen=_MAX_SHOWN)
+        self._track: deque[list[float]] = deque(maxlen=_MAX_PLACES)
+        self._road: deque[str] = deque()
+        self._road_bytes = 0
         self._intersections: dict[int, dict[str, Any]] = {}
         self._vehicle: dict[str, Any] | None = None
-        self._keeper = keeper
-        self._worker = LiveWorker(LiveSession(config), self._say, keep=self._keep)
+        self.keeper: Keeper | None = None
+        self._budget = budget
+        budget.begin(self.id, self.owner)
+        session = LiveSession(config, partial(budget.ask, self.id, "window"))
+        self._worker = LiveWorker(session, self._say, keep=self._keep, queue_bytes=_WAITING, turn=_turn)
 
     @property
     def state(self) -> Literal["driving", "waiting", "ended"]:
@@ -183,7 +277,12 @@ class LiveEntry:
             self._tell({"type": "repeated", "frame": scan.frame})
         else:
             self.last_frame = scan.frame
-            self._worker.put(scan)
+            try:
+                self._budget.ask(self.id, "scans", self._worker.held_bytes + scan.nbytes)
+            except DriveError as error:
+                self._worker.drop(scan.frame, str(error))
+            else:
+                self._worker.put(scan)
 
     def finish(self) -> None:
         """Let the session answer its last keyframes and end."""
@@ -212,7 +311,7 @@ class LiveEntry:
         queue: asyncio.Queue[str | None] = asyncio.Queue(_UNREAD)
         self._watchers.add(queue)
         try:
-            yield json.dumps(self._everything(root))
+            yield self._everything(root)
             while not (self.is_over and queue.empty()):
                 text = None
                 with suppress(TimeoutError):
@@ -223,37 +322,41 @@ class LiveEntry:
         finally:
             self._watchers.discard(queue)
 
-    def _everything(self, root: str) -> dict[str, Any]:
-        return {
+    def _everything(self, root: str) -> str:
+        state = {
             "type": "state",
             "session": self.model(root).model_dump(mode="json"),
             "vehicle": self._vehicle,
             "track": list(self._track),
             "intersections": list(self._intersections.values()),
-            "roads": list(self._road),
         }
+        return f'{json.dumps(state)[:-1]}, "roads": [{", ".join(self._road)}]}}'
 
     def _say(self, document: dict[str, Any], answer: Answer | None) -> None:
-        """Pass on what the session says; called by its thread."""
+        """Pass on what the session says; called by its thread, and of what is dropped by the event loop."""
         del answer
-        if document["type"] == "end" and self._keeper is not None:
+        if document["type"] == "dropped" and self.keeper is not None:
+            self.keeper.lose(document["frame"])
+        if document["type"] == "end" and self.keeper is not None:
             try:
-                document |= self._keeper.finish()
+                document |= _patiently(self.keeper.finish)
             except Problem as problem:
-                document |= {"drive_id": self._keeper.drive_id, "problem": problem.detail}
+                document |= {"drive_id": self.keeper.drive_id, "problem": problem.detail}
         with suppress(RuntimeError):  # the loop is closed
             self._loop.call_soon_threadsafe(self._tell, document)
 
     def _keep(self, scan: LiveScan) -> None:
-        if self._keeper is not None:
+        if self.keeper is not None:
             try:
-                self._keeper.keep(scan)
+                _patiently(partial(self.keeper.keep, scan))
             except Problem as problem:
                 raise DriveError(f"the scan could not be kept: {problem.detail}") from problem
 
     def _tell(self, document: dict[str, Any]) -> None:
         if self.is_over:
             return
+        with suppress(DriveError):  # it holds less now
+            self._budget.ask(self.id, "scans", self._worker.held_bytes)
         self._remember(document)
         text = json.dumps(document)
         is_final = document["type"] in _FINAL
@@ -263,6 +366,7 @@ class LiveEntry:
             _put(queue, text)
         if is_final:
             self._worker.abandon()
+            self._budget.end(self.id)
             self.refusal = document.get("reason")
             self.is_over, self.quiet_since = True, time.monotonic()
             self._when_quiet()
@@ -276,7 +380,10 @@ class LiveEntry:
             x, y = vehicle["world_x_m"], vehicle["world_y_m"]
             self._track.append([vehicle.get("lon_deg", x), vehicle.get("lat_deg", y)])
         if document.get("road"):
-            self._road.append(document["road"])
+            self._road.append(json.dumps(document["road"]))
+            self._road_bytes += len(self._road[-1])
+            while self._road_bytes > _MAX_ROAD:
+                self._road_bytes -= len(self._road.popleft())
         for event in document.get("events", ()):
             if event["kind"] == "gone":
                 self._intersections.pop(event["id"], None)
@@ -297,17 +404,20 @@ class LiveSessions:
 
     def __init__(self, context: Context) -> None:
         self._context = context
+        self._budget = Budget()
+        self.watching: Counter[str] = Counter()
+        """How many times each client watches."""
         self._entries: dict[str, LiveEntry] = {}
 
-    def begin(self, begin: Begin, owner: str, config: DetectorConfig, keeper: Keeper | None = None) -> LiveEntry:
+    def begin(self, begin: Begin, owner: str, config: DetectorConfig) -> LiveEntry:
         """Begin a session; a 429 where the client, or all together, have too many."""
-        self.refuse_more(owner)
+        self._refuse_more(owner)
         idle_s, loop = self._context.settings.live_idle_s, asyncio.get_running_loop()
-        entry = LiveEntry(begin, owner, config, lambda: loop.call_later(idle_s + 1.0, self.tidy), keeper)
+        entry = LiveEntry(begin, owner, config, lambda: loop.call_later(idle_s + 1.0, self.tidy), self._budget)
         self._entries[entry.id] = entry
         return entry
 
-    def refuse_more(self, owner: str) -> None:
+    def _refuse_more(self, owner: str) -> None:
         """Refuse (429) another session of a client that has too many, or where all together have."""
         self.tidy()
         running = [each for each in self._entries.values() if not each.is_over]
@@ -326,6 +436,13 @@ class LiveSessions:
         if entry is None or owner not in {None, entry.owner}:
             raise Problem(NOT_FOUND, f"There is no live session {session} that goes on. Begin another one.")
         return entry
+
+    def watched(self, session: str, client: str) -> LiveEntry:
+        """Return a session that a client is to watch, as `find`; a 429 where it watches too many times already."""
+        if self.watching[client] >= _MAX_WATCHING:
+            detail = f"A client may watch live sessions {_MAX_WATCHING} times at once. Close another page first."
+            raise Problem(TOO_MANY_SESSIONS, detail)
+        return self.find(session)
 
     def list(self) -> list[LiveEntry]:
         """Return the sessions, the newest first."""

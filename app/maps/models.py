@@ -7,8 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, Field
 
-from app.http.patterns import ID
-from app.http.strict import Name, Note
+from app.http.patterns import ID, Name, Note
 from interloc.city.models import Judgement, Kind, Verdict
 from interloc.output.properties import FindingProperties
 

@@ -14,13 +14,13 @@ from sqlalchemy import select
 
 from app.context import Context, ContextDep
 from app.http.delivery import answer_tagged, deliver
-from app.http.openapi import PAGED, TAGGED, get_and_head
-from app.http.paging import answer_page
+from app.http.gate import ClientDep
+from app.http.openapi import TAGGED, get_and_head
+from app.http.parameters import answer_page
 from app.http.patterns import TEXT
 from app.http.prices import priced
 from app.http.problem_types import NO_SUCH_FINDING
 from app.http.problems import Problem, ProblemDocument
-from app.http.security import ClientDep
 from app.maps.models import Links, NewVerdict, PrecisionModel, QueueEntry, QueuePage, State, WholeEntry
 from app.maps.records import find_map, judgements_of, map_key
 from app.maps.work import AUDIT
@@ -86,7 +86,7 @@ def read_delivery(
     "/queue",
     summary="List what OpenStreetMap has wrong",
     response_model=QueuePage,
-    responses={**PAGED, **_NOT_FOUND},
+    responses={**TAGGED, **_NOT_FOUND},
 )
 @priced("heavy")
 def list_queue(

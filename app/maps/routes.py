@@ -11,15 +11,15 @@ from sqlalchemy.orm import Session
 
 from app.context import Context, ContextDep
 from app.http.delivery import answer_tagged, deliver
+from app.http.gate import ClientDep
 from app.http.intake import Arrival, Placement, receive_file
 from app.http.limits import check_quota
-from app.http.openapi import PAGED, TAGGED, get_and_head
-from app.http.paging import answer_page
+from app.http.openapi import TAGGED, get_and_head
+from app.http.parameters import answer_page
 from app.http.patterns import ID
 from app.http.prices import priced
 from app.http.problem_types import MAP_IS_OF_THE_SERVER, NO_SUCH_MAP, TOO_MANY_MAPS
 from app.http.problems import Problem, ProblemDocument
-from app.http.security import ClientDep
 from app.jobs.queue import no_drive
 from app.maps.models import MapDriveList, MapDriveModel, MapList, MapModel, NewMap
 from app.maps.records import OSM, find_map, map_key, map_models
@@ -71,7 +71,7 @@ def create_map(new: NewMap, response: Response, context: ContextDep, client: Cli
     return made
 
 
-@get_and_head(router, "", summary="List maps", response_model=MapList, responses=PAGED)
+@get_and_head(router, "", summary="List maps", response_model=MapList, responses=TAGGED)
 @priced("heavy")
 def list_maps(
     request: Request,
@@ -125,7 +125,7 @@ def delete_map(map_id: MapId, context: ContextDep, _client: ClientDep) -> None:
     "/{map_id}/drives",
     summary="List the drives of a map",
     response_model=MapDriveList,
-    responses={**PAGED, **_NOT_FOUND},
+    responses={**TAGGED, **_NOT_FOUND},
 )
 @priced("cheap")
 def list_map_drives(

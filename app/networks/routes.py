@@ -6,8 +6,8 @@ from fastapi import APIRouter
 from pydantic import BaseModel, Field
 
 from app.context import ContextDep
+from app.http.gate import ClientDep
 from app.http.prices import priced
-from app.http.security import ClientDep
 from app.networks import work as models
 
 router = APIRouter(tags=["Drives"])

@@ -16,11 +16,10 @@ from sqlalchemy.orm import Session
 from app.context import ContextDep
 from app.drives import records
 from app.http.delivery import answer_tagged
+from app.http.gate import ClientDep
 from app.http.openapi import TAGGED, get_and_head
-from app.http.paging import After, lies_in, next_link
-from app.http.parameters import BoxFilter
+from app.http.parameters import After, BoxFilter, lies_in, next_link
 from app.http.prices import priced
-from app.http.security import ClientDep
 from app.jobs.view import choice_of, chosen_results, title_of
 from app.ogc.work import outline_of
 from app.results.models import MEDIA_TYPE

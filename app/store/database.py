@@ -5,7 +5,7 @@ from __future__ import annotations
 import sqlite3
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -29,6 +29,7 @@ _MIGRATIONS = Path(__file__).parent / "migrations"
 _UPGRADE_LOCK = 0x1E7E210C  # any number: PostgreSQL's advisory lock of servers that start together
 _UPGRADE_PATIENCE_S = 60  # of a server that starts while another one still brings the tables up to date
 _CONNECT_TIMEOUT_S = 10
+_SILENCE_S = 30.0  # of a statement of PostgreSQL: a server that is paused, or whose machine hangs, closes nothing
 
 PATIENCE_S = 5.0
 """Time that a request waits for the database at most, all queues together."""
@@ -82,6 +83,8 @@ class Database:
             event.listen(self.engine, "do_connect", self._open_sqlite)
             event.listen(self.engine, "connect", _set_up_sqlite)
             event.listen(self.engine, "begin", _begin_sqlite)
+        else:
+            event.listen(self.engine, "do_connect", _connect_patiently)
         self._sessions = sessionmaker(self.engine, expire_on_commit=False)
         self.waits = Waits()
         self._turns = _Turns(self.waits)
@@ -162,6 +165,8 @@ class Database:
     def _upgrade(self, then: Callable[[Session], None] | None) -> None:
         with self.engine.connect().execution_options(writes=True) as connection, connection.begin():
             if not self.is_sqlite:
+                connection.connection.dbapi_connection.silence_s = float("inf")  # type: ignore[union-attr]
+                connection.detach()  # no request gets it
                 connection.execute(text(f"SET LOCAL lock_timeout = '{_UPGRADE_PATIENCE_S}s'"))
                 connection.execute(text(f"SELECT pg_advisory_xact_lock({_UPGRADE_LOCK})"))
             config = Config()
@@ -333,6 +338,37 @@ def _set_up_sqlite(connection: Any, _record: object) -> None:  # noqa: ANN401 - 
     for pragma in ("synchronous=NORMAL", "foreign_keys=ON"):
         cursor.execute(f"PRAGMA {pragma}")
     cursor.close()
+
+
+def _connect_patiently(
+    _dialect: object,
+    _record: object,
+    arguments: Any,  # noqa: ANN401 - SQLAlchemy's
+    options: Any,  # noqa: ANN401
+) -> Any:  # noqa: ANN401 - a DBAPI connection
+    """Connect to PostgreSQL so that a statement that is not answered is given up, and its connection with it."""
+    import psycopg  # noqa: PLC0415 - an extra
+
+    class Patient(psycopg.Connection[Any]):
+        silence_s = _SILENCE_S
+
+        def wait(self, gen: Generator[Any, Any, Any], *args: Any, **kwargs: Any) -> Any:  # noqa: ANN401 - psycopg's
+            return super().wait(self._bounded(gen), *args, **kwargs)
+
+        def _bounded(self, gen: Generator[Any, Any, Any]) -> Generator[Any, Any, Any]:
+            until = time.monotonic() + self.silence_s
+            try:
+                wanted = next(gen)
+                while True:
+                    ready = yield wanted
+                    if not ready and time.monotonic() > until:
+                        self.pgconn.finish()
+                        raise psycopg.OperationalError(f"the database has not answered for {self.silence_s:g} s")
+                    wanted = gen.send(ready)
+            except StopIteration as done:
+                return done.value
+
+    return Patient.connect(*arguments, **options)
 
 
 def _lower(value: object) -> object:

@@ -15,6 +15,7 @@ import time
 from dataclasses import dataclass
 
 from sqlalchemy import delete, func, or_, select, update
+from sqlalchemy.exc import SQLAlchemyError
 
 from app.settings import Settings
 from app.states import Scope
@@ -124,6 +125,7 @@ class TokenBook:
         self._exposed = not settings.is_loopback
         self._holders: dict[str, Holder] = {}
         self._read_at = _NEVER
+        self._failure: tuple[float, SQLAlchemyError] | None = None
         self._reading = threading.Lock()
         self._used: dict[str, float] = {}
 
@@ -148,10 +150,16 @@ class TokenBook:
             if self._read_at > since:
                 return
             time.sleep(max(0.0, min(_PAUSE_S, self._read_at + _PAUSE_S - time.monotonic())))
+            if self._failure is not None and self._failure[0] > since:
+                raise self._failure[1]
             begun = time.monotonic()
-            with self._database.reading() as session:
-                now = self._database.clock(session)
-                rows = session.scalars(select(Token)).all()
+            try:
+                with self._database.reading() as session:
+                    now = self._database.clock(session)
+                    rows = session.scalars(select(Token)).all()
+            except SQLAlchemyError as error:  # all who wait for this copy are told, instead of trying one by one
+                self._failure = time.monotonic(), error
+                raise
             holders = {row.sha256: _holder(row, now) for row in rows}
             if self._read_at != _NEVER:
                 _report_changes(self._holders, holders)

@@ -18,7 +18,7 @@ from sqlalchemy.orm import Session, defer
 
 from app.context import Context
 from app.drives.records import lock_drive
-from app.http.paging import cursor_of, newest_first, rows_after
+from app.http.parameters import cursor_of, newest_first, rows_after
 from app.http.problem_types import DRIVE_IN_THE_TRASH, JOB_NOT_ENDED, NOT_IN_THE_TRASH
 from app.http.problems import Problem
 from app.jobs.queue import cancel

@@ -8,10 +8,10 @@ from fastapi import APIRouter, Path, Query, Request, Response
 
 from app.context import ContextDep
 from app.drives import routes as drives
-from app.http.openapi import PAGED, problems
-from app.http.paging import answer_page
+from app.http.gate import ClientDep
+from app.http.openapi import TAGGED, problems
+from app.http.parameters import answer_page
 from app.http.prices import priced
-from app.http.security import ClientDep
 from app.jobs import routes as jobs
 from app.jobs.models import JobModel
 from app.jobs.queue import cancel
@@ -91,7 +91,7 @@ def delete_job(
     return model
 
 
-@router.get("", response_model=TrashList, summary="List the trash", responses=PAGED)
+@router.get("", response_model=TrashList, summary="List the trash", responses=TAGGED)
 @priced("cheap")
 def list_trash(
     request: Request,

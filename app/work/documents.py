@@ -129,8 +129,12 @@ class IntersectionsOutcome(Outcome):
     report: MapScores | None
     has_roads: bool = False
     """Whether its layers hold a map of the roads: those of versions before do not."""
+    missing: list[str] = []
+    """What beside the intersections could not be made, each with the reason."""
     doubtful_labels_m: list[tuple[float, float]] = []
     """From where to where along the track labels by geometry are doubtful."""
+    dropped: dict[str, Any] | None = None
+    """Scans that were lost before they came into the drive: `FolderDrive.dropped`."""
 
 
 class CommitOutcome(Outcome):

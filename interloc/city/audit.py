@@ -408,8 +408,12 @@ class _Auditor:
         return found
 
     def _passes(self, names: Sequence[str]) -> int:
-        """Return how many passes drives are: one that begins within ten minutes of another's end is the same."""
-        spans = np.array([self.city.drives[name].data.span_s for name in names]).reshape(-1, 2)
+        """Return how many passes drives are: one that begins within ten minutes of another's end is the same.
+
+        One that has lost scans along more than a twentieth of its track is none.
+        """
+        passes = [self.city.drives[name].data for name in names]
+        spans = np.array([each.span_s for each in passes if each.is_whole]).reshape(-1, 2)
         timed = spans[np.isfinite(spans).all(axis=1)]
         first, last = timed[np.argsort(timed[:, 0])].T
         gaps = first[1:] - np.maximum.accumulate(last)[:-1]

@@ -33,6 +33,7 @@ ASSUMED_STD_M = 0.3
 HOLE_M = 15.0
 """Nobody knows where a drive went between keyframes farther apart: scans were lost."""
 
+_MAX_LOST_SHARE = 0.05
 _TEXTS = ("name", "key")
 _RAGGED = ("bearings_deg", "widths_m")
 
@@ -76,6 +77,13 @@ class Pass:
     road_width_m: FloatArray = field(default_factory=lambda: np.zeros(0))
     road_driven: BoolArray = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
     """(E,) float64, bool: their widths, NaN where not known; whether it went along them."""
+    dropped_m: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
+    """(D, 2) float64: from where to where along its track scans were lost."""
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether it counts as a pass: no scans were lost along more than a twentieth of it."""
+        return bool(np.diff(self.dropped_m).sum() <= _MAX_LOST_SHARE * self.track_along_m[-1])
 
     def __len__(self) -> int:
         return len(self.lonlat)
@@ -128,6 +136,7 @@ class Pass:
             "seen_s": np.stack([time_s[first], time_s[last]], axis=-1).reshape(-1, 2),
             "track_lonlat": keyframes.lonlat,
             "track_along_m": travelled,
+            "dropped_m": np.array(result.run.get("dropped", {}).get("stretches_m", []), np.float64).reshape(-1, 2),
             "span_s": np.array([known.min(), known.max()] if len(known) else [np.nan, np.nan]),
         }
         digest = hashlib.sha256()
@@ -138,6 +147,8 @@ class Pass:
     def write(self, path: Path) -> None:
         """Write it as an archive of arrays."""
         arrays: dict[str, Any] = {each.name: getattr(self, each.name) for each in fields(self) if each.name != "road"}
+        if not len(self.dropped_m):
+            del arrays["dropped_m"]
         if self.road is not None:
             arrays["road_epsg"], arrays["road_cell_m"] = self.road.epsg or 0, self.road.raster.cell_m
             for name, raster in (("road", self.road.raster), ("other", self.road.other)):

@@ -144,7 +144,7 @@ def tabulate(
         relative_cov_m2=(shape + axes / total[:, None])[order],
         observations=np.bincount(place, joined("observations"), count).astype(np.int64)[order],
         drives=named(saw, seen_count),
-        passes=_passes(seen_s, place, pair, len(drives))[order],
+        passes=_passes(seen_s, place, pair, drives)[order],
         near=named(near, near_count),
         confidence=(np.bincount(saw // len(drives), said, count) / near_count)[order],
         is_shown=shown[order],
@@ -201,11 +201,13 @@ def _work_out_branches(
     branches_of.update(zip(numbers[is_new].tolist(), zip(*fused.lists(support), strict=True), strict=True))
 
 
-def _passes(seen_s: FloatArray, place: IntArray, pair: IntArray, drives: int) -> IntArray:
-    """Return how many passes the sightings of each place are of; each drive without times is one."""
+def _passes(seen_s: FloatArray, place: IntArray, pair: IntArray, drives: Sequence[DriveOnMap]) -> IntArray:
+    """Return how many passes the sightings of each place are of; each drive without times is one, if it is whole."""
     count = int(place.max()) + 1
+    whole = np.array([each.data.is_whole for each in drives])[pair % len(drives)]
+    seen_s, place, pair = seen_s[whole], place[whole], pair[whole]
     timed = np.isfinite(seen_s).all(axis=1)
-    passes = np.bincount(distinct(pair[~timed]) // drives, minlength=count)
+    passes = np.bincount(distinct(pair[~timed]) // len(drives), minlength=count)
     order = np.flatnonzero(timed)[np.lexsort((seen_s[timed, 0], place[timed]))]
     if len(order):
         first, last = seen_s[order].T - seen_s[order].min()

@@ -39,6 +39,7 @@ def command(
     Example:
       interloc detect sequences/07 -o out --labels predictions --oxts 2011_09_30_drive_0027_sync
     """
+    from interloc.errors import Beside
     from interloc.output.layout import result_folder
     from interloc.output.write import write_results
     from interloc.pipeline import detect
@@ -48,6 +49,7 @@ def command(
         raise click.UsageError("--reference has the settings of the paper; it takes neither --preset nor --set")
     config = options.configure(preset, settings)
     source = options.open_drive(drive, drive_)
+    beside = Beside()
     with result_folder(out) as folder:
         with console.progress("detect", "keyframe") as bar:
             if reference:
@@ -56,5 +58,6 @@ def command(
                 result = detect_by_reference(source, workers=workers, progress=bar)
             else:
                 result = detect(source, config, workers=workers, progress=bar)
-        write_results(result, folder)
+        write_results(result, folder, beside=beside)
     console.say(summary.run_summary(result, out), [*summary.run_facts(result, out), *summary.doubt_facts(result)])
+    beside.check(out)

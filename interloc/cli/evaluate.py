@@ -25,8 +25,9 @@ def command(out: Path, osm: Path | None, overpass: bool, policy: Policy, toleran
     Example:
       interloc evaluate out --osm map.osm.gz
     """
+    from interloc.errors import Beside
     from interloc.evaluation.evaluate import evaluate
-    from interloc.evaluation.report import report_record, write_report
+    from interloc.evaluation.report import write_report
     from interloc.files import write_file
     from interloc.output.layout import RUN_NAMES, result_folder
     from interloc.output.read import read_results
@@ -37,9 +38,10 @@ def command(out: Path, osm: Path | None, overpass: bool, policy: Policy, toleran
     if graph is None:
         graph = options.fetch_map(result)
     evaluation = evaluate(result, graph, policy=policy, tolerance_m=tolerance_m)
+    beside = Beside()
     with result_folder(out) as folder:  # the whole new report, or the folder as it was
         for name in filter(lambda name: (out / name).is_file(), RUN_NAMES):
             write_file(folder / name, (out / name).read_bytes())
-        write_report(evaluation, folder)
-    report = report_record(evaluation)
+        report = write_report(evaluation, folder, beside=beside)
     console.say(report, summary.report_facts(report, out))
+    beside.check(out)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from interloc.cli import console, options
+from interloc.wording import counted
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -17,6 +19,7 @@ if TYPE_CHECKING:
     from interloc.drives.folder import FolderDrive
     from interloc.live.session import Answer
 
+_PAUSE_S = 1.0  # between two lines about scans that were dropped
 _NO_HURRY = 1000.0
 """A speed from which on every scan is waited for, and none is dropped."""
 
@@ -27,6 +30,7 @@ _NO_HURRY = 1000.0
 @click.option(
     "--server", envvar="INTERLOC_SERVER", metavar="URL", help="Send the scans to a service, whose page shows them."
 )
+@click.option("--name", help="Name of the session and of its drive.  [default: that of DRIVE]")
 @click.option("--keep", is_flag=True, help="Have the service make a drive of it, and run it, when it ends.")
 @click.option("--token", envvar="INTERLOC_TOKEN", help="API token of the service; INTERLOC_TOKEN is safer.")
 @click.option(
@@ -49,6 +53,7 @@ def command(
     prints: bool,
     server: str | None,
     token: str | None,
+    name: str | None,
     keep: bool,
     speed: float | None,
     lookahead: int | None,
@@ -66,6 +71,8 @@ def command(
     """
     if not prints and server is None:
         raise click.UsageError("give --print, to detect right here, or --server URL, or both")
+    if server is None and (keep or name is not None):
+        raise click.UsageError("--keep and --name need --server")
     if lookahead is not None:
         settings = (*settings, f"keyframes.lookahead={lookahead}")
     config = options.configure(preset, settings)
@@ -73,7 +80,8 @@ def command(
     if server is None:
         _print_answers(source, config, speed)
     else:
-        _send_scans(source, config, 1.0 if speed is None else speed, server, token, keep=keep, prints=prints)
+        begin = {"name": name or source.name, "config": config.model_dump(mode="json"), "keep": keep}
+        _send_scans(source, config, 1.0 if speed is None else speed, server, token, begin, prints=prints)
 
 
 def _send_scans(
@@ -82,21 +90,27 @@ def _send_scans(
     speed: float,
     server: str,
     token: str | None,
+    begin: dict[str, Any],
     *,
-    keep: bool,
     prints: bool,
 ) -> None:
     from interloc.client.live import LiveSender
     from interloc.live.scan import play
 
+    told_s = -_PAUSE_S
+
     def hear(said: dict[str, Any]) -> None:
+        nonlocal told_s
+        if said["type"] == "dropped" and not prints:  # the next one says how many, too, and so does the end
+            if time.monotonic() < told_s + _PAUSE_S:
+                return
+            told_s = time.monotonic()
         if prints:
             click.echo(json.dumps(said))
         elif not console.is_quiet():
             for line in _in_words(said):
                 click.echo(line)
 
-    begin = {"name": drive.name, "config": config.model_dump(mode="json"), "keep": keep}
     keeps_all = speed >= _NO_HURRY
     sender = LiveSender(server, token, begin, hear, keeps_all=keeps_all)
     sender.run(lambda after: play(drive, config, speed=None if keeps_all else speed, after=after))
@@ -113,11 +127,15 @@ def _in_words(said: dict[str, Any]) -> Iterator[str]:
                 f"{branches}, confidence {event['confidence']:.2f}"
             )
     if said["type"] == "dropped":
-        yield f"dropped    scan {said['frame']}: the service is too slow ({said['dropped']} dropped so far)"
+        reason = said.get("reason", "the service is too slow, or the drive is played too fast (--speed).")
+        yield f"dropped    {counted(said['dropped'], 'scan')} so far: {reason}"
     elif said["type"] == "session":
         yield f"session    {said['id']}"
     elif said["type"] == "end":
-        yield f"end        {said['keyframes']} keyframes, {len(said['intersections'])} intersections"
+        lost = (
+            f", {said['dropped']:,} of {said['keyframes'] + said['dropped']:,} scans dropped" if said["dropped"] else ""
+        )
+        yield f"end        {said['keyframes']} keyframes, {len(said['intersections'])} intersections{lost}"
         if "drive_id" in said:
             yield f"kept       drive {said['drive_id']}, {said.get('problem') or 'job ' + said['job_id']}"
 

@@ -39,8 +39,9 @@ def command(
       interloc run sequences/07 -o out --osm karlsruhe.osm.pbf --locate          without GNSS
       interloc run drive.mcap -o out --osm karlsruhe.osm.pbf --near 49.01,8.43   points and poses alone
     """
+    from interloc.errors import Beside
     from interloc.evaluation.evaluate import evaluate
-    from interloc.evaluation.report import report_record, write_report
+    from interloc.evaluation.report import write_report
     from interloc.output.layout import result_folder
     from interloc.output.write import write_results
     from interloc.pipeline import detect
@@ -54,6 +55,7 @@ def command(
             console.note("--near is not used: the drive has a georeference (--locate leaves that out)")
     if locate and graph is None:
         graph = locating.fetch_map_around(*search)
+    beside, report = Beside(), None
     with result_folder(out) as folder:
         if locate:
             source = source.without_georeference()
@@ -61,16 +63,19 @@ def command(
             result = scored = detect(source, config, workers=workers, progress=bar)
         if locate and graph is not None:
             result, scored = _place(result, source, graph, policy, tolerance_m, search, folder)
-        network = write_results(result, folder)
-        if graph is None:
-            graph = options.fetch_map(result)
-        roads = network if scored is result else None
-        evaluation = evaluate(scored, graph, policy=policy, tolerance_m=tolerance_m, network=roads)
-        write_report(evaluation, folder, result=result)
-    report = report_record(evaluation)
-    first, *others = summary.report_facts(report, out)
-    facts = [first, *summary.run_facts(result, out)[:-1], *others]
+        network = write_results(result, folder, beside=beside)
+        with beside.part("the score"):
+            if graph is None:
+                graph = options.fetch_map(result)
+            roads = network if scored is result else None
+            evaluation = evaluate(scored, graph, policy=policy, tolerance_m=tolerance_m, network=roads)
+            report = write_report(evaluation, folder, result=result, beside=beside)
+    facts = summary.run_facts(result, out)
+    if report is not None:
+        first, *others = summary.report_facts(report, out)
+        facts = [first, *facts[:-1], *others]
     console.say({"run": summary.run_summary(result, out), "report": report}, facts)
+    beside.check(out)
 
 
 def _place(

@@ -22,6 +22,7 @@ def run_facts(result: DriveResult, out: Path) -> list[tuple[str, str]]:
         ),
         ("detections", f"{len(result.detections)}"),
         ("intersections", f"{len(result.intersections)} on the map"),
+        *([("left out", _bends(run["bends"]))] if "bends" in run else []),
         georeference_fact(run),
         (
             "time",
@@ -31,12 +32,21 @@ def run_facts(result: DriveResult, out: Path) -> list[tuple[str, str]]:
     ]
 
 
+def _bends(count: int) -> str:
+    return (
+        f"{counted(count, 'place')} of which all detections together saw two branches only: a bend of a road, or "
+        "a side street that was not seen"
+    )
+
+
 def doubt_facts(result: DriveResult) -> list[tuple[str, str]]:
-    """Return the warning of stretches whose labels are doubtful, where there are any; a report holds it anyway."""
+    """Return the warnings of doubtful labels and of lost scans, where there are any; a report holds them anyway."""
+    from interloc.drives.folder import dropped_in_words
     from interloc.labelling.track import doubts_in_words
 
-    stretches = result.run["doubtful_labels_m"]
-    return [("warning", doubts_in_words(stretches))] if stretches else []
+    stretches, dropped = result.run["doubtful_labels_m"], result.run.get("dropped")
+    found = [doubts_in_words(stretches)] if stretches else []
+    return [("warning", each) for each in (*found, *([dropped_in_words(dropped)] if dropped else []))]
 
 
 def georeference_fact(run: dict[str, Any]) -> tuple[str, str]:
@@ -56,31 +66,30 @@ def run_summary(result: DriveResult, out: Path) -> dict[str, Any]:
     }
 
 
-def wrong_detections(report: dict[str, Any]) -> tuple[int, str]:
-    """Return how many detections are wrong, and of which kinds: what mean error and precision come from."""
+def not_right(report: dict[str, Any]) -> str:
+    """Return of which kinds the intersections are that are not right, with numbers; "" where all are."""
     from interloc.evaluation.reasons import KINDS
 
-    kinds = {kind: count for kind, count in report.get("reasons", {}).get("detections", {}).items() if count}
+    kinds = {kind: count for kind, count in report.get("reasons", {}).get("intersections", {}).items() if count}
     meanings: dict[str, str] = dict(KINDS)  # type: ignore[arg-type]
     listed = sorted(kinds.items(), key=lambda row: -row[1])
-    return sum(kinds.values()), "; ".join(f"{count} x {meanings.get(kind, kind)}" for kind, count in listed)
+    return "; ".join(f"{count} x {meanings.get(kind, kind)}" for kind, count in listed)
 
 
 def report_facts(report: dict[str, Any], out: Path) -> list[tuple[str, str]]:
     """Return the main figures of report.json for a person, the map first."""
-    wrong, kinds = wrong_detections(report)
+    kinds = not_right(report)
     return [
         *([("map", report["map_line"])] if "map_line" in report else []),  # servers of older versions do not send it
         ("policy", f"{report['policy']}: {counted(report['nodes_in_zone'], 'OSM node')} in the relevant zone"),
-        ("by detections", f"{report['nodes_found']} of {report['nodes_in_zone']} nodes have one within 5 m"),
+        *([("not right", f"{kinds} (in intersections)")] if kinds else []),
         (
-            "center error",
-            f"{metres(report['ace_m'])} mean (ACE), {metres(report['median_m'])} median"
+            "detection level",
+            f"ACE {metres(report['ace_m'])}, precision {percent(report['precision']['5.0'])}, "
+            f"recall {percent(report['recall']['5.0'])} at D = 5 m: the paper's measure, of single keyframes"
             if report["ace_m"] is not None
-            else "none: no detection was matched",
+            else "no detection was matched",
         ),
-        ("at D = 5 m", f"precision {percent(report['precision']['5.0'])}, recall {percent(report['recall']['5.0'])}"),
-        *([("wrong", f"{counted(wrong, 'detection')}: {kinds}")] if wrong else []),
         *(("warning", text) for text in report["warnings"]),
         ("report", str(out / "report.html")),
     ]

@@ -23,8 +23,8 @@ from typing import Any
 import click
 
 from interloc import storage
-from interloc.cli.summary import wrong_detections
-from interloc.errors import ConfigError, InterLocError, install
+from interloc.cli.summary import not_right
+from interloc.errors import ConfigError, IncompleteError, InterLocError, install
 from interloc.files import write_file
 from interloc.processes import in_own_process, stop_processes
 
@@ -60,6 +60,11 @@ COLUMNS = (
     "name",
     "state",
     "verdict",
+    "found",
+    "nodes",
+    "right",
+    "judged",
+    "median_m",
     "precision",
     "recall",
     "ace_m",
@@ -71,7 +76,8 @@ COLUMNS = (
     "error",
     "drive",
 )
-"""Precision and recall are those of the detections at D = 5 m; reasons say why detections are wrong, with numbers."""
+"""Found of the OSM nodes, right of the judged intersections, and their median error are the score. Precision, recall,
+ace_m are those of the detections (D = 5 m); reasons say of which kinds the intersections are that are not right."""
 
 Row = dict[str, Any]
 """What became of a unit: a value for each of the `COLUMNS`; its error is None where it was successful."""
@@ -98,6 +104,9 @@ def work(unit: Unit, out: str) -> Row:
             storage.send_results()
         except click.ClickException as failure:
             row["error"] = failure.format_message()
+        except IncompleteError as failure:
+            row |= _figures(Path(f"{out}/{unit.name}")) if not storage.is_url(out) else {}
+            row["error"] = storage.shown(str(failure))
         except InterLocError as failure:
             row["error"] = storage.shown(str(failure))
         except Exception as failure:  # noqa: BLE001 - the other drives go on, whatever it is
@@ -116,7 +125,10 @@ def _figures(folder: Path) -> Row:
     )
     row = {"keyframes": run["keyframes"], "intersections": sum(len(each.get("features", [])) for each in intersections)}
     if report:
-        row |= {"verdict": report["map_line"], "ace_m": report["ace_m"], "reasons": wrong_detections(report)[1]}
+        level = report["map_level"]
+        row |= {"verdict": report["map_line"], "ace_m": report["ace_m"], "reasons": not_right(report)}
+        row |= {"found": level["nodes_in_zone"] - level["missed"], "nodes": level["nodes_in_zone"]}
+        row |= {"right": level["true"], "judged": level["true"] + level["false"], "median_m": level["median_m"]}
         row |= {name: report[name]["5.0"] for name in ("precision", "recall")}
         row["warnings"] = report["warnings"]
     return row

@@ -29,6 +29,7 @@ from interloc.client.upload import (
 )
 from interloc.config import DEFAULT, KeyframeConfig
 from interloc.drives.findings import Findings
+from interloc.drives.folder import DROPPED
 from interloc.drives.formats import find_format
 from interloc.drives.open import read_drive
 from interloc.drives.options import DriveOptions, LabelFolder, ReadingOptions
@@ -199,7 +200,7 @@ def _as_reduced(root: Path, options: PushOptions) -> PreparedDrive:
     opened = read_drive(root, DriveOptions.of(options.reading), Findings(stop_at_first=True), label_folders=chosen)
     kept = [labels for labels in manifest.labels if labels.folder in chosen]
     sent = ReducedManifest.model_validate({**dict(manifest), "name": options.name or manifest.name, "labels": kept})
-    names: list[str] = []
+    names = [DROPPED] if (root / DROPPED).is_file() else []
     for name in manifest.files.paths:
         below = (root / name).rglob("*") if (root / name).is_dir() else [root / name]
         names += sorted(path.relative_to(root).as_posix() for path in below if path.is_file())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,9 +31,17 @@ class TileGrid:
         self._users: dict[tuple[int, int], int] = {}  # how many keyframes have cells in the tile
         self._free: list[int] = []
 
+    def bytes_with(self, ranges: Iterable[IntArray]) -> int:
+        """Return the memory that the use of all tiles of some ranges takes, the copy while it grows included."""
+        new = {key for tiles in ranges for key in _keys(tiles)} - self._slots.keys()
+        slots = old = len(self.pool)
+        while slots < old + len(new) - len(self._free):
+            slots += max(_GROW, slots // 2)
+        return (slots if slots == old else slots + old) * self.pool.itemsize * self.pool.shape[1]
+
     def acquire(self, tiles: IntArray) -> list[tuple[int, int]]:
         """Take into use all tiles of a range (first and last column, first and last row)."""
-        keys = [(y, x) for y in range(tiles[2], tiles[3] + 1) for x in range(tiles[0], tiles[1] + 1)]
+        keys = _keys(tiles)
         for key in keys:
             if key not in self._slots:
                 if not self._free:
@@ -64,6 +73,10 @@ class TileGrid:
         self._free.extend(range(new - 1, old - 1, -1))
 
 
+def _keys(tiles: IntArray) -> list[tuple[int, int]]:
+    return [(y, x) for y in range(tiles[2], tiles[3] + 1) for x in range(tiles[0], tiles[1] + 1)]
+
+
 @dataclass(frozen=True)
 class BevImage:
     """The binary image of the region of interest (paper, section III-B.3)."""
@@ -90,10 +103,15 @@ class RoadAccumulator:
     """The road points of the keyframes k-n .. k+n, as counts per cell of a grid anchored in W.
 
     A keyframe adds its cells when it enters the window and takes them back when it leaves: counts are whole numbers, so
-    the sum is the same as if all scans were concatenated anew.
+    the sum is the same as if all scans were concatenated anew. `room` is told ahead of each keyframe how many bytes it
+    all takes with it; what it raises leaves everything as it was.
     """
 
-    def __init__(self, keyframes: KeyframeConfig, bev: BevConfig) -> None:
+    def __init__(
+        self, keyframes: KeyframeConfig, bev: BevConfig, room: Callable[[int], None] = lambda _bytes: None
+    ) -> None:
+        self._room = room
+        self._kept_bytes = 0  # of where the keyframes of the window have their votes
         self._before, self._after = keyframes.window, keyframes.after
         self._config = bev
         self._grid = TileGrid()
@@ -114,23 +132,26 @@ class RoadAccumulator:
         other_points : (M, 3) float32 or None
             Points of what road is most often confused with, in L, metres: each takes one road point of its cell back.
         """
-        votes = [self._cast(keyframe, road_points, 1)]
+        found = [(1, *self._cells(keyframe, road_points))]
         if other_points is not None:
-            votes.append(self._cast(keyframe, other_points, -1))
-        self._window.append(_Entry(keyframe, votes))
+            found.append((-1, *self._cells(keyframe, other_points)))
+        kept_bytes = self._kept_bytes + sum(4 * len(cells) for _, cells, _ in found)
+        self._room(kept_bytes + self._grid.bytes_with(tiles for _, _, tiles in found))
+        self._window.append(_Entry(keyframe, [self._cast(*each) for each in found]))
+        self._kept_bytes = kept_bytes
         if self._first + len(self._window) <= self._next + self._after:
             return None
         return self._complete()
 
-    def _cast(
-        self, keyframe: Keyframe, points: Float32Array, vote: int
-    ) -> tuple[Int32Array, list[tuple[int, int]], int]:
-        cells, tiles = grid.cells_of(
+    def _cells(self, keyframe: Keyframe, points: Float32Array) -> tuple[Int32Array, IntArray]:
+        return grid.cells_of(
             np.ascontiguousarray(points, np.float32),
             np.ascontiguousarray(keyframe.T_world_lidar, np.float64),
             self._config.resolution_m,
             self._config.max_range_m,
         )
+
+    def _cast(self, vote: int, cells: Int32Array, tiles: IntArray) -> tuple[Int32Array, list[tuple[int, int]], int]:
         if not len(cells):
             return np.empty(0, np.int32), [], vote
         keys = self._grid.acquire(tiles)
@@ -146,6 +167,7 @@ class RoadAccumulator:
             entry = self._window.popleft()
             for where, tiles, vote in entry.votes:
                 grid.remove_cells(self._grid.pool, where, vote)
+                self._kept_bytes -= where.nbytes
                 self._grid.release(tiles)
             self._first += 1
         keyframe = self._window[self._next - self._first].keyframe

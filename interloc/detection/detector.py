@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -141,6 +141,9 @@ class Detector:
         Settings of the method; see `interloc.preset`. ``config.keyframes.lookahead`` keyframes (20, about 40 m, unless
         set) pass before the detections of one come back: `push` answers late. 0 is causal: `push` answers at once, and
         fewer intersections ahead of the vehicle are found.
+    room : callable
+        Told ahead of each keyframe how many bytes of memory the window takes with it. What it raises comes from `push`,
+        and the scan does not count.
 
     Attributes
     ----------
@@ -164,13 +167,13 @@ class Detector:
             print(found.keyframe.frame, found.world_xy)
     """
 
-    def __init__(self, config: DetectorConfig = DEFAULT) -> None:
+    def __init__(self, config: DetectorConfig = DEFAULT, room: Callable[[int], None] = lambda _bytes: None) -> None:
         expect(config, DetectorConfig)
         self.config = config
         self.stopwatch = Stopwatch()
         self.keyframes = 0
         self._selector = KeyframeSelector(config.keyframes)
-        self._road = RoadAccumulator(config.keyframes, config.bev)
+        self._road = RoadAccumulator(config.keyframes, config.bev, room)
 
     def push(self, scan: ScanLike) -> KeyframeDetections | None:
         """Take the next scan; return the detections of the keyframe that it completes, if any.
@@ -220,8 +223,8 @@ class Detector:
             other_points = checked_points(other_points, scan)
         self.stopwatch.lap("read")
         keyframe = Keyframe(scan.frame, pose, scan.time_s, bool(getattr(scan, "is_doubtful", False)))
-        self.keyframes += 1
         completed = self._road.add(keyframe, road_points, other_points)  # III-B.2
+        self.keyframes += 1
         self.stopwatch.lap("accumulate")
         return None if completed is None else self._window(completed)
 

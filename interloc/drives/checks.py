@@ -1,9 +1,8 @@
-"""Can labels, points and poses be those of one drive with a LiDAR? Judged from a few scans, and by sizes."""
+"""Can labels and poses be those of one drive with a LiDAR? Judged from a few scans, and by sizes."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -11,17 +10,13 @@ import numpy as np
 from interloc.arrays import Float32Array, FloatArray, IntArray
 from interloc.drives.findings import Findings
 from interloc.drives.folder import FolderDrive
+from interloc.drives.poses.frame import IMU_CALIBRATION
 from interloc.drives.poses.motion import rows_apart
 from interloc.geometry import invert_transform, rotation_angle, wrap_angle, yaw_of
 
 MAX_STEP_M = 120.0
 """From scan to scan, the median: two scans further apart see no common road."""
 
-_MAX_ROAD_RANGE_M, _MIN_ROAD_RANGE_M = 200.0, 0.2
-_ABOVE_M = 0.5
-"""Road higher than this over the sensor is seen by one that hangs upside down; on a hill only the far road is."""
-
-_APART_M, _FOLLOWS = 60.0, 0.7
 _PIECE_M = 6.0
 _REVERSED_RAD = np.radians(90.0)
 _TURNED_RAD = np.radians(40.0)
@@ -33,80 +28,13 @@ MAX_RISE_M, MAX_RISE_SLOPE = 0.6, 0.02
 
 MAX_TILT_RAD = np.radians(40.0)
 
-NEAR_M = 25.0
+_NEAR_M = 25.0
 """Around the sensor, where heights are sure."""
 
 _CELL_M = 1.0
 _PAIR_STEP_M = 6.0
 _FAR_M = 30.0
 _PLACES = 3
-
-
-@dataclass(frozen=True)
-class RoadSeen:
-    """Where the road points of one scan lie, as they were read."""
-
-    index: int
-    """Position of the scan."""
-    centre: FloatArray
-    """(3,) float64: median of the points, in their own frame."""
-    range_m: float
-    """Median horizontal distance from the origin."""
-    height_m: float
-    """Median height of the points around the origin over it; NaN where there are none."""
-
-    @classmethod
-    def of(cls, index: int, road: Float32Array, near_m: float) -> RoadSeen:
-        """Measure (N, 3) road points, at least one."""
-        distance = np.hypot(road[:, 0], road[:, 1])
-        near = road[distance < near_m, 2]
-        height_m = float(np.median(near)) if len(near) else float("nan")
-        return cls(index, np.median(road, axis=0).astype(np.float64), float(np.median(distance)), height_m)
-
-
-def check_points(T_world_lidar: FloatArray, seen: Sequence[RoadSeen], folder: str, findings: Findings) -> None:
-    """Check that points are metres in the frame of a sensor that stands upright; `seen` is the road of some scans."""
-    if not seen:
-        return
-    if _follow_the_poses(T_world_lidar, seen):
-        findings.refuse(
-            folder,
-            "the points move along with the poses: they are in the frame of the world already. Expected points as "
-            "the sensor saw them, x y z from the sensor. Usual cause: registered clouds of an odometry or SLAM "
-            "(cloud_registered, poses applied); write them in the frame of the sensor, or apply the inverse of "
-            "each pose.",
-        )
-        return
-    range_m = float(np.median([scan.range_m for scan in seen]))
-    if not _MIN_ROAD_RANGE_M < range_m < _MAX_ROAD_RANGE_M:
-        findings.refuse(
-            folder,
-            f"half of the road points are {'over' if range_m > 1 else 'under'} {range_m:,.3g} m from the sensor "
-            "(usual: 8 to 25 m). Expected x y z in metres. Usual cause: points in millimetres or centimetres, or "
-            "divided by their range.",
-        )
-        return
-    heights = [scan.height_m for scan in seen if np.isfinite(scan.height_m)]
-    height_m = float(np.median(heights)) if heights else 0.0
-    if height_m > _ABOVE_M:
-        findings.refuse(
-            folder,
-            f"the road lies {height_m:.1f} m above the sensor: its z axis points down, and the map would be "
-            "mirrored. Expected x forward, y left, z up. Usual cause: a sensor that is mounted upside down, or "
-            "axes of NED or FRD. Turn points and poses by half a turn about x: y and z of the points change their "
-            "signs, and each pose is multiplied by diag(1, -1, -1, 1) from the right.",
-        )
-
-
-def _follow_the_poses(T_world_lidar: FloatArray, seen: Sequence[RoadSeen]) -> bool:
-    """Return whether the points of two scans lie as far apart as their poses, where that is far."""
-    shares = []
-    for one in seen:
-        for other in seen[:1]:
-            apart = float(np.linalg.norm(T_world_lidar[one.index, :3, 3] - T_world_lidar[other.index, :3, 3]))
-            if apart > _APART_M:
-                shares.append(float(np.linalg.norm(one.centre - other.centre)) / apart)
-    return bool(shares) and _FOLLOWS < float(np.median(shares)) < 1 / _FOLLOWS
 
 
 def check_motion(T_world_lidar: FloatArray, pose_file: str, findings: Findings) -> None:
@@ -202,7 +130,10 @@ def check_flat_road(
 
 def _pose_frame_complaint(drive: FolderDrive) -> str:
     if drive.pose_frame == "oxts":
-        return "Poses were taken from OXTS. Usual cause: OXTS of another drive, or angles in another convention."
+        return (
+            "Poses were taken from OXTS. Usual cause: OXTS of another drive, angles in another convention, or a sensor "
+            f"that is turned or tilted against them ({IMU_CALIBRATION} tells how)."
+        )
     read_as = f"Poses were read as {drive.pose_frame} poses: {drive.pose_frame_reason}. Usual cause: "
     if drive.layout == "rosbag":
         return (
@@ -238,7 +169,7 @@ def _pairs(poses: FloatArray, usable: IntArray) -> list[tuple[int, int]]:
 
 def _near(road: Float32Array) -> FloatArray:
     """Return the road points around the sensor, where heights are sure."""
-    return road[np.hypot(road[:, 0], road[:, 1]) < NEAR_M].astype(np.float64)
+    return road[np.hypot(road[:, 0], road[:, 1]) < _NEAR_M].astype(np.float64)
 
 
 def _height_step(a: FloatArray, b: FloatArray) -> float | None:

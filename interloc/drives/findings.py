@@ -98,6 +98,13 @@ class Findings:
         """Raise, or list, what makes the drive unusable."""
         self.error(kind(path, message))
 
+    def tell(self, finding: Finding) -> None:
+        """Take what other findings hold."""
+        if finding.severity == "error":
+            self.refuse(finding.path, finding.message)
+        else:
+            (self.warning if finding.severity == "warning" else self.note)(finding.path, finding.message)
+
     def warning(self, path: str, message: str) -> None:
         """List something that may make the results poor."""
         if self._add(Finding("warning", path, message)) and self.stop_at_first:

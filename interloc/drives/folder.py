@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 
 from interloc.arrays import FloatArray, IntArray
 from interloc.drive import Georeference, GroundPoints
+from interloc.drives.findings import DriveFileError
 from interloc.drives.labels import LabelScheme
 from interloc.drives.scans.raw import RawScans
 from interloc.drives.scans.reduced import ReducedScans
+from interloc.labelling.track import joined
+
+DROPPED = "dropped.csv"
+"""Scans that were lost before they came into the drive: `after_frame,scans`, with -1 for those before the first."""
+
+_MAX_DROPPED_BYTES = 16 * 1024**2
 
 Scans = RawScans | ReducedScans
 """The scans of a drive by one of its label folders."""
@@ -78,6 +86,23 @@ class FolderDrive:
         """Which label ids are road."""
         return self.scans.scheme
 
+    @property
+    def dropped(self) -> dict[str, Any] | None:
+        """How many `scans` were lost before they came into the drive, `of` how many, and where; None: it says of none.
+
+        `stretches_m` are from where to where along the track: from a scan to the next one that is there.
+        """
+        after, count = read_dropped(self.root).T
+        if not len(after):
+            return None
+        steps = np.linalg.norm(np.diff(self.T_world_lidar[:, :2, 3], axis=0), axis=1)
+        along = np.concatenate([[0.0], np.cumsum(steps)]).round()
+        rows = np.searchsorted(self.frames, after, side="right") - 1
+        rows = rows[(rows >= 0) & (rows < len(along) - 1)]
+        stretches = joined(zip(along[rows].tolist(), along[rows + 1].tolist(), strict=True))
+        scans = int(count.sum())
+        return {"scans": scans, "of": scans + len(self.frames), "stretches_m": stretches}
+
     def without_georeference(self) -> Self:
         """Return the drive as if it had no GNSS."""
         return replace(self, georeference=None)
@@ -85,3 +110,32 @@ class FolderDrive:
     def ground_points(self, index: int) -> GroundPoints:
         """Read the road points, and the points most often confused with them, of the scan at a position 0..N-1."""
         return self.scans.read(int(self.frames[index]))
+
+
+def read_dropped(root: Path) -> IntArray:
+    """Return (D, 2) after which scans of a drive others were lost, and how many."""
+    path = root / DROPPED
+    if not path.is_file():
+        return np.empty((0, 2), np.int64)
+    try:
+        with path.open("rb") as file:
+            head, *lines = file.read(_MAX_DROPPED_BYTES).split()
+        rows = np.array([line.split(b",") for line in lines], np.int64).reshape(-1, 2)
+    except (OSError, ValueError, OverflowError) as error:
+        head, rows, reason = b"", np.zeros((0, 2), np.int64), str(error)
+    else:
+        reason = "another header, a count below 1, or frames that do not rise"
+    if head != b"after_frame,scans" or (rows < (-1, 1)).any() or (np.diff(rows[:, 0]) <= 0).any():
+        raise DriveFileError(DROPPED, f"cannot be read ({reason}). Expected lines of after_frame,scans.")
+    return rows
+
+
+def dropped_in_words(dropped: Mapping[str, Any]) -> str:
+    """Return the warning of scans that were lost."""
+    places = ", ".join(f"{start:,.0f} to {stop:,.0f} m" for start, stop in dropped["stretches_m"][:5])
+    more = ", ..." if len(dropped["stretches_m"]) > 5 else ""
+    where = f" ({places}{more} of the track)" if places else ""
+    return (
+        f"{dropped['scans']:,} of {dropped['of']:,} scans were lost before they came into the drive{where}: "
+        "intersections may be missing there, and a map does not count it as a full pass."
+    )

@@ -63,7 +63,7 @@ def _any(words: tuple[str, ...]) -> str:
 _LABELS = rf"(?:{_any(LABEL_FILES)})/[^/]+\.label"
 _SMALL = (
     r"(?:poses|cam0_to_world|times|timestamps|calib[^/]*|calibration/[^/]+|velodyne_points/timestamps[^/]*)\.txt"
-    r"|geo\.csv|oxts/(?:[^/]+/)?[^/]+\.txt(?:\.gz)?|georeference/.+"
+    r"|geo\.csv|dropped\.csv|oxts/(?:[^/]+/)?[^/]+\.txt(?:\.gz)?|georeference/.+"
     rf"|{KITTI360_POSES}/[^/]+/(?:poses|cam0_to_world|oxts/(?:[^/]+/)?[^/]+)\.txt"
 )
 _SCAN_FOLDERS = _any(SCAN_FOLDERS)

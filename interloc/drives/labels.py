@@ -5,6 +5,7 @@ What lies under the vehicle is road: labels whose scheme says otherwise are read
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field
@@ -187,7 +188,8 @@ def check_labels(folder: str, judgement: LabelJudgement, findings: Findings) -> 
     if scheme is None or not total:
         return
     ids = sorted(counts)
-    if len(ids) == 1 and folder != "geometry" and ids[0] not in scheme.road and scheme.name not in _DELIBERATE:
+    is_doubted = scheme.name not in _DELIBERATE and not re.fullmatch("geometry|network .*", folder)
+    if len(ids) == 1 and is_doubted and ids[0] not in scheme.road:
         findings.refuse(
             folder,
             f"no point of the scans looked at is road: every one has the id {ids[0]}. Usual cause: a field that nobody "
@@ -197,7 +199,7 @@ def check_labels(folder: str, judgement: LabelJudgement, findings: Findings) -> 
     road = sum(counts.get(label, 0) for label in scheme.road)
     is_moving = len(ids) > 1 and set(ids) <= _MOVING_OBJECTS
     is_too_much = road > MAX_ROAD_SHARE * total or (is_moving and max(ids) > 9)
-    if is_too_much and folder != "geometry" and scheme.name not in _DELIBERATE:
+    if is_too_much and is_doubted:
         seen = f"{road / total:.0%} of the points are road" if road else "the points are static (9) or moving (251)"
         cause = "labels of moving objects (9 static, 251 moving)" if is_moving else "labels of other classes"
         findings.refuse(

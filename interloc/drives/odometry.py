@@ -7,7 +7,7 @@ import os
 import tempfile
 import time
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -17,11 +17,13 @@ from platformdirs import user_cache_path
 from interloc.arrays import FloatArray, IntArray
 from interloc.drives.findings import DriveFileError, Findings
 from interloc.drives.options import ODOMETRY, DriveOptions
+from interloc.drives.plans import MIN_CELLS, PlanMatch, upright_plan
 from interloc.drives.scans.raw import trajectory_of
 from interloc.drives.scans.recorded import PointSource, Recording
+from interloc.drives.trajectory import Trajectory
 from interloc.errors import DriveError
 from interloc.files import atomic_write
-from interloc.odometry import MIN_INLIER_SHARE, Odometry, Velocity, is_bent, register, require_small_gicp
+from interloc.odometry import MAX_STEP_M, MIN_INLIER_SHARE, Odometry, Velocity, is_bent, register, require_small_gicp
 from interloc.processes import Progress
 from interloc.wording import counted
 
@@ -33,6 +35,7 @@ PARTLY = "the longest stretch that could be followed"
 
 _BRIDGED = "it was taken to keep its speed"
 _MAX_FAILED, _SOON = 8, 20  # so many stretches in a row that end within so many scans: the rest is not tried
+_ALIKE = 0.45  # of a plan that lies on another: real streets have more up to 23 m apart
 _LEAST_SHARE = 0.3  # of the scans: a shorter stretch does not stand for the drive
 
 
@@ -54,6 +57,24 @@ class Track:
             numbers = np.loadtxt(file, dtype=np.int64, usecols=0, ndmin=1)
         first = int(np.searchsorted(frames, numbers[0]))
         return cls(path, how, slice(first, first + len(numbers)))
+
+    def trajectory(self, recording: Recording, options: DriveOptions, findings: Findings) -> Trajectory:
+        """Return the trajectory of a recording that is read by these poses: nothing is told of the file they are in."""
+        told = Findings(stop_at_first=False)
+        found = trajectory_of(recording, options, told)
+        for finding in told.found:
+            if finding.path != str(self.path):
+                findings.tell(finding)
+            elif finding.severity == "error":
+                findings.refuse(
+                    "poses",
+                    "were computed from the points, and are not those of a vehicle that drives where the sensor looks. "
+                    "Usual cause: points with the axes of a camera, in the frame of the world, or of scans that do not "
+                    f"follow each other ({finding.message.split('. ')[0]}).",
+                )
+        if found.poses is None:
+            return found
+        return replace(found, poses=replace(found.poses, reason=self.how, is_computed=True))
 
 
 def track_of(
@@ -78,6 +99,7 @@ def track_of(
             findings.note(ODOMETRY, f"the poses of {len(frames):,} scans are computed from their points, once.")
             is_timed = recording.has_times and has_times and options.deskew != "off"
             deskew = is_timed and (options.deskew == "on" or _are_bent(source, frames, clock))
+            _refuse_far_apart(source, frames)
             stretch, lost = _follow(source, frames, clock, deskew, progress)
             used = frames[stretch.first : stretch.stop]
             how = f"odometry over the points of {len(used):,} scans{', deskewed' if deskew else ''}"
@@ -118,6 +140,27 @@ class _Stretch:
         if is_bridged:
             is_next = bool(self.bridged) and before_m - self.bridged[-1][1] < 5.0  # they are told as one
             self.bridged.append((self.bridged.pop()[0] if is_next else before_m, self.driven_m))
+
+
+def _refuse_far_apart(source: PointSource, frames: IntArray) -> None:
+    """Raise DriveError where what stands upright shows at some places that the scans lie too far apart."""
+    apart_m = []
+    for row in np.linspace(0, max(len(frames) - 2, 0), 3).astype(int):
+        here, there = (
+            upright_plan(source.read(int(frame)).values[:, :3])
+            for frame in frames[[row, min(row + 1, len(frames) - 1)]]
+        )
+        if min(len(here), len(there)) < MIN_CELLS:
+            return
+        match = PlanMatch.of(here, there)
+        apart_m.append(float(np.hypot(*match.motion[:2])))
+        if match.share < _ALIKE or apart_m[-1] <= MAX_STEP_M:
+            return
+    raise DriveFileError(
+        source.name(int(frames[0])),
+        f"the scans lie about {np.median(apart_m):.0f} m apart: odometry follows scans up to {MAX_STEP_M:.0f} m apart, "
+        "and is sure up to some metres. Give all scans of the recording, or poses.",
+    )
 
 
 def _follow(

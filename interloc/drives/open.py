@@ -4,17 +4,22 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
-from typing import Unpack, cast
+from typing import TYPE_CHECKING, Unpack, cast
 
-from interloc.drives.checks import NEAR_M, RoadSeen, check_flat_road, check_motion, check_points, sample_indices
-from interloc.drives.files import each_read_once, rows_of_part
+import numpy as np
+
+from interloc.arrays import Float32Array
+from interloc.drives.checks import check_flat_road, check_motion, sample_indices
+from interloc.drives.files import each_read_once, rows_of_part, scan_once
 from interloc.drives.findings import Findings
-from interloc.drives.folder import FolderDrive, Scans
+from interloc.drives.folder import DROPPED, FolderDrive, Scans, dropped_in_words
 from interloc.drives.formats import FORMATS, ScanFormat, find_format, installed_formats
 from interloc.drives.georeference.geodetic import check_against_poses
+from interloc.drives.ground import LevelScans, check_points, level_of, levelled
 from interloc.drives.labels import SEMANTICKITTI, LabelJudgement
 from interloc.drives.layouts import SCAN_FOLDERS, not_a_drive, recognise_layout
 from interloc.drives.options import LABEL_FILES, ODOMETRY, DriveArguments, DriveOptions, LabelFolder, ReadingOptions
@@ -25,7 +30,11 @@ from interloc.drives.scans.recorded import Recording, rows_within
 from interloc.drives.scans.reduced import ReducedScans, reduced_trajectory
 from interloc.drives.scans.reduced_format import MANIFEST, ReducedManifest, is_reduced, read_manifest
 from interloc.drives.trajectory import Trajectory
+from interloc.errors import DriveError
 from interloc.processes import Progress
+
+if TYPE_CHECKING:
+    from interloc.drives.odometry import Track
 
 NO_POSES = "there are none: they are computed from the points (--poses odometry)."
 
@@ -138,7 +147,7 @@ def read_drive(
     """
     readings: dict[LabelFolder, DriveReading] = {}
     with each_read_once():
-        opened, part, trajectory = _open(root, options, findings, progress)
+        opened, trajectory, part = _open(root, options, findings, progress)
         for folder in dict.fromkeys(label_folders or (_label_folder(opened, options, findings, needs_labels),)):
             scans: Scans | None = None
             with findings.stage():
@@ -164,11 +173,11 @@ def read_drive(
 
 def _open(
     root: Path, options: DriveOptions, findings: Findings, progress: Progress | None
-) -> tuple[Recording | ReducedManifest | None, slice | None, Callable[[], Trajectory]]:
+) -> tuple[Recording | ReducedManifest | None, Callable[[], Trajectory], slice | None]:
     """Open the scans of a drive, and return with them the part asked for, and what reads, once, where they were."""
     opened: Recording | ReducedManifest | None = None
     part: slice | None = None  # of all scans; a recording is cut to it, the trajectory is read of all
-    computed: str | None = None  # how, where the poses are not given
+    track: Track | None = None  # where the poses are not given
 
     @cache
     def trajectory() -> Trajectory:
@@ -176,36 +185,75 @@ def _open(
             return Trajectory(georeference_reason="the poses could not be computed")
         if isinstance(whole, ReducedManifest):
             found = reduced_trajectory(whole, root, options, findings)
+        elif track is not None:
+            return track.trajectory(whole, options, findings)
         else:
             found = trajectory_of(whole, options, findings)
-        found = found if part is None else found.part(part)
-        if computed is not None and found.poses is not None:
-            return replace(found, poses=replace(found.poses, reason=computed))
-        return found
+        return found if part is None else found.part(part)
 
     with findings.stage():
         whole = read_manifest(root) if is_reduced(root) else open_recording(root, options, findings)
-        if options.frames is not None and whole.frames is not None:
-            name = whole.parts.file(whole.parts.scans).name if isinstance(whole, Recording) else MANIFEST
-            part = rows_of_part(options.frames, whole.frames, name)
+        part = _part_of(whole, options)
         opened = _cut(whole, part) if isinstance(whole, Recording) else whole
     if isinstance(opened, Recording) and opened.frames is not None:
+        has_poses = options.poses != ODOMETRY and (options.poses is not None or opened.has_poses)
+        where = opened.parts.file(opened.parts.scans).name
+        seen = _seen(opened)
+        is_sound = not options.check or check_points(seen, where, findings, has_poses=has_poses)
         with findings.stage():
             if options.poses is None and not opened.has_poses:
                 findings.warning("poses", NO_POSES)
                 options = options.model_copy(update={"poses": ODOMETRY})
                 opened = _cut(open_recording(root, options, findings), part)
+            if not is_sound and not has_poses:
+                return opened, trajectory, part
             if options.poses == ODOMETRY:
                 from interloc.drives.odometry import track_of  # noqa: PLC0415 - slow to import
 
                 track = track_of(opened, options, findings, progress)
-                computed = track.how
                 options = options.model_copy(update={"poses": str(track.path), "pose_frame": "lidar"})
                 whole = opened = _cut(open_recording(root, options, findings), part).within(track.rows)
                 part = None
             if is_to_deskew(opened, options, findings):
                 opened = deskewed(opened, trajectory(), options, findings)
-    return opened, part, trajectory
+            return *_upright(opened, trajectory, seen, findings), part
+    return opened, trajectory, part
+
+
+def _upright(
+    recording: Recording, trajectory: Callable[[], Trajectory], seen: list[Float32Array], findings: Findings
+) -> tuple[Recording, Callable[[], Trajectory]]:
+    """Turn points and poses upright where the ground, seen in some scans, shows that the sensor is tilted."""
+    level = level_of(seen)
+    upright = None if level is None else levelled(trajectory(), level)
+    if level is None or upright is None or recording.points is None:
+        return recording, trajectory
+    findings.warning(
+        recording.parts.file(recording.parts.scans).name,
+        f"the ground is tilted by {np.degrees(np.arccos(level[2, 2])):.0f} degrees against the sensor in all scans "
+        "looked at: points and poses are turned upright. Usual cause: a sensor that is mounted at an angle.",
+    )
+    return replace(recording, points=LevelScans(recording.points, level)), lambda: upright
+
+
+def _seen(recording: Recording) -> list[Float32Array]:
+    """Return the points of some scans, those that can be read."""
+    source, frames, seen = recording.points, recording.frames, []
+    if source is None or frames is None:
+        return []
+    usable = np.arange(len(frames)) if recording.usable is None else recording.usable
+    for frame in frames[sample_indices(usable, SAMPLED_SCANS)].tolist():
+        with suppress(DriveError):  # which is said where it is read
+            points = scan_once((id(source), frame), partial(source.read, frame), lambda points: points.nbytes)
+            seen.append(points.values[np.isfinite(points.values[:, :3]).all(axis=1), :3])
+    return [xyz for xyz in seen if len(xyz)]
+
+
+def _part_of(whole: Recording | ReducedManifest, options: DriveOptions) -> slice | None:
+    if options.frames is None or whole.frames is None:
+        return None
+    name = whole.parts.file(whole.parts.scans).name if isinstance(whole, Recording) else MANIFEST
+    return rows_of_part(options.frames, whole.frames, name)
 
 
 def _cut(recording: Recording, part: slice | None) -> Recording:
@@ -266,6 +314,8 @@ def _within(scans: Scans, rows: slice) -> Scans:
 
 
 def _pose_file(scans: Scans, trajectory: Trajectory) -> str:
+    if trajectory.poses is not None and trajectory.poses.is_computed:
+        return "poses computed from the points"
     if scans.parts.poses is not None:
         return scans.parts.file(scans.parts.poses).name
     is_oxts = trajectory.poses is not None and trajectory.poses.frame == "oxts"
@@ -295,14 +345,13 @@ def _checked(reading: DriveReading, findings: Findings) -> DriveReading:
     drive, scans = reading.drive, reading.scans
     if drive is None or scans is None:
         return reading
-    pose_file = _pose_file(scans, reading.trajectory)
-    seen = []
+    pose_file, seen = _pose_file(scans, reading.trajectory), []
     for index in reading.sample:
         with findings.stage():
-            if len(road := drive.ground_points(index).road):
-                seen.append(RoadSeen.of(index, road, NEAR_M))
+            seen.append(drive.ground_points(index).road)
     errors = findings.errors
-    check_points(drive.T_world_lidar, seen, scans.parts.file(scans.parts.scans).name, findings)
+    if isinstance(scans, ReducedScans):
+        check_points(seen, scans.parts.file(scans.parts.scans).name, findings, has_poses=True)
     check_motion(drive.T_world_lidar, pose_file, findings)
     reading = replace(reading, flatness_m=check_flat_road(drive, scans.usable, pose_file, findings))
     is_cut = isinstance(scans, RawScans) and scans.recording.is_cut
@@ -311,6 +360,9 @@ def _checked(reading: DriveReading, findings: Findings) -> DriveReading:
     if isinstance(scans, RawScans):
         scans.check_turns(findings)
         scans.tell_doubts(findings)
+        with findings.stage():  # a reduced drive has the warning in its manifest
+            if (dropped := drive.dropped) is not None:
+                findings.warning(DROPPED, dropped_in_words(dropped))
     if drive.georeference is None or drive.pose_frame == "oxts":
         return reading
     error = check_against_poses(drive.T_world_lidar, drive.georeference, findings)

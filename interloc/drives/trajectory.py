@@ -38,6 +38,8 @@ class LidarPoses:
     """Why that is thought."""
     T_file_world: FloatArray | None = None
     """(4, 4) float64 or None: w in the world of the pose file."""
+    is_computed: bool = False
+    """They were computed from the points."""
 
     @property
     def steps_m(self) -> FloatArray:

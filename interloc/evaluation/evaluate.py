@@ -11,6 +11,7 @@ import numpy as np
 
 from interloc.arrays import IntArray
 from interloc.drawing import Sign, map_sketch
+from interloc.drives.folder import dropped_in_words
 from interloc.errors import ConfigError, GeoreferenceError, expect
 from interloc.evaluation.coverage import check_coverage, warn_of_border
 from interloc.evaluation.map_level import MapLevel, assign_intersections
@@ -311,6 +312,8 @@ def _score(
     map_level = replace(map_level, counts=map_level.counts & graph.covers(result.intersections.lonlat))
     if doubts := result.run.get("doubtful_labels_m"):
         warnings += (doubts_in_words(doubts),)
+    if dropped := result.run.get("dropped"):
+        warnings += (dropped_in_words(dropped),)
     if "location" in result.run:
         warnings += (
             result.run["location"].get("scored")

@@ -6,6 +6,7 @@ import base64
 import json
 import math
 import os
+from collections import Counter
 from collections.abc import Callable, Mapping
 from functools import cache
 from pathlib import Path
@@ -16,7 +17,7 @@ import numpy as np
 from interloc.arrays import FloatArray, IntArray
 from interloc.config import flatten
 from interloc.drawing import ImageFormat, image
-from interloc.errors import OutputError
+from interloc.errors import Beside, OutputError
 from interloc.evaluation.coverage import track_bounds
 from interloc.evaluation.evaluate import Evaluation
 from interloc.evaluation.metrics import NEAR_PAIR_M, STANDARD_THRESHOLD_M
@@ -38,7 +39,13 @@ from interloc.wording import metres, percent
 _RATIO_DECIMALS = 6
 
 
-def write_report(evaluation: Evaluation, out_dir: str | os.PathLike[str], *, result: DriveResult | None = None) -> None:
+def write_report(
+    evaluation: Evaluation,
+    out_dir: str | os.PathLike[str],
+    *,
+    result: DriveResult | None = None,
+    beside: Beside | None = None,
+) -> dict[str, Any]:
     """Write the report of an evaluation into the result folder of its run.
 
     Parameters
@@ -52,29 +59,48 @@ def write_report(evaluation: Evaluation, out_dir: str | os.PathLike[str], *, res
     result
         The run as it was written, where that is not the one that was scored (`interloc.localization.placing`). Its
         configuration and timings are part of the report.
+    beside
+        Collects what of figures, page, roads and layers of the map could not be made, instead of an IncompleteError.
+
+    Returns
+    -------
+    dict
+        What `report.json` holds.
 
     Raises
     ------
     OutputError
         The folder is missing, or a file could not be written.
+    IncompleteError
+        All was written but what failed beside the score.
     """
+    parts = beside or Beside()
     result, out_dir = result or evaluation.result, Path(out_dir)
     if not out_dir.is_dir():
         raise OutputError(
             f"{out_dir}: no such folder. Expected the result folder of `interloc detect` or `interloc.write_results`."
         )
-    pictures = _write_figures(evaluation, result, out_dir / FIGURES)
+    with parts.part("the score of the roads"):
+        _ = evaluation.roads
+    evaluation.__dict__.setdefault("roads", None)  # where it failed, it is not tried again
+    pictures = _write_figures(evaluation, result, out_dir / FIGURES, parts)
     graph, origin = evaluation.graph, origin_of(result.run, result.drive)
     for layer, features_of in LAYER_FEATURES.items():
-        features = features_of(evaluation, result)
-        if layer == BUILDINGS and not features:  # most maps of roads have none; those of an older map are gone
-            (out_dir / f"{layer}.geojson").unlink(missing_ok=True)
-            continue
-        credit = LAYERS[layer].credit(features, made_up_map=graph.is_made_up)
-        write_collection(out_dir / f"{layer}.geojson", features, local=False, credit=credit, origin=origin)
+        with parts.part(f"the layer {layer}"):
+            features = features_of(evaluation, result)
+            if layer == BUILDINGS and not features:  # most maps of roads have none; those of an older map are gone
+                (out_dir / f"{layer}.geojson").unlink(missing_ok=True)
+                continue
+            credit = LAYERS[layer].credit(features, made_up_map=graph.is_made_up)
+            write_collection(out_dir / f"{layer}.geojson", features, local=False, credit=credit, origin=origin)
     record = report_record(evaluation)
-    write_file(out_dir / "report.html", render_html(record, result, pictures))
+    with parts.part("report.html"):
+        write_file(out_dir / "report.html", render_html(record, result, pictures))
+    record |= {"missing": parts.missing} if parts.missing else {}
     write_record(out_dir / "report.json", record)  # last: where it is, the rest is complete
+    if beside is None:
+        parts.check(out_dir)
+    return record
 
 
 def render_html(record: dict[str, Any], result: DriveResult, pictures: dict[str, str]) -> str:
@@ -84,7 +110,7 @@ def render_html(record: dict[str, Any], result: DriveResult, pictures: dict[str,
         record["nodes"],
         key=lambda n: (not n["in_zone"], n["found"], -(n["median_error_m"] or 0.0)),
     )
-    order = {"wrong": 0, "right": 1, "unscored": 2}
+    order = {"wrong": 0, "not_counted": 1, "right": 2, "unscored": 3}
     intersections = sorted(
         record["intersections"], key=lambda each: (order[each["outcome"]], -(each["error_m"] or 0.0), each["id"])
     )
@@ -140,21 +166,24 @@ def make_folder(folder: Path) -> None:
         raise OutputError(f"{folder} could not be created: {reason_of(error)}.") from error
 
 
-def _write_figures(evaluation: Evaluation, result: DriveResult, folder: Path) -> dict[str, str]:
+def _write_figures(evaluation: Evaluation, result: DriveResult, folder: Path, parts: Beside) -> dict[str, str]:
+    """Write the figures; return their data addresses, "" of one that failed."""
     from interloc.evaluation.figures import error_figure, map_figure, threshold_figure  # noqa: PLC0415 - slow to import
 
     make_folder(folder)
-    pictures = {}
-    for name, figure in (
-        ("map", map_figure(evaluation, result)),
-        ("errors", error_figure(evaluation)),
-        ("thresholds", threshold_figure(evaluation)),
-    ):
+    figures: dict[str, Callable[[], Any]] = {
+        "map": lambda: map_figure(evaluation, result),
+        "errors": lambda: error_figure(evaluation),
+        "thresholds": lambda: threshold_figure(evaluation),
+    }
+    pictures = dict.fromkeys(figures, "")
+    for name, draw in figures.items():
         # Thousands of marks are smaller and faster as pixels; curves are sharper as curves.
         kind: ImageFormat = "png" if name == "map" else "svg"
-        picture = image(figure, kind)
-        write_file(folder / f"{name}.{kind}", picture)
-        pictures[name] = data_address(picture, "image/png" if kind == "png" else "image/svg+xml")
+        with parts.part(f"the figure {name}"):
+            picture = image(draw(), kind)
+            write_file(folder / f"{name}.{kind}", picture)
+            pictures[name] = data_address(picture, "image/png" if kind == "png" else "image/svg+xml")
     return pictures
 
 
@@ -294,13 +323,17 @@ def _road_record(evaluation: Evaluation) -> dict[str, Any] | None:
 def map_line(level: Mapping[str, Any]) -> str:
     """Return `map_level` of a report in one line, with its gate named.
 
-    "13 of 14 intersections right within 10 m, 5 of 5 nodes found, median 0.9 m".
+    "13 of 14 intersections right within 10 m, 1 not judged, 5 of 5 nodes found, median 0.9 m".
     """
-    right, scored = level["true"], level["intersections_in_zone"]
+    right, scored = level["true"], level["intersections_in_zone"] - level.get("not_counted", 0)
     nodes = level["nodes_in_zone"]
     what = "intersection" if scored == 1 else "intersections"
+    neutral = {"not counted by this policy": level.get("not_counted"), "not judged": level.get("not_judged")}
+    told = [f"{count} {words}" for words, count in neutral.items() if count]
+    judged = [] if told and not scored else ["no intersections"]
     parts = [
-        f"{right} of {scored} {what} right within {level['gate_m']:g} m" if scored else "no intersections",
+        *([f"{right} of {scored} {what} right within {level['gate_m']:g} m"] if scored else judged),
+        *told,
         f"{nodes - level['missed']} of {nodes} {'node' if nodes == 1 else 'nodes'} found",
     ]
     if level["median_m"] is not None:
@@ -379,17 +412,20 @@ def _intersection_rows(evaluation: Evaluation) -> list[dict[str, Any]]:
 
 def _map_level(evaluation: Evaluation) -> dict[str, Any]:
     level = evaluation.map_level
-    errors = level.errors_m
+    errors, outcomes = level.errors_m, Counter(evaluation.verdicts.intersections.outcome)
+    right, wrong = outcomes["right"], outcomes["wrong"]
     return {
         "gate_m": level.gate_m,
         "intersections": len(level.node),
         "intersections_in_zone": int(level.counts.sum()),
         "nodes_in_zone": int(level.node_in_zone.sum()),
         "assigned": len(errors),
-        "true": int(level.right.sum()),
-        "false": int(level.wrong.sum()),
+        "true": right,
+        "false": wrong,
+        "not_counted": outcomes["not_counted"],
+        "not_judged": outcomes["unscored"],
         "missed": int(level.missed.sum()),
-        "precision": _ratio(level.precision),
+        "precision": _ratio(right / (right + wrong)) if right + wrong else None,
         "recall": _ratio(level.recall),
         "mean_m": _metres(errors.mean() if len(errors) else None),
         "median_m": _metres(np.median(errors) if len(errors) else None),

@@ -102,6 +102,9 @@ def give_verdicts(
         map_level.gate_m,
     )
 
+    left_out = [reason is not None and reason.kind == "left_out" for reason in wrong]
+    fused.outcome[:] = np.where(left_out, "not_counted", fused.outcome).tolist()
+
     seen = FoundByDrive(
         keyframe_xy=evidence.plane(keyframes.lonlat),
         detection_xy=evidence.plane(every.lonlat[detection_row]),

@@ -95,6 +95,11 @@ class LiveScan:
     label: Label | None = None
     """Gives the points their labels."""
 
+    @property
+    def nbytes(self) -> int:
+        """Size of its points and labels."""
+        return self.points.nbytes + (0 if self.labels is None else self.labels.nbytes)
+
     @cached_property
     def ground(self) -> GroundPoints:
         """The points that the method can use.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -46,14 +46,14 @@ class LiveSession:
 
     ``config.keyframes.lookahead`` keyframes (20, about 40 m, unless set) pass before a keyframe is answered; 0 answers
     at once, and finds fewer intersections ahead of the vehicle. The detections are those of `interloc.detect` with the
-    same settings, to the last digit; `complete` is its map.
+    same settings, to the last digit; `complete` is its map. `room` bounds its memory, as that of `Detector`.
     """
 
-    def __init__(self, config: DetectorConfig = DEFAULT) -> None:
+    def __init__(self, config: DetectorConfig = DEFAULT, room: Callable[[int], None] = lambda _bytes: None) -> None:
         self.config = config
         self.map = GrowingMap(config)
         self.last_frame = -1
-        self._detector = Detector(config)
+        self._detector = Detector(config, room)
         self._fixes: deque[Fix | None] = deque()  # of the keyframes that are not answered yet
         self._answered = 0
         self._patch_xy: FloatArray | None = None
@@ -99,6 +99,11 @@ class LiveSession:
     def complete(self) -> tuple[KeyframeTable, IntersectionTable, DetectionTable]:
         """Return keyframes, map and detections as `interloc.detect` has them: all fused at once."""
         return self.map.complete()
+
+    def close(self) -> None:
+        """Give back the memory of its window: it takes no more scans."""
+        keyframes, self._detector = self.keyframes, Detector(self.config)
+        self._detector.keyframes = keyframes
 
     def _answer(self, window: Window, frame: int, is_keyframe: bool) -> Answer:
         steps, fix = window.steps(), self._fixes.popleft()

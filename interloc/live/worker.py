@@ -10,6 +10,7 @@ import math
 import threading
 from collections import deque
 from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from typing import Any
 
 import numpy as np
@@ -33,8 +34,9 @@ class LiveWorker:
     """Answers every scan that is put in, in its thread: with what was found, or that it was dropped or refused.
 
     `say` is called from the thread, but for dropped scans, which are reported by the thread that put the next one in;
-    `keep` with each scan that was a keyframe, before it is answered. At most `queue_size` scans wait: a map of roads
-    needs no scan in particular, and one that waits makes all after it late.
+    `keep` with each scan that was a keyframe, before it is answered. At most `queue_size` scans wait, of `queue_bytes`
+    in all: a map of roads needs no scan in particular, and one that waits makes all after it late. `turn` is entered
+    while a scan is worked on.
     """
 
     def __init__(
@@ -44,12 +46,16 @@ class LiveWorker:
         *,
         keep: Callable[[LiveScan], None] | None = None,
         queue_size: int = 4,
+        queue_bytes: int = 64 * 1024**2,
+        turn: Callable[[LiveScan], AbstractContextManager[object]] = nullcontext,
     ) -> None:
         self.session = session
         self._say = say
         self._keep = keep
-        self._queue_size = queue_size
+        self._queue_size, self._queue_bytes = queue_size, queue_bytes
+        self._turn = turn
         self._waiting: deque[LiveScan] = deque()
+        self._at_work: LiveScan | None = None
         self._changed = threading.Condition()
         self._is_complete = False
         self._goes_on = True
@@ -59,15 +65,28 @@ class LiveWorker:
 
     def put(self, scan: LiveScan) -> None:
         """Hand in the next scan; never waits."""
-        oldest = None
+        oldest = []
         with self._changed:
-            if len(self._waiting) >= self._queue_size:
-                oldest = self._waiting.popleft()
-                self.dropped += 1
             self._waiting.append(scan)
+            while len(self._waiting) > self._queue_size or (
+                len(self._waiting) > 1 and sum(each.nbytes for each in self._waiting) > self._queue_bytes
+            ):
+                oldest.append(self._waiting.popleft())
             self._changed.notify()
-        if oldest is not None:
-            self._say({"type": "dropped", "frame": oldest.frame, "dropped": self.dropped}, None)
+        for each in oldest:
+            self.drop(each.frame)
+
+    @property
+    def held_bytes(self) -> int:
+        """Size of the scans that wait, and of the one that is worked on."""
+        with self._changed:
+            return sum(each.nbytes for each in (*self._waiting, self._at_work) if each is not None)
+
+    def drop(self, frame: int, reason: str | None = None) -> None:
+        """Say that a scan is left out: the session is too slow, unless there is another reason."""
+        self.dropped += 1
+        because = {} if reason is None else {"reason": reason}
+        self._say({"type": "dropped", "frame": frame, "dropped": self.dropped, **because}, None)
 
     def finish(self) -> None:
         """Let it answer what waits, the last keyframes too, and end; `join` waits for that."""
@@ -88,6 +107,8 @@ class LiveWorker:
         try:
             while (scan := self._next()) is not None and self._goes_on:
                 self._take(scan)
+                del scan  # it may be large, and the next one may be long in coming
+                self._at_work = None
             if self._goes_on:
                 for answer in self.session.finish():
                     self._say(answer_document(answer, dropped=self.dropped), answer)
@@ -95,16 +116,23 @@ class LiveWorker:
         except Exception:  # noqa: BLE001 - whatever it is, the client gets a line
             _log.exception("a live session has failed")
             self._say({"type": "failed", "reason": "a fault of InterLoc itself; its log has the details."}, None)
+        finally:
+            with self._changed:
+                self._waiting.clear()
+                self._at_work = None
+            self.session.close()
 
     def _next(self) -> LiveScan | None:
         """Wait for the next scan; None where there are no more."""
         with self._changed:
             self._changed.wait_for(lambda: self._waiting or self._is_complete)
-            return self._waiting.popleft() if self._waiting else None
+            self._at_work = self._waiting.popleft() if self._waiting else None
+            return self._at_work
 
     def _take(self, scan: LiveScan) -> None:
         try:
-            answer = self.session.push(scan)
+            with self._turn(scan):
+                answer = self.session.push(scan)
             if answer.is_keyframe and self._keep is not None:
                 self._keep(scan)
         except InterLocError as error:

@@ -32,6 +32,10 @@ MIN_SCORE = 1.15
 MARGIN = 0.10
 """How much better than the next place, and than chance, the best must be."""
 
+ALONE, ALONE_SCORE = 5.0, 1.3
+"""A place with such a score that leads the next one by so many margins needs half a margin over chance: what fits in a
+mirror nearly as well is then the place itself, seen in a mirror. On a mirrored map the mirror leads."""
+
 FULL_LENGTH_M = 700.0
 """A shorter drive needs a larger lead, twice the margin at half this length: one of 500 m led by 0.10 in a mirror."""
 
@@ -173,7 +177,8 @@ def decide(best: Evidence | None, runner_up: float, chance: float, length_m: flo
             f"the best place scores {best.score:.2f}, the next one {runner_up:.2f}: not {margin:.2f} apart.",
             longer,
         )
-    if best.score - chance < margin:
+    is_alone = best.seen >= MIN_SEEN and best.score >= ALONE_SCORE and best.score - runner_up >= ALONE * margin
+    if best.score - chance < margin * (0.5 if is_alone else 1.0):
         return Decision(
             "not_found",
             f"the best place scores {best.score:.2f}, which is not {margin:.2f} better than chance: the same drive "

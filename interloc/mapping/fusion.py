@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -25,6 +25,8 @@ from interloc.mapping.estimation import (
     visibility,
 )
 from interloc.results import DetectionTable, IntersectionTable, KeyframeTable, PositionParts
+
+_MIN_BRANCHES = 3  # that all detections of an intersection saw together; two are a bend, or a mouth that was not seen
 
 
 def fuse(
@@ -84,12 +86,15 @@ def fuse(
     centres, labels = _reassign(scene, centres[kept], None, config)
     centres, labels = _in_order_of_sight(scene, centres, labels)
     table = _table(keyframes, detections, scene, centres, labels, config, calibration)
-    sure = table.confidence >= config.min_confidence
-    if calibration is None or sure.all():
+    sure = np.ones(len(table), dtype=np.bool_) if calibration is None else table.confidence >= config.min_confidence
+    meets = np.array([len(each) >= _MIN_BRANCHES for each in table.bearings_deg], dtype=np.bool_)
+    bends, sure = int((sure & ~meets).sum()), sure & meets
+    if sure.all():
         return table, labels
     row = np.append(np.where(sure, np.cumsum(sure) - 1, -1), -1)  # the last one is picked by label -1
     labels = row[labels]
-    return _table(keyframes, detections, scene, centres[sure], labels, config, calibration), labels
+    table = _table(keyframes, detections, scene, centres[sure], labels, config, calibration)
+    return replace(table, bends=bends), labels
 
 
 def evidence(

@@ -93,7 +93,9 @@ NODE_KINDS = (
     "end_of_view: the road was not seen farther."
 )
 Verdict = Literal["right", "wrong", "unscored"]
-"""Of a detection or an intersection; unscored before an evaluation, and where the map cannot tell."""
+"""Of a detection; unscored before an evaluation, and where the map cannot tell."""
+PlaceVerdict = Literal["right", "wrong", "not_counted", "unscored"]
+"""Of an intersection; not_counted at a junction that the policy leaves out."""
 
 
 class Strict(BaseModel):
@@ -189,10 +191,11 @@ class IntersectionProperties(ResultProperties):
         title="Last seen",
         description="Time of the last keyframe that saw it, RFC 3339; null where the drive has no times of day.",
     )
-    outcome: Verdict = Field(
+    outcome: PlaceVerdict = Field(
         "unscored",
         title="Verdict",
-        description="right: assigned to an OpenStreetMap node, one to one, within 10 m. wrong: to none. unscored: "
+        description="right: assigned to an OpenStreetMap node, one to one, within 10 m. wrong: to none. "
+        "not_counted: to none, and at a junction that the policy leaves out, such as that of a service road. unscored: "
         "before `evaluate`, beyond the map, or in the relevant zone of no keyframe.",
     )
     osm_id: int | None = Field(

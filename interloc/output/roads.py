@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from interloc.arrays import FloatArray
-from interloc.errors import expect
+from interloc.errors import Beside, expect
 from interloc.mapping.mosaic import Mosaic
 from interloc.output.geojson import as_printed, positions
 from interloc.output.layers import LAYERS
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     import shapely  # slow to import
 
 
-def roads(result: DriveResult, mosaic: Mosaic | None = None) -> RoadNetwork:
+def roads(result: DriveResult, mosaic: Mosaic | None = None, *, beside: Beside | None = None) -> RoadNetwork:
     """Make the map of the roads that a drive saw: centrelines, widths, junctions and surface.
 
     Parameters
@@ -29,6 +29,8 @@ def roads(result: DriveResult, mosaic: Mosaic | None = None) -> RoadNetwork:
         files have them: a run and its result folder have the same roads.
     mosaic
         That of the run, where it was made before.
+    beside
+        Collects what could not be made, instead of an error.
 
     Returns
     -------
@@ -43,7 +45,7 @@ def roads(result: DriveResult, mosaic: Mosaic | None = None) -> RoadNetwork:
     from interloc.roadmap.extract import extract_roads  # noqa: PLC0415 - SciPy and Shapely are slow to import
 
     expect(result, DriveResult)
-    return extract_roads(as_printed(result), mosaic_of(result) if mosaic is None else mosaic)
+    return extract_roads(as_printed(result), mosaic_of(result) if mosaic is None else mosaic, beside=beside)
 
 
 def road_features(network: RoadNetwork) -> dict[str, list[dict[str, Any]]]:

@@ -133,6 +133,7 @@ STYLES = {
         (
             Rule("right", "Right", Mark("disc", RIGHT, 7, width_px=1.6, edge=PAPER, glyph="check")),
             Rule("wrong", "Wrong", Mark("triangle", WRONG, 8, width_px=1.6, edge=PAPER, glyph="bang")),
+            Rule("not_counted", "Not counted", Mark("disc", OUTSIDE, 7, width_px=1.6, edge=PAPER, glyph="gap")),
             Rule("unscored", "Not scored", Mark("disc", FUSED, 7, width_px=1.6, edge=PAPER, glyph="fork")),
         ),
         field="outcome",

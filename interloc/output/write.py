@@ -12,7 +12,7 @@ import numpy as np
 from pydantic_core import to_jsonable_python
 
 from interloc.arrays import FloatArray
-from interloc.errors import OutputError
+from interloc.errors import Beside, OutputError
 from interloc.files import reason_of
 from interloc.geometry import bearing_deg, thin
 from interloc.output.geojson import bearings, positions, write_collection, write_record
@@ -23,6 +23,7 @@ from interloc.output.layout import (
     FORMAT_VERSION,
     RESULT_NAMES,
     ROAD_FILE,
+    ROAD_LAYERS,
     RUN_FILE,
     RUN_KEYS,
     RUN_NAMES,
@@ -38,7 +39,9 @@ from interloc.roadmap.network import RoadNetwork
 TRAJECTORY_STEP_M = 0.5
 
 
-def write_results(result: DriveResult, folder: str | os.PathLike[str]) -> RoadNetwork:
+def write_results(
+    result: DriveResult, folder: str | os.PathLike[str], *, beside: Beside | None = None
+) -> RoadNetwork | None:
     """Write the files of a run into a folder.
 
     Parameters
@@ -49,16 +52,20 @@ def write_results(result: DriveResult, folder: str | os.PathLike[str]) -> RoadNe
         Is created where it is missing. Files of an older run in it are replaced one by one, and those of its
         evaluation are removed: they are of another result. All else stays. Write into an
         `interloc.files.atomic_folder` for all or nothing.
+    beside
+        Collects what of the roads could not be made, instead of an IncompleteError at the end.
 
     Returns
     -------
-    RoadNetwork
-        The map of the roads, which was made for its files.
+    RoadNetwork or None
+        The map of the roads, which was made for its files; None where that failed.
 
     Raises
     ------
     OutputError
         A file could not be written.
+    IncompleteError
+        All was written but roads or road surface, which failed.
 
     Notes
     -----
@@ -81,21 +88,25 @@ def write_results(result: DriveResult, folder: str | os.PathLike[str]) -> RoadNe
     origin = origin_of(result.run, result.drive)
     for table, features_of in TABLE_FEATURES.items():
         write_collection(folder / names[table], features_of(result), local=local, origin=origin)
-    mosaic = mosaic_of(result)
-    network = roads(result, mosaic)
-    for layer, features in road_features(network).items():
+    parts, network, rasters = beside or Beside(), None, []
+    with parts.part("the map of the roads"):
+        mosaic = mosaic_of(result)
+        network = roads(result, mosaic, beside=parts)
+        if mosaic.raster.tiles:
+            write_road(mosaic, folder / ROAD_FILE)
+            rasters = [ROAD_FILE]
+    made = {key: list[dict[str, Any]]() for key in ROAD_LAYERS} if network is None else road_features(network)
+    for layer, features in made.items():
         write_collection(folder / names[layer], features, local=local, origin=origin)
-    rasters = []
-    if mosaic.raster.tiles:
-        write_road(mosaic, folder / ROAD_FILE)
-        rasters = [ROAD_FILE]
     times = [each for each in result.keyframes.moments if each is not None]
     first, last = (times[0], times[-1]) if times else (None, None)
     files = [*names.values(), *rasters, RUN_FILE]
     own = (FORMAT, FORMAT_VERSION, result.drive, result.is_georeferenced, files, first, last)
     facts = to_jsonable_python(result.run, inf_nan_mode="null", fallback=_as_number_or_text)
     run = dict(zip(RUN_KEYS, own, strict=True)) | {k: v for k, v in facts.items() if k not in RUN_KEYS}
-    write_record(folder / RUN_FILE, run)
+    write_record(folder / RUN_FILE, run | ({"missing": parts.missing} if parts.missing else {}))
+    if beside is None:
+        parts.check(folder)
     return network
 
 

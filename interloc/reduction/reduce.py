@@ -17,6 +17,7 @@ from interloc.config import KeyframeConfig
 from interloc.detection.keyframes import select_keyframes
 from interloc.drives.files import MAX_ROWS, GeoreferenceFile, list_numbered
 from interloc.drives.findings import DriveFileError, Findings
+from interloc.drives.folder import DROPPED
 from interloc.drives.georeference.read import geo_csv_text, locate_georeference
 from interloc.drives.layouts import DriveParts
 from interloc.drives.open import DriveReading, read_drive
@@ -189,6 +190,8 @@ def gather_small_files(parts: DriveParts, frames: IntArray, given: Path | None) 
         name = "geo.csv" if found.kind == "geo" else "oxts.txt"
         place = take(found.path, f"{GEOREFERENCE_FOLDER}/{name}{packed}")
         oxts, geo = (None, place) if found.kind == "geo" else (place, None)
+    if (parts.root / DROPPED).is_file():
+        take(parts.root / DROPPED)
     copies.files = {
         "poses": None if parts.poses is None else take(parts.poses),
         "times": None if parts.times is None else take(parts.times),

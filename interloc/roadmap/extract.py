@@ -11,6 +11,7 @@ import shapely
 from scipy.spatial import cKDTree
 
 from interloc.arrays import FloatArray, IntArray
+from interloc.errors import Beside
 from interloc.mapping.mosaic import Mosaic
 from interloc.results import DriveResult
 from interloc.roadmap.fit import STEP_M, Street, fit
@@ -34,14 +35,28 @@ _MAX_SHIFT_M = 8.0
 _OFFSET_STD_M = {True: 0.13, False: 0.37}  # of the line of a whole street, by whether it was driven: as simulated
 
 
-def extract_roads(result: DriveResult, mosaic: Mosaic, *, block: int = BLOCK) -> RoadNetwork:
+def extract_roads(
+    result: DriveResult, mosaic: Mosaic, *, block: int = BLOCK, beside: Beside | None = None
+) -> RoadNetwork:
     """Make the map of the roads of a drive: of the mosaic that it saw, its intersections (the nodes), and its track.
 
-    The squares that are worked on have `block` cells per side, a multiple of the side of a tile.
+    The squares that are worked on have `block` cells per side, a multiple of the side of a tile. With `beside`, what
+    fails of surface, roads and areas of junctions is missing; without, it is an error.
     """
+    beside = beside or Beside(is_strict=True)
+    network = RoadNetwork(epsg=mosaic.epsg)
     if not mosaic.raster.tiles or not len(result.keyframes):
-        return RoadNetwork(epsg=mosaic.epsg)
-    ground = survey(mosaic.raster, block)
+        return network
+    with beside.part("roads and the surface of the roads"):
+        ground = survey(mosaic.raster, block)
+        network = replace(network, surface=ground.surface)
+        with beside.part("roads"):
+            network = _lines(result, mosaic, ground, network, beside)
+    return network
+
+
+def _lines(result: DriveResult, mosaic: Mosaic, ground: Ground, network: RoadNetwork, beside: Beside) -> RoadNetwork:
+    """Return the network with its nodes and edges."""
     fused_xy, track_xy = _places(mosaic.epsg, result)
     graph = trace(ground)
     connect(graph, fused_xy, ground.places)
@@ -52,8 +67,15 @@ def extract_roads(result: DriveResult, mosaic: Mosaic, *, block: int = BLOCK) ->
     ids = {node: number for number, node in enumerate(graph.nodes, 1)}
     found = [edge for street in streets for edge in _edges(street, graph, ids, track, ground.places)]
     edges = [replace(edge, id=number) for number, edge in enumerate(found, 1)]
-    nodes = _nodes(graph, ids, edges, ground, result.intersections.id, track)
-    return RoadNetwork(nodes, edges, ground.surface, mosaic.epsg)
+    fused_id = result.intersections.id
+    nodes = [
+        RoadNode(ids[n], _kind(graph, n, track), node.xy, tuple(fused_id[node.intersections].tolist()))
+        for n, node in graph.nodes.items()
+    ]
+    network = replace(network, nodes=nodes, edges=edges)
+    with beside.part("the areas of junctions"):
+        areas = _areas(graph, ids, edges, ground)
+        return replace(network, nodes=[replace(node, area=areas.get(node.id)) for node in nodes])
 
 
 def _places(epsg: int | None, result: DriveResult) -> tuple[FloatArray, FloatArray]:
@@ -77,29 +99,22 @@ def _filled(track_xy: FloatArray) -> FloatArray:
     return np.stack([np.interp(at, along, track_xy[:, k]) for k in (0, 1)], axis=-1)
 
 
-def _nodes(
-    graph: Graph,
-    ids: Mapping[int, int],
-    edges: Sequence[RoadEdge],
-    ground: Ground,
-    fused_id: IntArray,
-    track: cKDTree,
-) -> list[RoadNode]:
+def _areas(
+    graph: Graph, ids: Mapping[int, int], edges: Sequence[RoadEdge], ground: Ground
+) -> dict[int, shapely.Polygon | None]:
+    """Return the ground of each node where roads meet, by its id."""
     surface = shapely.STRtree(ground.surface)
     arms: dict[int, list[RoadEdge]] = {}
     for edge in edges:
         for end in {edge.start, edge.end}:
             arms.setdefault(end, []).append(edge)
-    nodes = []
+    areas: dict[int, shapely.Polygon | None] = {}
     for number, node in graph.nodes.items():
-        kind, area = _kind(graph, number, track), None
         if node.place is not None:
-            area = ground.places[node.place]
+            areas[ids[number]] = ground.places[node.place]
         elif graph.degree(number) > 1:
-            area = _junction(node.xy, arms[ids[number]], ids[number], surface)
-        intersections = tuple(fused_id[node.intersections].tolist())
-        nodes.append(RoadNode(ids[number], kind, node.xy, intersections, area))
-    return nodes
+            areas[ids[number]] = _junction(node.xy, arms[ids[number]], ids[number], surface)
+    return areas
 
 
 def _kind(graph: Graph, number: int, track: cKDTree) -> NodeKind:

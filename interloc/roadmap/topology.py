@@ -156,6 +156,10 @@ def _contract(graph: Graph) -> None:
 def _part_levels(graph: Graph) -> None:
     """Where two straight roads cross and the method saw no intersection, one passes over the other: no node."""
     for number in [n for n, node in graph.nodes.items() if node.is_free and graph.degree(n) == 4]:
+        for arm, edge in dict(graph.arms(number)).items():
+            if edge.start == edge.end and len(edge.xy) > 2:  # both ends of a loop are arms, each of another road
+                half = len(edge.xy) // 2
+                graph.split(arm, half, Node(edge.xy[half], float(edge.half_m[half])))
         arms = graph.arms(number)
         ways = list(directions(arms, _NEAR_M, _FAR_M))
         for mate in (1, 2, 3):
@@ -169,6 +173,7 @@ def _part_levels(graph: Graph) -> None:
                     graph.remove_edge(two)
                     graph.add_edge(first.turned().then(second))
                 break
+    graph.smooth_all()
     graph.drop_lonely()
 
 

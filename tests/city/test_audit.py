@@ -205,6 +205,16 @@ def test_one_pass_is_not_enough_unless_asked_for(tmp_path: Path) -> None:
     assert told(audit(merge(passes(1)), graph, AuditConfig(min_passes=1))) == [("missing_junction", 100)]
 
 
+def test_a_pass_that_lost_scans_is_none(tmp_path: Path) -> None:
+    graph, (whole, other) = osm(tmp_path, all_but(100.0)), passes()
+    holes = replace(other, dropped_m=np.array([[0.0, 40.0], [300.0, 330.0]]))  # of 1,098 m
+    merged = merge([whole, holes])
+    assert told(audit(merged, graph)) == []
+    assert set(merged.places.passes.tolist()) == {1}
+    small = replace(other, dropped_m=np.array([[0.0, 40.0]]))
+    assert told(audit(merge([whole, small]), graph)) == [("missing_junction", 100)]
+
+
 def test_passes_need_not_agree_on_a_junction_where_all_saw_its_road(tmp_path: Path) -> None:
     one, other = passes()[0], passes(2, [x for x in SIDES_M if x != 100.0])[1]
     graph = osm(tmp_path, all_but(100.0))

@@ -35,7 +35,7 @@ def test_the_report_joins_the_result_as_that_of_a_run(interloc: Callable, out: P
     assert outcome.out.splitlines()[0].startswith("map ")
     facts = dict(line.split("  ", 1) for line in outcome.out.splitlines())
     assert facts["map"].strip().startswith("1 of 1 intersection right within 10 m, 1 of 1 node found, median ")
-    assert facts["by detections"].strip() == "1 of 1 nodes have one within 5 m"
+    assert facts["detection level"].strip().startswith("ACE ")
     assert facts["policy"].strip() == "drive: 1 OSM node in the relevant zone"
 
 

@@ -3,7 +3,14 @@
 from __future__ import annotations
 
 import json
+from typing import Any, cast
 
+import pytest
+
+from interloc.cli import live
+from interloc.client import live as client
+from interloc.config import preset
+from interloc.drives.folder import FolderDrive
 from tests.cli.conftest import Interloc
 
 
@@ -25,3 +32,25 @@ def test_answers_are_printed_as_lines_of_json_as_fast_as_they_come(interloc: Int
 def test_it_is_said_where_answers_go(interloc: Interloc, drive: str) -> None:
     outcome = interloc("live", drive)
     assert (outcome.code, "--print" in outcome.err) == (2, True)
+    outcome = interloc("live", drive, "--print", "--name", "town")
+    assert (outcome.code, "--keep and --name need --server" in outcome.err) == (2, True)
+
+
+def test_dropped_scans_are_told_once_a_second(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    class Sender:
+        def __init__(self, _server: str, _token: str | None, begin: dict[str, Any], hear: Any, **_: Any) -> None:
+            self.begin, self.hear = begin, hear
+
+        def run(self, _scans: object) -> None:
+            for number in range(1, 500):
+                self.hear({"type": "dropped", "frame": number, "dropped": number})
+            self.hear({"type": "end", "keyframes": 1, "dropped": 499, "intersections": []})
+
+    monkeypatch.setattr(client, "LiveSender", Sender)
+    live._send_scans(cast("FolderDrive", None), preset("default"), 1.0, "http://x", None, {}, prints=False)
+    first, *more, last = capsys.readouterr().out.splitlines()
+    assert first == "dropped    1 scan so far: the service is too slow, or the drive is played too fast (--speed)."
+    assert len(more) < 3
+    assert last == "end        1 keyframes, 0 intersections, 499 of 500 scans dropped"

@@ -80,7 +80,7 @@ def test_the_false_detections_of_kitti_360_are_a_junction_with_a_service_road(
     interloc: Callable, data: Callable[[str], Path], tmp_path: Path
 ) -> None:
     outcome = interloc("run", data("kitti360_0009"), "-o", tmp_path / "out", "--osm", data("kitti/osm/00.osm.gz"))
-    assert "6 detections: 6 x junction with a way that the policy leaves out" in outcome.out
+    assert "1 x junction with a way that the policy leaves out" in outcome.out
     layers = {
         layer: [each["properties"] for each in json.loads((tmp_path / f"out/{layer}.geojson").read_text())["features"]]
         for layer in ("detections", "intersections")
@@ -92,7 +92,9 @@ def test_the_false_detections_of_kitti_360_are_a_junction_with_a_service_road(
     assert "n1213522196" in [each["uid"] for each in layers["intersections"]]  # the node of the service road
     report = json.loads((tmp_path / "out/report.json").read_text())
     assert report["reasons"]["detections"]["left_out"] == 6
-    assert report["map_line"].startswith("5 of 6 intersections right within 10 m, 5 of 5 nodes found")
+    assert report["map_line"].startswith(
+        "5 of 5 intersections right within 10 m, 1 not counted by this policy, 5 of 5 nodes found"
+    )
 
 
 def test_an_excerpt_of_kitti_07_by_its_oxts_rows(

@@ -13,6 +13,7 @@ from interloc.arrays import BoolArray, Float32Array
 from interloc.config import BevConfig, KeyframeConfig
 from interloc.detection.accumulation import BevImage, RoadAccumulator, roi_around
 from interloc.detection.keyframes import Keyframe
+from interloc.errors import DriveError
 
 Scans = list[tuple[Keyframe, Float32Array]]
 
@@ -196,3 +197,25 @@ def test_lone_votes_do_not_count_where_keyframes_are_sparse_and_labels_err(
     for k, (keyframe, _) in enumerate(straight(9, step_m)):
         accumulator.add(keyframe, road if k == 4 else nothing, other if k == 4 else nothing)
     assert accumulator.bev().image.pixels()[0].size == kept
+
+
+def test_what_a_keyframe_needs_is_told_ahead_and_may_be_refused() -> None:
+    scans = random_walk(3, 12, 2.0)
+    config = KeyframeConfig(window=2, lookahead=0)
+    told: list[int] = []
+
+    def room(size: int) -> None:
+        told.append(size)
+        if len(told) % 3 == 0:
+            raise DriveError("full")
+
+    strict, free = RoadAccumulator(config, BEV, room), RoadAccumulator(config, BEV)
+    for number, (keyframe, points) in enumerate(scans, start=1):
+        if number % 3 == 0:
+            with pytest.raises(DriveError, match="full"):
+                strict.add(keyframe, points, points[::2])
+            continue
+        strict.add(keyframe, points, points[::2])
+        free.add(keyframe, points, points[::2])
+        assert strict.tiles * 256**2 * 4 < told[-1] < strict.tiles * 256**2 * 8 + 4 * 3 * 4500
+    np.testing.assert_array_equal(strict.bev().image.to_array(), free.bev().image.to_array())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -57,6 +58,50 @@ def test_a_sensor_upside_down(street: Path) -> None:
     streets.change_points(street, HALF_TURN_ABOUT_X[:3, :3])
     write_poses(street, streets.poses() @ HALF_TURN_ABOUT_X)
     assert "the road lies 1.7 m above the sensor" in errors(street)
+
+
+@pytest.mark.parametrize(
+    ("turn", "words"),
+    [
+        (HALF_TURN_ABOUT_X[:3, :3], "1.7 m above the sensor"),
+        ([[0, -1, 0], [0, 0, -1], [1, 0, 0]], "lies in the direction of +y, not below"),
+        ([[1, 0, 0], [0, 0, 1], [0, -1, 0]], "lies in the direction of -y, not below"),
+    ],
+    ids=["upside down", "axes of a camera", "on its side"],
+)
+def test_points_are_judged_before_anything_labels_them(street: Path, turn: FloatArray, words: str) -> None:
+    streets.change_points(street, np.array(turn, float))
+    shutil.rmtree(street / "labels")
+    (street / "poses.txt").unlink()
+    told = errors(street)
+    assert words in told
+    assert "poses.txt" not in told
+    assert "odometry-" not in told
+
+
+@pytest.mark.parametrize("labels", ["labels", "geometry"])
+@pytest.mark.parametrize(("roll_deg", "pitch_deg"), [(0, 20), (0, -12), (15, 0), (7, 7)])
+def test_a_sensor_at_an_angle_is_turned_upright(street: Path, roll_deg: float, pitch_deg: float, labels: str) -> None:
+    tilt = np.eye(4)
+    tilt[:3, :3] = rotation_from_rpy(np.radians(roll_deg), np.radians(pitch_deg), 0)
+    level = open_drive(street, labels=labels)
+    streets.change_points(street, tilt[:3, :3].T)
+    tilted = streets.poses() @ tilt
+    write_poses(street, invert_transform(tilted[0]) @ tilted)
+    report, drive = inspect_drive(street, labels=labels), open_drive(street, labels=labels)
+    assert "points and poses are turned upright" in report.problems[0].message
+    moved, expected = (each.T_world_lidar[:, :3, 3] for each in (drive, level))
+    np.testing.assert_allclose(np.linalg.norm(moved[:, :2], axis=1), np.linalg.norm(expected[:, :2], axis=1), atol=0.1)
+    assert np.abs(moved[:, 2] - expected[:, 2]).max() < 1.0
+
+
+def test_a_small_tilt_is_that_of_roads_and_changes_nothing(street: Path) -> None:
+    tilt = np.eye(4)
+    tilt[:3, :3] = rotation_from_rpy(0, np.radians(3), 0)
+    streets.change_points(street, tilt[:3, :3].T)
+    write_poses(street, streets.poses() @ tilt)
+    before = invert_transform(streets.poses()[0] @ tilt) @ streets.poses() @ tilt
+    np.testing.assert_allclose(open_drive(street).T_world_lidar, before, atol=1e-5)
 
 
 @pytest.mark.parametrize("scale", [1000.0, 100.0])

@@ -65,6 +65,13 @@ def test_a_track_is_computed_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
         trajectory_of(root)
 
 
+def test_scans_far_apart_are_refused_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    root = write_scans(tmp_path / "drive", [seen(street(), pose) for pose in poses_along(np.full(3, 14.0))])
+    monkeypatch.setattr(module, "Odometry", None)
+    with pytest.raises(DriveError, match=r"the scans lie about 14 m apart.*Give all scans"):
+        trajectory_of(root)
+
+
 def test_a_lost_track_is_told_with_its_place(tmp_path: Path) -> None:
     poses = poses_along(np.array([1.0, 1.0, 14.0]))
     root = write_scans(tmp_path / "drive", [seen(street(), pose) for pose in poses])

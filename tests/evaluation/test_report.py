@@ -133,7 +133,7 @@ def test_a_run_that_found_nothing_has_a_report(tmp_path: Path) -> None:
     made = run([(0, 0)])
     write_report(evaluate(made, graph([(0, 0)])), tmp_path)
     assert strict_json(tmp_path / "report.json")["ace_m"] is None
-    assert "Nothing was detected" in (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "no intersections, 0 of 1 node found" in (tmp_path / "report.html").read_text(encoding="utf-8")
 
 
 def test_a_road_without_junction_has_a_report(tmp_path: Path) -> None:

@@ -90,7 +90,9 @@ def test_service_roads_can_be_counted_without_another_run() -> None:
     roads = graph([(0, 0)])
     roads = replace(roads, ways=replace(roads.ways, highway=("service",) * len(roads.ways)))
     report = report_record(evaluate(made, roads, policy="drive"))
-    assert report["map_line"] == "0 of 1 intersection right within 10 m, 0 of 0 nodes found"
+    assert report["map_line"] == "1 not counted by this policy, 0 of 0 nodes found"
+    assert [each["outcome"] for each in report["intersections"]] == ["not_counted"]
+    assert (report["map_level"]["false"], report["map_level"]["precision"]) == (0, None)
     switched = report["with_service"]
     assert switched["map_line"].startswith("1 of 1 intersection right within 10 m, 1 of 1 node found")
     assert [(each["id"], each["outcome"], each["osm_id"]) for each in switched["intersections"]] == [(1, "right", 100)]
@@ -125,10 +127,10 @@ def test_the_counts_of_reasons_are_those_of_the_layers(folder: Path) -> None:
 
 
 def test_the_report_leads_with_the_map(folder: Path) -> None:
-    line = "1 of 2 intersections right within 10 m, 1 of 2 nodes found, median 1.1 m"
+    line = "1 of 2 intersections right within 10 m, 1 not judged, 1 of 2 nodes found, median 1.1 m"
     assert json.loads((folder / "report.json").read_text())["map_line"] == line
     page = (folder / "report.html").read_text()
-    assert page.index(line) < page.index("center error")
+    assert page.index(line) < page.index("Center error")
     assert "What is wrong, and why" in page
 
 

@@ -17,7 +17,7 @@ def crossing(tmp_path_factory: pytest.TempPathFactory) -> FolderDrive:
     folder = tmp_path_factory.mktemp("live")
     with chdir(folder):
         write_drive(folder / "street", folder / "raw")
-    return open_drive(folder / "street", oxts=folder / "raw", pose_frame="lidar")
+    return open_drive(folder / "street", oxts=folder / "raw", pose_frame="lidar", label_scheme="40")
 
 
 @pytest.fixture(scope="session")

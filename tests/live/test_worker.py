@@ -38,6 +38,27 @@ def test_the_oldest_scans_are_dropped(crossing: FolderDrive, config: DetectorCon
     assert (said[-1]["type"], said[-1]["keyframes"], said[-1]["dropped"]) == ("end", 3, 3)
 
 
+def test_scans_that_wait_are_few_and_small_in_all(crossing: FolderDrive, config: DetectorConfig) -> None:
+    may_go_on = threading.Event()
+
+    def label(points: np.ndarray) -> np.ndarray:
+        may_go_on.wait()
+        return np.full(len(points), 40, np.uint32)
+
+    scans = [replace(live_scan(crossing, row), road_count=None, label=label) for row in range(5)]
+    size = max(scan.nbytes for scan in scans)
+    dropped: list[int] = []
+    worker = LiveWorker(LiveSession(config), lambda said, _: dropped.append(said["frame"]), queue_bytes=2 * size)
+    for scan in scans:
+        worker.put(scan)
+    assert worker.held_bytes <= 3 * size  # and the one that is worked on
+    assert len(dropped) >= 2
+    worker.abandon()
+    may_go_on.set()
+    worker.join()
+    assert worker.held_bytes == 0
+
+
 def test_a_scan_that_is_refused_is_answered_by_the_reason(crossing: FolderDrive, config: DetectorConfig) -> None:
     said: list[tuple[dict[str, Any], Answer | None]] = []
     worker = LiveWorker(LiveSession(config), lambda *each: said.append(each), queue_size=10)

@@ -444,7 +444,8 @@ def test_any_detections_make_a_map_of_the_right_form(data: st.DataObject) -> Non
         intersections, assignment = fuse(keyframes, detections, config)
         check_form(intersections, assignment, detections)
         if config.min_confidence == 0 and n:
-            assert len(intersections) > 0
+            assert len(intersections) + intersections.bends > 0
+        assert all(len(each) >= 3 for each in intersections.bearings_deg)
 
 
 def test_thousands_of_detections_take_little_memory() -> None:

@@ -29,13 +29,19 @@ from sqlalchemy import select
 from app.context import Context
 from app.settings import Settings
 from app.store.models import DriveFile
+from interloc.client.live import LiveSender
+from interloc.config import preset
+from interloc.drives.open import open_drive
+from interloc.live.scan import LiveScan, play
 from tests import forks
 from tests.app.processes import API, FINAL, ServerProcess, archive_of, files_below, without_job
+from tests.performance.webhooks import SECRET, Receiver
 
 CLIENTS = 3
 SERVERS = 2
 LEASE_S = 3.0
 PATIENCE_S = 600.0  # a job may be killed many times before it comes to its end
+TOLD_S = 120.0  # in which a subscriber hears of the end of a job, though calls are cut off
 KEPT_DRIVES = 2  # per client; older ones are deleted, so that looking through all of them stays quick
 ANEW = {429, 500, 502, 503, 507}
 
@@ -52,8 +58,23 @@ class Ledger:
     jobs: dict[str, str] = field(default_factory=dict)
     done: Counter[str] = field(default_factory=Counter)
     faults: dict[str, list[str]] = field(default_factory=lambda: defaultdict(list))
+    asked: set[str] = field(default_factory=set)
+    """Jobs whose end is to be told."""
+    doing: Counter[str] = field(default_factory=Counter)
+    """How many clients are at work on a map, or drive: "map", "live"."""
+    receiver: Receiver = field(default_factory=lambda: Receiver(random.Random(0), 0.3))  # noqa: S311
+    """Who is told of the jobs."""
     maps: set[str] = field(default_factory=set)
     """SHA-256 of the layers of maps of one drive: all drives hold the same, and so must all maps."""
+
+    @contextmanager
+    def at(self, what: str) -> Iterator[None]:
+        """Count who is at work on something, for those who kill just then."""
+        self.doing[what] += 1
+        try:
+            yield
+        finally:
+            self.doing[what] -= 1
 
     def snapshot(self) -> dict[str, dict[str, str]]:
         """Files by drive, as of now."""
@@ -68,6 +89,20 @@ class Ledger:
             for path, digest in paths.items():
                 if listed.get((drive, path)) != digest and drive in self.files:  # not deleted meanwhile
                     self.faults["lost"].append(f"{where}: drive {drive}: {path}")
+
+    def compare_told(self) -> None:
+        """Note jobs whose end was not told, or under several ids; a call that was cut off is made again after 30 s."""
+        end = time.monotonic() + TOLD_S
+        while missing := [
+            job for job in list(self.jobs) if (job, "job.successful") not in self.receiver.ids and job in self.asked
+        ]:
+            if time.monotonic() > end:
+                break
+            time.sleep(0.2)
+        self.faults["untold"] += missing
+        told = list(self.receiver.ids.items())
+        self.faults["double"] += [f"told of job {job}" for (job, _), ids in told if len(set(ids)) > 1]
+        self.done["calls of the subscriber"] = len(told)
 
     def forget(self, drive: str) -> None:
         """A drive is about to be deleted for good."""
@@ -138,6 +173,7 @@ class Fleet:
         self.database_url = database_url
         self._folder = folder
         self._options: dict[str, Any] = {"workers": 1, "lease_s": LEASE_S, "max_attempts": 20, "min_free_bytes": 0}
+        self._options |= {"webhook_hosts": "127.0.0.1", "webhook_secret": SECRET}
         if database_url is not None:
             self._options["database_url"] = database_url
         if cluster is not None:
@@ -201,7 +237,7 @@ class Client:
         """Do one thing after the other until it is stopped."""
         while not self.stopping.is_set():
             try:
-                send = self.rng.choice([self._put_files, self._put_files, self._send_archive, self._push])
+                send = self.rng.choice([self._put_files, self._send_archive, self._push, self._drive_live])
                 if (drive := send()) is not None and not self.stopping.is_set():
                     self._work_on(drive)
             except _StoppedError:
@@ -272,6 +308,30 @@ class Client:
             time.sleep(0.1)
         return None
 
+    def _drive_live(self) -> None:
+        """Drive a session that is kept; where its server is killed another one begins. Its drive and its job stay."""
+        said: list[dict[str, Any]] = []
+        opened = open_drive(self._street)
+        begin = {"name": "live", "keep": True}
+
+        def scans(after: int) -> Iterator[LiveScan]:
+            for scan in play(opened, preset("default"), speed=1.0, after=after):
+                self._stop_if_asked()
+                yield scan
+
+        address = self.fleet.address(self.rng)
+        sender = LiveSender(address, None, begin, said.append, keeps_all=True, patience_s=PATIENCE_S)
+        with self.ledger.at("live"):
+            sender.run(scans)
+        end = said[-1]
+        self._mine.append(end["drive_id"])
+        self.ledger.files[end["drive_id"]] = self._listed(end["drive_id"])
+        if sum(each["type"] == "session" for each in said) == 1:  # else the last one may have had no scans
+            self.ledger.jobs[end["job_id"]] = end["drive_id"]
+            self._end_of(end["job_id"])
+            self.ledger.done["live drives"] += 1
+        self._tidy()
+
     def _work_on(self, drive: str) -> None:
         """Commit a drive, have its intersections found, look at them; sometimes delete and restore it."""
         end = time.monotonic() + PATIENCE_S
@@ -281,10 +341,12 @@ class Client:
             assert time.monotonic() < end, f"drive {drive} was not ready within {PATIENCE_S:.0f} s"
         self.ledger.done["commits"] += 1
         key = f"{self.rng.getrandbits(64):x}"
-        request = {"drive_id": drive, "osm": {"file": "map.osm"}}
+        told = {"successUri": f"http://127.0.0.1:{self.ledger.receiver.server_port}/"}
+        request = {"drive_id": drive, "osm": {"file": "map.osm"}, "subscriber": told}
         answer = self.ask("POST", "/jobs", json=request, headers={"Idempotency-Key": key}).raise_for_status()
         job: str = answer.json()["id"]
         self.ledger.jobs[job] = drive
+        self.ledger.asked.add(job)
         self._end_of(job)
         self._compare(job)
         self.ledger.done["jobs"] += 1
@@ -296,7 +358,11 @@ class Client:
             self._compare(job)
             self.ledger.done["drives deleted and restored"] += 1
         if self.rng.random() < 0.5:
-            self._merge(drive)
+            with self.ledger.at("map"):
+                self._merge(drive)
+        self._tidy()
+
+    def _tidy(self) -> None:
         while len(self._mine) > KEPT_DRIVES:
             old = self._mine.pop(0)
             self.ledger.forget(old)

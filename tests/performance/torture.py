@@ -1,14 +1,16 @@
 """What the service survives: `make torture`.
 
 Real servers on this machine, on SQLite, on PostgreSQL, and on PostgreSQL with a Dask cluster, and clients that upload
-drives (file by file, as archives, by `interloc push`), commit them, have them worked on, delete them, take them out of
-the trash, put them into maps and take them out again, and make backups. Two scenarios, each with a table at its end:
+drives (file by file, as archives, by `interloc push`, live), commit them, have them worked on, are told of it, delete
+them, take them out of the trash, put them into maps and take them out again, and make backups. Two scenarios, each with
+a table at its end:
 
 - kills: `kill -9` of servers, workers, clients and backups, of the scheduler of Dask, and of the database (SQLite:
-  locked by somebody else; PostgreSQL: connections cut, or one of its processes killed), at random moments. Every file
-  and job that was acknowledged is in a ledger. After each kill: how long until every job goes on; nothing in the ledger
-  is lost, no job is there twice, results are, byte by byte, those of an undisturbed run, and `interloc check` finds
-  nothing but files of uploads that were never acknowledged.
+  locked by somebody else; PostgreSQL: connections cut, or one of its processes killed), at random moments, and of
+  servers that make a map, have a live session, or are calling a subscriber. Every file and job that was acknowledged is
+  in a ledger. After each kill: how long until every job goes on; nothing in the ledger is lost, no job is there twice,
+  results are, byte by byte, those of an undisturbed run, subscribers are told, and `interloc check` finds nothing but
+  files of uploads that were never acknowledged.
 - backups: made under load, each restored, on the other kind of database too, checked and compared with the ledger.
 
 Runs for an hour with the default of 500 kills; `--kills`, `--minutes`, `--seed` and `--only` choose another course.
@@ -29,6 +31,7 @@ import time
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, suppress
+from functools import partial
 from pathlib import Path
 
 import psycopg
@@ -89,8 +92,11 @@ def _was_cut_off(found: Discrepancy, ledger: Ledger) -> bool:
 class Killer:
     """Kills at random moments, and measures how long it takes until all goes on."""
 
-    def __init__(self, fleet: Fleet, living: list[Client], backups: Backups, rng: random.Random) -> None:
+    def __init__(
+        self, fleet: Fleet, living: list[Client], backups: Backups, ledger: Ledger, rng: random.Random
+    ) -> None:
         self._fleet = fleet
+        self._ledger = ledger
         self._living = living
         self._backups = backups
         self._rng = rng
@@ -101,8 +107,11 @@ class Killer:
             "backup": self._kill_backup,
             "database": self._kill_database,
             "scheduler": self._kill_scheduler,
+            "server that makes a map": partial(self._kill_while, "map"),
+            "server of a live session": partial(self._kill_while, "live"),
+            "server that calls": self._kill_caller,
         }
-        self._weights = [4, 3, 2, 1, 2, 0 if fleet.cluster is None else 1]
+        self._weights = [4, 3, 2, 2, 2, 0 if fleet.cluster is None else 1, 2, 2, 2]
         self.recovered_s: dict[str, list[float]] = defaultdict(list)
 
     def kill_one(self) -> str:
@@ -123,6 +132,15 @@ class Killer:
         time.sleep(self._rng.choice([0, 0, 1.0]))
         self._fleet.restart(number)
         return True
+
+    def _kill_while(self, what: str) -> bool:
+        """Kill a server while a client waits for a map, or drives."""
+        time.sleep(self._rng.uniform(0, 0.5))
+        return self._ledger.doing[what] > 0 and self._kill_server()
+
+    def _kill_caller(self) -> bool:
+        """Kill a server that is telling a subscriber of a job."""
+        return self._ledger.receiver.is_called.wait(1.0) and self._kill_server()
 
     def _kill_worker(self) -> bool:
         workers = [worker for server in self._fleet.servers for worker in server.workers()]
@@ -210,7 +228,7 @@ def measure_kills(folder: Path, street: Path, reference: dict[str, str], options
             stack.callback(fleet.close)
             backups = Backups(fleet, folder / kind / "backup", ledger)
             with clients(fleet, ledger, street, reference, f"{options.seed}-{kind}") as living:
-                killer = Killer(fleet, living, backups, random.Random(f"{options.seed}-{kind}"))  # noqa: S311
+                killer = Killer(fleet, living, backups, ledger, random.Random(f"{options.seed}-{kind}"))  # noqa: S311
                 for number in range(kills):
                     if time.monotonic() > end:
                         break
@@ -218,6 +236,7 @@ def measure_kills(folder: Path, street: Path, reference: dict[str, str], options
                     look_through(fleet, ledger, f"kill {number + 1}, of a {target}")
                     sys.stderr.write(f"{kind}: {number + 1} of {kills} kills: {target}\n")
             backups.stop()
+            ledger.compare_told()
             look_through(fleet, ledger, "at the end")
             _back_up(fleet, backups.out)  # the folder in which backups were killed
             _restore(folder / kind / "restored", backups.out, None, ledger.snapshot(), ledger)
@@ -229,7 +248,7 @@ def measure_kills(folder: Path, street: Path, reference: dict[str, str], options
 
 def _told(kind: str, ledger: Ledger) -> Rows:
     yield f"{kind}: done meanwhile", ", ".join(f"{count} {what}" for what, count in sorted(ledger.done.items()))
-    names = dict.fromkeys(["findings", "lost", "double", "unequal", *ledger.faults])
+    names = dict.fromkeys(["findings", "lost", "double", "unequal", "untold", *ledger.faults])
     yield f"{kind}: faults", ", ".join(f"{len(ledger.faults[name])} {name}" for name in names)
     for name in names:
         for fault in ledger.faults[name][:5]:

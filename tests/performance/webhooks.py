@@ -38,12 +38,15 @@ class Receiver(ThreadingHTTPServer):
 
     daemon_threads = True
 
-    def __init__(self, rng: random.Random) -> None:
+    def __init__(self, rng: random.Random, delay_s: float = 0.0) -> None:
+        self.delay_s = delay_s
         self.ids: defaultdict[tuple[str, str], list[str]] = defaultdict(list)
         self.failed: set[str] = set()
         self.rng = rng
         self.lock = threading.Lock()
+        self.is_called = threading.Event()
         super().__init__(("127.0.0.1", 0), _Handler)
+        threading.Thread(target=self.serve_forever, args=(0.1,), daemon=True).start()
 
 
 class _Handler(BaseHTTPRequestHandler):
@@ -57,6 +60,9 @@ class _Handler(BaseHTTPRequestHandler):
             self.server.failed.add(id_)
             if not fails:
                 self.server.ids[told["data"]["job_id"], told["type"]].append(id_)
+        self.server.is_called.set()
+        time.sleep(self.server.delay_s)
+        self.server.is_called.clear()
         self.send_response(500 if fails else 204)
         self.end_headers()
 
@@ -92,7 +98,6 @@ def main(say: Callable[[str], object] = print) -> None:
     rng = random.Random(options.seed)  # noqa: S311 - kills
     forks.ready()
     receiver = Receiver(random.Random(options.seed))  # noqa: S311
-    threading.Thread(target=receiver.serve_forever, daemon=True).start()
     hostile = socket.create_server(("127.0.0.1", 0), backlog=1000)
     good = f"http://127.0.0.1:{receiver.server_port}"
     bad = f"http://127.0.0.2:{hostile.getsockname()[1]}"

@@ -25,6 +25,7 @@ from app.work.places import REDUCED, TRAJECTORY, link
 from app.work.task import Part, Plan, Report, Task, WorkSettings
 from interloc.config import DEFAULT
 from interloc.drives.findings import DriveFileError, Finding, Findings, by_severity
+from interloc.drives.folder import DROPPED
 from interloc.drives.formats import find_format
 from interloc.drives.inspect import DriveReport, report_of
 from interloc.drives.kinds import is_recording
@@ -334,7 +335,7 @@ def _take_over(files: Path, reduced: Path) -> None:
 
 def _small_files(files: Path) -> list[Path]:
     """Return the manifest of a reduced drive and all files that it names."""
-    found = [files / MANIFEST]
+    found = [each for each in (files / MANIFEST, files / DROPPED) if each.is_file()]
     for name in read_manifest(files).files.paths:
         path = files / name
         found += [each for each in path.rglob("*") if each.is_file()] if path.is_dir() else [path]

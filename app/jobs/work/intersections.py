@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import pickle
 import time
+from contextlib import nullcontext
 from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
@@ -23,7 +24,7 @@ from interloc.drives.folder import FolderDrive
 from interloc.drives.open import open_drive
 from interloc.drives.options import LabelChoice
 from interloc.drives.scans.reduced_format import MANIFEST
-from interloc.errors import DriveError
+from interloc.errors import Beside, DriveError
 from interloc.evaluation.coverage import map_bounds, track_bounds
 from interloc.files import atomic_write
 from interloc.osm.graph import Bounds, RoadGraph
@@ -87,17 +88,19 @@ def finish(task: Task[IntersectionsJob], plan: Plan) -> IntersectionsOutcome:
         seconds=max(0.0, time.time() - plan.began),
     )
     result.run["job"] = task.job_id
-    scored, graph = result, None
+    scored, graph, beside = result, None, Beside()
     if task.request.osm is not None:
-        graph = _read_map(task, _map_bounds(task, drive, keyframes))
+        with beside.part("the score") if task.request.georeference != "map" else nullcontext():
+            graph = _read_map(task, _map_bounds(task, drive, keyframes))
     scores = None
     with result_folder(task.result) as folder:
         if graph is not None and task.request.georeference == "map":
             result, scored = _place(task, drive, result, graph, folder)
-        network = write_results(result, folder)
+        network = write_results(result, folder, beside=beside)
         if graph is not None:
             progress.report_stage("evaluating")
-            scores = _evaluate(task.request, result, scored, graph, network, folder)
+            with beside.part("the score"):
+                scores = _evaluate(task.request, result, scored, graph, network, folder, beside)
         progress.check()
     return IntersectionsOutcome(
         keyframes=len(result.keyframes),
@@ -111,6 +114,8 @@ def finish(task: Task[IntersectionsJob], plan: Plan) -> IntersectionsOutcome:
         report=scores,
         has_roads=True,
         doubtful_labels_m=result.run["doubtful_labels_m"],
+        **({"dropped": result.run["dropped"]} if "dropped" in result.run else {}),
+        **({"missing": beside.missing} if beside.missing else {}),
     )
 
 
@@ -248,11 +253,12 @@ def _evaluate(
     result: DriveResult,
     scored: DriveResult,
     graph: RoadGraph,
-    network: RoadNetwork,
+    network: RoadNetwork | None,
     folder: Path,
+    beside: Beside,
 ) -> MapScores:
     from interloc.evaluation.evaluate import evaluate  # noqa: PLC0415 - slow to import, needed once per job
-    from interloc.evaluation.report import report_record, write_report  # noqa: PLC0415
+    from interloc.evaluation.report import write_report  # noqa: PLC0415
 
     evaluation = evaluate(
         scored,
@@ -261,8 +267,7 @@ def _evaluate(
         tolerance_m=request.tolerance_m,
         network=network if scored is result else None,
     )
-    write_report(evaluation, folder, result=result)
-    report = report_record(evaluation)
+    report = write_report(evaluation, folder, result=result, beside=beside)
     at_5 = {f"{name}_at_5": report[name]["5.0"] for name in ("precision", "recall", "f1")}
     level = report["map_level"]
     judged = 2 * level["true"] + level["false"] + level["missed"]

@@ -13,6 +13,7 @@ import pytest
 from app.context import Context
 from app.settings import Settings
 from app.store.tokens import add_token
+from app.upkeep.backup import back_up
 from tests.app.processes import API
 
 Serve = Callable[..., httpx.Client]
@@ -54,7 +55,7 @@ def test_a_map_that_is_deleted_while_files_come_is_gone_whole(serve: Serve, data
             assert not (data / "maps" / made).exists()
 
 
-def test_files_of_maps_count_for_who_sends_them_and_are_what_was_announced(serve: Serve, data: Path) -> None:
+def test_files_of_maps_count_for_who_sends_them_and_are_backed_up(serve: Serve, data: Path, tmp_path: Path) -> None:
     context = Context.open(Settings(data_dir=data, min_free_bytes=0))
     tokens = {name: add_token(context.database, name, max_bytes=50_000) for name in ("ann", "bob")}
     context.close()
@@ -74,3 +75,7 @@ def test_files_of_maps_count_for_who_sends_them_and_are_what_was_announced(serve
     assert osm_files(data, one) == [19_995]
     assert client.delete(f"{API}/maps/{one}", headers=bob).status_code == 204
     assert send(other, 45_000, bob) == 204
+    context = Context.open(Settings(data_dir=data, min_free_bytes=0))
+    back_up(context, tmp_path / "backup", lambda *_: None)
+    context.close()
+    assert (tmp_path / f"backup/maps/{other}/osm/town.osm").stat().st_size == 45_000

@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 import threading
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,16 +17,21 @@ import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
-from app.settings import Settings
+from app.live import routes, sessions
+from app.live.sessions import Budget, LiveEntry
+from app.settings import MB, Settings
+from app.store import tokens
+from app.store.database import Database
 from interloc.client.live import LiveSender
 from interloc.config import DetectorConfig
 from interloc.drives.folder import FolderDrive
-from interloc.errors import NetworkError
+from interloc.errors import DriveError, NetworkError
 from interloc.live.scan import LiveScan, live_scan, play
 from interloc.live.wire import encode_scan
+from interloc.live.worker import LiveWorker
 from interloc.pipeline import detect
 from tests.app.conftest import API
-from tests.app.processes import ended, started
+from tests.app.processes import ended, started, wait_until
 
 Said = list[dict[str, Any]]
 
@@ -197,6 +204,88 @@ def test_a_client_has_so_many_sessions(serve: Callable[..., httpx.Client], monke
         pass
 
 
+def test_sessions_that_are_refused_make_no_drives(
+    serve: Callable[..., httpx.Client], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Settings, "max_live_sessions", 2)
+    client = serve()
+
+    def begin(number: int) -> str:
+        with opened(client) as connection:
+            kind = say(connection, type="begin", name=f"drive {number}", keep=True)["type"]
+            all_have_begun.wait(60)
+            return str(kind)
+
+    all_have_begun = threading.Barrier(8)
+    with ThreadPoolExecutor(8) as pool:
+        said = list(pool.map(begin, range(8)))
+    assert sorted(said) == ["refused"] * 6 + ["session"] * 2
+    assert len(client.get(f"{API}/drives").json()["drives"]) == 2
+
+
+def test_memory_is_asked_for_before_a_scan_is_taken(
+    client: httpx.Client, crossing: FolderDrive, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scans = [encode_scan(live_scan(crossing, row)) for row in range(48)]
+    fine = {"bev": {"resolution_m": 0.05, "size_m": 100}}
+    monkeypatch.setattr(sessions, "_OF_SESSION", 6 * MB)  # more is needed for those cells further on
+    with begun(client, "other") as (other, _), begun(client, config=fine) as (connection, session):
+        for scan in scans:
+            connection.send(scan)
+            refused = json.loads(connection.recv(timeout=30))
+            if refused["type"] == "refused":
+                break
+        assert "may hold 6 MB. Send the points of the ground only" in refused["reason"]
+        assert 0 < client.get(f"{API}/live/{session}").json()["keyframes"] < 48
+        other.send(scans[0])
+        assert json.loads(other.recv(timeout=30))["type"] == "scan"
+
+
+def test_what_all_sessions_hold_is_bounded() -> None:
+    budget, whole = Budget(), sessions._OF_SESSION
+    for name, owner in (("a", "ann"), ("b", "ann"), ("c", "ann"), ("e", "eve")):
+        budget.begin(name, owner)
+    with pytest.raises(DriveError, match="the session would hold"):
+        budget.ask("a", "window", whole + 1)
+    budget.ask("a", "window", whole)
+    budget.ask("a", "window", whole // 2)  # it has become less
+    budget.ask("a", "scans", whole // 2)
+    with pytest.raises(DriveError, match="the sessions of this client would hold"):
+        budget.ask("b", "window", whole)
+    budget.ask("e", "window", whole)  # others have their room
+    budget.end("a")
+    budget.ask("b", "window", whole)
+    budget.ask("a", "window", whole)  # its thread has not heard yet that it is over
+    with pytest.raises(DriveError, match="this client"):
+        budget.ask("c", "window", sessions._OF_CLIENT - whole + 1)
+
+
+def test_a_silent_sender_whose_token_is_revoked_is_sent_away(
+    serve: Callable[..., httpx.Client], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tokens, "_BELIEVED_S", 0.0)
+    monkeypatch.setattr(routes, "_SILENCE_S", 0.1)
+    client = serve()
+    database = Database(Settings(data_dir=tmp_path / "data").sqlalchemy_url)
+    tokens.add_token(database, "other")
+    with opened(client, Authorization=f"Bearer {tokens.add_token(database, 'ann')}") as connection:
+        say(connection, type="begin", name="a")
+        tokens.revoke_token(database, "ann")
+        assert json.loads(connection.recv(timeout=30))["reason"] == "its token was revoked."
+    database.close()
+
+
+def test_a_client_watches_so_many_times(client: httpx.Client, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sessions, "_MAX_WATCHING", 1)
+    with begun(client) as (_, session):
+        for _ in range(2):  # one that has gone does not count
+            with client.stream("GET", f"{API}/live/{session}/events"):
+                wait_until(lambda: "interloc_event_listeners 1.0" in client.get("/metrics").text, "it to listen")
+                with client.stream("GET", f"{API}/live/{session}/events") as second:
+                    assert second.status_code == 429
+            wait_until(lambda: "interloc_event_listeners 0.0" in client.get("/metrics").text, "it to have gone")
+
+
 def test_a_token_is_needed_as_everywhere(serve: Callable[..., httpx.Client]) -> None:
     client = serve(token="a-token-that-is-long-enough")  # noqa: S106
     with pytest.raises(InvalidStatus) as refused, opened(client):
@@ -236,6 +325,34 @@ def test_the_sender_goes_on_when_the_server_is_back(
     frames = [each["frame"] for each in said if each["type"] == "scan" and each["is_keyframe"]]
     assert frames[:20] == list(range(20))
     assert frames[-24:] == list(range(24, 48))
+
+
+def test_a_drive_that_is_kept_tells_what_was_lost(
+    client: httpx.Client, crossing: FolderDrive, config: DetectorConfig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    timed = replace(crossing, times_s=np.arange(48.0))  # else poses that are far apart are taken for a jump
+    frames = iter(range(48))
+
+    def ask(_: Budget, _session: str, what: str, size: int) -> None:
+        if what == "scans" and size and next(frames) in range(20, 30):
+            raise DriveError("too many")
+
+    monkeypatch.setattr(Budget, "ask", ask)
+    monkeypatch.setattr(LiveEntry, "_remember", lambda *_: None)  # asks, too, what is still held
+    monkeypatch.setattr(LiveWorker, "held_bytes", 0)
+    said: Said = []
+    begin = {"name": "lost", "config": config.model_dump(mode="json"), "keep": True}
+    sender = LiveSender(str(client.base_url), None, begin, said.append, keeps_all=True)
+    sender.run(lambda after: play(timed, config, after=after))
+    assert [each["frame"] for each in said if each["type"] == "dropped"] == list(range(20, 30))
+    job = ended(client, said[-1]["job_id"])
+    assert (job["summary"]["keyframes"], said[-1]["dropped"]) == (38, 10)
+    assert job["summary"]["dropped"] | {"stretches_m": 0} == {"scans": 10, "of": 48, "stretches_m": 0}
+    ((start, stop),) = job["summary"]["dropped"]["stretches_m"]
+    assert stop - start == pytest.approx(27.5, abs=1.5)
+    assert client.get(job["links"]["run"]).json()["dropped"] == job["summary"]["dropped"]
+    problems = client.get(f"{API}/drives/{said[-1]['drive_id']}").json()["report"]["problems"]
+    assert [each["path"] for each in problems if "10 of 48 scans were lost" in each["message"]] == ["dropped.csv"]
 
 
 def test_a_session_that_is_kept_becomes_a_drive_with_a_job(

@@ -13,6 +13,7 @@ from sqlalchemy.exc import OperationalError
 
 from app.http.problem_types import STORAGE_READ_ONLY
 from app.http.problems import problem_of
+from app.store import database as module
 from app.store.database import Database, afterwards
 from app.store.models import Drive
 
@@ -98,6 +99,19 @@ def test_a_transaction_that_fails_leaves_nothing(url: str) -> None:
     assert names(database) == set()
     add_drive(database, "b")
     assert names(database) == {"b"}
+    database.close()
+
+
+def test_a_database_that_does_not_answer_is_given_up(postgres_url: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As one that is paused: a request may not wait for ever; the next one gets a new connection."""
+    monkeypatch.setattr(module, "_SILENCE_S", 0.3)
+    database = Database(postgres_url)
+    database.upgrade()
+    with database.reading() as session, pytest.raises(OperationalError, match="has not answered") as failure:
+        session.execute(text("SELECT pg_sleep(60)"))
+    assert problem_of(failure.value).status == 503
+    add_drive(database, "a")
+    assert names(database) == {"a"}
     database.close()
 
 
