@@ -49,7 +49,7 @@ def command(result: Path, out: Path, layer: str | None) -> None:
     from interloc.output.foxglove import SUFFIX, write_mcap
     from interloc.output.read import read_run
     from interloc.output.road import RASTER_SUFFIXES, ROAD_LAYER, export_road
-    from interloc.output.road_files import road_ending, write_road_file
+    from interloc.output.road_files import ROADS_ASSUMED, road_ending, write_road_file
     from interloc.output.vector_files import PLACE_IT, is_local, write_vector_file
 
     read_run(result)  # or say that it is no result
@@ -64,6 +64,8 @@ def command(result: Path, out: Path, layer: str | None) -> None:
     else:
         layers = write_vector_file(result, out, layer=layer)
     facts = [("file", str(out)), ("layers", ", ".join(layers))]
+    if layer is None and road_ending(out) is not None:
+        facts.append(("assumed", ROADS_ASSUMED))
     if is_local(result):
         facts.append(("place", f"none: metres in the frame of the first scan. {PLACE_IT}"))
     console.say({"file": str(out), "layers": layers}, facts)

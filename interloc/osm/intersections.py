@@ -21,6 +21,14 @@ DRIVABLE = frozenset(
 )
 """Values of `highway` that policy `drive` takes as roads."""
 
+_NOT_THERE = frozenset(
+    {
+        *("proposed", "planned", "construction", "disused", "abandoned", "razed", "demolished", "removed", "no"),
+        *("dismantled", "historic", "platform"),
+    }
+)
+"""Values of `highway` of what cannot be gone along: not built, gone, or no way."""
+
 DRIVABLE_OR_SERVICE = DRIVABLE | {"service"}
 """The same of policy `drive+service`."""
 
@@ -50,7 +58,7 @@ class IntersectionNodes:
 def road_ways(graph: RoadGraph, policy: Policy) -> BoolArray:
     """Return the ways, (W,) bool, that are roads under a policy."""
     if policy == "all":
-        return np.ones(len(graph.ways), dtype=np.bool_)
+        return np.array([highway not in _NOT_THERE for highway in graph.ways.highway], dtype=np.bool_)
     classes = DRIVABLE_OR_SERVICE if policy == "drive+service" else DRIVABLE
     drivable = np.array([highway in classes for highway in graph.ways.highway], dtype=np.bool_)
     road: BoolArray = drivable & ~graph.ways.is_area

@@ -34,7 +34,8 @@ POLICIES: dict[Policy, PolicyWording] = {
     ),
     "all": PolicyWording(
         "All ways",
-        "Nodes where at least three ways of any kind meet count, footpaths and cycleways included: many more nodes, "
+        "Nodes where at least three ways of any kind meet count, footpaths and cycleways included, but not what is "
+        "proposed, under construction or gone: many more nodes, "
         "and a much lower recall.",
     ),
     "consolidated": PolicyWording(

@@ -32,6 +32,13 @@ _ORIGIN_M = 100.0  # files in metres count from a round place of the map
 _MIN_SEEN = 0.5  # share of a road that was seen: others are left out
 
 
+ROADS_ASSUMED = (
+    "Lanes, traffic on the right and travel in both directions are assumed: a LiDAR sees neither one-way streets nor "
+    "the side of traffic."
+)
+"""What the files do not know."""
+
+
 def road_ending(out: Path) -> str | None:
     """Return which of `ROAD_FORMATS` a file name asks for."""
     return next((ending for ending in ROAD_FORMATS if out.name.lower().endswith(ending)), None)
@@ -213,7 +220,12 @@ def nav2_graph(network: RoadNetwork) -> bytes:
         )
         for stop in sorted(used)
     ]
-    head = {"type": "FeatureCollection", "name": "roads", "origin": {"x_m": origin[0], "y_m": origin[1]}}
+    head = {
+        "type": "FeatureCollection",
+        "name": "roads",
+        "description": ROADS_ASSUMED,
+        "origin": {"x_m": origin[0], "y_m": origin[1]},
+    }
     if network.epsg is not None:
         head["origin"]["crs"] = f"EPSG:{network.epsg}"  # type: ignore[index]
     return encode({**head, "features": [*nodes, *edges]}).encode() + b"\n"

@@ -7,7 +7,7 @@ import pytest
 
 from interloc.errors import ConfigError
 from interloc.osm.graph import RoadGraph, Ways
-from interloc.osm.intersections import intersection_nodes
+from interloc.osm.intersections import intersection_nodes, road_ways
 from interloc.osm.policies import POLICIES, Policy
 from interloc.osm.reader import read_osm
 
@@ -120,3 +120,10 @@ def test_consolidation_keeps_clear_of_what_lies_outside_the_bounds(data: Callabl
     assert len(merged) < len(inside)
     assert np.isin(merged.osm_id, inside.osm_id).all()
     assert (merged.degree >= 2).all()
+
+
+@pytest.mark.parametrize("highway", ["proposed", "construction", "razed", "platform"])
+def test_what_is_not_there_is_no_way(highway: str) -> None:
+    ways = Ways(np.array([1, 2]), ("residential", highway), ("", ""), np.array([False, False]))
+    graph = RoadGraph(np.array([1]), np.zeros((1, 2)), np.empty((0, 2), int), np.empty(0, int), ways, "map.osm")
+    assert road_ways(graph, "all").tolist() == [True, False]

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from tests.app.processes import ServerProcess, started
-from tests.app.street import write_street
+from tests.app.street import in_a_town, write_street
 from tests.networks import write_model
 from tests.page.browsers import Browser, Common, Watch, chromium
 from tests.page.canvas import NOTE_PATHS
@@ -71,6 +71,7 @@ def other_site() -> Iterator[str]:
 def done(tmp_path_factory: pytest.TempPathFactory, other_site: str) -> Iterator[Done]:
     folder = tmp_path_factory.mktemp("page")
     street = write_street(folder / "street", SCANS)
+    (street / "map.osm").write_text(in_a_town((street / "map.osm").read_text()))
     local = write_street(folder / "street_without_fixes", SCANS)
     (local / "geo.csv").unlink()
     tiles = {"tile_url": TILE, "tile_attribution": "(c) Tiles Example"}
@@ -85,6 +86,7 @@ def scored(done: Done, tmp_path_factory: pytest.TempPathFactory) -> Scored:
     """A result with something right, wrong, found, missed and out of reach."""
     street = write_street(tmp_path_factory.mktemp("layers") / "other map", SCANS)
     write_other_map(street)
+    (street / "map.osm").write_text(in_a_town((street / "map.osm").read_text()))
     return Scored(done.server, run_street(done.server, street, osm={"file": "map.osm"}))
 
 

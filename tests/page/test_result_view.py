@@ -28,7 +28,7 @@ def test_each_intersection_is_where_its_coordinates_say(page: Any, done: Done) -
     intersections = done.features("intersections")
     assert len(intersections) >= 2
     lon, lat = np.mean([feature["geometry"]["coordinates"] for feature in intersections], axis=0)
-    show(page, done, f"view=17.5/{lat}/{lon}&layers=intersections,wrong,roads")
+    show(page, done, f"view=17.5/{lat}/{lon}&layers=right,unscored,wrong,roads")
     for feature in intersections:
         x, y = on_screen(page, *feature["geometry"]["coordinates"])
         page.mouse.move(x, y)

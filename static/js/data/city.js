@@ -56,7 +56,14 @@ export function wantsCity() {
 }
 
 /** Ask for the maps again. */
-export async function loadMaps() {
+export function loadMaps() {
+  asking ??= readMaps().finally(() => (asking = null));
+  return asking;
+}
+/** Whoever asks meanwhile gets the same answer. @type {Promise<void>|null} */
+let asking = null;
+
+async function readMaps() {
   const maps = await all("maps", "maps", 100);
   const isFirst = cities.maps === null;
   const isSame = JSON.stringify(maps) === JSON.stringify(cities.maps);

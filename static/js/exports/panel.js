@@ -30,7 +30,14 @@ const DERIVED = /** @type {Record<string, string>} */ ({
 });
 
 /** Ending -> name, of formats that hold one layer. */
-const LAYER_FORMATS = { ".fgb": "FlatGeobuf", ".kml": "KML", ".csv": "CSV", ".parquet": "GeoParquet" };
+const LAYER_FORMATS = {
+  ".geojson": "GeoJSON",
+  ".fgb": "FlatGeobuf",
+  ".kml": "KML",
+  ".csv": "CSV",
+  ".parquet": "GeoParquet",
+};
+const OF_DEGREES = new Set([".geojson", ".kml"]);
 const QGZ =
   "All layers in groups, drawn as on this page, in one file that holds the data, too: for QGIS 3.22 and newer.";
 const IN_METRES = "Without a georeference the files hold metres of the drive's own frame, without a coordinate system.";
@@ -69,36 +76,27 @@ function partsOf({ local, surface, buildings, report }, slug) {
   const isOfOsm = new Set(layers.filter(({ is_osm }) => is_osm).map(({ name }) => name));
   const isThere = (/** @type {string} */ name) =>
     name === "osm_buildings" ? buildings.length > 0 : report !== null || !isOfOsm.has(name);
-  const json = (/** @type {string} */ name) => [{ title: "JSON", path: name, name: `${slug}-${name}.json` }];
+  const file = (/** @type {string} */ title, /** @type {string} */ path, /** @type {string} */ name) => [
+    { title, path, name: `${slug}-${name}` },
+  ];
   /** @param {string} name @returns {Format[]} */
   const formatsOf = (name) => {
-    const layer = name.replaceAll("_", "-");
-    const ending = local ? ".local.json" : ".geojson";
-    const own = name in DERIVED ? `export.geojson?layer=${layer}` : local ? `files/${name}.local.json` : layer;
-    const others = Object.entries(LAYER_FORMATS).filter(
-      ([each]) => exports.includes(each) && !(local && each === ".kml"),
-    );
+    const query = `?layer=${name.replaceAll("_", "-")}`;
+    const written = Object.entries(LAYER_FORMATS).filter(([ending]) => exports.includes(ending));
+    const fit = written.filter(([ending]) => !(local && OF_DEGREES.has(ending)));
     return [
-      { title: local ? "JSON" : "GeoJSON", path: own, name: `${slug}-${name}${ending}` },
-      ...others.map(([each, title]) => ({
-        title,
-        path: `export${each}?layer=${layer}`,
-        name: `${slug}-${name}${each}`,
-      })),
-      ...(name === "intersections" && !local && exports.includes(".pmtiles")
-        ? [{ title: "PMTiles, for web maps", path: "export.pmtiles", name: `${slug}.pmtiles` }]
-        : []),
+      ...(local ? file("JSON", `files/${name}.local.json`, `${name}.local.json`) : []),
+      ...fit.flatMap(([ending, title]) => file(title, `export${ending}${query}`, `${name}${ending}`)),
+      ...(name === "intersections" && !local ? file("PMTiles, for web maps", "export.pmtiles", "map.pmtiles") : []),
     ];
   };
   const names = Object.entries({ ...LAYERS, ...(local ? {} : DERIVED) }).filter(([name]) => isThere(name));
-  const tif = [{ title: "GeoTIFF", path: "road.tif", name: `${slug}-road.tif` }];
-  const kmz = [{ title: "KMZ, for Google Earth", path: "export.kmz", name: `${slug}.kmz` }];
   return {
     ...Object.fromEntries(names.map(([name, title]) => [name, { title, formats: formatsOf(name) }])),
-    ...(surface && { road: { title: "Road seen by LiDAR", formats: tif } }),
-    ...(!local && exports.includes(".kmz") && { all: { title: "All layers", formats: kmz } }),
-    ...(report && { report: { title: "Report", formats: json("report") } }),
-    run: { title: "Settings, versions, timings", formats: json("run") },
+    ...(surface && { road: { title: "Road seen by LiDAR", formats: file("GeoTIFF", "road.tif", "road.tif") } }),
+    ...(!local && { all: { title: "All layers", formats: file("KMZ, for Google Earth", "export.kmz", "all.kmz") } }),
+    ...(report && { report: { title: "Report", formats: file("JSON", "report", "report.json") } }),
+    run: { title: "Settings, versions, timings", formats: file("JSON", "run", "run.json") },
   };
 }
 

@@ -135,15 +135,19 @@ function progress(job) {
   ];
 }
 
+/** @param {{scans: number, of: number, stretches_m: [number, number][]}} lost Scans that a live drive dropped. */
+const lostText = ({ scans, of, stretches_m: at }) =>
+  `${formatCount(scans)} of ${formatCount(of)}${at.length ? `: ${stretchesText(at)}` : ""}`;
+
 /** @param {[number, number][]} stretches Along the track, metres. */
-function doubtfulText(stretches) {
+function stretchesText(stretches) {
   return `${stretches.map(([start, stop]) => `${formatCount(start)} to ${formatCount(stop)} m`).join(", ")} of the track`;
 }
 
 /** @param {any} job */
 function outcome(job) {
   const summary = job.summary ?? {};
-  const { report, seconds, keyframes } = summary;
+  const { report, seconds, keyframes, dropped: lost } = summary;
   /** @type {number[]} */
   const stages = Object.values(summary.stage_seconds ?? {});
   const methodSeconds = stages.reduce((sum, each) => sum + each, 0); // without the start of workers, and the map
@@ -163,6 +167,9 @@ function outcome(job) {
   return [
     report?.map_line && el("p.verdict", el("strong", report.map_line)),
     !report && el("p.note", el("strong", "Not scored"), unscored),
+    summary.doubtful_labels_m?.length > 0 &&
+      el("p.note.warning", el("strong", "Labels doubtful"), stretchesText(summary.doubtful_labels_m)),
+    lost && el("p.note.warning", el("strong", "Scans lost"), lostText(lost)),
     el("div.row", [
       !report && el("button.primary", { onClick: withMap }, "Run again with a map…"),
       el("button", { class: report ? "primary" : "", onClick: to("export") }, icon("download"), "Export"),
@@ -174,11 +181,6 @@ function outcome(job) {
       factList("", [
         ["Preset", job.request.preset ?? "default"],
         job.request.labels && ["Labels", job.request.labels],
-        summary.doubtful_labels_m?.length && ["Labels doubtful", doubtfulText(summary.doubtful_labels_m)],
-        summary.dropped && [
-          "Scans lost",
-          `${formatCount(summary.dropped.scans)} of ${formatCount(summary.dropped.of)}: ${doubtfulText(summary.dropped.stretches_m)}`,
-        ],
         ["Map", osm ? (osm.file ?? "OpenStreetMap, by Overpass") : "none"],
         osm && ["Policy", policy ?? "drive"],
         summary.location && ["Placed by its roads", placedText(summary.location)],

@@ -2,7 +2,7 @@
 import { getConfig } from "../api.js";
 import { demo } from "../data/demo.js";
 import { lists, titleOf } from "../data/lists.js";
-import { onUploadsChange, uploadOf, uploadText } from "../data/uploads.js";
+import { onUploadsChange, ownUpload, uploadText } from "../data/uploads.js";
 import { el, formatAgo, formatDuration, formatMetres, plural } from "../dom.js";
 import { setState } from "../state.js";
 
@@ -28,14 +28,17 @@ export function stateBadge(state) {
 /** @param {any} drive @returns {HTMLElement} Its state, or how far its upload is. */
 export function driveBadge({ id, state }) {
   if (state === "uploading" && demo.isRunning && demo.drive === id) return el("span.badge.busy", "Being made");
-  const upload = state === "uploading" ? uploadOf(id) : null;
-  return upload ? el("span.badge.busy", { dataset: { upload: id } }, uploadText(upload)) : stateBadge(state);
+  const upload = ownUpload();
+  return upload && state === "uploading" && upload.driveId === id
+    ? el("span.badge.busy", { dataset: { upload: id } }, uploadText(upload))
+    : stateBadge(state);
 }
 
 onUploadsChange(() => {
   for (const badge of document.querySelectorAll("[data-upload]")) {
-    const upload = uploadOf(/** @type {HTMLElement} */ (badge).dataset.upload ?? "");
-    if (upload) badge.textContent = uploadText(upload);
+    const upload = ownUpload();
+    if (upload && upload.driveId === /** @type {HTMLElement} */ (badge).dataset.upload)
+      badge.textContent = uploadText(upload);
   }
 });
 

@@ -50,9 +50,6 @@ export const NODE_OUTCOMES = { missed: "missed", found: "found", outside: "out o
 /** Titles where nothing is scored: then these are all. */
 const UNSCORED = /** @type {Record<string, string>} */ ({ unscored: "Intersections", detections: "Detections" });
 
-/** Names of layers in older permalinks. */
-const ALIASES = /** @type {Record<string, string[]>} */ ({ intersections: ["right", "unscored"] });
-
 const OFF_BY_DEFAULT = new Set(["tiles", "measured", "keyframes", "outside"]);
 
 /** @typedef {(result: Result) => number|null} Count */
@@ -121,6 +118,5 @@ export function layerOfDetection({ outcome }) {
 
 /** @param {string[]|null} chosen @returns {Set<string>} Ids of the layers that are on. */
 export function layersOn(chosen) {
-  const ids = chosen?.flatMap((id) => ALIASES[id] ?? [id]);
-  return new Set(ids ?? LAYERS.map((each) => each.id).filter((id) => !OFF_BY_DEFAULT.has(id)));
+  return new Set(chosen ?? LAYERS.map((each) => each.id).filter((id) => !OFF_BY_DEFAULT.has(id)));
 }

@@ -20,14 +20,14 @@ const DETECTIONS_HINT =
 /** @param {HTMLElement} container */
 export function mount(container) {
   const job = el("div");
-  const report = el("div.section");
+  const report = el("div");
   fill(container, job, report);
   mountJob(job);
   const update = () => {
     const { result } = shown;
     report.hidden = result?.job.id !== getState().job;
     if (report.hidden || !result) fill(report);
-    else if (result.report) fill(report, el("div.stack", sections(result, result.report)));
+    else if (result.report) fill(report, el("div.section.stack", sections(result, result.report)));
     else fill(report, section("Intersections", intersectionList(result)));
   };
   subscribe(["job"], update);

@@ -6,14 +6,12 @@ import { isArchive } from "../api.js";
  * @typedef {object} Folder
  * @property {string} name
  * @property {Map<string, File>} files By path inside the folder, parts joined by "/".
- * @property {FileSystemDirectoryHandle | null} handle To come back to it after a reload, where the browser can.
  * @property {boolean} [isLoose] It is no folder: the files were picked or dropped by themselves.
  */
 
 /** @typedef {(count: number) => void} OnCount Called now and then with the number of files found. */
 
 const JUNK = /(^|\/)(\.[^/]*|__MACOSX|Thumbs\.db|desktop\.ini)(\/|$)/i;
-const READ_AT_ONCE = 32;
 const STILL_MS = 24;
 
 /**
@@ -31,7 +29,7 @@ export function folderOfInput(list) {
     name = rest.length ? top : name;
     put(files, rest.length ? rest.join("/") : top, file);
   }
-  return { name, files, handle: null, isLoose };
+  return { name, files, isLoose };
 }
 
 /** @param {File[]} files @returns {string} The name of the largest, without its ending: that of a drive in loose files. */
@@ -61,44 +59,6 @@ export async function measure(folder, onCount = () => {}) {
   }
 }
 
-/** True where the browser can pick folders that it can come back to. */
-export const canPickHandles = () => typeof window.showDirectoryPicker === "function";
-
-/**
- * Read a folder through its handle.
- *
- * @param {FileSystemDirectoryHandle} handle
- * @param {OnCount} [onCount]
- * @returns {Promise<Folder>}
- */
-export async function folderOfHandle(handle, onCount = () => {}) {
-  const files = new Map();
-  await walkHandle(handle, "", files, onCount);
-  return { name: handle.name, files, handle };
-}
-
-/** @param {FileSystemDirectoryHandle} handle @param {string} above @param {Map<string, File>} files @param {OnCount} onCount */
-async function walkHandle(handle, above, files, onCount) {
-  /** @type {Promise<void>[]} */
-  let reading = [];
-  for await (const entry of handle.values()) {
-    const path = above + entry.name;
-    if (JUNK.test(path)) continue;
-    if (entry.kind === "directory") {
-      await walkHandle(entry, `${path}/`, files, onCount);
-    } else {
-      reading.push(entry.getFile().then((file) => put(files, path, file)));
-    }
-    if (reading.length >= READ_AT_ONCE) {
-      await Promise.all(reading);
-      reading = [];
-      onCount(files.size);
-    }
-  }
-  await Promise.all(reading);
-  onCount(files.size);
-}
-
 /**
  * What was dropped: one archive, or a folder (several things dropped together are one folder).
  *
@@ -110,29 +70,21 @@ async function walkHandle(handle, above, files, onCount) {
  */
 export function readDrop(transfer, onCount = () => {}) {
   const items = [...transfer.items].filter((item) => item.kind === "file");
-  const handles = items.map((item) => item.getAsFileSystemHandle?.());
-  const entries = items.map((item) => item.webkitGetAsEntry?.() ?? null);
-  const plain = [...transfer.files];
-  return readItems(handles, entries, plain, onCount);
+  return readEntries(
+    items.map((item) => item.webkitGetAsEntry()),
+    [...transfer.files],
+    onCount,
+  );
 }
 
 /**
- * @param {(Promise<FileSystemHandle | null> | undefined)[]} handles
  * @param {(FileSystemEntry | null)[]} entries
  * @param {File[]} plain
  * @param {OnCount} onCount
  * @returns {Promise<{archive: File} | {folder: Folder}>}
  */
-async function readItems(handles, entries, plain, onCount) {
-  if (plain.length === 1 && isArchive(plain[0].name) && !entries[0]?.isDirectory) {
-    return { archive: plain[0] };
-  }
-  if (handles.length === 1 && handles[0]) {
-    const handle = await handles[0].catch(() => null);
-    if (handle?.kind === "directory") {
-      return { folder: await folderOfHandle(/** @type {FileSystemDirectoryHandle} */ (handle), onCount) };
-    }
-  }
+async function readEntries(entries, plain, onCount) {
+  if (plain.length === 1 && isArchive(plain[0].name) && !entries[0]?.isDirectory) return { archive: plain[0] };
   const files = new Map();
   const single = entries.length === 1 && entries[0]?.isDirectory ? entries[0] : null;
   for (const entry of entries) {
@@ -141,7 +93,7 @@ async function readItems(handles, entries, plain, onCount) {
   if (!entries.some(Boolean)) plain.forEach((file) => put(files, file.name, file));
   const isLoose = !entries.some((entry) => entry?.isDirectory);
   const name = single?.name ?? (isLoose ? nameOfFiles(plain) : "drive");
-  return { folder: { name, files, handle: null, isLoose } };
+  return { folder: { name, files, isLoose } };
 }
 
 /** @param {FileSystemEntry} entry @param {string} path @param {Map<string, File>} files @param {OnCount} onCount */

@@ -17,13 +17,7 @@ import { groundBytesOf } from "./upload.js";
 /** @import { Remembered } from "./memory.js" */
 /** @import { Settings } from "./upload.js" */
 
-/** What may be added to a drive, by layout. */
-const MORE_FILES = /** @type {Record<string, string>} */ ({
-  semantickitti: "poses.txt, calib*.txt, times.txt or geo.csv",
-  pcd: "poses.txt, poses.tum, times.txt or geo.csv",
-  rosbag: "metadata.yaml or geo.csv",
-  las: "a trajectory (.csv, .txt, .tum, .sbet, .out)",
-});
+const MORE_FILES = "poses.txt, calib.txt, times.txt, geo.csv or a trajectory, by the names that they have in a drive.";
 
 const POSE_OWNERS = /** @type {Record<string, string>} */ ({
   ...{ camera: "of the camera", lidar: "of the LiDAR", imu: "of the IMU", oxts: "from OXTS" },
@@ -40,7 +34,6 @@ const SENDING = {
  * @param {DriveFolder | null} picked.drive
  * @param {ListedName[]} picked.drives All in the folder.
  * @param {File | null} picked.archive
- * @param {FileSystemDirectoryHandle | null} picked.handle
  * @param {any} picked.presets
  * @param {import("./label_form.js").Network[]} picked.networks Of the service; none where the drive has labels.
  * @param {Remembered | null} picked.begun The upload of the same folder that was begun before.
@@ -52,7 +45,7 @@ const SENDING = {
  * @param {(begun: Remembered) => void} actions.onContinue
  */
 export function formView(
-  { drive, drives, archive, handle, presets, networks, begun, before },
+  { drive, drives, archive, presets, networks, begun, before },
   { onStart, onBack, onChoose, onContinue },
 ) {
   const value = before?.name ?? drive?.look.name ?? baseName(archive);
@@ -193,7 +186,7 @@ export function formView(
       ...maps.map(({ name }) => `${name}: choose it as the map to score against.`),
       ...others
         .filter((file) => ![...drive.small.values()].includes(file))
-        .map(({ name }) => `${name}: expected ${MORE_FILES[drive.look.layout ?? ""] ?? MORE_FILES.semantickitti}.`),
+        .map(({ name }) => `${name}: expected ${MORE_FILES}`),
     ];
     added.textContent = refused.join(" ");
   }
@@ -203,7 +196,6 @@ export function formView(
     if (drive) {
       labels.setFolders(drive.look.labels);
       reading.setFiles();
-      labels.setKeyframes(drive.look.keyframes);
     }
     refresh();
   }
@@ -253,7 +245,7 @@ export function formView(
     if (own) extras.set(/** @type {{file: string}} */ (request.osm).file, own);
     const isRaw = sending() === "raw";
     onStart(
-      { drive, archive, extras, handle, fingerprint: drive ? fingerprintOfDrive(drive) : "" },
+      { drive, archive, extras, fingerprint: drive ? fingerprintOfDrive(drive) : "" },
       {
         name: name.value.trim(),
         folders: isOpen ? labels.folders() : [],
@@ -281,12 +273,7 @@ export function formView(
     errors,
     field("Name", name, "Shown in lists and results."),
     job.mapElement,
-    el("div.box.stack-s", [
-      facts,
-      whyWhole,
-      isOpen && el("div", files, " ", el("small", MORE_FILES[drive.look.layout ?? ""] ?? MORE_FILES.semantickitti)),
-      added,
-    ]),
+    el("div.box.stack-s", [facts, whyWhole, isOpen && el("div", files, " ", el("small", MORE_FILES)), added]),
     problems,
     !isReduced && labels.element,
     job.element,

@@ -63,14 +63,12 @@ export function labelForm({ drive, networks, before }, { onChange, onFolder }) {
   const picker = el("div", filePicker("Labels from another folder …", onFolder, elsewhere));
 
   const usable = networks.filter(({ problem }) => problem === null);
-  /** Time that each takes, to be filled in. @type {Map<Network, HTMLElement>} */
-  const hints = new Map(usable.map((network) => [network, el("span")]));
   const areSeen = drive && (drive.look.scans || drive.look.carries_labels === false); // label files, or none at all
   const unseen = areSeen ? null : UNSEEN[drive?.look.layout ?? ""];
   const ofNetworks = usable.map((network) => ({
     value: OF_NETWORK + network.name,
     title: ["By the network ", el("b", network.name), ", on the service"],
-    hint: hints.get(network),
+    hint: factsOf(network),
   }));
   const offers = [...ofNetworks, OF_GEOMETRY];
   const choices = unseen
@@ -103,17 +101,10 @@ export function labelForm({ drive, networks, before }, { onChange, onFolder }) {
     meaning.element.hidden = made() !== null;
   }
 
-  /** @param {number | null} keyframes About how many the drive has; null where only the service can tell. */
-  function setKeyframes(keyframes) {
-    for (const [network, hint] of hints) hint.textContent = factsOf(network, keyframes);
-  }
-  setKeyframes(null);
   show();
 
   return {
     element: section("Labels", drive && rows, offered, hasPlace && picker, meaning.element),
-    setKeyframes,
-
     /** @param {import("./drive_folder.js").DriveLook["labels"]} folders */
     setFolders(folders) {
       meaning.setVerdict(folders);
@@ -142,25 +133,15 @@ export function labelForm({ drive, networks, before }, { onChange, onFolder }) {
   };
 }
 
-/** @param {Network} network @param {number | null} keyframes */
-function factsOf({ size_bytes, height, width, seconds_per_scan: seconds }, keyframes) {
+/** @param {Network} network */
+function factsOf({ size_bytes, height, width, seconds_per_scan: seconds }) {
   const facts = [
-    size_bytes === null ? "Network" : `Network of ${formatBytes(size_bytes)}`,
-    height && width ? `, range image of ${formatCount(height)} × ${formatCount(width)}. ` : ". ",
+    size_bytes !== null && formatBytes(size_bytes),
+    height && width && `range image of ${formatCount(height)} × ${formatCount(width)}`,
+    seconds !== null && `${seconds < 0.05 ? "less than 0.1 s" : formatDuration(seconds)} per scan on one core`,
   ];
-  const count = keyframes === null ? "" : `about ${plural(keyframes, "keyframe")}`;
-  if (seconds === null && count) facts.push(`It labels ${count}; the time was not measured here yet.`);
-  else if (seconds === null) facts.push("Its time was not measured here yet.");
-  else {
-    const each = seconds < 0.05 ? "less than 0.1 s" : formatDuration(seconds);
-    const all = keyframes === null ? "" : `: about ${roughly(seconds * keyframes)} for ${count}`;
-    facts.push(`It takes ${each} per scan on one core${all}.`);
-  }
-  return facts.join("");
+  return facts.filter(Boolean).join(", ");
 }
-
-/** @param {number} seconds */
-const roughly = (seconds) => (seconds < 60 ? `${Math.max(1, Math.round(seconds))}\u00a0s` : formatDuration(seconds));
 
 /**
  * What the ids of labels mean.

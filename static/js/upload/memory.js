@@ -15,8 +15,6 @@ import { keep, recall } from "../storage.js";
 
 const KEY = "interloc.uploads";
 const MAX_KEPT = 20;
-const DATABASE = "interloc";
-const HANDLES = "folders";
 
 /** @returns {Remembered[]} The latest first. */
 export function rememberedUploads() {
@@ -36,49 +34,14 @@ function store(list) {
 /** @param {string} driveId */
 export const remembered = (driveId) => rememberedUploads().find((each) => each.driveId === driveId) ?? null;
 
-/**
- * @param {Remembered} upload
- * @param {FileSystemDirectoryHandle | null} [handle] Where its folder is, if the browser can come back to it.
- */
-export function remember(upload, handle = null) {
+/** @param {Remembered} upload */
+export function remember(upload) {
   store([upload, ...rememberedUploads().filter((each) => each.driveId !== upload.driveId)]);
-  if (handle) withHandles("readwrite", (handles) => handles.put(handle, upload.driveId)).catch(() => {});
 }
 
 /** @param {string} driveId */
 export function forget(driveId) {
   store(rememberedUploads().filter((each) => each.driveId !== driveId));
-  withHandles("readwrite", (handles) => handles.delete(driveId)).catch(() => {});
-}
-
-/** @param {string} driveId @returns {Promise<FileSystemDirectoryHandle | null>} */
-export async function handleOf(driveId) {
-  try {
-    return (await withHandles("readonly", (handles) => handles.get(driveId))) ?? null;
-  } catch {
-    return null;
-  }
-}
-
-/**
- * @template T
- * @param {IDBTransactionMode} mode
- * @param {(store: IDBObjectStore) => IDBRequest<T>} use
- * @returns {Promise<T>}
- */
-function withHandles(mode, use) {
-  return new Promise((resolve, reject) => {
-    const opening = indexedDB.open(DATABASE, 1);
-    opening.onupgradeneeded = () => opening.result.createObjectStore(HANDLES);
-    opening.onerror = () => reject(opening.error);
-    opening.onsuccess = () => {
-      const database = opening.result;
-      const using = use(database.transaction(HANDLES, mode).objectStore(HANDLES));
-      using.onsuccess = () => resolve(using.result);
-      using.onerror = () => reject(using.error);
-      using.transaction?.addEventListener("complete", () => database.close());
-    };
-  });
 }
 
 /**

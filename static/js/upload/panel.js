@@ -1,20 +1,20 @@
 /** The upload panel: from picking a folder, or going on with an upload that was begun, to a job. */
 
-import { ApiError, encodePath, getConfig, getJson, isArchive, request, sendJson } from "../api.js";
+import { ApiError, getConfig, getJson, isArchive, sendJson } from "../api.js";
 import { filePicker, iconButton, section } from "../controls.js";
 import { refreshLists, rememberJob } from "../data/lists.js";
-import { onUploadsChange, tellUpload, uploadElsewhere, uploadOf, uploadText } from "../data/uploads.js";
+import { tellUpload } from "../data/uploads.js";
 import { el, fill, formatAgo, formatBytes, icon, plural, takesDrops } from "../dom.js";
 import { afterDeletion } from "../job/words.js";
 import { confirmAction, problemNote, showError, showMessage } from "../messages.js";
 import { getState, setState } from "../state.js";
 import { lookInto } from "./drive_folder.js";
-import { canPickHandles, folderOfHandle, folderOfInput, measure, readDrop } from "./folder.js";
+import { folderOfInput, measure, readDrop } from "./folder.js";
 import { fingerprintOfDrive, formView } from "./form.js";
-import { forget, handleOf, rememberedUploads } from "./memory.js";
+import { forget, rememberedUploads } from "./memory.js";
 import { dropPreview, setPreviewProgress, showPreview } from "./preview.js";
 import { progressView } from "./progress_view.js";
-import { Refusal, Upload } from "./upload.js";
+import { Upload } from "./upload.js";
 
 /** @import { DriveFolder } from "./drive_folder.js" */
 /** @import { Folder } from "./folder.js" */
@@ -24,7 +24,6 @@ import { Refusal, Upload } from "./upload.js";
  * @property {DriveFolder | null} drive
  * @property {import("./drive_folder.js").ListedName[]} drives All in the folder.
  * @property {File | null} archive
- * @property {FileSystemDirectoryHandle | null} handle
  */
 /** @typedef {{driveId: string, settings: import("./upload.js").Settings}} Begun An upload to go on with. */
 
@@ -49,9 +48,6 @@ let current = null;
 /** @type {HTMLElement} Of this panel; there is one. */
 let panel;
 
-/** Begun uploads that the start shows as under way in other tabs; null while something else is shown. @type {string | null} */
-let busyElsewhere = null;
-
 /** @param {HTMLElement} container */
 export function mount(container) {
   panel = container;
@@ -59,16 +55,7 @@ export function mount(container) {
   window.addEventListener("beforeunload", (event) => {
     if (current?.isRunning) event.preventDefault(); // the browser asks whether to leave
   });
-  onUploadsChange(() => {
-    if (busyElsewhere !== null && busyElsewhere !== elsewhere()) run(() => showStart());
-  });
   showStart().catch(showError);
-}
-
-/** @returns {string} Ids of the uploads begun in this browser that other tabs send. */
-function elsewhere() {
-  const ids = rememberedUploads().map(({ driveId }) => driveId);
-  return ids.filter((driveId) => uploadOf(driveId)?.isElsewhere).join();
 }
 
 /**
@@ -79,22 +66,9 @@ function elsewhere() {
  */
 async function showStart(message = null, begun = null) {
   dropPreview();
-  busyElsewhere = elsewhere();
   const uploads = await stillOpen();
-  const handles = await Promise.all(uploads.map(({ driveId }) => handleOf(driveId)));
   const onChange = () => input.files.length && run(() => showFolder(folderOfInput(input.files), begun));
   const input = el("input", { type: "file", name: "folder", webkitdirectory: true, hidden: true, onChange });
-  const pick = async () => {
-    if (!canPickHandles()) {
-      input.click();
-      return;
-    }
-    const handle = await window.showDirectoryPicker({ id: "drive", mode: "read" }).catch((error) => {
-      if (error.name === "AbortError") return null; // the person changed their mind
-      throw error;
-    });
-    if (handle) run(async () => showFolder(await folderOfHandle(handle, counter()), begun));
-  };
   const { archives, recordings, scans, beside, maps } = getConfig().file_kinds;
   const takeFiles = (/** @type {FileList} */ list) =>
     run(() => (isArchive(list[0].name) ? showArchive(list[0], begun) : showFolder(folderOfInput(list), begun)));
@@ -103,29 +77,22 @@ async function showStart(message = null, begun = null) {
     multiple: true,
     name: "files",
   });
-  const open = uploads.map((upload, i) => {
+  const open = uploads.map((upload) => {
     const { name, at, arrived } = upload;
     const has = arrived && ` · ${plural(arrived.files, "file")} there, ${formatBytes(arrived.size_bytes)}`;
     const title = el("strong.cut", name);
     const about = el("div.cut", title, el("br"), el("small", formatAgo(at), has));
-    const other = uploadOf(upload.driveId);
-    if (other) {
-      const badge = el("span.badge.busy", { dataset: { upload: upload.driveId } }, uploadText(other));
-      return el("div.box", about, badge);
-    }
     const pickAgain = () => (upload.isLoose ? pickFiles.querySelector("input") : input)?.click();
     return el("div.box.spread", [
       about,
-      handles[i]
-        ? el("button", { onClick: () => run(() => continueByHandle(upload)) }, "Continue")
-        : el("button", { onClick: pickAgain }, "Pick it again"),
+      el("button", { onClick: pickAgain }, "Pick it again"),
       iconButton("trash", `Remove ${name}`, () => run(() => remove(upload)), "Remove it from the service"),
     ]);
   });
   const call = el("strong", takesDrops() ? "Drop the folder of a drive here" : "Choose the folder of a drive");
   const kinds = `or files: ${recordings.join(", ")}; archives: .zip, .tar, .tar.gz, .tar.zst`;
   const or = el("span.quiet", kinds);
-  const buttons = [el("button.primary", { onClick: pick }, "Choose a folder"), pickFiles];
+  const buttons = [el("button.primary", { onClick: () => input.click() }, "Choose a folder"), pickFiles];
   const note =
     "No file is sent before you press a button. Scans are reduced to their ground points in the browser, so that a " +
     "drive of 11 GB becomes some hundred MB. Bags, LAS and PCD files are sent as they are.";
@@ -168,7 +135,6 @@ async function stillOpen() {
 
 /** @returns {(count: number) => void} */
 function counter() {
-  busyElsewhere = null;
   const text = el("p", { role: "status" }, "Reading the folder …");
   const bar = el("progress", { "aria-label": "Reading the folder" });
   fill(panel, el("div.stack", el("h2", "Upload a drive"), bar, text));
@@ -190,12 +156,12 @@ async function showFolder(folder, begun) {
     const other = (await lookInto(folder, { root })).drive;
     if (other && fingerprintOfDrive(other) === fingerprint) drive = other;
   }
-  await showForm({ drive, drives, archive: null, handle: folder.handle }, begun);
+  await showForm({ drive, drives, archive: null }, begun);
 }
 
 /** @param {File} file @param {Begun | null} begun */
 async function showArchive(file, begun) {
-  await showForm({ drive: null, drives: [], archive: file, handle: null }, begun);
+  await showForm({ drive: null, drives: [], archive: file }, begun);
 }
 
 /** @param {Picked} picked @param {Begun | null} begun The upload that this is to go on with. */
@@ -216,7 +182,6 @@ async function showForm(picked, begun) {
       onContinue: (upload) => run(() => goOn(picked, upload)),
     },
   );
-  busyElsewhere = null;
   if (!picked.drive) dropPreview();
   fill(panel, view);
 }
@@ -225,20 +190,6 @@ async function showForm(picked, begun) {
 async function chooseDrive(picked, root) {
   const { folder } = /** @type {DriveFolder} */ (picked.drive);
   await showForm({ ...picked, drive: (await lookInto(folder, { root })).drive }, null);
-}
-
-/** @param {Remembered} upload */
-async function continueByHandle(upload) {
-  const handle = await handleOf(upload.driveId);
-  if (!handle || (await handle.requestPermission({ mode: "read" })) !== "granted") {
-    const detail = `Pick the folder of ${upload.name} again to go on.`;
-    await showStart(problemNote({ title: "The browser does not open the folder by itself", detail }));
-    return;
-  }
-  const folder = await folderOfHandle(handle, counter());
-  const { drives, drive } = await lookInto(folder, { root: upload.root });
-  if (!drive) throw new Error(`${folder.name} no longer holds ${upload.root || upload.name}. Pick its folder again.`);
-  await goOn({ drive, drives, archive: null, handle }, upload);
 }
 
 /**
@@ -254,30 +205,15 @@ async function goOn(picked, { driveId, settings }) {
   for (const path of [osm && "file" in osm ? osm.file : null, settings.options.oxts]) {
     if (!path) continue;
     const own = drive.maps.get(path) ?? drive.small.get(path);
-    const isThere = own || (await isOnService(driveId, path));
     if (own) extras.set(path, own);
-    else if (isThere && path === settings.options.oxts) extras.set(path, await fetchFile(driveId, path));
-    if (!isThere) {
+    else {
       await showForm(picked, { driveId, settings });
       showMessage(`Pick ${path.split("/").pop()} again: it is not in the folder of the drive.`);
       return;
     }
   }
-  const { handle } = picked;
-  const source = { drive, archive: null, extras, handle, fingerprint: fingerprintOfDrive(drive) };
+  const source = { drive, archive: null, extras, fingerprint: fingerprintOfDrive(drive) };
   await start(picked, new Upload(source, settings, () => {}, driveId));
-}
-
-/** @param {string} driveId @param {string} path */
-async function isOnService(driveId, path) {
-  const folder = await getJson(`drives/${driveId}/files?limit=1&after=${encodeURIComponent(path.slice(0, -1))}`);
-  return folder.files[0]?.path === path;
-}
-
-/** A georeference that has arrived: the service looks into it again. @param {string} driveId @param {string} path */
-async function fetchFile(driveId, path) {
-  const response = await request(`drives/${driveId}/files/${encodePath(path)}`);
-  return new File([await response.blob()], path.slice(path.lastIndexOf("/") + 1));
 }
 
 /** @param {Picked} picked @param {Upload} upload */
@@ -290,21 +226,13 @@ async function start(picked, upload) {
     onCorrect: () => run(() => showStart(el("p.note", again), begun())),
     onLeave: () => run(() => showStart()),
   });
-  busyElsewhere = null;
   fill(panel, view.element);
   if (picked.drive) previewOf(picked.drive, upload);
-  const { fingerprint } = upload.source;
-  upload.guard = async () => {
-    const other = await uploadElsewhere(upload.driveId, fingerprint);
-    if (!other) return;
-    const detail = `${uploadText(other)}. Wait for its end there, or stop it there and go on here.`;
-    throw new Refusal("Another tab sends this drive", detail);
-  };
   upload.onChange = () => {
     view.update(upload);
     const { driveId, sent, isRunning } = upload;
     if (sent !== null) setPreviewProgress(sent);
-    tellUpload(isRunning && driveId ? { driveId, fingerprint, fraction: sent } : null);
+    tellUpload(isRunning && driveId ? { driveId, fraction: sent } : null);
   };
   upload.transfer.onChange = upload.onChange;
   await upload.run();

@@ -28,7 +28,6 @@ import { Transfer } from "./transfer.js";
  * @property {DriveFolder | null} drive
  * @property {File | null} archive
  * @property {Map<string, File>} extras Files from elsewhere, by their paths in the drive: a map, a georeference.
- * @property {FileSystemDirectoryHandle | null} handle
  * @property {string} fingerprint
  */
 
@@ -79,8 +78,6 @@ export class Upload {
     /** @type {string | null} */
     this.jobId = null;
     this.transfer = new Transfer(onChange);
-    /** Asked before each run; it throws where the upload must not run now. @type {() => Promise<void>} */
-    this.guard = async () => {};
   }
 
   /** @returns {number | null} How much of the scans or the archive was sent, 0..1; null before and after. */
@@ -123,12 +120,13 @@ export class Upload {
     this.transfer = new Transfer(this.onChange);
     this.#update({ status: "running", error: null, problems: [], message: "", step: this.steps[0] });
     try {
-      await this.guard();
-      const state = await this.#openDrive();
-      if (state === "uploading") await this.#send();
-      await this.#commit();
-      if (this.settings.job) await this.#startJob(this.settings.job);
-      if (this.driveId) forget(this.driveId);
+      await alone(this.source.fingerprint, async () => {
+        const state = await this.#openDrive();
+        if (state === "uploading") await this.#send();
+        await this.#commit();
+        if (this.settings.job) await this.#startJob(this.settings.job);
+        if (this.driveId) forget(this.driveId);
+      });
       this.#update({ status: "done", message: "" });
     } catch (error) {
       this.#fail(error);
@@ -171,7 +169,7 @@ export class Upload {
 
   /** @param {string} fingerprint @param {Record<string, string>} [schemes] */
   #remember(fingerprint, schemes) {
-    const { drive, handle } = this.source;
+    const { drive } = this.source;
     const driveId = /** @type {string} */ (this.driveId);
     const before = remembered(driveId);
     const at = before?.at ?? new Date().toISOString();
@@ -179,7 +177,7 @@ export class Upload {
     const root = drive?.look.root ?? "";
     schemes ??= before?.schemes;
     const isLoose = drive?.folder.isLoose;
-    remember({ driveId, fingerprint, name: settings.name, at, root, isLoose, settings, schemes }, handle);
+    remember({ driveId, fingerprint, name: settings.name, at, root, isLoose, settings, schemes });
   }
 
   async #send() {
@@ -321,6 +319,20 @@ export class Upload {
     const file = [...(await listPresent(this.transfer)).keys()].find(isMap);
     return file ? { file } : null;
   }
+}
+
+/**
+ * Do something that no other tab does: locks are not there over plain http, where two tabs send the same files twice.
+ *
+ * @param {string} fingerprint Of the files; "" where they have none.
+ * @param {() => Promise<void>} work
+ */
+async function alone(fingerprint, work) {
+  if (!fingerprint || !navigator.locks) return work();
+  await navigator.locks.request(`interloc.upload.${fingerprint}`, { ifAvailable: true }, (lock) => {
+    if (lock) return work();
+    throw new Refusal("Another tab sends this drive", "Wait for its end there, or stop it there and go on here.");
+  });
 }
 
 /**

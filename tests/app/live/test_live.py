@@ -7,6 +7,7 @@ import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -329,6 +330,7 @@ def test_the_sender_goes_on_when_the_server_is_back(
 def test_a_drive_that_is_kept_tells_what_was_lost(
     client: httpx.Client, crossing: FolderDrive, config: DetectorConfig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    timed = replace(crossing, times_s=np.arange(48.0))  # else poses that are far apart are taken for a jump
     frames = iter(range(48))
 
     def ask(_: Budget, _session: str, what: str, size: int) -> None:
@@ -341,7 +343,7 @@ def test_a_drive_that_is_kept_tells_what_was_lost(
     said: Said = []
     begin = {"name": "lost", "config": config.model_dump(mode="json"), "keep": True}
     sender = LiveSender(str(client.base_url), None, begin, said.append, keeps_all=True)
-    sender.run(lambda after: play(crossing, config, after=after))
+    sender.run(lambda after: play(timed, config, after=after))
     assert [each["frame"] for each in said if each["type"] == "dropped"] == list(range(20, 30))
     job = ended(client, said[-1]["job_id"])
     assert (job["summary"]["keyframes"], said[-1]["dropped"]) == (38, 10)

@@ -6,7 +6,7 @@ import { lineOf, medianError } from "../../../static/js/data/results.js";
 import { formatDate } from "../../../static/js/dom.js";
 import { ellipseOf } from "../../../static/js/map/ellipse.js";
 import { matches } from "../../../static/js/map/filter.js";
-import { kindOfNode, layersOn } from "../../../static/js/map/layers.js";
+import { kindOfNode } from "../../../static/js/map/layers.js";
 import { coordinates, linksAt, noteText } from "../../../static/js/map/links.js";
 import { compare } from "../../../static/js/report/sorted_table.js";
 
@@ -41,10 +41,6 @@ test("a filter goes by verdict, by figures and by words", () => {
   for (const words of ["3", " Worth a LOOK ", "49.0001"]) assert.deepEqual(passing({ words }), [wrong], words);
   for (const words of ["24", "77", "n77"]) assert.deepEqual(passing({ words }), [right], words);
   assert.deepEqual(passing({ words: "2" }), [], "a number is a whole id");
-});
-
-test("links of older versions mean the layers of today", () => {
-  assert.deepEqual([...layersOn(["intersections", "tp"])], ["right", "unscored", "tp"]);
 });
 
 test("the map decides what became of a node; the detections, where the result says no more", () => {

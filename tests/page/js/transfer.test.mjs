@@ -4,33 +4,6 @@ import { test } from "node:test";
 import { ApiError } from "../../../static/js/api.js";
 import { Meter, Transfer } from "../../../static/js/upload/transfer.js";
 
-const until = async (holds) => {
-  while (!holds()) await new Promise((resolve) => setTimeout(resolve, 1));
-};
-
-test("some items are worked on at once, each one once", async () => {
-  const transfer = new Transfer(() => {});
-  const seen = [];
-  let busy = 0;
-  let most = 0;
-  await transfer.each(
-    Array.from({ length: 50 }, (_, i) => i),
-    4,
-    async (item) => {
-      busy += 1;
-      most = Math.max(most, busy);
-      await new Promise((resolve) => setImmediate(resolve));
-      seen.push(item);
-      busy -= 1;
-    },
-  );
-  assert.deepEqual(
-    seen.sort((a, b) => a - b),
-    Array.from({ length: 50 }, (_, i) => i),
-  );
-  assert.equal(most, 4);
-});
-
 test("the first failure ends it, and is thrown", async () => {
   const transfer = new Transfer(() => {});
   let begun = 0;
@@ -48,21 +21,6 @@ test("the first failure ends it, and is thrown", async () => {
     /000003\.bin: is damaged/,
   );
   assert.ok(begun < 100);
-});
-
-test("while paused nothing new begins; after it all goes on", async () => {
-  const transfer = new Transfer(() => {});
-  const seen = [];
-  const all = transfer.each([0, 1, 2, 3, 4, 5], 1, async (item) => {
-    seen.push(item);
-    if (item === 2) transfer.pause();
-  });
-  await until(() => transfer.isPaused);
-  for (let i = 0; i < 20; i += 1) await new Promise((resolve) => setImmediate(resolve));
-  assert.deepEqual(seen, [0, 1, 2]);
-  transfer.resume();
-  await all;
-  assert.deepEqual(seen, [0, 1, 2, 3, 4, 5]);
 });
 
 test("stopping ends what is paused", async () => {
