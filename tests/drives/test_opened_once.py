@@ -38,8 +38,6 @@ def test_both_label_folders(with_oxts: Path) -> None:
         ["poses.txt", "times.txt", *(f"{frame:010d}.txt" for frame in range(12))], 1
     )
     by_labels, by_predictions = (reading.drive for reading in readings.values())
-    assert by_labels is not None
-    assert by_predictions is not None
     assert by_labels.T_world_lidar is by_predictions.T_world_lidar
     assert (by_labels.label_source, by_predictions.label_source) == ("labels", "predictions")
 

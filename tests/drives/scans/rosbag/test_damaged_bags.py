@@ -42,10 +42,6 @@ def read_all(path: Path) -> int:
     """Read everything of a bag; return how many scans there are."""
     findings = Findings(stop_at_first=True)
     recording = open_rosbag(path, DriveOptions(), findings)
-    assert recording is not None
-    assert recording.points is not None
-    assert recording.frames is not None
-    assert recording.read_trajectory is not None
     recording.read_trajectory(recording.frames, DriveOptions(), findings)
     for frame in recording.frames:
         recording.points.read(int(frame))
@@ -124,7 +120,6 @@ def rewritten(file: Path, target: Path, **settings: Any) -> Path:
         writer, numbers = Writer(sink, **settings), {}
         writer.start()
         for schema, channel, message in make_reader(source).iter_messages():
-            assert schema is not None
             if channel.id not in numbers:
                 number = writer.register_schema(schema.name, schema.encoding, schema.data)
                 numbers[channel.id] = writer.register_channel(channel.topic, channel.message_encoding, number)
@@ -145,8 +140,6 @@ def rewritten(file: Path, target: Path, **settings: Any) -> Path:
 def test_an_mcap_may_be_written_in_any_way(tmp_path: Path, settings: dict[str, Any]) -> None:
     file = small_bag(tmp_path / "drive", "mcap")
     (recording, *_), (again, *_) = opened(file), opened(rewritten(file, tmp_path / "again.mcap", **settings))
-    assert recording.points is not None
-    assert again.points is not None
     assert again.topics == recording.topics
     for frame in range(8):
         assert np.array_equal(again.points.read(frame).values, recording.points.read(frame).values)

@@ -69,7 +69,6 @@ def test_poses_that_were_recorded_late_are_left_as_they_are(tmp_path: Path) -> N
 def places_of(trajectory: Trajectory) -> np.ndarray:
     """Return (N, 2) east and north of the scans of `drive_with_fixes`, by the georeference that was found."""
     found = trajectory.georeference
-    assert found is not None
     return enu_from_lonlat(49.0, 8.4, np.stack([found.lon_deg, found.lat_deg], axis=-1))
 
 
@@ -107,7 +106,6 @@ def test_transforms_come_before_poses_without_an_owner(tmp_path: Path) -> None:
             bag.cloud("/points", time, cells_of(scans_of()[row]))
     _, trajectory, _ = opened(tmp_path / "drive")
     assert np.allclose(poses_of(trajectory), straight(), atol=1e-9)
-    assert trajectory.poses is not None
     assert "/tf" in trajectory.poses.reason
 
 
@@ -159,7 +157,6 @@ def test_scans_of_two_sensors_on_one_topic(tmp_path: Path, has_mount: bool) -> N
         assert "no transform leads from left to front" in refused(tmp_path / "drive")
         return
     recording = opened(tmp_path / "drive")[0]
-    assert recording.points is not None
     assert np.allclose(recording.points.read(0).values, scans[0])
     expected = scans[1][:, :3] @ left[:3, :3].T + left[:3, 3]
     assert np.allclose(recording.points.read(1).values[:, :3], expected, atol=1e-4)
@@ -191,8 +188,6 @@ def test_the_uncertainty_of_fixes_counts(tmp_path: Path) -> None:
     off = np.linalg.norm(places_of(trajectory) - enu, axis=1)
     assert off.max() < 1.0
     found = trajectory.georeference
-    assert found is not None
-    assert found.position_std_m is not None
     assert (off < 3 * found.position_std_m + 0.1).all()
 
 
@@ -204,9 +199,7 @@ def test_an_antenna_whose_place_is_not_known_widens_the_uncertainty(tmp_path: Pa
         written=lambda bag, time, p: bag.fix("/fix", time, p, status=2, std_m=0.02),
     )
     _, trajectory, findings = opened(path)
-    assert trajectory.georeference is not None
     std_m = trajectory.georeference.position_std_m
-    assert std_m is not None
     assert ("where the antenna is on the vehicle is not known" in said(findings)) == is_unknown
     assert (std_m > 0.9).all() if is_unknown else (std_m < 0.5).all()
 
@@ -221,7 +214,6 @@ def test_a_jump_of_the_odometry_cuts_the_drive(tmp_path: Path) -> None:
             bag.cloud("/points", START + 0.1 * row, cells_of(scans_of()[row % COUNT]))
     recording, trajectory, findings = opened(tmp_path / "drive")
     assert "jump: by 41 m after scan 39 (39 m on)" in said(findings)
-    assert recording.frames is not None
     assert recording.frames.tolist() == list(range(40))
     assert np.allclose(poses_of(trajectory)[:, 0, 3], np.arange(40.0))
 
@@ -234,7 +226,6 @@ def test_the_next_topic_of_fixes_counts_where_the_first_has_none(tmp_path: Path)
 
     path, *_ = drive_with_fixes(tmp_path / "drive", written=written)
     _, trajectory, findings = opened(path)
-    assert trajectory.georeference is not None
     assert trajectory.georeference.source.startswith("/gnss")
     assert "the fixes are taken from /gnss" in said(findings)
 
@@ -246,7 +237,6 @@ def test_a_flag_that_contradicts_the_points_is_named(tmp_path: Path) -> None:
             bag.odometry("/odom", time, straight()[row])
             bag.cloud("/points", time, cells.astype(cells.dtype.newbyteorder(">")), data=np.frombuffer(cells, np.uint8))
     recording = opened(tmp_path / "drive")[0]
-    assert recording.points is not None
     with pytest.raises(DriveError, match="says is_bigendian = true"):
         recording.points.read(0)
 
