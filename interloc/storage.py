@@ -241,16 +241,9 @@ def fetch(
     folder: Path,
     progress: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> None:
-    """Fetch objects into a folder, several at once; a file that is there already with its size and time stays.
+    """Fetch objects, by path in a folder, into it, several at once; a file that has its size and time already stays.
 
-    Parameters
-    ----------
-    bucket : Bucket
-    objects : mapping of str to StoredObject
-        By path in the folder.
-    folder : Path
-    progress : callable
-        Called with the bytes that were fetched, and with all of them; whatever it raises ends the fetching.
+    `progress` is called with the bytes that were fetched, and with all of them; whatever it raises ends the fetching.
     """
     _check_names(objects, bucket)
     missing = {folder / path: each for path, each in objects.items() if not _is_here(folder / path, each)}

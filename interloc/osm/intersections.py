@@ -89,29 +89,11 @@ def consolidate(
 ) -> tuple[IntArray, FloatArray, IntArray]:
     """Merge the nodes of one physical intersection: dual carriageways, staggered and compound junctions.
 
-    Parameters
-    ----------
-    graph
-        Roads of the map.
-    roads : (W,) bool
-        Those of its ways that are roads.
-    rows : (N,) int64
-        Its nodes that are intersections.
-    tolerance_m
-        Radius by which each node is widened; nodes up to twice as far apart merge if a road joins them directly.
+    `roads` are the ways, (W,), and `rows` the intersections, (N,), of the graph. Nodes up to twice the tolerance apart,
+    metres, merge if a road joins them directly. Returns smallest node id, ascending, longitude and latitude, and degree
+    of each merged intersection, (M,) rows: the roads that leave it, three or more. Where the lanes of one road part
+    around an island and join again, two leave, and it is none.
 
-    Returns
-    -------
-    osm_id : (M,) int64
-        Smallest node id of each merged intersection, ascending.
-    lonlat : (M, 2) float64
-        Longitude, latitude, degrees.
-    degree : (M,) int64
-        Roads that leave the merged intersection, three or more: where the lanes of one road part around an island and
-        join again, two leave, and it is none.
-
-    Notes
-    -----
     `osmnx.consolidate_intersections` over a network of the intersections alone: what is near and not joined by a road,
     such as a bridge over a crossing, stays apart.
     """
