@@ -53,8 +53,8 @@ def run_in_processes(
 
     `work` is a function of a module; when the run ends early it is left by KeyboardInterrupt, so that it can tidy up.
     `on_result` is called with each result as soon as it is there, `on_message` with what `work` passes to
-    `send_message`. A worker process that was ended from outside is an InterLocError, to which `hint` is added; the first
-    error of a task ends the others.
+    `send_message`. A worker process that was ended from outside is an InterLocError, to which `hint` is added. The
+    first error of a task ends the others.
     """
     context = _context(work)
     messages = context.Queue()

@@ -63,8 +63,8 @@ def fuse_branches(seen: SeenBranches, *, spread_deg: float, separation_deg: floa
 
     Peaks of a density on the circle (a bearing has the standard deviation `spread_deg`), each refined to the weighted
     circular mean of the bearings nearest to it. They lie at least `separation_deg` apart, and the share `support` of
-    the weight of all sightings must have seen each; but an intersection has at least three branches (paper, section III-C):
-    the best supported ones fill up to three.
+    the weight of all sightings must have seen each; but an intersection has at least three branches (paper, section
+    III-C): the best supported ones fill up to three.
     """
     total = np.bincount(seen.place, seen.weight)
     count, place, weight = len(total), seen.place[seen.sighting], seen.weight[seen.sighting]
