@@ -44,7 +44,6 @@ COMMANDS = {
     "push": "push",
     "fetch": "fetch",
     "config": "config",
-    "completion": "completion",
 }
 """Name -> module of this package and, after a colon, the name of the click command in it (else `command`)."""
 

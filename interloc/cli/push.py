@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from interloc.cli import console, locating, options
+from interloc.cli import console, options
 from interloc.cli.fetch import bring, result_facts, result_summary, wait_for
 
 if TYPE_CHECKING:
@@ -45,8 +45,8 @@ _THREADS = 8
 @click.option("--overpass", is_flag=True, help="Let the server fetch the map; needs --run.")
 @options.POLICY
 @options.TOLERANCE
-@locating.locate_option
-@locating.near_options
+@options.locate_option
+@options.near_options
 @click.option("--notify", metavar="URL", help="Let the server call this address when the job ends; needs --run.")
 @options.QUIET
 @options.JSON
@@ -89,7 +89,7 @@ def command(
       interloc push drive.mcap --overpass --near 49.01,8.43 --run         without GNSS
     """
     _check_usage(run=run, fresh=fresh, out=out, osm=osm, overpass=overpass, settings=settings)
-    search = locating.search_area(near, radius_km)
+    search = options.search_area(near, radius_km)
     _check_placing(run=run, by_map=locate or near is not None, has_map=osm is not None or overpass, notify=notify)
     if locate and overpass and near is None:
         raise click.UsageError("the map of which place is to be fetched? Say it by --near LAT,LON, or give --osm FILE")

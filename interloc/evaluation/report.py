@@ -20,9 +20,9 @@ from interloc.drawing import ImageFormat, image
 from interloc.errors import Beside, OutputError
 from interloc.evaluation.coverage import track_bounds
 from interloc.evaluation.evaluate import Evaluation
+from interloc.evaluation.map_level import map_std_m
 from interloc.evaluation.metrics import NEAR_PAIR_M, STANDARD_THRESHOLD_M
 from interloc.evaluation.reasons import KINDS
-from interloc.evaluation.reliability import map_std_m
 from interloc.evaluation.roads import BUFFER_M
 from interloc.files import reason_of, write_file
 from interloc.osm.policies import POLICIES
@@ -30,8 +30,8 @@ from interloc.output.credits import map_credit
 from interloc.output.geojson import DEGREE_DECIMALS, METRE_DECIMALS, positions, rounded, write_collection, write_record
 from interloc.output.layers import BUILDINGS, LAYERS
 from interloc.output.layout import FIGURES, RUN_SETTINGS, settings_of
-from interloc.output.osm_roads import building_features, road_features
 from interloc.output.properties import origin_of
+from interloc.output.roads import building_features, osm_road_features
 from interloc.output.write import detection_features, intersection_features
 from interloc.results import DriveResult
 from interloc.wording import metres, percent
@@ -212,7 +212,7 @@ def _match_features(evaluation: Evaluation, result: DriveResult) -> list[dict[st
 def _road_features(evaluation: Evaluation, result: DriveResult) -> list[dict[str, Any]]:
     assert result.keyframes.lonlat is not None
     seen = {} if evaluation.roads is None else {row: way._asdict() for row, way in evaluation.roads.ways.items()}
-    return road_features(evaluation.graph, track_bounds(result.keyframes.lonlat), seen)
+    return osm_road_features(evaluation.graph, track_bounds(result.keyframes.lonlat), seen)
 
 
 def _building_features(evaluation: Evaluation, result: DriveResult) -> list[dict[str, Any]]:

@@ -11,9 +11,9 @@ import numpy as np
 import pandas as pd
 
 from interloc.drawing import entitle, image, new_figure, quiet, series_style
+from interloc.evaluation.map_level import bins_of
 from interloc.evaluation.published import AVERAGE, COMPARISON, LABEL_ERRORS, PERFORMANCE
 from interloc.evaluation.reasons import KINDS
-from interloc.evaluation.reliability import bins_of
 from interloc.evaluation.report import data_address, make_folder, template
 from interloc.files import write_file
 from interloc.lab.measure import Row
