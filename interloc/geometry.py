@@ -7,6 +7,7 @@ Frames: W (world: the first LiDAR pose), L (LiDAR), ENU (east, north, up at a fi
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import overload
 
 import numpy as np
@@ -181,3 +182,17 @@ def enu_from_lonlat(lat_deg: ArrayLike, lon_deg: ArrayLike, lonlat: FloatArray) 
         east = east_arc / (1.0 + curvature * north)
         north = north_arc + 0.5 * curvature * east**2
     return np.stack([east, north], axis=-1)
+
+
+def utm_zone(lon_deg: float, lat_deg: float) -> int:
+    """Return the EPSG code of the UTM zone of a place, on WGS84."""
+    zone = int((lon_deg + 180.0) // 6.0) % 60 + 1
+    return (32600 if lat_deg >= 0 else 32700) + zone
+
+
+def projection(source: int, target: int) -> Callable[[FloatArray], FloatArray]:
+    """Return what leads (..., 2) places from one coordinate system to another, by EPSG codes; 4326 is lon, lat."""
+    from pyproj import Transformer  # noqa: PLC0415 - slow to import
+
+    transformer = Transformer.from_crs(source, target, always_xy=True)
+    return lambda xy: np.stack(transformer.transform(xy[..., 0], xy[..., 1]), axis=-1)

@@ -29,7 +29,7 @@ from interloc.osm.policies import POLICIES
 from interloc.output.credits import map_credit
 from interloc.output.geojson import DEGREE_DECIMALS, METRE_DECIMALS, positions, rounded, write_collection, write_record
 from interloc.output.layers import BUILDINGS, LAYERS
-from interloc.output.layout import FIGURES, RUN_SETTINGS, settings_of
+from interloc.output.layout import FIGURES, RUN_SETTINGS
 from interloc.output.properties import origin_of
 from interloc.output.roads import building_features, osm_road_features
 from interloc.output.write import detection_features, intersection_features
@@ -125,7 +125,7 @@ def render_html(record: dict[str, Any], result: DriveResult, pictures: dict[str,
         pictures=pictures,
         kinds=_kind_rows(record["reasons"]),
         # Read by people only, so what JSON does not know may appear as its text.
-        config=json.dumps(settings_of(result.run), indent=2, default=str),
+        config=json.dumps(result.run.get("config", {}), indent=2, default=str),
         facts=[_fact(*row) for row in flatten({k: v for k, v in result.run.items() if k not in RUN_SETTINGS})],
     )
     return page
@@ -325,10 +325,10 @@ def map_line(level: Mapping[str, Any]) -> str:
 
     "13 of 14 intersections right within 10 m, 1 not judged, 5 of 5 nodes found, median 0.9 m".
     """
-    right, scored = level["true"], level["intersections_in_zone"] - level.get("not_counted", 0)
+    right, scored = level["true"], level["intersections_in_zone"] - level["not_counted"]
     nodes = level["nodes_in_zone"]
     what = "intersection" if scored == 1 else "intersections"
-    neutral = {"not counted by this policy": level.get("not_counted"), "not judged": level.get("not_judged")}
+    neutral = {"not counted by this policy": level["not_counted"], "not judged": level["not_judged"]}
     told = [f"{count} {words}" for words, count in neutral.items() if count]
     judged = [] if told and not scored else ["no intersections"]
     parts = [

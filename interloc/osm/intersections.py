@@ -8,7 +8,7 @@ import numpy as np
 
 from interloc.arrays import BoolArray, FloatArray, IntArray
 from interloc.errors import ConfigError
-from interloc.geometry import middle_of
+from interloc.geometry import middle_of, utm_zone
 from interloc.osm.graph import RoadGraph, distinct_edges
 from interloc.osm.policies import POLICIES, Policy
 
@@ -107,7 +107,7 @@ def consolidate(
     if len(links) == 0:
         return graph.node_id[rows], graph.lonlat[rows], degree_of_node[rows]  # osmnx fails on a graph without edges
 
-    epsg = _utm_epsg(graph.lonlat[rows])
+    epsg = f"EPSG:{utm_zone(*middle_of(graph.lonlat[rows]))}"
     to_utm = Transformer.from_crs("EPSG:4326", epsg, always_xy=True)
     x, y = to_utm.transform(graph.lonlat[rows, 0], graph.lonlat[rows, 1])
     network = nx.MultiDiGraph(crs=epsg)
@@ -158,9 +158,3 @@ def _links(edges: IntArray, is_intersection: BoolArray) -> IntArray:
     links: IntArray = np.concatenate([direct, through])
     proper: IntArray = links[links[:, 0] != links[:, 1]]
     return proper
-
-
-def _utm_epsg(lonlat: FloatArray) -> str:
-    lon, lat = middle_of(lonlat)
-    zone = int((lon + 180.0) // 6.0) % 60 + 1
-    return f"EPSG:{(32600 if lat >= 0 else 32700) + zone}"
