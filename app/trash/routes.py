@@ -75,7 +75,7 @@ def delete_job(
     request.state.action = "remove_job" if purge else "cancel_job"
     if purge:
         trash.delete_job(context, job_id, client)
-            return Response(status_code=204)
+        return Response(status_code=204)
     database = context.database
     with database.writing() as session:
         job, name = find_job(session, job_id)
