@@ -219,7 +219,11 @@ class BranchConfig(_Config):
         "full, and is surely a road.",
     )
     fit_least_m: float = Field(
-        8.0, gt=0, le=200, description="Shortest part of a branch at which the line fit stops where the branch bends."
+        8.0,
+        gt=0,
+        le=200,
+        description="Shortest part of a branch that the line fit takes where the branch is straight; half of that "
+        "where it bends.",
     )
     candidate_std_m: float | None = Field(
         None,

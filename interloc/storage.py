@@ -241,12 +241,17 @@ def fetch(
     folder: Path,
     progress: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> None:
-    """Fetch objects, by path in a folder, into it, several at once; a file that has its size and time already stays.
+    """Fetch objects, by path in a folder, several at once; a file that is there already with its size and time stays.
 
     `progress` is called with the bytes that were fetched, and with all of them; whatever it raises ends the fetching.
     """
     _check_names(objects, bucket)
-    missing = {folder / path: each for path, each in objects.items() if not _is_here(folder / path, each)}
+    wanted = {folder / path: each for path, each in objects.items()}
+    missing = {
+        path: each
+        for path, each in wanted.items()
+        if not (path.is_file() and path.stat().st_size == each.size and _is_of_its_time(path, each))
+    }
     total, done = sum(each.size for each in missing.values()), 0
     for place in {folder, *(path.parent for path in missing)}:
         place.mkdir(parents=True, exist_ok=True)
@@ -258,15 +263,15 @@ def fetch(
 
     def fetch_piece(piece: tuple[Path, int]) -> int:
         path, start = piece
-        wanted = missing[path]
-        content = bucket.get(wanted, start, min(start + _PIECE_BYTES, wanted.size))
+        each = missing[path]
+        content = bucket.get(each, start, min(start + _PIECE_BYTES, each.size))
         descriptor = os.open(_partial(path), os.O_WRONLY | os.O_CREAT, 0o600)
         try:
             os.pwrite(descriptor, content, start)
         finally:
             os.close(descriptor)
-        if wanted.size <= _PIECE_BYTES:
-            _complete(path, wanted)
+        if each.size <= _PIECE_BYTES:
+            _complete(path, each)
         return len(content)
 
     pieces = [(path, start) for path, each in missing.items() for start in range(0, each.size or 1, _PIECE_BYTES)]
@@ -279,10 +284,6 @@ def fetch(
                 _complete(path, each)
     except OSError as error:
         raise OutputError(f"{bucket.url}: what is fetched could not be written: {reason_of(error)}.") from error
-
-
-def _is_here(path: Path, each: StoredObject) -> bool:
-    return path.is_file() and path.stat().st_size == each.size and _is_of_its_time(path, each)
 
 
 def _is_of_its_time(path: Path, each: StoredObject) -> bool:
@@ -378,11 +379,15 @@ class ResultPlace:
 
     def send(self, part: str = "") -> None:
         """Bring what is new in the folder, or in a part of it, there; the file that makes it a result comes last."""
+
+        def is_older(path: Path, each: StoredObject) -> bool:  # as it was put there: empty, or with its contents
+            return path.stat().st_size in {0, each.size} and _is_of_its_time(path, each)
+
         top = self.path / part
         before = {name: each for name, each in self.there.items() if f"{name}/".startswith(f"{part}/") or not part}
         found = [path for path in (top, *top.rglob("*")) if path.is_file()]
         files = {path.relative_to(self.path).as_posix() if path != self.path else "": path for path in found}
-        new = [name for name, path in files.items() if name not in before or not self._is_older(path, before[name])]
+        new = [name for name, path in files.items() if name not in before or not is_older(path, before[name])]
         last = [name for name in new if name.rpartition("/")[2] in _MADE_LAST]
         self.bucket.delete([self._key(name) for name in last if name in before])
         first = [name for name in new if name not in last]
@@ -393,11 +398,6 @@ class ResultPlace:
 
     def _key(self, name: str) -> str:
         return f"{self.key}/{name}".rstrip("/")
-
-    @staticmethod
-    def _is_older(path: Path, each: StoredObject) -> bool:
-        """Return whether a file is as it was put there: empty, or with its contents."""
-        return path.stat().st_size in {0, each.size} and _is_of_its_time(path, each)
 
 
 _results: dict[Path, ResultPlace] = {}

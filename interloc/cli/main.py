@@ -8,6 +8,7 @@ import os
 import signal
 import sys
 from importlib import import_module
+from traceback import walk_tb
 
 import click
 
@@ -122,6 +123,11 @@ def _fault(error: Exception) -> int:
     """Report an unexpected error, or raise it if INTERLOC_DEBUG is set."""
     if is_interruption(error):
         return _fail("interrupted; nothing was written", 1)
+    if isinstance(error, ModuleNotFoundError) and any(
+        frame.f_globals["__name__"].startswith("app.") for frame, _ in walk_tb(error.__traceback__)
+    ):
+        missing = f"the service needs {error.name}, which is not installed"
+        return _fail(f"{missing}: pip install '.[service]' in the clone of InterLoc", 1)
     if os.environ.get("INTERLOC_DEBUG"):
         raise error
     return _fail(

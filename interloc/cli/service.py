@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from interloc.errors import ConfigError, InterLocError
+from interloc.errors import ConfigError
 from interloc.wording import counted
 
 if TYPE_CHECKING:
@@ -228,13 +228,9 @@ def open_service(data_dir: Path | None) -> Iterator[Context]:
 
 def read_settings(given: dict[str, Any]) -> Settings:
     """Read the settings from the environment and from the options that were given, which take precedence."""
-    try:
-        from app.settings import Settings
-    except ModuleNotFoundError as error:
-        raise InterLocError(
-            f"the service needs {error.name}, which is not installed: pip install '.[service]' in the clone of InterLoc"
-        ) from error
     from pydantic import ValidationError
+
+    from app.settings import Settings
 
     try:
         return Settings(**{name: value for name, value in given.items() if value is not None})

@@ -13,8 +13,9 @@ was seen in passing, and roads bend further out. So the preset `default` fits a 
 2. From where its sides are parallel the axis is followed inwards along the edge that goes on, half a width from it: at
    an acute mouth or a rounded corner one edge turns away long before the other (`follow_edge`). A branch whose edges
    are too ragged to tell stays as it is.
-3. The line begins there and takes in more of the branch, ring by ring, as long as the branch is straight; of these
-   parts that one counts whose line is known best where the roads meet: a longer part would lean towards a bend.
+3. The line begins there and takes in more of the branch, ring by ring, as long as the branch is straight, and half of
+   the shortest part in any case: where a road turns at the mouth, its chord would point past the intersection. Of the
+   parts from the shortest on that one counts whose line is known best where the roads meet.
 4. A branch that ends at a through road is turned towards the right angle, by how badly its direction is known: of a
    side road that is passed only ten ragged metres are seen (`_square_stems`).
 5. A line weighs the inverse of its variance where the roads meet, which grows with the distance from what it was
@@ -172,7 +173,8 @@ def fit_lines(
         Of the road, and of the other ground that was seen, or `NOWHERE`.
     """
     lines = np.zeros(pieces.size, LINE)
-    inside, n_rings = int(fit.inner / fit.ring) + 1, max(1, int(fit.length / fit.ring))
+    # Round a bend an axis is longer than the circle is deep: as half of the circle is round, at most.
+    inside, n_rings = int(np.pi * fit.inner / fit.ring) + 1, max(1, int(fit.length / fit.ring))
     axes = np.zeros((pieces.size, inside + n_rings), PLACE)
     for i in range(pieces.size):
         main = traced[pieces[i].begin : pieces[i].end][is_main[pieces[i].begin : pieces[i].end]]
@@ -284,7 +286,7 @@ def _fit_straight_part(line: Record, axis: StructuredArray, begin: int, fit: Rec
         angle = 0.5 * math.atan2(2.0 * vrc, vrr - vcc)
         d_row, d_col = math.cos(angle), math.sin(angle)
         rms = math.sqrt(max(vrr * d_col * d_col - 2.0 * vrc * d_row * d_col + vcc * d_row * d_row, 0.0))
-        if rms > fit.slack and length > fit.shortest:
+        if rms > fit.slack and length > 0.5 * fit.shortest:
             break
         variance = _variance(_scatter(rms), row * d_row + col * d_col, length) / min(length, 0.5 * fit.length)
         if length > fit.shortest and variance > least:

@@ -28,41 +28,24 @@ Scans = RawScans | ReducedScans
 
 @dataclass(frozen=True)
 class FolderDrive:
-    """A drive on disk; a `Drive`.
-
-    It holds arrays and paths only, so it is cheap to send to another process.
-
-    Attributes
-    ----------
-    root : Path
-        Folder of the drive.
-    name : str
-        Name of the folder, or of the one that a reduced drive was made of.
-    layout : str
-        A name of `interloc.drives.formats`.
-    frames : (N,) int64
-        Scan numbers, ascending.
-    T_world_lidar : (N, 4, 4) float64
-        Pose of the LiDAR at each scan; W is the LiDAR at the first scan.
-    times_s : (N,) float64 or None
-        Seconds.
-    georeference : Georeference or None
-    scans : RawScans or ReducedScans
-        Where the points come from.
-    pose_frame, pose_frame_reason : str
-        Whose poses the pose file holds ("camera", "lidar", "imu", "oxts"), and why that is thought.
-    """
+    """A drive on disk; a `Drive`. It holds arrays and paths only, so it is cheap to send to another process."""
 
     root: Path
     name: str
+    """Of the folder, or of the one that a reduced drive was made of."""
     layout: str
+    """A name of `interloc.drives.formats`."""
     frames: IntArray
+    """(N,) int64: scan numbers, ascending."""
     T_world_lidar: FloatArray
+    """(N, 4, 4) float64: pose of the LiDAR at each scan; W is the LiDAR at the first scan."""
     times_s: FloatArray | None
+    """(N,) float64 or None."""
     georeference: Georeference | None
     scans: Scans
     pose_frame: str
     pose_frame_reason: str
+    """Whose poses the pose file holds ("camera", "lidar", "imu", "oxts"), and why that is thought."""
 
     def __repr__(self) -> str:
         length_m = float(np.linalg.norm(np.diff(self.T_world_lidar[:, :3, 3], axis=0), axis=1).sum())

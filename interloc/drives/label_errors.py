@@ -14,13 +14,7 @@ from interloc.errors import ConfigError
 
 @dataclass(frozen=True)
 class MislabelledDrive:
-    """A drive whose labels err: a `Drive`.
-
-    Raises
-    ------
-    ConfigError
-        A share outside 0..1.
-    """
+    """A drive whose labels err: a `Drive`; shares outside of 0..1 are a ConfigError."""
 
     drive: Drive
     """The drive with the labels as they are."""

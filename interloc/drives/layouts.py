@@ -5,16 +5,16 @@ A new layout of folders is a function here, and its line in `_LAYOUTS`.
 
 from __future__ import annotations
 
-import os
+import json
 import re
 from collections import Counter
 from collections.abc import Callable, Collection
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
 from typing import Literal
 
-from interloc.drives.data_sets import known_data_set
 from interloc.drives.files import SourceFile
 from interloc.drives.findings import DriveFileError
 from interloc.drives.formats import FORMATS, find_format, installed_formats
@@ -50,40 +50,25 @@ POSE_FILES = ("poses.txt", "poses.tum", "trajectory.tum", "trajectory.txt")
 
 @dataclass(frozen=True)
 class DriveParts:
-    """Files and folders of a drive, as its layout names them; they are not looked into yet.
-
-    Attributes
-    ----------
-    layout : str
-        A name of `interloc.drives.formats`.
-    root : Path
-        Folder of the drive.
-    scans : Path
-        Folder of the scans.
-    poses : Path or None
-        Pose lines; None where the poses come from OXTS.
-    times : Path or None
-        Seconds, or date and time, one line per frame.
-    calibration : tuple of Path
-        Calibration files, or folders that they may lie in, the nearest first.
-    oxts, geo : Path or None
-        Georeference of the drive: folder of OXTS files or file of OXTS rows; geo.csv.
-    name : str
-        Of the drive, where it is not that of the folder.
-    pose_frame : tuple of str and str, or None
-        Whose poses the pose file holds, and why, where that was found out before.
-    """
+    """The files and folders of a drive, as its layout names them; they are not looked into yet."""
 
     layout: str
+    """A name of `interloc.drives.formats`."""
     root: Path
     scans: Path
     poses: Path | None
+    """None where the poses come from OXTS."""
     times: Path | None
+    """Seconds, or date and time, one line per frame."""
     calibration: tuple[Path, ...]
+    """Calibration files, or folders that they may lie in, the nearest first."""
     oxts: Path | None
+    """Folder of OXTS files, or file of OXTS rows."""
     geo: Path | None
     name: str = ""
+    """Of the drive, where it is not that of the folder."""
     pose_frame: tuple[PoseOwner, str] | None = None
+    """Whose poses the pose file holds, and why, where that was found out before."""
 
     @classmethod
     def inside(cls, layout: str, root: Path, scans: Path, poses: Path | None) -> DriveParts:
@@ -153,7 +138,8 @@ def _kitti360(root: Path, scan_folders: Collection[str]) -> DriveParts | None:
     if scans is None or (published and not scans.is_dir()):
         return None
     pose_file = _existing(*(folder / name for folder in pose_folders for name in _KITTI360_POSES))
-    if pose_file is None or _fields_of_first_line(SourceFile(pose_file, root)) not in INDEXED_LENGTHS:
+    first = b"" if pose_file is None else SourceFile(pose_file, root).head().partition(b"\n")[0]
+    if len(first.split()) not in INDEXED_LENGTHS:
         if published is None:
             return None
         pose_file = pose_folders[-1] / _KITTI360_POSES[0]  # its reader says that it is missing, or what is wrong
@@ -172,13 +158,7 @@ def _kitti360(root: Path, scan_folders: Collection[str]) -> DriveParts | None:
 
 
 def _published_kitti360(root: Path) -> tuple[Path, Path] | None:
-    """Return the root of a KITTI-360 data set and the drive in it that a folder stands for; None where it is neither.
-
-    Raises
-    ------
-    DriveError
-        It is the root of a data set with several drives, or none.
-    """
+    """Return the root of a KITTI-360 data set and the one drive in it that a folder stands for; None for others."""
     here = root.absolute()
     if here.parent.name == KITTI360_SCANS:
         return here.parent.parent, root
@@ -196,7 +176,8 @@ def _published_kitti360(root: Path) -> tuple[Path, Path] | None:
 def _pcd(root: Path, scan_folders: Collection[str]) -> DriveParts | None:  # noqa: ARG001 - as the others
     """PCD files: in pcd/, clouds/, velodyne/ or the folder itself, with the poses beside."""
     folders = (root / folder for folder in _PCD_FOLDERS)
-    scans = next((folder for folder in folders if folder.is_dir() and _holds_pcd(folder)), None)
+    there = filter(Path.is_dir, folders)
+    scans = next((folder for folder in there if any(pcd_ending(path.name) for path in folder.iterdir())), None)
     if scans is None:
         return None
     poses = _existing(*(root / name for name in POSE_FILES)) or root / POSE_FILES[0]
@@ -208,18 +189,8 @@ def pcd_ending(name: str) -> str:
     return next((ending for ending in PCD_ENDINGS[::-1] if name.endswith(ending)), "")
 
 
-def _holds_pcd(folder: Path) -> bool:
-    with os.scandir(folder) as entries:
-        return any(pcd_ending(entry.name) for entry in entries)
-
-
 def _existing(*paths: Path) -> Path | None:
     return next((path for path in paths if path.exists()), None)
-
-
-def _fields_of_first_line(file: SourceFile) -> int:
-    """Count the numbers of the first line; 0 where it cannot be read (its reader will say why)."""
-    return len(file.head().partition(b"\n")[0].split())
 
 
 _LAYOUTS: dict[str, Callable[[Path, Collection[str]], DriveParts | None]] = {  # the first that fits, in this order
@@ -256,7 +227,7 @@ _FOREIGN = {
 }
 """Formats of points that are not read -> what to do instead."""
 
-_MAX_LOOKED_AT = 20_000
+_MAX_LOOKED_AT, _MAX_TABLE_BYTES = 20_000, 16 * 1024 * 1024
 _FOLDERS_EACH = 2
 
 
@@ -296,18 +267,7 @@ def _seen_in(root: Path) -> str:
 
 
 def find_layout(root: Path, options: DriveOptions, *, announced: ScanFolder | None = None) -> DriveParts:
-    """Detect the layout of a drive folder and find its parts.
-
-    Parameters
-    ----------
-    announced : str or None
-        Folder of the scans where they are still to come.
-
-    Raises
-    ------
-    DriveError
-        There is no such folder, it is not a drive, or it could be two.
-    """
+    """Detect the layout of a drive folder, whose scans may be `announced` to come, and find its parts."""
     parts = recognise_layout(root, options, announced=announced)
     if parts is None:
         raise not_a_drive(root, options, announced=announced)
@@ -315,13 +275,7 @@ def find_layout(root: Path, options: DriveOptions, *, announced: ScanFolder | No
 
 
 def recognise_layout(root: Path, options: DriveOptions, *, announced: ScanFolder | None = None) -> DriveParts | None:
-    """Find the parts of a drive folder, as `find_layout`; None where it is of no layout, or not of the one asked for.
-
-    Raises
-    ------
-    DriveError
-        It could be two drives.
-    """
+    """Find the parts of a drive folder, as `find_layout`; None where it is not of a layout, or of the one asked for."""
     if not root.is_dir():
         return None
     inside = {entry.name for entry in root.iterdir()}
@@ -360,3 +314,75 @@ def not_a_drive(root: Path, options: DriveOptions, *, announced: ScanFolder | No
     if seen := known_data_set(root) or usual or _seen_in(root):
         return DriveFileError(name, f"is not a drive. {seen}docs/own-data.md lists all formats.")
     return DriveFileError(name, f"is not a drive. Expected {', or '.join(each.expected for each in formats)}.")
+
+
+# Public data sets that are not read as they are unpacked
+
+
+_WRITE = (
+    "Write each scan as float32 x y z remission to velodyne/000000.bin, 000001.bin, ... (NumPy: tofile), and the pose "
+    "of the LiDAR at each, 12 numbers per line, to poses.txt. "
+)
+_SIGNS = {
+    r"lidar/\d+\.pkl(\.gz)?": (
+        "PandaSet: pandas.read_pickle reads a scan, which lidar/poses.json brings to the sensor"
+    ),
+    r"lidar/\d+\.feather": ("Argoverse 2: pandas.read_feather reads a scan; poses are in city_SE3_egovehicle.feather"),
+    r"[^/]+\.tfrecord|lidar\w*/[^/]+\.parquet": "Waymo: its package makes the points of a segment of range images",
+    r"pose/\d+\.txt": (
+        "Waymo in KITTI's form: take one segment. Its scans are read as they are, six values per point, from "
+        "velodyne/; the first 12 numbers of each file in pose/ are a line of poses.txt"
+    ),
+    r"pose/\d+\.json": "View of Delft: take one drive; the pose of each scan is in pose/",
+    r"(samples|sweeps)/LIDAR_TOP/[^/]+|v1\.0-\w+/(ego_pose|scene)\.json": (
+        "nuScenes: the scans of all scenes lie together in samples/LIDAR_TOP and sweeps/LIDAR_TOP (.pcd.bin, which "
+        "are read as they are). Put those of one scene into a folder, and their poses by nuscenes-devkit into "
+        "poses.txt"
+    ),
+    r"frames/frame_\d+\.ply|full_poses_lidar\.txt": (
+        "KITTI-CARLA: write frames/*.ply as PCD files (x y z label), with --label-scheme 7,6 for road; each line of "
+        "full_poses_lidar.txt is a pose of 12 numbers and its time"
+    ),
+    r"velodyne_(left|right)/\d+\.(bin|png)|velodyne_(left|right)\.timestamps": (
+        "Oxford RobotCar: its .bin hold all x, then all y, z and intensity (np.fromfile(FILE, np.float32).reshape(4, "
+        "-1).T); poses are in gps/ins.csv and vo/"
+    ),
+    r"LiDAR/(Ouster|Velodyne|Avia|Aeva)/\d+\.bin|LiDAR_GT/[^/]+": (
+        "HeLiPR: its .bin hold records of 22 to 29 bytes, by the sensor; poses are in LiDAR_GT/"
+    ),
+    r"Ouster/\d+\.bin|sensor_data/\w+\.csv": (
+        "MulRan: its .bin are named by nanoseconds, and hold float32 x y z intensity; global_pose.csv has the poses "
+        "of the vehicle at other times"
+    ),
+    r"lidar/\d+\.bin|applanix/lidar_poses\.csv": (
+        "Boreas: its .bin hold six float32 (x y z intensity ring time); poses are in applanix/lidar_poses.csv"
+    ),
+    r"velodyne_sync/\d+\.bin|velodyne_hits\.bin|groundtruth_\d{4}-\d\d-\d\d\.csv": (
+        "NCLT: its .bin hold eight bytes per point (uint16 x y z in steps of 5 mm from -100 m, z down; uint8 "
+        "intensity and laser); poses are in groundtruth_*.csv"
+    ),
+    r"ouster_points/(data/.+|timestamps\.txt)|\.dtype\.pkl": (
+        "VBR: its .bin hold records of 29 bytes, by .dtype.pkl; its bags are read as they are, with --poses"
+    ),
+}
+"""The ends of paths, as regular expressions -> what it is."""
+
+
+def known_data_set(root: Path) -> str:
+    """Return which public data set lies in a folder, or around it, and the way out, in sentences; "" for none."""
+    paths = (path for depth in range(1, 6) for path in root.absolute().glob("/".join("*" * depth)))
+    for path in islice(paths, _MAX_LOOKED_AT):
+        for sign, what in _SIGNS.items():
+            if re.search(f"(^|/)({sign})$", path.as_posix()):
+                return f"It looks like {what}. {_scenes(root)}{'' if 'as they are' in what else _WRITE}"
+    return ""
+
+
+def _scenes(root: Path) -> str:
+    """Return which scenes the tables of nuScenes name; "" where there are none."""
+    with suppress(OSError, ValueError, LookupError, TypeError):
+        for path in islice(root.glob("v1.0-*/scene.json"), 1):
+            names = sorted(str(each["name"]) for each in json.loads(path.read_bytes()[:_MAX_TABLE_BYTES]))
+            more = ", ..." if len(names) > 3 else ""
+            return f"{path.parent.name} names {len(names):,} scenes ({', '.join(names[:3])}{more}). " if names else ""
+    return ""

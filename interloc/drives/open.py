@@ -139,11 +139,6 @@ def read_drive(
 
     The drive is opened once, and its small files are read once, for all label folders (those of `options.labels` by
     default). Where poses are computed from points, `progress` is called with the scans done and the scans in all.
-
-    Raises
-    ------
-    DriveError, GeoreferenceError
-        The first fault, where `findings` stops at it.
     """
     readings: dict[LabelFolder, DriveReading] = {}
     with each_read_once():

@@ -11,7 +11,7 @@ import os
 import shutil
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import MappingProxyType
@@ -34,11 +34,11 @@ from interloc.drives.open import NO_POSES, SAMPLED_SCANS
 from interloc.drives.options import LABEL_FILES, ODOMETRY, DriveOptions, LabelFolder, LayoutName
 from interloc.drives.scans.bin_files import BinScans, open_bin_files
 from interloc.drives.scans.las.tracks import SBET_SUFFIXES, is_track
-from interloc.drives.scans.pcd import LABEL_FIELDS, PcdScans, number_scans, open_pcd_files, read_pcd_header
+from interloc.drives.scans.pcd import PcdScans, number_scans, open_pcd_files, read_pcd_header
 from interloc.drives.scans.raw import RawScans, trajectory_of
-from interloc.drives.scans.recorded import Recording
+from interloc.drives.scans.recorded import LABEL_FIELDS, Recording
 from interloc.drives.scans.reduced import ReducedScans, reduced_trajectory
-from interloc.drives.scans.reduced_format import ReducedLabels, ReducedManifest, read_manifest, to_runs
+from interloc.drives.scans.reduced_format import ReducedLabels, ReducedManifest, from_runs, read_manifest, to_runs
 from interloc.drives.scans.rosbag.bag import find_bag
 from interloc.drives.scans.rosbag.peek import MissingRangeError, peek
 from interloc.drives.trajectory import LidarPoses, Trajectory, read_trajectory
@@ -212,36 +212,28 @@ def _quickest(place: Path | None, drive: ListedDrive, contents: Mapping[str, byt
     return place
 
 
+@dataclass
 class _Look:
     """What is found out about one drive."""
 
-    def __init__(
-        self,
-        drive: ListedDrive,
-        listing: Listing,
-        contents: Mapping[str, bytes],
-        place: Path,
-        ranges: Mapping[str, Mapping[int, bytes]],
-        keyframes: KeyframeConfig | None,
-        label_counts: LabelCounts,
-    ) -> None:
-        self.place = place
-        self.findings = Findings(stop_at_first=False)
-        self._drive, self._listing, self._contents, self._ranges = drive, listing, contents, ranges
-        self._keyframes, self._counts = keyframes, label_counts
-        self._schemes: dict[LabelFolder, LabelScheme] = {}
-        self._found = DriveLook(
-            root=drive.root,
-            name=drive.name,
-            kind=drive.kind,
-            files=len(drive.scans),
-            small=drive.small,
-            borrowed=drive.borrowed,
-        )
+    drive: ListedDrive
+    listing: Listing
+    contents: Mapping[str, bytes]
+    place: Path
+    ranges: Mapping[str, Mapping[int, bytes]]
+    keyframes: KeyframeConfig | None
+    counts: LabelCounts
+    findings: Findings = field(default_factory=lambda: Findings(stop_at_first=False))
+    schemes: dict[LabelFolder, LabelScheme] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        drive = self.drive
+        listed = {"root": drive.root, "name": drive.name, "kind": drive.kind, "files": len(drive.scans)}
+        self.found = DriveLook.model_validate({**listed, "small": drive.small, "borrowed": drive.borrowed})
 
     def answer(self) -> DriveLook:
         """Return it; messages do not tell where the drive was laid out."""
-        found = self._found
+        found = self.found
         labels = {
             folder: each.model_copy(update={"problems": self._named(each.problems)})
             for folder, each in found.labels.items()
@@ -256,18 +248,18 @@ class _Look:
         return found.model_copy(update=update)
 
     def _named(self, found: Iterable[Finding]) -> list[Finding]:
-        own = {".": self._drive.name}
+        own = {".": self.drive.name}
         return [
             Finding(each.severity, self._text(own.get(each.path, each.path)), self._text(each.message))
             for each in found
         ]
 
     def _text(self, text: str) -> str:
-        return text.replace(f"{self.place}/", "").replace(str(self.place), self._drive.name)
+        return text.replace(f"{self.place}/", "").replace(str(self.place), self.drive.name)
 
     def read(self, options: DriveOptions) -> None:
         """Look into the drive as it is read when it is there."""
-        found, drive = self._found, self._drive
+        found, drive = self.found, self.drive
         with each_read_once(), self.findings.stage():
             self._lay_out()
             self._want(*drive.small)
@@ -283,7 +275,7 @@ class _Look:
     def _lay_out(self) -> None:
         """Make its files, each of its size; on disk they take no space."""
         made: set[str] = set()
-        for inside, path in self._drive.files.items():
+        for inside, path in self.drive.files.items():
             target = f"{self.place}/{inside}"
             folder = target.rpartition("/")[0]
             if folder not in made:
@@ -291,23 +283,23 @@ class _Look:
                 made.add(folder)
             file = os.open(target, os.O_CREAT | os.O_EXCL | os.O_WRONLY)
             try:
-                os.write(file, self._contents.get(path, b""))
-                os.truncate(file, self._listing[path])
+                os.write(file, self.contents.get(path, b""))
+                os.truncate(file, self.listing[path])
             finally:
                 os.close(file)
 
     def _want(self, *names: str, head: int | None = None) -> bool:
         """Ask for the contents of files of the drive; return whether all are there."""
-        files, sizes = self._drive.files, self._listing
-        missing = [path for path in map(files.__getitem__, names) if path not in self._contents and sizes[path]]
+        files, sizes = self.drive.files, self.listing
+        missing = [path for path in map(files.__getitem__, names) if path not in self.contents and sizes[path]]
         for path in missing:
-            is_long = self._drive.kind == "las" and sizes[path] > _MAX_TRACK_BYTES
-            self._found.wanted[path] = min(sizes[path], head or (HEAD_BYTES if is_long else sizes[path]))
+            is_long = self.drive.kind == "las" and sizes[path] > _MAX_TRACK_BYTES
+            self.found.wanted[path] = min(sizes[path], head or (HEAD_BYTES if is_long else sizes[path]))
         return not missing
 
     def _read_scan_files(self, options: DriveOptions) -> None:
         """Look into a drive with one file per scan, and label files."""
-        found = self._found
+        found = self.found
         parts = find_layout(self.place, options)
         found.layout = parts.layout
         if parts.layout == "pcd":
@@ -341,20 +333,20 @@ class _Look:
 
     def _plan(self, parts: DriveParts, frames: IntArray, trajectory: Trajectory, options: DriveOptions) -> None:
         """Say what a client sends that reduces the scans itself, with the labels whose ids were counted."""
-        plan = plan_of(parts, frames, trajectory, options.oxts, self._keyframes, self.findings)
+        plan = plan_of(parts, frames, trajectory, options.oxts, self.keyframes, self.findings)
         if plan is None:
             return
         counted = [
-            ReducedLabels.of(folder, scheme, dict(self._counts[folder])) for folder, scheme in self._schemes.items()
+            ReducedLabels.of(folder, scheme, dict(self.counts[folder])) for folder, scheme in self.schemes.items()
         ]
         kept = [(int(first), int(count)) for first, count in to_runs(plan.kept)]
         files = {
-            name: self._drive.files[source.relative_to(self.place).as_posix()]
+            name: self.drive.files[source.relative_to(self.place).as_posix()]
             for name, source in plan.copies.sources.items()
             if isinstance(source, Path) and source.is_relative_to(self.place)
         }
         manifest = plan.manifest.with_labels(counted)
-        self._found.plan = LookedPlan(scans=len(frames), kept=kept, files=files, manifest=manifest)
+        self.found.plan = LookedPlan(scans=len(frames), kept=kept, files=files, manifest=manifest)
 
     def _open_pcd(self, parts: DriveParts, options: DriveOptions) -> Recording:
         """List PCD files; the header of the first tells whether they carry labels."""
@@ -365,23 +357,23 @@ class _Look:
         first = SourceFile(scans.files(int(scans.frames[0]))[0], parts.root)
         has_header = not first.path.name.endswith(PCD_ENDINGS[1])
         self._take_whole()
-        self._found.pose_files = [name for name in POSE_FILES if (parts.root / name).is_file()]
+        self.found.pose_files = [name for name in POSE_FILES if (parts.root / name).is_file()]
         if has_header and not self._want(first.name, head=HEAD_BYTES):
             return recording
         self.findings.found += unheard.found
-        self._found.carries_labels = recording.carries_labels
+        self.found.carries_labels = recording.carries_labels
         if not recording.carries_labels and not any((parts.root / folder).is_dir() for folder in LABEL_FILES):
             names = ", ".join(read_pcd_header(first)[0].dtype.names or ()) if has_header else ""
             fault = first.fault(
                 f"has no label: {f'its fields are {names}' if names else 'it holds no named fields'}. Expected one of "
                 f"{', '.join(LABEL_FIELDS)} among them, or labels/ with a .label file per scan."
             )
-            self._found.unlabelled.append(Finding("error", first.name, fault.args[-1]))
+            self.found.unlabelled.append(Finding("error", first.name, fault.args[-1]))
         return recording
 
     def _read_labels(self, recording: Recording, options: DriveOptions) -> None:
         """Check the label files of each folder; where there are none, say how they are made."""
-        found = self._found
+        found = self.found
         there = [folder for folder in LABEL_FILES if (self.place / folder).is_dir()]
         for folder in there:
             self._list_labels(folder, recording, options)
@@ -401,18 +393,18 @@ class _Look:
         if recording is not None:
             RawScans.of(recording, folder, options, findings, Trajectory)
         looked = LookedLabels(**self._numbers(files), problems=findings.found)
-        if (counts := self._counts.get(folder)) is not None:
-            is_kitti360 = self._found.layout == "kitti360"
+        if (counts := self.counts.get(folder)) is not None:
+            is_kitti360 = self.found.layout == "kitti360"
             judged = judge_labels(
                 folder, dict(counts), options.label_scheme, kitti360=is_kitti360, check=True, findings=findings
             )
             if judged.scheme is not None:
-                self._schemes[folder] = judged.scheme
+                self.schemes[folder] = judged.scheme
                 looked.scheme, looked.road = judged.scheme.name, sorted(judged.scheme.road)
                 looked.confusable = sorted(judged.scheme.confusable)
             looked.road_share, looked.ground_share = judged.road_share, judged.ground_share
             looked.problems = findings.found
-        self._found.labels[folder] = looked
+        self.found.labels[folder] = looked
 
     def _numbers(self, files: NumberedFiles) -> dict[str, object]:
         runs = [(int(first), int(count)) for first, count in to_runs(files.numbers)]
@@ -427,20 +419,21 @@ class _Look:
 
     def _take_whole(self) -> None:
         """Take the recordings as they are; none of them is empty."""
-        self._found.whole = self._drive.scans
-        for inside, path in self._drive.scans.items():
-            if not self._listing[path]:
+        self.found.whole = self.drive.scans
+        for inside, path in self.drive.scans.items():
+            if not self.listing[path]:
                 self.findings.refuse(inside, EMPTY)
 
     def _read_recording(self, options: DriveOptions) -> None:
         """Look into what only the service reads: a bag, or LAS files."""
         self._take_whole()
-        found, place = self._found, self.place
+        found, place = self.found, self.place
         for folder in LABEL_FILES:
             if (place / folder).is_dir():
                 self._list_labels(folder, None, options)
-                found.frames_to_look_into = found.frames_to_look_into or _sample_of(found.labels.get(folder))
-        if self._drive.kind == "rosbag":
+                if folder in found.labels and not found.frames_to_look_into:
+                    found.frames_to_look_into = _sample(from_runs(found.labels[folder].runs))
+        if self.drive.kind == "rosbag":
             find_bag(place, required=True, findings=self.findings)
             self._peek_into_bag(options)
         else:
@@ -448,10 +441,10 @@ class _Look:
 
     def _peek_into_bag(self, options: DriveOptions) -> None:
         """Tell from some ranges of the first file of a bag which topics it has, and whether its points carry labels."""
-        found = self._found
-        inside, path = next(iter(self._drive.scans.items()))
+        found = self.found
+        inside, path = next(iter(self.drive.scans.items()))
         try:
-            seen = peek(self._listing[path], self._ranges.get(path, {}))
+            seen = peek(self.listing[path], self.ranges.get(path, {}))
         except MissingRangeError as missing:
             found.wanted_ranges[path] = missing.ranges
             return
@@ -473,18 +466,18 @@ class _Look:
             self.findings.warning("poses", NO_POSES)
         if fixes := seen.of("fixes"):
             found.georeference = f"the fixes of {fixes[0]}"
-        elif options.oxts is None and "geo.csv" not in self._drive.small:
+        elif options.oxts is None and "geo.csv" not in self.drive.small:
             found.georeference_reason = "the bag has no topic of GNSS fixes (sensor_msgs/NavSatFix)"
 
     def _read_clouds(self, options: DriveOptions) -> None:
         """Look for the trajectory of LAS files, or for the poses where each holds a scan."""
-        found, place = self._found, self.place
+        found, place = self.found, self.place
         poses = [place / name for name in POSE_FILES if (place / name).is_file()]
         # Of those whose contents are not there only a binary one can be told, by its size: there may be very many.
         told = [
             name.rpartition("/")
-            for name, path in self._drive.small.items()
-            if path in self._contents or Path(name).suffix.lower() in SBET_SUFFIXES
+            for name, path in self.drive.small.items()
+            if path in self.contents or Path(name).suffix.lower() in SBET_SUFFIXES
         ]
         beside = [place / "".join(parts) for parts in sorted(told) if parts[0] in {"", "las", "laz"}]
         tracks = [path for path in beside if is_track(path)]
@@ -499,7 +492,7 @@ class _Look:
             return
         parts = find_layout(place, DriveOptions.of(options, layout="semantickitti"), announced="velodyne")
         parts = replace(parts, layout="las", poses=poses[0] if options.poses is None else parts.poses)
-        _, frames, times_s, _ = number_scans([f"{Path(name).stem}.pcd" for name in self._drive.scans])
+        _, frames, times_s, _ = number_scans([f"{Path(name).stem}.pcd" for name in self.drive.scans])
         unsure = Findings(stop_at_first=False)  # they may be clouds after all, which only their headers tell
         self._show(read_trajectory(parts, frames, options, unsure, times_s=times_s))
         found.georeference_reason = None  # their coordinate system may be one
@@ -507,24 +500,24 @@ class _Look:
     def _read_reduced(self, options: DriveOptions) -> None:
         """Look into a drive that is reduced already."""
         self._take_whole()
-        if self._found.wanted:
+        if self.found.wanted:
             return
         manifest = read_manifest(self.place)
         for labels in manifest.labels:
             ReducedScans.of(manifest, self.place, labels.folder, options, self.findings)
-            if self._found.track is None:
+            if self.found.track is None:
                 self._show(reduced_trajectory(manifest, self.place, options, self.findings))
 
     def _show(self, trajectory: Trajectory, pose_file: str = "poses", frames: IntArray | None = None) -> None:
         """Tell where the drive went, and how poses and georeference fit together."""
         _, trajectory = trajectory.within_jumps(frames, pose_file, self.findings)
-        found, poses, fixes = self._found, trajectory.poses, trajectory.georeference
+        found, poses, fixes = self.found, trajectory.poses, trajectory.georeference
         found.georeference = fixes.source if fixes else None
         found.georeference_reason = None if fixes else trajectory.georeference_reason
         if poses is None:
             return
         found.pose_frame, found.pose_frame_reason = poses.frame, poses.reason
-        by = self._keyframes
+        by = self.keyframes
         found.keyframes = len(poses.T_world_lidar if by is None else select_keyframes(poses.T_world_lidar, by))
         check_motion(poses.T_world_lidar, pose_file, self.findings)
         places, fitted, fit_m = poses.T_world_lidar[:, :2, 3], None, None
@@ -548,11 +541,6 @@ class _Look:
 def _sample(frames: IntArray) -> list[int]:
     """Return the scans that a look goes into, evenly spread."""
     return [int(frames[row]) for row in sample_indices(np.arange(len(frames)), SAMPLED_SCANS)]
-
-
-def _sample_of(labels: LookedLabels | None) -> list[int]:
-    runs = [] if labels is None else labels.runs
-    return _sample(np.concatenate([np.arange(first, first + count) for first, count in runs])) if runs else []
 
 
 def _laid_over(poses: LidarPoses, lonlat: FloatArray) -> tuple[FloatArray, float]:

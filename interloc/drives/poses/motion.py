@@ -230,8 +230,6 @@ def rotations_from_quaternions(quaternions: FloatArray) -> FloatArray:
 def quaternions_from_rotations(rotations: FloatArray) -> FloatArray:
     """Return the (N, 4) unit quaternions x y z w, w at least 0, of (N, 3, 3) rotations.
 
-    Notes
-    -----
     Every column of the outer product q q^T is q times one of its components, and the matrix gives that product: the
     column of the largest component divides by no small number.
     """

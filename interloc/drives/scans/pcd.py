@@ -28,18 +28,19 @@ from interloc.drives.options import DriveOptions
 from interloc.drives.poses.motion import rotations_from_quaternions
 from interloc.drives.scans.bin_files import RING_POINT_BYTES, read_points
 from interloc.drives.scans.deskewed import TIME_FIELDS, point_times
-from interloc.drives.scans.recorded import CARLA_FIELD, CARLA_WORDS, Recording, ScanPoints
+from interloc.drives.scans.recorded import (
+    CARLA_FIELD,
+    CARLA_WORDS,
+    LABEL_FIELDS,
+    REMISSION_FIELDS,
+    Recording,
+    ScanPoints,
+)
 from interloc.drives.scans.reduced_format import MAX_POINTS
 from interloc.drives.trajectory import LidarPoses, Trajectory
 from interloc.errors import InterLocError
 from interloc.geometry import from_first, invert_transform, rigid_transforms
 from interloc.wording import counted
-
-INTENSITY_FIELDS = ("intensity", "i", "remission", "reflectivity", "reflectance")
-"""Names under which drivers and tools write the remission."""
-
-LABEL_FIELDS = ("label", "labels", "semantic", "class", "classification", "category")
-"""Names under which segmentations write the label."""
 
 _NO_VIEWPOINT = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
 _MOVED_M, _FAR_M = 1.0, 20.0
@@ -161,7 +162,7 @@ def open_pcd_files(parts: DriveParts, options: DriveOptions, findings: Findings)
         scan_bytes=int(sizes.sum()),
         usable=np.flatnonzero(sizes[order] > 0) if options.check else None,
         carries_labels=label is not None or is_damaged,  # which is reported; that labels lack would be a guess
-        has_remission=header is None or header.field_among(INTENSITY_FIELDS) is not None,
+        has_remission=header is None or header.field_among(REMISSION_FIELDS) is not None,
         has_times=header is not None and header.field_among(TIME_FIELDS) is not None,
         carries_poses=T_world_lidar is not None,
         times_s=times_s,
@@ -211,18 +212,8 @@ def number_scans(names: Sequence[str]) -> tuple[IntArray, IntArray, FloatArray |
     """Give numbers to the files of scans by their names.
 
     000010.pcd and street_0000000010.pcd are scan 10, 1305031102.175304.pcd and cloud_1583836591_182590976.pcd are
-    times.
-
-    Returns
-    -------
-    order : (N,) int64
-        Positions of the names in the order of the scans.
-    frames : (N,) int64
-        Scan numbers in this order.
-    times_s : (N,) float64 or None
-        Times, where the names are times.
-    str
-        What was assumed, where that is worth saying.
+    times. Returns the (N,) positions of the names in the order of the scans, the (N,) scan numbers in this order, the
+    (N,) times in seconds where the names are times, and what was assumed, where that is worth saying.
     """
     stems = [name[: -len(pcd_ending(name))] for name in names]
     count = len(names)
@@ -280,7 +271,7 @@ def read_pcd(file: SourceFile) -> ScanPoints:
     points = _points_of(header, data, file)
     values = np.zeros((header.points, 4), np.float32)
     columns = [header.field_among((axis,)) for axis in "xyz"]
-    for column, field in enumerate([*columns, header.field_among(INTENSITY_FIELDS)]):
+    for column, field in enumerate([*columns, header.field_among(REMISSION_FIELDS)]):
         if field is not None:
             values[:, column] = _column(points, field)
     labels = None

@@ -22,6 +22,11 @@ from interloc.drives.trajectory import Trajectory
 
 _SAMPLED = 3  # scans
 
+REMISSION_FIELDS = ("intensity", "intensities", "remission", "reflectivity", "reflectance", "i")
+_SEMANTIC = ("semantic", "semantic_label", "semantic_id")
+LABEL_FIELDS = ("label", "labels", *_SEMANTIC, "classification", "class", "class_id", "seg_label", "category")
+"""Names, in lower case, under which drivers, tools and segmentations write the remission and the label of a point."""
+
 CARLA_FIELD = "objtag"
 CARLA_WORDS = (
     "the points have the field ObjTag, the labels of CARLA's semantic LiDAR, which is not read. Write it as a field "
@@ -32,22 +37,14 @@ CARLA_WORDS = (
 
 @dataclass(frozen=True)
 class ScanPoints:
-    """The points of one scan.
-
-    Attributes
-    ----------
-    values : (N, 4) float32
-        x y z in L, metres, and the remission, in the unit of the format; 0 where it has none.
-    labels : (N,) uint32 or None
-        Label ids, where the points carry them themselves.
-    times_s : (N,) float32 or None
-        When each point was measured, seconds after the time of the scan, where the points carry that
-        (`interloc.drives.scans.deskewed`).
-    """
+    """The points of one scan."""
 
     values: Float32Array
+    """(N, 4) float32: x y z in L, metres, and the remission, in the unit of the format; 0 where it has none."""
     labels: UInt32Array | None = None
+    """(N,) uint32: label ids, where the points carry them themselves."""
     times_s: Float32Array | None = None
+    """(N,) float32: when each was measured, seconds after the time of the scan, where the points carry that."""
 
     @property
     def nbytes(self) -> int:
@@ -70,13 +67,7 @@ class PointSource(Protocol):
         ...
 
     def read(self, frame: int) -> ScanPoints:
-        """Read the points of a scan; those without a return are left out, with their labels.
-
-        Raises
-        ------
-        DriveError
-            The scan is missing or damaged.
-        """
+        """Read the points of a scan; those without a return are left out, with their labels."""
         ...
 
 
@@ -101,55 +92,31 @@ class Topic(BaseModel):
 
 @dataclass(frozen=True)
 class Recording:
-    """The scans of a drive in one format.
-
-    Attributes
-    ----------
-    parts : DriveParts
-        Layout, root and name of the drive, and the small files that there are.
-    points : PointSource or None
-        None where the scans could not be listed.
-    frames : (N,) int64 or None
-        Scan numbers, ascending; None where they could not be listed.
-    scan_bytes : int
-        Size of all scans as they are stored.
-    usable : (M,) int64 or None
-        Positions of the scans that nothing is wrong with so far; None: all.
-    point_counts : (N,) int64 or None
-        Points of every scan; None where they are not known before it is read.
-    carries_labels : bool
-        The points have labels of their own.
-    scheme : str or None
-        Name of the scheme of these labels, where the format defines it.
-    has_remission : bool
-    has_times : bool
-        The points carry the time at which each was measured.
-    carries_poses : bool
-        The recording holds poses itself, damaged or not; False: they are in the files of `parts`, if anywhere.
-    times_s : (N,) float64 or None
-        Times of the scans, where they are known without a file of times.
-    read_trajectory : callable or None
-        Reads poses, times and georeference of scans, by their numbers, where these are not files of `parts`.
-    is_cut : bool
-        The scans are pieces of one cloud, which lies where the poses say: nothing in them can tell of other poses.
-    topics : tuple of Topic
-        What else a bag holds.
-    """
+    """The scans of a drive in one format."""
 
     parts: DriveParts
     points: PointSource | None
     frames: IntArray | None
+    """(N,) int64: scan numbers, ascending; both are None where the scans could not be listed."""
     scan_bytes: int = 0
     usable: IntArray | None = None
+    """(M,) int64: positions of the scans that nothing is wrong with so far; None: all."""
     point_counts: IntArray | None = None
+    """(N,) int64: points of every scan; None where they are not known before it is read."""
     carries_labels: bool = False
     scheme: str | None = None
+    """Name of the scheme of the labels that the points carry, where the format defines it."""
     has_remission: bool = True
     has_times: bool = False
+    """The points carry the time at which each was measured."""
     carries_poses: bool = True
+    """The recording holds poses itself, damaged or not; False: they are in the files of `parts`, if anywhere."""
     times_s: FloatArray | None = None
+    """(N,) float64: of the scans, where they are known without a file of times."""
     read_trajectory: Callable[[IntArray, DriveOptions, Findings], Trajectory] | None = None
+    """Reads poses, times and georeference of scans, by their numbers, where these are not files of `parts`."""
     is_cut: bool = False
+    """The scans are pieces of one cloud, which lies where the poses say: nothing in them can tell of other poses."""
     topics: tuple[Topic, ...] = ()
 
     @property
@@ -179,13 +146,7 @@ class Recording:
         )
 
     def sampled_remission(self) -> Float32Array:
-        """Return the remission of the points of some scans; empty where the format has none.
-
-        Raises
-        ------
-        DriveError
-            One of them is damaged.
-        """
+        """Return the remission of the points of some scans; empty where the format has none."""
         if self.points is None or self.frames is None or not self.has_remission:
             return np.empty(0, np.float32)
         rows = np.unique(np.linspace(0, len(self.frames) - 1, _SAMPLED).round().astype(int))
@@ -221,21 +182,8 @@ class ReducedReport(BaseModel):
 class ScanFacts(BaseModel):
     """Count and size of the scans and labels of a drive.
 
-    Attributes
-    ----------
-    scans : int
-        Number of scans (also of those that a reduced drive did not keep).
-    first_frame, last_frame : int or None
-        Scan numbers.
-    scan_bytes, label_bytes : int
-        Size of all of them; of a reduced drive that of the files it was made of, 0 where that is not known.
-    points_per_scan, least_points, most_points : int or None
-        Median, minimum and maximum.
-    reduced : ReducedReport or None
-        What was kept, where this is a reduced drive.
-    label_folder : str or None
-    topics : tuple of Topic
-        What a bag holds.
+    Those of a reduced drive are of the files that it was made of: 0 bytes where that is not known. `points_per_scan` is
+    the median.
     """
 
     model_config = ConfigDict(frozen=True, defer_build=True)

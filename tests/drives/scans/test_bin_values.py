@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from interloc.drives.scans.bin_values import layout_of
+from interloc.drives.scans.bin_files import layout_of
 
 RNG = np.random.default_rng(2)
 POINTS = np.column_stack(

@@ -16,7 +16,7 @@ import numpy as np
 
 from interloc.arrays import Float32Array, StructuredArray, UInt32Array
 from interloc.drives.scans.deskewed import TIME_FIELDS, point_times
-from interloc.drives.scans.recorded import ScanPoints
+from interloc.drives.scans.recorded import LABEL_FIELDS, REMISSION_FIELDS, ScanPoints
 
 Encoding = Literal["ros1", "cdr"]
 
@@ -178,19 +178,6 @@ POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
 LIVOX = ("livox_ros_driver/msg/CustomMsg", "livox_ros_driver2/msg/CustomMsg", "livox_interfaces/msg/CustomMsg")
 
 MAX_POINTS = 4_000_000
-
-REMISSION_FIELDS = ("intensity", "intensities", "remission", "reflectivity", "reflectance", "i")
-LABEL_FIELDS = (
-    "label",
-    "labels",
-    "semantic",
-    "semantic_label",
-    "semantic_id",
-    "classification",
-    "class",
-    "class_id",
-    "seg_label",
-)
 
 _TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 _MAX_FIELDS, _MAX_POINT_BYTES = 1000, 65_536
