@@ -110,7 +110,7 @@ def test_kml_names_its_features_and_keeps_their_properties(layer: str, scored: P
         for name, there in names.items():
             if name in properties:
                 properties[there] = properties.pop(name)
-        if "osm_id" in properties:
+        if properties.get("osm_id") is not None:
             properties["osm_id"] = str(properties["osm_id"])
         assert_same(properties, row)
         assert shapely.force_2d(geometry).wkt == shapely.geometry.shape(feature["geometry"]).wkt
