@@ -304,16 +304,6 @@ def test_what_crosses_the_antimeridian_is_cut_in_every_format(scored: Path, tmp_
     )  # and a little over the edge
 
 
-def test_a_layer_of_an_older_version_says_whose_data_it_is(scored: Path, tmp_path: Path) -> None:
-    for layer, own in (("intersections", False), ("trajectory", True), ("osm_nodes", False)):
-        content = json.loads((scored / f"{layer}.geojson").read_text())
-        told = content.pop("attribution"), content.pop("license", None)
-        (tmp_path / "old.geojson").write_text(json.dumps(content))
-        credit = LAYERS[layer].read(tmp_path / "old.geojson").credit
-        assert (credit.attribution, credit.license) == told
-        assert (credit.license is None) == own
-
-
 @pytest.fixture(scope="module")
 def made_up(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A result of a job that was scored against a made-up map. Shared: do not change it."""
