@@ -23,7 +23,7 @@ from interloc.errors import ConfigError, OutputError
 
 @dataclass(frozen=True)
 class Context:
-    """What the parts of a running service share; those that use it (runner, watcher, routes) are made in `app.main`."""
+    """What the parts of a running service share; those that use it (runner, routes) are made in `app.main`."""
 
     settings: Settings
     database: Database
@@ -36,8 +36,8 @@ class Context:
     """Set when a job was submitted, was cancelled or has ended: the runner looks for the next one at once."""
     maps_changed: threading.Event = field(default_factory=threading.Event)
     """Set when a map may have to be brought up to date: it is looked at at once."""
-    map_rows: dict[str, Any] = field(default_factory=dict)
-    """By the id of a map: what the database said of it last."""
+    map_jobs: dict[tuple[Any, ...], dict[str, Any]] = field(default_factory=dict)
+    """The job that stands for each drive, and what the database said when that was read last."""
     lacks_workers: threading.Event = field(default_factory=threading.Event)
     """Set while this server takes no job, because it has no worker for it."""
 

@@ -27,14 +27,12 @@ from app.maps import work
 from app.maps.records import Standing, map_key, standings_of, state_of_all
 from app.maps.work import Audited, Merged, Register, Source
 from app.ogc.indexing import write_map_rows
-from app.ogc.work import LayerRows
 from app.store.models import CityMap, Drive, MapDrive, MapPlace
 from interloc.errors import InterLocError
 
 _LOOK_S = 1.0
 _LOOK_AT_ALL_S = 10.0  # for what no row tells: files that are gone, or were put past this server
 _AGAIN_S = 5.0
-_AT_ONCE = 10_000  # rows that are written before others may write
 _OWNER = "maps"
 _log = logging.getLogger(__name__)
 Outcome = TypeVar("Outcome")
@@ -118,11 +116,11 @@ class Merger:
         label_of = _labels(standing, names)
         wanted = {label_of[j.drive_id]: Source(j.id, storage.folder(f"jobs/{j.id}/result")) for j in standing.jobs}
         merged = self._work(city, work.merge, storage.folder(map_key(city.id)), wanted, register)
-        show = self._write(city, merged.layers, merged.register)
 
         def write(session: Session, row: CityMap) -> None:
             _write_rows(session, city.id, standing, label_of, merged)
-            show(session)
+            _write_places(session, city.id, merged.register)
+            write_map_rows(session, city.id, merged.layers)
             row.revision, row.epsg, row.summary = row.revision + 1, merged.register.epsg, merged.record
             row.merged_at = self._context.database.clock(session)
 
@@ -134,21 +132,21 @@ class Merger:
             path: [label for drive in drives if (label := standing.rows[drive].label)]
             for path, drives in standing.osm.items()
         }
-        wrong = [each.model_dump(mode="json") for each in standing.wrong]
         outcome: Audited | InterLocError
         try:
-            outcome = self._work(city, work.audit, self._context.storage.folder(map_key(city.id)), files, wrong)
+            outcome = self._work(
+                city, work.audit, self._context.storage.folder(map_key(city.id)), files, standing.wrong
+            )
         except (WorkerLostError, WorkerLimitError):
             raise
         except InterLocError as error:  # the file is at fault: tried again when something changes
             outcome = error
-        show = self._write(city, outcome.layers) if isinstance(outcome, Audited) else None
 
         def write(session: Session, row: CityMap) -> None:
             row.audited = standing.audit_key
-            if isinstance(outcome, Audited) and show is not None:
+            if isinstance(outcome, Audited):
                 row.audit = outcome.record
-                show(session)
+                write_map_rows(session, city.id, outcome.layers)
             else:
                 row.audit = {"problem": str(outcome).replace(f"{self._context.storage.root}/", "")}
 
@@ -171,26 +169,6 @@ class Merger:
                 raise _LostError
         try:
             return future.result()
-        except BaseException:
-            self._end(city.id, None)
-            raise
-
-    def _write(
-        self, city: CityMap, layers: list[LayerRows], register: Register | None = None
-    ) -> Callable[[Session], None]:
-        """Write what nobody is shown yet, in slices between which others write; return what shows it."""
-
-        def go_on() -> None:
-            if self._stopping.is_set() or not self._hold(city.id):
-                raise _LostError
-
-        places = [] if register is None else [(uid, *lonlat) for uid, lonlat in register.places.items()]
-        try:
-            for start in range(0, len(places), _AT_ONCE):
-                go_on()
-                with self._context.database.writing(patient=True) as session:
-                    _write_places(session, city.id, places[start : start + _AT_ONCE])
-            return write_map_rows(self._context.database, city.id, layers, go_on)
         except BaseException:
             self._end(city.id, None)
             raise
@@ -254,9 +232,10 @@ def _write_rows(session: Session, map_id: str, standing: Standing, label_of: dic
             session.delete(row)
 
 
-def _write_places(session: Session, map_id: str, places: list[tuple[str, float, float]]) -> None:
-    """Write names of places, which are never given to others: it does not matter when they are known."""
-    here = [MapPlace.map_id == map_id, MapPlace.uid == bindparam("uid")]
-    session.connection().execute(delete(MapPlace).where(*here), [{"uid": uid} for uid, *_ in places])
-    rows = [{"map_id": map_id, "uid": uid, "lon": lon, "lat": lat} for uid, lon, lat in places]
-    session.execute(insert(MapPlace), rows)
+def _write_places(session: Session, map_id: str, register: Register) -> None:
+    """Write names of places that are new or have moved."""
+    rows = [{"map_id": map_id, "uid": uid, "lon": lon, "lat": lat} for uid, (lon, lat) in register.places.items()]
+    if rows:
+        here = [MapPlace.map_id == map_id, MapPlace.uid == bindparam("uid")]
+        session.connection().execute(delete(MapPlace).where(*here), [{"uid": row["uid"]} for row in rows])
+        session.execute(insert(MapPlace), rows)

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, Field
 
 from app.http.patterns import ID, Name, Note
-from interloc.city.models import Judgement, Kind, Verdict
+from interloc.city.models import Judgement, Kind, Precision, Verdict
 from interloc.output.properties import FindingProperties
 
 
@@ -19,17 +19,6 @@ class NewMap(BaseModel):
     drives: Annotated[list[Annotated[str, Field(pattern=ID)]], Field(max_length=10_000)] = Field(
         [], description="Ids of the drives that belong to it; more can be put into it later."
     )
-
-
-class PrecisionModel(BaseModel):
-    """How many of the findings that somebody looked at are right; fixed ones were."""
-
-    right: int
-    wrong: int
-    cannot_tell: int
-    share: float | None = Field(description="Right ones among right and wrong ones; null without any.")
-    low: float | None = Field(description="Lower bound of the share with 95 % confidence (Wilson).")
-    high: float | None = Field(description="Upper bound.")
 
 
 class MapModel(BaseModel):
@@ -136,6 +125,6 @@ class QueuePage(BaseModel):
     entries: list[QueueEntry]
     open: int = Field(description="Findings that nobody has looked at.")
     judged: int = Field(description="Findings that somebody has looked at.")
-    precision: PrecisionModel
-    by_kind: dict[Kind, PrecisionModel]
+    precision: Precision
+    by_kind: dict[Kind, Precision]
     next: str | None = Field(description="Value of `after` for the next page; null on the last page.")

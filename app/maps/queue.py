@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from datetime import UTC, datetime
 from functools import lru_cache
 from pathlib import Path as FilePath
@@ -15,33 +14,31 @@ from sqlalchemy import select
 from app.context import Context, ContextDep
 from app.http.delivery import answer_tagged, deliver
 from app.http.gate import ClientDep
-from app.http.openapi import TAGGED, get_and_head
+from app.http.openapi import TAGGED, get_and_head, problems
 from app.http.parameters import answer_page
 from app.http.patterns import TEXT
 from app.http.prices import priced
 from app.http.problem_types import NO_SUCH_FINDING
-from app.http.problems import Problem, ProblemDocument
-from app.maps.models import Links, NewVerdict, PrecisionModel, QueueEntry, QueuePage, State, WholeEntry
+from app.http.problems import Problem
+from app.maps.models import Links, NewVerdict, QueueEntry, QueuePage, State, WholeEntry
 from app.maps.records import find_map, judgements_of, map_key
 from app.maps.work import AUDIT
+from app.ogc.documents import GEOJSON
 from app.ogc.routes import MapId
 from app.store.models import MapVerdict
-from interloc.city.models import Judgement, Kind, Precision, Verdict, judgement_of, latest
+from interloc.city.models import Judgement, Kind, Precision, judgement_of, latest
 from interloc.errors import OutputError
 from interloc.output.geojson import encode, read_json
 
 router = APIRouter(prefix="/maps/{map_id}", tags=["Maps"])
 
-_NOT_FOUND: dict[int | str, dict[str, Any]] = {
-    404: {"model": ProblemDocument, "description": "There is no such map or finding."}
-}
+_NOT_FOUND = problems({404: "There is no such map or finding."})
 _FindingId = Annotated[str, Path(description="Id of the finding.", max_length=64, pattern=TEXT)]
 
-_Delivery = Literal["maproulette.geojson", "findings.geojson"]
-_DELIVERIES: dict[_Delivery, tuple[str, str]] = {
-    "maproulette.geojson": ("application/geo+json", "Tasks for MapRoulette, line by line; at most 1,000."),
-    "findings.geojson": ("application/geo+json", "GeoJSON."),
-}
+_Delivery = Annotated[
+    Literal["maproulette.geojson", "findings.geojson"],
+    Path(description="maproulette.geojson holds tasks for MapRoulette, line by line; at most 1,000."),
+]
 
 
 @get_and_head(
@@ -52,24 +49,17 @@ _DELIVERIES: dict[_Delivery, tuple[str, str]] = {
     responses={
         **TAGGED,
         **_NOT_FOUND,
-        200: {
-            "description": "The file.",
-            "content": {kind: {"schema": {"type": "string"}} for kind, _ in _DELIVERIES.values()},
-        },
+        200: {"description": "The file.", "content": {GEOJSON: {"schema": {"type": "string"}}}},
     },
 )
 @priced("heavy", bound="the findings of one map")
 def read_delivery(
-    map_id: MapId,
-    name: Annotated[_Delivery, Path(description=" ".join(f"{key}: {of[1]}" for key, of in _DELIVERIES.items()))],
-    request: Request,
-    context: ContextDep,
-    _client: ClientDep,
+    map_id: MapId, name: _Delivery, request: Request, context: ContextDep, _client: ClientDep
 ) -> Response:
     """Give the findings but those marked wrong or fixed. The same finding has the same identity in each upload."""
     from interloc.city.delivery import MAX_TASKS, maproulette  # noqa: PLC0415 - of scientific packages
 
-    collection, last = _findings(context, map_id), _latest(context, map_id)
+    collection, last = _findings(context, map_id), latest(_judgements(context, map_id))
     done = {"wrong", "fixed"}
     features = [
         each for each in collection["features"] if each["id"] not in last or last[each["id"]].verdict not in done
@@ -78,7 +68,7 @@ def read_delivery(
         text = maproulette(features[:MAX_TASKS])
     else:
         text = encode({**collection, "features": features})
-    return answer_tagged(request, text.encode(), _DELIVERIES[name][0])
+    return answer_tagged(request, text.encode(), GEOJSON)
 
 
 @get_and_head(
@@ -103,7 +93,7 @@ def list_queue(
 
     Verdicts are kept with who gave them and when. A place marked wrong never comes back, whatever is merged later.
     """
-    features, last = _features(context, map_id), _latest(context, map_id)
+    features, last = _features(context, map_id), latest(_judgements(context, map_id))
     ids = sorted({*features, *last}) if state != "open" else sorted(features)
     some = [
         each
@@ -116,8 +106,8 @@ def list_queue(
         entries=[_entry(map_id, each, features.get(each), last.get(each)) for each in left[:limit]],
         open=len(features.keys() - last.keys()),
         judged=len(last),
-        precision=_precision(last.values()),
-        by_kind={each: _precision(j for j in last.values() if j.kind == each) for each in get_args(Kind)},
+        precision=Precision.of(each.verdict for each in last.values()),
+        by_kind={each: Precision.of(j.verdict for j in last.values() if j.kind == each) for each in get_args(Kind)},
         next=left[limit - 1] if len(left) > limit else None,
     )
     return answer_page(request, page)
@@ -144,7 +134,7 @@ def judge_finding(
     map_id: MapId, finding: _FindingId, new: NewVerdict, context: ContextDep, client: ClientDep
 ) -> WholeEntry:
     """Keep what you saw there, with your name and the time; earlier verdicts stay in its history."""
-    features, last = _features(context, map_id), _latest(context, map_id)
+    features, last = _features(context, map_id), latest(_judgements(context, map_id))
     if finding not in features and finding not in last:
         raise _no_finding(map_id, finding)
     with context.database.writing() as session:
@@ -188,7 +178,8 @@ def show_picture(
     map_id: MapId, finding: _FindingId, request: Request, context: ContextDep, _client: ClientDep
 ) -> Response:
     """Show the road (grey) and other ground (green) that the drives saw, their tracks (blue), and the place (cross)."""
-    path = _picture(context, map_id, finding)
+    known = finding if finding in _features(context, map_id) else ""
+    path = context.storage.folder(map_key(map_id)) / AUDIT / "pictures" / f"{known}.png"
     if not path.is_file():
         raise _no_finding(map_id, finding)
     return deliver(request, path)
@@ -213,24 +204,14 @@ def _features(context: Context, map_id: str) -> dict[str, dict[str, Any]]:
     return {str(each["id"]): each for each in _findings(context, map_id)["features"]}
 
 
-def _latest(context: Context, map_id: str) -> dict[str, Judgement]:
+def _judgements(context: Context, map_id: str) -> list[Judgement]:
     with context.database.reading() as session:
-        return latest(judgements_of(session, map_id))
+        return judgements_of(session, [map_id])[map_id]
 
 
 def _no_finding(map_id: str, finding: str, kind: str = "") -> Problem:
     listed = f"GET /api/v1/maps/{map_id}/queue?state=all lists them."
     return Problem(NO_SUCH_FINDING, f"The map {map_id} has no {kind}finding {finding!r}. {listed}")
-
-
-def _precision(judgements: Any) -> PrecisionModel:  # noqa: ANN401 - an iterable
-    verdicts: Iterator[Verdict] = (each.verdict for each in judgements)
-    return PrecisionModel(**vars(Precision.of(verdicts)))
-
-
-def _picture(context: Context, map_id: str, finding: str) -> FilePath:
-    known = finding if finding in _features(context, map_id) else ""
-    return context.storage.folder(map_key(map_id)) / AUDIT / "pictures" / f"{known}.png"
 
 
 def _entry(map_id: str, finding: str, feature: dict[str, Any] | None, last: Judgement | None) -> QueueEntry:
@@ -263,13 +244,15 @@ def _links(lon: float, lat: float) -> Links:
 
 
 def _whole(context: Context, map_id: str, finding: str) -> WholeEntry:
-    features, last = _features(context, map_id), _latest(context, map_id)
+    features, judgements = _features(context, map_id), _judgements(context, map_id)
+    last = latest(judgements)
     if finding not in features and finding not in last:
         raise _no_finding(map_id, finding)
     open_ = sorted(features.keys() - last.keys())
     behind, before = [each for each in open_ if each > finding], [each for each in open_ if each < finding]
-    with context.database.reading() as session:
-        history = judgements_of(session, map_id, finding)
-    entry = _entry(map_id, finding, features.get(finding), last.get(finding))
-    following = behind[0] if behind else before[0] if before else None
-    return WholeEntry(**entry.model_dump(), next=following, previous=before[-1] if before else None, history=history)
+    return WholeEntry(
+        **_entry(map_id, finding, features.get(finding), last.get(finding)).model_dump(),
+        next=behind[0] if behind else before[0] if before else None,
+        previous=before[-1] if before else None,
+        history=[each for each in judgements if each.finding == finding],
+    )

@@ -17,7 +17,7 @@ from app.http.problem_types import NO_SUCH_MAP
 from app.http.problems import Problem
 from app.jobs.view import chosen_results, is_alive
 from app.maps.models import MapModel
-from app.maps.work import AUDIT, CITY
+from app.maps.work import CITY
 from app.states import JobKind, JobState
 from app.store.database import moment
 from app.store.models import CityMap, Drive, FeatureLayer, Job, MapDrive, MapVerdict
@@ -34,22 +34,11 @@ def map_key(map_id: str) -> str:
     return f"maps/{map_id}"
 
 
-def no_map(map_id: str) -> Problem:
-    """Return the problem of a map that does not exist."""
-    return Problem(NO_SUCH_MAP, f"There is no map {map_id}. GET /api/v1/maps lists them.")
-
-
 def find_map(session: Session, map_id: str, *, lock: bool = False) -> CityMap:
-    """Return a map.
-
-    Raises
-    ------
-    Problem
-        404.
-    """
+    """Return a map; a 404 where there is none."""
     found = session.get(CityMap, map_id, with_for_update=lock or None)
     if found is None:
-        raise no_map(map_id)
+        raise Problem(NO_SUCH_MAP, f"There is no map {map_id}. GET /api/v1/maps lists them.")
     return found
 
 
@@ -107,7 +96,7 @@ def standings_of(session: Session, context: Context, cities: Sequence[CityMap]) 
         rows[row.map_id][row.drive_id] = row
     are_shown = select(FeatureLayer.map_id).where(FeatureLayer.map_id.in_(of_these), FeatureLayer.layer == CITY)
     shown = set(session.scalars(are_shown))
-    wrong = _wrong_of(session, context, of_these)
+    wrong = {map_id: wrong_ones(each) for map_id, each in judgements_of(session, of_these).items()}
     return {
         city.id: _standing_of(context.storage, city, jobs, rows[city.id], wrong.get(city.id, []), city.id in shown)
         for city in cities
@@ -117,25 +106,23 @@ def standings_of(session: Session, context: Context, cities: Sequence[CityMap]) 
 def _chosen(session: Session, context: Context) -> dict[str, tuple[int, Any]]:
     """Return the job that stands for each drive, with its place in their order; ranked where something changed."""
     state = _state_of_jobs(session)
-    known = context.map_rows.get("")
-    if known is None or known[0] != state:
+    known = context.map_jobs.get(state)
+    if known is None:
         columns = (Job.id, Job.drive_id, Job.request["osm"]["file"].as_string().label("osm"))
         asked = chosen_results().with_only_columns(*columns).order_by(Job.created_at, Job.id)
-        found = {job.drive_id: (place, job) for place, job in enumerate(session.execute(asked))}
-        known = context.map_rows[""] = state, found
-    return known[1]
+        known = {job.drive_id: (place, job) for place, job in enumerate(session.execute(asked))}
+        context.map_jobs.clear()
+        context.map_jobs[state] = known
+    return known
 
 
-def _wrong_of(session: Session, context: Context, maps: Sequence[str]) -> dict[str, list[Judgement]]:
-    """Return the findings marked wrong, by map; verdicts are read where something changed."""
+def judgements_of(session: Session, maps: Sequence[str]) -> dict[str, list[Judgement]]:
+    """Return what was said of the findings of maps, the oldest first."""
     of = MapVerdict
-    states = select(of.map_id, func.count(), func.sum(of.at)).where(of.map_id.in_(maps)).group_by(of.map_id)
-    found = {}
-    for map_id, *state in session.execute(states):
-        known = context.map_rows.get(map_id)
-        if known is None or known[0] != state:
-            known = context.map_rows[map_id] = state, wrong_ones(judgements_of(session, map_id))
-        found[map_id] = known[1]
+    asked = select(of.map_id, of.judgement).where(of.map_id.in_(maps)).order_by(of.at, of.id)
+    found = defaultdict(list)
+    for map_id, judgement in session.execute(asked):
+        found[map_id].append(Judgement.model_validate(judgement))
     return found
 
 
@@ -156,17 +143,11 @@ def _standing_of(
     folder = storage.folder(map_key(city.id))
     is_stale = held != {job.drive_id: job.id for job in jobs}
     if not is_stale and held:
-        is_stale = not (is_shown and "bbox" in (city.summary or {}) and (folder / CITY / "city.json").is_file())
+        is_stale = not (is_shown and (folder / CITY / "city.json").is_file())
     osm, key = _osm_of(storage, folder, jobs) if held else ({}, "")
     last = max((each.at for each in wrong), default=None)
     audit_key = f"{city.revision} {len(wrong)} {last} {key}" if osm else None
-    if city.audited is not None and audit_key == city.audited and not (folder / AUDIT).is_dir() and not _failed(city):
-        audit_key = f"{audit_key} again"
     return Standing(jobs, rows, wrong, is_stale, osm, audit_key)
-
-
-def _failed(city: CityMap) -> bool:
-    return city.audit is not None and "problem" in city.audit
 
 
 def _osm_of(storage: Storage, folder: Path, jobs: Sequence[Any]) -> tuple[dict[Path, set[str]], str]:
@@ -184,14 +165,6 @@ def _osm_of(storage: Storage, folder: Path, jobs: Sequence[Any]) -> tuple[dict[P
         except OSError:  # it is gone
             del found[path]
     return found, hashlib.sha256(repr(facts).encode()).hexdigest()[:32]
-
-
-def judgements_of(session: Session, map_id: str, finding: str | None = None) -> list[Judgement]:
-    """Return what was said of the findings of a map, or of one of them, the oldest first."""
-    asked = select(MapVerdict.judgement).where(MapVerdict.map_id == map_id).order_by(MapVerdict.at, MapVerdict.id)
-    if finding is not None:
-        asked = asked.where(MapVerdict.finding == finding)
-    return [Judgement.model_validate(each) for each in session.scalars(asked)]
 
 
 def map_models(session: Session, context: Context, cities: Sequence[CityMap]) -> list[MapModel]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from fastapi import APIRouter, Path, Query, Request, Response
 from sqlalchemy import delete, func, select, tuple_
@@ -14,17 +14,16 @@ from app.http.delivery import answer_tagged, deliver
 from app.http.gate import ClientDep
 from app.http.intake import Arrival, Placement, receive_file
 from app.http.limits import check_quota
-from app.http.openapi import TAGGED, get_and_head
+from app.http.openapi import TAGGED, get_and_head, problems
 from app.http.parameters import answer_page
 from app.http.patterns import ID
 from app.http.prices import priced
 from app.http.problem_types import MAP_IS_OF_THE_SERVER, NO_SUCH_MAP, TOO_MANY_MAPS
-from app.http.problems import Problem, ProblemDocument
+from app.http.problems import Problem
 from app.jobs.queue import no_drive
 from app.maps.models import MapDriveList, MapDriveModel, MapList, MapModel, NewMap
 from app.maps.records import OSM, find_map, map_key, map_models
 from app.maps.work import AUDIT, CITY
-from app.ogc.indexing import sweep_map_rows
 from app.ogc.routes import MapId
 from app.paths import check_path
 from app.store.models import CityMap, Drive, MapDrive
@@ -32,13 +31,8 @@ from interloc.osm.container import is_map
 
 router = APIRouter(prefix="/maps", tags=["Maps"])
 
-_NOT_FOUND: dict[int | str, dict[str, Any]] = {
-    404: {"model": ProblemDocument, "description": "There is no such map, drive or finding, or not yet."}
-}
-_MADE: dict[int | str, dict[str, Any]] = {
-    **_NOT_FOUND,
-    429: {"model": ProblemDocument, "description": "The client has as many maps as it may have."},
-}
+_NOT_FOUND = problems({404: "There is no such map, drive or finding, or not yet."})
+_MADE = {**_NOT_FOUND, **problems({429: "The client has as many maps as it may have."})}
 MAX_MAPS = 100
 """Of one client."""
 
@@ -105,19 +99,16 @@ def show_map(map_id: MapId, request: Request, context: ContextDep, _client: Clie
     "/{map_id}",
     status_code=204,
     summary="Delete a map",
-    responses={**_NOT_FOUND, 409: {"model": ProblemDocument, "description": "It is that of the server."}},
+    responses={**_NOT_FOUND, **problems({409: "It is that of the server."})},
 )
 @priced("cheap")
 def delete_map(map_id: MapId, context: ContextDep, _client: ClientDep) -> None:
     """Delete a map for good, with its names of places and all verdicts; its drives stay."""
-    with context.database.reading() as session:
+    with context.database.writing() as session:
         if find_map(session, map_id).holds_all:
             raise Problem(MAP_IS_OF_THE_SERVER, f"The map {map_id} holds all drives of the server, and stays.")
-    sweep_map_rows(context.database, map_id, is_gone=True)
-    with context.database.writing() as session:
         session.execute(delete(CityMap).where(CityMap.id == map_id))
     context.storage.delete(map_key(map_id))
-    context.map_rows.pop(map_id, None)
 
 
 @get_and_head(

@@ -24,6 +24,7 @@ from interloc.files import atomic_write
 if TYPE_CHECKING:
     from interloc.city.audit import OwnMap
     from interloc.city.citymap import CityMap
+    from interloc.city.models import Judgement
 
 CITY, AUDIT = "city", "audit"
 JOBS_FILE = "jobs.json"
@@ -146,16 +147,16 @@ class Audited:
     """The findings."""
 
 
-def audit(folder: Path, files: Mapping[Path, Sequence[str]], wrong: Sequence[dict[str, Any]]) -> Audited:
+def audit(folder: Path, files: Mapping[Path, Sequence[str]], wrong: Sequence[Judgement]) -> Audited:
     """Compare the map in a folder with OSM files, the newest last, each for the drives of some names.
 
-    Judgements of findings that people marked wrong are given as JSON. An `InterLocError` says that no file can be read,
-    or that the map is damaged.
+    Nothing is found where people marked a finding wrong. An `InterLocError` says that no file can be read, or that the
+    map is damaged.
     """
     from interloc.city.audit import audit as compare  # noqa: PLC0415
     from interloc.city.delivery import FINDINGS_FILE, audit_record, known_findings, write_audit  # noqa: PLC0415
     from interloc.city.folder import locked, read_city  # noqa: PLC0415
-    from interloc.city.models import AuditConfig, Judgement  # noqa: PLC0415
+    from interloc.city.models import AuditConfig  # noqa: PLC0415
     from interloc.output.geojson import read_json  # noqa: PLC0415
 
     with locked(folder / CITY):
@@ -166,8 +167,7 @@ def audit(folder: Path, files: Mapping[Path, Sequence[str]], wrong: Sequence[dic
     made_up = all(graph.is_made_up for graph, _ in maps)
     names = sorted({graph.source for graph, _ in maps})
     source = ", ".join(names) if len(names) <= _FEW_FILES else f"{len(names)} files"
-    marked = [Judgement.model_validate(each) for each in wrong]
-    found = compare(city, maps, config, known=known_findings(folder / AUDIT), wrong=marked)
+    found = compare(city, maps, config, known=known_findings(folder / AUDIT), wrong=wrong)
     write_audit(found, city, folder / AUDIT, config, source=source, made_up=made_up)
     collection = read_json(folder / AUDIT / FINDINGS_FILE)
     credit: dict[str, str] = {name: collection[name] for name in ("attribution", "license") if name in collection}

@@ -140,11 +140,7 @@ def schema_of(attribute: Attribute) -> dict[str, Any]:
     return described
 
 
-def _collection(layer: Layer) -> Collection:
-    return Collection(collection_id(layer), layer)
-
-
-OF_JOB = {each.id: each for each in map(_collection, RESULT_LAYERS.values())}
+OF_JOB = {each.id: each for each in (Collection(collection_id(layer), layer) for layer in RESULT_LAYERS.values())}
 """The collections of one job, as far as its result has them, by their ids."""
 
 OF_ALL = {

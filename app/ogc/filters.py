@@ -59,7 +59,8 @@ def read_filter(content: str, language: Language) -> Any:  # noqa: ANN401 - JSON
         content = _ILIKE.sub(_without_ilike, content)
     if _nesting(content) > MAX_DEPTH:  # before any parser sees it: theirs are recursive
         raise bad_filter(f"It is nested deeper than {MAX_DEPTH} levels.")
-    if language != "cql2-json" and _words(content) > _MAX_WORDS:  # likewise
+    words = _WORD.finditer(_COORDINATES.sub(" ", _QUOTED.sub("x", content)))  # chains of them are nested, too
+    if language != "cql2-json" and sum(1 for _ in words) > _MAX_WORDS:
         raise bad_filter(f"It is larger than {MAX_NODES} parts.")
     try:
         if language == "cql2-json":
@@ -103,11 +104,6 @@ def _short(error: Exception) -> str:
 
 def _no_number(name: str) -> float:
     raise ValueError(f"{name} is not a number that a filter can hold")
-
-
-def _words(content: str) -> int:
-    """Return the number of words, numbers and signs outside of texts and geometries: chains of them are nested, too."""
-    return sum(1 for _ in _WORD.finditer(_COORDINATES.sub(" ", _QUOTED.sub("x", content))))
 
 
 def _nesting(content: str) -> int:
@@ -209,7 +205,7 @@ class Translator:
             "and": lambda *parts: and_(*map(self._truth, parts)),
             "or": lambda *parts: or_(*map(self._truth, parts)),
             "not": lambda part: not_(self._truth(part)),
-            "isnull": self._is_null,
+            "isnull": lambda part: (self.columns[GEOMETRY] if part == _GEOMETRY else self._value(part).sql).is_(None),
             "like": self._like,
             "between": self._between,
             "in": self._in,
@@ -217,9 +213,6 @@ class Translator:
         if name not in others:
             raise bad_filter(f"{_shown(node)} is not true or false.")
         return others[name](*arguments)
-
-    def _is_null(self, node: Any) -> ColumnElement[bool]:  # noqa: ANN401
-        return (self.columns[GEOMETRY] if node == _GEOMETRY else self._value(node).sql).is_(None)
 
     def _between(self, *nodes: Any) -> ColumnElement[bool]:  # noqa: ANN401
         value, low, high = map(self._value, nodes)

@@ -130,7 +130,8 @@ class Source:
         """Return the query for layers, joined with their drives."""
         if self.map is not None:
             return select(*columns).select_from(FeatureLayer).where(FeatureLayer.map_id == self.map)
-        found = select(Job).where(Job.id == self.job) if self.job is not None else self._chosen()
+        ended = [] if self.until is None else [Job.finished_at <= self.until]
+        found = select(Job).where(Job.id == self.job) if self.job is not None else chosen_results(*ended)
         jobs = found.with_only_columns(Job.id, Job.drive_id).subquery()
         return (
             select(*columns)
@@ -138,9 +139,6 @@ class Source:
             .join(FeatureLayer, FeatureLayer.job_id == jobs.c.id)
             .join(Drive, Drive.id == jobs.c.drive_id)
         )
-
-    def _chosen(self) -> Select[Job]:
-        return chosen_results() if self.until is None else chosen_results(Job.finished_at <= self.until)
 
     def pinned(self, session: Session) -> Source:
         """Return the source of these jobs and no later ones."""
@@ -183,13 +181,7 @@ def extents(session: Session, source: Source) -> dict[str, Extent]:
 
 
 def find_page(session: Session, source: Source, collection: Collection, query: Query) -> Page:
-    """Return a page of the features that a query finds.
-
-    Raises
-    ------
-    Problem
-        400: the filter holds what it cannot, or takes too long.
-    """
+    """Return a page of the features that a query finds; a 400 where its filter cannot be used or takes too long."""
     search = _Search(session, source, collection, query)
     with _patience(session):
         return search.page()
@@ -243,7 +235,8 @@ class _Search:
 
     def _conditions_on_place(self) -> Iterator[ColumnElement[bool]]:
         if (area := self._query.area) is not None:
-            near = [part for part in area.parts if any(_meet(part, layer) for layer in self._layers.values())]
+            spans = [(each.west, each.east) for each in self._layers.values() if each.west is not None]
+            near = [part for part in area.parts if any(west <= part[2] and east >= part[0] for west, east in spans)]
             yield or_(*(self._near(part) for part in near or area.parts[:1]))
             if not self._collection.is_point:
                 import shapely  # noqa: PLC0415 - an eighth of a second of start-up time
@@ -366,10 +359,6 @@ def _touches(box: Sequence[Any], part: Sequence[float]) -> ColumnElement[bool]:
 
 def _within(box: Sequence[Any], part: Sequence[float]) -> ColumnElement[bool]:
     return and_(box[0] >= part[0], box[1] >= part[1], box[2] <= part[2], box[3] <= part[3])
-
-
-def _meet(part: Sequence[float], layer: Row[Any]) -> bool:
-    return layer.west is not None and bool(layer.west <= part[2] and layer.east >= part[0])
 
 
 def _time_text(seconds: float) -> str:

@@ -6,23 +6,22 @@ The features of a job that goes to the trash stay, and are not shown; they go wi
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
+from typing import Any
 
-from sqlalchemy import delete, insert, select, update
+from sqlalchemy import Table, delete, insert, select
 from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.orm import Session
 
 from app.context import Context
 from app.ogc.work import LayerRows, is_on_earth, rows_of
 from app.states import JobKind, JobState
-from app.store.database import Database
 from app.store.features import OF_MAPS, OF_RESULTS
 from app.store.models import FeatureLayer, Job
 from interloc.errors import InterLocError
 
-_AT_ONCE = 10_000
-_UNSEEN = "~"  # begins the name of a layer of a map that is being written, or goes
+_AT_ONCE = 10_000  # rows
 _log = logging.getLogger(__name__)
 
 
@@ -32,92 +31,29 @@ def write_job_rows(session: Session, job: Job, layers: Iterable[LayerRows]) -> N
     preset, labels = job.request.get("preset"), job.request.get("labels")
     for each in layers:
         facts = {**each.facts, "preset": preset, "labels": each.facts["labels"] or labels}
-        row = FeatureLayer(job_id=job.id, layer=each.layer, **facts)
-        session.add(row)
-        session.flush()
-        for start in range(0, len(each.rows), _AT_ONCE):
-            rows = [{**values, "layer_id": row.id} for values in each.rows[start : start + _AT_ONCE]]
-            session.connection().execute(insert(OF_RESULTS[each.layer]), rows)
+        _write(session, OF_RESULTS[each.layer], FeatureLayer(job_id=job.id, layer=each.layer, **facts), each.rows)
 
 
-def write_map_rows(
-    database: Database, map_id: str, layers: Iterable[LayerRows], go_on: Callable[[], object]
-) -> Callable[[Session], None]:
-    """Write layers of a map of many drives, unseen; what is returned shows them in the place of those that it had.
-
-    Others write between the slices; before each `go_on` is called, which may raise. What a kill leaves behind goes with
-    the next call, and with the map.
-    """
-    sweep_map_rows(database, map_id)
-    new = {}
+def write_map_rows(session: Session, map_id: str, layers: Sequence[LayerRows]) -> None:
+    """Write layers of a map of many drives, in the place of those that it had."""
+    names = [each.layer for each in layers]
+    session.execute(delete(FeatureLayer).where(FeatureLayer.map_id == map_id, FeatureLayer.layer.in_(names)))
     for each in layers:
-        with database.writing(patient=True) as session:
-            row = FeatureLayer(map_id=map_id, layer=f"{_UNSEEN}new {each.layer}", **each.facts)
-            session.add(row)
-            session.flush()
-            new[each.layer] = row.id
-        for start in range(0, len(each.rows), _AT_ONCE):
-            go_on()
-            with database.writing(patient=True) as session:
-                rows = [{**values, "layer_id": new[each.layer]} for values in each.rows[start : start + _AT_ONCE]]
-                session.connection().execute(insert(OF_MAPS[each.layer]), rows)
-
-    def show(session: Session) -> None:
-        _hide(session, map_id, *new)
-        for name, layer_id in new.items():
-            session.execute(update(FeatureLayer).where(FeatureLayer.id == layer_id).values(layer=name))
-
-    return show
+        _write(session, OF_MAPS[each.layer], FeatureLayer(map_id=map_id, layer=each.layer, **each.facts), each.rows)
 
 
-def sweep_map_rows(database: Database, map_id: str, *, is_gone: bool = False) -> None:
-    """Delete the layers of a map that nobody is shown, or all of them, some rows at a time."""
-    of = FeatureLayer
-    if is_gone:
-        with database.writing() as session:
-            _hide(session, map_id, *OF_MAPS)
-    with database.reading() as session:
-        asked = select(of.id, of.layer, of.count).where(of.map_id == map_id, of.layer.startswith(_UNSEEN))
-        unseen = session.execute(asked).all()
-    for layer_id, name, count in unseen:
-        table = OF_MAPS[name.partition(" ")[2]]
-        for end in range(_AT_ONCE, count + _AT_ONCE, _AT_ONCE):
-            with database.writing(patient=True) as session:
-                session.execute(delete(table).where(table.c.layer_id == layer_id, table.c.number < end))
-        with database.writing(patient=True) as session:
-            session.execute(delete(of).where(of.id == layer_id))
-
-
-def _hide(session: Session, map_id: str, *layers: str) -> None:
-    of = FeatureLayer
-    for layer_id, name in session.execute(select(of.id, of.layer).where(of.map_id == map_id, of.layer.in_(layers))):
-        session.execute(update(of).where(of.id == layer_id).values(layer=f"{_UNSEEN}{layer_id} {name}"))
+def _write(session: Session, table: Table, layer: FeatureLayer, rows: Sequence[dict[str, Any]]) -> None:
+    session.add(layer)
+    session.flush()
+    for start in range(0, len(rows), _AT_ONCE):
+        some = [{**values, "layer_id": layer.id} for values in rows[start : start + _AT_ONCE]]
+        session.connection().execute(insert(table), some)
 
 
 def index_result(result: Path) -> Callable[[Session, Job], None]:
     """Read the features of a new result; what is returned writes them."""
     layers = list(rows_of(result))
     return lambda session, job: write_job_rows(session, job, layers)
-
-
-def index_job(context: Context, job_id: str) -> None:
-    """Write the features of a job as its result has them now.
-
-    Raises
-    ------
-    OutputError
-        A file of the result is damaged.
-    """
-    layers = list(rows_of(context.storage.folder(f"jobs/{job_id}/result")))
-    with context.database.writing(patient=True) as session:
-        job = session.get(Job, job_id, with_for_update=True)
-        if job is not None:  # not purged meanwhile
-            write_job_rows(session, job, layers)
-
-
-def is_indexed(session: Session, job_id: str) -> bool:
-    """Return whether the features of a job are there as rows."""
-    return session.scalar(select(FeatureLayer.id).where(FeatureLayer.job_id == job_id).limit(1)) is not None
 
 
 def index_missing(context: Context) -> int:
@@ -135,8 +71,12 @@ def index_missing(context: Context) -> int:
         if not is_on_earth(context.storage.folder(f"jobs/{job_id}/result")):
             continue
         try:
-            index_job(context, job_id)
-            count += 1
+            layers = list(rows_of(context.storage.folder(f"jobs/{job_id}/result")))
+            with context.database.writing(patient=True) as session:
+                job = session.get(Job, job_id, with_for_update=True)
+                if job is not None:  # not purged meanwhile
+                    write_job_rows(session, job, layers)
+                    count += 1
         except (InterLocError, OSError, SQLAlchemyError) as error:
             _log.warning("job %s: its features could not be indexed: %s", job_id, error, extra={"job": job_id})
     if count:

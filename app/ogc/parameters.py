@@ -72,7 +72,10 @@ def _asked(
 ) -> Query:
     if after is not None and offset:
         raise _wrong("offset", str(offset), "none beside `after`")
-    key, until = (None, None) if after is None else _page_after(after)
+    key, until = None, None
+    if after is not None:
+        layer, number, *ended = map(int, after.split("."))
+        key, until = Key(layer, number), ended[0] / 1e6 if ended else None
     language: Language = filter_lang or ("cql2-json" if (filter_ or "").lstrip().startswith("{") else "cql2-text")
     return Query(
         area=bbox,
@@ -117,8 +120,3 @@ def _span(text: str, whole: str) -> Interval:
 def page_token(key: Key, until: float | None) -> str:
     """Return `after` of the page behind a key, of jobs that had ended until then."""
     return str(key) if until is None else f"{key}.{math.floor(until * 1e6) + 2}"
-
-
-def _page_after(text: str) -> tuple[Key, float | None]:
-    layer, number, *until = (int(part) for part in text.split("."))
-    return Key(layer, number), until[0] / 1e6 if until else None

@@ -21,7 +21,6 @@ from app.ogc.collections import Collection
 from app.ogc.documents import GEOJSON, OPENAPI, SCHEMA, Place
 from app.ogc.filters import equals
 from app.ogc.index import Extent, Source, extents, find_feature, find_page
-from app.ogc.indexing import index_job, is_indexed
 from app.ogc.parameters import MAX_LIMIT, AskedDep, page_token
 from app.results.folder import ResultsDep
 from app.results.routes.results import PROBLEMS, JobId
@@ -71,10 +70,6 @@ def _serve_all(request: Request, context: ContextDep) -> None:
 def _serve_job(job_id: JobId, request: Request, context: ContextDep, results: ResultsDep) -> None:
     result = results.open(job_id)
     result.require_georeference("A GIS cannot show it")
-    with context.database.reading() as session:
-        is_there = is_indexed(session, job_id)
-    if not is_there:  # of an older version, and the clean-up has not come to it yet
-        index_job(context, job_id)
     description = f"Road intersections found by job {job_id} in drive {result.drive_name}."
     title = f"InterLoc: {result.drive_name}"
     request.state.served = _Served(request, context, Source(job_id), result.address, title, description)

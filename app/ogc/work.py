@@ -49,13 +49,7 @@ def is_on_earth(folder: Path) -> bool:
 
 
 def rows_of(folder: Path) -> Iterator[LayerRows]:
-    """Yield the layers of a result folder; none without longitude and latitude.
-
-    Raises
-    ------
-    OutputError
-        A file is damaged.
-    """
+    """Yield the layers of a result folder; none without longitude and latitude."""
     if not is_on_earth(folder):
         return
     run = read_json(folder / RUN_FILE)

@@ -95,22 +95,11 @@ def audit(
     known: Collection[str] = (),
     wrong: Sequence[Judgement] = (),
 ) -> Audit:
-    """Compare a map of many drives with OpenStreetMap.
+    """Compare a map of many drives with one map of OpenStreetMap, or several, each for some drives, the newest last.
 
-    Parameters
-    ----------
-    city
-    maps
-        The roads of OpenStreetMap around all its drives, or several maps, each with the drives that it is for, the
-        newest last. A place is compared with those of the drives that came by; nothing is claimed where there is none,
-        or where they end. Made-up maps say nothing of OpenStreetMap.
-    config
-        Settings.
-    known
-        Ids of findings of before. They stay while they reach 70 % of what a new one must, so that a finding near a
-        threshold does not come and go.
-    wrong
-        Findings that people marked wrong (`interloc.city.models.wrong_ones`): nothing is claimed there again.
+    A place is compared with the maps of the drives that came by; nothing is claimed where there is none, where they
+    end, or near what people marked wrong. Findings that are known, by their ids, stay while they reach 70 % of what a
+    new one must, so that one near a threshold does not come and go.
     """
     own = [(maps, city.drives.keys())] if isinstance(maps, RoadGraph) else maps
     real = [(graph, frozenset(names)) for graph, names in own if not graph.is_made_up]
@@ -476,8 +465,9 @@ class _Auditor:
         names = drives or (() if row is None else self.places.drives[row])
         osm_node = None if node is None else int(self.osm.graph.node_id[node])
         ways = self.osm.graph.ways
+        tags = ways.tags or ({},) * len(ways)
         around = [
-            " ".join([f"way/{ways.id[way]} highway={ways.highway[way]}", *(f"{k}={v}" for k, v in _tags(ways, way))])
+            " ".join([f"way/{ways.id[way]} highway={ways.highway[way]}", *(f"{k}={v}" for k, v in tags[way].items())])
             for way in self.osm.ways_near(xy, _PARTNER_M)[:6]
         ]
         return Finding(
@@ -495,10 +485,6 @@ class _Auditor:
 
 def _key(kind: Kind, about: object) -> str:
     return f"{kind}-{about}"
-
-
-def _tags(ways: Any, way: int) -> list[tuple[str, str]]:  # noqa: ANN401
-    return list(ways.tags[way].items()) if ways.tags else []
 
 
 def _nearest(xy: FloatArray, others: FloatArray) -> tuple[FloatArray, IntArray]:

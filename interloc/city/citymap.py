@@ -206,8 +206,9 @@ class CityMap:
         place[rows] = self.next_number + group(xy[rows], of[rows], new_hood, self.config)
         hood[rows] = self.next_number + new_hood
         self.next_number += len(rows)
-        for drive, start, end in _slices(drives):
-            drive.place, drive.neighbourhood = place[start:end], hood[start:end]
+        ends = np.cumsum([len(drive.xy) for drive in drives])[:-1]
+        for drive, places, hoods in zip(drives, np.split(place, ends), np.split(hood, ends), strict=True):
+            drive.place, drive.neighbourhood = places, hoods
         changed = distinct(place[rows])
         self._adjust(drives, set(distinct(of[is_moved | np.isin(place, changed)]).tolist()))
         self._name(drives, old, changed)
@@ -322,11 +323,6 @@ def merge(results: Iterable[DriveResult | Pass], config: CityConfig | None = Non
     city = CityMap(config)
     city.add(*results)
     return city
-
-
-def _slices(drives: Sequence[DriveOnMap]) -> Iterable[tuple[DriveOnMap, int, int]]:
-    ends = np.cumsum([len(d.xy) for d in drives]).tolist()
-    return zip(drives, [0, *ends[:-1]], ends, strict=True)
 
 
 def _as_pass(result: DriveResult | Pass) -> Pass:

@@ -111,7 +111,7 @@ def finding_features(findings: Sequence[Finding], city: CityMap) -> list[dict[st
         branch_bearings_deg=[each.evidence.get("branch_bearings_deg", []) for each in findings],
         branch_widths_m=[each.evidence.get("branch_widths_m", []) for each in findings],
         osm_ways=["; ".join(each.evidence["ways"]) for each in findings],
-        osm_link=[_link(lon, lat) for lon, lat in lonlat],
+        osm_link=[f"https://www.openstreetmap.org/?mlat={lat}&mlon={lon}#map=19/{lat}/{lon}" for lon, lat in lonlat],
     )
 
 
@@ -126,10 +126,6 @@ def maproulette(features: Sequence[dict[str, Any]]) -> str:
         task = {**feature, "properties": {"id": feature["id"], **feature["properties"]}}
         lines.append(_RECORD_SEPARATOR + encode({"type": "FeatureCollection", "features": [task]}) + "\n")
     return "".join(lines)
-
-
-def _link(lon: float, lat: float) -> str:
-    return f"https://www.openstreetmap.org/?mlat={lat}&mlon={lon}#map=19/{lat}/{lon}"
 
 
 def picture_of(city: CityMap, xy: FloatArray, names: tuple[str, ...], node_xy: FloatArray | None = None) -> bytes:

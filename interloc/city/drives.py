@@ -90,19 +90,7 @@ class Pass:
 
     @classmethod
     def of(cls, result: DriveResult) -> Pass:
-        """Take from a result what the map needs.
-
-        Raises
-        ------
-        GeoreferenceError
-            It has no georeference.
-
-        Notes
-        -----
-        Results of versions before do not tell the parts of the covariance of a position. Then fix and scatter are taken
-        to be 0.3 m each, where the whole allows it, and all else is taken for the part that all drives share: too wide,
-        the more so the more drives there are, but never too narrow.
-        """
+        """Take from a result what the map needs; a GeoreferenceError where it has no georeference."""
         keyframes, table = result.keyframes, result.intersections
         if keyframes.lonlat is None or table.lonlat is None or not len(keyframes):
             raise GeoreferenceError(
@@ -168,13 +156,7 @@ class Pass:
 
     @classmethod
     def read(cls, path: Path) -> Pass:
-        """Read what `write` wrote.
-
-        Raises
-        ------
-        DamagedResultError
-            The file is missing or damaged.
-        """
+        """Read what `write` wrote."""
         try:
             with np.load(path) as archive:
                 arrays: dict[str, Any] = dict(archive)
@@ -227,7 +209,11 @@ def _tiles(arrays: dict[str, Any], name: str) -> Tiles:
 
 
 def _parts(result: DriveResult) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return fix, shape and scatter of the positions of a result, assumed where it does not tell them."""
+    """Return fix, shape and scatter of the positions of a result.
+
+    Results of versions before do not tell them. Then fix and scatter are taken to be 0.3 m each, where the whole allows
+    it, and all else for the part that all drives share: too wide, the more so the more drives there are.
+    """
     table = result.intersections
     if table.parts is not None and all(np.isfinite(each).all() for each in vars(table.parts).values()):
         return table.parts.fix_std_m, table.parts.shape_cov_m2, table.parts.scatter_std_m

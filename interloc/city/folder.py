@@ -42,13 +42,7 @@ CITY_NAMES = frozenset(
 
 @contextmanager
 def locked(folder: Path) -> Iterator[None]:
-    """Keep others from changing a map meanwhile: what they add would be lost.
-
-    Raises
-    ------
-    OutputError
-        Another process has been changing it for a minute.
-    """
+    """Keep others from changing a map meanwhile: what they add would be lost. Waits for them for a minute."""
     from filelock import FileLock, Timeout  # noqa: PLC0415 - needed for this alone
 
     folder.parent.mkdir(parents=True, exist_ok=True)

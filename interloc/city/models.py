@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
 from datetime import datetime
 from typing import Literal
 
@@ -133,18 +132,15 @@ class Judgement(BaseModel):
     lat: float
 
 
-@dataclass(frozen=True)
-class Precision:
-    """How many of the findings that people looked at are right, with an interval of 95 % (Wilson)."""
+class Precision(BaseModel):
+    """How many of the findings that somebody looked at are right; fixed ones were."""
 
     right: int
     wrong: int
     cannot_tell: int
-    """Findings; fixed ones are right ones."""
-    share: float | None
-    low: float | None
-    high: float | None
-    """Right ones among right and wrong ones; None without any."""
+    share: float | None = Field(description="Right ones among right and wrong ones; null without any.")
+    low: float | None = Field(description="Lower bound of the share with 95 % confidence (Wilson).")
+    high: float | None = Field(description="Upper bound.")
 
     @classmethod
     def of(cls, verdicts: Iterable[Verdict]) -> Precision:
@@ -154,7 +150,8 @@ class Precision:
         wrong = found.count("wrong")
         low, high = wilson(right, right + wrong)
         share = right / (right + wrong) if right + wrong else None
-        return cls(right, wrong, found.count("cannot_tell"), share, low, high)
+        cannot_tell = found.count("cannot_tell")
+        return cls(right=right, wrong=wrong, cannot_tell=cannot_tell, share=share, low=low, high=high)
 
 
 def wilson(right: int, count: int) -> tuple[float | None, float | None]:

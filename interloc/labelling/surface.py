@@ -144,10 +144,6 @@ class PlacedScan:
     T: FloatArray
     """(3, 4) float64: from its frame into that of the grid."""
 
-    def laid_on(self, surface: Float32Array, grid: Grid) -> PlacedScan:
-        """Raise and tilt it so that it lies on a surface."""
-        return replace(self, T=lay_on(self.ground.cells, self.T, surface, grid))
-
 
 def lay_on(points: Float32Array, T: FloatArray, surface: Float32Array, grid: Grid) -> FloatArray:
     """Return a (3, 4) transform changed so that points lie on a surface: raised and tilted, but not moved."""
@@ -168,8 +164,10 @@ def find_surface(scans: Sequence[PlacedScan], grid: Grid, track: Float32Array) -
     placed = list(scans)
     for _ in range(_ROUNDS):
         surface = _grow(_heights(placed, grid), track)
-        placed = [scan.laid_on(surface, grid) for scan in placed]
-    return _fill(_grow(_heights(placed, grid), track)), placed
+        placed = [replace(scan, T=lay_on(scan.ground.cells, scan.T, surface, grid)) for scan in placed]
+    surface = _grow(_heights(placed, grid), track)
+    known = ~np.isnan(surface)
+    return np.where(known, surface, _mean_around(np.nan_to_num(surface), known)), placed
 
 
 def _heights(scans: Sequence[PlacedScan], grid: Grid) -> Float32Array:
@@ -205,16 +203,11 @@ def _grow(height: Float32Array, track: Float32Array) -> Float32Array:
         is_ground = grown
 
 
-def _fill(height: Float32Array) -> Float32Array:
-    known = ~np.isnan(height)
-    return np.where(known, height, _mean_around(np.nan_to_num(height), known))
-
-
 def _mean_around(height: Float32Array, known: BoolArray) -> Float32Array:
     """Return the mean of the known heights around every cell; NaN where there are none."""
-    count = cv2.boxFilter(known.astype(np.float32), -1, _BRIDGED, normalize=False, borderType=cv2.BORDER_CONSTANT)
-    total = cv2.boxFilter(
-        np.where(known, height, np.float32(0)), -1, _BRIDGED, normalize=False, borderType=cv2.BORDER_CONSTANT
+    count, total = (
+        cv2.boxFilter(each, -1, _BRIDGED, normalize=False, borderType=cv2.BORDER_CONSTANT)
+        for each in (known.astype(np.float32), np.where(known, height, np.float32(0)))
     )
     return np.divide(total, count, out=np.full_like(total, np.nan), where=count > 0.5)
 

@@ -45,12 +45,11 @@ class GpxPlacement:
     """A drive placed by a GPX track."""
 
     georeference: Georeference
+    """With one sigma of the position of each scan, what all fixes share included."""
     matched_by: str
     """{"time", "shape"}."""
     rms_m: float
     """Of the distances of the drive from the track, before it was bent onto it."""
-    position_std_m: FloatArray
-    """(N,) float64: one sigma of the position of each scan, what all fixes share included."""
     late_s: float = 0.0
     """By how much the clock of the track was put right: so much its fixes are late, early where it is negative."""
     untold: str = ""
@@ -96,9 +95,7 @@ def georeference_by_gpx(drive: Drive, gpx: GpxTrack) -> GpxPlacement:
     moved = f", whose clock is put right by {-late_s:+.1f} s" if late_s else ""
     georeference = georeference_by(chain, bent, track, roads, f"the track {gpx.source} (by {matched_by}{moved})")
     position_std_m = np.sqrt((covariance[rows, 0, 0] + covariance[rows, 1, 1]) / 2.0 + FIX_STD_M**2)
-    return GpxPlacement(
-        replace(georeference, position_std_m=position_std_m), matched_by, rms_m, position_std_m, late_s, untold
-    )
+    return GpxPlacement(replace(georeference, position_std_m=position_std_m), matched_by, rms_m, late_s, untold)
 
 
 def _as_roads(gpx: GpxTrack) -> RoadMap:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import threading
+import itertools
 import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -33,26 +34,17 @@ _MAP_STD_M = 0.7  # of the map itself: what the errors on eight KITTI sequences 
 
 @dataclass(frozen=True)
 class Place:
-    """A place on the map where a drive may have been.
-
-    Attributes
-    ----------
-    lonlat : (2,) float64
-        Of the first scan, degrees.
-    heading_deg : float
-        Of the motion there, clockwise from north.
-    middle_lonlat : (2,) float64
-        Of the middle of the drive: what lies apart there is another place.
-    evidence : Evidence
-    track_lonlat : (n, 2) float64
-        The drive if it was here, every ten metres.
-    """
+    """A place on the map where a drive may have been."""
 
     lonlat: FloatArray
+    """(2,) float64: of the first scan, degrees."""
     heading_deg: float
+    """Of the motion there, clockwise from north."""
     middle_lonlat: FloatArray
+    """(2,) float64: of the middle of the drive: what lies apart there is another place."""
     evidence: Evidence
     track_lonlat: FloatArray
+    """(n, 2) float64: the drive if it was here, every ten metres."""
 
     @property
     def score(self) -> float:
@@ -80,34 +72,22 @@ class Place:
 
 @dataclass(frozen=True)
 class Location:
-    """Where a drive was, or why that is not known.
-
-    Attributes
-    ----------
-    decision : Decision
-    places : list of Place
-        Best first, all apart from each other; the first is where it was if the decision is "found".
-    chance : float
-        Best score of the drive seen in a mirror.
-    georeference : Georeference or None
-        Of every scan, where found. Heights are those of the poses, over the first scan.
-    position_std_m : (N,) float64 or None
-        One sigma of the position of each scan: root of the mean variance of east and north, that of the map included.
-    heading_std_deg : (N,) float64 or None
-    leaving_out : dict of int to Georeference
-        The same without the use of one node of the map, by its OSM id: what scores that node fairly.
-    facts : dict
-        Size of drive and map, seconds; for run.json.
-    """
+    """Where a drive was, or why that is not known."""
 
     decision: Decision
     places: list[Place]
+    """Best first, all apart from each other; the first is where it was if the decision is "found"."""
     chance: float = 0.0
+    """Best score of the drive seen in a mirror."""
     georeference: Georeference | None = None
+    """Of every scan, where found. Heights are those of the poses, over the first scan."""
     position_std_m: FloatArray | None = None
+    """(N,) one sigma of the position of each scan: root of the mean variance of east and north, the map included."""
     heading_std_deg: FloatArray | None = None
     leaving_out: dict[int, Georeference] = field(default_factory=dict)
+    """The same without the use of one node of the map, by its OSM id: what scores that node fairly."""
     facts: dict[str, Any] = field(default_factory=dict)
+    """Size of drive and map, seconds; for run.json."""
 
     def __repr__(self) -> str:
         best = ""
@@ -178,10 +158,16 @@ def locate(
     sightings = NO_SIGHTINGS if result is None else sightings_of(result, drive.frames, track)
     roads = road_map(graph, near, radius_m)
     roads.prepare()
-    count = _Count(progress)
+    lock, done = Lock(), itertools.count(1)  # the two searches run side by side
+
+    def add(_: int, total: int) -> None:
+        with lock:
+            if progress is not None:
+                progress(min(next(done), 2 * total), 2 * total)
+
     with ThreadPoolExecutor(2) as pool:  # the kernels let go of the interpreter
-        mirrored = pool.submit(_find_places, track.mirrored(), sightings.mirrored(), roads, count.add)
-        found = _find_places(track, sightings, roads, count.add)
+        mirrored = pool.submit(_find_places, track.mirrored(), sightings.mirrored(), roads, add)
+        found = _find_places(track, sightings, roads, add)
         by_chance = mirrored.result()
     chance = by_chance[0].score if by_chance else 0.0
     decision = decide(
@@ -315,20 +301,3 @@ def _check_near(near: tuple[float, float] | None, radius_m: float | None) -> Non
         )
     if radius_m is not None and not radius_m > 0.0:
         raise ConfigError(f"radius_m is {radius_m:g}. Expected a positive number of metres.")
-
-
-class _Count:
-    """Progress of the two searches: the drive, and its mirror image."""
-
-    def __init__(self, progress: Progress | None) -> None:
-        self._progress = progress
-        self._done = 0
-        self._lock = threading.Lock()  # the two searches run side by side
-
-    def add(self, _: int, total: int) -> None:
-        """Count one more place bent onto the roads."""
-        if self._progress is None:
-            return
-        with self._lock:
-            self._done = min(self._done + 1, 2 * total)
-            self._progress(self._done, 2 * total)

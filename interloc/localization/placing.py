@@ -143,7 +143,9 @@ def fair_result(placed: DriveResult, drive: Drive, location: Location, nodes: In
     rows = np.searchsorted(drive.frames, placed.keyframes.frame)
     detections, fused = placed.detections, placed.intersections
     of_detection = rows[detections.keyframe]
-    of_fused = _scan_of_fused(placed, rows)
+    of_fused = np.zeros(len(fused), dtype=np.int64)  # a scan in the middle of those that saw each
+    for row, members in members_of(detections.intersection, len(fused)):
+        of_fused[row] = of_detection[members[len(members) // 2]]
     assert detections.lonlat is not None
     assert fused.lonlat is not None
     lonlat, fused_lonlat = detections.lonlat.copy(), fused.lonlat.copy()
@@ -164,14 +166,6 @@ def fair_result(placed: DriveResult, drive: Drive, location: Location, nodes: In
         intersections=replace(fused, lonlat=fused_lonlat),
         run=placed.run | {"location": placed.run["location"] | {"scored": FAIR}},
     )
-
-
-def _scan_of_fused(placed: DriveResult, rows: IntArray) -> IntArray:
-    """Return the scan of a keyframe in the middle of those that saw each fused intersection."""
-    scans = np.zeros(len(placed.intersections), dtype=np.int64)
-    for row, members in members_of(placed.detections.intersection, len(scans)):
-        scans[row] = rows[placed.detections.keyframe[members[len(members) // 2]]]
-    return scans
 
 
 def _nearest(lonlat: FloatArray, nodes: IntersectionNodes) -> IntArray:

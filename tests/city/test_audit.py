@@ -78,6 +78,16 @@ def passes(count: int = 2, sides_m: Sequence[float] = SIDES_M) -> list[Pass]:
     return found
 
 
+def node(number: int, x: float, y: float) -> str:
+    lon, lat = lonlat_from_enu(*ORIGIN, np.array([x, y])).tolist()
+    return f'<node id="{number}" version="1" lat="{lat:.8f}" lon="{lon:.8f}"/>'
+
+
+def way(number: int, refs: Sequence[int], tags: str = "", highway: str = "residential") -> str:
+    of = "".join(f'<nd ref="{each}"/>' for each in refs)
+    return f'<way id="{number}" version="1">{of}<tag k="highway" v="{highway}"/>{tags}</way>'
+
+
 def osm(
     folder: Path,
     sides: Sequence[tuple[float, float]] = tuple((x, 0.0) for x in SIDES_M),
@@ -88,26 +98,14 @@ def osm(
 
     Streets beside it show that the map goes on there: a comb alone looks as if it were cut off at its teeth.
     """
-    lines, refs, number = [], [], 1
-    for x, y in ((-400.0, 0.0), *sorted(sides), (700.0, 0.0)):
-        lon, lat = lonlat_from_enu(*ORIGIN, np.array([x, y])).tolist()
-        lines.append(f'<node id="{number}" version="1" lat="{lat:.8f}" lon="{lon:.8f}"/>')
-        refs.append(number)
-        number += 1
-    ways = [("residential", refs, tags)]
-    for ref, (x, _) in zip(refs[1:-1], sorted(sides), strict=True):
-        lon, lat = lonlat_from_enu(*ORIGIN, np.array([x, 60.0])).tolist()
-        lines.append(f'<node id="{100 + ref}" version="1" lat="{lat:.8f}" lon="{lon:.8f}"/>')
-        ways.append(("residential", [ref, 100 + ref], ""))
-    for first, y in ((500, -150.0), (600, 150.0)):
-        for number, x in enumerate(np.arange(-400.0, 701.0, 100.0), first):
-            lon, lat = lonlat_from_enu(*ORIGIN, np.array([x, y])).tolist()
-            lines.append(f'<node id="{number}" version="1" lat="{lat:.8f}" lon="{lon:.8f}"/>')
-        ways += [("residential", [number, number + 1], "") for number in range(first, first + 11)]
-    for way, (highway, nodes, more) in enumerate(ways, 1000):
-        of = "".join(f'<nd ref="{each}"/>' for each in nodes)
-        lines.append(f'<way id="{way}" version="1">{of}<tag k="highway" v="{highway}"/>{more}</way>')
-    (folder / "map.osm").write_text(f'<osm version="0.6">{"".join(lines)}{extra}</osm>')
+    feet = [(-400.0, 0.0), *sorted(sides), (700.0, 0.0)]
+    parts = [node(number, *at) for number, at in enumerate(feet, 1)]
+    parts += [node(100 + foot, feet[foot - 1][0], 60.0) for foot in range(2, len(feet))]
+    parts += [node(first + i, -400.0 + 100.0 * i, y) for first, y in ((500, -150.0), (600, 150.0)) for i in range(12)]
+    parts += [way(1000, range(1, len(feet) + 1), tags)]
+    parts += [way(999 + foot, (foot, 100 + foot)) for foot in range(2, len(feet))]
+    parts += [way(1000 + one, (one, one + 1)) for first in (500, 600) for one in range(first, first + 11)]
+    (folder / "map.osm").write_text(f'<osm version="0.6">{"".join(parts)}{extra}</osm>')
     return read_osm(folder / "map.osm")
 
 
@@ -147,12 +145,8 @@ def test_a_junction_of_a_one_way_street_lies_elsewhere_but_not_one_of_two_carria
 ) -> None:
     sides, one_way = [*all_but(300.0), (308.0, -9.0)], '<tag k="oneway" v="yes"/>'
     assert told(audit(city, osm(tmp_path, sides, tags=one_way))) == [("moved", 300)]
-    places = lonlat_from_enu(*ORIGIN, np.array([[700.0, -20.0], [-400.0, -20.0]])).tolist()
-    nodes = "".join(
-        f'<node id="{900 + i}" version="1" lat="{y:.8f}" lon="{x:.8f}"/>' for i, (x, y) in enumerate(places)
-    )
-    back = f'<way id="2000" version="1"><nd ref="900"/><nd ref="901"/><tag k="highway" v="residential"/>{one_way}</way>'
-    assert told(audit(city, osm(tmp_path, sides, extra=nodes + back, tags=one_way))) == []
+    back = node(900, 700.0, -20.0) + node(901, -400.0, -20.0) + way(2000, (900, 901), one_way)
+    assert told(audit(city, osm(tmp_path, sides, extra=back, tags=one_way))) == []
 
 
 def test_a_branch_that_a_junction_lacks_is_found(tmp_path: Path) -> None:
@@ -164,27 +158,16 @@ def test_a_branch_that_a_junction_lacks_is_found(tmp_path: Path) -> None:
         )
         for each in passes()
     ]
-    for each in crossing:
-        assert each.road is not None
     assert told(audit(merge(crossing), osm(tmp_path))) == []  # no road was seen to the south
-    lon, lat = lonlat_from_enu(*ORIGIN, np.array([200.0, -60.0])).tolist()
-    south = f'<node id="900" version="1" lat="{lat:.8f}" lon="{lon:.8f}"/>'
-    way = '<way id="2000" version="1"><nd ref="6"/><nd ref="900"/><tag k="highway" v="residential"/></way>'
-    half = osm(tmp_path, all_but(200.0), extra=south + way)  # node 6 is the one at 100
+    south = node(900, 200.0, -60.0) + way(2000, (6, 900))  # node 6 is the one at 100
+    half = osm(tmp_path, all_but(200.0), extra=south)
     assert told(audit(merge(passes()), half)) == [("missing_junction", 200)]
 
 
 def test_a_node_where_other_ground_was_seen_is_a_phantom_where_asked_for(tmp_path: Path) -> None:
-    south = "".join(
-        f'<node id="{900 + i}" version="1" lat="{lat:.8f}" lon="{lon:.8f}"/>'
-        for i, (lon, lat) in enumerate(lonlat_from_enu(*ORIGIN, np.array([[50.0, 0.0], [50.0, -14.0]])).tolist())
-    )
     # A road to the south along which other ground was seen, joined to the street by a node of its own.
-    way = '<way id="2000" version="1"><nd ref="900"/><nd ref="901"/><tag k="highway" v="residential"/></way>'
-    links = (
-        '<way id="2001" version="1"><nd ref="5"/><nd ref="900"/><nd ref="6"/><tag k="highway" v="residential"/></way>'
-    )
-    graph = osm(tmp_path, extra=south + way + links)
+    south = node(900, 50.0, 0.0) + node(901, 50.0, -14.0) + way(2000, (900, 901)) + way(2001, (5, 900, 6))
+    graph = osm(tmp_path, extra=south)
     far = [replace(each, road=replace(each.road, other=None)) for each in passes() if each.road is not None]
     assert told(audit(merge(passes()), graph)) == []
     assert told(audit(merge(far), graph, ALL_KINDS)) == []  # not told from what was not seen
@@ -269,13 +252,9 @@ def test_levels_and_roundabouts_are_looked_at_before_anything_is_claimed(
 
 
 def test_a_driveway_on_the_map_is_nothing_missing(city: CityMap, tmp_path: Path) -> None:
-    ends = lonlat_from_enu(*ORIGIN, np.array([[100.0, 0.0], [100.0, 60.0]])).tolist()
-    nodes = "".join(f'<node id="{900 + i}" version="1" lat="{y:.8f}" lon="{x:.8f}"/>' for i, (x, y) in enumerate(ends))
-    way = (
-        '<way id="2000" version="1"><nd ref="900"/><nd ref="901"/><tag k="highway" v="service"/>'
-        '<tag k="access" v="private"/></way>'
-    )
-    assert told(audit(city, osm(tmp_path, all_but(100.0), extra=nodes + way))) == []
+    private = way(2000, (900, 901), '<tag k="access" v="private"/>', "service")
+    extra = node(900, 100.0, 0.0) + node(901, 100.0, 60.0) + private
+    assert told(audit(city, osm(tmp_path, all_but(100.0), extra=extra))) == []
 
 
 def test_nothing_is_said_of_what_a_made_up_map_lacks(city: CityMap, tmp_path: Path) -> None:

@@ -20,7 +20,9 @@ def test_wilsons_interval() -> None:
     assert wilson(0, 0) == (None, None)
     assert wilson(81, 263) == pytest.approx((0.2553, 0.3662), abs=1e-4)  # Newcombe 1998, table I
     assert wilson(0, 20) == pytest.approx((0.0, 0.1611), abs=1e-4)
-    assert Precision.of(["right", "fixed", "wrong", "cannot_tell"]) == Precision(2, 1, 1, 2 / 3, *wilson(2, 3))
+    found = Precision.of(["right", "fixed", "wrong", "cannot_tell"])
+    assert (found.right, found.wrong, found.cannot_tell) == (2, 1, 1)
+    assert (found.share, found.low, found.high) == (2 / 3, *wilson(2, 3))
 
 
 def test_the_last_verdict_of_a_finding_counts() -> None:

@@ -28,7 +28,6 @@ def site(tmp_path: Path) -> Path:
     folder = tmp_path / "site"
     (folder / "tables-1.0.dist-info").mkdir(parents=True)
     example = EXAMPLE.search((ROOT / "docs/library.md").read_text())
-    assert example is not None
     (folder / "tables_of_points.py").write_text(example[1])
     (folder / "tables-1.0.dist-info/METADATA").write_text("Metadata-Version: 2.1\nName: tables\nVersion: 1.0\n")
     (folder / "tables-1.0.dist-info/entry_points.txt").write_text(

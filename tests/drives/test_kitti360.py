@@ -60,13 +60,11 @@ def test_all_of_a_drive_is_found(published: Path, make: ModuleType, folder: str)
     assert (drive.layout, drive.pose_frame, drive.name) == ("kitti360", "imu", DRIVE)
     assert drive.frames.tolist() == list(range(100, 111))
     np.testing.assert_allclose(drive.T_world_lidar, make.lidar_poses()[:11], atol=1e-5)
-    assert drive.times_s is not None
     np.testing.assert_allclose(np.diff(drive.times_s), 0.1, atol=1e-6)
 
 
 def test_its_world_is_the_georeference(published: Path) -> None:
     drive = open_drive(published, labels="predictions")
-    assert drive.georeference is not None
     assert "in the world of KITTI-360" in drive.georeference.source
     on_ellipsoid = poses_of(drive.georeference)
     np.testing.assert_allclose(on_ellipsoid, drive.T_world_lidar, atol=0.05)  # 0.2 % of 20 m
@@ -84,7 +82,6 @@ def test_camera_poses_will_do(published: Path, make: ModuleType) -> None:
 def write_oxts(published: Path, *, lat_offset_deg: float = 0.0) -> Georeference:
     """Write the OXTS of the poses, as it would be without errors, and return the georeference of the poses."""
     world = open_drive(published, labels="predictions").georeference
-    assert world is not None
     oxts = published / "data_poses" / DRIVE / "oxts" / "data"
     oxts.mkdir(parents=True)
     cam_to_velo = np.loadtxt(published / "calibration" / "calib_cam_to_velo.txt").reshape(3, 4)
@@ -102,7 +99,6 @@ def test_oxts_can_be_given(published: Path) -> None:
     oxts = published / "data_poses" / DRIVE / "oxts"
     assert find_layout(published, DriveOptions()).oxts == oxts
     given = open_drive(published, labels="predictions", oxts=oxts).georeference
-    assert given is not None
     assert given.source.endswith("lever arm of calib_cam_to_pose.txt")
     np.testing.assert_allclose(given.R_enu_lidar, world.R_enu_lidar, atol=1e-6)
 
@@ -114,12 +110,10 @@ def test_the_poses_are_smoother_than_oxts_unless_they_were_moved(published: Path
         if gap:  # not fatal
             (oxts / "data" / "0000000105.txt").unlink()
         found = open_drive(published, labels="predictions").georeference
-        assert found is not None
         assert found.source == world.source
     shutil.rmtree(oxts)
     write_oxts(published, lat_offset_deg=0.01)
     found = open_drive(published, labels="predictions").georeference
-    assert found is not None
     assert found.source.endswith("lever arm of calib_cam_to_pose.txt")
     shutil.rmtree(oxts)
     text = make.pose_text(make.lidar_poses(), frames=list(range(100, 112)))  # from the identity: no georeference
@@ -146,13 +140,10 @@ def test_a_drive_may_hold_its_part_of_the_data_set(published: Path, make: Module
     opened = open_drive(own, labels="predictions")
     assert (opened.layout, opened.pose_frame) == ("kitti360", "imu")
     np.testing.assert_allclose(opened.T_world_lidar, make.lidar_poses()[:11], atol=1e-5)
-    assert opened.georeference is not None
     assert "in the world of KITTI-360" in opened.georeference.source
 
     contents = {path.relative_to(own).as_posix(): path.read_bytes() for path in own.rglob("*") if path.is_file()}
     look = look_into({path: len(data) for path, data in contents.items()}, contents, "files", keyframes=None).drive
-    assert look is not None
-    assert look.plan is not None
     assert look.plan.kept == [(100, 11)]
     assert look.plan.manifest.files.poses == f"data_poses/{DRIVE}/poses.txt"
     assert "in the world of KITTI-360" in str(look.georeference)
@@ -190,7 +181,6 @@ def test_a_real_drive_laid_out_as_published(tmp_path: Path, data: Callable[[str]
     """The sample placed in the world of its georeference: the same drive comes out."""
     source = open_drive(data("kitti360_0009"))
     fixes = source.georeference
-    assert fixes is not None
     scale = np.cos(np.radians(ORIGIN_LAT_DEG)) * 6378137
     world = np.tile(np.eye(4), (len(source.frames), 1, 1))
     world[:, :3, :3] = fixes.R_enu_lidar
@@ -206,7 +196,6 @@ def test_a_real_drive_laid_out_as_published(tmp_path: Path, data: Callable[[str]
     lines = np.column_stack([source.frames, world[:, :3].reshape(-1, 12)])
     np.savetxt(tmp_path / "data_poses" / DRIVE / "poses.txt", lines, fmt="%.12g")
     found = open_drive(tmp_path, pose_frame="lidar")
-    assert found.georeference is not None
     np.testing.assert_allclose(found.georeference.lat_deg, fixes.lat_deg, atol=1e-9)
     np.testing.assert_allclose(found.georeference.lon_deg, fixes.lon_deg, atol=1e-9)
     np.testing.assert_allclose(found.T_world_lidar[:, :3, 3], source.T_world_lidar[:, :3, 3], atol=0.3)

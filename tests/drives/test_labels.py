@@ -31,7 +31,6 @@ def test_the_groups_of_every_scheme() -> None:
 @given(st.frozensets(st.integers(0, 65535), min_size=1, max_size=20))
 def test_the_table_holds_the_custom_ids_and_no_others(ids: frozenset[int]) -> None:
     scheme = named_scheme(",".join(map(str, ids)))
-    assert scheme is not None
     assert set(np.flatnonzero(scheme.groups() == 1).tolist()) == ids
     assert not (scheme.groups() == 2).any()
 
@@ -39,7 +38,6 @@ def test_the_table_holds_the_custom_ids_and_no_others(ids: frozenset[int]) -> No
 @pytest.mark.parametrize("choice", ["40,60", "40 60", " 60, 40 "])
 def test_ids_as_text(choice: str) -> None:
     scheme = named_scheme(choice)
-    assert scheme is not None
     assert scheme.road == {40, 60}
 
 

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 import pickle
-import subprocess
 import sys
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
@@ -110,9 +108,8 @@ def test_ground_behind_a_pole_is_labelled_by_its_neighbours(tmp_path: Path) -> N
         assert (labels[: -len(pole)] != ROAD_ID).sum() == (0 if knn else len(pole))
 
 
-@pytest.mark.parametrize("layout", ["NHW", "N1HW"])
-def test_mask_tells_the_network_which_pixels_have_a_point(tmp_path: Path, layout: str) -> None:
-    model = read_model(write_model(tmp_path / "m", **ALL_ROWS, mask=layout))
+def test_mask_tells_the_network_which_pixels_have_a_point(tmp_path: Path) -> None:
+    model = read_model(write_model(tmp_path / "m", **ALL_ROWS, mask="NHW"))
     network = Network(model.graph, model.form, height=HEIGHT, width=WIDTH, classes=20, provider="cpu", threads=1)
     filled = np.zeros((HEIGHT, WIDTH), np.bool_)
     filled[3, 5:9] = True
@@ -170,10 +167,6 @@ def test_points_that_are_nowhere_are_unlabelled(tmp_path: Path) -> None:
     assert labels[9] != 0
     assert labeller.label(points[[3, 7]]).tolist() == [0, 0]
     assert labeller.label(points[:0]).shape == (0,)
-
-
-def test_a_scan_needs_four_columns(tmp_path: Path) -> None:
-    labeller = Labeller(read_model(write_model(tmp_path / "m", **ALL_ROWS)), threads=1)
     with pytest.raises(ModelError, match=r"\(5, 3\) are no scan; expected \(N, 4\)"):
         labeller.label(np.ones((5, 3), np.float32))
 
@@ -209,10 +202,6 @@ def test_missing_provider_names_those_there_are(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"'tpu' is not available; this onnxruntime has .*cpu") as caught:
         Labeller(model, provider="tpu").load()
     assert caught.value.exit_code == 2
-
-
-def test_threads_are_at_least_one(tmp_path: Path) -> None:
-    model = read_model(write_model(tmp_path / "m", **ALL_ROWS))
     with pytest.raises(ConfigError, match="at least 1"):
         Labeller(model, threads=0)
 
@@ -272,31 +261,3 @@ def test_real_scans(tmp_path: Path, data: Callable[[str], Path], name: str) -> N
         labels = labeller.label(points)
         assert labels.shape == (len(points),)
         assert np.mean(labels == truth(points)) > 0.97  # hidden points, and those beside the border
-
-
-def test_number_of_threads_does_not_change_labels(tmp_path: Path) -> None:
-    model = read_model(write_model(tmp_path / "m", **ALL_ROWS, smooth=True, output="softmax"))
-    one, two = (Labeller(model, threads=threads).label(street()) for threads in (1, 2))
-    np.testing.assert_array_equal(one, two)
-
-
-FORK = """
-import os, sys
-import numpy as np
-from interloc.labelling.rangenet.labeller import Labeller
-from interloc.labelling.rangenet.model import read_model
-
-points = np.random.default_rng(0).normal(0, 5, (500, 4)).astype(np.float32)
-labeller = Labeller(read_model(sys.argv[1]), threads=2)
-expected = labeller.label(points)
-child = os.fork()
-if not child:
-    os._exit(not np.array_equal(labeller.label(points), expected))
-sys.exit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
-"""
-
-
-@pytest.mark.skipif(not hasattr(os, "fork"), reason="this system cannot fork processes")
-def test_a_forked_process_loads_a_network_of_its_own(tmp_path: Path) -> None:
-    folder = write_model(tmp_path / "m", **ALL_ROWS)
-    subprocess.run([sys.executable, "-W", "ignore", "-c", FORK, folder], check=True, timeout=60)

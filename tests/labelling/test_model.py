@@ -55,11 +55,10 @@ def test_published_settings_are_understood(tmp_path: Path) -> None:
     assert model.knn == KnnSettings(neighbours=5, search=7, sigma=1.0, cutoff=1.0)
     assert model.first_class == 1
     assert pickle.loads(pickle.dumps(model)) == model  # noqa: S301 - our own
-    assert model.notes == ()
+    assert model.form.notes == ()
 
 
 def test_without_knn_there_is_no_post_processing(tmp_path: Path) -> None:
-    assert read_model(write_model(tmp_path / "off", **SMALL, knn=False)).knn is None
     assert read_model(write_model(tmp_path / "none", **SMALL, edit_arch=changed("post", None))).knn is None
 
 
@@ -69,17 +68,11 @@ def test_class_0_votes_only_where_it_is_not_ignored(tmp_path: Path) -> None:
         assert read_model(write_model(tmp_path / str(ignored), **SMALL, edit_data=edit)).first_class == first
 
 
-def test_learning_map_is_inverted_where_its_inverse_is_missing(tmp_path: Path) -> None:
-    model = read_model(write_model(tmp_path / "m", **SMALL, edit_data=changed("learning_map_inv", None)))
-    assert model.class_ids == tuple(LEARNING_MAP_INV.values())
-    assert "lowest id" in model.notes[0]
-
-
 def test_use_of_one_of_several_outputs_is_told(tmp_path: Path) -> None:
     model = read_model(write_model(tmp_path / "m", **SMALL, aux=(2, 4), aux_first=True))
     assert model.form.outputs == ("output",)
-    assert "several outputs; 'output'" in model.notes[0]
-    assert "'aux1' tensor(float) (1, 20, 4, 32)" in model.notes[0]
+    assert "several outputs; 'output'" in model.form.notes[0]
+    assert "'aux1' tensor(float) (1, 20, 4, 32)" in model.form.notes[0]
 
 
 def test_numbers_may_be_written_as_yaml_reads_words(tmp_path: Path) -> None:
@@ -281,9 +274,6 @@ def test_models_of_a_folder_are_listed_with_those_that_are_broken(tmp_path: Path
     assert (broken.name, half.name) == ("a-broken", "d-half")
     assert "fov_up: is missing" in (broken.problem or "")
     assert "model.onnx is missing" in (half.problem or "")
-
-
-def test_list_of_a_folder_that_is_not_there(tmp_path: Path) -> None:
     with pytest.raises(ModelError, match="cannot be read: no such file"):
         describe_networks(tmp_path / "nowhere")
 

@@ -8,9 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import ArrayLike
 
 from interloc.errors import ModelError
 from interloc.labelling import networks
+from interloc.labelling.networks import remission_scale
 
 ROOT = Path(__file__).parents[2]
 EXAMPLE = re.compile(r"^## A network of your own$.*?^```python\n(.*?)^```", re.MULTILINE | re.DOTALL)
@@ -47,3 +49,22 @@ def test_a_network_of_another_package(package: str, tmp_path: Path) -> None:
     assert networks.open_network(models / "theirs").label(np.zeros((3, 4), np.float32)).tolist() == [40] * 3
     with pytest.raises(ModelError, match=r"model\.onnx is missing"):
         networks.open_network(models / "none")
+
+
+SPREAD = np.random.default_rng(0).uniform(0, 1, 5000)
+
+
+@pytest.mark.parametrize(
+    ("values", "scale"),
+    [
+        *((highest * SPREAD, 1.0) for highest in (0.3, 1.0, 1.2)),
+        *((highest * SPREAD, 255.0) for highest in (20.0, 255.0)),
+        (3000.0 * SPREAD, 65535.0),
+        (np.concatenate([[1e9, np.nan, np.inf], np.full(5000, 0.3)]), 1.0),  # single wrong values do not matter
+        *((none, 1.0) for none in ([], [0.0, 0.0], [np.nan])),
+        (np.arange(256, dtype=np.uint8), 255.0),
+        (np.arange(0, 60000, 10, dtype=np.uint16), 65535.0),
+    ],
+)
+def test_smallest_scale_that_holds_the_values(values: ArrayLike, scale: float) -> None:
+    assert remission_scale(values) == scale  # type: ignore[arg-type]

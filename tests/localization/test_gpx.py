@@ -34,7 +34,7 @@ def test_a_drive_is_laid_on_the_track(by: str) -> None:
     assert placed.matched_by == by
     assert np.median(error_m) < 4.0
     assert error_m.max() < 12.0
-    assert 4.0 <= np.median(placed.position_std_m) < 6.0
+    assert 4.0 <= np.median(placed.georeference.position_std_m) < 6.0
     assert "phone.gpx" in placed.georeference.source
 
 

@@ -49,14 +49,9 @@ def test_a_crossing_is_one_sighting_with_its_branches() -> None:
     angles = np.sort(np.degrees(wrap_angle(seen.angles_rad[0, :3])))
     assert np.allclose(np.abs(angles), [180.0, 0.0, 90.0], atol=1e-6) or np.allclose(angles, [0.0, 90.0, 180.0])
     assert np.isnan(seen.angles_rad[0, 3:]).all()
+    assert np.allclose(seen.mirrored().xy, CROSSING * [1.0, -1.0], atol=1e-6)
 
 
 def test_two_detections_are_no_intersection() -> None:
     poses = straight()
     assert len(sightings_of(run_over(poses, [18, 20]), np.arange(60), track_of(poses))) == 0
-
-
-def test_in_a_mirror_left_is_right() -> None:
-    poses = straight()
-    seen = sightings_of(run_over(poses, list(range(10, 30))), np.arange(60), track_of(poses))
-    assert np.allclose(seen.mirrored().xy, CROSSING * [1.0, -1.0], atol=1e-6)

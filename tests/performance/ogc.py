@@ -160,9 +160,8 @@ def fill_map(context: Context, map_id: str) -> None:
             "confidence": rng.random(per_block).tolist(),
         }
         features += layer.features(np.round(lonlat, 7).tolist(), **columns)
-    show = write_map_rows(context.database, map_id, rows_of_map({"city": features}), lambda: None)
     with context.database.writing() as session:
-        show(session)
+        write_map_rows(session, map_id, rows_of_map({"city": features}))
 
 
 def measure(call: Callable[[], Any]) -> tuple[float, float]:

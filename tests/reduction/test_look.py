@@ -42,11 +42,9 @@ def look_at(
     listing = {path.relative_to(root).as_posix(): path.stat().st_size for path in root.rglob("*") if path.is_file()}
     chosen = options or (lambda _, name: DriveOptions(name=name))
     first = look_into(listing, {}, root.name, options=chosen).drive
-    assert first is not None
     contents = {path: (root / path).read_bytes()[:size] for path, size in first.wanted.items()}
     counts = label_counts or {}
     again = look_into(listing, contents, root.name, options=chosen, keyframes=keyframes, label_counts=counts).drive
-    assert again is not None
     assert again.wanted == {}
     return again
 
@@ -59,21 +57,17 @@ def test_a_look_finds_what_reading_the_drive_finds(drive: Path) -> None:
     look, report = look_at(drive), inspect_drive(drive)
     plan = prepare_reduction(drive, keyframes=KeyframeConfig()).plan
     assert (look.layout, look.pose_frame) == (report.layout, report.pose_frame)
-    assert look.scans is not None
     assert (look.scans.count, look.scans.size_bytes) == (report.scans, report.scan_bytes)
     assert look.scans.runs == [(0, 12)]
     assert look.labels["labels"].size_bytes == report.label_bytes
     assert look.points_per_scan == report.points_per_scan
-    assert look.track is not None
     assert look.track.length_m == report.length_m
     assert look.keyframes == len(plan.kept)
     assert look.frames_to_look_into == [0, 3, 6, 8, 11]
     assert errors(look) == []
-    assert look.plan is not None
     assert look.plan.manifest == plan.manifest
     assert (look.plan.scans, look.plan.kept) == (12, [(0, 1), (3, 1), (6, 1), (9, 1)])
     every = look_at(drive, keyframes=None).plan
-    assert every is not None
     assert (every.kept, every.manifest.keyframes) == ([(0, 12)], None)
 
 
@@ -84,7 +78,6 @@ def test_counted_label_ids_tell_what_they_mean(drive: Path) -> None:
     assert (labels.scheme, labels.road, labels.confusable) == ("learning", [9], [10, 11, 12])
     assert (labels.road_share, labels.ground_share) == (0.5, 0.8)
     assert [problem.severity for problem in labels.problems] == ["note"]
-    assert look.plan is not None
     (written,) = look.plan.manifest.labels
     assert (written.folder, written.scheme, written.counts) == ("labels", "learning", counts["labels"])
     bare = look_at(drive, label_counts={"labels": {70: 5}}).labels["labels"]
@@ -102,7 +95,6 @@ def test_a_part_of_a_drive_is_planned(drive: Path) -> None:
         return look_at(drive, lambda _, name: DriveOptions(name=name, frames=part))
 
     plan = plan_for("3:9").plan
-    assert plan is not None
     assert (plan.scans, plan.kept, plan.manifest.scans) == (6, [(3, 1), (6, 1)], [(3, 6)])
     (problem,) = errors(plan_for("12:"))
     assert "has no scan in the part 12:" in problem
@@ -114,14 +106,12 @@ def test_a_georeference_from_elsewhere_is_part_of_the_plan(tmp_path: Path) -> No
     rows = oxts_lines(lidar_poses(), T_lidar_imu=np.eye(4))
     (root / "georeference/gnss.txt").write_text("\n".join(rows) + "\n")
     look = look_at(root, lambda place, _: DriveOptions(oxts=place / "georeference/gnss.txt", name="08"))
-    assert look.plan is not None
     assert (look.plan.manifest.name, look.plan.manifest.files.oxts) == ("08", "georeference/gnss.txt")
     assert look.georeference == "georeference/gnss.txt, lever arm as published by KITTI"
     raw = write_kitti_raw(root / "georeference/2011_09_26_drive_0001_sync", poses=lidar_poses())
     for folder in ("velodyne_points", "labels"):
         shutil.rmtree(raw / folder)
     by_raw = look_at(root, lambda place, _: DriveOptions(oxts=place / "georeference" / raw.name)).plan
-    assert by_raw is not None
     oxts = by_raw.manifest.files.oxts
     assert by_raw.files[f"{oxts}/0000000011.txt"] == f"georeference/{raw.name}/oxts/data/0000000011.txt"
     (root / "geo.csv").write_text("frame\n")
@@ -134,16 +124,11 @@ def test_poses_are_laid_over_the_georeference(tmp_path: Path) -> None:
     root = write_kitti_raw(tmp_path / "2011_09_26_drive_0001_sync", poses=lidar_poses())
     by_oxts = look_at(root)
     assert by_oxts.layout == "kitti_raw"
-    assert by_oxts.track is not None
     assert (by_oxts.track.local, by_oxts.track.fitted) == (False, None)  # there are no other poses
     fixes = open_drive(root).georeference
-    assert fixes is not None
     np.testing.assert_allclose(by_oxts.track.positions, np.stack([fixes.lon_deg, fixes.lat_deg], axis=1), atol=1e-8)
     (root / "poses.txt").write_text(pose_text(lidar_poses()))
     posed = look_at(root).track
-    assert posed is not None
-    assert posed.fitted is not None
-    assert posed.fit_m is not None
     assert posed.fit_m < 0.1
     np.testing.assert_allclose(posed.fitted, posed.positions, atol=2e-6)
 
@@ -200,7 +185,6 @@ def test_pcd_files_without_a_field_for_the_label_are_named(tmp_path: Path) -> No
 def test_what_is_wrong_with_recordings_is_told_from_their_names(files: dict[str, int], expected: list[str]) -> None:
     contents = {name: b"x y z\n123" for name in files if name.endswith(".txt")}
     look = look_into(files, contents, "picked").drive
-    assert look is not None
     found = errors(look)
     assert len(found) == len(expected)
     assert all(text.startswith(start) for text, start in zip(found, expected, strict=True))
@@ -214,7 +198,6 @@ def test_tables_beside_clouds_are_opened_where_their_contents_are_given(monkeypa
     monkeypatch.setattr(look_module, "is_track", lambda path: opened.append(path.name) or is_track(path))
     files = {"a.las": 10**8, "las/b.out": 272, **{f"{number}.csv": 19 for number in range(1000)}}
     look = look_into(files, {"7.csv": b"time,x,y,z\n1,2,3,4\n"}, "picked").drive
-    assert look is not None
     assert opened == ["7.csv", "b.out"]
     assert look.pose_files == ["7.csv", "las/b.out"]
 
@@ -224,7 +207,6 @@ def test_poses_of_las_files_with_one_scan_each_are_shown(drive: Path, tmp_path: 
     root = write_scan_files(open_drive(drive), tmp_path / "clouds")
     look = look_at(root)
     assert (look.layout, look.pose_files, look.georeference_reason, errors(look)) == ("las", ["poses.txt"], None, [])
-    assert look.track is not None
     assert look.track.length_m == pytest.approx(inspect_drive(root).length_m)
 
 
@@ -251,14 +233,12 @@ def test_messages_do_not_tell_where_the_drive_was_laid_out(drive: Path) -> None:
 def test_a_drive_of_too_many_files_is_not_laid_out(drive: Path) -> None:
     files = {f"velodyne/{frame:06d}.bin": 16 for frame in range(20)}
     look = look_into(files, {}, drive.name, max_files=19).drive
-    assert look is not None
     assert errors(look) == ["files 20 are too many; expected at most 19. Cut the drive."]
 
 
 def test_a_name_that_is_file_and_folder_is_a_problem() -> None:
     files = {"velodyne/000000.bin": 16, "oxts/1.txt": 4, "oxts/1.txt/2.txt": 4}
     look = look_into(files, {}, "odd").drive
-    assert look is not None
     assert errors(look)
 
 
@@ -284,7 +264,6 @@ def test_a_bag_is_looked_into_by_ranges_of_its_bytes(form: str, compression: Any
         ranges: dict[str, dict[int, bytes]] = {}
         for turns in range(6):
             found = look_into(listing, {}, root.name, ranges=ranges).drive
-            assert found is not None
             for name, wanted in found.wanted_ranges.items():
                 for start, stop in wanted:
                     ranges.setdefault(name, {})[start] = paths[name].read_bytes()[start:stop]
@@ -310,5 +289,4 @@ def test_a_damaged_bag_is_left_to_the_check(tmp_path: Path) -> None:
         bytes(9000),
     ):
         found = look_into({"a.bag": len(content)}, {}, "a", ranges={"a.bag": {0: content}}).drive
-        assert found is not None
         assert (found.wanted_ranges, found.carries_labels) == ({}, None)

@@ -14,7 +14,14 @@ import numpy as np
 
 from interloc.arrays import Float32Array, FloatArray, IntArray, UInt32Array
 from interloc.drives.findings import DriveFileError, Findings
-from interloc.drives.scans.recorded import PointSource, Recording, ScanPoints
+from interloc.drives.scans.recorded import (
+    SECTOR_DEG,
+    WIDE_VIEW_DEG,
+    PointSource,
+    Recording,
+    ScanPoints,
+    sectors_seen,
+)
 from interloc.drives.trajectory import Trajectory
 from interloc.labelling import networks
 from interloc.labelling.geometry import METHOD, GeometryLabeller
@@ -87,9 +94,6 @@ def open_network(folder: Path, provider: str, recording: Recording, findings: Fi
 
 
 # By geometry
-
-
-_MIN_VIEW_DEG = 200.0
 
 
 @dataclass(frozen=True)
@@ -167,13 +171,12 @@ def open_geometry(recording: Recording, trajectory: Trajectory, findings: Findin
             "beside low kerbs are taken for road.",
         )
     if len(usable):
-        points = recording.points.read(int(recording.frames[usable[len(usable) // 2]])).values
-        x, y = points[np.isfinite(points[:, :2]).all(axis=1), :2].T
-        seen_deg = 10.0 * len(np.unique(np.floor(np.degrees(np.arctan2(y, x)) / 10.0) % 36))  # in sectors of 10
-        if seen_deg < _MIN_VIEW_DEG:
+        middle = recording.points.read(int(recording.frames[usable[len(usable) // 2]]))
+        seen_deg = SECTOR_DEG * len(sectors_seen(middle))
+        if seen_deg < WIDE_VIEW_DEG:
             findings.warning(
                 where,
-                f"the sensor sees {seen_deg:.0f} degrees around it. Labels by geometry expect one that turns: side "
+                f"the sensor sees {seen_deg} degrees around it. Labels by geometry expect one that turns: side "
                 "streets are then seen late or not at all, and what is behind the vehicle is not labelled.",
             )
     return GeometryLabels.of_drive(recording.points, recording.frames, trajectory.poses.T_world_lidar, usable)

@@ -28,7 +28,15 @@ from interloc.drives.findings import DriveFileError, Findings
 from interloc.drives.labels import SEMANTICKITTI, LabelJudgement, LabelScheme, check_below, ids_below, judge_labels
 from interloc.drives.layouts import DriveParts
 from interloc.drives.options import DriveOptions, LabelFolder
-from interloc.drives.scans.recorded import PointSource, Recording, ScanFacts, ScanPoints
+from interloc.drives.scans.recorded import (
+    SECTOR_DEG,
+    WIDE_VIEW_DEG,
+    PointSource,
+    Recording,
+    ScanFacts,
+    ScanPoints,
+    sectors_seen,
+)
 from interloc.drives.trajectory import Trajectory, read_trajectory
 from interloc.errors import DriveError
 from interloc.kernels.points import select_points
@@ -38,10 +46,7 @@ _BELOW = 5
 
 _GLANCE_BYTES = 4096
 
-WIDE_VIEW_DEG = 200.0
-"""A sensor that turns sees more around it."""
-
-_SECTOR_DEG, _SCANS_OF_TURN = 10, 40
+_SCANS_OF_TURN = 40
 _TURN_DEG, _PARTS = 330, 2.5
 
 LABEL_BYTES = 4
@@ -226,16 +231,16 @@ class RawScans:
             return
         first = len(self.usable) // 2
         own, seen = self._sectors(int(self.usable[first])), set[int]()
-        if len(own) * _SECTOR_DEG >= WIDE_VIEW_DEG or not own:
+        if len(own) * SECTOR_DEG >= WIDE_VIEW_DEG or not own:
             return
         for index in self.usable[first : first + _SCANS_OF_TURN]:
             seen |= self._sectors(int(index))
-        if len(seen) * _SECTOR_DEG < min(_TURN_DEG, _PARTS * len(own) * _SECTOR_DEG):
+        if len(seen) * SECTOR_DEG < min(_TURN_DEG, _PARTS * len(own) * SECTOR_DEG):
             return  # a sensor that looks into one direction, or two
         findings.warning(
             self.parts.file(self.parts.scans).name,
-            f"a scan sees {len(own) * _SECTOR_DEG} degrees around the sensor, those after it see other parts, and "
-            f"together they see {len(seen) * _SECTOR_DEG}: each is a part of a turn, and roads are seen in pieces. "
+            f"a scan sees {len(own) * SECTOR_DEG} degrees around the sensor, those after it see other parts, and "
+            f"together they see {len(seen) * SECTOR_DEG}: each is a part of a turn, and roads are seen in pieces. "
             "Usual cause: packets of the sensor as messages. Have the driver publish whole turns, or join the points "
             "of each turn, moved by the poses.",
         )
@@ -244,9 +249,7 @@ class RawScans:
         """Return in which sectors around the sensor a scan has points."""
         assert self.frames is not None
         with suppress(DriveError):  # which is said where the scan is read
-            x, y = self.points_of(int(self.frames[index])).values[:, :2].T
-            angles = np.degrees(np.arctan2(y, x))[np.isfinite(x) & np.isfinite(y)]
-            return set(np.unique(np.floor(angles / _SECTOR_DEG).astype(int) % (360 // _SECTOR_DEG)).tolist())
+            return sectors_seen(self.points_of(int(self.frames[index])))
         return set()
 
     def tell_doubts(self, findings: Findings) -> None:

@@ -52,6 +52,17 @@ class ScanPoints:
         return sum(each.nbytes for each in (self.values, self.labels, self.times_s) if each is not None)
 
 
+SECTOR_DEG = 10
+WIDE_VIEW_DEG = 200.0
+"""A sensor that turns sees more around it."""
+
+
+def sectors_seen(points: ScanPoints) -> set[int]:
+    """Return in which sectors of 10 degrees around the sensor a scan has points."""
+    x, y = points.values[np.isfinite(points.values[:, :2]).all(axis=1), :2].T
+    return set(np.unique(np.floor(np.degrees(np.arctan2(y, x)) / SECTOR_DEG).astype(int) % 36).tolist())
+
+
 class PointSource(Protocol):
     """Where the points of the scans are read from.
 

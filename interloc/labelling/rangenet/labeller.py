@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Lock
@@ -18,28 +17,23 @@ from interloc.labelling.rangenet.graph import Network
 from interloc.labelling.rangenet.model import CHANNELS, KnnSettings, Model, read_model
 from interloc.processes import cores
 
-_inherited: list[Network] = []
-"""Networks of a parent process, kept for ever: freeing one would wait for its threads, which only the parent has."""
-
 
 class Labeller:
     """Gives every point of a scan a label, as a `ScanLabeller`.
 
-    The network is loaded when the first scan comes, once per process: a labeller that is sent to another process, or
-    inherited by a forked one, loads its own there. Several threads may label at the same time; the stopwatch sums the
-    time of each step over those of this process, without the loading.
+    The network is loaded when the first scan comes: a labeller that is sent to another process loads its own there.
+    Several threads may label at the same time.
     """
 
     def __init__(self, model: Model, provider: str = "cpu", threads: int | None = None) -> None:
         if threads is not None and threads < 1:
             raise ConfigError(f"threads: {threads}; a network needs at least 1.")
         self.model = model
-        self.name, self.identity, self.notes = model.name, model.identity, model.notes
+        self.name, self.identity, self.notes = model.name, model.identity, model.form.notes
         self._provider = provider
         self._threads = threads
         self._ids = np.array(model.class_ids, np.uint32)
         self._network: Network | None = None
-        self._process = 0
         self._lock = Lock()
 
     def load(self) -> None:
@@ -59,8 +53,11 @@ class Labeller:
         projection = project(points, model.height, model.width, model.fov_up_rad, model.fov_down_rad)  # III-A
         if not projection.filled.any():
             return np.full(len(points), self._ids[0], np.uint32)
-        image = range_image(points, projection)
-        given = normalise(image, projection, model.form.channels, model.means, model.stds)
+        image = fill_image(points, projection.index, projection.depth)
+        channels = np.array([CHANNELS.index(name) for name in model.form.channels], np.int32)
+        means, stds = np.array(model.means, np.float32), np.array(model.stds, np.float32)
+        # Empty pixels are zero *after* the normalisation, as in training: before it they would be far below any.
+        given = normalise_image(image, projection.index, channels, means, stds)
         classes = network.run(given, projection.filled)  # III-B
         if model.knn is None:
             found = by_pixel(classes, projection)
@@ -71,10 +68,8 @@ class Labeller:
 
     def _loaded(self) -> Network:
         with self._lock:
-            if self._network is None or self._process != os.getpid():
+            if self._network is None:
                 model = self.model
-                if self._network is not None:
-                    _inherited.append(self._network)
                 self._network = Network(
                     model.graph,
                     model.form,
@@ -84,7 +79,6 @@ class Labeller:
                     provider=self._provider,
                     threads=self._threads or cores(),
                 )
-                self._process = os.getpid()
             return self._network
 
     def __getstate__(self) -> dict[str, Any]:
@@ -128,27 +122,6 @@ def project(points: Float32Array, height: int, width: int, fov_up_rad: float, fo
     """
     index, pixel, depth = project_points(points, height, width, abs(fov_up_rad), abs(fov_down_rad))
     return Projection(index, pixel, depth)
-
-
-def range_image(points: Float32Array, projection: Projection) -> Float32Array:
-    """Return the (5, H, W) float32 image of range, x, y, z (metres, L) and remission; -1 in empty pixels."""
-    return fill_image(points, projection.index, projection.depth)
-
-
-def normalise(
-    image: Float32Array,
-    projection: Projection,
-    channels: tuple[str, ...],
-    means: tuple[float, ...],
-    stds: tuple[float, ...],
-) -> Float32Array:
-    """Return the (C, H, W) that a network expects of a (5, H, W) range image: each channel less its mean, over its std.
-
-    Empty pixels are set to zero *after* the normalisation, as in training: before it they would be far below any
-    measurement.
-    """
-    rows = np.array([CHANNELS.index(name) for name in channels], np.int32)
-    return normalise_image(image, projection.index, rows, np.array(means, np.float32), np.array(stds, np.float32))
 
 
 def window_weights(search: int, sigma: float) -> Float32Array:

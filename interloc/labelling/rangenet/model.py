@@ -30,8 +30,7 @@ CHANNELS = ("range", "x", "y", "z", "remission", "mask")
 PUBLISHED = ("range", "x", "y", "z", "remission")
 """Order of the channels, and of their means and standard deviations, where the settings name none."""
 
-_SYNONYMS = {"depth": "range", "intensity": "remission", "reflectivity": "remission", "signal": "remission"}
-_CHANNEL_FIELDS = ("dataset.sensor.channels", "dataset.sensor.input_channels", "input_channels")
+_CHANNELS_FIELD = "dataset.sensor.channels"
 _MAX_ID = 65535
 _SAMPLES, _SAMPLE_BYTES = 16, 64 * 1024
 
@@ -70,7 +69,6 @@ class Model:
     """Lower classes get no vote among neighbours: 1, or 0 where data_cfg.yaml says that class 0 is not ignored."""
     knn: KnnSettings | None
     form: GraphForm
-    notes: tuple[str, ...] = ()
 
     @property
     def name(self) -> str:
@@ -94,7 +92,7 @@ def read_model(folder: str | Path) -> Model:
     _check_files(folder)
     arch, data = read_settings(folder / ARCH), read_settings(folder / DATA)
     height, width, fov_up_rad, fov_down_rad = _read_sensor(arch)
-    class_ids, notes = _read_classes(data)
+    class_ids = _read_classes(data)
     knn = _read_knn(arch, width)
     listed = _listed_channels(arch)
     channels = (listed,) if listed else _usual_channels(arch)
@@ -120,7 +118,6 @@ def read_model(folder: str | Path) -> Model:
         first_class=1 if data.read("learning_ignore.0", FLAG, default=True) else 0,
         knn=knn,
         form=form,
-        notes=notes + form.notes,
     )
 
 
@@ -134,7 +131,7 @@ def describe(folder: Path) -> ModelDescription | None:
     try:
         _check_files(folder)
         arch, data = read_settings(folder / ARCH), read_settings(folder / DATA)
-        (height, width, *_), (class_ids, _) = _read_sensor(arch), _read_classes(data)
+        (height, width, *_), class_ids = _read_sensor(arch), _read_classes(data)
         _read_knn(arch, width)
         size = sum(path.stat().st_size for path in _graph_files(folder))
         identity = _identity(folder)
@@ -207,17 +204,15 @@ def _read_knn(arch: SettingsFile, width: int) -> KnnSettings | None:
 
 def _listed_channels(arch: SettingsFile) -> tuple[str, ...]:
     """Return the channels that the settings list; nothing where they list none."""
-    for field in _CHANNEL_FIELDS:
-        if not isinstance(arch.find(field), int | None):  # a number would be that of the laser beams
-            names = tuple(_SYNONYMS.get(word.lower(), word.lower()) for word in arch.read(field, WORDS))
-            unknown = [name for name in names if name not in CHANNELS]
-            if unknown or not names or len(set(names)) < len(names):
-                raise arch.fault(
-                    field,
-                    f"found {', '.join(names)[:200] or 'nothing'}; expected some of {', '.join(CHANNELS)}, each once.",
-                )
-            return names
-    return ()
+    if isinstance(arch.find(_CHANNELS_FIELD), int | None):  # a number would be that of the laser beams
+        return ()
+    names = tuple(word.lower() for word in arch.read(_CHANNELS_FIELD, WORDS))
+    if not names or not set(names) <= set(CHANNELS) or len(set(names)) < len(names):
+        raise arch.fault(
+            _CHANNELS_FIELD,
+            f"found {', '.join(names)[:200] or 'nothing'}; expected some of {', '.join(CHANNELS)}, each once.",
+        )
+    return names
 
 
 def _usual_channels(arch: SettingsFile) -> tuple[tuple[str, ...], ...]:
@@ -248,17 +243,10 @@ def _read_statistics(arch: SettingsFile, field: str, listed: tuple[str, ...], lo
     )
 
 
-def _read_classes(data: SettingsFile) -> tuple[tuple[int, ...], tuple[str, ...]]:
-    """Return the label id of every class, and what was assumed."""
+def _read_classes(data: SettingsFile) -> tuple[int, ...]:
+    """Return the label id of every class."""
     forward = data.read("learning_map", table(_MAX_ID, MAX_CLASSES - 1), {})
-    if forward and data.find("learning_map_inv") is None:
-        inverse: dict[int, int] = {}
-        for label, class_ in sorted(forward.items()):
-            inverse.setdefault(class_, label)
-        note = f"{data.path}: no learning_map_inv; each class gets the lowest id that learning_map maps to it."
-        notes: tuple[str, ...] = (note,)
-    else:
-        inverse, notes = data.read("learning_map_inv", table(MAX_CLASSES - 1, _MAX_ID)), ()
+    inverse = data.read("learning_map_inv", table(MAX_CLASSES - 1, _MAX_ID))
     missing = [class_ for class_ in range(max(inverse) + 1) if class_ not in inverse]
     if missing:
         raise data.fault(
@@ -273,7 +261,7 @@ def _read_classes(data: SettingsFile) -> tuple[tuple[int, ...], tuple[str, ...]]
                 f"gives class {class_} the id {label}, but learning_map gives id {label} the class {forward[label]}. "
                 "Usual cause: one of the two tables is of another model.",
             )
-    return tuple(inverse[class_] for class_ in range(len(inverse))), notes
+    return tuple(inverse[class_] for class_ in range(len(inverse)))
 
 
 def _identity(folder: Path) -> str:

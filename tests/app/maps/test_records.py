@@ -12,9 +12,9 @@ from sqlalchemy.orm import Session
 
 from app.context import Context
 from app.maps.records import SERVER_MAP, Standing, find_map, make_server_map, standings_of, state_of_all
-from app.ogc import indexing
 from app.ogc.collections import OF_MAP
 from app.ogc.index import Query, Source, find_page
+from app.ogc.indexing import write_map_rows
 from app.ogc.work import rows_of_map
 from app.settings import Settings
 from app.store.features import OF_MAPS
@@ -44,17 +44,8 @@ def add_job(session: Session, job: str, drive: str, at: float) -> None:
 
 def judge(session: Session, number: str, verdict: str) -> None:
     at = f"2026-11-25T12:0{number}:00Z"
-    judgement = {
-        "finding": "moved-7",
-        "kind": "moved",
-        "verdict": verdict,
-        "by": "Anna",
-        "at": at,
-        "lon": 8.4,
-        "lat": 49,
-    }
-    verdicts = MapVerdict(id=number, map_id=SERVER_MAP, finding="moved-7", at=float(number), judgement=judgement)
-    session.add(verdicts)
+    judgement = {"finding": "moved-7", "kind": "moved", "verdict": verdict, "by": "Anna", "at": at, "lon": 8, "lat": 49}
+    session.add(MapVerdict(id=number, map_id=SERVER_MAP, finding="moved-7", at=float(number), judgement=judgement))
 
 
 def pin(session: Session, job: str) -> None:
@@ -107,49 +98,16 @@ def test_many_maps_cost_few_queries_and_idle_ones_less(context: Context) -> None
         assert state != before
 
 
-def test_rows_of_a_map_are_written_between_those_of_others(context: Context, monkeypatch: pytest.MonkeyPatch) -> None:
-    """They are seen all at once; what a kill left is swept, and a map that goes takes no long transaction."""
-    monkeypatch.setattr(indexing, "_AT_ONCE", 2)
-    database, between = context.database, list[int]()
-
+def test_rows_of_a_map_take_the_place_of_those_before(context: Context) -> None:
     def place(number: int) -> dict[str, Any]:
         facts = {each.name: None for each in CITY_LAYERS["city"].attributes} | {"uid": f"p{number}", "passes": number}
         return {"id": f"p{number}", "geometry": {"type": "Point", "coordinates": [8.4, 49.0]}, "properties": facts}
 
-    def others_write() -> None:
-        with database.writing() as session:
-            session.get_one(Drive, "monday").name = f"name {len(between)}"
-        between.append(matched())
-
-    def matched() -> int:
-        with database.reading() as session:
-            return find_page(session, Source(map=SERVER_MAP), OF_MAP["city"], Query()).matched
-
-    def rows() -> int:
-        with database.reading() as session:
-            return session.query(OF_MAPS["city"]).count()
-
-    def write(count: int, go_on: Callable[[], None] = others_write) -> None:
-        layers = rows_of_map({"city": [place(number) for number in range(count)]})
-        show = indexing.write_map_rows(database, SERVER_MAP, layers, go_on)
-        with database.writing() as session:
-            show(session)
-
-    write(7)
-    assert (between, matched()) == ([0] * 4, 7)
-    with pytest.raises(KeyboardInterrupt):
-        write(5, lambda: between.append(1) if len(between) < 6 else _killed())
-    assert (matched(), rows()) == (7, 11)
-    write(3)
-    assert (between[-2:], matched()) == ([7, 7], 3)
-    indexing.sweep_map_rows(database, SERVER_MAP)
-    assert rows() == 3
-    indexing.sweep_map_rows(database, SERVER_MAP, is_gone=True)
-    assert (matched(), rows()) == (0, 0)
-
-
-def _killed() -> None:
-    raise KeyboardInterrupt
+    for count in (7, 3):
+        with context.database.writing() as session:
+            write_map_rows(session, SERVER_MAP, rows_of_map({"city": [place(number) for number in range(count)]}))
+            assert session.query(OF_MAPS["city"]).count() == count
+            assert find_page(session, Source(map=SERVER_MAP), OF_MAP["city"], Query()).matched == count
 
 
 CHANGES: list[tuple[Callable[[Session], None], list[str], int]] = [

@@ -46,7 +46,6 @@ def notes(folder: Path, **arguments: Any) -> list[str]:
 def on_grid(drive: FolderDrive, index: int) -> np.ndarray:
     """Return the road points of a scan in UTM zone 32: through its own fix."""
     fixes = drive.georeference
-    assert fixes is not None
     points = drive.ground_points(index).road.astype(np.float64)
     ecef = ecef_poses(fixes)[index]
     world = points @ ecef[:3, :3].T + ecef[:3, 3]
@@ -61,7 +60,6 @@ def test_a_cloud_is_cut_along_its_trajectory(tmp_path: Path) -> None:
     assert (drive.layout, drive.scheme.name, drive.pose_frame) == ("las", "las", "lidar")
     steps = np.linalg.norm(np.diff(drive.T_world_lidar[:, :3, 3], axis=0), axis=1)
     assert 2.0 < steps.min() < steps.max() < 3.2
-    assert drive.times_s is not None
     np.testing.assert_allclose(np.diff(drive.times_s), steps / 10, atol=2e-3)
     points = [drive.ground_points(index) for index in range(len(drive.frames))]
     assert sum(each.road_count for each in points) == 6000  # every road point once
@@ -74,7 +72,6 @@ def test_a_cloud_is_cut_along_its_trajectory(tmp_path: Path) -> None:
     assert distance.max() < 2e-3  # the format rounds to 1 mm
     assert len(np.unique(nearest)) == 6000
     # The vehicle looks where it drives.
-    assert drive.georeference is not None
     convergence = -0.43  # of UTM zone 32 at 8.43 degrees east, 49 north: grid north lies to the west of true north
     np.testing.assert_allclose(np.degrees(yaw_of(drive.georeference.R_enu_lidar)), 60 - convergence, atol=0.05)
     np.testing.assert_allclose(drive.T_world_lidar[-1, 1, 3], 0, atol=0.05)
@@ -109,7 +106,6 @@ def test_tum_poses_in_world_coordinates_are_a_trajectory(tmp_path: Path) -> None
     poses = np.column_stack([track, np.tile([0, 0, 0.5, np.sqrt(0.75)], (len(track), 1))])
     np.savetxt(tmp_path / "poses.txt", poses, fmt="%.9f")
     drive = interloc.open_drive(tmp_path)
-    assert drive.georeference is not None
     assert "poses.txt" in drive.georeference.source
 
 
@@ -534,10 +530,8 @@ def test_scans_rewritten_as_laz_give_the_same_detections(
 
 def test_mobile_mapping_of_the_same_scans_gives_the_same_detections(sample: FolderDrive, tmp_path: Path) -> None:
     """Compared in the world of the cloud: level, with x along the first motion."""
-    assert sample.georeference is not None
     drive = interloc.open_drive(write_mapping(sample, tmp_path / "cloud", files=2))
     found = interloc.detect(drive).detections
-    assert drive.georeference is not None
     ecef = ecef_poses(sample.georeference)
     level = ecef[0].copy()
     level[:3, :3] = ecef[0, :3, :3] @ sample.georeference.R_enu_lidar[0].T @ drive.georeference.R_enu_lidar[0]

@@ -80,8 +80,6 @@ def test_by_geometry_and_by_files_at_once(tmp_path: Path) -> None:
     root = write_semantickitti(tmp_path / "07")
     readings = read_drive(root, DriveOptions(), Findings(stop_at_first=True), label_folders=("labels", "geometry"))
     by_files, by_geometry = (reading.drive for reading in readings.values())
-    assert by_files is not None
-    assert by_geometry is not None
     assert by_files.T_world_lidar is by_geometry.T_world_lidar
     assert by_geometry.label_source == "geometry"
 

@@ -36,6 +36,17 @@ def as_pcd(source: Path, target: Path, folder: str = "pcd", encoding: str = "bin
     return target
 
 
+def as_pcd_with_gaps(source: Path, target: Path) -> Path:
+    """Rewrite a drive as PCD files that are numbered 0, 10, 20, ..., with poses of the LiDAR."""
+    root = as_pcd(source, target, ".")
+    (root / "calib.txt").unlink()
+    (root / "times.txt").unlink()
+    for scan in root.glob("*.pcd"):
+        scan.rename(root / f"street_{10 * int(scan.stem):04d}.pcd")
+    (root / "poses.txt").write_text(small_drives.pose_text(small_drives.lidar_poses()))
+    return root
+
+
 @pytest.mark.parametrize(
     ("folder", "encoding"), [("pcd", "ascii"), ("clouds", "binary"), ("velodyne", "binary"), (".", "binary_compressed")]
 )
@@ -95,13 +106,7 @@ def test_names_with_several_numbers_are_taken_in_their_order() -> None:
 
 
 def test_numbers_with_gaps_have_one_pose_each(sequence: Path, tmp_path: Path) -> None:
-    root = as_pcd(sequence, tmp_path / "pcd-drive", ".")
-    (root / "calib.txt").unlink()
-    (root / "times.txt").unlink()
-    for scan in root.glob("*.pcd"):
-        scan.rename(root / f"street_{10 * int(scan.stem):04d}.pcd")
-    (root / "poses.txt").write_text(small_drives.pose_text(small_drives.lidar_poses()))
-    drive = open_drive(root)
+    drive = open_drive(as_pcd_with_gaps(sequence, tmp_path / "pcd-drive"))
     assert drive.frames.tolist() == list(range(0, 120, 10))
     np.testing.assert_allclose(drive.T_world_lidar, small_drives.lidar_poses(), atol=1e-6)
 
@@ -123,7 +128,6 @@ def test_tum_poses_at_the_times_in_the_names(sequence: Path, tmp_path: Path) -> 
     (root / "poses.tum").write_text("\n".join(rows))
     drive = open_drive(root)
     np.testing.assert_allclose(drive.T_world_lidar, poses[::2], atol=1e-5)
-    assert drive.times_s is not None
     np.testing.assert_allclose(drive.times_s, 1000 + 0.1 * np.arange(12), atol=1e-6)
     (root / "poses.tum").rename(tmp_path / "elsewhere.tum")
     np.testing.assert_array_equal(
@@ -158,7 +162,6 @@ def test_late_times_are_left_out_and_the_others_used() -> None:
     late = times * 1e9
     late[::20] += 0.4e9
     found = point_times(late)
-    assert found is not None
     assert np.flatnonzero(np.isnan(found)).tolist() == list(range(0, 1000, 20))
     np.testing.assert_allclose(found[~np.isnan(found)], np.delete(times, np.s_[::20]) - times[1], atol=1e-3)
 
@@ -188,7 +191,6 @@ def test_fields_of_any_type_and_order(tmp_path: Path) -> None:
 def test_points_without_a_return_are_no_ground(sequence: Path, tmp_path: Path) -> None:
     root = as_pcd(sequence, tmp_path / "pcd-drive")
     values = read_pcd(SourceFile(root / "pcd" / "000003.pcd", root))
-    assert values.labels is not None
     first = int(np.argmax((values.labels & 0xFFFF) == 40))
     values.values[first, :3] = np.nan
     write_pcd(root / "pcd" / "000003.pcd", values.values, values.labels)

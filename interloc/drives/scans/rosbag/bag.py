@@ -143,7 +143,7 @@ class Bag:
             yield found
 
 
-def open_bag(files: tuple[SourceFile, ...], findings: Findings) -> Bag:
+def open_bag(files: tuple[SourceFile, ...]) -> Bag:
     """Read which topics are in a bag."""
     if missing := [name for name in ("rosbags", "mcap") if find_spec(name) is None]:
         raise files[0].fault(f"needs the package {missing[0]} to be read. Install it with: {install('ros')}")
@@ -151,12 +151,6 @@ def open_bag(files: tuple[SourceFile, ...], findings: Findings) -> Bag:
     for number, file in enumerate(files):
         for channel in channels_of(file):
             topics.setdefault((channel.topic, channel.type), []).append((number, channel))
-    if not all(channel.defined for channels in topics.values() for _, channel in channels):
-        findings.note(
-            files[0].name,
-            "holds no definitions of its message types (usual for bags of before ROS 2 Iron); the standard ones are "
-            "used, which are the same from ROS 2 Foxy to Kilted for all that is read.",
-        )
     return Bag(files, [BagTopic(*key, files, tuple(channels)) for key, channels in sorted(topics.items())])
 
 
@@ -493,7 +487,13 @@ def read_scan_times(bag: Bag, topic: BagTopic, findings: Findings) -> ScanTimes:
         empty += points == b""
         repeated += bool(points) and points == before
         before = points or b""
-    _tell_idle(bag, topic, empty, repeated, findings)
+    for count, what, usual in (
+        (empty, "hold no points", "a sensor or network that was overloaded"),
+        (repeated, "repeat the scan before under a new stamp", "a driver that hung"),
+    ):
+        if count:
+            say = findings.warning if count > 0.05 * len(topic) else findings.note
+            say(bag.name, f"{count:,} of {len(topic):,} scans of {topic.name} {what}. Usual cause: {usual}.")
     unset = int(np.count_nonzero(stamps <= 0))
     constant = len(stamps) > 2 and len(np.unique(stamps)) <= len(stamps) // 2
     if unset or constant:
@@ -514,13 +514,3 @@ def read_scan_times(bag: Bag, topic: BagTopic, findings: Findings) -> ScanTimes:
     order = recorded[np.argsort(stamps[recorded], kind="stable")]
     frames = tuple(frame for frame, _ in frame_ids.most_common())
     return ScanTimes(order, stamps[order] / 1e9, topic.log_ns[order] / 1e9, frames)
-
-
-def _tell_idle(bag: Bag, topic: BagTopic, empty: int, repeated: int, findings: Findings) -> None:
-    for count, what, usual in (
-        (empty, "hold no points", "a sensor or network that was overloaded"),
-        (repeated, "repeat the scan before under a new stamp", "a driver that hung"),
-    ):
-        if count:
-            say = findings.warning if count > 0.05 * len(topic) else findings.note
-            say(bag.name, f"{count:,} of {len(topic):,} scans of {topic.name} {what}. Usual cause: {usual}.")

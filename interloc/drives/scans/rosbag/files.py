@@ -80,8 +80,6 @@ class Channel:
     """Messages; None where only their index tells."""
     pieces: Callable[[BinaryIO], Iterator[IntArray]]
     """Read from the file, chunk by chunk, when and where the messages lie: (N, 5) int64, log time and place."""
-    defined: bool = True
-    """The file holds the definition of the type."""
 
 
 class BagReader(io.BufferedReader):
@@ -291,11 +289,11 @@ def mcap_channels(raw: BinaryIO) -> list[Channel]:
     found = []
     for record in channels:
         schema = schemas.get(record.schema_id)
-        name, is_defined = ("", False) if schema is None else (ros2_spelling(schema.name), bool(schema.data))
+        name = "" if schema is None else ros2_spelling(schema.name)
         count = counts.get(record.id, 0) if counts else None
         indexed = partial(_locate_in_mcap, record.id, places.get(record.id, []))
         pieces = indexed if chunks else partial(_locate_without_chunks, record.id, start)
-        found.append(Channel(record.topic, name, encodings.get(record.message_encoding), count, pieces, is_defined))
+        found.append(Channel(record.topic, name, encodings.get(record.message_encoding), count, pieces))
     return found
 
 
@@ -423,9 +421,6 @@ def _db3_channels(file: SourceFile, database: sqlite3.Connection) -> list[Channe
             f"is a database without the tables of a bag (it has {', '.join(sorted(tables)[:5]) or 'none'}). "
             "Expected topics and messages, as `ros2 bag record` writes them."
         )
-    defined: set[Any] = set()
-    if "message_definitions" in tables:
-        defined = {name for (name,) in database.execute("SELECT topic_type FROM message_definitions")}
     rows = _rows_of(database)
     rows = rows[np.argsort(rows[:, 1], kind="stable")]
     found = []
@@ -434,8 +429,7 @@ def _db3_channels(file: SourceFile, database: sqlite3.Connection) -> list[Channe
         places = np.zeros((len(own), 5), dtype=np.int64)
         places[:, 0], places[:, 1 + OFFSET] = own[:, 2], own[:, 0]
         wire: Encoding | None = "cdr" if encoding == "cdr" else None
-        pieces = partial(_given, places)
-        found.append(Channel(str(name), ros2_spelling(str(kind)), wire, len(own), pieces, kind in defined))
+        found.append(Channel(str(name), ros2_spelling(str(kind)), wire, len(own), partial(_given, places)))
     return found
 
 

@@ -128,7 +128,7 @@ def open_rosbag(root: Path, options: DriveOptions, findings: Findings) -> Record
         raise DriveFileError(str(root), f"cannot be read: {reason_of(error)}.") from error
     if files is None:
         return None
-    bag = open_bag(files, findings)
+    bag = open_bag(files)
     points = choose_points(bag, options.points, findings)
     paths = [each.name for each in bag.topics if each.type == "nav_msgs/msg/Path" and len(each)]
     if paths and options.poses is None and not pose_topics(bag, None):

@@ -20,7 +20,7 @@ from interloc.drives.scans.rosbag.files import (
     messages_at,
     ros1_channels,
 )
-from interloc.drives.scans.rosbag.messages import FIX, POSES, TRANSFORMS, Encoding, read_layout
+from interloc.drives.scans.rosbag.messages import FIX, POSES, TRANSFORMS, read_layout
 
 _ASKED_BYTES = 1 << 20  # ranges begin and end at multiples of it
 _MAX_READ_BYTES = 8 << 20
@@ -80,11 +80,6 @@ class BagPeek:
         types = {"points": POINTS, "poses": (*POSES, *TRANSFORMS), "fixes": (FIX,)}[kind]
         return sorted(name for name, type_ in self.topics.items() if type_ in types)
 
-    def look_at(self, head: bytes, type_: str, encoding: Encoding | None) -> None:
-        """Tell from the first bytes of a message of points whether they carry labels."""
-        if head and encoding is not None and not head.startswith(ZSTD_MAGIC):
-            self.has_labels = bool(self.has_labels) or read_layout(head, type_, encoding, complete=False).has("label")
-
 
 def peek(size: int, known: Mapping[int, bytes]) -> BagPeek | None:
     """Look into a bag of so many bytes by the ranges that are known, by their first bytes.
@@ -105,7 +100,9 @@ def peek(size: int, known: Mapping[int, bytes]) -> BagPeek | None:
             found.topics[channel.topic] = channel.type
             if channel.type in POINTS and (rows := next(channel.pieces(file), None)) is not None:
                 head = next(messages_at(file, rows[:1, 1:], HEAD_BYTES), b"")
-                found.look_at(head, channel.type, channel.encoding)
+                if head and channel.encoding is not None and not head.startswith(ZSTD_MAGIC):
+                    layout = read_layout(head, channel.type, channel.encoding, complete=False)
+                    found.has_labels = bool(found.has_labels) or layout.has("label")
     except (ValueError, ArithmeticError, LookupError, EOFError, struct.error):  # the check of the whole bag says why
         return None
     return found

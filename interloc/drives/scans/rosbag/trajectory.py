@@ -199,7 +199,7 @@ def _cover(
             "taken. Usual cause: different clocks, or an odometry that did not run.",
         )
     for finding in said.found:
-        (findings.warning if finding.severity == "warning" else findings.note)(finding.path, finding.message)
+        findings.tell(finding)
     if by_log:
         findings.warning(
             bag.name,

@@ -38,18 +38,14 @@ def small_bag(path: Path, form: str, compression: Any = None, count: int = 8) ->
     return written if written.is_file() else next(written.glob(f"*.{form}"))
 
 
-def read_all(path: Path) -> tuple[int, Findings]:
+def read_all(path: Path) -> int:
     """Read everything of a bag; return how many scans there are."""
     findings = Findings(stop_at_first=True)
     recording = open_rosbag(path, DriveOptions(), findings)
-    assert recording is not None
-    assert recording.points is not None
-    assert recording.frames is not None
-    assert recording.read_trajectory is not None
     recording.read_trajectory(recording.frames, DriveOptions(), findings)
     for frame in recording.frames:
         recording.points.read(int(frame))
-    return len(recording.frames), findings
+    return len(recording.frames)
 
 
 def refusal(path: Path) -> str:
@@ -124,7 +120,6 @@ def rewritten(file: Path, target: Path, **settings: Any) -> Path:
         writer, numbers = Writer(sink, **settings), {}
         writer.start()
         for schema, channel, message in make_reader(source).iter_messages():
-            assert schema is not None
             if channel.id not in numbers:
                 number = writer.register_schema(schema.name, schema.encoding, schema.data)
                 numbers[channel.id] = writer.register_channel(channel.topic, channel.message_encoding, number)
@@ -145,8 +140,6 @@ def rewritten(file: Path, target: Path, **settings: Any) -> Path:
 def test_an_mcap_may_be_written_in_any_way(tmp_path: Path, settings: dict[str, Any]) -> None:
     file = small_bag(tmp_path / "drive", "mcap")
     (recording, *_), (again, *_) = opened(file), opened(rewritten(file, tmp_path / "again.mcap", **settings))
-    assert recording.points is not None
-    assert again.points is not None
     assert again.topics == recording.topics
     for frame in range(8):
         assert np.array_equal(again.points.read(frame).values, recording.points.read(frame).values)
@@ -176,7 +169,7 @@ def test_a_bag_that_is_compressed_as_a_whole_is_refused_with_the_command(tmp_pat
     assert f"`zstd -d {packed.name}`" in refusal(packed)
     assert f"`zstd -d {packed.name}`" in refusal(file.parent)
     packed.rename(file)  # as if it had been unpacked
-    assert read_all(file.parent)[0] == 8
+    assert read_all(file.parent) == 8
 
 
 def test_metadata_that_is_missing_or_of_no_use_does_no_harm(tmp_path: Path) -> None:
@@ -185,9 +178,9 @@ def test_metadata_that_is_missing_or_of_no_use_does_no_harm(tmp_path: Path) -> N
     lists = ("relative_file_paths:\n  - gone.db3\n", "relative_file_paths:" + "\n" * 1_000_000)
     for text in ("rosbag2_bagfile_information: [", *lists, "\0\xff"):
         metadata.write_text(text)
-        assert read_all(file.parent)[0] == 8
+        assert read_all(file.parent) == 8
     metadata.unlink()
-    assert read_all(file.parent)[0] == 8
+    assert read_all(file.parent) == 8
 
 
 def test_several_bags_in_a_folder_are_refused(tmp_path: Path) -> None:
@@ -198,7 +191,7 @@ def test_several_bags_in_a_folder_are_refused(tmp_path: Path) -> None:
 
 def test_a_bag_in_the_folder_of_a_drive_is_found(tmp_path: Path) -> None:
     small_bag(tmp_path / "drive" / "recording", "mcap")
-    assert read_all(tmp_path / "drive")[0] == 8
+    assert read_all(tmp_path / "drive") == 8
 
 
 @pytest.mark.parametrize("name", ["velodyne", "velodyne_points/data"])
@@ -210,22 +203,18 @@ def test_a_drive_of_another_layout_is_left_to_its_reader(tmp_path: Path, name: s
     assert open_rosbag(tmp_path / name, DriveOptions(), Findings(stop_at_first=True)) is None
 
 
-def test_a_database_without_messages_is_refused(tmp_path: Path) -> None:
-    with sqlite3.connect(tmp_path / "other.db3") as database:
-        database.execute("CREATE TABLE notes (text)")
-    database.close()
-    assert "without the tables of a bag (it has notes)" in refusal(tmp_path / "other.db3")
+NEVER_ENDS = (
+    "CREATE VIEW messages AS WITH RECURSIVE n(id) AS (SELECT 1 UNION ALL SELECT id + 1 FROM n) "
+    "SELECT id, 1 AS topic_id, 2 AS timestamp, 3 AS data FROM n"
+)
 
 
-def test_views_that_never_end_are_not_asked(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("table", "view"), [("notes", ""), ("topics", NEVER_ENDS)])
+def test_a_database_without_messages_is_refused(tmp_path: Path, table: str, view: str) -> None:
     with sqlite3.connect(tmp_path / "other.db3") as database:
-        database.execute("CREATE TABLE topics (id, name, type, serialization_format)")
-        database.execute(
-            "CREATE VIEW messages AS WITH RECURSIVE n(id) AS (SELECT 1 UNION ALL SELECT id + 1 FROM n) "
-            "SELECT id, 1 AS topic_id, 2 AS timestamp, 3 AS data FROM n"
-        )
+        database.executescript(f"CREATE TABLE {table} (id, name, type, serialization_format); {view}")
     database.close()
-    assert "without the tables of a bag" in refusal(tmp_path / "other.db3")
+    assert f"without the tables of a bag (it has {table})" in refusal(tmp_path / "other.db3")
 
 
 def test_a_bag_of_before_ros_2_iron_has_no_definitions_and_is_read(tmp_path: Path) -> None:
@@ -234,9 +223,7 @@ def test_a_bag_of_before_ros_2_iron_has_no_definitions_and_is_read(tmp_path: Pat
         database.execute("DROP TABLE message_definitions")
         database.execute("DROP TABLE schema")
     database.close()
-    count, findings = read_all(file)
-    assert count == 8
-    assert any("no definitions" in each.message for each in findings.found)
+    assert read_all(file) == 8
 
 
 def test_a_chunk_that_unpacks_to_much_more_is_refused(tmp_path: Path) -> None:

@@ -76,7 +76,6 @@ def test_labels_may_have_any_type(maker: BagWriter, kind: str) -> None:
     made = cells(["x", "y", "z", "label"], ["<f4", "<f4", "<f4", kind], [0, 4, 8, 16], 24)
     made["label"] = [40, 48, 255]
     points = read_points(serialized(maker, made), POINT_CLOUD, encoding(maker))
-    assert points.labels is not None
     assert points.labels.dtype == np.uint32
     assert points.labels.tolist() == [40, 48, 255]
     assert not points.values[:, 3].any()
@@ -89,7 +88,6 @@ def test_points_without_a_return_are_left_out_with_their_labels(maker: BagWriter
     for axis in "xyz":
         made[axis][1] = nothing
     points = read_points(serialized(maker, made), POINT_CLOUD, encoding(maker))
-    assert points.labels is not None
     assert np.array_equal(points.values[:, :3], XYZ[[0, 2]])
     assert points.labels.tolist() == [1, 3]
 

@@ -45,8 +45,6 @@ def times_of(count: int = COUNT, step_s: float = 0.1) -> list[float]:
 def opened(path: Path, **options: Any) -> tuple[Recording, Trajectory, Findings]:
     findings, chosen = Findings(stop_at_first=True), DriveOptions.of(None, **options)
     recording = open_rosbag(path, chosen, findings)
-    assert recording is not None
-    assert recording.read_trajectory is not None
     return recording, recording.read_trajectory(recording.frames, chosen, findings), findings
 
 
@@ -57,7 +55,6 @@ def refused(path: Path, **options: Any) -> str:
 
 
 def poses_of(trajectory: Trajectory) -> np.ndarray:
-    assert trajectory.poses is not None
     return trajectory.poses.T_world_lidar
 
 
@@ -87,16 +84,12 @@ def test_a_bag_gives_back_what_was_written(tmp_path: Path, form: str, compressio
     assert recording.parts.drive_name == "drive"
     assert recording.carries_labels
     assert recording.has_remission
-    assert recording.frames is not None
     assert recording.frames.tolist() == list(range(COUNT))
-    assert recording.points is not None
     for frame in (5, 0, 11, 5):
         points = recording.points.read(frame)
         assert np.array_equal(points.values, scans[frame])
-        assert points.labels is not None
         assert np.array_equal(points.labels, labels[frame])
     assert np.allclose(poses_of(trajectory), poses, atol=1e-12)
-    assert trajectory.times_s is not None
     assert np.allclose(trajectory.times_s, times_of(), atol=1e-6)
     assert trajectory.georeference is None
     assert "no GNSS fixes" in trajectory.georeference_reason
@@ -173,7 +166,6 @@ def test_transforms_lead_from_the_points_to_the_fixed_frame(tmp_path: Path) -> N
             bag.cloud("/points", time, cells_of(scans_of()[row]))
     recording, trajectory, _ = opened(tmp_path / "drive")
     assert np.allclose(poses_of(trajectory), poses, atol=1e-9)
-    assert trajectory.poses is not None
     assert "map -> odom -> base_link -> velodyne" in trajectory.poses.reason
     assert {topic.name: topic.role for topic in recording.topics} == {
         "/points": "points",
@@ -205,10 +197,8 @@ def test_a_split_bag_is_one_drive_and_static_transforms_are_in_its_first_part(tm
             bag.cloud("/points", START + part, cells_of(scans_of()[part]))
         (tmp_path / f"part{part}/part{part}.db3").rename(folder / f"drive_{part}.db3")
     recording, trajectory, _ = opened(folder)
-    assert recording.frames is not None
     assert len(recording.frames) == 11
     assert np.allclose(poses_of(trajectory)[:, 1, 3], -np.arange(11), atol=1e-9)  # to the right of a turned LiDAR
-    assert recording.points is not None
     assert np.array_equal(recording.points.read(10).values, scans_of()[10])
     assert recording.points.name(10) == "drive_10.db3, /points, message 10"
     assert "is one of 11 files of a bag; only this one is read" in lone_file_notes(folder / "drive_3.db3")
@@ -225,10 +215,8 @@ def test_scans_without_a_pose_are_left_out_and_keep_their_numbers(tmp_path: Path
         tmp_path / "drive", "mcap", scans_of(), times_of(), poses=straight()[3:10], pose_times=times_of()[3:10]
     )
     recording, trajectory, findings = opened(path)
-    assert recording.frames is not None
     assert recording.frames.tolist() == [3, 4, 5, 6, 7, 8, 9]
     assert np.allclose(poses_of(trajectory), straight(7))
-    assert recording.points is not None
     assert np.array_equal(recording.points.read(4).values, scans_of()[4])
     with pytest.raises(DriveError, match="holds no scan 1"):
         recording.points.read(1)
@@ -242,7 +230,6 @@ def test_scans_in_a_long_gap_of_the_poses_are_left_out(tmp_path: Path) -> None:
         tmp_path / "drive", "bag", scans_of(), times, poses=straight()[kept], pose_times=[times[row] for row in kept]
     )
     recording, *_ = opened(path)
-    assert recording.frames is not None
     assert recording.frames.tolist() == kept
 
 
@@ -259,7 +246,6 @@ def test_scans_are_numbered_by_their_stamps(tmp_path: Path) -> None:
     stamps = times_of()
     stamps[4], stamps[7] = stamps[7], stamps[4]
     recording, trajectory, findings = opened(odd_stamps(tmp_path / "drive", stamps))
-    assert recording.points is not None
     assert np.array_equal(recording.points.read(4).values, scans_of()[7])
     assert np.allclose(poses_of(trajectory), straight(), atol=1e-5)
     assert "run backwards 2 times" in said(findings)
@@ -268,7 +254,6 @@ def test_scans_are_numbered_by_their_stamps(tmp_path: Path) -> None:
 @pytest.mark.parametrize("stamp", [0.0, 1234.5])
 def test_stamps_that_were_not_set_are_replaced_by_the_times_of_recording(tmp_path: Path, stamp: float) -> None:
     recording, trajectory, findings = opened(odd_stamps(tmp_path / "drive", [stamp] * COUNT))
-    assert recording.frames is not None
     assert len(recording.frames) == COUNT
     assert np.allclose(poses_of(trajectory), straight(), atol=1e-5)
     assert "the times at which they were recorded are used" in said(findings)
@@ -337,7 +322,6 @@ def test_fixes_and_motion_make_a_georeference(
     path, enu, heading = drive_with_fixes(tmp_path / "drive", **settings)
     _, trajectory, _ = opened(path)
     found = trajectory.georeference
-    assert found is not None
     there = enu_from_lonlat(49.0, 8.4, np.stack([found.lon_deg, found.lat_deg], axis=-1))
     assert np.linalg.norm(there - enu, axis=1).max() < metres
     assert np.degrees(np.abs(wrap_angle(yaw_of(found.R_enu_lidar) - heading))).max() < degrees
@@ -357,7 +341,6 @@ def test_fixes_in_other_forms_are_read_as_what_they_are(tmp_path: Path, written:
     path, enu, _ = drive_with_fixes(tmp_path / "drive", written=written)
     _, trajectory, findings = opened(path)
     found = trajectory.georeference
-    assert found is not None
     there = enu_from_lonlat(49.0, 8.4, np.stack([found.lon_deg, found.lat_deg], axis=-1))
     assert np.linalg.norm(there - enu, axis=1).max() < 0.01
     assert words in said(findings)
@@ -444,7 +427,6 @@ def test_types_that_nobody_knows_do_not_matter(tmp_path: Path) -> None:
             bag.odometry("/odom", time, straight()[row])
             bag.cloud("/points", time, cells_of(scans_of()[row]))
     recording, *_ = opened(tmp_path / "drive.bag")
-    assert recording.frames is not None
     assert len(recording.frames) == COUNT
 
 
@@ -457,8 +439,6 @@ def test_a_bag_without_poses_says_so_and_lists_its_topics(tmp_path: Path) -> Non
     assert "/points (sensor_msgs/msg/PointCloud2, 12)" in message
     findings = Findings(stop_at_first=False)
     recording = open_rosbag(path, DriveOptions(), findings)
-    assert recording is not None
-    assert recording.read_trajectory is not None
     assert recording.read_trajectory(recording.frames, DriveOptions(), findings).poses is None
     assert {topic.name: topic.role for topic in recording.topics} == {"/points": "points", "/fix": "fix"}
     assert [each.severity for each in findings.found] == ["error"]
@@ -518,6 +498,5 @@ def test_fixes_of_another_clock_are_taken_at_the_times_of_recording(tmp_path: Pa
             bag.cloud("/points", time, cells_of(scans_of()[row]))
             bag.fix("/fix", time, (49.0, 8.0 + 4e-5 * row, 100.0), header_s=time - START + 5.0)
     _, trajectory, findings = opened(tmp_path / "drive")
-    assert trajectory.georeference is not None
     assert np.allclose(yaw_of(trajectory.georeference.R_enu_lidar), 0.0, atol=1e-3)
     assert "/fix are of another clock" in said(findings)
