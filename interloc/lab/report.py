@@ -1,20 +1,19 @@
-"""The files of a benchmark: benchmark.json, benchmark.txt, benchmark.html, failures, and the paper's Fig. 8."""
+"""The files of a benchmark: benchmark.json, benchmark.txt, benchmark.html and failures."""
 
 from __future__ import annotations
 
 import json
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from interloc.drawing import entitle, image, new_figure, quiet, series_style
 from interloc.evaluation.published import AVERAGE, COMPARISON, LABEL_ERRORS, PERFORMANCE
 from interloc.evaluation.reasons import KINDS
 from interloc.evaluation.reliability import bins_of
-from interloc.evaluation.report import data_address, make_folder, template
+from interloc.evaluation.report import make_folder, template
 from interloc.files import write_file
 from interloc.lab.measure import Row
 from interloc.lab.run import Benchmark
@@ -26,20 +25,13 @@ from interloc.lab.tables import (
     ours,
     outcomes,
     performance_table,
-    pooled,
-    pools,
-    scores,
     tables,
 )
 from interloc.output.credits import joint_credit, map_credit
 from interloc.output.geojson import encode, rounded, write_record
 from interloc.pipeline import versions
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 PAGE = "benchmark.html"
-F1_THRESHOLDS_M = np.arange(0.5, 10.1, 0.5)
 _MEANINGS = {str(kind): meaning for kind, meaning in KINDS.items()}
 _WORST = 40  # places of each preset on the page
 _SHOWN = ("off_m", "osm_id", "lon", "lat", "frames", "see")
@@ -120,14 +112,6 @@ def write_benchmark(benchmark: Benchmark, measured: Measured, out: Path) -> None
             record["note"] = "`see` draws the frame without the label errors"
         record |= {"failures": row.failures, **map_credit(is_made_up=row.made_up_map).members}
         write_file(out / "failures" / f"{row.cell.file_name}.json", encode(record, indent=1) + "\n")
-    picture = ""
-    if len(measured.noises) > 1:
-        make_folder(out / "figures")
-        figure = label_errors_figure(measured)
-        svg = image(figure, "svg")
-        write_file(out / "figures" / "label_errors.svg", svg)
-        write_file(out / "figures" / "label_errors.png", image(figure, "png"))
-        picture = data_address(svg, "image/svg+xml")
     record, failures = benchmark_record(benchmark, measured), failures_of(measured)
     shown = tables(measured)
     page = template("benchmark.html", "interloc.lab").render(
@@ -136,7 +120,6 @@ def write_benchmark(benchmark: Benchmark, measured: Measured, out: Path) -> None
         policy=benchmark.truth.policy,
         warnings=dict.fromkeys(f"{row.cell.drive}: {warning}" for row in measured.rows for warning in row.warnings),
         tables=[*shown, *(performance_table(measured, level) for level in measured.noises[1:])],
-        picture=picture,
         kinds=kinds_table(failures),
         places=[(ours(preset), worst_places(failures, preset, measured.noises[0])) for preset in measured.presets],
         made_up_maps=sorted({row.made_up_map for row in measured.rows}),
@@ -146,28 +129,6 @@ def write_benchmark(benchmark: Benchmark, measured: Measured, out: Path) -> None
     write_file(out / PAGE, page)
     write_file(out / "benchmark.txt", "\n\n".join(table.text() for table in shown) + "\n")
     write_record(out / "benchmark.json", record)  # last: whoever waits for it finds the rest
-
-
-def label_errors_figure(measured: Measured) -> Figure:
-    """Draw center errors and F1 curves of each level of label errors, one row of figures per preset (paper, Fig. 8)."""
-    count = len(measured.presets)
-    figure = new_figure(10.5, 4.1 * count)
-    for (boxes, curves), preset in zip(figure.subplots(count, 2, squeeze=False), measured.presets, strict=True):
-        levels = {noise: measured.of(preset=preset, noise=noise) for noise in measured.noises}
-        errors = [pooled(rows, "errors_m") for rows in levels.values()]
-        boxes.boxplot(errors, whis=(5, 95), showfliers=False, tick_labels=list(levels))
-        boxes.set(xlabel="label errors r-FPR / r-FNR [%]", ylabel="center error [m]")
-        boxes.set_ylim(bottom=0.0)
-        entitle(boxes, f"{ours(preset)}: center error", 11.0)
-        for number, (noise, rows) in enumerate(levels.items()):
-            f1 = [pd.Series([scores(pool, each)[2] for _, pool in pools(rows)]).mean() for each in F1_THRESHOLDS_M]
-            curves.plot(F1_THRESHOLDS_M, 100.0 * np.array(f1), label=noise, **series_style(number))
-        curves.set(xlabel="threshold D [m]", ylabel="F1 [%]", ylim=(0.0, 102.0))
-        curves.legend(loc="lower right", frameon=False, fontsize=9)
-        entitle(curves, f"{ours(preset)}: F1 over the threshold", 11.0)
-        quiet(boxes)
-        quiet(curves)
-    return figure
 
 
 def failures_of(measured: Measured) -> pd.DataFrame:

@@ -123,10 +123,8 @@ def test_files_of_a_benchmark(benchmark: Benchmark, finished: tuple[Path, list[R
     assert "The map was made up by a simulator" in page
     assert "contributors" not in page
     assert "Town &amp; country" in page
-    assert page.count("data:image/") == 1  # label errors
     assert "http" not in page.replace("http://www.w3.org", "")
     assert "IV. Errors of the labels" in (out / "benchmark.txt").read_text()
-    assert {path.name for path in (out / "figures").iterdir()} == {"label_errors.svg", "label_errors.png"}
 
 
 def test_the_command_that_shows_a_frame_names_what_is_not_usual() -> None:

@@ -64,5 +64,4 @@ def test_a_demo_that_was_cancelled_is_begun_anew(serve: Callable[..., httpx.Clie
     client.delete(f"{API}/jobs/{job['id']}")
     until(client, f"/jobs/{job['id']}", "dismissed")
     second = client.post(f"{API}/demo", headers={"prefer": "wait=0"}).json()
-    assert [drive["id"] for drive in client.get(f"{API}/drives").json()["drives"]] == [second["id"]]
     assert second["id"] != first["id"]
