@@ -31,13 +31,7 @@ class GpxTrack:
 
 
 def read_gpx(path: Path) -> GpxTrack:
-    """Read the tracks (or else the routes) of a GPX file as one.
-
-    Raises
-    ------
-    DriveError
-        It cannot be read, is no GPX file, or holds no track.
-    """
+    """Read the tracks (or else the routes) of a GPX file as one; a DriveError says why it has none."""
     import gpxpy  # noqa: PLC0415 - needed for this alone
     from gpxpy.gpx import GPXException  # noqa: PLC0415
 

@@ -85,13 +85,7 @@ def detect_around(
 ) -> KeyframeDetections:
     """Find the intersections around a keyframe: all of section III.
 
-    Parameters
-    ----------
-    keyframe
-    points : list of ((4, 4) float64, (N, 3) float32)
-        Pose and road points in L of each keyframe of the window (III-B.1).
-    config
-    stopwatch
+    `points` are pose, (4, 4), and road points in L, (N, 3), of each keyframe of the window (III-B.1).
     """
     resolution_m, lap = config.bev.resolution_m, stopwatch.lap
     roi = roi_around(keyframe, config.bev)

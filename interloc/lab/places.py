@@ -28,7 +28,7 @@ from interloc.arrays import BoolArray, FloatArray, IntArray, UInt8Array
 from interloc.config import DetectorConfig
 from interloc.drive import Georeference, GroundPoints
 from interloc.errors import ConfigError
-from interloc.evaluation.reliability import BOUND_95
+from interloc.evaluation.map_level import BOUND_95
 from interloc.kernels import compiled
 from interloc.lab.config import LidarConfig
 from interloc.lab.ground import Layer, Surface, line_parts, paint

@@ -36,8 +36,7 @@ def _branches(intersections: Rows) -> list[dict[str, Any]]:
     lines, ids, bearings, widths = [], [], [], []
     for feature in intersections.features:
         start, properties = np.array(feature.geometry.coordinates), feature.properties
-        measured = properties.branch_widths_m or [None] * len(properties.branch_bearings_deg)  # none of older versions
-        for bearing, width in zip(properties.branch_bearings_deg, measured, strict=True):
+        for bearing, width in zip(properties.branch_bearings_deg, properties.branch_widths_m, strict=True):
             angle = np.radians(bearing)
             end = _around(start, BRANCH_M * np.array([[np.sin(angle), np.cos(angle)]]))
             lines.append(positions(np.vstack([start, end]), local=False))

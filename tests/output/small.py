@@ -82,7 +82,9 @@ def write_folder(folder: Path, result: DriveResult, *, scored: bool, osm: str = 
     """Write a result folder; its map, where it is scored, goes beside it."""
     write_results(result, folder)
     if scored:
-        (folder.parent / "map.osm").write_text(osm)
-        graph = read_osm(folder.parent / "map.osm")
+        place = folder.with_name(f"{folder.name}.place")  # of its own: folders that many tests share lie side by side
+        place.mkdir(exist_ok=True)
+        (place / "map.osm").write_text(osm)
+        graph = read_osm(place / "map.osm")
         write_report(evaluate(result, graph), folder)
     return folder

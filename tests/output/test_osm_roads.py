@@ -10,8 +10,8 @@ import shapely
 
 from interloc.osm import reader
 from interloc.osm.reader import read_osm
-from interloc.output.osm_roads import building_features
 from interloc.output.properties import ORIGIN
+from interloc.output.roads import building_features
 
 BOUNDS = (8.39, 48.99, 8.42, 49.02)
 CORNERS = [(8.4, 49.0), (8.4, 49.0001), (8.4002, 49.0001), (8.4002, 49.0)]  # clockwise
