@@ -23,7 +23,7 @@ from interloc.errors import ConfigError, OutputError
 
 @dataclass(frozen=True)
 class Context:
-    """What the parts of a running service share; those that use it (runner, routes) are made in `app.main`."""
+    """What the parts of a running service share; those that use it (runner, watcher, routes) are made in `app.main`."""
 
     settings: Settings
     database: Database

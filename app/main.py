@@ -23,6 +23,7 @@ from app.http.prices import TURN, Turns
 from app.http.problems import add_handlers
 from app.jobs import routes as jobs
 from app.jobs.runner import Runner
+from app.jobs.view import JobWatcher
 from app.jobs.webhooks import Deliverer
 from app.live import routes as live
 from app.live.sessions import LiveSessions
@@ -89,6 +90,7 @@ def create_app(settings: Settings | None = None, context: Context | None = None)
             await run_in_threadpool(opened.storage.incoming)  # its lock shows that a server is at work here
             await run_in_threadpool(make_server_map, opened)
             parts.runner = runner = Runner(opened, finish_drive=finish_drive, index_result=index_result)
+            parts.watcher = JobWatcher(opened)
             parts.results = Results(opened)
             parts.turns = Turns()
             parts.live = LiveSessions(opened)

@@ -35,7 +35,7 @@ from app.http.prices import priced
 from app.jobs.models import JobChanges, JobList, JobModel, NewJob, PresetList, PresetModel
 from app.jobs.queue import submit
 from app.jobs.submission import check_request
-from app.jobs.view import Change, find_job, follow, is_alive, job_models, wait_for_job
+from app.jobs.view import Change, WatcherDep, find_job, is_alive, job_models, wait_for_job
 from app.states import FINAL, JobKind, JobState
 from app.store.models import Drive, Job
 from interloc.config import PRESETS, DetectorConfig
@@ -189,6 +189,7 @@ async def follow_job(
     job: Annotated[JobModel, Depends(load_job)],
     request: Request,
     context: ContextDep,
+    watcher: WatcherDep,
     last_event_id: Annotated[
         str | None, Header(max_length=40, description="Id of the last event that arrived; it is not sent again.")
     ] = None,
@@ -205,7 +206,7 @@ async def follow_job(
             yield _event(current)
         if current.is_final:
             return
-        async for change in follow(context, job.id, current):
+        async for change in watcher.follow(job.id, current):
             if not await run_in_threadpool(context.tokens.still_holds, request.state.holder):
                 return
             yield _event(change)

@@ -1,21 +1,22 @@
-"""Jobs as clients see them, and their changes."""
+"""Jobs as clients see them, and their changes: a few queries per second, however many listeners there are."""
 
 from __future__ import annotations
 
 import asyncio
 import logging
 import time
+from collections import defaultdict
 from collections.abc import AsyncIterator, Iterable
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from fastapi.concurrency import run_in_threadpool
 from sqlalchemy import ColumnElement, Select, and_, case, func, select
 from sqlalchemy.exc import OperationalError
 from sqlalchemy.orm import Session
 
-from app.context import Context
+from app.context import Context, part_of_app
 from app.http.parameters import newest_first
 from app.http.problem_types import JOB_NOT_FOUND
 from app.http.problems import Problem, ProblemDocument, stored
@@ -35,6 +36,7 @@ _MAP_LAYERS = [layer.address for layer in LAYERS.values() if layer.is_osm and la
 _OTHER_KINDS = {JobKind.COMMIT: "check", JobKind.UNPACK: "archive", JobKind.DEMO: "demo drive"}
 _STEADY_S, _STEADY_SHARE = 5.0, 0.05  # the beginning tells nothing: drive and map are read first
 _POLL_S = 0.5
+_UNREAD = 16  # changes that a listener may be behind
 _FIRST_LOOK_S, _LAST_LOOK_S = 0.05, 0.5
 _NO_WORKER = "It waits for a worker: none can be started at present. The service keeps trying; its log says why."
 
@@ -185,7 +187,7 @@ class Change:
     is_final: bool
     """Whether no further change can follow."""
     data: str
-    """`JobModel` as JSON."""
+    """`JobModel` as JSON, made once for all listeners."""
 
     @classmethod
     def of(cls, job: JobModel) -> Change:
@@ -193,32 +195,80 @@ class Change:
         return cls(job.version, job.message, job.state in FINAL, job.model_dump_json())
 
 
-async def follow(context: Context, job_id: str, last: Change) -> AsyncIterator[Change]:
-    """Yield what comes after a change of a job, until the job has ended, is deleted, or the server stops."""
-    while not last.is_final:
-        await asyncio.sleep(_POLL_S)
-        if context.stopping.is_set():
-            return
+class JobWatcher:
+    """Reports the changes of jobs; to be used in the event loop."""
+
+    def __init__(self, context: Context) -> None:
+        self._context = context
+        self._listeners: defaultdict[str, set[asyncio.Queue[Change | None]]] = defaultdict(set)
+        self._versions: dict[str, int] = {}
+        """Of the jobs that are followed, as all their listeners know them."""
+        self._polling: asyncio.Task[None] | None = None
+
+    async def follow(self, job_id: str, last: Change) -> AsyncIterator[Change]:
+        """Yield what comes after a change of a job, until the job has ended, is deleted, or the server stops."""
+        queue: asyncio.Queue[Change | None] = asyncio.Queue(_UNREAD)
+        self._listeners[job_id].add(queue)
+        self._versions.pop(job_id, None)  # the next look passes on what it finds
+        if self._polling is None or self._polling.done():
+            self._polling = asyncio.create_task(self._poll())
         try:
-            change = await run_in_threadpool(_change_of, context, job_id, last)
-        except Problem:  # it was deleted
-            return
-        except OperationalError as error:
-            _log.warning("changes of job %s could not be read: %s", job_id, error)  # the next look finds them all
-        else:
-            if (change.version, change.message) != (last.version, last.message):
-                last = change
-                yield change
+            while (change := await queue.get()) is not None:
+                if change.version >= last.version and (change.version, change.message) != (last.version, last.message):
+                    last = change
+                    yield change
+                if change.is_final:
+                    return
+        finally:
+            self._listeners[job_id].discard(queue)
+            if not self._listeners[job_id]:
+                del self._listeners[job_id]
+
+    async def _poll(self) -> None:
+        try:
+            while self._listeners and not self._context.stopping.is_set():
+                followed = {job_id: self._versions.get(job_id) for job_id in self._listeners}
+                try:
+                    changes = await run_in_threadpool(_changes, self._context, followed)
+                except OperationalError as error:
+                    _log.warning("changes of jobs could not be read: %s", error)
+                    changes = {}  # the next look finds them all
+                for job_id, change in changes.items():
+                    if change is not None and self._versions.get(job_id) == followed[job_id]:
+                        self._versions[job_id] = change.version
+                    for queue in self._listeners.get(job_id, ()):
+                        _put(queue, change)
+                await asyncio.sleep(_POLL_S)
+        except Exception:  # noqa: BLE001 - the listeners must not wait for ever
+            _log.exception("changes of jobs could not be passed on")
+        finally:  # whatever happened, end the streams of all listeners
+            for queues in self._listeners.values():
+                for queue in queues:
+                    _put(queue, None)
 
 
-def _change_of(context: Context, job_id: str, last: Change) -> Change:
-    """Return the last change of a job; one that waits may have another message without a change of itself."""
+def _put(queue: asyncio.Queue[Change | None], change: Change | None) -> None:
+    """Pass on a change; of a listener that reads too slowly the oldest is left out: the newest says it all."""
+    if queue.full():
+        queue.get_nowait()
+    queue.put_nowait(change)
+
+
+def _changes(context: Context, followed: dict[str, int | None]) -> dict[str, Change | None]:
+    """Return the jobs whose version is another one, and those that wait; None for those that were removed."""
+    alive = select(Job, Drive.name).join(Drive, Drive.id == Job.drive_id).where(is_alive())
     with context.database.reading() as session:
-        job, drive_name = find_job(session, job_id)
-        if job.version == last.version and job.state != JobState.ACCEPTED:
-            return last
-        (model,) = job_models(session, context, [(job, drive_name)])
-    return Change.of(model)
+        rows = session.execute(
+            alive.with_only_columns(Job.id, Job.version, Job.state).where(Job.id.in_(list(followed)))
+        ).all()
+        changed = [row.id for row in rows if row.version != followed[row.id] or row.state == JobState.ACCEPTED]
+        found = session.execute(alive.where(Job.id.in_(changed))).all() if changed else []
+        models = job_models(session, context, [(job, name) for job, name in found])
+    gone: dict[str, Change | None] = dict.fromkeys(followed.keys() - {row.id for row in rows})
+    return gone | {model.id: Change.of(model) for model in models}
+
+
+WatcherDep = Annotated[JobWatcher, part_of_app("watcher")]
 
 
 async def wait_for_job(context: Context, job_id: str, seconds: float) -> Job:

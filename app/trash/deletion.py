@@ -8,6 +8,7 @@ of that is still in a row, and the next clean-up goes on with it.
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
 from datetime import datetime
 from typing import Literal, NamedTuple
 
@@ -69,15 +70,25 @@ class Purged(NamedTuple):
     size_bytes: int
 
 
-def delete_drive(context: Context, drive_id: str, client: str | None, *, at_once: bool = False) -> None:
-    """Move a drive (404 where there is none) to the trash with its jobs, cancelling those that wait or run.
+def delete_drive(
+    context: Context,
+    drive_id: str,
+    client: str | None,
+    *,
+    at_once: bool = False,
+    only_if: Callable[[Session, Drive], bool] | None = None,
+) -> bool:
+    """Move a drive to the trash with its jobs, cancelling those that wait or run; return whether it was moved.
 
-    No client deletes an upload that expired. `at_once` purges it instead of keeping it for a while.
+    No client deletes an upload that expired. `at_once` purges it instead of keeping it for a while; `only_if` is
+    evaluated in the transaction that deletes it. A 404 where there is none.
     """
     of_drive = select(Job).where(Job.drive_id == drive_id)
     with context.database.writing() as session:
         session.scalars(of_drive.order_by(Job.id).with_for_update()).all()  # jobs first, as where a job ends
         drive = lock_drive(session, drive_id)
+        if only_if is not None and not only_if(session, drive):
+            return False
         for job in session.scalars(of_drive):
             cancel(session, context.database, job)
         drive.deleted_at = context.database.clock(session)
@@ -86,6 +97,7 @@ def delete_drive(context: Context, drive_id: str, client: str | None, *, at_once
     context.jobs_changed.set()
     if at_once or context.settings.trash_h == 0:
         purge(context, "drives", drive_id)
+    return True
 
 
 def delete_job(context: Context, job_id: str, client: str) -> None:

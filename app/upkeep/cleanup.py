@@ -11,11 +11,12 @@ import logging
 import threading
 import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 
 from sqlalchemy import ColumnElement, and_, exists, select
 from sqlalchemy.exc import SQLAlchemyError
+from sqlalchemy.orm import Session
 
 from app.context import Context
 from app.drives.commit import tidy_drive
@@ -32,17 +33,51 @@ from interloc.errors import InterLocError
 
 PERIOD_S = 3600.0
 _USES_S = 120.0
+_STEADY_S = 3500.0  # one period, for which the clock must not have jumped before anything goes for its age
+_JUMP_S = 600.0
 
 _log = logging.getLogger(__name__)
 
 
-def sweep(context: Context) -> Counter[Removal]:
-    """Do all of it, as several servers may at the same time; return how much was removed, by reason."""
+class ClockWatch:
+    """Notices when the clock of the database was set, so that nobody is taken for dead or expired.
+
+    It compares it with one that never jumps; between two looks they may part by a tolerance.
+    """
+
+    def __init__(self, tolerance_s: float, monotonic: Callable[[], float] = time.monotonic) -> None:
+        self._tolerance_s = tolerance_s
+        self._monotonic = monotonic
+        self._last: tuple[float, float] | None = None
+        self._since = float("inf")
+        self.has_jumped = False
+
+    def look(self, now: float) -> float:
+        """Take note of the time by the database; return the seconds since it jumped last, or since the first look.
+
+        What happened before that is not known.
+        """
+        moment = self._monotonic()
+        if self._last is None:
+            self._since = moment
+        elif abs((now - self._last[0]) - (moment - self._last[1])) > self._tolerance_s:
+            self._since = moment
+            self.has_jumped = True
+        self._last = now, moment
+        return moment - self._since
+
+
+def sweep(context: Context, *, by_age: bool = True) -> Counter[Removal]:
+    """Do all of it, as several servers may at the same time; return how much was removed, by reason.
+
+    What is old goes only `by_age`: not where the clock may be wrong.
+    """
     swept: Counter[Removal] = Counter()
-    swept["expired"] = _expire(context)
-    swept["purged"] = len(empty_trash(context, older_than_s=3600 * context.settings.trash_h))
-    swept["archive"] = _remove_archives(context)
-    swept["unknown"] = _remove_unknown(context)
+    if by_age:
+        swept["expired"] = _expire(context)
+        swept["purged"] = len(empty_trash(context, older_than_s=3600 * context.settings.trash_h))
+        swept["archive"] = _remove_archives(context)
+    swept["unknown"] = _remove_unknown(context, by_age=by_age)
     for name, size in remove_dead(context.storage.folder(INCOMING)):
         _log.info("%s/%s: its server is dead, %d bytes removed", INCOMING, name, size)
         context.metrics.count_removal("incoming", size)
@@ -70,14 +105,14 @@ def unknown_folders(context: Context) -> Iterator[str]:
                 yield f"{kind}/{path.name}"
 
 
-def _remove_unknown(context: Context) -> int:
+def _remove_unknown(context: Context, *, by_age: bool) -> int:
     """Remove old folders without a row, as a worker makes them whose job was purged; name those that hold something."""
     named, removed = [], 0
     for key in unknown_folders(context):
         folder = context.storage.folder(key)
         if any((folder / name).exists() for name in ("files", REDUCED, "result", "osm")):
             named.append(key)
-        elif is_old(folder):
+        elif by_age and is_old(folder):
             context.metrics.count_removal("unknown", size_of(folder))
             context.storage.delete(key)
             removed += 1
@@ -96,13 +131,17 @@ def _expire(context: Context) -> int:
     with context.database.reading() as session:
         oldest = context.database.clock(session) - 3600 * context.settings.upload_expires_h
         found = session.execute(select(Drive.id, Drive.stored_bytes).where(_is_abandoned(oldest))).all()
+
+    def is_expired(session: Session, drive: Drive) -> bool:
+        return session.scalar(select(Drive.id).where(Drive.id == drive.id, _is_abandoned(oldest))) is not None
+
     expired = 0
     for drive_id, size in found:
         with suppress(Problem):  # deleted meanwhile
-            delete_drive(context, drive_id, None)
-            _log.info("drive %s: its upload was left alone and has expired, %d bytes to the trash", drive_id, size)
-            context.metrics.count_removal("expired", size)
-            expired += 1
+            if delete_drive(context, drive_id, None, only_if=is_expired):
+                _log.info("drive %s: its upload was left alone and has expired, %d bytes to the trash", drive_id, size)
+                context.metrics.count_removal("expired", size)
+                expired += 1
     return expired
 
 
@@ -140,11 +179,14 @@ def _remove_archives(context: Context) -> int:
 class Sweeper:
     """What a server does on the side, from `start` to `stop`: it cleans up once per hour.
 
-    Every two minutes it writes when tokens were last used.
+    Every two minutes it writes when tokens were last used. Nothing is removed for its age within the first hour, and
+    after the clock of the database has jumped: it may have been set wrongly, before the start too, and an hour is time
+    to notice that.
     """
 
     def __init__(self, context: Context) -> None:
         self._context = context
+        self._watch = ClockWatch(_JUMP_S)
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name="sweeper", daemon=True)
 
@@ -164,9 +206,13 @@ class Sweeper:
                 self._context.tokens.write_uses()
                 if time.monotonic() >= sweep_at and not self._stopping.is_set():
                     sweep_at += PERIOD_S
-                    sweep(self._context)
+                    sweep(self._context, by_age=self._clock_is_steady())
             except (SQLAlchemyError, OSError, InterLocError) as error:
                 _log.warning("clean-up: %s", error)
             if self._stopping.is_set():
                 return
             self._stopping.wait(_USES_S)
+
+    def _clock_is_steady(self) -> bool:
+        with self._context.database.reading() as session:
+            return self._watch.look(self._context.database.clock(session)) >= _STEADY_S

@@ -1,4 +1,4 @@
-"""The events of a job: each state once, in order, to the end."""
+"""The events of a job: each state once, in order, to the end; for many listeners at the price of one."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from typing import Any
 
 import httpx
 import pytest
+from sqlalchemy import Engine, event
 
 from app.jobs.queue import submit
 from app.settings import Settings
@@ -19,6 +20,8 @@ from app.store.database import Database
 from app.store.models import Drive, Job
 from tests.app.conftest import running_server
 from tests.app.processes import API, wait_until
+
+LISTENERS = 60
 
 
 @pytest.fixture
@@ -152,3 +155,35 @@ def test_a_server_that_stops_ends_its_events(tmp_path: Path) -> None:
         wait_until(lambda: "interloc_event_listeners 1.0" in client.get("/metrics").text, "the listener")
     assert heard.result(30) == ["1"]
     pool.shutdown()
+
+
+def test_many_listeners_cost_one_question(client: httpx.Client, database: Database, job: str) -> None:
+    questions: list[str] = []
+
+    def count(_connection: object, _cursor: object, statement: str, *_: object) -> None:
+        if statement.startswith("SELECT jobs.id, jobs.version"):
+            questions.append(statement)
+
+    limits = httpx.Limits(max_connections=None)
+    with (
+        httpx.Client(base_url=client.base_url, timeout=60, limits=limits) as many,
+        ThreadPoolExecutor(LISTENERS) as pool,
+    ):
+
+        def hear(_: int) -> list[str]:
+            with events(many, job) as stream:
+                return [number for number, _ in stream]
+
+        heard = [pool.submit(hear, number) for number in range(LISTENERS)]
+        all_listen = f"interloc_event_listeners {LISTENERS}.0"
+        wait_until(lambda: all_listen in client.get("/metrics").text, "all to listen", every_s=0.1)
+        event.listen(Engine, "before_cursor_execute", count)
+        try:
+            change(database, job, message="one")
+            wait_until(lambda: len(questions) >= 4, "the server to look again")
+            change(database, job, state="failed", error={"title": "No", "status": 500, "detail": "no"})
+            results = [future.result(60) for future in heard]
+        finally:
+            event.remove(Engine, "before_cursor_execute", count)
+    assert all(numbers[-1] == "3" for numbers in results)
+    assert len(questions) < LISTENERS  # twice a second for all of them together

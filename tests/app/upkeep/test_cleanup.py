@@ -21,7 +21,7 @@ from app.settings import Settings
 from app.store.incoming import LEFT_ALONE_S
 from app.store.models import Drive, Job
 from app.trash.deletion import list_trash, restore
-from app.upkeep.cleanup import sweep
+from app.upkeep.cleanup import ClockWatch, Sweeper, sweep
 from app.work.documents import CommitOutcome
 from interloc.drives.inspect import DriveReport
 
@@ -114,8 +114,9 @@ def test_only_empty_folders_that_no_row_knows_go(context: Context, caplog: pytes
         (context.storage.folder(key) / name).mkdir(parents=True)
         if key != young:
             os.utime(context.storage.folder(key), (0, 0))
-    assert sweep(context)["unknown"] == 1
+    assert sweep(context, by_age=False)["unknown"] == 0
     assert "no row knows 2 folders of drives, jobs or maps: drives/1, jobs/2." in caplog.text
+    assert sweep(context)["unknown"] == 1
     there = [context.storage.folder(key).exists() for key in (empty, young, *full, f"drives/{known}")]
     assert there == [False, True, True, True, True]
 
@@ -185,3 +186,26 @@ def test_raw_scans_stay_where_nothing_replaces_them(context: Context, caplog: py
     sweep(context)
     assert context.storage.folder(f"drives/{drive}/files/velodyne/000000.bin").is_file()
     assert "its reduced folder is not there" in caplog.text
+
+
+@pytest.mark.parametrize("jump_s", [0.0, 8 * 86400.0, -8 * 86400.0])
+def test_age_counts_only_while_the_clock_is_steady(jump_s: float) -> None:
+    server_s, database_s = 50.0, 1e9
+    watch = ClockWatch(600, lambda: server_s)
+    assert watch.look(database_s) == 0  # what was before the start is not known
+    server_s, database_s = server_s + 3600, database_s + 3601
+    assert watch.look(database_s) == 3600
+    server_s, database_s = server_s + 3600, database_s + 3600 + jump_s
+    assert watch.look(database_s) == (0 if jump_s else 7200)
+    server_s, database_s = server_s + 3600, database_s + 3600
+    assert watch.look(database_s) == (3600 if jump_s else 10800)
+
+
+def test_nothing_goes_for_its_age_while_the_clock_is_in_doubt(context: Context) -> None:
+    old = make_drive(context, age_h=3)
+    sweeper = Sweeper(context)
+    assert not sweeper._clock_is_steady()  # as at each start
+    assert not sweep(context, by_age=sweeper._clock_is_steady())["expired"]
+    assert drives(context) == {old}
+    assert sweep(context)["expired"] == 1
+    assert not drives(context)
