@@ -1,7 +1,5 @@
 """The process that `interloc serve` runs: it listens, serves, and stops in good order."""
 
-from __future__ import annotations
-
 import asyncio
 import ctypes
 import errno

@@ -3,8 +3,6 @@
 A message names the file or field, what was found, what was expected, and the usual mistake.
 """
 
-from __future__ import annotations
-
 import logging
 import re
 import reprlib

@@ -10,8 +10,6 @@ is killed in between, one folder with everything of the user has the name; what 
 recognized by the next run.
 """
 
-from __future__ import annotations
-
 import ctypes
 import errno
 import os

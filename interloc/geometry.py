@@ -4,8 +4,6 @@ Frames: W (world: the first LiDAR pose), L (LiDAR), ENU (east, north, up at a fi
 ``src`` into ``dst``. Metres and radians; geodetic latitude and longitude in degrees on the WGS84 ellipsoid.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import overload

@@ -1,7 +1,5 @@
 """Tracks in GPX files, as phones, watches and navigation devices write them."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 from pathlib import Path

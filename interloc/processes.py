@@ -1,7 +1,5 @@
 """Worker processes that end with their parent and leave Ctrl-C to it, and tasks that run in a pool of them."""
 
-from __future__ import annotations
-
 import gc
 import os
 import queue

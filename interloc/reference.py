@@ -8,8 +8,6 @@ Results differ a little from those of the preset `paper`: scikit-image thins by 
 OpenCV's disc lacks four pixels, and Harris corners of equal score are chosen in another order.
 """
 
-from __future__ import annotations
-
 import math
 from importlib.metadata import version
 from typing import NamedTuple

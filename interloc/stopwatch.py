@@ -1,7 +1,5 @@
 """Time spent per stage."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Mapping
 

@@ -1,7 +1,5 @@
 """A drive to try the service with."""
 
-from __future__ import annotations
-
 import time
 
 from fastapi import APIRouter, Response

@@ -1,7 +1,5 @@
 """The runner of a server takes jobs from the queue, works on each in a thread, and renews the leases."""
 
-from __future__ import annotations
-
 import asyncio
 import logging
 import threading

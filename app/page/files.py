@@ -1,7 +1,5 @@
 """Files of the page, and the documentation of the API: Swagger UI, from the npm package, not from other hosts."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

@@ -1,7 +1,5 @@
 """The result folder of a job, or the reason why there is none."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Short work that a request waits for: pictures of a keyframe, files for other programs, the plan of an upload."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import shutil

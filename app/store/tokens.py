@@ -4,8 +4,6 @@ The table of a team is small, so a server keeps a copy of it. Looking up a token
 dictionary; however many wrong ones come, the table is read a few times per second at most.
 """
 
-from __future__ import annotations
-
 import hashlib
 import logging
 import re

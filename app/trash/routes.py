@@ -1,7 +1,5 @@
 """Endpoints: deleting of drives and jobs, and the trash to which they go."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 from fastapi import APIRouter, Path, Query, Request, Response

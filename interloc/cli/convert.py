@@ -1,7 +1,5 @@
 """`interloc convert`, `reduce`, `label` and `odometry`: what is written of a drive, or made for it."""
 
-from __future__ import annotations
-
 import time
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The entry point: finds the command, and turns every failure into one readable line and an exit code."""
 
-from __future__ import annotations
-
 import errno
 import gc
 import os

@@ -1,7 +1,5 @@
 """Evaluations of one drive side by side: which inputs and settings differ, which figures, which nodes."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Mapping, Sequence
 from functools import reduce

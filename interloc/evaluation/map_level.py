@@ -3,8 +3,6 @@
 Its uncertainty is held against errors, its confidence against facts, counted over intersections, not over sightings.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """The files of an evaluation: report.json, report.html, the layers with data of OpenStreetMap, figures."""
 
-from __future__ import annotations
-
 import base64
 import json
 import math

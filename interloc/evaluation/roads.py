@@ -1,7 +1,5 @@
 """The map of the roads against OpenStreetMap: which are there, how far they lie from its lines, how wide they are."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import NamedTuple
 

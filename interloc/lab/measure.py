@@ -1,7 +1,5 @@
 """One drive, one preset, one level of label errors: detect, evaluate, and keep in a file what the tables need of it."""
 
-from __future__ import annotations
-
 import re
 import time
 from collections import Counter

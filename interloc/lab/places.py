@@ -5,8 +5,6 @@ rendered without a scene: rings of points on flat ground, of a class that is loo
 as no house and no car stands before them. Even numbers are to choose by, odd ones to report by: no place is in both.
 """
 
-from __future__ import annotations
-
 import heapq
 import zlib
 from collections.abc import Iterator, Sequence

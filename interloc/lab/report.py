@@ -1,7 +1,5 @@
 """The files of a benchmark: benchmark.json, benchmark.txt, benchmark.html and failures."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import asdict
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The paper's tables with our rows beside the published ones: pooled over drives, mean and spread over seeds."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property

@@ -6,8 +6,6 @@ that jumps between two places) joined, unless they were seen side by side; each 
 takes at most one detection per keyframe.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from interloc.arrays import FloatArray, IntArray

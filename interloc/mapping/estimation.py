@@ -1,7 +1,5 @@
 """From all sightings of an intersection: its position with uncertainty, how often it was seen, its branches."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """What a map that cannot be used, or hardly, usually is: errors and warnings in words."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -4,8 +4,6 @@ osmnx asks. This module makes it polite, and never silent: a user agent of its o
 threads and processes, answers kept on disk, every wait announced, every refusal explained.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import logging

@@ -1,7 +1,5 @@
 """Layers that are made of the intersections of a result: their branches as lines, their uncertainty as ellipses."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -12,8 +12,6 @@ file                      content
 ========================  ==============================================================================================
 """
 
-from __future__ import annotations
-
 from contextlib import AbstractContextManager
 from pathlib import Path
 

@@ -5,8 +5,6 @@ projects, whose layers have the same elements. A file ``.qgz`` is a ZIP of a pro
 shows, as QGIS 3.22 and newer keep attachments: one file, that opens by a double click and can be moved and renamed.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence

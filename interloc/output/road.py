@@ -1,7 +1,5 @@
 """The road seen by LiDAR as files: a GeoTIFF in the result folder, and a picture of it for a web map."""
 
-from __future__ import annotations
-
 import io
 import math
 import zlib

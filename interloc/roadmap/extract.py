@@ -1,7 +1,5 @@
 """From the mosaic of a drive and its intersections to the network of its roads; the method on one page."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise

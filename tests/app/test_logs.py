@@ -1,7 +1,5 @@
 """The log: a line a request, with everything needed to find it again and no secrets."""
 
-from __future__ import annotations
-
 import json
 import logging
 import re

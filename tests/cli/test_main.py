@@ -1,7 +1,5 @@
 """The group: help, exit codes, and what only a process of its own shows."""
 
-from __future__ import annotations
-
 import fcntl
 import os
 import pty

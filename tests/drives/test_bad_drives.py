@@ -1,7 +1,5 @@
 """Drives that must be refused, each with words that name the file and the usual mistake."""
 
-from __future__ import annotations
-
 import dataclasses
 import re
 from collections.abc import Callable

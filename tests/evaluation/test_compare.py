@@ -1,7 +1,5 @@
 """Which nodes only one of several runs found, which settings differ."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

@@ -1,7 +1,5 @@
 """A result that can be checked by eye, and its map."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Buildings of the map around a drive: which are read, and which are drawn."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

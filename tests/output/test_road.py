@@ -1,7 +1,5 @@
 """The road seen by LiDAR lies where the drive was, in the file and in the picture of it."""
 
-from __future__ import annotations
-
 import io
 import shutil
 import subprocess

@@ -4,8 +4,6 @@ The libraries read one member after the other. What they unpack is counted again
 time and memory are limited as those of all workers, and names of files are used only once the archive was read.
 """
 
-from __future__ import annotations
-
 import errno
 import gzip
 import hashlib

@@ -1,7 +1,5 @@
 """Results side by side, and beside the paper's."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import re

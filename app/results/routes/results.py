@@ -1,7 +1,5 @@
 """What a successful job yields: layers, report, files, one archive of all."""
 
-from __future__ import annotations
-
 import hashlib
 from pathlib import Path as FilePath
 from typing import Annotated, Any, Literal

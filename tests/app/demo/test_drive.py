@@ -1,7 +1,5 @@
 """The demo drive: made once for a client, committed by itself, good for a job with its own map."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor

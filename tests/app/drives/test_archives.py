@@ -1,7 +1,5 @@
 """Archives: whatever is in them, either all files of one drive come out or nothing does."""
 
-from __future__ import annotations
-
 import gzip
 import hashlib
 import io

@@ -1,7 +1,5 @@
 """Requests that are too large or too slow."""
 
-from __future__ import annotations
-
 import json
 import socket
 import threading

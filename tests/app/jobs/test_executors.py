@@ -1,7 +1,5 @@
 """Workers: one that dies or uses too much takes only its own work with it, and is replaced."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess
