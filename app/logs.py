@@ -1,7 +1,5 @@
 """The log on stderr: one JSON object per line, or text; each line of a request carries its id, its client, its job."""
 
-from __future__ import annotations
-
 import json
 import logging
 import sys

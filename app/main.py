@@ -1,7 +1,5 @@
 """The application: `create_app` puts the parts together, ``uvicorn app.main:create_app --factory`` serves it."""
 
-from __future__ import annotations
-
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 

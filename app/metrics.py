@@ -1,7 +1,5 @@
 """Metrics for Prometheus: requests are counted when they end; jobs and drives are counted in the database on demand."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Iterable, Iterator
 from functools import partial

@@ -1,7 +1,5 @@
 """Paths of uploaded files: relative, inside the folder of the drive, and valid on every file system."""
 
-from __future__ import annotations
-
 import hashlib
 import re
 import unicodedata

@@ -1,17 +1,13 @@
 """The process that `interloc serve` runs: it listens, serves, and stops in good order."""
 
-from __future__ import annotations
-
 import asyncio
 import ctypes
 import errno
 import logging
 import os
 import socket
-import time
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Any
 
 import uvicorn
 from fastapi import FastAPI
@@ -29,7 +25,6 @@ _ACCEPTED_AT_ONCE = 100
 _KEEP_ALIVE_S = 75  # longer than the 60 s of common reverse proxies: they must be the ones that close
 _CONNECTIONS = 4000  # 503 beyond
 _SPARE_FILES = 256  # descriptors that are not for connections
-_COMPLAIN_S = 60.0
 _M_MMAP_THRESHOLD = -3  # of malloc.h
 _GRACE_S = 4  # for uploads that are under way; `docker stop` kills after ten seconds
 
@@ -124,7 +119,6 @@ class Server(uvicorn.Server):
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         """Open the service, then listen."""
-        asyncio.get_running_loop().set_exception_handler(FewFiles().handle)
         notes = logging.getLogger("uvicorn.error")
         level = notes.level
         notes.setLevel(logging.CRITICAL)  # why a start failed is reported once, by `serve`
@@ -143,21 +137,6 @@ class Server(uvicorn.Server):
         """End the streams that would never end by themselves, wait for the rest, close the service."""
         self._app.state.context.stopping.set()
         await super().shutdown(sockets)
-
-
-class FewFiles:
-    """Logs once per minute that no connection can be taken for lack of descriptors, not thousands of times."""
-
-    def __init__(self) -> None:
-        self._silent_until = float("-inf")
-
-    def handle(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
-        """Take what the event loop complains of."""
-        if "out of system resource" not in context.get("message", ""):
-            loop.default_exception_handler(context)
-        elif time.monotonic() >= self._silent_until:
-            self._silent_until = time.monotonic() + _COMPLAIN_S
-            _log.error("no connection can be taken: %s; raise the limit of open files", context.get("exception"))
 
 
 def serve(settings: Settings, started: Callable[[int], None] | None = None) -> None:

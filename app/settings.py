@@ -1,7 +1,5 @@
 """Settings of the service: environment variables ``INTERLOC_*``; `interloc serve` has options for the common ones."""
 
-from __future__ import annotations
-
 import base64
 import ipaddress
 from pathlib import Path

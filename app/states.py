@@ -1,7 +1,5 @@
 """The states of drives and jobs, the kinds of jobs, the scopes of tokens: values of the database and of REST."""
 
-from __future__ import annotations
-
 from enum import StrEnum
 
 

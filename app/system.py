@@ -1,7 +1,5 @@
 """Endpoints: health, readiness, metrics."""
 
-from __future__ import annotations
-
 import time
 from typing import Annotated, Literal
 

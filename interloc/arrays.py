@@ -1,7 +1,5 @@
 """Types of arrays, named by what they hold; their shapes stand in the docstrings that use them."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

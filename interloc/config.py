@@ -530,13 +530,8 @@ def preset(name: str, *settings: str) -> DetectorConfig:
 def with_settings(config: DetectorConfig, settings: Iterable[str]) -> DetectorConfig:
     """Return a configuration with some settings replaced, each given as ``section.name=value``.
 
-    The value is JSON, or else text. A new ``kind`` sets its section back to the defaults of that kind, whatever
-    the order of the settings; ``section=null`` leaves out a step that may be left out.
-
-    Raises
-    ------
-    ConfigError
-        A setting does not exist, or its value is refused.
+    The value is JSON, or else text. A new ``kind`` sets its section back to the defaults of that kind, whatever the
+    order of the settings; ``section=null`` leaves out a step that may be left out. What is refused is a ConfigError.
     """
     values: dict[str, Any] = config.model_dump(mode="json")
     for setting in sorted(settings, key=lambda setting: ".kind=" not in setting):
@@ -569,18 +564,9 @@ def _json_or_text(text: str) -> Any:  # noqa: ANN401 - any JSON
 
 
 def parse_config(values: object, *, strict: bool = False) -> DetectorConfig:
-    """Build a configuration from plain values (JSON).
+    """Build a configuration from plain values (JSON); a ConfigError names each field that is refused, and why.
 
-    Parameters
-    ----------
-    values
-    strict
-        Refuse numbers and truth values that come as text, and one for the other.
-
-    Raises
-    ------
-    ConfigError
-        Names each field that is unknown or refused, and why.
+    `strict` refuses numbers and truth values that come as text, and one for the other.
     """
     try:
         return DetectorConfig.model_validate(values, strict=strict)

@@ -140,18 +140,8 @@ def map_sketch(
 ) -> str:
     """Return a small map as HTML that needs no script, no style sheet and no network: what a notebook shows.
 
-    Parameters
-    ----------
-    track : (N, 2) float64
-        Metres, y up. What of the roads lies far from it and from the signs is not drawn.
-    signs
-        Points, drawn in this order.
-    caption
-        Line of text below.
-    roads : (R, 2, 2) float64 or None
-        Two ends of each piece of road, metres; behind all else.
-    north_up : bool
-        Whether y is north, which is marked then.
+    `track`, (N, 2), and the two ends of each piece of `roads`, (R, 2, 2), are metres, y up; what of the roads lies far
+    from track and signs is not drawn. Where y is north, that is marked.
     """
     places = np.concatenate([track, *(sign.xy.reshape(-1, 2) for sign in signs)])
     places = places[np.isfinite(places).all(axis=1)]

@@ -79,21 +79,8 @@ class Georeference:
 class Drive(Protocol):
     """A drive: poses up front, points on demand.
 
-    Attributes
-    ----------
-    name : str
-        Name of the folder.
-    frames : (N,) int64
-        Scan numbers, ascending.
-    T_world_lidar : (N, 4, 4) float64
-        Pose of the LiDAR at each scan; W is the LiDAR at the first scan.
-    times_s : (N,) float64 or None
-    georeference : Georeference or None
-
-    Notes
-    -----
-    A drive whose scans take long to read (a network labels them) may say so by an attribute `is_slow`, True: several
-    are then read at once (`is_slow`).
+    One whose scans take long to read (a network labels them) may say so by an attribute `is_slow`, True: several are
+    then read at once.
     """
 
     @property
@@ -108,13 +95,7 @@ class Drive(Protocol):
     def georeference(self) -> Georeference | None: ...
 
     def ground_points(self, index: int) -> GroundPoints:
-        """Read the scan at a position 0..N-1 of the drive.
-
-        Raises
-        ------
-        DriveError
-            The files of the scan are damaged or do not fit together.
-        """
+        """Read the scan at a position 0..N-1 of the drive; a DriveError says what is wrong with its files."""
         ...
 
 

@@ -3,8 +3,6 @@
 A message names the file or field, what was found, what was expected, and the usual mistake.
 """
 
-from __future__ import annotations
-
 import logging
 import re
 import reprlib
@@ -92,13 +90,7 @@ _KINDS = {
 
 
 def expect(value: object, kind: type[object]) -> None:
-    """Refuse an argument of another kind than expected, one of `_KINDS`.
-
-    Raises
-    ------
-    ConfigError
-        `value` is no `kind`.
-    """
+    """Refuse, by a ConfigError, an argument of another kind than expected, one of `_KINDS`."""
     if not isinstance(value, kind):
         raise ConfigError(f"expected {_KINDS[kind.__name__]}; found {type(value).__name__}: {reprlib.repr(value)}")
 
@@ -115,13 +107,7 @@ def install(extra: str) -> str:
 
 
 def require_lab() -> None:
-    """Refuse what needs `interloc.lab`, which an installation may leave out.
-
-    Raises
-    ------
-    InterLocError
-        It is not there.
-    """
+    """Refuse what needs `interloc.lab`, which an installation may leave out."""
     if find_spec("interloc.lab") is None:
         raise InterLocError(
             "this installation has no interloc.lab, which simulates drives and measures presets on them. "
@@ -166,12 +152,6 @@ class Beside:
             self.missing.append(f"{name}: {reason}")
 
     def check(self, out: object) -> None:
-        """Say what is missing of a result that was written to a place.
-
-        Raises
-        ------
-        IncompleteError
-            Anything is.
-        """
+        """Raise an IncompleteError where anything is missing of a result that was written to a place."""
         if self.missing:
             raise IncompleteError(f"{out} was written without {'; without '.join(self.missing)}")

@@ -10,8 +10,6 @@ is killed in between, one folder with everything of the user has the name; what 
 recognized by the next run.
 """
 
-from __future__ import annotations
-
 import ctypes
 import errno
 import os
@@ -45,20 +43,8 @@ IsOurs = Callable[[Path], bool]
 def atomic_write(path: Path) -> Iterator[BinaryIO]:
     """Open a file for writing that takes its name only once it is complete and on disk.
 
-    Parameters
-    ----------
-    path
-        The file; an older one of that name is replaced, or stays untouched where anything fails.
-
-    Yields
-    ------
-    BinaryIO
-        Write here.
-
-    Raises
-    ------
-    OutputError
-        No space left, permission denied, and the like. Nothing is left behind.
+    An older one of that name is replaced, or stays untouched where anything fails; then nothing is left behind. What
+    the system refuses (no space left, no permission) is an OutputError.
     """
     temporary = _temporary_name(path)
     handle: BinaryIO | None = None
@@ -89,32 +75,12 @@ def write_file(path: Path, content: bytes | str) -> None:
 
 @contextmanager
 def atomic_folder(out: Path, *, marker: str, names: Collection[str] = ()) -> Iterator[Path]:
-    """Build a folder that takes its name only once it is complete.
+    """Build a folder that takes its name only once it is complete; several runs into one come one after the other.
 
-    Parameters
-    ----------
-    out
-        The folder. It must not exist, be empty, or hold `marker`: then it is replaced when the new one is complete.
-        What is in it and neither in `names` nor in the new folder is the user's and moves to the new one.
-    marker
-        Name of the file by which such a folder is known.
-    names
-        Names of all files and folders that may be part of such a folder: none of an older one survives.
-
-    Yields
-    ------
-    Path
-        Write here.
-
-    Raises
-    ------
-    OutputError
-        `out` is a file or a folder of something else, or writing failed; nothing is left behind.
-
-    Notes
-    -----
-    No file of the user is out of its place at any moment: see the head of this module. Several runs into one folder
-    come one after the other.
+    `out` must not exist, be empty, or hold the file `marker`: then it is replaced when the new one is complete. What is
+    in it and neither among `names`, which are all that may be part of such a folder, nor in the new one is the user's
+    and moves to the new one; no file of the user is out of its place at any moment, see the head of this module. A
+    folder of something else, and what could not be written, is an OutputError; nothing is left behind.
 
     A folder that cannot be renamed (a mount point, as in a container, or one whose parent is not writable) is
     filled in place instead: built in a hidden folder inside, then its files are renamed into place, `marker` last.

@@ -4,9 +4,8 @@ Frames: W (world: the first LiDAR pose), L (LiDAR), ENU (east, north, up at a fi
 ``src`` into ``dst``. Metres and radians; geodetic latitude and longitude in degrees on the WGS84 ellipsoid.
 """
 
-from __future__ import annotations
-
 import math
+from collections.abc import Callable
 from typing import overload
 
 import numpy as np
@@ -20,17 +19,9 @@ WGS84_E2 = WGS84_F * (2 - WGS84_F)
 
 
 def rotation_from_rpy(roll_rad: ArrayLike, pitch_rad: ArrayLike, yaw_rad: ArrayLike) -> FloatArray:
-    """Return R = Rz(yaw) Ry(pitch) Rx(roll).
+    """Return R_enu_body = Rz(yaw) Ry(pitch) Rx(roll), (..., 3, 3), of (...,) angles of the KITTI convention.
 
-    Parameters
-    ----------
-    roll_rad, pitch_rad, yaw_rad : (...,) float
-        Angles of the KITTI convention: yaw 0 looks east, counter-clockwise.
-
-    Returns
-    -------
-    (..., 3, 3) float64
-        R_enu_body.
+    Yaw 0 looks east, counter-clockwise.
     """
     roll, pitch, yaw = np.broadcast_arrays(*(np.asarray(a, dtype=np.float64) for a in (roll_rad, pitch_rad, yaw_rad)))
     cr, sr, cp, sp, cy, sy = np.cos(roll), np.sin(roll), np.cos(pitch), np.sin(pitch), np.cos(yaw), np.sin(yaw)
@@ -161,25 +152,11 @@ def ecef_from_geodetic(lat_deg: ArrayLike, lon_deg: ArrayLike, alt_m: ArrayLike 
 
 
 def lonlat_from_enu(lat_deg: ArrayLike, lon_deg: ArrayLike, enu_xy: FloatArray) -> FloatArray:
-    """Place points given east and north of a fix on the ellipsoid.
+    """Return (..., 2) longitude, latitude, degrees, of (..., 2) metres east and north of (...,) fixes on the ellipsoid.
 
-    Parameters
-    ----------
-    lat_deg, lon_deg : (...,) float
-        The fixes.
-    enu_xy : (..., 2) float64
-        East, north in metres in the tangent plane, within some kilometres of the fix (error under 0.1 mm at 100 m
-        and 1 cm at 1 km up to 70 degrees of latitude).
-
-    Returns
-    -------
-    (..., 2) float64
-        Longitude, latitude in degrees.
-
-    Notes
-    -----
-    Taylor series of the ellipsoid at the fix to second order. The first order alone is 1 mm off at 100 m at
-    KITTI's latitude, 2.5 mm at 70 degrees.
+    They lie in the tangent plane, within some kilometres of the fix. The Taylor series of the ellipsoid to second order
+    is off by less than 0.1 mm at 100 m and 1 cm at 1 km up to 70 degrees of latitude; the first order alone is 1 mm off
+    at 100 m at KITTI's latitude, 2.5 mm at 70 degrees.
     """
     north_scale, east_scale = _metres_per_degree(lat_deg)
     curvature = _curvature(lat_deg)
@@ -203,3 +180,17 @@ def enu_from_lonlat(lat_deg: ArrayLike, lon_deg: ArrayLike, lonlat: FloatArray) 
         east = east_arc / (1.0 + curvature * north)
         north = north_arc + 0.5 * curvature * east**2
     return np.stack([east, north], axis=-1)
+
+
+def utm_zone(lon_deg: float, lat_deg: float) -> int:
+    """Return the EPSG code of the UTM zone of a place, on WGS84."""
+    zone = int((lon_deg + 180.0) // 6.0) % 60 + 1
+    return (32600 if lat_deg >= 0 else 32700) + zone
+
+
+def projection(source: int, target: int) -> Callable[[FloatArray], FloatArray]:
+    """Return what leads (..., 2) places from one coordinate system to another, by EPSG codes; 4326 is lon, lat."""
+    from pyproj import Transformer  # noqa: PLC0415 - slow to import
+
+    transformer = Transformer.from_crs(source, target, always_xy=True)
+    return lambda xy: np.stack(transformer.transform(xy[..., 0], xy[..., 1]), axis=-1)

@@ -1,7 +1,5 @@
 """Tracks in GPX files, as phones, watches and navigation devices write them."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,13 +29,7 @@ class GpxTrack:
 
 
 def read_gpx(path: Path) -> GpxTrack:
-    """Read the tracks (or else the routes) of a GPX file as one.
-
-    Raises
-    ------
-    DriveError
-        It cannot be read, is no GPX file, or holds no track.
-    """
+    """Read the tracks (or else the routes) of a GPX file as one; a DriveError says why it has none."""
     import gpxpy  # noqa: PLC0415 - needed for this alone
     from gpxpy.gpx import GPXException  # noqa: PLC0415
 

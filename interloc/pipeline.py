@@ -1,7 +1,5 @@
 """A whole drive through the detector, on one process or several, to the tables of a result."""
 
-from __future__ import annotations
-
 import platform
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence

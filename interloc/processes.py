@@ -1,7 +1,5 @@
 """Worker processes that end with their parent and leave Ctrl-C to it, and tasks that run in a pool of them."""
 
-from __future__ import annotations
-
 import gc
 import os
 import queue
@@ -49,31 +47,12 @@ def run_in_processes(
     on_message: Callable[[Any], None] | None = None,
     hint: str = "",
 ) -> list[Result]:
-    """Work on tasks in several processes.
+    """Work on tasks in several processes; return the results in the order of the tasks.
 
-    Parameters
-    ----------
-    work
-        A function of a module. When the run ends early it is left by KeyboardInterrupt, so that it can tidy up.
-    tasks
-    workers : int
-        Number of processes.
-    on_result
-        Called with each result as soon as it is there.
-    on_message
-        Called with what `work` passes to `send_message`.
-    hint
-        Added to the message when a worker process is lost.
-
-    Returns
-    -------
-    list
-        The results in the order of the tasks.
-
-    Raises
-    ------
-    InterLocError
-        A worker process was ended from outside; or whatever a task raises. The other tasks are stopped.
+    `work` is a function of a module; when the run ends early it is left by KeyboardInterrupt, so that it can tidy up.
+    `on_result` is called with each result as soon as it is there, `on_message` with what `work` passes to
+    `send_message`. A worker process that was ended from outside is an InterLocError, to which `hint` is added. The
+    first error of a task ends the others.
     """
     context = _context(work)
     messages = context.Queue()
@@ -117,13 +96,7 @@ def run_in_processes(
 
 
 def in_own_process(work: Callable[[Task], Result], task: Task) -> Result:
-    """Work on a task in a process of its own, which may die without anything else.
-
-    Raises
-    ------
-    InterLocError
-        The process was ended from outside; or whatever the task raises.
-    """
+    """Work on a task in a process of its own, which may die without anything else: then it is an InterLocError."""
     context = _context(work)
     with ProcessPoolExecutor(
         1, mp_context=context, initializer=_start_worker, initargs=(context.SimpleQueue(),)

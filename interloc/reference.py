@@ -8,8 +8,6 @@ Results differ a little from those of the preset `paper`: scikit-image thins by 
 OpenCV's disc lacks four pixels, and Harris corners of equal score are chosen in another order.
 """
 
-from __future__ import annotations
-
 import math
 from importlib.metadata import version
 from typing import NamedTuple
@@ -85,13 +83,7 @@ def detect_around(
 ) -> KeyframeDetections:
     """Find the intersections around a keyframe: all of section III.
 
-    Parameters
-    ----------
-    keyframe
-    points : list of ((4, 4) float64, (N, 3) float32)
-        Pose and road points in L of each keyframe of the window (III-B.1).
-    config
-    stopwatch
+    `points` are pose, (4, 4), and road points in L, (N, 3), of each keyframe of the window (III-B.1).
     """
     resolution_m, lap = config.bev.resolution_m, stopwatch.lap
     roi = roi_around(keyframe, config.bev)

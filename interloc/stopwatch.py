@@ -1,19 +1,11 @@
 """Time spent per stage."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Mapping
 
 
 class Stopwatch:
-    """Adds up the time between laps under the names of the stages.
-
-    Attributes
-    ----------
-    seconds : dict of str to float
-        Time spent in each stage so far.
-    """
+    """Adds up the time between laps under the names of the stages: `seconds`."""
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = {}

@@ -1,7 +1,5 @@
 """Numbers as a person reads them."""
 
-from __future__ import annotations
-
 
 def counted(count: int, noun: str) -> str:
     """Return a number and what it counts: "1 keyframe", "1,250 keyframes"."""

@@ -1,7 +1,5 @@
 """Bags for the tests: scans, poses and fixes written by rosbags in all formats."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A street with one crossing, as road points, as a drive with its OXTS, and as a map."""
 
-from __future__ import annotations
-
 import gzip
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Commands in processes of their own, forked from one that has imported everything: they start at once."""
 
-from __future__ import annotations
-
 import os
 import resource
 import signal

@@ -1,7 +1,5 @@
 """Scans of a crossing of two streets with kerbs, sidewalks and grass, by a spinning sensor."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

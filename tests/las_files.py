@@ -1,7 +1,5 @@
 """LAS and LAZ files for tests: written by laspy, from arrays or from the scans of another drive."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -4,8 +4,6 @@ The default network calls everything road that lies more than 1.5 m below the se
 that from its normalised input, so a wrong normalisation, channel order or projection gives other labels.
 """
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Callable, Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What many tests read and none changes, made once: also where several processes run the tests."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Counting how often files are opened."""
 
-from __future__ import annotations
-
 import os
 import sys
 from collections import Counter

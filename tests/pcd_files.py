@@ -1,7 +1,5 @@
 """PCD files in all three encodings, written plainly."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any

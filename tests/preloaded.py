@@ -1,7 +1,5 @@
 """All that servers, workers and commands import or compile sooner or later: done once, then forked (see `forks`)."""
 
-from __future__ import annotations
-
 import gc
 import tempfile
 from importlib import import_module

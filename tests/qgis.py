@@ -1,7 +1,5 @@
 """The QGIS of this machine: answers the questions of a test in a process of its own, since its start is slow."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A piece of a real drive, and what is found in it: made once, for tests that write it in other forms."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

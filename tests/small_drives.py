@@ -1,7 +1,5 @@
 """Small drives on disk: a straight or curving road on a plane, seen by a LiDAR 1.73 m above it."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 from types import ModuleType

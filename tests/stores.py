@@ -1,7 +1,5 @@
 """A real S3 server on this machine (moto's), and how to speak to it."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Iterator
 from pathlib import Path

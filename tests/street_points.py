@@ -1,7 +1,5 @@
 """A street as points, and what a LiDAR in it sees, standing, driving and while it turns."""
 
-from __future__ import annotations
-
 from functools import cache
 from pathlib import Path
 

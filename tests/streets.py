@@ -1,7 +1,5 @@
 """A street that turns left and right between houses, and what a LiDAR sees of it: drives whose scans hold structure."""
 
-from __future__ import annotations
-
 import os
 import shutil
 from functools import cache

@@ -1,7 +1,5 @@
 """Tasks as the service makes them, for tests of work alone."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any, TypeVar
 

@@ -1,7 +1,5 @@
 """The settings of the method, their presets, and how they are changed."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

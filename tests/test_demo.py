@@ -1,7 +1,5 @@
 """`make demo`, without the installation."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,7 +1,5 @@
 """What messages and documents tell people to install can be installed."""
 
-from __future__ import annotations
-
 import tomllib
 from pathlib import Path
 

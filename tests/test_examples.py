@@ -1,7 +1,5 @@
 """The notebooks in examples/ run from top to bottom, as a newcomer would run them."""
 
-from __future__ import annotations
-
 import ast
 import json
 import shutil

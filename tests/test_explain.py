@@ -1,7 +1,5 @@
 """The step pictures of one keyframe: a straight road along x, another across it at x = 40 m."""
 
-from __future__ import annotations
-
 import json
 import logging
 import math

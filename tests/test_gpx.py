@@ -1,7 +1,5 @@
 """Tracks in GPX files, and what is no track."""
 
-from __future__ import annotations
-
 from datetime import UTC, datetime
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The overlays of a keyframe: what they show lies where the map says, pixel for pixel."""
 
-from __future__ import annotations
-
 import io
 
 import cv2

@@ -1,7 +1,5 @@
 """Whole drives: offline equals online, ranges and processes change nothing, errors and progress arrive."""
 
-from __future__ import annotations
-
 import itertools
 from itertools import islice
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Tasks in a pool of processes: what comes back, and what happens when one fails, dies or is stopped."""
 
-from __future__ import annotations
-
 import os
 import signal
 import time

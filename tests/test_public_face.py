@@ -1,7 +1,5 @@
 """What `import interloc` offers, whatever else was imported before."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

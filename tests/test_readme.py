@@ -1,7 +1,5 @@
 """The two commands at the top of README.md, as make would carry them out in a new clone; nothing is installed."""
 
-from __future__ import annotations
-
 import re
 import shutil
 import subprocess

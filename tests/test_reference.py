@@ -5,8 +5,6 @@ other close by, and the maps that they are fused to. A corner that is found one 
 of each branch, and with them the point by up to some pixels: hence tolerances of up to a metre.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -5,8 +5,6 @@ out. Blocks of the console run after `<!-- run -->`: their commands, within this
 `...` standing for anything.
 """
 
-from __future__ import annotations
-
 import contextlib
 import inspect
 import io

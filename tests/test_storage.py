@@ -1,7 +1,5 @@
 """Object storage: what is fetched from it, and refused."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Iterator
 from pathlib import Path

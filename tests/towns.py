@@ -1,7 +1,5 @@
 """The beginning of the plain part of the made-up town, simulated once for all tests; junctions of any part."""
 
-from __future__ import annotations
-
 import os
 import shutil
 from itertools import pairwise

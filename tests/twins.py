@@ -1,7 +1,5 @@
 """The worlds of KITTI twins."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from interloc.lab.config import SceneConfig

@@ -1,9 +1,6 @@
 """A drive to try the service with."""
 
-from __future__ import annotations
-
 import time
-from contextlib import suppress
 
 from fastapi import APIRouter, Response
 from fastapi.concurrency import run_in_threadpool
@@ -17,13 +14,11 @@ from app.http.headers import WaitSeconds
 from app.http.limits import check_free_space
 from app.http.openapi import Responses, problems
 from app.http.prices import priced
-from app.http.problems import Problem
 from app.jobs.failures import raise_failure
 from app.jobs.queue import submit
 from app.jobs.view import is_alive, wait_for_job
 from app.states import DriveState, JobKind, JobState
 from app.store.models import Drive, Job
-from app.trash.deletion import delete_drive
 
 router = APIRouter(tags=["Drives"])
 
@@ -77,17 +72,6 @@ def _begin(context: Context, owner: str) -> Job:
         ).first()
         if job is not None:
             return job
-        dead = session.scalars(
-            select(Drive.id)
-            .join(Job, Job.drive_id == Drive.id)
-            .where(
-                Job.kind == JobKind.DEMO,
-                Job.owner == owner,
-                Drive.state == DriveState.UPLOADING,
-                Drive.file_count == 0,
-                Drive.deleted_at.is_(None),
-            )
-        ).all()
         check_free_space(context, _NEEDED_BYTES)
         now = context.database.clock(session)
         options = DriveOptionsModel().model_dump(mode="json")
@@ -95,8 +79,5 @@ def _begin(context: Context, owner: str) -> Job:
         session.add(drive)
         session.flush()
         job, _ = submit(session, context.database, kind=JobKind.DEMO, drive_id=drive.id, owner=owner, request={})
-    for drive_id in dead:  # of demos that failed or were cancelled
-        with suppress(Problem):
-            delete_drive(context, drive_id, None, at_once=True)
     context.jobs_changed.set()
     return job

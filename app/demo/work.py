@@ -1,7 +1,5 @@
 """The drive of the demo, the same as `make demo` makes it: through a quarter of a made-up town."""
 
-from __future__ import annotations
-
 import hashlib
 import shutil
 

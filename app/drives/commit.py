@@ -1,7 +1,5 @@
 """The commit of a drive: its begin, its outcome for the client, and what the end of a job means for its drive."""
 
-from __future__ import annotations
-
 import logging
 import os
 import secrets

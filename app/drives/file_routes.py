@@ -1,7 +1,5 @@
 """Endpoints: the files of a drive, one by one, several at once, or as an archive."""
 
-from __future__ import annotations
-
 import re
 from typing import Annotated, Any
 
@@ -81,7 +79,6 @@ def list_files(
 
 @router.put(
     "/files/{path:path}",
-    response_model=UploadedFile,
     responses={201: {"model": UploadedFile, "description": "The file is new."}, **UPLOAD},
     openapi_extra={
         **body_of({"application/octet-stream": BINARY}),
@@ -196,7 +193,6 @@ _BATCH = {
 
 @router.post(
     "/scans",
-    response_model=UploadedBatch,
     responses=UPLOAD,
     openapi_extra=body_of({"multipart/form-data": _BATCH}),
     summary="Upload a batch of scans",
@@ -235,7 +231,6 @@ _ARCHIVE = {
 
 @router.post(
     "/archive",
-    response_model=UnpackedArchive,
     responses={202: {"model": UnpackedArchive, "description": "It is still being unpacked."}, **UPLOAD},
     openapi_extra=body_of({"application/octet-stream": BINARY, "multipart/form-data": _ARCHIVE}),
     summary="Upload an archive",

@@ -1,7 +1,5 @@
 """Drives and their files."""
 
-from __future__ import annotations
-
 import base64
 from datetime import datetime
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Drives in the database: making, finding, listing and removing them and their files."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import time

@@ -1,7 +1,5 @@
 """Endpoints: drives, looks at folders that may become some, and commits."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 from fastapi import APIRouter, Path, Query, Request, Response

@@ -1,7 +1,5 @@
 """The last step of an upload: received files get their names and their rows in the database, all or none."""
 
-from __future__ import annotations
-
 import secrets
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass

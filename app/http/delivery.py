@@ -1,7 +1,5 @@
 """Files and documents over HTTP: validators, and ranges of files; `app.http.middleware` compresses."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 from email.utils import formatdate

@@ -16,8 +16,6 @@ user has typed it, so that it only serves to read.
 Endpoints see who sends a request by `client_of`.
 """
 
-from __future__ import annotations
-
 import base64
 import ipaddress
 import logging

@@ -1,7 +1,5 @@
 """Request headers that the framework does not read: Prefer, Content-Digest and Accept."""
 
-from __future__ import annotations
-
 import re
 from typing import Annotated, Any, cast
 

@@ -1,7 +1,5 @@
 """How every file is put: streamed to a temporary file, counted and hashed meanwhile, then renamed to its place."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import secrets

@@ -1,7 +1,5 @@
 """Limits of uploads: the answer names the limit that was exceeded, and what is allowed."""
 
-from __future__ import annotations
-
 from sqlalchemy import func, or_, select
 from sqlalchemy.orm import Session
 from starlette.requests import Request

@@ -1,7 +1,5 @@
 """What every request passes, from the outside in: log, headers, faults, gate, limits of the body."""
 
-from __future__ import annotations
-
 import asyncio
 import logging
 import re

@@ -1,7 +1,5 @@
 """Several files in one request: multipart/form-data, read as it arrives, each part written straight to its own file."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 
 from python_multipart.exceptions import MultipartParseError

@@ -1,7 +1,5 @@
 """The OpenAPI document: what FastAPI cannot generate of it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from copy import deepcopy
 from typing import Any, ClassVar, TypeVar

@@ -1,7 +1,5 @@
 """Query parameters that several addresses share, the refusal of those that an address does not have, pages of lists."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Iterator
 from datetime import datetime

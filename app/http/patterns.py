@@ -1,7 +1,5 @@
 """Texts and members of what clients send: their patterns, what a refusal asks for, and bodies that take no more."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Strict, StringConstraints

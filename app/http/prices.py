@@ -5,8 +5,6 @@ are at work at a time, shared by the clients, and no thread is held by those tha
 bounds it. A streaming one gives or takes bytes for as long as its client does, and limits what it takes itself.
 """
 
-from __future__ import annotations
-
 import asyncio
 import inspect
 from collections import Counter

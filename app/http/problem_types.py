@@ -1,7 +1,5 @@
 """The kinds of problems: what each is called, its status, and what it means. Their types never change."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 UNTYPED = "about:blank"

@@ -1,7 +1,5 @@
 """Problem documents (RFC 9457): the answers to requests that are not fulfilled."""
 
-from __future__ import annotations
-
 import errno
 import logging
 from collections.abc import Callable

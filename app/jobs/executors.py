@@ -1,7 +1,5 @@
 """Where work is done: processes of this machine, or a Dask cluster, behind one `concurrent.futures.Executor`."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Why a job failed, as the problem document that its client reads."""
 
-from __future__ import annotations
-
 from app.http.problem_types import CANCELLED, FAULT_OF_THE_SERVICE, LIMIT_REACHED, SERVER_LOST, WORKER_LOST
 from app.http.problems import OUT_OF_SPACE, Problem, disk_full, from_error, stored
 from app.jobs.processes import WorkerLimitError

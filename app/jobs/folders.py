@@ -1,7 +1,5 @@
 """The folders of a job: its drive, its scratch while it runs, its result once it was successful."""
 
-from __future__ import annotations
-
 import shutil
 from contextlib import suppress
 from pathlib import Path

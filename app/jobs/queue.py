@@ -6,8 +6,6 @@ All times are those of the clock of the database; where that is set, jobs are ta
 nothing else is lost.
 """
 
-from __future__ import annotations
-
 import json
 import secrets
 import socket

@@ -1,7 +1,5 @@
 """The runner of a server takes jobs from the queue, works on each in a thread, and renews the leases."""
 
-from __future__ import annotations
-
 import asyncio
 import logging
 import threading
@@ -257,15 +255,11 @@ class Attempt:
         """Write how the job ended, and put its result in place: both or neither."""
         job_id, storage = self.claim.job.id, self._context.storage
         write_features = self._features() if isinstance(outcome, Outcome) else None
-        for wait_s in (0.5, 1, 2, 4, 8, 0):
-            try:
-                job = None if self._stop == "lost" else self._finish(outcome, write_features)
-                break
-            except SQLAlchemyError as error:
-                _log.warning("job %s: its end could not be written: %s", job_id, error)
-                if not wait_s:
-                    return "left to its lease"  # whoever takes it over finds all parts done
-                time.sleep(wait_s)
+        try:
+            job = None if self._stop == "lost" else self._finish(outcome, write_features)
+        except SQLAlchemyError as error:
+            _log.warning("job %s: its end could not be written: %s", job_id, error)
+            return "left to its lease"  # whoever takes it over finds all parts done
         if job is None:
             return self._leave()
         tidy(storage, job_id, keep_result=job.state == JobState.SUCCESSFUL)

@@ -1,7 +1,5 @@
 """Check whether a requested job can be done: its settings, map and labels are looked at before it is queued."""
 
-from __future__ import annotations
-
 import unicodedata
 from typing import Any
 

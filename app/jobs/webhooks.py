@@ -4,8 +4,6 @@ A request names addresses (the `subscriber` of OGC API - Processes). What happen
 same transaction, so that no kill comes in between; a `Deliverer` makes the calls, as Standard Webhooks says.
 """
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import hmac

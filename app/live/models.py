@@ -1,7 +1,5 @@
 """What a sender says at first, and what is told about a session."""
 
-from __future__ import annotations
-
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, Field, TypeAdapter

@@ -1,7 +1,5 @@
 """Endpoints: live sessions."""
 
-from __future__ import annotations
-
 import asyncio
 import logging
 from collections.abc import AsyncIterator

@@ -1,7 +1,5 @@
 """The live sessions of this server: each works in a thread, and tells its sender and all who watch."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import logging

@@ -5,8 +5,6 @@ does the rest, and the rows are written with its outcome in one transaction. Wha
 again: nothing is lost, and nothing is done twice.
 """
 
-from __future__ import annotations
-
 import logging
 import secrets
 import threading

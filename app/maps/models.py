@@ -1,7 +1,5 @@
 """Maps of many drives, and the queue of their findings, as clients see them."""
 
-from __future__ import annotations
-
 from datetime import datetime
 from typing import Annotated, Literal
 

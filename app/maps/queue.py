@@ -1,7 +1,5 @@
 """Endpoints: the queue of what OpenStreetMap has wrong by a map of many drives, and its deliveries."""
 
-from __future__ import annotations
-
 from datetime import UTC, datetime
 from functools import lru_cache
 from pathlib import Path as FilePath

@@ -1,7 +1,5 @@
 """Rows of maps: which results a map should hold, which it holds, and what was said of its findings."""
 
-from __future__ import annotations
-
 import hashlib
 from collections import defaultdict
 from collections.abc import Sequence

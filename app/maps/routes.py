@@ -1,7 +1,5 @@
 """Endpoints: maps of many drives."""
 
-from __future__ import annotations
-
 from functools import partial
 from typing import Annotated, Literal
 

@@ -1,7 +1,5 @@
 """Endpoint: the networks by which drives without labels can be labelled."""
 
-from __future__ import annotations
-
 from fastapi import APIRouter
 from pydantic import BaseModel, Field
 

@@ -1,7 +1,5 @@
 """The networks of the service: where they lie, and how long each takes per scan on this machine."""
 
-from __future__ import annotations
-
 import json
 from contextlib import suppress
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The collections: the layers of results, with the schema of their features."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any

@@ -1,7 +1,5 @@
 """The documents that lead to the features: landing page, conformance, collections; all links are absolute."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime

@@ -4,8 +4,6 @@ The truth of SQL is that of CQL2: what compares with null is neither true nor fa
 by their boxes; whether these touch a geometry is decided afterwards, where the boxes alone do not tell.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import re

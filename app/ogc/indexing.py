@@ -3,8 +3,6 @@
 The features of a job that goes to the trash stay, and are not shown; they go with its row.
 """
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path

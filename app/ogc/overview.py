@@ -1,7 +1,5 @@
 """The map of all drives: simplified tracks, and the intersections of the result that stands for each."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from functools import lru_cache

@@ -1,7 +1,5 @@
 """The parameters of queries for features."""
 
-from __future__ import annotations
-
 import math
 import re
 from datetime import UTC, datetime

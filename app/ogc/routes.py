@@ -1,7 +1,5 @@
 """OGC API - Features: the pinned or best result of every drive at /ogc, and each result and each map by itself."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The features of a result, or of a map of many drives, as rows of the tables of features."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """Files of the page, and the documentation of the API: Swagger UI, from the npm package, not from other hosts."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os
@@ -65,11 +63,8 @@ class PageFiles:
     def __init__(self, settings: Settings) -> None:
         package = Path(app.__file__).parent
         self._bundled = "", False  # of which version of the files it is known
-        self._places = [settings.static_dir] if settings.static_dir else [package.parent / "static", package / "static"]
-        self._find()
-
-    def _find(self) -> None:
-        self.root = next((each for each in self._places if (each / INDEX).is_file()), self._places[0]).resolve()
+        places = [settings.static_dir] if settings.static_dir else [package.parent / "static", package / "static"]
+        self.root = next((each for each in places if (each / INDEX).is_file()), places[0]).resolve()
         try:
             dependencies = json.loads((self.root / "package.json").read_bytes()).get("dependencies", {})
         except (OSError, ValueError):
@@ -77,12 +72,7 @@ class PageFiles:
         self.packages = frozenset(dependencies)
 
     def are_complete(self) -> bool:
-        """Tell whether the page and the packages that it needs are there; they may have been installed just now."""
-        if not self._have_all():
-            self._find()
-        return self._have_all()
-
-    def _have_all(self) -> bool:
+        """Tell whether the page and the packages that it needs are there."""
         return (self.root / INDEX).is_file() and all((self.root / _PACKAGES / p).is_dir() for p in self.packages)
 
     def is_bundled(self, version: str) -> bool:

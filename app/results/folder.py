@@ -1,9 +1,6 @@
 """The result folder of a job, or the reason why there is none."""
 
-from __future__ import annotations
-
 import re
-import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -22,9 +19,6 @@ from app.http.problems import Problem
 from app.jobs.view import find_job
 from app.states import JobKind, JobState
 from interloc.output.layout import ROAD_FILE, ROAD_LAYERS, RUN_FILE, file_names
-
-_MAX_KNOWN = 1000
-_BELIEVED_S = 1.0
 
 _STATES = {
     JobState.ACCEPTED: "It waits for its turn; follow GET {job}/events.",
@@ -136,31 +130,13 @@ class Result:
 
 
 class Results:
-    """The results of all jobs.
-
-    Those opened before are kept at hand for a second: a job that was successful stays so until it is deleted. What
-    this server deletes is forgotten at once.
-    """
+    """The results of all jobs."""
 
     def __init__(self, context: Context) -> None:
         self._context = context
-        self._known: dict[str, tuple[Result, float]] = {}
-
-    def forget(self) -> None:
-        """Look up every result anew: something was deleted."""
-        self._known.clear()
 
     def open(self, job_id: str) -> Result:
         """Find the result of a job: 404 no such job, or none with results; 409 not successful (yet); 410 gone."""
-        known, until = self._known.get(job_id, (None, 0.0))
-        if known is None or time.monotonic() >= until or not (known.folder / RUN_FILE).exists():
-            known = self._look_up(job_id)
-            if len(self._known) >= _MAX_KNOWN:
-                self._known.clear()
-            self._known[job_id] = known, time.monotonic() + _BELIEVED_S
-        return known
-
-    def _look_up(self, job_id: str) -> Result:
         with self._context.database.reading() as session:
             job, drive_name = find_job(session, job_id)
         address = f"/api/v1/jobs/{job_id}"

@@ -1,7 +1,5 @@
 """The layers of a result as GeoJSON, for the description of the API: typed features in generated clients."""
 
-from __future__ import annotations
-
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, create_model

@@ -1,7 +1,5 @@
 """Files that are made from a result when somebody asks for them, by the workers, and kept with the job."""
 
-from __future__ import annotations
-
 import asyncio
 import logging
 from collections.abc import Callable, Coroutine

@@ -1,7 +1,5 @@
 """Short work that a request waits for: pictures of a keyframe, files for other programs, the plan of an upload."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import shutil
@@ -15,7 +13,7 @@ import interloc.output
 from app.jobs.work.intersections import open_input
 from app.results.models import collection_id
 from app.work.documents import IntersectionsJob
-from interloc.files import atomic_folder, atomic_write
+from interloc.files import atomic_folder, write_file
 from interloc.output.qgis import Source
 from interloc.output.vector_files import write_live_project, write_vector_file
 
@@ -48,11 +46,9 @@ def draw_keyframe(drive_folder: Path, drive_name: str, request: IntersectionsJob
     folder.parent.mkdir(parents=True, exist_ok=True)
     with atomic_folder(folder, marker=VIEW) as new:
         for layer in OVERLAYS:
-            with atomic_write(new / f"{layer}.png") as file:
-                file.write(draw_overlay(evidence, layer))
+            write_file(new / f"{layer}.png", draw_overlay(evidence, layer))
         view = describe_overlays(evidence, drive_name, drive.georeference)
-        with atomic_write(new / VIEW) as file:
-            file.write(json.dumps(view, allow_nan=False).encode() + b"\n")
+        write_file(new / VIEW, json.dumps(view, allow_nan=False).encode() + b"\n")
     _forget_oldest(folder.parent)
     return nearest
 
@@ -118,7 +114,5 @@ def draw_road_picture(result: Path, folder: Path) -> None:
     }
     folder.parent.mkdir(parents=True, exist_ok=True)
     with atomic_folder(folder, marker=VIEW) as new:
-        with atomic_write(new / ROAD_PICTURE) as file:
-            file.write(picture.png)
-        with atomic_write(new / VIEW) as file:
-            file.write(json.dumps(view, allow_nan=False).encode() + b"\n")
+        write_file(new / ROAD_PICTURE, picture.png)
+        write_file(new / VIEW, json.dumps(view, allow_nan=False).encode() + b"\n")

@@ -1,7 +1,5 @@
 """The database: SQLite in a file, or PostgreSQL by its address; its tables are brought up to date at start."""
 
-from __future__ import annotations
-
 import sqlite3
 import threading
 import time

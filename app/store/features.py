@@ -6,8 +6,6 @@ far to the west of a box a feature can begin that touches it. The tables hold no
 properties differ from those of this version they are made anew, empty, and a start of the server fills them in.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 from sqlalchemy import BigInteger, Boolean, Column, Connection, Float, ForeignKey, Index, Integer, Table, Text, inspect

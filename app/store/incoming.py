@@ -4,8 +4,6 @@ What lies in the folder of a process that is dead is known to be nobody's any mo
 starts. The lock belongs to the operating system: it goes with the process, however that ends.
 """
 
-from __future__ import annotations
-
 import secrets
 import shutil
 import threading

@@ -4,8 +4,6 @@ Each alone looks plausible: an empty database beside a folder full of drives (an
 full of drives beside an empty folder (a volume that is not mounted), two services on one folder.
 """
 
-from __future__ import annotations
-
 import os
 import secrets
 from contextlib import suppress

@@ -1,7 +1,5 @@
 """The tables: drives, their files, jobs, the index of their features, tokens, and the id of the installation."""
 
-from __future__ import annotations
-
 import secrets
 from collections.abc import Collection
 from typing import Any

@@ -6,8 +6,6 @@ received). The library reads and writes folders, so a storage can show a key as 
 objects would do so by a local copy.
 """
 
-from __future__ import annotations
-
 import os
 import secrets
 import shutil

@@ -4,8 +4,6 @@ The table of a team is small, so a server keeps a copy of it. Looking up a token
 dictionary; however many wrong ones come, the table is read a few times per second at most.
 """
 
-from __future__ import annotations
-
 import hashlib
 import logging
 import re
@@ -160,10 +158,7 @@ class TokenBook:
             except SQLAlchemyError as error:  # all who wait for this copy are told, instead of trying one by one
                 self._failure = time.monotonic(), error
                 raise
-            holders = {row.sha256: _holder(row, now) for row in rows}
-            if self._read_at != _NEVER:
-                _report_changes(self._holders, holders)
-            self._holders = holders
+            self._holders = {row.sha256: _holder(row, now) for row in rows}
             self._read_at = begun
 
     def still_holds(self, holder: Holder) -> bool:
@@ -218,14 +213,6 @@ def _holder(row: Token, now: float) -> Holder:
         expires_at=row.expires_at,
         has_expired=row.expires_at is not None and row.expires_at <= now,
     )
-
-
-def _report_changes(before: dict[str, Holder], after: dict[str, Holder]) -> None:
-    """Log which tokens came and went: they are made by the command line, which keeps no log."""
-    for action, some, others in (("add_token", after, before), ("revoke_token", before, after)):
-        for digest in some.keys() - others.keys():
-            fields = {"client": "command line", "action": action, "token": some[digest].name}
-            _audit.info("%s %s", action, some[digest].name, extra=fields)
 
 
 def _sha256(token: str) -> str:

@@ -5,8 +5,6 @@ is first marked so that nobody can take it back (`_PURGING`); then its folders g
 of that is still in a row, and the next clean-up goes on with it.
 """
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable
 from datetime import datetime

@@ -1,7 +1,5 @@
 """Endpoints: deleting of drives and jobs, and the trash to which they go."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 from fastapi import APIRouter, Path, Query, Request, Response
@@ -16,7 +14,6 @@ from app.jobs import routes as jobs
 from app.jobs.models import JobModel
 from app.jobs.queue import cancel
 from app.jobs.view import find_job, job_models
-from app.results.folder import ResultsDep
 from app.states import FINAL
 from app.trash import deletion as trash
 from app.trash.deletion import TrashItem, TrashKind, TrashList
@@ -37,7 +34,6 @@ NOT_THERE = problems({404: "It is not in the trash.", 409: "The drive of the job
 def delete_drive(
     drive_id: drives.DriveId,
     context: ContextDep,
-    results: ResultsDep,
     client: ClientDep,
     purge: Annotated[bool, Query(description="Delete it for good, instead of moving it to the trash.")] = False,
 ) -> None:
@@ -46,7 +42,6 @@ def delete_drive(
     It can be restored from there for some days (POST /api/v1/trash/drives/{id}/restore).
     """
     trash.delete_drive(context, drive_id, client, at_once=purge)
-    results.forget()
 
 
 @of_items.delete(
@@ -68,7 +63,6 @@ def delete_job(
     request: Request,
     response: Response,
     context: ContextDep,
-    results: ResultsDep,
     client: ClientDep,
     purge: Annotated[bool, Query(description="Move a job that has ended to the trash, with its results.")] = False,
 ) -> JobModel | Response:
@@ -79,7 +73,6 @@ def delete_job(
     request.state.action = "remove_job" if purge else "cancel_job"
     if purge:
         trash.delete_job(context, job_id, client)
-        results.forget()
         return Response(status_code=204)
     database = context.database
     with database.writing() as session:

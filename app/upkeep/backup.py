@@ -14,8 +14,6 @@ outrun. What two rounds in a row miss is not there in the service itself: the ba
 ``backup.json`` says that the backup is not complete until all of that has come to its end and is on disk.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 import sqlite3

@@ -4,8 +4,6 @@ Looked at are names, sizes and times. The bytes are read only of a file that was
 says: what a disk does to the others a file system or a backup program finds out.
 """
 
-from __future__ import annotations
-
 import hashlib
 import time
 from collections.abc import Iterator

@@ -5,8 +5,6 @@ scans that are reduced, and folders without a row that hold neither files nor a 
 holds some may be somebody's only copy, as where an older database was brought back: it is named, and stays.
 """
 
-from __future__ import annotations
-
 import logging
 import threading
 import time

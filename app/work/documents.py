@@ -3,8 +3,6 @@
 Rows outlive versions: what older ones did not write has a default, and what this one does not know is ignored.
 """
 
-from __future__ import annotations
-
 from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field

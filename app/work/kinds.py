@@ -1,7 +1,5 @@
 """The kinds of work, and the three calls by which a worker process does a task, whatever its kind."""
 
-from __future__ import annotations
-
 import socket
 from dataclasses import dataclass
 from importlib import import_module

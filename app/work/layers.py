@@ -1,7 +1,5 @@
 """The layers that the service has of each result: those of its files, those made of them, and where it was driven."""
 
-from __future__ import annotations
-
 from pydantic import Field
 
 from interloc.output.layers import DERIVED, LAYERS, Layer

@@ -1,7 +1,5 @@
 """Names of the files through which a worker hands its result to the server."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

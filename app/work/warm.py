@@ -16,7 +16,6 @@ for name in (
     "interloc.evaluation.figures",
     "interloc.evaluation.report",
     "interloc.osm.reader",
-    "interloc.output.osm_roads",
     "osmium",
     "shapely",
 ):

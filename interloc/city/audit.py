@@ -4,8 +4,6 @@ The map is only said to be wrong where several passes agree, and where nothing e
 squares, the edge of the map. A finding is a question to a person with a picture, not an edit.
 """
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace

@@ -20,7 +20,7 @@ from interloc.city.drives import DriveOnMap, Pass, system_of
 from interloc.city.models import CityConfig
 from interloc.city.places import Branches, PlaceTable, tabulate
 from interloc.errors import ConfigError, GeoreferenceError
-from interloc.mapping.mosaic import utm_zone
+from interloc.geometry import utm_zone
 from interloc.results import DriveResult
 
 if TYPE_CHECKING:

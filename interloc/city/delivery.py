@@ -4,8 +4,6 @@ MapRoulette tells by an identity whether a finding is new. It must be the same a
 same task twice, and what they marked as wrong comes back. It is that of the finding (`Finding.id`), never its position.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any

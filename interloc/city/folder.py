@@ -13,8 +13,6 @@ file                   content
 =====================  ================================================================================================
 """
 
-from __future__ import annotations
-
 import io
 import os
 import zipfile

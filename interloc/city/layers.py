@@ -4,8 +4,6 @@ What several drives saw of the road from one place is one road. A place or a bra
 time saw it and those of another did not.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import groupby

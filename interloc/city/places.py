@@ -1,7 +1,5 @@
 """The places of a map of many drives as a table: where each is, how sure that is, who saw it, its branches."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TypeVar

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from interloc.cli import console, locating, options
+from interloc.cli import console, options
 from interloc.errors import ConfigError, GeoreferenceError, InterLocError, is_interruption
 from interloc.files import write_file
 from interloc.wording import counted
@@ -37,8 +37,8 @@ def _plain(_: object, __: object, out: str) -> str:
 @options.map_options
 @options.config_options
 @options.drive_options
-@locating.locate_option
-@locating.near_options
+@options.locate_option
+@options.near_options
 @click.option(
     "--workers", type=click.IntRange(1, 256), show_default="one per core", help="Number of drives worked on at once."
 )

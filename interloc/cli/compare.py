@@ -1,7 +1,5 @@
 """`interloc compare`."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +29,6 @@ def command(results: tuple[Path, ...], out: Path | None) -> None:
     """
     from interloc.errors import ConfigError
     from interloc.evaluation.compare import compare_reports, write_comparison
-    from interloc.evaluation.report import map_line
     from interloc.output.geojson import read_json
     from interloc.output.read import read_run
 
@@ -50,7 +47,7 @@ def command(results: tuple[Path, ...], out: Path | None) -> None:
         console.say_json(comparison.model_dump())
         return
     for name, report in zip(names, reports, strict=True):
-        click.echo(f"{name}: {report.get('map_line') or map_line(report['map_level'])}")
+        click.echo(f"{name}: {report['map_line']}")
     click.echo()
     _print_table(["", *names], [[row.title, *map(_text, row.values)] for row in comparison.figures])
     _print_table(["input", *names], [[row.name, *map(_text, row.values)] for row in comparison.inputs])

@@ -1,7 +1,5 @@
 """`interloc config`."""
 
-from __future__ import annotations
-
 import click
 
 from interloc.cli import options

@@ -1,7 +1,5 @@
 """Output for the user: progress bars, log lines, tables of facts."""
 
-from __future__ import annotations
-
 import json
 import logging
 import sys

@@ -1,6 +1,4 @@
-"""`interloc convert` and `interloc label`."""
-
-from __future__ import annotations
+"""`interloc convert`, `reduce`, `label` and `odometry`: what is written of a drive, or made for it."""
 
 import time
 from pathlib import Path
@@ -92,3 +90,102 @@ def label(drive: Path, by: str | None, model: Path | None, out: Path | None, **r
         ("written to", str(folder)),
     ]
     console.say({**outcome, "road_share": road}, rows)
+
+
+@click.command(cls=options.Command, short_help="Make a small copy of a drive that gives the same results.")
+@options.DRIVE
+@click.option("-o", "--out", required=True, type=options.PATH, help="Folder of the reduced drive.")
+@click.option(
+    "--all-scans",
+    is_flag=True,
+    help="Keep every scan, not only the keyframes of the presets: needed for other settings of keyframes.",
+)
+@options.label_folders_option
+@options.reading_options
+@options.model_options
+@options.QUIET
+@options.JSON
+def reduce(
+    drive: Path,
+    out: Path,
+    all_scans: bool,
+    label_folders: tuple[Any, ...],
+    **reading: Any,
+) -> None:
+    """Write a copy of DRIVE that holds only what the method needs: the ground points of its keyframes.
+
+    Every command reads it like the drive itself, with the same results.
+
+    \b
+    Example:
+      interloc reduce sequences/07 -o small --oxts 2011_09_30_drive_0027_sync
+      interloc run small -o out --osm map.osm.gz
+    """
+    from interloc.config import DEFAULT
+    from interloc.drives.options import DriveOptions
+    from interloc.reduction.reduce import reduce_drive
+
+    with console.progress("reduce", "scan") as bar:
+        manifest = reduce_drive(
+            drive,
+            out,
+            DriveOptions.of(**reading),
+            label_folders=label_folders or None,
+            keyframes=None if all_scans else DEFAULT.keyframes,
+            progress=bar,
+        )
+    assert manifest.source is not None
+    labels: list[str] = [part.folder for part in manifest.labels]
+    scans, kept = len(manifest.frames), len(manifest.kept_frames)
+    before = manifest.source.scan_bytes + sum(part.label_bytes or 0 for part in manifest.labels)
+    after = sum(path.stat().st_size for path in out.rglob("*") if path.is_file())
+    outcome = {"out": str(out), "drive": manifest.name, "scans": scans, "kept_scans": kept, "labels": labels}
+    thinning = None if manifest.keyframes is None else manifest.keyframes.model_dump()
+    by = "all kept" if manifest.keyframes is None else f"{kept:,} kept, the {manifest.keyframes}"
+    facts = [
+        ("drive", f"{manifest.name}: {scans:,} scans, {by}"),
+        ("labels", " and ".join(labels)),
+        ("size", f"{console.size(before)} before, {console.size(after)} now"),
+        ("written to", str(out)),
+    ]
+    console.say({**outcome, "keyframes": thinning, "bytes_before": before, "bytes_after": after}, facts)
+
+
+@click.command(cls=options.Command, short_help="Compute the poses of a drive from its points.")
+@options.DRIVE
+@click.option(
+    "-o",
+    "--out",
+    default=Path("poses.txt"),
+    show_default=True,
+    type=options.PATH,
+    help="File to write: poses of the LiDAR as lines of 12 numbers (KITTI), or in TUM's format where it ends in .tum.",
+)
+@options.odometry_options
+@options.QUIET
+@options.JSON
+def odometry(drive: Path, out: Path, **reading: Any) -> None:
+    """Write the poses of the LiDAR at every scan of DRIVE, from its points alone: no labels and no poses are needed.
+
+    The scans must overlap: at most some metres from one to the next. Where the motion cannot be followed, the command
+    says at which scan, and writes nothing. All commands that read drives take --poses odometry, which does the same.
+
+    \b
+    Examples:
+      interloc odometry drive.mcap -o poses.txt
+      interloc run scans/ -o out --poses odometry --osm map.osm.gz
+    """
+    from interloc.drives.options import DriveOptions
+    from interloc.reduction.convert import write_poses
+
+    began = time.perf_counter()
+    with console.progress("odometry", "scan") as bar:
+        done = write_poses(drive, out, DriveOptions.of(**reading), progress=bar)
+    seconds = time.perf_counter() - began
+    facts = [
+        ("drive", f"{done.name}: {done.scans:,} scans, {done.length_m:,.0f} m"),
+        ("poses", done.how),
+        ("time", f"{seconds:.1f} s, {1000 * seconds / done.scans:.0f} ms per scan"),
+        ("written to", str(out)),
+    ]
+    console.say({"out": str(out), **vars(done), "seconds": seconds}, facts)

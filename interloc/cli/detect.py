@@ -1,7 +1,5 @@
 """`interloc detect`."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from interloc.cli import console, locating, options
+from interloc.cli import console, options
 
 if TYPE_CHECKING:
     from interloc.drive import Drive, Georeference
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 @click.command(cls=options.Command, short_help="Place a drive on the map without GNSS.")
 @options.DRIVE
 @options.OSM
-@locating.near_options
+@options.near_options
 @click.option(
     "--gpx",
     type=options.PATH,
@@ -76,7 +76,7 @@ def command(
             f"{out} is there already, and was not touched: it may be the drive's own. Give another name (-o), or "
             "--overwrite to replace it."
         )
-    search_near, radius_m = locating.search_area(near, radius_km)
+    search_near, radius_m = options.search_area(near, radius_km)
     config = options.configure(preset, settings)
     source = options.open_drive(drive, reading).without_georeference()
     if gpx is not None:

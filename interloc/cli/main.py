@@ -1,7 +1,5 @@
 """The entry point: finds the command, and turns every failure into one readable line and an exit code."""
 
-from __future__ import annotations
-
 import errno
 import gc
 import os
@@ -30,10 +28,10 @@ COMMANDS = {
     "export": "export",
     "merge": "merge",
     "audit": "audit",
-    "odometry": "odometry",
+    "odometry": "convert:odometry",
     "label": "convert:label",
     "convert": "convert:convert",
-    "reduce": "reduce",
+    "reduce": "convert:reduce",
     "simulate": "simulate",
     "benchmark": "benchmark",
     "serve": "service:serve",
@@ -42,10 +40,9 @@ COMMANDS = {
     "trash": "upkeep:trash",
     "backup": "upkeep:backup",
     "restore": "upkeep:restore",
-    "push": "push",
-    "fetch": "fetch",
+    "push": "push:push",
+    "fetch": "push:fetch",
     "config": "config",
-    "completion": "completion",
 }
 """Name -> module of this package and, after a colon, the name of the click command in it (else `command`)."""
 

@@ -116,6 +116,21 @@ class _OfModel(click.Option):
         return [_option_of(name, DriveOptions.model_fields[name]) for name in self._fields]
 
 
+class _LatLon(click.ParamType):  # type: ignore[type-arg, unused-ignore] # generic in the newest click only
+    """Latitude and longitude with a comma between them: 49.01,8.43."""
+
+    name = "LAT,LON"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, float]:
+        if isinstance(value, tuple):
+            return value
+        try:
+            lat, lon = map(float, str(value).split(","))
+        except ValueError:
+            self.fail(f"{value!r} is not LAT,LON: 2 numbers with commas between them.", param, ctx)
+        return lat, lon
+
+
 class _Layout(click.Choice):  # type: ignore[type-arg]  # has none before click 8.2
     """The formats of scans; those of other packages are looked up only where one is named."""
 
@@ -178,6 +193,20 @@ label_folders_option = click.option(
 )
 
 map_options = together(OSM, OVERPASS, POLICY, TOLERANCE)
+
+locate_option = click.option(
+    "--locate",
+    is_flag=True,
+    help="Place the drive on the map by its roads; a georeference is not used. --near does that where there is none.",
+)
+
+near_options = together(
+    click.option("--near", type=_LatLon(), metavar="LAT,LON", help="Search only around here; with --radius."),
+    click.option(
+        "--radius", "radius_km", type=click.FloatRange(min=0.1), help="How far around --near, km.  [default: 3]"
+    ),
+)
+"""Where to search."""
 
 config_options = together(
     click.option(
@@ -344,3 +373,23 @@ def fetch_roads(lonlat: FloatArray, *, margin_m: float = 200.0) -> RoadGraph:
         console.note(f"{reason} ({seconds:.0f} s)")
 
     return download_roads(track_bounds(lonlat, margin_m=margin_m), on_wait=wait)
+
+
+def search_area(
+    near: tuple[float, float] | None, radius_km: float | None
+) -> tuple[tuple[float, float] | None, float | None]:
+    """Return `near` and `radius_m` of `locate` by the values of `near_options`."""
+    if near is not None:
+        return near, 1000.0 * (3.0 if radius_km is None else radius_km)
+    if radius_km is not None:
+        raise click.UsageError("--radius says how far around --near to search; give --near too")
+    return None, None
+
+
+def fetch_map_around(near: tuple[float, float] | None, radius_m: float | None) -> RoadGraph:
+    """Fetch the map to search from Overpass."""
+    import numpy as np
+
+    if near is None or radius_m is None:
+        raise click.UsageError("the map of which place is to be fetched? Say it by --near LAT,LON, or give --osm FILE")
+    return fetch_roads(np.array([near[::-1]]), margin_m=radius_m)

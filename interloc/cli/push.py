@@ -1,4 +1,4 @@
-"""`interloc push`."""
+"""`interloc push` and `interloc fetch`: a drive to a server, and its result back."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from interloc.cli import console, locating, options
-from interloc.cli.fetch import bring, result_facts, result_summary, wait_for
+from interloc.cli import console, options, summary
 
 if TYPE_CHECKING:
     from interloc.client.connection import Connection
@@ -45,12 +44,12 @@ _THREADS = 8
 @click.option("--overpass", is_flag=True, help="Let the server fetch the map; needs --run.")
 @options.POLICY
 @options.TOLERANCE
-@locating.locate_option
-@locating.near_options
+@options.locate_option
+@options.near_options
 @click.option("--notify", metavar="URL", help="Let the server call this address when the job ends; needs --run.")
 @options.QUIET
 @options.JSON
-def command(
+def push(
     drive: Path,
     server: str,
     token: str | None,
@@ -89,7 +88,7 @@ def command(
       interloc push drive.mcap --overpass --near 49.01,8.43 --run         without GNSS
     """
     _check_usage(run=run, fresh=fresh, out=out, osm=osm, overpass=overpass, settings=settings)
-    search = locating.search_area(near, radius_km)
+    search = options.search_area(near, radius_km)
     _check_placing(run=run, by_map=locate or near is not None, has_map=osm is not None or overpass, notify=notify)
     if locate and overpass and near is None:
         raise click.UsageError("the map of which place is to be fetched? Say it by --near LAT,LON, or give --osm FILE")
@@ -165,7 +164,7 @@ def _send(
     threads: int,
 ) -> Pushed:
     """Push the drive with a progress bar; report what an interruption leaves on the server."""
-    from interloc.client.push import push
+    from interloc.client.push import push as push_files
     from interloc.errors import InterLocError, is_interruption
 
     last: list[UploadProgress] = []
@@ -182,7 +181,7 @@ def _send(
                 console.note(stage)
 
         try:
-            return push(
+            return push_files(
                 connection, drive, prepared, push_options, threads=threads, on_stage=show_stage, on_progress=show
             )
         except BaseException as error:
@@ -233,3 +232,77 @@ def _facts(pushed: Pushed, job: JobAnswer | None, out: Path | None) -> list[tupl
     else:
         rows += result_facts(job, out)[1:]
     return [*rows, ("page", f"{pushed.server}/#panel=result&job={job.id}")]
+
+
+@click.command(short_help="Fetch a result from a server.")
+@click.argument("job")
+@options.OUT
+@options.server_options
+@options.QUIET
+@options.JSON
+def fetch(job: str, out: Path, server: str, token: str | None) -> None:
+    """Fetch the result folder of JOB from a server, exactly as the server has it; wait for the job if it still runs.
+
+    \b
+    Example:
+      interloc fetch 9b1e44f00c7a2d53 -o out --server https://interloc.example.org
+    """
+    from interloc.client.connection import Connection
+
+    with Connection(server, token) as connection:
+        done = wait_for(connection, job)
+        bring(connection, done, out)
+    console.say(result_summary(done, out), result_facts(done, out))
+
+
+def wait_for(connection: Connection, job: str) -> JobAnswer:
+    """Follow a job to its end, with its progress."""
+    from interloc.client.jobs import follow
+
+    shown = ""
+    with console.progress("job", "keyframe") as bar:
+
+        def show(change: JobAnswer) -> None:
+            nonlocal shown
+            if change.message and change.message != shown:
+                shown = change.message
+                console.note(f"{change.stage}: {shown}")
+            if change.progress.total:
+                bar(change.progress.done, change.progress.total)
+
+        return follow(connection, job, show)
+
+
+def bring(connection: Connection, job: JobAnswer, out: Path) -> None:
+    """Write the result folder, with progress."""
+    from interloc.client.jobs import fetch as fetch_files
+
+    with console.progress("fetch", "B") as bar:
+        fetch_files(connection, job.id, out, on_bytes=bar)
+
+
+def result_facts(job: JobAnswer, out: Path) -> list[tuple[str, str]]:
+    """Return names and values for a person."""
+    run, report = _records(out)
+    counts = job.summary or {}
+    return [
+        ("drive", f"{job.drive_name}: {run['scans']} scans, {run['keyframes']} keyframes"),
+        summary.georeference_fact(run),
+        *((name, str(counts[name])) for name in ("detections", "intersections") if name in counts),
+        *(summary.report_facts(report, out)[:-1] if report else ()),
+        ("written to", str(out)),
+    ]
+
+
+def result_summary(job: JobAnswer, out: Path) -> dict[str, Any]:
+    """Return the outcome for a program."""
+    _, report = _records(out)
+    return {"out": str(out), "job": job.id, "drive": job.drive_id, "summary": job.summary, "report": report}
+
+
+def _records(out: Path) -> tuple[dict[str, Any], dict[str, Any] | None]:
+    import json
+
+    run = json.loads((out / "run.json").read_bytes())
+    report = out / "report.json"
+    return run, json.loads(report.read_bytes()) if report.is_file() else None

@@ -1,7 +1,5 @@
 """`interloc ros`."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import click

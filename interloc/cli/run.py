@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from interloc.cli import console, locating, options, summary
+from interloc.cli import console, options, summary
 
 if TYPE_CHECKING:
     from interloc.drives.folder import FolderDrive
@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 
 @click.command(cls=options.Command, short_help="Detect, map and evaluate in one go.")
 @options.evaluation_options
-@locating.locate_option
-@locating.near_options
+@options.locate_option
+@options.near_options
 def command(
     drive: Path,
     out: Path,
@@ -46,7 +46,7 @@ def command(
     from interloc.output.write import write_results
     from interloc.pipeline import detect
 
-    search = locating.search_area(near, radius_km)
+    search = options.search_area(near, radius_km)
     may_locate = locate or near is not None
     source, config, graph = options.open_for_evaluation(drive, needs_georeference=not may_locate, **given)
     if near is not None and not locate:
@@ -54,7 +54,7 @@ def command(
         if not locate:
             console.note("--near is not used: the drive has a georeference (--locate leaves that out)")
     if locate and graph is None:
-        graph = locating.fetch_map_around(*search)
+        graph = options.fetch_map_around(*search)
     beside, report = Beside(), None
     with result_folder(out) as folder:
         if locate:

@@ -80,7 +80,7 @@ def report_facts(report: dict[str, Any], out: Path) -> list[tuple[str, str]]:
     """Return the main figures of report.json for a person, the map first."""
     kinds = not_right(report)
     return [
-        *([("map", report["map_line"])] if "map_line" in report else []),  # servers of older versions do not send it
+        ("map", report["map_line"]),
         ("policy", f"{report['policy']}: {counted(report['nodes_in_zone'], 'OSM node')} in the relevant zone"),
         *([("not right", f"{kinds} (in intersections)")] if kinds else []),
         (

@@ -4,8 +4,6 @@ A unit is the command line of one drive, so its result is that of the command by
 result folder appears whole or not at all. Units are done on this machine, or by the workers of a Dask cluster.
 """
 
-from __future__ import annotations
-
 import hashlib
 import io
 import json

@@ -1,7 +1,5 @@
 """`interloc check`, `backup`, `restore` and `trash`: what the operator of a service does with its data."""
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import asdict
 from pathlib import Path

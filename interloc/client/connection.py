@@ -1,7 +1,5 @@
 """A connection to a service: its address, the token, its answers, and retries while it is busy or restarts."""
 
-from __future__ import annotations
-
 import ipaddress
 import logging
 import random

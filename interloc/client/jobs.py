@@ -1,7 +1,5 @@
 """Jobs of the service: submitting them, following them to their end, and fetching what they found."""
 
-from __future__ import annotations
-
 import secrets
 from collections.abc import Callable
 from dataclasses import dataclass

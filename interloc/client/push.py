@@ -1,7 +1,5 @@
 """Sending a drive: checked here, reduced on the way, complete on the server; an interruption costs nothing."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import secrets

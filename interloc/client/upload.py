@@ -9,8 +9,6 @@ One line per file is added as soon as the server has accepted it, so nothing is 
 cut short is ignored. Without a log (another machine, an emptied cache) the whole drive is sent again.
 """
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import json

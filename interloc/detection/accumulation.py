@@ -1,7 +1,5 @@
 """Concatenation of the keyframes around the current one, and its projection to a BEV image (paper, III-B.2 and 3)."""
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from collections.abc import Callable, Iterable

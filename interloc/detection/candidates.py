@@ -1,7 +1,5 @@
 """Detection of intersection candidates on the centerline (paper, section III-B.6)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

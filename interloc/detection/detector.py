@@ -1,7 +1,5 @@
 """The detector: intersections around the vehicle, keyframe by keyframe (paper, section III)."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass

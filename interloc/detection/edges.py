@@ -5,8 +5,6 @@ The axis of a branch is sampled in rings around the intersection (`PLACE`). Line
 vectors (row, column).
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

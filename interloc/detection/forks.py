@@ -8,8 +8,6 @@ with arms that lead straight on from it to where their own axes are known, the e
 Places and directions are rows and columns, lengths pixels.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Keyframe selection (paper, section III-B.2)."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -22,8 +22,6 @@ was seen in passing, and roads bend further out. So the preset `default` fits a 
    fitted to (`_weigh`, and `interloc.detection.refinement`).
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

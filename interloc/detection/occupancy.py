@@ -1,7 +1,5 @@
 """Inference of the road occupancy (paper, section III-B.4)."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from interloc.config import OccupancyConfig

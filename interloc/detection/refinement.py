@@ -1,7 +1,5 @@
 """Correction of the intersection point by its branches (paper, section III-C.2)."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

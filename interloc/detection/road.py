@@ -1,7 +1,5 @@
 """Patches of the road for the mosaic: what a keyframe knows of the road around it, coarse and packed."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

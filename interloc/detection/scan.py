@@ -1,7 +1,5 @@
 """A scan as the detector takes it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Protocol
 

@@ -1,7 +1,5 @@
 """The kernels compiled ahead: the first run of a new installation spends most of its time on that, and only it."""
 
-from __future__ import annotations
-
 import logging
 from functools import cache, lru_cache
 

@@ -1,7 +1,5 @@
 """How wide the roads are that meet at an intersection (beyond the paper): main roads and driveways told apart."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from interloc.arrays import FloatArray, StructuredArray

@@ -1,7 +1,5 @@
 """Can labels and poses be those of one drive with a LiDAR? Judged from a few scans, and by sizes."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import pairwise
 

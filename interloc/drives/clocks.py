@@ -1,7 +1,5 @@
 """Clocks that differ by what is known: TAI, GPS time, time zones."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """The files that a drive is read from: small text files and numbered files; nothing in them is trusted."""
 
-from __future__ import annotations
-
 import gzip
 import math
 import os

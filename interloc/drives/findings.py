@@ -1,7 +1,5 @@
 """What can be wrong with a drive, to be raised (`open_drive`) or listed (`inspect_drive`)."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager

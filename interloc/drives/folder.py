@@ -1,7 +1,5 @@
 """A drive in a folder: poses in memory, points read scan by scan."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path

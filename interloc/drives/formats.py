@@ -4,8 +4,6 @@ An entry point is named as the layout that it adds, and leads to a function of t
 `Findings`, which returns a `Recording` (`interloc.drives.scans.recorded`), or None where the path is something else.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points

@@ -1,7 +1,5 @@
 """What is in a drive, and everything that is wrong with it."""
 
-from __future__ import annotations
-
 import os
 from collections import Counter
 from pathlib import Path

@@ -4,8 +4,6 @@ Looks at listings, archives, uploads and the page read it; what a folder means o
 files, is for `layouts` and the readers of the formats.
 """
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 from typing import Literal

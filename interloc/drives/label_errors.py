@@ -1,7 +1,5 @@
 """Label errors on purpose: what the result does when the segmentation errs (paper, section V-C)."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Do the scans move as the poses do? A few pairs of scans are laid onto each other, and held against the poses."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

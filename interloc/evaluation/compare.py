@@ -1,7 +1,5 @@
 """Evaluations of one drive side by side: which inputs and settings differ, which figures, which nodes."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Mapping, Sequence
 from functools import reduce
@@ -14,7 +12,7 @@ from interloc.config import flatten
 from interloc.drawing import image
 from interloc.errors import ConfigError
 from interloc.files import write_file
-from interloc.output.layout import refuse_result_file, settings_of
+from interloc.output.layout import refuse_result_file
 
 Outcome = Literal["found", "missed", "outside"]
 
@@ -75,7 +73,7 @@ def compare_reports(
     return Comparison(
         runs=list(names),
         inputs=_differing([{name: run.get(key) for name, key in _INPUTS.items()} for run in runs]),
-        settings=_differing([dict(flatten(settings_of(run))) for run in runs]),
+        settings=_differing([dict(flatten(run.get("config", {}))) for run in runs]),
         figures=[
             Figure(name=name, title=title, values=[_figure(report, path) for report in reports])
             for name, title, path in _FIGURES
@@ -153,15 +151,9 @@ def _node(osm_id: int, tables: Sequence[Mapping[int, Mapping[str, Any]]]) -> Com
         lon=known["lon"],
         lat=known["lat"],
         degree=known["degree"],
-        outcomes=[_outcome(row) for row in rows],
+        outcomes=["outside" if row is None or not row["in_zone"] else row["outcome"] for row in rows],
         median_error_m=[None if row is None else row["median_error_m"] for row in rows],
     )
-
-
-def _outcome(row: Mapping[str, Any] | None) -> Outcome:
-    if row is None or not row["in_zone"]:
-        return "outside"
-    return row.get("outcome") or ("found" if row["found"] else "missed")  # versions before had none
 
 
 def _warnings(reports: Sequence[Mapping[str, Any]], runs: Sequence[Mapping[str, Any]]) -> list[str]:

@@ -1,7 +1,5 @@
 """Whether the map belongs to the drive: distance of the track from the roads, before anything is scored."""
 
-from __future__ import annotations
-
 import logging
 import math
 from typing import Any

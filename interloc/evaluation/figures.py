@@ -1,7 +1,5 @@
 """The figures of a report: the map, the center errors, the scores over the threshold."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

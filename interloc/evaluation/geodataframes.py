@@ -1,7 +1,5 @@
 """The layers of a result as GeoDataFrames, for notebooks and GIS in Python."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from interloc.errors import ConfigError

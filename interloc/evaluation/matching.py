@@ -1,7 +1,5 @@
 """Which detection belongs to which OSM node, keyframe by keyframe (paper, section IV-A)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -1,7 +1,5 @@
 """From matched pairs to figures (paper, section IV-B): center errors, precision, recall, F1, the outcome per node."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

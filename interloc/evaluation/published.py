@@ -1,7 +1,5 @@
 """The figures that the paper reports, for comparison with those of this implementation."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 SEQUENCES = ("00", "02", "05", "06", "07", "08", "09", "10")

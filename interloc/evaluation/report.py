@@ -1,7 +1,5 @@
 """The files of an evaluation: report.json, report.html, the layers with data of OpenStreetMap, figures."""
 
-from __future__ import annotations
-
 import base64
 import json
 import math
@@ -20,18 +18,18 @@ from interloc.drawing import ImageFormat, image
 from interloc.errors import Beside, OutputError
 from interloc.evaluation.coverage import track_bounds
 from interloc.evaluation.evaluate import Evaluation
+from interloc.evaluation.map_level import map_std_m
 from interloc.evaluation.metrics import NEAR_PAIR_M, STANDARD_THRESHOLD_M
 from interloc.evaluation.reasons import KINDS
-from interloc.evaluation.reliability import map_std_m
 from interloc.evaluation.roads import BUFFER_M
 from interloc.files import reason_of, write_file
 from interloc.osm.policies import POLICIES
 from interloc.output.credits import map_credit
 from interloc.output.geojson import DEGREE_DECIMALS, METRE_DECIMALS, positions, rounded, write_collection, write_record
 from interloc.output.layers import BUILDINGS, LAYERS
-from interloc.output.layout import FIGURES, RUN_SETTINGS, settings_of
-from interloc.output.osm_roads import building_features, road_features
+from interloc.output.layout import FIGURES, RUN_SETTINGS
 from interloc.output.properties import origin_of
+from interloc.output.roads import building_features, osm_road_features
 from interloc.output.write import detection_features, intersection_features
 from interloc.results import DriveResult
 from interloc.wording import metres, percent
@@ -125,7 +123,7 @@ def render_html(record: dict[str, Any], result: DriveResult, pictures: dict[str,
         pictures=pictures,
         kinds=_kind_rows(record["reasons"]),
         # Read by people only, so what JSON does not know may appear as its text.
-        config=json.dumps(settings_of(result.run), indent=2, default=str),
+        config=json.dumps(result.run.get("config", {}), indent=2, default=str),
         facts=[_fact(*row) for row in flatten({k: v for k, v in result.run.items() if k not in RUN_SETTINGS})],
     )
     return page
@@ -212,7 +210,7 @@ def _match_features(evaluation: Evaluation, result: DriveResult) -> list[dict[st
 def _road_features(evaluation: Evaluation, result: DriveResult) -> list[dict[str, Any]]:
     assert result.keyframes.lonlat is not None
     seen = {} if evaluation.roads is None else {row: way._asdict() for row, way in evaluation.roads.ways.items()}
-    return road_features(evaluation.graph, track_bounds(result.keyframes.lonlat), seen)
+    return osm_road_features(evaluation.graph, track_bounds(result.keyframes.lonlat), seen)
 
 
 def _building_features(evaluation: Evaluation, result: DriveResult) -> list[dict[str, Any]]:
@@ -325,10 +323,10 @@ def map_line(level: Mapping[str, Any]) -> str:
 
     "13 of 14 intersections right within 10 m, 1 not judged, 5 of 5 nodes found, median 0.9 m".
     """
-    right, scored = level["true"], level["intersections_in_zone"] - level.get("not_counted", 0)
+    right, scored = level["true"], level["intersections_in_zone"] - level["not_counted"]
     nodes = level["nodes_in_zone"]
     what = "intersection" if scored == 1 else "intersections"
-    neutral = {"not counted by this policy": level.get("not_counted"), "not judged": level.get("not_judged")}
+    neutral = {"not counted by this policy": level["not_counted"], "not judged": level["not_judged"]}
     told = [f"{count} {words}" for words, count in neutral.items() if count]
     judged = [] if told and not scored else ["no intersections"]
     parts = [

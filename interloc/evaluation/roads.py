@@ -1,13 +1,12 @@
 """The map of the roads against OpenStreetMap: which are there, how far they lie from its lines, how wide they are."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 
 from interloc.arrays import BoolArray, FloatArray, IntArray
+from interloc.geometry import projection
 from interloc.osm.graph import RoadGraph
 from interloc.osm.intersections import road_ways
 from interloc.osm.policies import Policy
@@ -112,13 +111,10 @@ def _along_roads(network: RoadNetwork) -> _Places:
 
 def _along_ways(graph: RoadGraph, network: RoadNetwork) -> _Places:
     """Return places along the ways of a map around the roads."""
-    from pyproj import Transformer  # noqa: PLC0415 - slow to import
-
+    assert network.epsg is not None
     corners = np.concatenate([edge.xy for edge in network.edges])
     low, high = corners.min(axis=0) - _AROUND_M, corners.max(axis=0) + _AROUND_M
-    project = Transformer.from_crs(4326, network.epsg, always_xy=True).transform
-    xy = np.stack(project(graph.lonlat[:, 0], graph.lonlat[:, 1]), axis=-1)
-    ends = xy[graph.edges]
+    ends = projection(4326, network.epsg)(graph.lonlat)[graph.edges]
     near = np.all(ends.max(axis=1) > low, axis=1) & np.all(ends.min(axis=1) < high, axis=1)
     start, step, owner = ends[near, 0], ends[near, 1] - ends[near, 0], graph.edge_way[near]
     count = np.maximum(1, np.round(np.linalg.norm(step, axis=1) / _STEP_M)).astype(int)

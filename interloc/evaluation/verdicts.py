@@ -1,7 +1,5 @@
 """The verdict on every detection, intersection and node: right or wrong, found or missed, and why."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

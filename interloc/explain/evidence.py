@@ -1,7 +1,5 @@
 """What the method saw and did at one keyframe, and what the map has there: what pictures show, and its numbers."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from itertools import islice

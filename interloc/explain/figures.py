@@ -16,7 +16,7 @@ from interloc.drive import Drive
 from interloc.explain import steps
 from interloc.explain.canvas import PX_PER_M, Canvas, Square
 from interloc.explain.evidence import ExplainedKeyframe, GroundTruth, gather, ground_truth, record
-from interloc.files import atomic_folder, atomic_write, write_file
+from interloc.files import atomic_folder, write_file
 from interloc.osm.graph import RoadGraph
 from interloc.osm.policies import Policy
 
@@ -107,9 +107,8 @@ def explain(
             sheet = refinement_sheet if step is STEPS[-1] and explained.kept else step_sheet
             write_file(folder / step.file, image(sheet(step, explained, truth), "png", dpi=_DPI))
         write_file(folder / OVERVIEW, image(overview(explained, truth), "png", dpi=_DPI))
-        with atomic_write(folder / RECORD) as handle:
-            text = json.dumps(record(explained, drive.name, truth), indent=2, allow_nan=False)
-            handle.write(f"{text}\n".encode())
+        text = json.dumps(record(explained, drive.name, truth), indent=2, allow_nan=False)
+        write_file(folder / RECORD, f"{text}\n")
     return [out / name for name in (*(step.file for step in STEPS), OVERVIEW, RECORD)]
 
 

@@ -1,7 +1,5 @@
 """The steps of one keyframe as pictures to be laid on a map."""
 
-from __future__ import annotations
-
 from typing import Any, Literal, get_args
 
 import numpy as np

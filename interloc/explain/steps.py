@@ -1,7 +1,5 @@
 """What each step of the method draws, and what it says beside that (paper, Fig. 2 and 5)."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

@@ -1,7 +1,5 @@
 """Compiled pixel and point loops; each has its plain twin in the tests."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable
 from contextlib import suppress

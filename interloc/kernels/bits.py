@@ -5,8 +5,6 @@ Layout: row ``r`` of the image is row ``r + 1`` of a (H + 2, words) uint64 array
 pixel addressable by its flat bit index without a test for the border.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

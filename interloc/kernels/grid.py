@@ -4,8 +4,6 @@ The grid is made of square tiles of TILE x TILE cells in a pool; a table says wh
 W. Cell (ix, iy) covers x in [ix r, (ix + 1) r) and y in [iy r, (iy + 1) r).
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from interloc.arrays import Float32Array, FloatArray, Int32Array, IntArray, UInt64Array

@@ -1,7 +1,5 @@
 """Loops that find the ground of a scan: a plane under the sensor, and cells along it with their roughness."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from interloc.arrays import Float32Array, FloatArray, IntArray

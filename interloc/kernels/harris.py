@@ -5,8 +5,6 @@ of each line pixel. Equal to OpenCV's `cornerHarris` with Sobel 3 on the image o
 near the border, where we take what lies outside as empty.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from interloc.arrays import FloatArray, Int32Array, UInt64Array

@@ -4,8 +4,6 @@ A region of clear pixels is found as runs of each row, joined by union and find 
 side by side: set pixels are joined diagonally too, so clear ones are not.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from interloc.arrays import Int32Array, UInt64Array

@@ -4,8 +4,6 @@ A disc is a stack of horizontal spans: the rows are widened once by every half-w
 rows are joined vertically. What lies outside of the image never decides: neither road nor gap.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

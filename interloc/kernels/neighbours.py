@@ -1,7 +1,5 @@
 """Labels of points from the labels of pixels, by a vote of the nearest neighbours in the range image."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from interloc.arrays import Float32Array, Int32Array, UInt8Array

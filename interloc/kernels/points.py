@@ -1,7 +1,5 @@
 """Selection of the points that carry wanted labels, in one pass over a scan."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from interloc.arrays import Float32Array, UInt8Array, UInt32Array

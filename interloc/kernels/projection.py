@@ -1,7 +1,5 @@
 """Range images: a scan seen from its sensor, one pixel per direction."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

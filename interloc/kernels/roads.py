@@ -4,8 +4,6 @@ The raster of roads is two images of one grid: `distance` in units of 0.1 m (255
 for each of 16 sectors of 11.25 degrees of the undirected bearing of the roads near the cell.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from interloc.arrays import FloatArray, IntArray, UInt8Array, UInt16Array

@@ -5,8 +5,6 @@ then has two neighbours like any other pixel of a line, and a pixel with three o
 neighbours takes corners for junctions; the crossing number misses a junction of four lines at a block of 2 x 2 pixels.)
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from interloc.arrays import BoolArray, FloatArray, Int32Array, StructuredArray, UInt64Array

@@ -4,8 +4,6 @@ All take points as ``(N, 3 or more)`` float32 with x, y, z first, and ``T``, (3,
 of the grid. A grid is an image; ``x0, y0`` is the corner of its cell (0, 0), rows go with y and columns with x.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from interloc.arrays import BoolArray, Float32Array, FloatArray, UInt8Array, UInt32Array

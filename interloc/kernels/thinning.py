@@ -5,8 +5,6 @@ it decides on has changed since it looked there last. The work grows with the le
 not with the image, and the result is that of the definition.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from interloc.arrays import UInt64Array

@@ -4,8 +4,6 @@ A rule or setting stays if it gains on the mean of the choosing drives by more t
 chosen to reach a line. The reporting drives are measured once per candidate, and told whatever they say.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass

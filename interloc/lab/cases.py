@@ -1,7 +1,5 @@
 """The drives of a benchmark and how they are found, and what a measurement of them depends on."""
 
-from __future__ import annotations
-
 import csv
 import hashlib
 import json

@@ -1,7 +1,5 @@
 """Configuration of the simulator: one frozen model per concern. Lengths in metres, angles in degrees."""
 
-from __future__ import annotations
-
 from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field

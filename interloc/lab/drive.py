@@ -1,7 +1,5 @@
 """Simulating a drive along a track over a map, and writing it to disk scan by scan."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import dataclass, field
 from importlib.metadata import version

@@ -5,8 +5,6 @@ beside them. Parameters are drawn from a generator: the same one gives the same 
 counter-clockwise from +x. Right-hand traffic.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """One drive, one preset, one level of label errors: detect, evaluate, and keep in a file what the tables need of it."""
 
-from __future__ import annotations
-
 import re
 import time
 from collections import Counter
@@ -20,9 +18,9 @@ from interloc.drive import Drive
 from interloc.drives.label_errors import MislabelledDrive, parse_level
 from interloc.errors import OutputError
 from interloc.evaluation.evaluate import Evaluation, evaluate
+from interloc.evaluation.map_level import squared_errors
 from interloc.evaluation.matching import UNMATCHED
 from interloc.evaluation.metrics import STANDARD_THRESHOLD_M
-from interloc.evaluation.reliability import squared_errors
 from interloc.files import atomic_write, reason_of
 from interloc.geometry import enu_from_lonlat, middle_of
 from interloc.osm.graph import RoadGraph
@@ -105,7 +103,7 @@ class Row(_Record):
     map_axes_errors_m: tuple[tuple[float, float], ...]
     """Of those pairs at whose node somebody read where the axes of the roads meet: from the node, and from there."""
     map_squared: tuple[float, ...]
-    """Of the assigned pairs: errors in units of their covariances, squared (`evaluation.reliability`)."""
+    """Of the assigned pairs: errors in units of their covariances, squared (`evaluation.map_level`)."""
     map_confidence: tuple[float, ...]
     """Of the fused intersections in the zone."""
     map_right: tuple[bool, ...]

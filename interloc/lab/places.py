@@ -5,8 +5,6 @@ rendered without a scene: rings of points on flat ground, of a class that is loo
 as no house and no car stands before them. Even numbers are to choose by, odd ones to report by: no place is in both.
 """
 
-from __future__ import annotations
-
 import heapq
 import zlib
 from collections.abc import Iterator, Sequence
@@ -28,7 +26,7 @@ from interloc.arrays import BoolArray, FloatArray, IntArray, UInt8Array
 from interloc.config import DetectorConfig
 from interloc.drive import Georeference, GroundPoints
 from interloc.errors import ConfigError
-from interloc.evaluation.reliability import BOUND_95
+from interloc.evaluation.map_level import BOUND_95
 from interloc.kernels import compiled
 from interloc.lab.config import LidarConfig
 from interloc.lab.ground import Layer, Surface, line_parts, paint

@@ -1,7 +1,5 @@
 """Rays of a spinning LiDAR against a tiled ground raster, a height grid and upright walls."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The files of a benchmark: benchmark.json, benchmark.txt, benchmark.html and failures."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import asdict
 from pathlib import Path
@@ -10,9 +8,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from interloc.evaluation.map_level import bins_of
 from interloc.evaluation.published import AVERAGE, COMPARISON, LABEL_ERRORS, PERFORMANCE
 from interloc.evaluation.reasons import KINDS
-from interloc.evaluation.reliability import bins_of
 from interloc.evaluation.report import make_folder, template
 from interloc.files import write_file
 from interloc.lab.measure import Row

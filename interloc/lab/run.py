@@ -1,7 +1,5 @@
 """Running a benchmark: every drive with every preset, level of label errors and seed. Finished rows are kept."""
 
-from __future__ import annotations
-
 import logging
 import shutil
 from collections.abc import Callable, Iterable

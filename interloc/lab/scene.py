@@ -1,7 +1,5 @@
 """The world around a track: ground, heights and what occludes them, ready for the LiDAR."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field

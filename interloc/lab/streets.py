@@ -1,7 +1,5 @@
 """The streets of an OSM file as the simulator sees them: classes, cross-sections, and which pass over each other."""
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence

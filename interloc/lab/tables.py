@@ -1,7 +1,5 @@
 """The paper's tables with our rows beside the published ones: pooled over drives, mean and spread over seeds."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -12,9 +10,7 @@ import numpy as np
 import pandas as pd
 
 from interloc.arrays import BoolArray, FloatArray
-from interloc.evaluation.metrics import NEAR_PAIR_M, STANDARD_THRESHOLD_M
-from interloc.evaluation.published import AVERAGE, COMPARISON, LABEL_ERRORS, PERFORMANCE, RANGENET, SEQUENCES, Published
-from interloc.evaluation.reliability import (
+from interloc.evaluation.map_level import (
     Interval,
     calibration_error,
     calibration_error_by_chance,
@@ -22,6 +18,8 @@ from interloc.evaluation.reliability import (
     squared_per_dimension,
     with_interval,
 )
+from interloc.evaluation.metrics import NEAR_PAIR_M, STANDARD_THRESHOLD_M
+from interloc.evaluation.published import AVERAGE, COMPARISON, LABEL_ERRORS, PERFORMANCE, RANGENET, SEQUENCES, Published
 from interloc.lab.measure import Row
 
 MISSING = "–"  # noqa: RUF001 - a dash, not a minus

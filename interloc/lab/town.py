@@ -1,7 +1,5 @@
 """Made-up towns, whose maps are their truth."""
 
-from __future__ import annotations
-
 import heapq
 from dataclasses import replace
 from itertools import pairwise

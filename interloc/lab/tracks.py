@@ -1,7 +1,5 @@
 """Where the LiDAR is at every scan: along OXTS rows, or along a line of longitudes and latitudes; read from files."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """KITTI twins: the real track of a KITTI sequence, simulated over its real map."""
 
-from __future__ import annotations
-
 import json
 import shlex
 import tempfile

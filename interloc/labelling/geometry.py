@@ -22,8 +22,6 @@ challenges (Dahlkamp et al., RSS 2006) and to curb detection in accumulated scan
 the first ten scans of SemanticKITTI 00 and 07.
 """
 
-from __future__ import annotations
-
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Road on the grid of a window: what looks like the driven strip, as far as it is connected with it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import cv2

@@ -7,8 +7,6 @@ An entry point is named as its kind of network, and leads to a module (or object
     open_labeller(folder: Path, provider: str, threads: int | None) -> ScanLabeller
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cache
 from importlib import import_module

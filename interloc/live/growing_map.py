@@ -1,7 +1,5 @@
 """The fused map of a drive that is under way: after each keyframe only what lies around it is fused anew."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Literal
 

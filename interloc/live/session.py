@@ -1,7 +1,5 @@
 """A session: scans in, in their order; out come the detections of each keyframe, and what became of the map by them."""
 
-from __future__ import annotations
-
 import time
 from collections import deque
 from collections.abc import Callable, Iterator

@@ -11,8 +11,6 @@
 All numbers are little-endian. The head is a `Head`.
 """
 
-from __future__ import annotations
-
 import struct
 from typing import Annotated
 

@@ -3,8 +3,6 @@
 The documents that it says are the same on the command line, from the service and in ROS.
 """
 
-from __future__ import annotations
-
 import logging
 import math
 import threading

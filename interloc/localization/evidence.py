@@ -1,7 +1,5 @@
 """What speaks for a place once the track is bent onto its roads, and whether that is enough."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

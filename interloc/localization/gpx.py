@@ -7,8 +7,6 @@ track as it is bent onto the roads of a map (`interloc.localization.refine`): th
 how smoothly.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What a location makes of a run: every detection on the earth, a fair copy to score, the places as a layer."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any

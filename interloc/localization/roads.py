@@ -1,7 +1,5 @@
 """The roads of a map as the search needs them: in metres, as segments, intersections with branches, and a raster."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 

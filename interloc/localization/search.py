@@ -12,8 +12,6 @@ A long track is searched by several pieces of it: one of them may lie on a road 
 bends the whole.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

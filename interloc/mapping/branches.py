@@ -61,20 +61,10 @@ class FusedBranches:
 def fuse_branches(seen: SeenBranches, *, spread_deg: float, separation_deg: float, support: float) -> FusedBranches:
     """Find the branches that the sightings of each intersection agree on, and the weighted medians of their widths.
 
-    Parameters
-    ----------
-    seen
-    spread_deg
-        Standard deviation of a bearing.
-    separation_deg
-        Branches lie at least this far apart.
-    support
-        Share of the weight of all sightings that must have seen a branch.
-
-    Notes
-    -----
-    Peaks of a density on the circle, each refined to the weighted circular mean of the bearings nearest to it. An
-    intersection has at least three branches (paper, section III-C): the best supported ones fill up to three.
+    Peaks of a density on the circle (a bearing has the standard deviation `spread_deg`), each refined to the weighted
+    circular mean of the bearings nearest to it. They lie at least `separation_deg` apart, and the share `support` of
+    the weight of all sightings must have seen each; but an intersection has at least three branches (paper, section
+    III-C): the best supported ones fill up to three.
     """
     total = np.bincount(seen.place, seen.weight)
     count, place, weight = len(total), seen.place[seen.sighting], seen.weight[seen.sighting]

@@ -6,8 +6,6 @@ that jumps between two places) joined, unless they were seen side by side; each 
 takes at most one detection per keyframe.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from interloc.arrays import FloatArray, IntArray
@@ -26,28 +24,12 @@ def cells_of(xy: FloatArray, side_m: float) -> IntArray:
 
 
 def find_peaks(xy: FloatArray, weight: FloatArray, *, bandwidth_m: float, cell_m: float | None = None) -> IntArray:
-    """Group points by the peak of their density that they climb to.
+    """Group (D, 2) points, metres, by the peak of their density that they climb to: (D,) int64 from 0.
 
-    Parameters
-    ----------
-    xy : (D, 2) float64
-        Metres in one plane.
-    weight : (D,) float64
-        Positive.
-    bandwidth_m : float
-        Standard deviation of the Gaussian kernel. Peaks come out further apart than 2.5 times that.
-    cell_m : float, optional
-        Side of the cells that points are put into; a quarter of the bandwidth.
-
-    Returns
-    -------
-    (D,) int64
-        Number of the peak, 0..P-1.
-
-    Notes
-    -----
     Quick shift (Vedaldi and Soatto, 2008): each point points to the nearest one of higher density. It runs on the
-    occupied cells of a grid, which bounds the number of neighbours however often a place was seen.
+    occupied cells of a grid, by default a quarter of the bandwidth wide, which bounds the number of neighbours however
+    often a place was seen. The bandwidth is the standard deviation of the Gaussian kernel; peaks come out further apart
+    than 2.5 times that.
     """
     from scipy.spatial import cKDTree  # noqa: PLC0415 - slow to import, and not needed to start the command line
 

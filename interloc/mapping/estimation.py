@@ -1,7 +1,5 @@
 """From all sightings of an intersection: its position with uncertainty, how often it was seen, its branches."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -20,27 +18,12 @@ _CONVERGED_M = 1e-4
 def robust_centres(
     xy: FloatArray, weight: FloatArray, labels: IntArray, start: FloatArray, *, scale_m: float
 ) -> FloatArray:
-    """Move each centre to the middle of the bulk of its members.
+    """Move each of (M, 2) centres, metres, to the middle of the bulk of its members; one without members stays.
 
-    Parameters
-    ----------
-    xy, weight : (D, 2), (D,) float64
-        Metres in one plane; positive weights.
-    labels : (D,) int64
-        Centre of each detection, -1 for none.
-    start : (M, 2) float64
-        Where to begin; a centre without members stays there.
-    scale_m : float
-        Distance at which a member counts 0.6 of one in the middle; at three times that it counts 0.01.
-
-    Returns
-    -------
-    (M, 2) float64
-
-    Notes
-    -----
-    Iteratively reweighted least squares with Welsch weights exp(-d^2 / 2 scale^2). They redescend: where detections
-    jump between two places the heavier one wins, instead of a compromise at which there is nothing.
+    `labels` names the centre of each of (D, 2) detections with positive weights, -1 for none. Iteratively reweighted
+    least squares with Welsch weights exp(-d^2 / 2 scale^2): a member counts 0.6 of one in the middle at `scale_m`, 0.01
+    at three times that. They redescend: where detections jump between two places the heavier one wins, instead of a
+    compromise at which there is nothing.
     """
     inside = labels >= 0
     xy, weight, labels = xy[inside], weight[inside], labels[inside]
@@ -85,8 +68,6 @@ def densest_parts(xy: FloatArray, weight: FloatArray, labels: IntArray, count: i
 class SightingStats:
     """What the sightings of each of M intersections say about it together.
 
-    Notes
-    -----
     Neighbouring keyframes see the intersection through nearly the same scans, so their errors agree, and 40 sightings
     of one pass are not 40 measurements. Two windows share the part r = max(0, 1 - d / correlation_m) of their scans
     when d metres of driving lie between them; taking r as the correlation of their errors, n sightings with weights w
@@ -110,20 +91,11 @@ def summarize_sightings(
     xy: FloatArray, weight: FloatArray, labels: IntArray, travelled_m: FloatArray, centres: FloatArray, *,
     score: FloatArray, fix_std_m: FloatArray, correlation_m: float, clip_m: float
 ) -> SightingStats:  # fmt: skip
-    """Sum up the sightings of each centre.
+    """Sum up the sightings of each centre, given as in `robust_centres`.
 
-    Parameters
-    ----------
-    xy, weight, labels, centres
-        As in `robust_centres`.
-    travelled_m : (D,) float64
-        Distance driven up to the keyframe of each detection.
-    score, fix_std_m : (D,) float64
-        Score of each detection; one sigma of the fix of its keyframe, NaN where that is unknown.
-    correlation_m : float
-        Distance after which the windows of two keyframes have no scan of the intersection in common.
-    clip_m : float
-        Distances count as no more than this, since such members do not move the centre either.
+    `travelled_m`, (D,), is the distance driven up to the keyframe of each detection, `fix_std_m` one sigma of the fix
+    of its keyframe, NaN where that is unknown. After `correlation_m` the windows of two keyframes have no scan of the
+    intersection in common. Distances count as no more than `clip_m`: such members do not move the centre either.
     """
     count = len(centres)
     independent, scatter, mean_score, fix_var = (np.zeros(count) for _ in range(4))
@@ -139,25 +111,12 @@ def summarize_sightings(
 
 
 def position_std(sightings: SightingStats, *, prior_std_m: float) -> FloatArray:
-    """Estimate the one-sigma uncertainty of each centre from the scatter of its sightings alone.
+    """Estimate the one-sigma uncertainty, (M,) metres, of each centre from the scatter of its sightings alone.
 
-    Parameters
-    ----------
-    sightings
-    prior_std_m : float
-        Typical error of one independent sighting, for intersections that were seen too rarely to estimate it.
-
-    Returns
-    -------
-    (M,) float64
-        Metres, root of the mean variance of x and y; `prior_std_m` without members.
-
-    Notes
-    -----
     The scatter s^2 within sightings that are worth n_eff independent ones underestimates the variance by 1 - 1 / n_eff,
-    and says nothing at all for n_eff = 1. Hence the posterior with a prior worth two sightings (scaled inverse
-    chi-squared): variance = (n_eff s^2 + 2 prior^2) / (n_eff + 1), and the variance of the centre is that over n_eff.
-    What all sightings share, it does not hold: `position_covariance` does.
+    and says nothing at all for n_eff = 1. Hence the posterior with a prior, the typical error of one independent
+    sighting, worth two (scaled inverse chi-squared): variance = (n_eff s^2 + 2 prior^2) / (n_eff + 1), and the
+    variance of the centre is that over n_eff. What all sightings share, it does not hold: `position_covariance` does.
     """
     n_eff = np.where(sightings.independent > 0, sightings.independent, 1.0)
     variance = (n_eff * sightings.scatter_m2 + 2.0 * prior_std_m**2) / (n_eff + 1.0)
@@ -172,31 +131,16 @@ def shape_covariance(
     *,
     limit_m: float | None = None,
 ) -> FloatArray:
-    """Estimate the part of the covariance of each position that all drives share: that of its shape.
+    """Estimate the part of the covariance of each position that all drives share: that of its shape, (M, 2, 2).
 
-    Parameters
-    ----------
-    sightings
-    bearings_deg : M (B,) float64
-        Bearings of the branches of each intersection, clockwise from +y of the plane of the positions.
-    calibration
-    limit_m : float or None
-        Standard deviation where no line fixes the position; None: that of the calibration.
-
-    Returns
-    -------
-    (M, 2, 2) float64
-        Square metres.
-
-    Notes
-    -----
-    An intersection is where the lines of its branches meet. With a standard deviation sigma of each line
-    across itself, weighted least squares give the covariance (sum n n^T / sigma^2)^-1 over the normals n of the
-    branches (Foerstner and Wrobel, Photogrammetric Computer Vision, 4.1.2): along the bisector of an acute pair it is
-    largest. Where the score is low the lines pass the point widely, and where those of most detections are, the labels
-    are coarse, so that lines lean together even where they meet: sigma^2 = line_std_m^2 + (unclear_line_std_m (1 -
-    score))^2 + (coarse_line_std_m (1 - usual score))^2. The candidate bounds it: + I / shape_limit_m^2 in the inverse.
-    All sightings share it, since all see the same kerbs: more of them, or of drives, do not make it smaller.
+    An intersection is where the lines of its branches meet, whose bearings are clockwise from +y of the plane. With a
+    standard deviation sigma of each line across itself, weighted least squares give the covariance
+    (sum n n^T / sigma^2)^-1 over the normals n of the branches (Foerstner and Wrobel, Photogrammetric Computer Vision,
+    4.1.2): along the bisector of an acute pair it is largest. Where the score is low the lines pass the point widely,
+    and where those of most detections are, the labels are coarse, so that lines lean together even where they meet:
+    sigma^2 = line_std_m^2 + (unclear_line_std_m (1 - score))^2 + (coarse_line_std_m (1 - usual score))^2. The candidate
+    bounds it: + I / limit_m^2 in the inverse, by default the `shape_limit_m` of the calibration. All sightings share
+    it, since all see the same kerbs: more of them, or of drives, do not make it smaller.
     """
     limit_m = limit_m or calibration.shape_limit_m
     covariance = np.zeros((len(bearings_deg), 2, 2))
@@ -242,22 +186,12 @@ def junction_probability(
     calibration: CalibrationConfig,
     doubtful_share: FloatArray | float = 0.0,
 ) -> FloatArray:
-    """Estimate the probability that a road junction lies within 10 m of each intersection.
+    """Estimate the probability, (M,), that a road junction lies within 10 m of each intersection.
 
-    Parameters
-    ----------
-    seen : (M,) float64
-        Share of the keyframes in reach that saw it, 0..1.
-    sightings, bearings_deg, calibration
-        As of `position_covariance`: lines that meet in no point, or at an acute angle, are often no junction.
-    doubtful_share : (M,) float64 or float
-        Share of the sightings from keyframes whose labels, made by geometry, may be wrong.
-
-    Returns
-    -------
-    (M,) float64
-        0..1: a logistic function of the share, with which it rises, and of the logarithm of the standard deviation that
-        lines and scatter leave to the position, without the limit of the candidate, with which it falls.
+    A logistic function of the share of the keyframes in reach that saw it, with which it rises, and of the logarithm of
+    the standard deviation that lines and scatter leave to the position, without the limit of the candidate, with which
+    it falls: lines that meet in no point, or at an acute angle, are often no junction. `doubtful_share` is that of the
+    sightings from keyframes whose labels, made by geometry, may be wrong.
     """
     covariance = position_covariance(sightings, bearings_deg, calibration, limit_m=_LINES_LIMIT_M)
     doublings = 0.5 * np.log2(np.trace(covariance, axis1=1, axis2=2) / 2.0)  # of 1 m
@@ -283,22 +217,10 @@ def _shared(place: FloatArray, w: FloatArray, length: float) -> FloatArray:
 def visibility(
     centres: FloatArray, keyframe_xy: FloatArray, *, certain_m: float, limit_m: float
 ) -> tuple[IntArray, IntArray, FloatArray]:
-    """Return which keyframes could have seen which centres, with the probability of that.
+    """Return which keyframes could have seen which centres, (P,) each, with the probability of that.
 
-    Parameters
-    ----------
-    centres : (M, 2) float64
-    keyframe_xy : (K, 2) float64
-        In the same plane, metres.
-    certain_m, limit_m : float
-        Nearer than the first an intersection should be seen, further than the second not; linear between.
-
-    Returns
-    -------
-    centre, keyframe : (P,) int64
-        The pairs within `limit_m`.
-    chance : (P,) float64
-        0..1
+    Places are (M, 2) and (K, 2) metres in one plane. Nearer than `certain_m` an intersection should be seen, further
+    than `limit_m` not; linear between.
     """
     from scipy.spatial import cKDTree  # noqa: PLC0415 - slow to import
 

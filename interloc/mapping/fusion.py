@@ -35,41 +35,21 @@ def fuse(
     config: FusionConfig | None = None,
     calibration: CalibrationConfig | None = None,
 ) -> tuple[IntersectionTable, IntArray]:
-    """Fuse the detections of a run into physical intersections.
+    """Fuse the detections of a run into physical intersections, in the order of first sight.
 
-    Parameters
-    ----------
-    keyframes
-        All keyframes of the run, those without detections too: not seeing is an observation.
-    detections
-        Their detections. With georeference they are fused where their own fixes put them, else in W.
-    config
-        Defaults suit drives with keyframes every 2 to 20 m.
-    calibration
-        Makes of the uncertainty a covariance that holds what all sightings share, and of the confidence a probability.
-        None: the uncertainty is that of the scatter, the confidence the rate of seeing.
+    Returned beside them is the row of the intersection of each detection, (D,), -1 for none: no two of one keyframe
+    share one. All keyframes take part, those without detections too: not seeing is an observation. With georeference
+    detections are fused where their own fixes put them, else in W: there two passes whose poses drifted apart by more
+    than `merge_radius_m` give two intersections. A calibration makes of the uncertainty a covariance that holds what
+    all sightings share, and of the confidence a probability; without, they are the scatter and the rate of seeing.
 
-    Returns
-    -------
-    IntersectionTable
-        In the order of first sight.
-    (D,) int64
-        Row of the intersection of each detection, -1 for none. No two detections of one keyframe share an intersection.
-
-    Notes
-    -----
     A detection weighs (0.1 + 0.9 score) / (1 + (range / range_scale_m)^2): those from far see less of the branches.
-
-    Without georeference, two passes whose poses drifted apart by more than `merge_radius_m` give two intersections.
 
     Rate of seeing: the keyframes within reach could have seen the intersection, each with a chance of 1 within
     `visible_radius_m` that falls to 0 at `visible_limit_m`. Of the sum of these chances, the part of the keyframes
     that did see it, with a Beta prior, is the rate of seeing; the mean score of its detections takes away up to
     `score_influence`. A false detection in one of twenty keyframes gets 0.07, a real one in two of two 0.6. It
     decides what is kept, and is the confidence where there is no calibration.
-
-    Uncertainty of the position and calibrated confidence: see `position_std`, `shape_covariance` and
-    `junction_probability` of `interloc.mapping.estimation`.
     """
     config = config or FusionConfig()
     scene = _Scene.of(keyframes, detections, config)

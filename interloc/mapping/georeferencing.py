@@ -1,7 +1,5 @@
 """Detections of keyframes in the tables of a run, georeferenced where the drive is (paper, eq. 12)."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

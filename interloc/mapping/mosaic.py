@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from interloc.arrays import BoolArray, FloatArray, UInt8Array
-from interloc.geometry import lonlat_from_enu, rotate_2d
+from interloc.geometry import lonlat_from_enu, projection, rotate_2d, utm_zone
 from interloc.results import DriveResult
 
 TILE = 256
@@ -137,9 +137,8 @@ class Mosaic:
 
     def seen_at(self, lonlat: FloatArray) -> tuple[BoolArray, BoolArray]:
         """Return whether road, and else other ground, was seen at (N, 2) degrees, (N,) each; it is georeferenced."""
-        from pyproj import Transformer  # noqa: PLC0415 - slow to import
-
-        xy = np.stack(Transformer.from_crs(4326, self.epsg, always_xy=True).transform(*lonlat.T), axis=-1)
+        assert self.epsg is not None
+        xy = projection(4326, self.epsg)(lonlat)
         road = self.raster.at(xy) > 0
         return road, np.zeros_like(road) if self.other is None else (self.other.at(xy) > 0) & ~road
 
@@ -170,21 +169,12 @@ def build_mosaic(result: DriveResult) -> Mosaic:
     return Mosaic(raster, epsg, other if other.tiles else None)
 
 
-def utm_zone(lon_deg: float, lat_deg: float) -> int:
-    """Return the EPSG code of the UTM zone of a place, on WGS84."""
-    zone = int((lon_deg + 180.0) // 6.0) % 60 + 1
-    return (32600 if lat_deg >= 0 else 32700) + zone
-
-
 def _in_utm(lonlat: FloatArray, angle_rad: FloatArray, epsg: int) -> tuple[FloatArray, FloatArray]:
     """Return where fixes are in a UTM zone, (N, 2), and the matrices from W to the zone, (N, 2, 2)."""
-    from pyproj import Transformer  # noqa: PLC0415 - slow to import
-
-    to_utm = Transformer.from_crs(4326, epsg, always_xy=True)
+    to_utm = projection(4326, epsg)
 
     def place(enu_xy: FloatArray) -> FloatArray:
-        there = lonlat_from_enu(lonlat[:, 1], lonlat[:, 0], enu_xy)
-        return np.stack(to_utm.transform(there[:, 0], there[:, 1]), axis=-1)
+        return to_utm(lonlat_from_enu(lonlat[:, 1], lonlat[:, 0], enu_xy))
 
     axes = [rotate_2d(np.broadcast_to(axis, lonlat.shape), angle_rad) for axis in np.eye(2)]
     origin = place(np.zeros_like(lonlat))

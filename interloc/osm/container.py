@@ -4,8 +4,6 @@ A map may be an upload of anybody: this module refuses what is not a map, names 
 small compressed file may unpack to.
 """
 
-from __future__ import annotations
-
 import bz2
 import gzip
 import re

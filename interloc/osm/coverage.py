@@ -42,20 +42,10 @@ class Extract(Protocol):
 
 
 def covered(graph: Extract, lonlat: FloatArray) -> BoolArray:
-    """Return which places a map covers, so that what it lacks there does not exist.
+    """Return which of (N, 2) degrees a map covers, so that what it lacks there does not exist.
 
-    Parameters
-    ----------
-    graph
-        The highways of an extract.
-    lonlat : (N, 2) float64
-        Longitude, latitude, degrees.
-
-    Returns
-    -------
-    (N,) bool
-        Within the areas that the file declares (anywhere, if it declares none), no further than `FAR_M` from a highway,
-        and on this side of every line at which the file seems to end.
+    These lie within the areas that the file declares (anywhere, if it declares none), no further than `FAR_M` from a
+    highway, and on this side of every line at which the file seems to end.
     """
     inside = graph.declares(lonlat)
     rows = np.flatnonzero(inside)

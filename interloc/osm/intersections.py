@@ -8,7 +8,7 @@ import numpy as np
 
 from interloc.arrays import BoolArray, FloatArray, IntArray
 from interloc.errors import ConfigError
-from interloc.geometry import middle_of
+from interloc.geometry import middle_of, utm_zone
 from interloc.osm.graph import RoadGraph, distinct_edges
 from interloc.osm.policies import POLICIES, Policy
 
@@ -89,29 +89,11 @@ def consolidate(
 ) -> tuple[IntArray, FloatArray, IntArray]:
     """Merge the nodes of one physical intersection: dual carriageways, staggered and compound junctions.
 
-    Parameters
-    ----------
-    graph
-        Roads of the map.
-    roads : (W,) bool
-        Those of its ways that are roads.
-    rows : (N,) int64
-        Its nodes that are intersections.
-    tolerance_m
-        Radius by which each node is widened; nodes up to twice as far apart merge if a road joins them directly.
+    `roads` are the ways, (W,), and `rows` the intersections, (N,), of the graph. Nodes up to twice the tolerance apart,
+    metres, merge if a road joins them directly. Returns smallest node id, ascending, longitude and latitude, and degree
+    of each merged intersection, (M,) rows: the roads that leave it, three or more. Where the lanes of one road part
+    around an island and join again, two leave, and it is none.
 
-    Returns
-    -------
-    osm_id : (M,) int64
-        Smallest node id of each merged intersection, ascending.
-    lonlat : (M, 2) float64
-        Longitude, latitude, degrees.
-    degree : (M,) int64
-        Roads that leave the merged intersection, three or more: where the lanes of one road part around an island and
-        join again, two leave, and it is none.
-
-    Notes
-    -----
     `osmnx.consolidate_intersections` over a network of the intersections alone: what is near and not joined by a road,
     such as a bridge over a crossing, stays apart.
     """
@@ -125,7 +107,7 @@ def consolidate(
     if len(links) == 0:
         return graph.node_id[rows], graph.lonlat[rows], degree_of_node[rows]  # osmnx fails on a graph without edges
 
-    epsg = _utm_epsg(graph.lonlat[rows])
+    epsg = f"EPSG:{utm_zone(*middle_of(graph.lonlat[rows]))}"
     to_utm = Transformer.from_crs("EPSG:4326", epsg, always_xy=True)
     x, y = to_utm.transform(graph.lonlat[rows, 0], graph.lonlat[rows, 1])
     network = nx.MultiDiGraph(crs=epsg)
@@ -176,9 +158,3 @@ def _links(edges: IntArray, is_intersection: BoolArray) -> IntArray:
     links: IntArray = np.concatenate([direct, through])
     proper: IntArray = links[links[:, 0] != links[:, 1]]
     return proper
-
-
-def _utm_epsg(lonlat: FloatArray) -> str:
-    lon, lat = middle_of(lonlat)
-    zone = int((lon + 180.0) // 6.0) % 60 + 1
-    return f"EPSG:{(32600 if lat >= 0 else 32700) + zone}"

@@ -1,7 +1,5 @@
 """What a map that cannot be used, or hardly, usually is: errors and warnings in words."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -90,18 +88,7 @@ def odd_bounds(name: str, count: int) -> tuple[str, ...]:
 
 
 def oddities(name: str, way_id: IntArray, edges: IntArray, edge_way: IntArray) -> tuple[str, ...]:
-    """Say what is odd about the highways of a map.
-
-    Parameters
-    ----------
-    name
-        Of the file.
-    way_id : (W,) int64
-    edges : (E, 2) int64
-        Rows of nodes.
-    edge_way : (E,) int64
-        Row of the way of each edge.
-    """
+    """Say what is odd about the highways of a map, by (W,) ids of ways, and (E, 2) nodes and (E,) ways of edges."""
     warnings = []
     ids, row = np.unique(way_id, return_inverse=True)
     if len(ids) < len(way_id):

@@ -42,13 +42,7 @@ class Multipolygon:
 
 
 def rings_of(ways: Sequence[Sequence[int]]) -> list[list[int]]:
-    """Join ways, each its node ids in order, end to end.
-
-    Returns
-    -------
-    list of list of int
-        Closed rings of node ids; empty where an end stays open.
-    """
+    """Join ways, each its node ids in order, end to end to closed rings; empty where an end stays open."""
     at: dict[int, list[int]] = {}  # the ways that end at a node
     for number, way in enumerate(ways):
         if way[0] != way[-1]:

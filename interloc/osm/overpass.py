@@ -4,8 +4,6 @@ osmnx asks. This module makes it polite, and never silent: a user agent of its o
 threads and processes, answers kept on disk, every wait announced, every refusal explained.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import logging
@@ -60,37 +58,13 @@ def download_roads(
     max_wait_s: float = MAX_WAIT_S,
     timeout_s: int = REQUEST_TIMEOUT_S,
 ) -> RoadGraph:
-    """Fetch all highways within bounds from an Overpass server, or from the cache.
+    """Fetch all highways within bounds (degrees) from an Overpass server, or from the cache.
 
-    Parameters
-    ----------
-    bounds
-        West, south, east, north, degrees.
-    cache_dir
-        Answers are kept here, one folder per answer, until somebody deletes them; created where missing. None: the
-        cache folder of the user.
-    on_wait
-        Called at every wait, and before the server is asked (with the seconds that it may take).
-    url
-        Base address of the Overpass server.
-    max_wait_s
-        Longest total wait for a free slot, and for another process that is asking.
-    timeout_s
-        Longest wait for an answer.
-
-    Returns
-    -------
-    RoadGraph
-        Its `bounds` are those asked for.
-
-    Raises
-    ------
-    MapError
-        The bounds are not an area, or too large a one, or hold no highway.
-    NetworkError
-        The server cannot be reached, refuses, has no free slot, or gave up on the query.
-    OutputError
-        The cache cannot be written.
+    Answers are kept in `cache_dir`, by default the cache folder of the user, one folder per answer, until somebody
+    deletes them. `on_wait` is called at every wait, and before the server is asked (with the seconds that it may take);
+    `max_wait_s` limits all waits for a free slot and for another process that asks, `timeout_s` that for an answer.
+    Bounds that are no area, too large a one, or without highways are a MapError; what the server refuses a
+    NetworkError; a cache that cannot be written an OutputError.
     """
     _check(bounds)
     wait = _Waiting(on_wait, max_wait_s)

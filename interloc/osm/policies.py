@@ -6,8 +6,6 @@ around KITTI 00, 333 count under `all`, 119 under `drive+service`, 83 under `dri
 take it from here.
 """
 
-from __future__ import annotations
-
 from typing import Literal, NamedTuple
 
 Policy = Literal["drive", "drive+service", "all", "consolidated"]

@@ -465,15 +465,7 @@ def _is_in(ids: IntArray, ascending: IntArray) -> BoolArray:
 def _edges(counts: list[int], flat: IntArray, node_id: IntArray) -> tuple[IntArray, IntArray, IntArray, int]:
     """Link consecutive nodes of each way where both exist, and keep loose ends where one does.
 
-    Returns
-    -------
-    edges : (E, 2) int64
-        Rows of nodes.
-    edge_way : (E,) int64
-    loose_ends : (L, 3) int64
-        As `RoadGraph.loose_ends`.
-    clipped : int
-        How many ways miss nodes.
+    Returns (E, 2) rows of nodes, (E,) ways, (L, 3) `RoadGraph.loose_ends`, and how many ways miss nodes.
     """
     if len(node_id) == 0:
         return np.empty((0, 2), dtype=np.int64), np.empty(0, dtype=np.int64), NO_LOOSE_ENDS, len(counts)

@@ -1,7 +1,5 @@
 """Whose data a file of a result holds, and under which licence: the one place that decides it."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Layers that are made of the intersections of a result: their branches as lines, their uncertainty as ellipses."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 
@@ -36,8 +34,7 @@ def _branches(intersections: Rows) -> list[dict[str, Any]]:
     lines, ids, bearings, widths = [], [], [], []
     for feature in intersections.features:
         start, properties = np.array(feature.geometry.coordinates), feature.properties
-        measured = properties.branch_widths_m or [None] * len(properties.branch_bearings_deg)  # none of older versions
-        for bearing, width in zip(properties.branch_bearings_deg, measured, strict=True):
+        for bearing, width in zip(properties.branch_bearings_deg, properties.branch_widths_m, strict=True):
             angle = np.radians(bearing)
             end = _around(start, BRANCH_M * np.array([[np.sin(angle), np.cos(angle)]]))
             lines.append(positions(np.vstack([start, end]), local=False))

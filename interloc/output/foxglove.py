@@ -4,8 +4,6 @@ On the map: intersections, roads and track as GeoJSON, and a fix per keyframe. I
 and north of the first keyframe, or of W without georeference, in the frame `map`.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Iterable

@@ -6,8 +6,6 @@ files (RFC 7946, section 3.1.9) and whole for InterLoc itself; two neighbouring 
 globe apart are taken to be neighbours across it.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Iterable, Mapping, Sequence

@@ -4,8 +4,6 @@ Tables of the standard (annexes F.6 metadata and F.9 schema) that GDAL's writer 
 table in which QGIS keeps styles. The road seen by LiDAR is added as tiles.
 """
 
-from __future__ import annotations
-
 import json
 import sqlite3
 from collections.abc import Iterator, Sequence

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from pydantic import ValidationError, create_model
 
 from interloc.arrays import FloatArray, IntArray
-from interloc.output.credits import OWN_CREDIT, Credit, holds_map_data, map_credit
+from interloc.output.credits import ATTRIBUTION, OWN_CREDIT, Credit, holds_map_data, map_credit
 from interloc.output.geojson import damaged, joined, read_file, rounded
 from interloc.output.properties import (
     ORIGIN,
@@ -146,11 +146,7 @@ class Layer:
             first = error.errors(include_url=False)[0]
             place = ".".join(str(step) for step in first["loc"])  # features.2.properties.x_m
             raise damaged(path, f"{place}: {first['msg']}" if place else first["msg"]) from error
-        rows: list[Any] = collection.features
-        if collection.attribution is not None:
-            return Rows(path, rows, Credit(collection.attribution, collection.license))
-        # Versions before did not write it.
-        return Rows(path, rows, self.credit({"properties": vars(row.properties)} for row in rows))
+        return Rows(path, collection.features, Credit(collection.attribution, collection.license))
 
     def rows(self, features: Sequence[dict[str, Any]], credit: Credit, path: Path) -> Rows:
         """Return GeoJSON features of the layer as those of a file that was read."""
@@ -177,7 +173,7 @@ class Layer:
             __base__=Strict,
             type=(collection, ...),
             features=(list[feature], ...),
-            attribution=(str | None, None),
+            attribution=(str, ATTRIBUTION),
             license=(str | None, None),
         )
 

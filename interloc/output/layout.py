@@ -12,12 +12,8 @@ file                      content
 ========================  ==============================================================================================
 """
 
-from __future__ import annotations
-
-from collections.abc import Mapping
 from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import Any
 
 from interloc.errors import ConfigError
 from interloc.files import atomic_folder
@@ -39,14 +35,6 @@ RUN_SETTINGS = ("config", "fusion")
 
 TABLES = ("detections", "keyframes", "trajectory", "intersections")
 ROAD_LAYERS = ("roads", "junctions", "road_surface")
-
-
-def settings_of(run: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the settings that `run.json` holds; older ones had those of the fusion beside the others."""
-    config = dict(run.get("config", {}))
-    if "fusion" in run:
-        config.setdefault("fusion", run["fusion"])
-    return config
 
 
 def file_names(*, georeferenced: bool) -> dict[str, str]:

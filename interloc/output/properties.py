@@ -5,8 +5,6 @@ degrees clockwise from north, or from +y of W without georeference. W is the fra
 the LiDAR at a keyframe, levelled.
 """
 
-from __future__ import annotations
-
 import types
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -5,8 +5,6 @@ projects, whose layers have the same elements. A file ``.qgz`` is a ZIP of a pro
 shows, as QGIS 3.22 and newer keep attachments: one file, that opens by a double click and can be moved and renamed.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -20,7 +18,7 @@ from zipfile import ZIP_DEFLATED, ZipFile, ZipInfo
 import numpy as np
 
 from interloc.arrays import FloatArray
-from interloc.mapping.mosaic import utm_zone
+from interloc.geometry import projection, utm_zone
 from interloc.output.credits import ODBL, Credit
 from interloc.output.layers import Layer, Rows
 from interloc.output.layout import ROAD_FILE
@@ -470,11 +468,7 @@ def _view(points: FloatArray, epsg: int | None) -> ET.Element:
     root = _element("ProjectViewSettings", UseProjectScales="0", rotation="0")
     if not len(points):
         return root
-    xy = points
-    if epsg is not None:
-        from pyproj import Transformer  # noqa: PLC0415 - slow to import
-
-        xy = np.stack(Transformer.from_crs(4326, epsg, always_xy=True).transform(*points.T), axis=-1)
+    xy = points if epsg is None else projection(4326, epsg)(points)
     low, high = xy.min(axis=0), xy.max(axis=0)
     margin = np.maximum(_MARGIN * (high - low).max(), _MIN_EXTENT_M)
     corners = zip(("xmin", "ymin", "xmax", "ymax"), (*(low - margin), *(high + margin)), strict=True)

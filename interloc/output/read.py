@@ -1,7 +1,5 @@
 """Read a result folder back into the tables of its run."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 from typing import Any

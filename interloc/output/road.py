@@ -1,7 +1,5 @@
 """The road seen by LiDAR as files: a GeoTIFF in the result folder, and a picture of it for a web map."""
 
-from __future__ import annotations
-
 import io
 import math
 import zlib
@@ -16,6 +14,7 @@ import numpy as np
 from interloc.arrays import FloatArray, UInt8Array
 from interloc.errors import ConfigError, DamagedResultError
 from interloc.files import write_file
+from interloc.geometry import projection
 from interloc.mapping.mosaic import TILE, Mosaic, Raster, build_mosaic
 from interloc.output.geojson import read_json
 from interloc.output.layout import ROAD_FILE, RUN_FILE, refuse_result_file
@@ -185,7 +184,7 @@ def draw_road(mosaic: Mosaic) -> Picture:
             _draw_block(raster, corners * [1.0, -1.0] / raster.cell_m, part)
     edge = np.array([[box[0], box[3] - height * pixel], [box[0] + width * pixel, box[3]]])
     if mosaic.epsg is not None:
-        edge = _transform(_WEB_MERCATOR, _LONLAT)(edge)
+        edge = projection(_WEB_MERCATOR, _LONLAT)(edge)
     (west, south), (east, north) = edge.tolist()
     return Picture(png_of(cells), (west, south, east, north), (width, height), raster.cell_m)
 
@@ -224,14 +223,7 @@ def _projections(epsg: int | None) -> tuple[Projection, Projection]:
     """Return what leads from the metres of a raster to those of its picture, and back."""
     if epsg is None:
         return (lambda xy: xy), (lambda xy: xy)
-    return _transform(epsg, _WEB_MERCATOR), _transform(_WEB_MERCATOR, epsg)
-
-
-def _transform(source: int, target: int) -> Projection:
-    from pyproj import Transformer  # noqa: PLC0415 - slow to import
-
-    transformer = Transformer.from_crs(source, target, always_xy=True)
-    return lambda xy: np.stack(transformer.transform(xy[:, 0], xy[:, 1]), axis=-1)
+    return projection(epsg, _WEB_MERCATOR), projection(_WEB_MERCATOR, epsg)
 
 
 def _across(raster: Raster) -> float:

@@ -5,8 +5,6 @@ and traffic keeps to the right. Roads end before their junctions, across which c
 the other roads.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass

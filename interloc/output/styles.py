@@ -4,8 +4,6 @@ Shape and colour both tell an outcome, so that no meaning hangs on colour alone.
 light ground. Sizes are pixels of a screen with 96 per inch.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

@@ -18,8 +18,6 @@ several intersections more often. Two runs are best joined after an evaluation, 
 line halfway to the next junction. Policy `consolidated` names a merged junction by its smallest node.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from interloc.arrays import FloatArray

@@ -1,7 +1,5 @@
 """Write the tables of a run as GeoJSON files: the result folder (`interloc.output.layout` lists what is in it)."""
 
-from __future__ import annotations
-
 import os
 import shutil
 from collections.abc import Callable, Sequence

@@ -1,7 +1,5 @@
 """Drives of any format as SemanticKITTI has them, label files of what labels are made of, and files of poses."""
 
-from __future__ import annotations
-
 import os
 from dataclasses import dataclass
 from pathlib import Path

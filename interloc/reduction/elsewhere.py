@@ -1,7 +1,5 @@
 """Drives in object storage: found by listing a prefix, and fetched to be read like those in folders."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Sequence
 from contextlib import suppress

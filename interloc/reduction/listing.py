@@ -1,7 +1,5 @@
 """Which drives a folder holds, and which of its files belong to each, told from a listing: paths and sizes."""
 
-from __future__ import annotations
-
 import re
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping

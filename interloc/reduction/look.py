@@ -5,8 +5,6 @@ with its size, but without contents, which takes no space on disk; only the smal
 reads a drive reads it here too, and a client that holds the files need not know the layouts.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 from collections.abc import Callable, Iterable, Mapping

@@ -1,7 +1,5 @@
 """From the mosaic of a drive and its intersections to the network of its roads; the method on one page."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
@@ -12,6 +10,7 @@ from scipy.spatial import cKDTree
 
 from interloc.arrays import FloatArray, IntArray
 from interloc.errors import Beside
+from interloc.geometry import projection
 from interloc.mapping.mosaic import Mosaic
 from interloc.results import DriveResult
 from interloc.roadmap.fit import STEP_M, Street, fit
@@ -83,13 +82,8 @@ def _places(epsg: int | None, result: DriveResult) -> tuple[FloatArray, FloatArr
     found, track = result.intersections, result.keyframes
     if epsg is None or found.lonlat is None or track.lonlat is None:
         return found.world_xy, track.world_xy
-    from pyproj import Transformer  # noqa: PLC0415 - slow to import
-
-    project = Transformer.from_crs(4326, epsg, always_xy=True).transform
-    return (
-        np.stack(project(found.lonlat[:, 0], found.lonlat[:, 1]), axis=-1),
-        np.stack(project(track.lonlat[:, 0], track.lonlat[:, 1]), axis=-1),
-    )
+    project = projection(4326, epsg)
+    return project(found.lonlat), project(track.lonlat)
 
 
 def _filled(track_xy: FloatArray) -> FloatArray:

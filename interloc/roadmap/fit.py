@@ -5,8 +5,6 @@ cars hide the kerb and nothing adds to it, so a side is a high quantile along th
 it for less than 50 m, so the narrower line on both sides of them is held.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from interloc.arrays import FloatArray
+from interloc.geometry import projection
 
 if TYPE_CHECKING:
     import shapely  # slow to import
@@ -91,9 +92,4 @@ class RoadNetwork:
 
     def lonlat(self, xy: FloatArray) -> FloatArray:
         """Return longitude and latitude, degrees, of (N, 2) places; the places themselves without georeference."""
-        if self.epsg is None:
-            return xy
-        from pyproj import Transformer  # noqa: PLC0415 - slow to import
-
-        to_lonlat = Transformer.from_crs(self.epsg, 4326, always_xy=True)
-        return np.stack(to_lonlat.transform(xy[..., 0], xy[..., 1]), axis=-1)
+        return xy if self.epsg is None else projection(self.epsg, 4326)(xy)

@@ -4,8 +4,6 @@ A block is computed with a margin around it and gives only what lies within, so 
 and the seams do not show.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from itertools import pairwise

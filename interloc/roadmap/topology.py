@@ -4,8 +4,6 @@ The skeleton alone gives a node of its own (a fork) only where three lines of th
 fused intersection.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import combinations
 

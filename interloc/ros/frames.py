@@ -1,7 +1,5 @@
 """Where the LiDAR is, from odometry and /tf as they come in: nothing is extrapolated."""
 
-from __future__ import annotations
-
 from collections import deque
 
 import numpy as np

@@ -4,8 +4,6 @@ Messages come in serialized and are read by the readers of bags, so that a drive
 the bag gives.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from collections import deque

@@ -1,7 +1,5 @@
 """A real server on a free port of this machine, and a client for it."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Callable, Iterator

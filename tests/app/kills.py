@@ -1,7 +1,5 @@
 """Processes that kill themselves at an exact point, as a power cut would: between two steps that belong together."""
 
-from __future__ import annotations
-
 import os
 import signal
 from collections.abc import Callable

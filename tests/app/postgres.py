@@ -1,7 +1,5 @@
 """A real PostgreSQL server for the tests, where its programs are installed; each test gets a database of its own."""
 
-from __future__ import annotations
-
 import atexit
 import os
 import pwd

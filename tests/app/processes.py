@@ -1,7 +1,5 @@
 """Servers as processes of their own, to be killed; and the few requests that the tests of faults send."""
 
-from __future__ import annotations
-
 import errno
 import io
 import os

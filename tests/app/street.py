@@ -1,7 +1,5 @@
 """A straight street with crossings every 60 m, driven with a keyframe every 2.1 m: as long a job as a test needs."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

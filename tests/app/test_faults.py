@@ -1,7 +1,5 @@
 """What is killed, cut off or filled up half-way: nothing is lost, and nothing is done twice."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

@@ -1,7 +1,5 @@
 """Settings: the table of docs/service.md is true, and the environment is read."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Health, readiness, metrics."""
 
-from __future__ import annotations
-
 import sqlite3
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Worlds without noise, made by the simulator, whose intersections are known exactly."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """One intersection, seen by a LiDAR without noise, from the scans to the map."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """Segmentation errors as in the paper (section V-C), from the scans to the map."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """The same drive in other clothes gives the same longitudes and latitudes."""
 
-from __future__ import annotations
-
 import gzip
 import shutil
 from collections.abc import Callable

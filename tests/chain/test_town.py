@@ -1,7 +1,5 @@
 """The plain part of the made-up town, seen by a LiDAR without noise: its plan is the truth."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

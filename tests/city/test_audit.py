@@ -3,8 +3,6 @@
 The street runs east. Side roads leave it to the north; drives saw all of them, as road 6 m wide.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from dataclasses import replace

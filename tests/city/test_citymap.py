@@ -1,7 +1,5 @@
 """One map of many drives: towns whose truth is known, with offsets of metres."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The folder of a map of many drives."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

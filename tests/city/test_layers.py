@@ -1,7 +1,5 @@
 """What of a map of many drives are features: its intersections, tracks, roads, and what changed between drives."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

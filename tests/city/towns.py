@@ -1,7 +1,5 @@
 """Drives whose truth is known, as the map of many drives takes them: no scans, no detector."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from interloc.arrays import FloatArray

@@ -1,7 +1,5 @@
 """A drive through one X junction with its own little map, and the command line to run on it."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

@@ -3,8 +3,6 @@
 Each refusal in detail: tests/drives, tests/osm.
 """
 
-from __future__ import annotations
-
 import re
 import shutil
 from collections.abc import Callable

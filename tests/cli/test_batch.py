@@ -1,7 +1,5 @@
 """`interloc batch`: many drives, each as by itself."""
 
-from __future__ import annotations
-
 import csv
 import json
 import os

@@ -1,7 +1,5 @@
 """`interloc config`: the settings of a preset."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import pytest

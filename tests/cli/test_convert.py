@@ -1,7 +1,5 @@
 """`interloc label`, `interloc convert`, and --model of the commands that read drives."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`interloc detect`: from a drive to a result folder."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

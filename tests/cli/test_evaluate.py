@@ -1,7 +1,5 @@
 """`interloc evaluate`: a result folder against OpenStreetMap."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Callable
 from pathlib import Path

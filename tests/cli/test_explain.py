@@ -1,7 +1,5 @@
 """`interloc explain`: the pictures of one keyframe."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A disk that is really full while a result is written."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

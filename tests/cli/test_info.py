@@ -1,7 +1,5 @@
 """`interloc info`: what is in a drive, and what is wrong with it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """`interloc live`."""
 
-from __future__ import annotations
-
 import json
 from typing import Any, cast
 

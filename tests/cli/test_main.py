@@ -1,7 +1,5 @@
 """The group: help, exit codes, and what only a process of its own shows."""
 
-from __future__ import annotations
-
 import fcntl
 import os
 import pty
@@ -42,7 +40,6 @@ COMMANDS = [
     "push",
     "fetch",
     "config",
-    "completion",
 ]
 
 
@@ -51,13 +48,6 @@ def test_each_command_explains_itself(command: str, interloc: Callable) -> None:
     outcome = interloc(command, "--help")
     assert outcome.code == 0
     assert "Example" in outcome.out or command in {"simulate", "benchmark"}
-
-
-@pytest.mark.parametrize(
-    ("shell", "sign"), [("bash", "complete -o"), ("zsh", "#compdef"), ("fish", "complete --no-files")]
-)
-def test_shells_complete_commands_and_options(shell: str, sign: str, interloc: Callable) -> None:
-    assert sign in interloc("completion", shell).out
 
 
 @pytest.mark.parametrize(

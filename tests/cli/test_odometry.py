@@ -1,7 +1,5 @@
 """`interloc odometry`, and --poses odometry of the commands that read drives."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

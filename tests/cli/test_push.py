@@ -1,7 +1,5 @@
 """`interloc push` and `interloc fetch`: what is refused before any server is asked (the rest: tests/client)."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """`interloc reduce`: a small copy of a drive, with the same results to the last byte."""
 
-from __future__ import annotations
-
 import pickle
 from collections.abc import Callable
 from pathlib import Path

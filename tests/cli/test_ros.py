@@ -1,7 +1,5 @@
 """`interloc ros`; the node itself: tests/ros."""
 
-from __future__ import annotations
-
 import ast
 from pathlib import Path
 

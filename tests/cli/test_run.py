@@ -1,7 +1,5 @@
 """`interloc run`: detect and evaluate in one go."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from collections.abc import Callable

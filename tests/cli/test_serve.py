@@ -1,7 +1,5 @@
 """`interloc serve` and `interloc token` as processes: what they say, how they start and end."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,7 +1,5 @@
 """`interloc simulate`."""
 
-from __future__ import annotations
-
 import json
 import shlex
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Drives and results in object storage, on a real S3 server of this machine."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,7 +1,5 @@
 """`interloc check`, `backup`, `restore`, `trash`: what operators read, and the exit codes that scripts look at."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

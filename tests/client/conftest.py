@@ -1,7 +1,5 @@
 """Servers to talk to: a real one of InterLoc, and one that fails in the ways that servers and networks fail."""
 
-from __future__ import annotations
-
 import json
 import os
 import socket

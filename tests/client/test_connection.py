@@ -1,7 +1,5 @@
 """Patience with servers that are busy, restart or break off; plain words where patience does not help."""
 
-from __future__ import annotations
-
 import socket
 import threading
 import time

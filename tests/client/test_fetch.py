@@ -1,7 +1,5 @@
 """From a drive to a result by way of a server: the same bytes as without one, whole or not at all."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import signal

@@ -1,7 +1,5 @@
 """A drive on its way to a server: stopped at any point, it goes on; what is wrong with it is said before it is sent."""
 
-from __future__ import annotations
-
 import http.server
 import os
 import shutil

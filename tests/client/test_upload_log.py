@@ -1,7 +1,5 @@
 """The log of a push survives whatever stops the process, and is never mistaken for that of another."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Ideal roads, drawn on the ground and seen in one scan."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Adding and taking back keyframes against concatenating the scans of each window anew."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Branches around a candidate."""
 
-from __future__ import annotations
-
 import math
 
 import cv2

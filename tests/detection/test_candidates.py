@@ -1,7 +1,5 @@
 """Where intersections may be: Harris corners and junctions of the centerline."""
 
-from __future__ import annotations
-
 import math
 
 import cv2

@@ -1,7 +1,5 @@
 """The axis of the road and what of it is kept."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Several intersections in one blob of road."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

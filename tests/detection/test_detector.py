@@ -1,7 +1,5 @@
 """The whole method on ideal roads, and scan by scan."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Callable

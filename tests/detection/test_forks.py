@@ -1,7 +1,5 @@
 """Forks: the place where one road parts into others."""
 
-from __future__ import annotations
-
 import math
 
 import cv2

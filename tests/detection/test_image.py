@@ -1,7 +1,5 @@
 """Images of the region of interest and where they lie in W."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from interloc.detection.image import Roi

@@ -1,7 +1,5 @@
 """Lines through branches: small drawings checked by eye."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any

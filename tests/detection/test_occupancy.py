@@ -1,7 +1,5 @@
 """From road cells to road."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

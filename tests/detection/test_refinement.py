@@ -1,7 +1,5 @@
 """The point where the lines of the branches meet."""
 
-from __future__ import annotations
-
 import math
 from itertools import combinations
 

@@ -1,7 +1,5 @@
 """After `warm_up` a run compiles nothing any more: no time that is reported holds the compiler."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 

@@ -1,7 +1,5 @@
 """Roads from the middle of an image, measured across."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Small drives on disk, whole and reduced."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from pathlib import Path

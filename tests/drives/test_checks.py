@@ -1,7 +1,5 @@
 """Units, frames and mirrors: what cannot be points or poses of a LiDAR on a vehicle is refused with its cause."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 

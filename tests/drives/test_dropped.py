@@ -1,7 +1,5 @@
 """Scans that were lost before they came into a drive: told by the drive, what is made of it, and its results."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Text files and numbered files that are not what they should be."""
 
-from __future__ import annotations
-
 import gzip
 import os
 from collections.abc import Callable

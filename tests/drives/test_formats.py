@@ -1,7 +1,5 @@
 """The table of formats of scans, and formats that other packages bring."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

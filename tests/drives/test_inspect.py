@@ -1,7 +1,5 @@
 """The report on a drive: everything at a glance, and every problem."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from collections.abc import Callable

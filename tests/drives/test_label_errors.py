@@ -1,7 +1,5 @@
 """Segmentation errors on purpose."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

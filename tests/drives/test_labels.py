@@ -1,7 +1,5 @@
 """Label schemes, and labels held against what lies under the vehicle: road, or the scheme is another."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

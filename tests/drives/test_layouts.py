@@ -1,7 +1,5 @@
 """Layouts: what is a drive, which one, and what is refused."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 from types import ModuleType

@@ -1,7 +1,5 @@
 """Drives whose poses are computed from their points."""
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The small files of a drive are opened once, however many steps look into them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from types import ModuleType
 

@@ -1,7 +1,5 @@
 """The options by which a drive is read."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

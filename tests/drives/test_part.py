@@ -1,7 +1,5 @@
 """A part of a drive, by the numbers of its scans."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from types import ModuleType
 

@@ -1,7 +1,5 @@
 """Real drives: they open, their dialect is told, their road is flat; read otherwise, they are refused."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Scans are laid onto each other: poses that move otherwise are refused, and the usual mistake is named."""
 
-from __future__ import annotations
-
 import os
 import re
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Runs made by hand: keyframes on a plane around Karlsruhe, detections where the test says."""
 
-from __future__ import annotations
-
 import gzip
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Which nodes only one of several runs found, which settings differ."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest
@@ -62,19 +60,13 @@ def test_a_node_that_one_run_never_came_near_is_outside() -> None:
 
 def test_settings_that_differ_are_named_by_their_path() -> None:
     runs = [
-        {
-            "config": {"preset": "paper", "bev": {"size_m": 120.0, "resolution_m": 0.16}},
-            "fusion": {"merge_radius_m": 10},
-        },
-        {
-            "config": {"preset": "paper", "bev": {"size_m": 120.0, "resolution_m": 0.25}},
-            "fusion": {"merge_radius_m": 8},
-        },
+        {"config": {"preset": "paper", "bev": {"size_m": 120.0, "resolution_m": 0.16}, "fusion": {"together": 0.1}}},
+        {"config": {"preset": "paper", "bev": {"size_m": 120.0, "resolution_m": 0.25}, "fusion": {"together": 0.2}}},
         {"config": {"preset": "paper", "bev": {"size_m": 120.0}, "compound": None}, "workers": 3},
     ]
     assert compare_reports(["a", "b", "c"], [report({})] * 3, runs)["settings"] == [
         {"name": "bev.resolution_m", "values": [0.16, 0.25, None]},
-        {"name": "fusion.merge_radius_m", "values": [10, 8, None]},
+        {"name": "fusion.together", "values": [0.1, 0.2, None]},
     ]
 
 

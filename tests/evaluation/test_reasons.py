@@ -1,7 +1,5 @@
 """One small map per rule: roads drawn by hand, a place, and what must be said about it."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import replace

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from interloc.evaluation.map_level import MapLevel
-from interloc.evaluation.reliability import (
+from interloc.evaluation.map_level import (
     BOUND_95,
+    MapLevel,
     bins_of,
     calibration_error,
     calibration_error_by_chance,

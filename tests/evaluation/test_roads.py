@@ -1,7 +1,5 @@
 """Roads of a drive against those of a map: what is there, what is missing, where it lies, how wide it is."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

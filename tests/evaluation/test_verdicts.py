@@ -1,7 +1,5 @@
 """What an evaluation writes about every detection, intersection and node, and that it can be written again."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Packed images against plain arrays."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Counting points in tiles against one plain array of counts."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

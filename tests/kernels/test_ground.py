@@ -1,7 +1,5 @@
 """The kernels that find the ground of a scan, against plain twins."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Harris scores on the centerline against OpenCV's on the whole image."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """Dilation and erosion against the definition, and against OpenCV."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

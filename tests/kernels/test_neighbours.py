@@ -1,7 +1,5 @@
 """The vote of neighbours, against a plain twin that can also do what the published code does."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 

@@ -1,7 +1,5 @@
 """Selection of points by label, against its plain twin."""
 
-from __future__ import annotations
-
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st

@@ -1,7 +1,5 @@
 """Range images, against their plain twins and by hand."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Roads in a raster and in buckets, against their plain twins."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from interloc.kernels.roads import bucket_segments, draw_roads, nearest_ways, score_poses

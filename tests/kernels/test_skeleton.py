@@ -1,7 +1,5 @@
 """The graph of a centerline: small drawings checked by eye, and plain twins on random lines."""
 
-from __future__ import annotations
-
 import heapq
 import itertools
 import math

@@ -1,7 +1,5 @@
 """The kernels that lay scans on one grid, against plain twins."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from interloc.arrays import BoolArray, Float32Array, FloatArray, IntArray

@@ -1,7 +1,5 @@
 """Zhang-Suen thinning against the published definition, and against scikit-image."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """A street, a house and a track, drawn in metres about a point; rows of a benchmark with literal figures."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What each setting gives: literal rows worked out by eye, and one small simulated drive."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Finding drives, their maps and their georeference, and saying what is missing."""
 
-from __future__ import annotations
-
 import gzip
 from pathlib import Path
 

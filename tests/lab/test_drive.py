@@ -1,7 +1,5 @@
 """The files of a simulated drive, and a drive from a map and a track in one call."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What one turn of the LiDAR must show of a flat street with one house."""
 
-from __future__ import annotations
-
 from copy import copy
 
 import numpy as np

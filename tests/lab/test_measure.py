@@ -1,7 +1,5 @@
 """Naming what went wrong on drives made by hand, and rows in their files."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

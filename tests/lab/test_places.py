@@ -1,7 +1,5 @@
 """Drawn places whose axes are known, and what is measured of them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

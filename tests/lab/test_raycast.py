@@ -1,7 +1,5 @@
 """The compiled ray caster against a plain loop over all walls."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from interloc.lab.ground import MATERIAL_TABLE

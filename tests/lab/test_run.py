@@ -1,7 +1,5 @@
 """A benchmark over a small simulated drive, from files to files."""
 
-from __future__ import annotations
-
 import json
 import shlex
 from dataclasses import replace

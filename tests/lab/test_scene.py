@@ -1,7 +1,5 @@
 """Maps that become scenes."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Figures from literal rows, worked out by eye, and the tables as a person reads them."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The made-up town: its map is its truth."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Tracks from lines, GPX, CSV and OXTS."""
 
-from __future__ import annotations
-
 import gzip
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """KITTI twins, where the real tracks and maps are at hand."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The product without `interloc.lab`, as a wheel that leaves it out."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Labels by geometry: a crossing with kerbs, seen by sensors of many kinds."""
 
-from __future__ import annotations
-
 import pickle
 from dataclasses import replace
 from functools import cache

@@ -1,7 +1,5 @@
 """Scans labelled by networks whose right answer is known, in the forms of the family."""
 
-from __future__ import annotations
-
 import pickle
 import sys
 from collections.abc import Callable

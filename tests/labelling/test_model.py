@@ -1,7 +1,5 @@
 """Models: what is read from their files, and what is refused, in words."""
 
-from __future__ import annotations
-
 import math
 import os
 import pickle

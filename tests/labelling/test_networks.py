@@ -1,7 +1,5 @@
 """Networks of other kinds, which other packages bring."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The driven track, cut into windows."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """A street with one crossing, driven once: as a drive, georeferenced, and what `detect` finds on it."""
 
-from __future__ import annotations
-
 from contextlib import chdir
 
 import pytest

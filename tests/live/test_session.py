@@ -1,7 +1,5 @@
 """A session answers with the detections of `detect`, and its map becomes that of `detect`."""
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """A scan as a binary message: it comes out as it went in, and what is no scan is refused with the reason."""
 
-from __future__ import annotations
-
 import json
 import struct
 from contextlib import suppress

@@ -1,7 +1,5 @@
 """A session that falls behind drops the oldest scans and says so; one that fails at a scan goes on."""
 
-from __future__ import annotations
-
 import threading
 from dataclasses import replace
 from typing import Any

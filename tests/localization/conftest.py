@@ -1,7 +1,5 @@
 """The made-up town, once for all tests."""
 
-from __future__ import annotations
-
 import pytest
 
 from interloc.osm.graph import RoadGraph

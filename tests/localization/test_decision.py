@@ -1,7 +1,5 @@
 """What is accepted and what is not."""
 
-from __future__ import annotations
-
 import pytest
 
 from interloc.localization.evidence import MARGIN, MIN_ROAD, Evidence, decide, too_short

@@ -1,7 +1,5 @@
 """A drive is placed by the track of a phone that was along."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A drive is placed where it was, or refused."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Detections become landmarks: one for each passage of an intersection."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from interloc.geometry import wrap_angle

@@ -1,7 +1,5 @@
 """A made-up town of crooked streets, and drives through it whose truth is known."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

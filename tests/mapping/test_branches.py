@@ -1,7 +1,5 @@
 """The branches that sightings of an intersection agree on, and their widths."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import combinations
 

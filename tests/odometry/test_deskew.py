@@ -1,7 +1,5 @@
 """The motion within a scan: taken out of the points, and known where it was taken out before."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from interloc.odometry import Velocity, is_bent

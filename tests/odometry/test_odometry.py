@@ -1,7 +1,5 @@
 """Poses from points: the motion of a LiDAR down a street, told where it cannot be followed."""
 
-from __future__ import annotations
-
 import sys
 
 import numpy as np

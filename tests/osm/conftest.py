@@ -1,7 +1,5 @@
 """Small maps written by hand."""
 
-from __future__ import annotations
-
 import pytest
 
 NODES = """

@@ -1,7 +1,5 @@
 """What an extract covers is told from its content."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A scored result, once for all tests of what is made of it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

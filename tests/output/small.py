@@ -1,7 +1,5 @@
 """A result that can be checked by eye, and its map."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -82,7 +80,9 @@ def write_folder(folder: Path, result: DriveResult, *, scored: bool, osm: str = 
     """Write a result folder; its map, where it is scored, goes beside it."""
     write_results(result, folder)
     if scored:
-        (folder.parent / "map.osm").write_text(osm)
-        graph = read_osm(folder.parent / "map.osm")
+        place = folder.with_name(f"{folder.name}.place")  # of its own: folders that many tests share lie side by side
+        place.mkdir(exist_ok=True)
+        (place / "map.osm").write_text(osm)
+        graph = read_osm(place / "map.osm")
         write_report(evaluate(result, graph), folder)
     return folder

@@ -1,7 +1,5 @@
 """What is beside the answer of a run cannot lose it."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

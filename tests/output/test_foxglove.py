@@ -1,7 +1,5 @@
 """A recording for Foxglove, read back by the reader of MCAP with the schemas that the file holds."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

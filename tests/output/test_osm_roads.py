@@ -1,7 +1,5 @@
 """Buildings of the map around a drive: which are read, and which are drawn."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -10,8 +8,8 @@ import shapely
 
 from interloc.osm import reader
 from interloc.osm.reader import read_osm
-from interloc.output.osm_roads import building_features
 from interloc.output.properties import ORIGIN
+from interloc.output.roads import building_features
 
 BOUNDS = (8.39, 48.99, 8.42, 49.02)
 CORNERS = [(8.4, 49.0), (8.4, 49.0001), (8.4002, 49.0001), (8.4002, 49.0)]  # clockwise

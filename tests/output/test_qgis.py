@@ -1,7 +1,5 @@
 """What QGIS makes of the exports: layers, fields, licence, styles, projects. One QGIS answers all tests."""
 
-from __future__ import annotations
-
 import sqlite3
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The road seen by LiDAR lies where the drive was, in the file and in the picture of it."""
 
-from __future__ import annotations
-
 import io
 import shutil
 import subprocess
@@ -17,8 +15,8 @@ from pyproj import Transformer
 
 from interloc.arrays import FloatArray
 from interloc.errors import ConfigError, DamagedResultError, OutputError
-from interloc.geometry import lonlat_from_enu, rotate_2d
-from interloc.mapping.mosaic import TILE, Mosaic, Raster, build_mosaic, utm_zone
+from interloc.geometry import lonlat_from_enu, rotate_2d, utm_zone
+from interloc.mapping.mosaic import TILE, Mosaic, Raster, build_mosaic
 from interloc.output.layout import ROAD_FILE
 from interloc.output.road import MAX_PICTURE_PX, draw_road, export_road, read_road, write_road
 from interloc.output.write import write_results

@@ -1,7 +1,5 @@
 """Roads for robots, vehicles and simulators, opened by their own readers or held against the rules of these."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from itertools import pairwise, permutations, product

@@ -1,7 +1,5 @@
 """Styles for GIS: the signs of the page, a rule for each outcome."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin

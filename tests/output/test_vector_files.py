@@ -110,7 +110,7 @@ def test_kml_names_its_features_and_keeps_their_properties(layer: str, scored: P
         for name, there in names.items():
             if name in properties:
                 properties[there] = properties.pop(name)
-        if "osm_id" in properties:
+        if properties.get("osm_id") is not None:
             properties["osm_id"] = str(properties["osm_id"])
         assert_same(properties, row)
         assert shapely.force_2d(geometry).wkt == shapely.geometry.shape(feature["geometry"]).wkt
@@ -302,16 +302,6 @@ def test_what_crosses_the_antimeridian_is_cut_in_every_format(scored: Path, tmp_
     assert sum(each.length for each in lengths) == pytest.approx(
         0.002 * 111319.5, rel=0.5
     )  # and a little over the edge
-
-
-def test_a_layer_of_an_older_version_says_whose_data_it_is(scored: Path, tmp_path: Path) -> None:
-    for layer, own in (("intersections", False), ("trajectory", True), ("osm_nodes", False)):
-        content = json.loads((scored / f"{layer}.geojson").read_text())
-        told = content.pop("attribution"), content.pop("license", None)
-        (tmp_path / "old.geojson").write_text(json.dumps(content))
-        credit = LAYERS[layer].read(tmp_path / "old.geojson").credit
-        assert (credit.attribution, credit.license) == told
-        assert (credit.license is None) == own
 
 
 @pytest.fixture(scope="module")

@@ -32,6 +32,8 @@ def assert_same(found: Any, expected: Any) -> None:
         other = getattr(found, name)
         if value is None:
             assert other is None, name
+        elif isinstance(value, int):
+            assert other == value, name
         elif is_dataclass(value):
             assert_same(other, value)
         elif name.endswith("yaw_rad"):

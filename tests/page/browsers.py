@@ -1,7 +1,5 @@
 """A Chromium that reaches this machine only, and notes whatever goes wrong in its tabs."""
 
-from __future__ import annotations
-
 import re
 import shutil
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """What the map has painted, taken down at the canvas itself: every stroke and fill, and the pixels they left."""
 
-from __future__ import annotations
-
 import math
 import re
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """A browser whose every tab is watched, and a server with results."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any

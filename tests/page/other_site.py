@@ -1,7 +1,5 @@
 """A web page of another origin than the service, with MapLibre GL and pmtiles.js of the npm packages."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager

@@ -1,7 +1,5 @@
 """A server with results to look at."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The page for everyone: axe-core finds nothing serious in any of its states, and the keyboard alone is enough."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The map of many drives on the page: the start, the queue by keys, maps of one's own."""
 
-from __future__ import annotations
-
 import re
 from typing import Any
 

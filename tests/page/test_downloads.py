@@ -1,7 +1,5 @@
 """What the page gives to take along, with and without a token: each file by a click, each box by its copy button."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """Each layer of the map, counted at the canvas: as many lines and signs as the files have features, where they lie."""
 
-from __future__ import annotations
-
 import math
 import re
 from dataclasses import dataclass

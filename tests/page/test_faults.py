@@ -1,7 +1,5 @@
 """What goes wrong is told in words; what goes right leaves no trace in the console and asks nobody else."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Jobs as a person meets them: run again with what they were, named, compared, kept up to date."""
 
-from __future__ import annotations
-
 import re
 from typing import Any
 

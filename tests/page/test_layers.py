@@ -1,7 +1,5 @@
 """The modules of the page import downwards only, in the layers that `static/js/main.js` names; Biome finds circles."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A live session on the page: it is listed, and watched while it grows."""
 
-from __future__ import annotations
-
 import secrets
 import threading
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Intersections looked at one by one: by list, by keys, by link; where they lead to; coordinates and distances."""
 
-from __future__ import annotations
-
 import math
 import re
 from typing import Any

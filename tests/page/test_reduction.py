@@ -1,7 +1,5 @@
 """The page reduces scans in the browser: what it writes must be what the library would have picked."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """Uploads through the page, in a browser, to a real server: reduced there, they give what the library gives."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

@@ -1,7 +1,5 @@
 """Results on the page, in a real browser against a real server: what is seen must be what the files say."""
 
-from __future__ import annotations
-
 import math
 import re
 from typing import Any

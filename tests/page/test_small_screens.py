@@ -1,7 +1,5 @@
 """The page on small screens: the map keeps its room, and nothing lies behind anything."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

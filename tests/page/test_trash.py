@@ -1,7 +1,5 @@
 """The trash on the page: deleted drives and jobs are shown, come back, and go for good only after a question."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from tests.app.processes import API

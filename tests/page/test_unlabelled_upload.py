@@ -1,7 +1,5 @@
 """Uploads of drives that only the service can read or label: sent as they are, labelled there, or refused in words."""
 
-from __future__ import annotations
-
 import re
 import shutil
 from collections.abc import Iterator

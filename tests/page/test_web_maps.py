@@ -1,7 +1,5 @@
 """A page of another site shows a result: MapLibre GL reads GeoJSON, vector tiles and items of the API by CORS."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

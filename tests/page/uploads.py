@@ -1,7 +1,5 @@
 """The upload panel in a tab, and what has arrived on the server."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Any

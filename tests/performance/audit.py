@@ -6,8 +6,6 @@ Of the junctions that two drives or more came by, 20 % lose a side road and 20 %
 right if a change that fits its kind lies within 25 m, of a side road also at its other end.
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 from dataclasses import replace

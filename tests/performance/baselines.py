@@ -1,7 +1,5 @@
 """What InterLoc is compared with: merely reading the scans, and the method of the paper done plainly."""
 
-from __future__ import annotations
-
 import time
 from pathlib import Path
 

@@ -7,8 +7,6 @@ through the made-up town is simulated once (281 keyframes, 125,000 points per sc
 folder for temporary files.
 """
 
-from __future__ import annotations
-
 import argparse
 import gc
 import importlib

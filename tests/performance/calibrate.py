@@ -33,7 +33,7 @@ from interloc.config import PRESETS, CalibrationConfig, DetectorConfig
 from interloc.drive import Drive
 from interloc.drives.label_errors import MislabelledDrive, parse_level
 from interloc.evaluation.evaluate import evaluate
-from interloc.evaluation.reliability import (
+from interloc.evaluation.map_level import (
     Interval,
     calibration_error,
     calibration_error_by_chance,

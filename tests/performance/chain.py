@@ -7,8 +7,6 @@ Shown are the intersections of the map in reach that were found within 10 m, the
 lies from the true one, and processor time and memory of the whole process. Drives in --twins are used again.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

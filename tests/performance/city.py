@@ -9,8 +9,6 @@ With --speed instead: CPU time to add one drive of 1,000 places to a map of so m
 map is then from that of all drives at once.
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 import time

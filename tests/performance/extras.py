@@ -5,8 +5,6 @@ environment has works; what it has not says which packages it wants; nothing is 
 page is served from an environment with the extra `service`. Takes some minutes and a gigabyte.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

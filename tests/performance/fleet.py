@@ -3,8 +3,6 @@
 For `tests.performance.torture`.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

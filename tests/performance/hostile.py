@@ -6,8 +6,6 @@ table says how long it takes alone and beside Eve's, how each of those ended, an
 Runs for some minutes and needs 2 GB in the folder for temporary files; everything is removed at the end.
 """
 
-from __future__ import annotations
-
 import argparse
 import gzip
 import io

@@ -6,8 +6,6 @@ from the moment before a scan is sent to its answer. To be reached at 10 Hz: 95 
 is too much is dropped and reported, and the memory of the process stays.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

@@ -11,8 +11,6 @@ A real `interloc serve` on this machine and clients in processes of their own, o
 Runs for some minutes and needs 10 GB in the folder for temporary files; everything is removed at the end.
 """
 
-from __future__ import annotations
-
 import argparse
 import asyncio
 import http.client

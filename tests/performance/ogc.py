@@ -7,8 +7,6 @@ intersections instead. Then: seconds of queries as the service does them, and of
 features from a server.
 """
 
-from __future__ import annotations
-
 import argparse
 import statistics
 import subprocess

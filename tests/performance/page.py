@@ -4,8 +4,6 @@ A real server, a drive with ten thousand detections, the Chromium of this machin
 dragged to and fro and zoomed; the times between frames are those at which the browser would have shown them.
 """
 
-from __future__ import annotations
-
 import argparse
 import itertools
 import statistics

@@ -17,8 +17,6 @@ seen: a point of the truth, one per metre, whose cell of road.tif was seen twice
 """
 
 # ruff: noqa: ANN001, ANN201
-from __future__ import annotations
-
 import argparse
 import json
 import resource

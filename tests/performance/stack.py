@@ -7,8 +7,6 @@ makes a drive and a result, which this one must show. Prometheus' promtool, syst
 files of deploy/, where they are installed.
 """
 
-from __future__ import annotations
-
 import argparse
 import io
 import json

@@ -16,8 +16,6 @@ a table at its end:
 Runs for an hour with the default of 500 kills; `--kills`, `--minutes`, `--seed` and `--only` choose another course.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import random

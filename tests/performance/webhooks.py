@@ -7,8 +7,6 @@ takes every connection and never answers, is told of every tenth drive beside. A
 and one that came twice under the same id.
 """
 
-from __future__ import annotations
-
 import argparse
 import base64
 import json

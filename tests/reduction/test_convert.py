@@ -1,7 +1,5 @@
 """Drives rewritten in SemanticKITTI's layout, and label files by a network."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 

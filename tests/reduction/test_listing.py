@@ -1,7 +1,5 @@
 """Which drives a folder holds, told from paths and sizes."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

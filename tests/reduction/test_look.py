@@ -1,7 +1,5 @@
 """A look at a folder from its listing and its small files: what reading the folder itself would find."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Writing of reduced drives: what goes where, whole or not at all."""
 
-from __future__ import annotations
-
 import gzip
 from pathlib import Path
 from types import ModuleType

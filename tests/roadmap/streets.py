@@ -1,7 +1,5 @@
 """Mosaics of streets that are drawn, and results with the intersections that a drive would find on them."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

@@ -1,7 +1,5 @@
 """Roads of ground that was drawn: where they lie, how wide they are, what they join."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

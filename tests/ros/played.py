@@ -1,7 +1,5 @@
 """Plays a street to the node and prints what it publishes, as JSON: a process of its own, beside that of the node."""
 
-from __future__ import annotations
-
 import array
 import json
 import sys

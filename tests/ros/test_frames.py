@@ -1,7 +1,5 @@
 """Where the LiDAR is, from poses as they come in."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from interloc.drives.scans.rosbag.messages import Header, StampedPose

@@ -1,7 +1,5 @@
 """The real node and real messages, in a network of their own with nothing but a loopback."""
 
-from __future__ import annotations
-
 import importlib.util
 import json
 import os

@@ -4,8 +4,6 @@ A drive that was reduced already, by the client that sent it, is checked scan by
 What is wrong with the files is listed in the report, each finding with its path; the outcome then has no result.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

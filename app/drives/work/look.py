@@ -1,7 +1,5 @@
 """A look at a folder of a client: by the code that reads drives, and by the limits of the service."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path

@@ -4,8 +4,6 @@ The libraries read one member after the other. What they unpack is counted again
 time and memory are limited as those of all workers, and names of files are used only once the archive was read.
 """
 
-from __future__ import annotations
-
 import errno
 import gzip
 import hashlib
@@ -46,7 +44,6 @@ _FREE_RATIO_BYTES = 64 * _MB  # small archives may unpack to this much, whatever
 _FREE_FILES = 10_000  # small archives may hold as many files, whatever their size
 _BYTES_PER_FILE = 32  # each further file takes at least this much of an archive, however well it is packed
 _MAX_FOLDERS = 10_000  # which an archive may list beside its files
-_MAX_ENTRY_BYTES = 256  # of the list in a zip file, on average: 46 and the name
 _MAX_HEADER_BYTES = 1 << 14  # of a long name or extended header of a tar file, which are read into memory
 _MAX_WINDOW_BYTES = 1 << 27  # of zstandard: the limit of its own tools unless an option raises it
 _HEADERS = (
@@ -270,9 +267,8 @@ def members(path: Path, count: Callable[[int], None], max_files: int) -> Iterato
     """Open an archive, and yield its files; folders are passed over.
 
     `count` is called with the bytes that come out of its decompressor beside the contents of members: what is skipped
-    counts. Of a zip file that lists many more than `max_files`, the list is not even looked into; folders beyond some
-    thousands count too. An `ArchiveError`, also raised within the block, says that it is no archive, is damaged or cut
-    short, or holds links, devices or encrypted files.
+    counts, and so do folders beyond some thousands. An `ArchiveError`, also raised within the block, says that it is no
+    archive, is damaged or cut short, or holds links, devices or encrypted files.
     """
     with path.open("rb") as file:
         kind = archive_kind(file.read(MAGIC_BYTES))
@@ -294,11 +290,6 @@ def _too_many_files(max_files: int) -> ArchiveError:
 
 
 def _zip_members(file: BinaryIO, max_files: int) -> Iterator[Member]:
-    end = zipfile._EndRecData(file)  # type: ignore[attr-defined] # noqa: SLF001 - the size of the list, before it is read
-    if end is not None:
-        listed, size = end[zipfile._ECD_ENTRIES_TOTAL], end[zipfile._ECD_SIZE]  # type: ignore[attr-defined] # noqa: SLF001
-        if max(listed, size // _MAX_ENTRY_BYTES) > max_files + _MAX_FOLDERS:
-            raise _too_many_files(max_files)
     with zipfile.ZipFile(file) as archive:
         if len(archive.infolist()) > max_files + _MAX_FOLDERS:
             raise _too_many_files(max_files)

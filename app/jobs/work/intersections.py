@@ -1,7 +1,5 @@
 """Find the intersections of a drive and score them against a map: `interloc run`, cut into ranges of keyframes."""
 
-from __future__ import annotations
-
 import hashlib
 import pickle
 import time

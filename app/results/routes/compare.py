@@ -1,7 +1,5 @@
 """Results side by side, and beside the paper's."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import re
@@ -19,7 +17,6 @@ from app.jobs.view import find_job, own_settings, title_of
 from app.results.folder import ResultsDep
 from app.results.routes.results import PROBLEMS
 from interloc.evaluation import compare
-from interloc.output.layout import settings_of
 
 _JOBS = rf"^[A-Za-z0-9_-]{{1,64}}( *, *[A-Za-z0-9_-]{{1,64}}){{1,{MAX_COMPARED_JOBS - 1}}}$"
 
@@ -83,7 +80,7 @@ def compare_jobs(
     runs = [json.loads((result.folder / "run.json").read_bytes()) for result in opened]
     one_drive = {"drive_name": opened[0].drive_id}  # which may have been renamed between the jobs
     compared = compare.compare_reports(ids, reports, [run | one_drive for run in runs])
-    own = set().union(*(own_settings({"config": settings_of(run)}) for run in runs))
+    own = set().union(*(own_settings(run) for run in runs))
     settings = [{**dict(each), "is_own": each.name in own} for each in compared.settings]
     return {**dict(compared), "drive_id": opened[0].drive_id, "names": numbered, "settings": settings}
 

@@ -1,7 +1,5 @@
 """Results for GIS, web maps and other programs."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal
 from xml.sax.saxutils import escape
 

@@ -1,7 +1,5 @@
 """Pictures that workers draw of a result: the steps of the method at one keyframe, the road seen by LiDAR."""
 
-from __future__ import annotations
-
 from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Path, Query, Request, Response

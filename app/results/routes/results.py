@@ -1,7 +1,5 @@
 """What a successful job yields: layers, report, files, one archive of all."""
 
-from __future__ import annotations
-
 import hashlib
 from pathlib import Path as FilePath
 from typing import Annotated, Any, Literal
@@ -18,7 +16,7 @@ from app.http.prices import priced
 from app.results.folder import Result, ResultsDep
 from app.results.models import ResultFile, ResultFileList, collection_model
 from interloc.errors import OutputError
-from interloc.files import atomic_write
+from interloc.files import write_file
 from interloc.output.layers import LAYERS, Layer
 from interloc.output.qgis import qml
 
@@ -227,8 +225,7 @@ def _style_of(result: Result, name: FilePath) -> FilePath | None:
     try:
         if not path.exists() or path.read_bytes() != content:
             path.parent.mkdir(parents=True, exist_ok=True)
-            with atomic_write(path) as file:
-                file.write(content)
+            write_file(path, content)
     except (OSError, OutputError):  # as on a full disk
         return None
     return path

@@ -1,7 +1,5 @@
 """Geodetic fixes: their checks, and rigid poses on the ellipsoid."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

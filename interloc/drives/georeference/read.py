@@ -1,7 +1,5 @@
 """Georeference of the LiDAR at every scan: OXTS (GNSS/INS of KITTI), geo.csv, or the world of KITTI-360's poses."""
 
-from __future__ import annotations
-
 import math
 import re
 from array import array

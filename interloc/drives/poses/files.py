@@ -1,7 +1,5 @@
 """Pose files: KITTI's lines of 12 or 16 numbers, with or without the frame number in front, and TUM's with a time."""
 
-from __future__ import annotations
-
 from array import array
 from collections.abc import Callable, Collection
 from dataclasses import dataclass

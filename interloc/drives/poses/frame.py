@@ -5,8 +5,6 @@ y; in that of a LiDAR (x forward, y left, z up) it moves along x and turns about
 vehicle, and its sensors with it, pitches along. Calibrations are those of KITTI and KITTI-360.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Literal
 

@@ -1,7 +1,5 @@
 """How a body moves in its own frame, and where it is between the poses that are known."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import pairwise
 

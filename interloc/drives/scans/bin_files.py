@@ -6,8 +6,6 @@ right one is that whose columns are the least mixed (entropy, over bins that all
 an order of the points nor a kind of sensor.
 """
 
-from __future__ import annotations
-
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -3,8 +3,6 @@
 Drivers write the times in units and from zeros of their own; the motion is that of the drive.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any

@@ -4,8 +4,6 @@ The reader of pypcd4 trusts the header (a file that is cut short is read as fewe
 version 0.7, without COUNT, or with tabs.
 """
 
-from __future__ import annotations
-
 import io
 import os
 import re

@@ -1,7 +1,5 @@
 """What a network's graph takes and gives, held against the settings beside it; and the network run by onnxruntime."""
 
-from __future__ import annotations
-
 import importlib
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Labels of a scan by a network, in four steps: its range image, the network, votes of neighbours, and ids."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Lock

@@ -1,7 +1,5 @@
 """Commit: a drive that was uploaded gives the very results that the command line gives on its folder."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

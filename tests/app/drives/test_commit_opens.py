@@ -1,7 +1,5 @@
 """A commit reads the small files of a drive once, and once more to copy them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from types import ModuleType
 

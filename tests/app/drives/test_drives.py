@@ -1,7 +1,5 @@
 """Drives: made, listed page by page, shown, deleted with all that belongs to them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

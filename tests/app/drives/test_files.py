@@ -1,7 +1,5 @@
 """Single files: any bytes under any sound name, whole or not at all, whoever else does what at the same time."""
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import os

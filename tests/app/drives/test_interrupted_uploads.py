@@ -1,7 +1,5 @@
 """A server killed while it unpacks an archive or checks a drive: the next one ends the work, whole and once."""
 
-from __future__ import annotations
-
 import hashlib
 import io
 import json

@@ -1,7 +1,5 @@
 """A server that is killed between a file and its row: what was acknowledged is there, what was not is left out."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A look at a folder that is not on the service: what it answers, and what it refuses."""
 
-from __future__ import annotations
-
 import base64
 from collections.abc import Callable
 from pathlib import Path

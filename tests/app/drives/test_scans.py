@@ -1,7 +1,5 @@
 """Batches: several files in one request, all or none."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor

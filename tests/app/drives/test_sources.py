@@ -1,7 +1,5 @@
 """Drives that the service reads from object storage itself."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The service behind nginx, as docs/service.md sets it up: on a port of its own, below a path."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

@@ -1,7 +1,5 @@
 """Pages of other sites cannot use the service through the browser of its user."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import httpx

@@ -1,7 +1,5 @@
 """A client that openapi-python-client makes of the description: no warning, and it can do all that a pipeline needs."""
 
-from __future__ import annotations
-
 import importlib
 import json
 import subprocess

@@ -1,7 +1,5 @@
 """Files of drives and of maps are put in one way: whole, one after the other, within the quota, or not at all."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial

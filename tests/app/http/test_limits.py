@@ -1,8 +1,5 @@
 """Requests that are too large or too slow."""
 
-from __future__ import annotations
-
-import asyncio
 import json
 import socket
 import threading
@@ -16,7 +13,7 @@ import httpx
 import pytest
 
 from app.http import middleware
-from app.server import FewFiles, Protocol
+from app.server import Protocol
 from app.store.storage import Storage
 from tests.app.processes import bytes_below
 
@@ -181,18 +178,6 @@ def test_connections_that_are_too_many_are_closed(client: httpx.Client, monkeypa
         assert read_all(last) == b""
         first.sendall(b"GET /healthz HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n")
         assert read_all(first).startswith(b"HTTP/1.1 200 ")
-
-
-def test_a_server_without_descriptors_says_so_once(caplog: pytest.LogCaptureFixture) -> None:
-    """What asyncio reports of each of the connections that wait."""
-    loop = asyncio.new_event_loop()
-    loop.set_exception_handler(FewFiles().handle)
-    for _ in range(100):
-        loop.call_exception_handler(
-            {"message": "socket.accept() out of system resource", "exception": OSError(24, "Too many open files")}
-        )
-    loop.close()
-    assert caplog.text.count("no connection can be taken: [Errno 24] Too many open files") == 1
 
 
 def test_the_methods_of_an_address_are_all_named(client: httpx.Client) -> None:

@@ -1,7 +1,5 @@
 """What pipelines need: filters and pages of lists, ETags, keys, other origins; on both kinds of database."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The description of the API is whole: it is all that many will read of it."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from typing import Any

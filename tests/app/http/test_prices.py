@@ -1,7 +1,5 @@
 """Prices: every operation declares its own, and whoever asks for much waits for himself only and holds no thread."""
 
-from __future__ import annotations
-
 import asyncio
 import threading
 from collections.abc import Callable, Coroutine

@@ -1,7 +1,5 @@
 """Errors are problem documents."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import httpx

@@ -4,8 +4,6 @@ What takes seconds is made when the tests run, by the one process that runs them
 this.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from copy import deepcopy
 from dataclasses import dataclass

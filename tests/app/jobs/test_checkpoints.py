@@ -1,7 +1,5 @@
 """What a restart finds is what was found, to the last bit; what is done is not done again."""
 
-from __future__ import annotations
-
 import resource
 import shutil
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """The events of a job: each state once, in order, to the end; for many listeners at the price of one."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor

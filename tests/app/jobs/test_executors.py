@@ -1,7 +1,5 @@
 """Workers: one that dies or uses too much takes only its own work with it, and is replaced."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess
@@ -284,16 +282,13 @@ def test_work_that_fills_the_memory_is_ended_and_its_place_goes_on() -> None:
 
 
 @pytest.mark.skipif(not memory_of(os.getpid()), reason="this system does not tell the memory of processes")
-def test_a_worker_that_is_left_large_is_replaced() -> None:
-    executor = ProcessExecutor(1, memory_bytes=round(2.4 * memory_of(os.getpid())))
-    try:
-        small = executor.submit(pid_of).result(60)
-        assert executor.submit(pid_of).result(60) == small
-        large = executor.submit(keep_memory, round(1.4 * memory_of(os.getpid()))).result(60)
-        assert large == small
-        assert executor.submit(pid_of).result(60) != large
-    finally:
-        executor.stop()
+def test_a_worker_that_is_left_large_is_replaced(one: ProcessExecutor) -> None:
+    small = one.submit(pid_of).result(60)
+    size = memory_of(small)
+    one.memory_bytes = 4 * size
+    assert one.submit(pid_of).result(60) == small
+    assert one.submit(keep_memory, round(1.5 * size)).result(60) == small
+    assert one.submit(pid_of).result(60) != small
 
 
 @pytest.mark.parametrize(

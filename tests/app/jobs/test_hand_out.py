@@ -1,7 +1,5 @@
 """The order of the work: quick work does not wait for long work, nor one client for another."""
 
-from __future__ import annotations
-
 import pytest
 
 from app.jobs.processes import HandOut, Work

@@ -1,7 +1,5 @@
 """Jobs over HTTP, from submission to results."""
 
-from __future__ import annotations
-
 import gzip
 import json
 import re

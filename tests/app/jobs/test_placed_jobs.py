@@ -1,7 +1,5 @@
 """Jobs that place a drive without GNSS on the map."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The queue, on SQLite and on PostgreSQL: fair, fenced, and nobody gets what another one has."""
 
-from __future__ import annotations
-
 import time
 from collections import Counter
 from collections.abc import Iterator

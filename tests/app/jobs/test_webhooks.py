@@ -1,7 +1,5 @@
 """Whoever is named in a request is told of the job: signed, again where that fails, and nobody else is ever called."""
 
-from __future__ import annotations
-
 import base64
 import json
 import socket

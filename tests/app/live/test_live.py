@@ -1,7 +1,5 @@
 """A live session of a real server: what is sent, answered, watched, broken off, refused."""
 
-from __future__ import annotations
-
 import json
 import threading
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """Maps of many drives: what belongs to them is merged, whatever stops in between; the queue of their findings."""
 
-from __future__ import annotations
-
 import re
 import time
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """What a map should hold is read anew where something changed, and only there."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Drives without labels, labelled by a network of the service; and drives in files that only the service reads."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """OGC API - Features: what the standard asks for, what filters find, what GDAL reads, and that it stays bounded."""
 
-from __future__ import annotations
-
 import base64
 import json
 import subprocess

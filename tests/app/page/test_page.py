@@ -1,7 +1,5 @@
 """The page is served from its folder, and nothing else is; the documentation needs no other host."""
 
-from __future__ import annotations
-
 import http.client
 import json
 import re

@@ -1,7 +1,5 @@
 """Jobs that have ended, put into a data folder as the runner leaves them: for tests of what comes after."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass

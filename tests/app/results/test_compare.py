@@ -1,7 +1,5 @@
 """Jobs of one drive side by side."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

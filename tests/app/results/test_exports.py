@@ -1,7 +1,5 @@
 """Exports over HTTP: the files of the library, built once, with the reasons where there is none."""
 
-from __future__ import annotations
-
 import io
 import json
 import sys

@@ -1,7 +1,5 @@
 """Pictures of a keyframe: drawn by a worker from the drive, once, and where the result says that it is."""
 
-from __future__ import annotations
-
 import io
 import json
 from concurrent.futures import ThreadPoolExecutor

@@ -1,7 +1,5 @@
 """All drives, each with its newest result, on one map, with tracks that are simplified."""
 
-from __future__ import annotations
-
 import json
 from typing import Any
 

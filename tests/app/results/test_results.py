@@ -1,7 +1,5 @@
 """What a job yields goes over the wire byte for byte, once, and with reasons where there is none."""
 
-from __future__ import annotations
-
 import http.client
 import io
 import json

@@ -1,7 +1,5 @@
 """The road seen by LiDAR over the wire: the file of the result, and a picture that says where it lies."""
 
-from __future__ import annotations
-
 import io
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Somebody else holds the lock of the database: requests are given up soon, and all that only reads goes on."""
 
-from __future__ import annotations
-
 import sqlite3
 import time
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """Transactions of many threads at once, and what the database cannot do."""
 
-from __future__ import annotations
-
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress

@@ -1,7 +1,5 @@
 """Database and data folder belong together, or nothing starts; and nothing is changed by a start that is refused."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import sqlite3

@@ -1,7 +1,5 @@
 """The tables come up to date by themselves, whatever state they are found in."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial

@@ -1,7 +1,5 @@
 """The data folder under a running server: where it goes, nothing is acknowledged until it is back."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Callable
 from pathlib import Path

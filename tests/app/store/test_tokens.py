@@ -1,7 +1,5 @@
 """Who gets in by a token, and who does not."""
 
-from __future__ import annotations
-
 import hashlib
 import io
 import re

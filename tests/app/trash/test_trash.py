@@ -1,7 +1,5 @@
 """The trash: what is deleted is absent everywhere, comes back whole, or goes for good, whatever is killed meanwhile."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Backups: what is restored is what was backed up, whatever went on meanwhile, and whatever stopped it."""
 
-from __future__ import annotations
-
 import errno
 import hashlib
 import itertools

@@ -1,7 +1,5 @@
 """Check says what is missing on either side, and changes nothing."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Iterator
 from pathlib import Path

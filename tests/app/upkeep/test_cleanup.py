@@ -1,7 +1,5 @@
 """Clean-up: what nobody needs goes, what somebody needs stays."""
 
-from __future__ import annotations
-
 import os
 import time
 from collections.abc import Iterator

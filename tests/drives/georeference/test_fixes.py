@@ -1,7 +1,5 @@
 """A shift in time between poses and fixes is found by the shape of the path, and none where there is none."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

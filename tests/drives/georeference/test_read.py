@@ -1,7 +1,5 @@
 """Georeference: OXTS, geo.csv, raw drives, their lever arm, and rows at other times than the scans."""
 
-from __future__ import annotations
-
 import gzip
 import re
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Pose files: every form that is read, and every one that is refused; and the poses between their times."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from types import ModuleType
 

@@ -1,7 +1,5 @@
 """Camera or LiDAR poses: told from the motion."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType

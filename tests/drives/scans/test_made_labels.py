@@ -1,7 +1,5 @@
 """Labels by geometry as a source of labels of a drive; their quality on real scans."""
 
-from __future__ import annotations
-
 import pickle
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """PCD files: three encodings, any fields, numbering by names, and everything that can be wrong with them."""
 
-from __future__ import annotations
-
 import re
 import shutil
 from collections.abc import Callable, Sequence

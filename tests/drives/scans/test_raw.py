@@ -1,7 +1,5 @@
 """Reading of scans, and drives on their way to other processes."""
 
-from __future__ import annotations
-
 import pickle
 from pathlib import Path
 from types import ModuleType

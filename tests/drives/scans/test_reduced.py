@@ -1,7 +1,5 @@
 """A reduced drive is read like the drive that it was made of, and refused in words where it cannot be."""
 
-from __future__ import annotations
-
 import pickle
 import shutil
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """The files of reduced drives: complete, bounded, as they are described, and nothing in them is trusted."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import struct

@@ -4,8 +4,6 @@ laspy and lazrs do the format. What they raise, panics of Rust among it, becomes
 loop or allocate without bounds (counts, offsets and sizes that lie) is refused before they see the file.
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager

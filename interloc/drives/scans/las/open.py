@@ -3,8 +3,6 @@
 Files of one scan each are in the coordinates of the sensor; everything else is mobile mapping (`mapping`).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
 

@@ -5,8 +5,6 @@ LAS), and as seconds since 1970 with or without leap seconds. Headers name the c
 trajectories do not name theirs: so each is tried, and the one taken by which the vehicle was where the points are.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Sequence

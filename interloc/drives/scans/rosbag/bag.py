@@ -1,7 +1,5 @@
 """A bag: one file or several, the topics in it, and which of them are scans, poses and fixes."""
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator

@@ -5,8 +5,6 @@ indexed, and of messages and chunks only as much is read and unpacked as is need
 taken on trust: it is checked before anything of that size is read or unpacked.
 """
 
-from __future__ import annotations
-
 import bz2
 import io
 import sqlite3

@@ -5,8 +5,6 @@ depends on the definitions that a bag holds or lacks, nor on the types of other 
 whole messages only, where here the beginning of a scan is enough, and make an object of every point of a Livox.
 """
 
-from __future__ import annotations
-
 import math
 import struct
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Opening of a bag: its topics, and the scans in it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path

@@ -3,8 +3,6 @@
 The readers of bags read from the ranges that are there, and ask for the first that is missing.
 """
 
-from __future__ import annotations
-
 import io
 import struct
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """Where the LiDAR was at every scan of a bag: its poses and GNSS fixes, or a file of poses."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 

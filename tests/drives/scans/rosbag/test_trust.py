@@ -1,7 +1,5 @@
 """What a bag says is not taken on trust: clocks, owners of poses, frames of scans, rare transforms, poor fixes."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
