@@ -63,7 +63,7 @@ def create_map(new: NewMap, response: Response, context: ContextDep, client: Cli
     return made
 
 
-@get_and_head(router, "", summary="List maps", response_model=MapList, responses=TAGGED)
+@get_and_head(router, "", summary="List maps", response_model=MapList, responses={**TAGGED, **_NOT_FOUND})
 @priced("heavy")
 def list_maps(
     request: Request,

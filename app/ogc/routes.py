@@ -3,7 +3,7 @@
 import json
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Annotated, Any
+from typing import Annotated, Any, cast
 
 from fastapi import APIRouter, Depends, Path, Request, Response
 
@@ -84,9 +84,8 @@ def _serve_map(map_id: MapId, request: Request, context: ContextDep) -> None:
 
 
 def _served(request: Request) -> _Served:
-    """Return what the dependency of the router has put there."""
-    found: _Served = request.state.served
-    return found
+    """Return what the dependency of the router has put there: nothing where an id of the address is refused."""
+    return cast("_Served", getattr(request.state, "served", None))
 
 
 _ServedDep = Annotated[_Served, Depends(_served)]
