@@ -13,7 +13,13 @@ from interloc.errors import DriveError
 
 @pytest.mark.parametrize(
     ("data", "words"),
-    [(b"", "empty"), (b" \n", "empty"), (b"\xff\xfe\x00", "not a text file"), (b"1 0\0", "zero bytes")],
+    [
+        (b"", "empty"),
+        (b" \n", "empty"),
+        (b"\xff\xfe\x00", "is UTF-16"),
+        (b"\xfa\x81", "not a text file"),
+        (b"1 0\0", "zero bytes"),
+    ],
 )
 def test_text_that_is_none(tmp_path: Path, data: bytes, words: str) -> None:
     path = tmp_path / "poses.txt"

@@ -140,6 +140,7 @@ def test_a_node_that_was_detected_and_missed_is_not_found() -> None:
 
 def test_the_line_of_a_map_with_nothing_in_it() -> None:
     level = {"true": 0, "intersections_in_zone": 1, "gate_m": 10.0, "nodes_in_zone": 1, "missed": 1, "median_m": None}
+    level |= {"not_counted": 0, "not_judged": 0}
     assert map_line(level) == "0 of 1 intersection right within 10 m, 0 of 1 node found"
 
 
