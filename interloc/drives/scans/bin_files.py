@@ -1,4 +1,4 @@
-"""Scans in .bin files: float32 x y z remission (KITTI), or with the ring as the fifth value (nuScenes).
+"""Scans in .bin files: float32 x y z remission (KITTI), and what follows: the ring (nuScenes), times, and others.
 
 How their values stand is told by the labels that go with them, by the values themselves, and by sizes.
 A column of a scan holds values of one kind, where a wrong number of values per point mixes them in every column. So the
@@ -36,7 +36,6 @@ _BARE = (
     "remission); write 0 as the remission where there is none."
 )
 
-
 _COUNTS = (4, 3, 5, 6, 7, 8, 9, 10)  # values per point that are tried, the usual one first
 _ROWS = (3, 4, 5, 6)
 _BINS, _MIN_VALUES, _MAX_VALUES = 64, 2000, 2_000_000
@@ -60,7 +59,7 @@ class BinScans:
 
     scan_files: NumberedFiles
     point_bytes: int = POINT_BYTES
-    """Bytes per point: 16, or 20 where the ring is the fifth value."""
+    """Bytes per point: four for each value, of which the first four are used."""
 
     def name(self, frame: int) -> str:
         """Return the name of the file of a scan, for messages."""
