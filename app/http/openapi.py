@@ -25,7 +25,7 @@ curl -T velodyne/000000.bin $API/drives/$DRIVE/files/velodyne/000000.bin        
 curl -X POST $API/drives/$DRIVE/commit                                                  # -> what is in it or is wrong
 curl -X POST $API/jobs -H 'Content-Type: application/json' -d '{"drive_id": "'$DRIVE'"}'  # -> id of the job
 curl -N $API/jobs/$JOB/events                                                           # its progress as it happens
-curl $API/jobs/$JOB/intersections                                                       # the map, as GeoJSON
+curl $API/jobs/$JOB/layers/intersections                                                # the map, as GeoJSON
 ```
 
 `interloc push DRIVE --server URL --run -o OUT` does all of that, and sends only what the method needs.

@@ -12,7 +12,7 @@ from sqlalchemy import BigInteger, Boolean, Column, Connection, Float, ForeignKe
 from sqlalchemy import delete as delete_rows
 
 from app.store.models import Base, FeatureLayer
-from app.work.layers import RESULT_LAYERS, own_attributes
+from app.work.layers import RESULT_LAYERS
 from interloc.output.layers import CITY_LAYERS, Layer
 
 _TEXT = Text().with_variant(Text(collation="C"), "postgresql")  # compared by code points, as SQLite does
@@ -26,7 +26,7 @@ def _table(prefix: str, layer: Layer) -> Table:
     name = f"{prefix}_{layer.name}"
     is_point = layer.geometry == "Point"
     box = ["west", "south"] if is_point else ["west", "south", "east", "north"]
-    attributes = own_attributes(layer)
+    attributes = layer.attributes
     return Table(
         name,
         Base.metadata,

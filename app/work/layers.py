@@ -3,7 +3,7 @@
 from pydantic import Field
 
 from interloc.output.layers import DERIVED, LAYERS, Layer
-from interloc.output.properties import ORIGIN, Attribute, Properties, ResultProperties, Time
+from interloc.output.properties import Properties, Time
 
 
 class FootprintProperties(Properties):
@@ -26,9 +26,3 @@ FOOTPRINTS = Layer("drives", "Areas that were driven through", "Polygon", Footpr
 
 RESULT_LAYERS = {**LAYERS, **DERIVED, FOOTPRINTS.name: FOOTPRINTS}
 """The layers of a result that have tables."""
-
-
-def own_attributes(layer: Layer) -> list[Attribute]:
-    """Return the properties of a layer that its table holds: those of the result as a whole stand in other tables."""
-    of_result = ORIGIN if issubclass(layer.properties, ResultProperties) else ()
-    return [each for each in layer.attributes if each.name not in of_result]

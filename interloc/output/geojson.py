@@ -75,12 +75,10 @@ def write_collection(
 ) -> None:
     """Write GeoJSON features, longitude first, or local metres of W, as a FeatureCollection: whole or not at all.
 
-    `credit` says whose data it is (`interloc.output.layers.Layer.credit`), `origin` holds properties that all features
-    have (`interloc.output.properties.origin_of`).
+    `credit` says whose data it is (`interloc.output.layers.Layer.credit`), `origin` of which result
+    (`interloc.output.properties.origin_of`).
     """
-    if origin is not None:
-        features = [{**feature, "properties": feature["properties"] | origin} for feature in features]
-    head: dict[str, Any] = {"type": "FeatureCollection"}
+    head: dict[str, Any] = {"type": "FeatureCollection", **(origin or {})}
     if local:
         head |= {"local": True, "units": LOCAL_UNITS}
     else:

@@ -153,7 +153,7 @@ def test_intersections_are_drawn_with_all_that_is_known_of_them(sheet: Any, scor
 
 
 def test_each_road_is_drawn_along_all_its_points(sheet: Any, scored: Scored) -> None:
-    roads = scored.features("osm-roads")
+    roads = scored.features("osm_roads")
     assert len({road["properties"]["highway"] for road in roads}) >= 3
     drawn = sheet("roads")
     lines = [screen_of(drawn.page, road["geometry"]["coordinates"]) for road in roads]

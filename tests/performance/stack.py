@@ -189,12 +189,12 @@ def upgrade(commit: str, folder: Path, street: Path) -> str:
         )
         drive = json.loads(told)["drive_id"]
         (job,) = [each["id"] for each in httpx.get(f"{address}{API}/jobs?drive={drive}").json()["jobs"]]
-        before = httpx.get(f"{address}{API}/jobs/{job}/intersections").raise_for_status().content
+        before = httpx.get(f"{address}{API}/jobs/{job}/layers/intersections").raise_for_status().content
     finally:
         process.terminate()
         process.wait(60)
     with started(data, folder / "upgraded.log") as server:
-        after = server.client.get(f"{API}/jobs/{job}/intersections").raise_for_status().content
+        after = server.client.get(f"{API}/jobs/{job}/layers/intersections").raise_for_status().content
         assert json.loads(after)["features"] == json.loads(before)["features"]
     return interloc("check", "--data-dir", data).strip()
 

@@ -38,7 +38,7 @@ def items(client: httpx.Client, id_: str) -> list[dict[str, Any]]:
 
 
 def result_of(client: httpx.Client, job: str) -> bytes:
-    return client.get(f"{API}/jobs/{job}/keyframes").raise_for_status().content
+    return client.get(f"{API}/jobs/{job}/layers/keyframes").raise_for_status().content
 
 
 def test_a_deleted_drive_is_absent_and_comes_back_with_its_jobs(
@@ -62,7 +62,7 @@ def test_a_deleted_drive_is_absent_and_comes_back_with_its_jobs(
         ("POST", f"/drives/{drive}/commit"),
         ("PUT", f"/drives/{drive}/files/other.osm"),
         ("GET", f"/jobs/{job}"),
-        ("GET", f"/jobs/{job}/keyframes"),
+        ("GET", f"/jobs/{job}/layers/keyframes"),
         ("GET", f"/jobs/{job}/events"),
         ("DELETE", f"/jobs/{job}"),
         ("DELETE", f"/jobs/{job}?purge=true"),
@@ -106,7 +106,7 @@ def test_a_deleted_job_comes_back_with_its_result(client: httpx.Client, street: 
     assert ended(client, job)["state"] == "successful"
     result = result_of(client, job)
     assert client.delete(f"{API}/jobs/{job}?purge=true").status_code == 204
-    assert client.get(f"{API}/jobs/{job}/keyframes").status_code == 404
+    assert client.get(f"{API}/jobs/{job}/layers/keyframes").status_code == 404
     (item,) = items(client, job)
     assert (item["kind"], item["name"]) == ("jobs", "street")
     assert item["size_bytes"] > len(result)
