@@ -1,7 +1,7 @@
 """The method of the paper done plainly, with OpenCV and scikit-image: slow, short, and nothing else.
 
 This is what the fast detector is held against: the tests compare the two over whole drives, `make bench` measures how
-much faster the other one is, and `interloc detect --reference` runs this one. Every step stands in one function under
+much faster the other one is, and `interloc run --reference` runs this one. Every step stands in one function under
 its section of the paper; all settings are those of the preset `paper`. Nothing of `interloc.kernels` is used.
 
 Results differ a little from those of the preset `paper`: scikit-image thins by a variant of Zhang and Suen's algorithm,

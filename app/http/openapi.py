@@ -1,5 +1,6 @@
 """The OpenAPI document: what FastAPI cannot generate of it."""
 
+import re
 from collections.abc import Callable, Iterator
 from copy import deepcopy
 from typing import Any, ClassVar, TypeVar
@@ -13,6 +14,15 @@ Responses = dict[int | str, dict[str, Any]]
 """Answers of an endpoint by their status, as FastAPI takes them."""
 
 Endpoint = TypeVar("Endpoint", bound=Callable[..., Any])
+
+
+UNLISTED = re.compile(
+    r".*/ogc/.+|/problems/.+|/config\.json"
+    r"|/api/v1/(overview|demo|paper|drives/\{drive_id\}/trajectory|maps/\{map_id\}/(drives|deliveries)/?.*)"
+    r"|/api/v1/maps/\{map_id\}/queue(/\{finding\}(/picture\.png)?)?"
+    r"|/api/v1/jobs/\{job_id\}/(keyframes/.+|road|road\.png)|/api/v1/live/\{session\}/events"
+)
+"""Addresses that the description leaves out: what only the page calls, and `/ogc`, which describes itself."""
 
 
 DESCRIPTION = """

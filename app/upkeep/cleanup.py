@@ -117,7 +117,7 @@ def _remove_unknown(context: Context, *, by_age: bool) -> int:
     if named:
         _log.warning(
             "no row knows %d folders of drives, jobs or maps: %s. Is the database an older copy? They stay; `interloc "
-            "check` names them, `interloc restore` brings back a backup, and what nobody needs may be removed",
+            "check` names them, `interloc admin restore` brings back a backup, and what nobody needs may be removed",
             len(named),
             ", ".join(named[:3]) + (", ..." if len(named) > 3 else ""),
         )

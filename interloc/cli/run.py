@@ -6,20 +6,27 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+from click.core import ParameterSource
 
 from interloc.cli import console, options, summary
 
 if TYPE_CHECKING:
+    from interloc.config import DetectorConfig
     from interloc.drives.folder import FolderDrive
     from interloc.osm.graph import RoadGraph
     from interloc.osm.policies import Policy
     from interloc.results import DriveResult
 
 
-@click.command(cls=options.Command, short_help="Detect, map and evaluate in one go.")
+@click.command(cls=options.Command, short_help="Find the intersections along a drive; with a map, score them.")
 @options.evaluation_options
 @options.locate_option
 @options.near_options
+@click.option(
+    "--reference",
+    is_flag=True,
+    help="Run the paper's steps done plainly with OpenCV and scikit-image: slow, for comparison. Takes no settings.",
+)
 def command(
     drive: Path,
     out: Path,
@@ -29,26 +36,30 @@ def command(
     locate: bool,
     near: tuple[float, float] | None,
     radius_km: float | None,
+    reference: bool,
     **given: Any,
 ) -> None:
-    """Detect, map and evaluate DRIVE in one go; the report is OUT/report.html.
+    """Find the intersections along DRIVE. With a map they are scored, and the report is OUT/report.html.
 
     \b
     Example:
+      interloc run sequences/07 -o out                                           without a map
       interloc run sequences/07 -o out --osm karlsruhe.osm.pbf --oxts 2011_09_30_drive_0027_sync
       interloc run sequences/07 -o out --osm karlsruhe.osm.pbf --locate          without GNSS
       interloc run drive.mcap -o out --osm karlsruhe.osm.pbf --near 49.01,8.43   points and poses alone
     """
     from interloc.errors import Beside
-    from interloc.evaluation.evaluate import evaluate
-    from interloc.evaluation.report import write_report
     from interloc.output.layout import result_folder
     from interloc.output.write import write_results
-    from interloc.pipeline import detect
 
     search = options.search_area(near, radius_km)
     may_locate = locate or near is not None
-    source, config, graph = options.open_for_evaluation(drive, needs_georeference=not may_locate, **given)
+    has_map = given["osm"] is not None or given["overpass"] or may_locate
+    if reference:
+        _check_reference(has_map=has_map, settings=given["settings"])
+    source, config, graph = options.open_for_evaluation(
+        drive, needs_georeference=has_map and not may_locate, needs_map=has_map, **given
+    )
     if near is not None and not locate:
         locate = source.georeference is None
         if not locate:
@@ -59,23 +70,46 @@ def command(
     with result_folder(out) as folder:
         if locate:
             source = source.without_georeference()
-        with console.progress("detect", "keyframe") as bar:
-            result = scored = detect(source, config, workers=workers, progress=bar)
+        result = scored = _detect(source, config, workers, reference=reference)
         if locate and graph is not None:
             result, scored = _place(result, source, graph, policy, tolerance_m, search, folder)
         network = write_results(result, folder, beside=beside)
-        with beside.part("the score"):
-            if graph is None:
-                graph = options.fetch_map(result)
-            roads = network if scored is result else None
-            evaluation = evaluate(scored, graph, policy=policy, tolerance_m=tolerance_m, network=roads)
-            report = write_report(evaluation, folder, result=result, beside=beside)
+        if has_map:
+            with beside.part("the score"):
+                from interloc.evaluation.evaluate import evaluate
+                from interloc.evaluation.report import write_report
+
+                graph = options.fetch_map(result) if graph is None else graph
+                roads = network if scored is result else None
+                evaluation = evaluate(scored, graph, policy=policy, tolerance_m=tolerance_m, network=roads)
+                report = write_report(evaluation, folder, result=result, beside=beside)
     facts = summary.run_facts(result, out)
+    if not has_map:
+        facts += [*summary.doubt_facts(result), ("not scored", options.no_map(result))]
     if report is not None:
         first, *others = summary.report_facts(report, out)
         facts = [first, *facts[:-1], *others]
     console.say({"run": summary.run_summary(result, out), "report": report}, facts)
     beside.check(out)
+
+
+def _check_reference(*, has_map: bool, settings: tuple[str, ...]) -> None:
+    preset_from = click.get_current_context().get_parameter_source("preset")
+    if settings or preset_from is not ParameterSource.DEFAULT:
+        raise click.UsageError("--reference has the settings of the paper; it takes neither --preset nor --set")
+    if has_map:
+        raise click.UsageError("--reference takes no map: score its result by `interloc evaluate`")
+
+
+def _detect(drive: FolderDrive, config: DetectorConfig, workers: int | None, *, reference: bool) -> DriveResult:
+    with console.progress("detect", "keyframe") as bar:
+        if reference:
+            from interloc.reference import detect_by_reference
+
+            return detect_by_reference(drive, workers=workers, progress=bar)
+        from interloc.pipeline import detect
+
+        return detect(drive, config, workers=workers, progress=bar)
 
 
 def _place(

@@ -76,7 +76,7 @@ def write_report(
     result, out_dir = result or evaluation.result, Path(out_dir)
     if not out_dir.is_dir():
         raise OutputError(
-            f"{out_dir}: no such folder. Expected the result folder of `interloc detect` or `interloc.write_results`."
+            f"{out_dir}: no such folder. Expected the result folder of `interloc run` or `interloc.write_results`."
         )
     with parts.part("the score of the roads"):
         _ = evaluation.roads

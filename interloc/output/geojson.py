@@ -25,7 +25,7 @@ from interloc.results import DriveResult
 DEGREE_DECIMALS = 7  # 1 cm, as OpenStreetMap has it
 METRE_DECIMALS = 4
 LOCAL_UNITS = "metres in W, the frame of the first LiDAR pose (x forward, y left); not longitude and latitude"
-RUN_AGAIN = "Run `interloc detect` again."
+RUN_AGAIN = "Run `interloc run` again."
 
 _DEPTHS = {"Point": 0, "MultiPoint": 1, "LineString": 1, "MultiLineString": 2, "Polygon": 2, "MultiPolygon": 3}
 """Type of a geometry -> how deep its positions are nested."""

@@ -154,7 +154,7 @@ def _why_missing(result: Path, layer: str) -> str:
     if layer == PLACES:
         return "Only a drive that was placed on the map by its roads has it: `interloc run --locate` does that."
     if layer in ROAD_LAYERS:
-        return "An older version of InterLoc made it, without a map of the roads; `interloc detect` draws one."
+        return "An older version of InterLoc made it, without a map of the roads; `interloc run` draws one."
     if (result / "report.json").exists():
         if layer == BUILDINGS and "buildings" in read_json(result / "report.json").get("osm", {}):
             return "The map that it was scored against has no buildings near the drive."

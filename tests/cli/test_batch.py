@@ -94,7 +94,7 @@ def test_a_worker_that_dies_costs_another_try(
     short_drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(units, "work", die_once)
-    unit = Unit("short", str(short_drive), "detect", ())
+    unit = Unit("short", str(short_drive), "run", ())
     records = Records(str(tmp_path / "out"))
     row = do_all([unit], records, 1, None, progress=lambda _: None)["short"]
     assert row["error"] is None

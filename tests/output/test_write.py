@@ -318,7 +318,7 @@ def test_what_is_written_is_read_back(result: DriveResult) -> None:
 
 
 def test_a_missing_folder_and_a_folder_of_something_else_are_named(tmp_path: Path) -> None:
-    with pytest.raises(OutputError, match=r"none is not a folder\. Give the folder that `interloc detect -o` wrote"):
+    with pytest.raises(OutputError, match=r"none is not a folder\. Give the folder that `interloc run -o` wrote"):
         read_results(tmp_path / "none")
     with pytest.raises(OutputError, match=r"is not an InterLoc result: it has no run.json"):
         read_results(tmp_path)
@@ -379,7 +379,7 @@ def test_damage_is_named_with_what_to_do(tmp_path: Path, damage: str) -> None:
     with pytest.raises(OutputError, match=message) as caught:
         read_results(tmp_path)
     assert name in str(caught.value)
-    assert "interloc detect" in str(caught.value)
+    assert "interloc run" in str(caught.value)
 
 
 def test_a_file_that_is_gone_is_named(tmp_path: Path) -> None:

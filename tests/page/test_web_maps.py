@@ -55,7 +55,7 @@ def test_maplibre_shows_a_result_on_a_page_of_another_site(site: Any, done: Done
     if "items" in sources:
         assert site.evaluate("map.querySourceFeatures('items').length") >= len(known)
 
-    ranges = [each for each in answers if each.url.endswith("/export.pmtiles")]
+    ranges = [each for each in answers if each.url.endswith("/export?f=pmtiles")]
     assert {each.status for each in ranges} == {206}
     size = int(ranges[0].headers["content-range"].rpartition("/")[2])
     told = site.evaluate(

@@ -173,7 +173,7 @@ def command_seconds(times: int, *words: str) -> list[float]:
 
 
 def few_scans_seconds(root: Path, times: int) -> list[float]:
-    """Time `interloc detect` of the first scans of a drive."""
+    """Time `interloc run` of the first scans of a drive."""
     with tempfile.TemporaryDirectory() as folder:
         drive, out = open_drive(root), str(Path(folder) / "out")
         short = Path(folder) / "drive"
@@ -262,7 +262,7 @@ def rows_of(root: Path, times: int) -> list[Row]:
     rows.append(Row("loading of the kernels, once a process", "s", [run["load_seconds"] for run in runs]))
     rows += [Row(f"{kernel}, 750 x 750", "ms", [run[kernel] for run in images]) for kernel in images[0]]
     rows.append(Row("interloc --help", "s", command_seconds(2 * times, "--help"), at_most=0.5))
-    return [*rows, Row(f"interloc detect, {FEW} scans", "s", few_scans_seconds(root, times), at_most=0.8)]
+    return [*rows, Row(f"interloc run, {FEW} scans", "s", few_scans_seconds(root, times), at_most=0.8)]
 
 
 def facts() -> dict[str, Any]:
