@@ -58,7 +58,7 @@ TAGS = [
     {"name": "Exports", "description": "Results in formats of GIS programs."},
     {"name": "GIS", "description": "OGC API - Features: results as layers of a GIS, by place, time and CQL2 filters."},
     {"name": "Maps", "description": "Many drives as one map, and the queue of what OpenStreetMap has wrong by it."},
-    {"name": "Trash", "description": "Deleted drives and jobs: restore them, or delete them for good."},
+    {"name": "Trash", "description": "Deleted drives: restore them, or delete them for good."},
     {"name": "System", "description": "For operators and for the page."},
 ]
 

@@ -53,7 +53,6 @@ DATA_FOLDER_GONE = _kind("data-folder-gone", 503, "The data folder is not where 
 DATABASE_BUSY = _kind("database-busy", 503, "The database did not answer in time.")
 DIFFERENT_DRIVES = _kind("different-drives", 422, "The jobs to compare are not of one drive.")
 DISK_FULL = _kind("disk-full", 507, "The service has no disk space left.")
-DRIVE_IN_THE_TRASH = _kind("drive-in-the-trash", 409, "The drive of the job is in the trash itself.")
 DRIVE_IS_BEING_CHECKED = _kind(
     "drive-is-being-checked", 409, "The commit of the drive still runs, and it takes no files meanwhile."
 )
@@ -106,7 +105,7 @@ NOT_FOUND = _kind("not-found", 404, "There is nothing at this address.")
 NOT_GEOREFERENCED = _kind(
     "not-georeferenced", 404, "The drive has no georeference, so nothing of it has longitude and latitude."
 )
-NOT_IN_THE_TRASH = _kind("not-in-the-trash", 404, "The trash holds no such drive or job.")
+NOT_IN_THE_TRASH = _kind("not-in-the-trash", 404, "The trash holds no such drive.")
 NOT_IN_THIS_RESULT = _kind("not-in-this-result", 404, "The result has no such part.")
 NOT_MULTIPART_FORM_DATA = _kind(
     "not-multipart-form-data", 415, "The body must be multipart/form-data.", title="Not multipart/form-data"

@@ -57,7 +57,7 @@ def find_job(session: Session, job_id: str) -> tuple[Job, str]:
 
 
 def is_alive() -> ColumnElement[bool]:
-    """Return the condition that neither a job nor its drive, joined, is in the trash."""
+    """Return the condition that a job is not deleted, nor its drive, joined."""
     return and_(Job.deleted_at.is_(None), Drive.deleted_at.is_(None))
 
 
@@ -67,7 +67,7 @@ def no_job(job_id: str) -> Problem:
 
 
 def chosen_results(*conditions: ColumnElement[bool]) -> Select[Job]:
-    """Return the query for the job that stands for each drive that has a successful one; nothing in the trash counts.
+    """Return the query for the job that stands for each drive that has a successful one; nothing deleted counts.
 
     The one that somebody has pinned; else the best by the map: one with the settings of this version before one with
     those of the paper, then the highest F1 of its intersections, then the newest. One that was not scored comes last.

@@ -123,9 +123,9 @@ def _some(names: list[str]) -> str:
     return ", ".join(names[:_SHOWN]) + (f" and {len(names) - _SHOWN:,} more" if len(names) > _SHOWN else "")
 
 
-@click.group(short_help="Deleted drives and jobs: list, restore, empty.")
+@click.group(short_help="Deleted drives: list, restore, empty.")
 def trash() -> None:
-    """Manage deleted drives and jobs. A running server sees the change at once.
+    """Manage deleted drives. A running server sees the change at once.
 
     \b
     Example:
@@ -146,7 +146,7 @@ def list_(data_dir: Path | None) -> None:
             for each in page.items:
                 why = f"deleted by {each.deleted_by}" if each.deleted_by else "expired"
                 click.echo(
-                    f"{each.id}  {each.kind[:-1]:<5}  {size(each.size_bytes):>9}  {each.deleted_at:%Y-%m-%d %H:%M} UTC "
+                    f"{each.id}  {size(each.size_bytes):>9}  {each.deleted_at:%Y-%m-%d %H:%M} UTC "
                     f"{why}, gone {each.purged_at:%Y-%m-%d %H:%M} UTC  {each.name}"
                 )
             shown += len(page.items)
@@ -160,20 +160,17 @@ def list_(data_dir: Path | None) -> None:
 @click.argument("item", metavar="ID")
 @DATA_DIR
 def restore_item(item: str, data_dir: Path | None) -> None:
-    """Take the drive or the job ID out of the trash, a drive with its jobs and their results."""
+    """Take the drive ID out of the trash, with its jobs and their results."""
     from app.http.problems import Problem
     from app.trash import deletion
 
     with open_service(data_dir) as context:
         try:
-            restored = deletion.restore(context, "drives", item)
-        except Problem:
-            try:
-                restored = deletion.restore(context, "jobs", item)
-            except Problem as problem:
-                text = f"{item}: it is not in the trash; `interloc trash list` shows what is"
-                raise ConfigError(problem.detail if problem.status == 409 else text) from problem
-    click.echo(f"{restored.kind[:-1]} {restored.id} ({restored.name}) is restored")
+            restored = deletion.restore(context, item)
+        except Problem as problem:
+            text = f"{item}: it is not in the trash; `interloc trash list` shows what is"
+            raise ConfigError(text) from problem
+    click.echo(f"drive {restored.id} ({restored.name}) is restored")
 
 
 @trash.command()
@@ -186,5 +183,5 @@ def empty(older_than: float | None, data_dir: Path | None) -> None:
     with open_service(data_dir) as context:
         purged = empty_trash(context, older_than_s=3600 * (older_than or 0.0))
     for each in purged:
-        click.echo(f"{each.kind[:-1]} {each.id}: {size(each.size_bytes)}")
+        click.echo(f"{each.kind} {each.id}: {size(each.size_bytes)}")
     click.echo(f"{len(purged)} deleted for good, {size(sum(each.size_bytes for each in purged))}")

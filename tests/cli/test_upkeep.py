@@ -95,7 +95,7 @@ def test_refusals_of_backups_say_what_to_do(interloc: Callable, data: Path, tmp_
 def test_the_trash_is_listed_restored_and_emptied(interloc: Callable, data: Path) -> None:
     drive, other = fill(data, 1, deleted=True), fill(data, 2, deleted=True)
     listed = interloc("trash", "list").out.splitlines()
-    assert [line.split()[:4] for line in listed] == [[other, "drive", "20", "bytes"], [drive, "drive", "10", "bytes"]]
+    assert [line.split()[:3] for line in listed] == [[other, "20", "bytes"], [drive, "10", "bytes"]]
     assert all("deleted by alice" in line and line.endswith("town") for line in listed)
     assert interloc("trash", "restore", drive).out == f"drive {drive} (town) is restored\n"
     outcome = interloc("trash", "restore", drive)

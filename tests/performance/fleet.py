@@ -364,8 +364,7 @@ class Client:
         while len(self._mine) > KEPT_DRIVES:
             old = self._mine.pop(0)
             self.ledger.forget(old)
-            self.ask("DELETE", f"/drives/{old}")
-            self.ask("DELETE", f"/trash/drives/{old}")
+            self.ask("DELETE", f"/drives/{old}?purge=true")
 
     def _merge(self, drive: str) -> None:
         """Make a map of a drive, take the drive out, put it in again: it is the same map with the same names."""

@@ -664,12 +664,13 @@ def test_the_rows_follow_trash_and_purge(tmp_path: Path) -> None:
             with context.database.writing() as session:
                 session.execute(update(Drive).values(pinned_job=pinned))
             assert shown() == count
-        trash.delete_job(context, newest, "me")
-        assert shown() == 2, "of the job before"
-        trash.restore(context, "jobs", newest)
-        assert shown() == 20
         trash.delete_drive(context, "street", "me")
         assert shown() == 0
+        trash.restore(context, "street")
+        assert shown() == 20
+        trash.delete_job(context, newest, "me")
+        assert shown() == 2, "of the job before"
+        trash.delete_drive(context, "street", "me")
         trash.empty_trash(context)
         with context.database.reading() as session:
             assert session.query(FeatureLayer).count() == session.query(OF_RESULTS["detections"]).count() == 0

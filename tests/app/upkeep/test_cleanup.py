@@ -76,7 +76,7 @@ def test_uploads_that_were_left_alone_expire(context: Context) -> None:
     (item,) = list_trash(context, None, 10).items
     assert (item.id, item.deleted_by) == (old, None)
     assert context.storage.folder(f"drives/{old}/files/velodyne/000000.bin").is_file()
-    restore(context, "drives", old)
+    restore(context, old)
     assert sweep(context)["expired"] == 0  # its time begins anew
     assert drives(context) == {fresh, old}
     assert context.storage.folder(f"drives/{fresh}/files/velodyne/000000.bin").is_file()
