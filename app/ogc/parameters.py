@@ -58,18 +58,7 @@ def _asked(
     after: Annotated[
         str | None, Parameter(pattern=_KEY, description="Where the page begins: taken from the link `next`.")
     ] = None,
-    offset: Annotated[
-        int,
-        Parameter(
-            ge=0,
-            le=10**12,
-            description="Leave out so many features, for clients that count pages by themselves. The link `next` is "
-            "better: it stays with the jobs of the first page though others end meanwhile.",
-        ),
-    ] = 0,
 ) -> Query:
-    if after is not None and offset:
-        raise _wrong("offset", str(offset), "none beside `after`")
     key, until = None, None
     if after is not None:
         layer, number, *ended = map(int, after.split("."))
@@ -81,7 +70,6 @@ def _asked(
         filter=None if filter_ is None else read_filter(filter_, language),
         after=key,
         until=until,
-        offset=offset,
         limit=min(limit, MAX_LIMIT),
     )
 

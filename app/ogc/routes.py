@@ -124,13 +124,6 @@ def _collection(collection_id: _CollectionId, served: _ServedDep) -> Response:
 
 
 @priced("cheap")
-def _schema(collection_id: _CollectionId, served: _ServedDep) -> Response:
-    """Describe the properties of the features: type, unit, title and meaning."""
-    found = served.collection(collection_id)
-    return served.answer(found.schema(served.place.of_collection(found, "schema")), SCHEMA)
-
-
-@priced("cheap")
 def _feature_schema(collection_id: _CollectionId, served: _ServedDep) -> Response:
     """Describe the features as they are in GeoJSON, for programs such as GDAL."""
     found = served.collection(collection_id)
@@ -184,7 +177,6 @@ _ADDRESSES: tuple[tuple[str, Callable[..., Response], str, str], ...] = (
     ("/conformance", _conformance, _JSON, "What the interface keeps to"),
     ("/collections", _collections, _JSON, "List the layers"),
     (_ONE, _collection, _JSON, "Describe a layer"),
-    (f"{_ONE}/schema", _schema, SCHEMA, "Describe the features of a layer"),
     (f"{_ONE}/feature-schema", _feature_schema, SCHEMA, "Describe the GeoJSON of a layer"),
     (f"{_ONE}/queryables", _queryables, SCHEMA, "Describe what filters may name"),
     (f"{_ONE}/items", _items, GEOJSON, "Give the features of a layer"),

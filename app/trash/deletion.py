@@ -166,7 +166,7 @@ def purge(context: Context, table: type[Drive | Job], id_: str) -> Purged | None
     Jobs of a drive that run end when they find their rows gone.
     """
     with context.database.writing() as session:
-        row = session.get(table, id_, with_for_update=True)
+        row: Drive | Job | None = session.get(table, id_, with_for_update=True)
         if row is None or row.deleted_at is None:
             return None
         row.deleted_at = _PURGING
