@@ -51,7 +51,7 @@ class Metrics:
             "interloc_removed_bytes", "Bytes of what was removed or went to the trash.", ("reason",)
         )
         self.webhooks = counter("interloc_webhooks", "Calls of subscribers, by outcome.", ("outcome",))
-        refused = "Requests refused for their token: unknown, too many, expired, read only."
+        refused = "Requests refused for their token: unknown, expired, read only."
         self.refused_tokens = counter("interloc_refused_tokens", refused, ("reason",))
 
     def count_request(

@@ -9,7 +9,7 @@ to run it again.
 import logging
 from collections.abc import Callable
 from datetime import datetime
-from typing import Literal, NamedTuple, Self
+from typing import Literal, NamedTuple, Self, cast
 
 from pydantic import BaseModel, Field
 from sqlalchemy import delete, select
@@ -166,7 +166,7 @@ def purge(context: Context, table: type[Drive | Job], id_: str) -> Purged | None
     Jobs of a drive that run end when they find their rows gone.
     """
     with context.database.writing() as session:
-        row: Drive | Job | None = session.get(table, id_, with_for_update=True)
+        row = cast("Drive | Job | None", session.get(table, id_, with_for_update=True))
         if row is None or row.deleted_at is None:
             return None
         row.deleted_at = _PURGING

@@ -310,7 +310,6 @@ def see_unknown_parameters(gis: Gis) -> None:
     for name, value in (
         ("f", "html"),
         ("offset", "3"),
-        ("outcome", "wrong"),
         ("bbox-crs", "EPSG:3857"),
         ("filter-crs", "x"),
         ("filter-lang", "sql"),
