@@ -127,7 +127,7 @@ class Gate:
         return Problem(REQUEST_OF_ANOTHER_SITE, "Pages of other sites may not change anything here.")
 
     async def _identify(self, scope: Scope, headers: Headers, context: Context, *, needed: bool) -> Problem | None:
-        """Find out whose token it is. Wrong ones cost little (`app.store.tokens`), and true ones are too long to guess."""
+        """Find out whose token it is. Wrong ones cost little, see `app.store.tokens`, and none can be guessed."""
         given = headers.get("authorization")
         offers_basic = _OGC.fullmatch(path_of(scope)) is not None  # a GIS asks
         if given is None:
