@@ -51,41 +51,32 @@ def check(data_dir: Path | None) -> int:
 @options.QUIET
 @options.JSON
 def backup(out: Path, data_dir: Path | None) -> None:
-    """Back up drives, jobs, results and tokens of the web service to the folder OUT, while its servers run.
+    """Back up drives, jobs, results and tokens of the web service to the new folder OUT, while its servers run.
 
-    OUT is a new folder, or the backup of before: then only what has changed is brought, and what is deleted in the
-    service is gone from OUT. On the disk of the data folder a backup is made of hard links and takes no space. One
-    that was stopped is not complete; the next one goes on where it stopped.
+    On the disk of the data folder a backup is made of hard links: it takes no space, and other programs (rsync, restic)
+    bring it elsewhere, and keep older ones. On another disk it is a copy.
 
     \b
     Example:
-      interloc backup /mnt/backup/interloc --data-dir /srv/interloc
+      interloc backup /srv/backup --data-dir /srv/interloc && restic backup /srv/backup && rm -r /srv/backup
     """
     with open_service(data_dir) as context, console.progress("backup", " files") as bar:
         from app.upkeep.backup import back_up
 
-        report = back_up(context, out, bar)
-    record = report.record
+        record = back_up(context, out, bar)
     assert record.ended_at is not None
-    brought = f"{report.brought_files:,} files, {size(report.brought_bytes)}"
     rows = [
         ("backup", str(out)),
         ("drives", f"{record.drives:,}, with {record.jobs:,} jobs"),
         ("size", f"{record.files:,} files, {size(record.size_bytes)}"),
-        ("brought", brought if report.brought_files else "nothing: all was there"),
-        ("removed", f"{report.removed_files:,} files that the service has no longer"),
         ("time", f"{(record.ended_at - record.begun_at).total_seconds():.1f} s"),
     ]
-    console.say({"out": str(out), **record.model_dump(mode="json"), **asdict(report, dict_factory=_but_record)}, rows)
+    console.say({"out": str(out), **record.model_dump(mode="json")}, rows)
     if record.missing:
         raise InterLocError(
             f"all that there is was backed up, but files are missing in the service itself: "
             f"{_some(record.missing)}. `interloc check` names all."
         )
-
-
-def _but_record(items: list[tuple[str, object]]) -> dict[str, object]:
-    return {name: value for name, value in items if name != "record"}
 
 
 @click.command(short_help="Restore a backup of the web service.")

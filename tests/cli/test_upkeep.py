@@ -62,11 +62,11 @@ def test_from_a_backup_to_a_service(interloc: Callable, data: Path, tmp_path: Pa
     fill(data, 2)
     out = tmp_path / "backup"
     first = interloc("backup", out).out
-    assert first.startswith(f"backup   {out}\ndrives   1, with 0 jobs\nsize     2 files, 20 bytes\n")
-    assert "nothing: all was there" in interloc("backup", out).out
-    report = interloc("backup", out, "--json").json
-    assert (report["complete"], report["drives"], report["files"], report["brought_files"]) == (True, 1, 2, 0)
-    assert interloc("backup", out, "--quiet").out == ""
+    assert first.startswith(f"backup  {out}\ndrives  1, with 0 jobs\nsize    2 files, 20 bytes\n")
+    assert "is not empty" in interloc("backup", out).complaint
+    report = interloc("backup", tmp_path / "second", "--json").json
+    assert (report["complete"], report["drives"], report["files"]) == (True, 1, 2)
+    assert interloc("backup", tmp_path / "third", "--quiet").out == ""
     restored = interloc("restore", out, "--data-dir", tmp_path / "restored")
     assert restored.code == 0
     assert "drives    1, with 0 jobs" in restored.out

@@ -19,7 +19,7 @@ from app.settings import Settings
 from app.store.incoming import LEFT_ALONE_S
 from app.store.models import Drive, Job
 from app.trash.deletion import list_trash, restore
-from app.upkeep.cleanup import ClockWatch, Sweeper, sweep
+from app.upkeep.cleanup import Sweeper, sweep
 from app.work.documents import CommitOutcome
 from interloc.drives.inspect import DriveReport
 
@@ -186,24 +186,11 @@ def test_raw_scans_stay_where_nothing_replaces_them(context: Context, caplog: py
     assert "its reduced folder is not there" in caplog.text
 
 
-@pytest.mark.parametrize("jump_s", [0.0, 8 * 86400.0, -8 * 86400.0])
-def test_age_counts_only_while_the_clock_is_steady(jump_s: float) -> None:
-    server_s, database_s = 50.0, 1e9
-    watch = ClockWatch(600, lambda: server_s)
-    assert watch.look(database_s) == 0  # what was before the start is not known
-    server_s, database_s = server_s + 3600, database_s + 3601
-    assert watch.look(database_s) == 3600
-    server_s, database_s = server_s + 3600, database_s + 3600 + jump_s
-    assert watch.look(database_s) == (0 if jump_s else 7200)
-    server_s, database_s = server_s + 3600, database_s + 3600
-    assert watch.look(database_s) == (3600 if jump_s else 10800)
-
-
-def test_nothing_goes_for_its_age_while_the_clock_is_in_doubt(context: Context) -> None:
+def test_nothing_goes_for_its_age_within_the_first_hour(context: Context) -> None:
     old = make_drive(context, age_h=3)
     sweeper = Sweeper(context)
-    assert not sweeper._clock_is_steady()  # as at each start
-    assert not sweep(context, by_age=sweeper._clock_is_steady())["expired"]
+    sweeper.start()
+    sweeper.stop()
     assert drives(context) == {old}
     assert sweep(context)["expired"] == 1
     assert not drives(context)
