@@ -127,21 +127,12 @@ class JobQueue:
             session.execute(
                 update(Job).where(Job.lease_owner.in_(leases), Job.state == JobState.RUNNING).values(lease_until=until)
             )
-            return self._look(session, leases)
-
-    def look(self, leases: Iterable[str]) -> dict[str, Held]:
-        """Return which leases are lost and which jobs were cancelled."""
-        with self._database.reading() as session:
-            return self._look(session, list(leases))
-
-    @staticmethod
-    def _look(session: Session, leases: list[str]) -> dict[str, Held]:
-        rows = session.execute(
-            select(Job.lease_owner, Job.cancel_requested).where(
-                Job.lease_owner.in_(leases), Job.state == JobState.RUNNING
+            rows = session.execute(
+                select(Job.lease_owner, Job.cancel_requested).where(
+                    Job.lease_owner.in_(leases), Job.state == JobState.RUNNING
+                )
             )
-        )
-        ours = {lease: cancelled for lease, cancelled in rows if lease is not None}
+            ours = {lease: cancelled for lease, cancelled in rows if lease is not None}
         return {lease: ("cancelled" if ours[lease] else "held") if lease in ours else "lost" for lease in leases}
 
     def is_cancelled(self, session: Session, claim: Claim) -> bool:

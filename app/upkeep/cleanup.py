@@ -19,6 +19,7 @@ from sqlalchemy.orm import Session
 from app.context import Context
 from app.drives.commit import tidy_drive
 from app.http.problems import Problem
+from app.jobs.folders import jobs_with_scratch, tidy
 from app.metrics import Removal
 from app.ogc.indexing import index_missing
 from app.states import FINAL, DriveState, JobKind, JobState
@@ -55,6 +56,7 @@ def sweep(context: Context, *, by_age: bool = True) -> Counter[Removal]:
         drives = session.execute(ready).all()
     for drive_id, keep_raw in drives:
         tidy_drive(context, drive_id, keep_raw=keep_raw)
+    _tidy_scratch(context)
     index_missing(context)
     if swept.total():
         _log.info("clean-up: %s", ", ".join(f"{count} {reason}" for reason, count in swept.items() if count))
@@ -142,6 +144,15 @@ def _remove_archives(context: Context) -> int:
             context.metrics.count_removal("archive", size)
             removed += 1
     return removed
+
+
+def _tidy_scratch(context: Context) -> None:
+    """Remove the scratch of jobs that have ended, left behind by a server that was killed before it could tidy."""
+    found = jobs_with_scratch(context.storage)
+    with context.database.reading() as session:
+        ended = session.execute(select(Job.id, Job.state).where(Job.id.in_(found), Job.state.in_(FINAL))).all()
+    for job_id, state in ended:
+        tidy(context.storage, job_id, keep_result=state == JobState.SUCCESSFUL)
 
 
 class Sweeper:
