@@ -227,7 +227,8 @@ class JobWatcher:
     async def _look_again(self) -> None:
         """Take note of what has changed after a moment."""
         await asyncio.sleep(_POLL_S)
-        known = {job_id: (latest := self._latest.get(job_id)) and latest.version for job_id in self._followed}
+        latest = {job_id: self._latest.get(job_id) for job_id in self._followed}
+        known = {job_id: None if change is None else change.version for job_id, change in latest.items()}
         try:
             changes = await run_in_threadpool(_changes, self._context, known)
         except OperationalError as error:  # the next look finds them all
