@@ -24,8 +24,8 @@ from app.jobs.queue import cancel
 from app.jobs.view import no_job
 from app.states import FINAL
 from app.store.database import moment
-from app.store.incoming import size_of
 from app.store.models import Drive, Job, columns_for
+from app.store.storage import size_of
 
 _PURGING = 0.0  # as the time of a deletion: long over
 

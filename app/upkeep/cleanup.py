@@ -23,9 +23,8 @@ from app.jobs.folders import jobs_with_scratch, tidy
 from app.metrics import Removal
 from app.ogc.indexing import index_missing
 from app.states import FINAL, DriveState, JobKind, JobState
-from app.store.incoming import is_old, remove_dead, size_of
 from app.store.models import CityMap, Drive, Job
-from app.store.storage import INCOMING
+from app.store.storage import INCOMING, is_old, remove_dead, size_of
 from app.trash.deletion import delete_drive, empty_trash
 from app.work.places import REDUCED
 from interloc.errors import InterLocError

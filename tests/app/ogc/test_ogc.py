@@ -22,7 +22,7 @@ from app.ogc.collections import OF_ALL
 from app.ogc.filters import MAX_CHARACTERS, Language, read_filter
 from app.ogc.index import Query, Source, extents, find_page
 from app.ogc.indexing import index_missing, write_job_rows
-from app.ogc.parameters import page_token
+from app.ogc.routes import page_token
 from app.ogc.work import rows_of
 from app.settings import Settings
 from app.store.features import OF_RESULTS

@@ -16,8 +16,8 @@ from app.drives.upload import keep
 from app.http.intake import Arrival
 from app.jobs.queue import submit
 from app.settings import Settings
-from app.store.incoming import LEFT_ALONE_S
 from app.store.models import Drive, Job
+from app.store.storage import LEFT_ALONE_S
 from app.trash.deletion import list_trash, restore
 from app.upkeep.cleanup import Sweeper, sweep
 from app.work.documents import CommitOutcome
