@@ -203,10 +203,11 @@ def download_archive(job_id: JobId, request: Request, results: ResultsDep) -> Re
         if layer is not None:
             archive.add(qml(layer), f"{folder}/{name.with_suffix('.qml').as_posix()}")
     headers = {
-        "etag": f'W/"{hashlib.sha256(repr(files).encode()).hexdigest()[:24]}"',
+        "etag": f'"{hashlib.sha256(repr(files).encode()).hexdigest()[:24]}"',
         "cache-control": REVALIDATE,
         "content-disposition": f'attachment; filename="{folder}.zip"',
     }
     known = not_modified(request, headers)
+    headers["etag"] = f"W/{headers['etag']}"  # the styles have the time of the request
     content = () if request.method == "HEAD" else archive
     return known or StreamingResponse(content, headers=headers, media_type="application/zip")

@@ -180,7 +180,6 @@ def test_the_archive_holds_the_folder(finished: Finished) -> None:
     assert b"categorizedSymbol" in styles["Stra_e_street-default/intersections.qml"]
     expected = files_of(finished.results / "default")
     assert content == {f"Stra_e_street-default/{name}": data for name, data in expected.items()}
-    assert finished.get("/jobs/default/archive.zip").content == answer.content
     known = finished.get("/jobs/default/archive.zip", headers={"if-none-match": answer.headers["etag"]})
     assert known.status_code == 304
 
