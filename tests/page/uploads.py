@@ -9,7 +9,6 @@ import httpx
 from tests.app.processes import API
 from tests.page.results import visit
 
-
 _SENDS = re.compile(r"/drives/\w+/(files|scans)")
 
 
