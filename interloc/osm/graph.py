@@ -39,6 +39,10 @@ class Ways:
     def __len__(self) -> int:
         return len(self.id)
 
+    def label(self, row: int) -> str:
+        """Return what a way is: `highway=service "Gottlob-Schreber-Weg"`."""
+        return f"highway={self.highway[row]}" + (f' "{self.name[row]}"' if self.name[row] else "")
+
     @cached_property
     def is_ring(self) -> BoolArray:
         """(W,) bool: parts of roundabouts."""
