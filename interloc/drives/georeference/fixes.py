@@ -1,6 +1,7 @@
-"""Georeference from positions alone: GNSS fixes without attitude, and poses that tell how the vehicle moved.
+"""Fixes against poses that tell how the vehicle moved: which of them stand still, and how late they are.
 
-A shift in time between the two shows by their shapes: they are the same, one after the other on the same road.
+A shift in time between the two shows by their shapes: they are the same, one after the other on the same road. From
+positions alone, GNSS fixes without attitude, follows a georeference.
 """
 
 from __future__ import annotations
@@ -9,8 +10,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from interloc.arrays import FloatArray, IntArray
+from interloc.arrays import BoolArray, FloatArray, IntArray
 from interloc.drive import Georeference
+from interloc.drives.findings import Findings
 from interloc.geometry import enu_from_lonlat, lonlat_from_enu, rotate_2d, rotation_from_rpy
 
 MIN_FIXES = 3
@@ -44,6 +46,10 @@ _UNSURE_M, _MUCH_BETTER = 5.0, 0.5
 """A shift that is not sure is told only where it is so large, and explains so much."""
 
 _UNTOLD_M = 20.0
+_STANDS, _DRIVEN_M, _BRIDGED_M = 0.1, 2.0, 10.0
+"""A fix stands still that moves by less than this share of what is driven meanwhile, over 2 m at least. Poses bridge a
+few metres without a loss."""
+
 _ALIKE, _ALIKE_M = 1.5, 0.1
 """Shifts at which no more than so much is left are as good as the best: the smallest is taken, and is not sure."""
 
@@ -191,6 +197,56 @@ def _fit(ours: FloatArray, theirs: FloatArray, weights: FloatArray) -> tuple[flo
 
 
 @dataclass(frozen=True)
+class Standing:
+    """A run of fixes that stand still while the vehicle drives, as where a receiver repeats its last position."""
+
+    first: int
+    """Row of the fix that the others repeat."""
+    stop: int
+    """Row of the first fix that moves again; how many there are where none does."""
+    driven_m: float
+
+    @property
+    def repeated(self) -> slice:
+        """The rows that tell nothing."""
+        return slice(self.first + 1, self.stop)
+
+
+def standing_fixes(positions: FloatArray, enu: FloatArray) -> list[Standing]:
+    """Find where fixes stand still while the vehicle drives, by (K, 2) positions of poses and of fixes, metres."""
+    found: list[Standing] = []
+    ours, theirs = (list(map(complex, *each.T.tolist())) for each in (positions, enu))
+    first, driven_m = 0, 0.0
+    for row in range(1, len(ours) + 1):
+        meanwhile_m = abs(ours[row] - ours[first]) if row < len(ours) else 0.0
+        if row < len(ours) and abs(theirs[row] - theirs[first]) < _STANDS * max(meanwhile_m, _DRIVEN_M):
+            driven_m = max(driven_m, meanwhile_m)
+            continue
+        if driven_m >= _DRIVEN_M:
+            found.append(Standing(first, row, driven_m))
+        first, driven_m = row, 0.0
+    return found
+
+
+def standing_in_words(runs: list[Standing], at: FloatArray, span: str) -> str:
+    """Say which fixes stand still, by what (K,) tells when each was, and how that is written of two of them."""
+    longest = sorted(runs, key=lambda run: -run.driven_m)[:3]
+    named = "; ".join(f"{span.format(*at[[run.first, run.stop - 1]])}, {run.driven_m:.0f} m" for run in longest)
+    return (
+        f"{sum(run.stop - run.first - 1 for run in runs):,} of {len(at):,} fixes stand still while the vehicle drives "
+        f"({named}{'; ...' if len(runs) > len(longest) else ''}): they are left out, and the poses tell where it was. "
+        "Usual cause: a receiver that repeats its last position, or that lost its signal."
+    )
+
+
+def tell_standing(runs: list[Standing], at: FloatArray, span: str, source: str, findings: Findings) -> None:
+    """Say it, with a warning where much was driven meanwhile."""
+    if runs:
+        tell = findings.warning if max(run.driven_m for run in runs) > _BRIDGED_M else findings.note
+        tell(source, standing_in_words(runs, at, span))
+
+
+@dataclass(frozen=True)
 class Shift:
     """By how much fixes are late or early."""
 
@@ -261,6 +317,32 @@ def fit_shift(times: FloatArray, positions: FloatArray, fix_times: FloatArray, e
     is_sure &= len(alike) == 1
     is_there &= is_sure or (metres >= _UNSURE_M and best <= _MUCH_BETTER * unshifted)
     return Shift(late, metres, untold_m, is_there, is_sure, float(np.sqrt(unshifted)), float(np.sqrt(best)))
+
+
+def fit_moving(
+    times: FloatArray, positions: FloatArray, fix_times: FloatArray, enu: FloatArray
+) -> tuple[Shift | None, list[Standing]]:
+    """Find which fixes stand still, and the shift of those that do not; parameters as of `fit_shift`."""
+    late, shift = 0.0, None
+    for _ in range(2):  # where fixes are late, they stand still for as long at each start
+        then = [np.interp(fix_times - late, times, axis) for axis in positions.T]
+        runs = standing_fixes(np.stack(then, axis=1), enu)
+        moves = are_moving(runs, len(enu))
+        if np.count_nonzero(moves) < MIN_FIXES:  # they are not the fixes of this drive
+            return None, []
+        shift = fit_shift(times, positions, fix_times[moves], enu[moves])
+        if shift is None or not shift.is_there or late:
+            break
+        late = shift.late
+    return shift, runs
+
+
+def are_moving(runs: list[Standing], count: int) -> BoolArray:
+    """Return (K,) which of so many fixes are in none of the runs."""
+    moves: BoolArray = np.ones(count, dtype=np.bool_)
+    for run in runs:
+        moves[run.repeated] = False
+    return moves
 
 
 def misfit_m(times: FloatArray, positions: FloatArray, fix_times: FloatArray, enu: FloatArray) -> float:
