@@ -26,7 +26,6 @@ _TURN_STEP_RAD = np.radians(3.0)
 _PLAN_M, _NEAREST_M = 0.5, 2.5
 _UPRIGHT_M = 0.4
 _UPRIGHT_RANGE_M, _EDGE_RANGE_M = 55.0, 26.0
-_KEY = 1 << 12
 _FINE_M, _WINDOW_M, _FAR_M = 0.25, 60.0, 2.0
 
 
@@ -37,14 +36,15 @@ def upright_plan(xyz: Float32Array | FloatArray) -> FloatArray:
         points = xyz[(distance > _NEAREST_M) & (distance < _UPRIGHT_RANGE_M) & np.isfinite(xyz[:, 2])]
     if not len(points):
         return np.empty((0, 2))
-    cell = np.floor(points[:, :2] / _PLAN_M).astype(np.int64) + _KEY // 2
-    key = cell[:, 0] * _KEY + cell[:, 1]
-    order = np.argsort(key, kind="stable")
-    key, height = key[order], points[order, 2]
-    first = np.flatnonzero(np.diff(key, prepend=-1))
-    span = np.maximum.reduceat(height, first) - np.minimum.reduceat(height, first)
-    upright = key[first][span > _UPRIGHT_M]
-    return (np.stack([upright // _KEY, upright % _KEY], axis=1) - _KEY // 2 + 0.5) * _PLAN_M
+    half = int(_UPRIGHT_RANGE_M / _PLAN_M) + 1
+    row, column = (np.floor(points[:, :2] / _PLAN_M).astype(np.int64) + half).T
+    cell = row * (2 * half) + column
+    lowest = np.full((2 * half, 2 * half), np.inf, dtype=xyz.dtype)
+    highest = np.full_like(lowest, -np.inf)
+    np.minimum.at(lowest.ravel(), cell, points[:, 2])
+    np.maximum.at(highest.ravel(), cell, points[:, 2])
+    upright = np.argwhere(highest - lowest > _UPRIGHT_M).astype(np.float64)
+    return (upright - half + 0.5) * _PLAN_M
 
 
 def road_plan(road: Float32Array | FloatArray) -> FloatArray:
