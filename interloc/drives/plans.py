@@ -43,7 +43,8 @@ def upright_plan(xyz: Float32Array | FloatArray) -> FloatArray:
     highest = np.full_like(lowest, -np.inf)
     np.minimum.at(lowest.ravel(), cell, points[:, 2])
     np.maximum.at(highest.ravel(), cell, points[:, 2])
-    return (np.argwhere(highest - lowest > _UPRIGHT_M) - half + 0.5) * _PLAN_M
+    upright = np.argwhere(highest - lowest > _UPRIGHT_M).astype(np.float64)
+    return (upright - half + 0.5) * _PLAN_M
 
 
 def road_plan(road: Float32Array | FloatArray) -> FloatArray:

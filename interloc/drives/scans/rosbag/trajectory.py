@@ -13,12 +13,15 @@ from interloc.drives.georeference.fixes import (
     MIN_FIXES,
     Fixes,
     Shift,
+    Standing,
+    are_moving,
     extent_m,
-    fit_shift,
+    fit_moving,
     georeference_from_fixes,
     misfit_m,
+    tell_standing,
 )
-from interloc.drives.georeference.geodetic import check_georeference, in_degrees
+from interloc.drives.georeference.geodetic import check_georeference, in_degrees, without_standing
 from interloc.drives.georeference.read import read_georeference
 from interloc.drives.layouts import DriveParts
 from interloc.drives.options import ODOMETRY, DriveOptions
@@ -241,6 +244,8 @@ def read_bag_trajectory(
     with findings.stage():
         try:
             georeference = read_georeference(parts, found.frames, options.oxts, findings)
+            if georeference is not None:
+                georeference = without_standing(relative, georeference, found.frames, findings)
         except InterLocError as error:
             reason = str(error)
             raise
@@ -348,7 +353,12 @@ class BagFixes:
         if not sound.any():
             return None, f"{name}: none of {len(messages):,} fixes has a position{_why_unsound(positions, status)}"
         positions[~np.isfinite(positions[:, 2]), 2] = 0.0
-        late = self._late(motion, times_s[sound], positions[sound], findings)
+        rows = np.flatnonzero(sound)[latest_of_each(times_s[sound])]
+        late, runs = self._late(motion, times_s[rows], positions[rows], findings)
+        tell_standing(
+            runs, times_s[rows] - motion.span_s[0], "{:.1f} to {:.1f} s", f"{self.bag.name}: {name}", findings
+        )
+        rows = rows[are_moving(runs, len(rows))]
         if late is not None and not late.is_sure:
             return None, (
                 f"{name}: the fixes are late or early against the poses, by {abs(late.late):.0f} s or so (about "
@@ -363,13 +373,13 @@ class BagFixes:
                 f"{late.metres:.0f} m along the road). Usual cause: a receiver that tells its positions late, or two "
                 "clocks.",
             )
-        covered = sound & motion.covers(times_s)
-        if not covered.any() and (by_log := sound & motion.covers(log_s)).any():
+        covered = rows[motion.covers(times_s[rows])]
+        if not len(covered) and len(by_log := rows[motion.covers(log_s[rows])]):
             findings.warning(
                 self.bag.name, f"the stamps of {name} are of another clock; the times of recording are used."
             )
             times_s, covered = log_s, by_log
-        rows = np.flatnonzero(covered)[latest_of_each(times_s[covered])]
+        rows = covered[latest_of_each(times_s[covered])]
         if len(rows) < MIN_FIXES:
             return None, (
                 f"{name}: {len(rows)} of {len(messages):,} fixes have a position while the pose is known; expected at "
@@ -409,22 +419,21 @@ class BagFixes:
 
     def _late(
         self, motion: LidarMotion, times_s: FloatArray, positions: FloatArray, findings: Findings
-    ) -> Shift | None:
-        """Find out whether (K,) fixes are late against the motion."""
+    ) -> tuple[Shift | None, list[Standing]]:
+        """Find out whether (K,) fixes, in their order, are late against the motion, and which of them stand still."""
         first, last = motion.span_s
-        rows = latest_of_each(times_s)
-        if len(rows) < MIN_FIXES or last <= first:
-            return None
+        if len(times_s) < MIN_FIXES or last <= first:
+            return None, []
         grid = np.linspace(first, last, int(np.clip((last - first) / 0.2, 2, 20_000)))
-        path, lonlat = motion.at(grid)[:, :2, 3], positions[rows][:, [1, 0]]
-        shift = fit_shift(grid, path, times_s[rows], enu_from_lonlat(lonlat[0, 1], lonlat[0, 0], lonlat))
+        path, lonlat = motion.at(grid)[:, :2, 3], positions[:, [1, 0]]
+        shift, runs = fit_moving(grid, path, times_s, enu_from_lonlat(lonlat[0, 1], lonlat[0, 0], lonlat))
         if shift is None or not shift.is_there:
             if shift is not None and shift.untold:
                 findings.untold(self.bag.name, f"{self.topic.name}: {shift.untold}")
-            return None
+            return None, runs
         exchanged = enu_from_lonlat(lonlat[0, 0], lonlat[0, 1], lonlat[:, ::-1])
-        is_mirrored = misfit_m(grid, path, times_s[rows], exchanged) < shift.after_m  # then a shift may seem to help
-        return None if is_mirrored else shift
+        is_mirrored = misfit_m(grid, path, times_s, exchanged) < shift.after_m  # then a shift may seem to help
+        return None if is_mirrored else shift, runs
 
 
 def _sound_fixes(positions: FloatArray, status: IntArray) -> BoolArray:

@@ -92,6 +92,19 @@ def test_fixes_of_another_time_are_put_right(
     assert words in said(findings)
 
 
+def test_fixes_that_stand_still_are_left_out(tmp_path: Path) -> None:
+    frozen: dict[str, Any] = {}
+
+    def written(bag: BagWriter, time: float, p: Any) -> None:
+        stands = 12.0 <= time - START < 24.0
+        bag.fix("/fix", time, frozen.setdefault("at", p) if stands else p)
+
+    path, enu, _ = drive_with_fixes(tmp_path / "drive", written=written)
+    _, trajectory, findings = opened(path)
+    assert np.linalg.norm(places_of(trajectory) - enu, axis=1).max() < 0.1
+    assert "11 of 40 fixes stand still while the vehicle drives (12.0 to 23.0 s, " in said(findings)
+
+
 def test_transforms_come_before_poses_without_an_owner(tmp_path: Path) -> None:
     mount = np.diag([-1.0, -1.0, 1.0, 1.0])
     mount[:3, 3] = 1.2, 0.0, 1.9
