@@ -36,8 +36,6 @@ class Context:
     """Set when a job was submitted, was cancelled or has ended: the runner looks for the next one at once."""
     maps_changed: threading.Event = field(default_factory=threading.Event)
     """Set when a map may have to be brought up to date: it is looked at at once."""
-    map_jobs: dict[tuple[Any, ...], dict[str, Any]] = field(default_factory=dict)
-    """The job that stands for each drive, and what the database said when that was read last."""
     lacks_workers: threading.Event = field(default_factory=threading.Event)
     """Set while this server takes no job, because it has no worker for it."""
 

@@ -8,7 +8,6 @@ again: nothing is lost, and nothing is done twice.
 import logging
 import secrets
 import threading
-import time
 from collections.abc import Callable
 from concurrent.futures import Future, wait
 from contextlib import suppress
@@ -22,14 +21,14 @@ from app.context import Context
 from app.jobs.processes import WorkerLimitError, WorkerLostError
 from app.jobs.runner import Runner
 from app.maps import work
-from app.maps.records import Standing, map_key, standings_of, state_of_all
+from app.maps.records import Standing, map_key, standings_of
 from app.maps.work import Audited, Merged, Register, Source
 from app.ogc.indexing import write_map_rows
 from app.store.models import CityMap, Drive, MapDrive, MapPlace
 from interloc.errors import InterLocError
 
-_LOOK_S = 1.0
-_LOOK_AT_ALL_S = 10.0  # for what no row tells: files that are gone, or were put past this server
+_LOOK_S = 5.0  # in which what another server changed is found, and files that are gone
+_HOLD_S = 1.0  # in which a lease is renewed, and what was left is tried again
 _AGAIN_S = 5.0
 _OWNER = "maps"
 _log = logging.getLogger(__name__)
@@ -61,17 +60,12 @@ class Merger:
         self._thread.join(5)
 
     def _run(self) -> None:
-        seen: tuple[Any, ...] | None = None
-        looked = 0.0
+        is_behind = True
         while not self._stopping.is_set():
-            is_told = self._context.maps_changed.wait(_LOOK_S)
+            self._context.maps_changed.wait(_HOLD_S if is_behind else _LOOK_S)
             self._context.maps_changed.clear()
             with suppress(SQLAlchemyError):  # the database is told of elsewhere
-                with self._context.database.reading() as session:
-                    now = state_of_all(session)
-                if now != seen or is_told or time.monotonic() > looked + _LOOK_AT_ALL_S:
-                    seen = None if self._look() else now
-                    looked = time.monotonic()
+                is_behind = self._look()
 
     def _look(self) -> bool:
         """Bring up to date what is not; return whether anything was not."""
@@ -146,7 +140,7 @@ class Merger:
             raise _LostError
         seconds = self._context.settings.job_stage_s
         future: Future[Outcome] = self._runner.submit(function, *args, client=_OWNER, seconds=seconds)
-        while not wait({future}, timeout=_LOOK_S).done:
+        while not wait({future}, timeout=_HOLD_S).done:
             if self._stopping.is_set():
                 future.cancel()
                 self._end(city.id, None)

@@ -2,7 +2,7 @@
 
 That is what has been in the trash for long enough, what dead servers were receiving, archives that are unpacked, raw
 scans that are reduced, and folders without a row that hold neither files nor a result. A folder without a row that
-holds some may be somebody's only copy, as where an older database was brought back: it is named, and stays.
+holds some may be somebody's only copy, as where an older database was brought back: it stays, `check` names it.
 """
 
 import logging
@@ -45,7 +45,7 @@ def sweep(context: Context, *, by_age: bool = True) -> Counter[Removal]:
         swept["expired"] = _expire(context)
         swept["purged"] = len(empty_trash(context, older_than_s=3600 * context.settings.trash_h))
         swept["archive"] = _remove_archives(context)
-    swept["unknown"] = _remove_unknown(context, by_age=by_age)
+        swept["unknown"] = _remove_unknown(context)
     for name, size in remove_dead(context.storage.folder(INCOMING)):
         _log.info("%s/%s: its server is dead, %d bytes removed", INCOMING, name, size)
         context.metrics.count_removal("incoming", size)
@@ -74,24 +74,16 @@ def unknown_folders(context: Context) -> Iterator[str]:
                 yield f"{kind}/{path.name}"
 
 
-def _remove_unknown(context: Context, *, by_age: bool) -> int:
-    """Remove old folders without a row, as a worker makes them whose job was purged; name those that hold something."""
-    named, removed = [], 0
+def _remove_unknown(context: Context) -> int:
+    """Remove old folders without a row that hold nothing, as a worker makes them whose job was purged."""
+    removed = 0
     for key in unknown_folders(context):
         folder = context.storage.folder(key)
-        if any((folder / name).exists() for name in ("files", REDUCED, "result", "osm")):
-            named.append(key)
-        elif by_age and is_old(folder):
+        holds = any((folder / name).exists() for name in ("files", REDUCED, "result", "osm"))
+        if not holds and is_old(folder):
             context.metrics.count_removal("unknown", size_of(folder))
             context.storage.delete(key)
             removed += 1
-    if named:
-        _log.warning(
-            "no row knows %d folders of drives, jobs or maps: %s. Is the database an older copy? They stay; `interloc "
-            "check` names them, `interloc restore` brings back a backup, and what nobody needs may be removed",
-            len(named),
-            ", ".join(named[:3]) + (", ..." if len(named) > 3 else ""),
-        )
     return removed
 
 

@@ -103,7 +103,7 @@ def test_stale_pieces_of_uploads_go(context: Context) -> None:
     assert [path.name for path in incoming.iterdir()] == ["new"]
 
 
-def test_only_empty_folders_that_no_row_knows_go(context: Context, caplog: pytest.LogCaptureFixture) -> None:
+def test_only_empty_folders_that_no_row_knows_go(context: Context) -> None:
     """What holds files or a result stays, as where an older database was brought back."""
     known = make_drive(context)
     os.utime(context.storage.folder(f"drives/{known}"), (0, 0))
@@ -113,7 +113,6 @@ def test_only_empty_folders_that_no_row_knows_go(context: Context, caplog: pytes
         if key != young:
             os.utime(context.storage.folder(key), (0, 0))
     assert sweep(context, by_age=False)["unknown"] == 0
-    assert "no row knows 2 folders of drives, jobs or maps: drives/1, jobs/2." in caplog.text
     assert sweep(context)["unknown"] == 1
     there = [context.storage.folder(key).exists() for key in (empty, young, *full, f"drives/{known}")]
     assert there == [False, True, True, True, True]
