@@ -39,8 +39,7 @@ from app.ogc.collections import GEOMETRY, OF_ALL, OF_JOB, OF_MAP, Collection
 from app.ogc.filters import Translator, bad_filter, conjuncts, equalities
 from app.ogc.work import time_text
 from app.store.database import moment
-from app.store.features import SOUGHT
-from app.store.models import Drive, FeatureLayer, Job
+from app.store.models import SOUGHT, Drive, FeatureLayer, Job
 from interloc.output.geojson import encode
 
 Interval = tuple[float, float]

@@ -15,8 +15,7 @@ from app.ogc.index import Query, Source, find_page
 from app.ogc.indexing import write_map_rows
 from app.ogc.work import rows_of_map
 from app.settings import Settings
-from app.store.features import OF_MAPS
-from app.store.models import CityMap, Drive, Job, MapDrive, MapVerdict
+from app.store.models import OF_MAPS, CityMap, Drive, Job, MapDrive, MapVerdict
 from interloc.output.layers import CITY_LAYERS
 
 

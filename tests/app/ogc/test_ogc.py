@@ -25,8 +25,7 @@ from app.ogc.indexing import index_missing, write_job_rows
 from app.ogc.routes import page_token
 from app.ogc.work import rows_of
 from app.settings import Settings
-from app.store.features import OF_RESULTS
-from app.store.models import Drive, FeatureLayer, Job
+from app.store.models import OF_RESULTS, Drive, FeatureLayer, Job
 from app.trash import deletion as trash
 from interloc.arrays import FloatArray
 from interloc.output.credits import ODBL, map_credit
