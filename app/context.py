@@ -65,6 +65,31 @@ class Context:
         self.storage.close()
 
 
+class Helper:
+    """What a server does on the side, in a thread of its own, from `start` to `stop`."""
+
+    def __init__(self, name: str, wake: threading.Event | None = None) -> None:
+        self.stopping = threading.Event()
+        self._wake = wake
+        self._thread = threading.Thread(target=self.run, name=name, daemon=True)
+
+    def start(self) -> None:
+        """Begin, in the background."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Let it end soon, and wait for that."""
+        self.stopping.set()
+        if self._wake is not None:
+            self._wake.set()
+        if self._thread.is_alive():
+            self._thread.join(5)
+
+    def run(self) -> None:
+        """Do it until `stopping` is set."""
+        raise NotImplementedError
+
+
 def open_database(settings: Settings) -> Database:
     """Create the data folder where it is missing, bring the database up to date, see that the two belong together.
 

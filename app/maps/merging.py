@@ -7,7 +7,6 @@ again: nothing is lost, and nothing is done twice.
 
 import logging
 import secrets
-import threading
 from collections.abc import Callable
 from concurrent.futures import Future, wait
 from contextlib import suppress
@@ -17,7 +16,7 @@ from sqlalchemy import bindparam, delete, insert, select, update
 from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.orm import Session
 
-from app.context import Context
+from app.context import Context, Helper
 from app.jobs.processes import WorkerLimitError, WorkerLostError
 from app.jobs.runner import Runner
 from app.maps import work
@@ -39,29 +38,19 @@ class _LostError(Exception):
     """The lease is lost, or the server stops."""
 
 
-class Merger:
-    """Brings maps up to date, one after the other, from `start` to `stop`."""
+class Merger(Helper):
+    """Brings maps up to date, one after the other; one that is at work when it stops is done again later."""
 
     def __init__(self, context: Context, runner: Runner) -> None:
+        super().__init__("maps", context.maps_changed)
         self._context = context
         self._runner = runner
         self._lease = secrets.token_hex(8)
-        self._stopping = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="maps", daemon=True)
 
-    def start(self) -> None:
-        """Begin, in the background."""
-        self._thread.start()
-
-    def stop(self) -> None:
-        """End; a map that is at work is left as it was, and done again later."""
-        self._stopping.set()
-        self._context.maps_changed.set()
-        self._thread.join(5)
-
-    def _run(self) -> None:
+    def run(self) -> None:
+        """Do so."""
         is_behind = True
-        while not self._stopping.is_set():
+        while not self.stopping.is_set():
             self._context.maps_changed.wait(_HOLD_S if is_behind else _LOOK_S)
             self._context.maps_changed.clear()
             with suppress(SQLAlchemyError):  # the database is told of elsewhere
@@ -74,7 +63,7 @@ class Merger:
             standings = standings_of(session, self._context, cities)
         waiting = [city for city in cities if standings[city.id].is_waiting(city)]
         for city in waiting:
-            if self._stopping.is_set():
+            if self.stopping.is_set():
                 break
             bring = self._merge if standings[city.id].is_stale else self._audit
             try:
@@ -85,7 +74,7 @@ class Merger:
                 _log.warning("map %s: not brought up to date, tried again: %s", city.id, error)
             except Exception:  # noqa: BLE001 - the others go on
                 _log.exception("map %s: not brought up to date, tried again later", city.id)
-                self._stopping.wait(_AGAIN_S)
+                self.stopping.wait(_AGAIN_S)
         return bool(waiting)
 
     def _merge(self, city: CityMap, standing: Standing) -> None:
@@ -141,7 +130,7 @@ class Merger:
         seconds = self._context.settings.job_stage_s
         future: Future[Outcome] = self._runner.submit(function, *args, client=_OWNER, seconds=seconds)
         while not wait({future}, timeout=_HOLD_S).done:
-            if self._stopping.is_set():
+            if self.stopping.is_set():
                 future.cancel()
                 self._end(city.id, None)
                 raise _LostError

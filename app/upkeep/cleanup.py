@@ -6,7 +6,6 @@ holds some may be somebody's only copy, as where an older database was brought b
 """
 
 import logging
-import threading
 import time
 from collections import Counter
 from collections.abc import Iterator
@@ -16,7 +15,7 @@ from sqlalchemy import ColumnElement, and_, exists, select
 from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.orm import Session
 
-from app.context import Context
+from app.context import Context, Helper
 from app.drives.commit import tidy_drive
 from app.http.problems import Problem
 from app.jobs.folders import jobs_with_scratch, tidy
@@ -146,38 +145,29 @@ def _tidy_scratch(context: Context) -> None:
         tidy(context.storage, job_id, keep_result=state == JobState.SUCCESSFUL)
 
 
-class Sweeper:
-    """What a server does on the side, from `start` to `stop`: it cleans up once per hour.
+class Sweeper(Helper):
+    """Cleans up once per hour.
 
     Every two minutes it writes when tokens were last used. Nothing is removed for its age within the first hour: the
     clock may have been set wrongly before the start, and an hour is time to notice that.
     """
 
     def __init__(self, context: Context) -> None:
+        super().__init__("sweeper")
         self._context = context
-        self._stopping = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="sweeper", daemon=True)
 
-    def start(self) -> None:
-        """Begin, in the background."""
-        self._thread.start()
-
-    def stop(self) -> None:
-        """End, having written once more when tokens were last used."""
-        self._stopping.set()
-        self._thread.join(5)
-
-    def _run(self) -> None:
+    def run(self) -> None:
+        """Do so; at the end it writes once more when tokens were last used."""
         sweep_at, by_age = time.monotonic(), False
         while True:
             try:
                 self._context.tokens.write_uses()
-                if time.monotonic() >= sweep_at and not self._stopping.is_set():
+                if time.monotonic() >= sweep_at and not self.stopping.is_set():
                     sweep_at += PERIOD_S
                     sweep(self._context, by_age=by_age)
                     by_age = True
             except (SQLAlchemyError, OSError, InterLocError) as error:
                 _log.warning("clean-up: %s", error)
-            if self._stopping.is_set():
+            if self.stopping.is_set():
                 return
-            self._stopping.wait(_USES_S)
+            self.stopping.wait(_USES_S)

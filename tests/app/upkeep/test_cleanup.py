@@ -19,9 +19,11 @@ from app.settings import Settings
 from app.store.models import Drive, Job
 from app.store.storage import LEFT_ALONE_S
 from app.trash.deletion import list_trash, restore
-from app.upkeep.cleanup import Sweeper, sweep
+from app.upkeep import cleanup
+from app.upkeep.cleanup import sweep
 from app.work.documents import CommitOutcome
 from interloc.drives.inspect import DriveReport
+from tests.app.processes import wait_until
 
 HOUR_S = 3600.0
 
@@ -185,11 +187,13 @@ def test_raw_scans_stay_where_nothing_replaces_them(context: Context, caplog: py
     assert "its reduced folder is not there" in caplog.text
 
 
-def test_nothing_goes_for_its_age_within_the_first_hour(context: Context) -> None:
-    old = make_drive(context, age_h=3)
-    sweeper = Sweeper(context)
+def test_nothing_goes_for_its_age_within_the_first_hour(context: Context, monkeypatch: pytest.MonkeyPatch) -> None:
+    swept: list[bool] = []
+    monkeypatch.setattr(cleanup, "sweep", lambda _, by_age: swept.append(by_age))
+    monkeypatch.setattr(cleanup, "PERIOD_S", 0.0)
+    monkeypatch.setattr(cleanup, "_USES_S", 0.01)
+    sweeper = cleanup.Sweeper(context)
     sweeper.start()
+    wait_until(lambda: len(swept) > 2, "three sweeps")
     sweeper.stop()
-    assert drives(context) == {old}
-    assert sweep(context)["expired"] == 1
-    assert not drives(context)
+    assert swept[:3] == [False, True, True]
