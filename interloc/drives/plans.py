@@ -46,7 +46,8 @@ def upright_plan(xyz: Float32Array | FloatArray) -> FloatArray:
     highest = np.full_like(lowest, -np.inf)
     np.minimum.at(lowest.ravel(), cell, points[:, 2])
     np.maximum.at(highest.ravel(), cell, points[:, 2])
-    return (np.argwhere(highest - lowest > _UPRIGHT_M) - half + 0.5) * _PLAN_M
+    cells: FloatArray = (np.argwhere(highest - lowest > _UPRIGHT_M) - half + 0.5) * _PLAN_M
+    return cells
 
 
 def road_plan(road: Float32Array | FloatArray) -> FloatArray:

@@ -9,15 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from interloc.arrays import BoolArray, FloatArray
-from interloc.evaluation.map_level import (
-    Interval,
-    calibration_error,
-    calibration_error_by_chance,
-    share_within,
-    squared_per_dimension,
-    with_interval,
-)
+from interloc.arrays import FloatArray
 from interloc.evaluation.metrics import NEAR_PAIR_M, STANDARD_THRESHOLD_M
 from interloc.evaluation.published import AVERAGE, COMPARISON, LABEL_ERRORS, PERFORMANCE, RANGENET, SEQUENCES, Published
 from interloc.lab.measure import Row
@@ -35,11 +27,6 @@ def pooled(rows: Sequence[Row], column: str) -> FloatArray:
     return np.array([each for row in rows for each in getattr(row, column)], dtype=np.float64)
 
 
-def outcomes(rows: Sequence[Row]) -> tuple[FloatArray, BoolArray]:
-    """Return the confidences of the fused intersections in the zone, and whether each has a node."""
-    return pooled(rows, "map_confidence"), pooled(rows, "map_right").astype(np.bool_)
-
-
 def scores(rows: Sequence[Row], threshold_m: float = STANDARD_THRESHOLD_M) -> tuple[float, float, float]:
     """Return precision, recall and F1 at a threshold (paper, eq. 18); NaN where there is nothing to count."""
     true = int(np.count_nonzero(pooled(rows, "errors_m") < threshold_m))
@@ -53,8 +40,7 @@ def figures(rows: Sequence[Row]) -> dict[str, float]:
 
     NaN where a figure is undefined. Those of the map are of the fused intersections, matched one-to-one.
     """
-    errors_m, map_errors_m, squared = (pooled(rows, name) for name in ("errors_m", "map_errors_m", "map_squared"))
-    confidence, right = outcomes(rows)
+    errors_m, map_errors_m = pooled(rows, "errors_m"), pooled(rows, "map_errors_m")
 
     def total(name: str) -> float:
         return float(sum(getattr(row, name) for row in rows))
@@ -73,9 +59,6 @@ def figures(rows: Sequence[Row]) -> dict[str, float]:
         "map_precision": _ratio(total("map_true"), total("map_true") + total("map_false")),
         "map_recall": _ratio(total("map_nodes") - total("map_missed"), total("map_nodes")),
         "map_median_m": _of(np.median, map_errors_m),
-        "map_within_95": _of(share_within, squared),
-        "map_nees": _of(squared_per_dimension, squared),
-        "map_calibration_error": calibration_error(confidence, right) if len(confidence) else np.nan,
         "ms_a_keyframe": 1e3 * _ratio(total("compute_s"), total("keyframes")),
     }
 
@@ -146,22 +129,6 @@ class Measured:
         }
         by_seed = pd.DataFrame.from_dict(found, orient="index")
         return by_seed.groupby(level=[0, 1, 2], sort=False).agg(["mean", "std", "count"])
-
-    @cached_property
-    def reliability(self) -> dict[tuple[str, str], dict[str, Interval]]:
-        """How true uncertainty and confidence are, by preset and level: intersections of all drives and seeds."""
-        found = {}
-        for preset, noise in product(self.presets, self.noises):
-            rows = self.of(preset=preset, noise=noise)
-            squared = pooled(rows, "map_squared")
-            confidence, right = outcomes(rows)
-            found[preset, noise] = {
-                "within_95": with_interval(share_within, squared),
-                "nees": with_interval(squared_per_dimension, squared),
-                "calibration_error": with_interval(calibration_error, confidence, right),
-                "calibration_error_by_chance": calibration_error_by_chance(confidence),
-            }
-        return found
 
     @property
     def is_papers_set(self) -> bool:
@@ -341,43 +308,7 @@ def axes_table(measured: Measured) -> Table:
     )
 
 
-def reliability_table(measured: Measured) -> Table:
-    """Return whether the uncertainty of the intersections and their confidence are true, per level of label errors."""
-
-    def bounded(found: Interval, write: Callable[[float], str]) -> str:
-        if found.value is None or found.low is None or found.high is None:
-            return MISSING
-        return f"{write(found.value)} ({write(found.low)} to {write(found.high)})"
-
-    lines: dict[tuple[str, ...], Iterable[str]] = {}
-    for noise, preset in product(measured.noises, measured.presets):
-        found = measured.reliability[preset, noise]
-        lines[noise, ours(preset)] = [
-            str(found["within_95"].count),
-            bounded(found["within_95"], percent),
-            bounded(found["nees"], metres),
-            str(found["calibration_error"].count),
-            bounded(found["calibration_error"], percent),
-            bounded(found["calibration_error_by_chance"], percent),
-        ]
-    return table_of(
-        "Uncertainty and confidence",
-        lines,
-        ["with a node", "within 95 % [%]", "NEES", "in the zone", "ECE [%]", "by chance [%]"],
-        (
-            "Intersections of the map, each counted once per drive and seed; in brackets: bootstrap interval of 95 %.",
-            "Within 95 %: share whose node lies in the ellipse of 95 % of the covariance.",
-            "NEES: squared error in units of the covariance per degree of freedom; 1 where errors are as stated.",
-            "ECE: expected calibration error of the confidence, ten bins of equal width.",
-            "By chance: ECE of so many places where the confidence is exactly true; mean, and 95 % of all draws.",
-        ),
-        names=["r-FPR/r-FNR", ""],
-    )
-
-
 def tables(measured: Measured) -> list[Table]:
-    """Return the tables of a benchmark: performance, comparison and label errors, axes, and reliability."""
+    """Return the tables of a benchmark: performance, comparison, label errors, and errors from known axes."""
     shown = [performance_table(measured, measured.noises[0]), comparison_table(measured), noise_table(measured)]
-    if any(row.map_axes_errors_m for row in measured.rows):
-        shown.append(axes_table(measured))
-    return [*shown, reliability_table(measured)]
+    return [*shown, axes_table(measured)] if any(row.map_axes_errors_m for row in measured.rows) else shown

@@ -71,7 +71,6 @@ CALIB_TEXT = "".join(
 )
 """A `calib.txt` for drives that have none: a camera that looks ahead, 0.27 m before and 0.08 m below the LiDAR."""
 _STEP_M = 0.25
-_MAX_ROUNDS = 500
 
 
 def parse_tr(text: str) -> FloatArray:
@@ -177,7 +176,7 @@ def track_from_line(
             f"Points {where} and {where + 1} of the track are {steps[where]:,.0f} m apart. "
             f"Expected at most {config.max_gap_m:g} m. Usual cause: lon and lat swapped, or two recordings."
         )
-    path = widen_bends(smooth_path(xyz, config.smoothing_m, config.offset_m), config.min_radius_m)
+    path = smooth_path(xyz, config.smoothing_m, config.offset_m)
     along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path[:, :2], axis=0).T))])
     wanted = np.arange(0.0, along[-1], config.speed_mps / config.rate_hz)
     places = np.column_stack([np.interp(wanted, along, path[:, i]) for i in range(3)])
@@ -217,21 +216,6 @@ def smooth_path(xyz: FloatArray, smoothing_m: float, offset_m: float = 0.0) -> F
         head = 2 * path[0] - path[reach:0:-1]
         tail = 2 * path[-1] - path[-2 : -reach - 2 : -1]
         path = gaussian_filter1d(np.concatenate([head, path, tail]), width, axis=0, mode="nearest")[reach:-reach]
-    return path
-
-
-def widen_bends(path: FloatArray, radius_m: float) -> FloatArray:
-    """Smooth a path, (N, 3) points some 0.25 m apart, where it bends more tightly than a radius; its ends stay."""
-    path = path.copy()
-    for _ in range(_MAX_ROUNDS if radius_m else 0):
-        run = np.diff(path[:, :2], axis=0)
-        yaw = np.unwrap(np.arctan2(run[:, 1], run[:, 0]))
-        bend = np.abs(gaussian_filter1d(np.gradient(yaw), 2)) / np.maximum(np.hypot(run[:, 0], run[:, 1]), 1e-6)
-        tight = gaussian_filter1d((bend > 1 / radius_m).astype(float), radius_m / _STEP_M / 2)
-        if not (bend > 1 / radius_m).any():
-            break
-        share = np.clip(4 * np.interp(np.arange(len(path)), np.arange(len(bend)) + 0.5, tight), 0, 1)[:, None]
-        path[1:-1] += (share * (gaussian_filter1d(path, 4, axis=0, mode="nearest") - path))[1:-1]
     return path
 
 

@@ -38,7 +38,6 @@ from interloc.drives.scans.recorded import LABEL_FIELDS, Recording
 from interloc.drives.scans.reduced import ReducedScans, reduced_trajectory
 from interloc.drives.scans.reduced_format import ReducedLabels, ReducedManifest, from_runs, read_manifest, to_runs
 from interloc.drives.scans.rosbag.bag import find_bag
-from interloc.drives.scans.rosbag.peek import MissingRangeError, peek
 from interloc.drives.trajectory import LidarPoses, Trajectory, read_trajectory
 from interloc.geometry import enu_from_lonlat, lonlat_from_enu
 from interloc.reduction.listing import ListedDrive, Listing, find_drives, reason_for_none
@@ -50,7 +49,6 @@ HEAD_BYTES = 65_536
 _MEMORY = Path("/dev/shm")  # noqa: S108 - a folder of a random name is made there
 _PAGE_BYTES = 4096
 _MAX_POSITIONS = 20_000
-_MAX_TOPICS = 20
 _MAX_TRACK_BYTES = 4_000_000  # of what may be the trajectory of a cloud; of a longer one the head is enough
 
 LabelCounts = Mapping[LabelFolder, Mapping[int, int]]
@@ -136,11 +134,6 @@ class DriveLook(ListedName):
     wanted: dict[str, int] = Field(
         {}, description="Files whose contents tell more: path in the folder -> how many of their first bytes to give."
     )
-    wanted_ranges: dict[str, list[tuple[int, int]]] = Field(
-        {},
-        description="Bags, of which some ranges tell more: path in the folder -> first byte, and that after the last, "
-        "of each range to give (`ranges`).",
-    )
     georeference: str | None = Field(None, description="Where the georeference comes from.")
     georeference_reason: str | None = Field(None, description="Why there is none.")
     pose_frame: str | None = Field(None, description="Sensor whose poses the pose file holds.")
@@ -174,14 +167,13 @@ def look_into(
     *,
     keyframes: KeyframeConfig | None = KeyframeConfig(),  # noqa: B008 - frozen
     label_counts: LabelCounts = MappingProxyType({}),
-    ranges: Mapping[str, Mapping[int, bytes]] = MappingProxyType({}),
     max_files: int = 1_000_000,
     place: Path | None = None,
 ) -> FolderLook:
     """Find the drives in a folder, and look into one of them (the first by default); a bad drive raises nothing.
 
-    The listing and `contents` (of small files, or of the heads of others) are by path, relative and with slashes;
-    `ranges` of bags by where they begin. `options` says how the drive is to be read that is laid out at a place; it is
+    The listing and `contents` (of small files, or of the heads of others) are by path, relative and with slashes.
+    `options` says how the drive is to be read that is laid out at a place; it is
     laid out in `place`, or where the system has temporary folders, unless it has more than `max_files`. `keyframes`
     says which scans a job needs, None all; `label_counts` is what was counted in the scans that an earlier look has
     named.
@@ -192,7 +184,7 @@ def look_into(
     if chosen is None:
         return FolderLook(drives=names, drive=None, reason=reason_for_none(listing, name))
     with TemporaryDirectory(dir=_quickest(place, chosen, contents), prefix="interloc-look-") as above:
-        look = _Look(chosen, listing, contents, Path(above) / "drive", ranges, keyframes, label_counts)
+        look = _Look(chosen, listing, contents, Path(above) / "drive", keyframes, label_counts)
         if len(chosen.files) > max_files:
             text = f"{len(chosen.files):,} are too many; expected at most {max_files:,}. Cut the drive."
             look.findings.refuse("files", text)
@@ -218,7 +210,6 @@ class _Look:
     listing: Listing
     contents: Mapping[str, bytes]
     place: Path
-    ranges: Mapping[str, Mapping[int, bytes]]
     keyframes: KeyframeConfig | None
     counts: LabelCounts
     findings: Findings = field(default_factory=lambda: Findings(stop_at_first=False))
@@ -433,39 +424,8 @@ class _Look:
                     found.frames_to_look_into = _sample(from_runs(found.labels[folder].runs))
         if self.drive.kind == "rosbag":
             find_bag(place, required=True, findings=self.findings)
-            self._peek_into_bag(options)
         else:
             self._read_clouds(options)
-
-    def _peek_into_bag(self, options: DriveOptions) -> None:
-        """Tell from some ranges of the first file of a bag which topics it has, and whether its points carry labels."""
-        found = self.found
-        inside, path = next(iter(self.drive.scans.items()))
-        try:
-            seen = peek(self.listing[path], self.ranges.get(path, {}))
-        except MissingRangeError as missing:
-            found.wanted_ranges[path] = missing.ranges
-            return
-        if seen is None:
-            return
-        topics = ", ".join(f"{name} ({type_})" for name, type_ in sorted(seen.topics.items())[:_MAX_TOPICS])
-        if not seen.of("points"):
-            text = (
-                f"holds no points. Expected a topic of sensor_msgs/PointCloud2 or Livox's CustomMsg. It has: {topics}."
-            )
-            self.findings.refuse(inside, text)
-            return
-        found.carries_labels = seen.has_labels
-        if seen.has_labels is False and not found.labels:
-            text = "has points without the field label. Expected labels/ with a .label file per scan."
-            found.unlabelled.append(Finding("error", inside, text))
-        if not seen.of("poses") and options.poses is None:
-            found.has_poses = False
-            self.findings.warning("poses", NO_POSES)
-        if fixes := seen.of("fixes"):
-            found.georeference = f"the fixes of {fixes[0]}"
-        elif options.oxts is None and "geo.csv" not in self.drive.small:
-            found.georeference_reason = "the bag has no topic of GNSS fixes (sensor_msgs/NavSatFix)"
 
     def _read_clouds(self, options: DriveOptions) -> None:
         """Look for the trajectory of LAS files, or for the poses where each holds a scan."""

@@ -29,7 +29,7 @@ def street(tmp_path: Path) -> tuple[Path, Path]:
 
 def test_the_small_town_is_a_drive_with_its_map(tmp_path: Path, interloc: Callable) -> None:
     drive = tmp_path / "drive"
-    outcome = interloc("simulate", "town", "--small", "-o", drive, *FEW)
+    outcome = interloc("simulate", "town", "--part", "plain", "-o", drive, *FEW)
     assert outcome.code == 0
     assert json.loads((drive / "simulation.json").read_text())["town"] == "plain"
     assert not outcome.err  # no progress where nobody watches
@@ -47,7 +47,9 @@ def test_the_small_town_is_a_drive_with_its_map(tmp_path: Path, interloc: Callab
 def test_a_sensor_by_its_name(tmp_path: Path, interloc: Callable) -> None:
     assert list(SENSORS) == list(options.SENSORS)
     drive = tmp_path / "drive"
-    assert interloc("simulate", "town", "--small", "-o", drive, "--max-scans", 1, "--sensor", "vlp-16").code == 0
+    assert (
+        interloc("simulate", "town", "--part", "plain", "-o", drive, "--max-scans", 1, "--sensor", "vlp-16").code == 0
+    )
     x, y, z, _ = np.fromfile(drive / "velodyne/000000.bin", np.float32).reshape(-1, 4).T
     elevations = np.unique(np.degrees(np.arctan2(z, np.hypot(x, y))).round())
     assert set(elevations.tolist()) <= set(range(-15, 16, 2))
@@ -56,19 +58,17 @@ def test_a_sensor_by_its_name(tmp_path: Path, interloc: Callable) -> None:
 
 def test_every_scan(tmp_path: Path, interloc: Callable) -> None:
     drive = tmp_path / "drive"
-    assert interloc("simulate", "town", "--small", "-o", drive, "--every-scan", "--speed", 5, *FEW).code == 0
+    assert interloc("simulate", "town", "--part", "plain", "-o", drive, "--every-scan", "--speed", 5, *FEW).code == 0
     step = np.linalg.norm(np.diff(open_drive(drive).T_world_lidar[:, :3, 3], axis=0), axis=1)
     assert step == pytest.approx(0.5, abs=0.02)
 
 
-def test_an_exact_and_bare_world(tmp_path: Path, interloc: Callable) -> None:
+def test_ground_only(tmp_path: Path, interloc: Callable) -> None:
     drive = tmp_path / "drive"
     town = ("simulate", "town", "--part", "quarter", "-o", drive)
-    assert interloc(*town, "--exact", "--bare", "--ground-only", *FEW).code == 0
+    assert interloc(*town, "--ground-only", *FEW).code == 0
     facts = json.loads((drive / "simulation.json").read_text())
     assert facts["town"] == "quarter"
-    assert facts["sensor"]["range_noise_m"] == facts["sensor"]["dropout"] == 0
-    assert facts["scene"]["roadside"]["buildings"] == "none"
     labels = np.fromfile(drive / "labels/000000.label", dtype=np.uint32)
     assert set(labels.tolist()) <= {40, 44, 48, 49, 60}
 

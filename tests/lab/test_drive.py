@@ -104,14 +104,3 @@ def test_a_csv_track_over_a_map(frame: LocalFrame, write_map: Callable[..., Path
     assert np.linalg.norm(drive.T_world_lidar[-1, :3, 3] - drive.T_world_lidar[0, :3, 3]) > 50
     labels = np.fromfile(tmp_path / "drive/labels/000010.label", np.uint32)
     assert 50 in labels  # houses are made up where the map has none
-
-
-def test_scans_whose_turn_takes_time_are_written_with_the_times_of_their_points(
-    street_scene: Scene, straight_track: LidarTrack, small_sensor: LidarConfig, tmp_path: Path
-) -> None:
-    sensor = small_sensor.model_copy(update={"turn_s": 0.1})
-    simulate_drive(street_scene, straight_track, tmp_path / "bent", SimulationOptions(sensor=sensor, max_scans=4))
-    report = inspect_drive(tmp_path / "bent")
-    assert (report.layout, report.scans) == ("pcd", 4)
-    assert any("motion within each scan is taken out" in problem.message for problem in report.problems)
-    assert report.ok

@@ -52,16 +52,6 @@ def test_figures_are_pooled_over_drives(rows: list[dict[str, Any]], expected: di
     assert {name: found[name] for name in expected} == pytest.approx(expected)
 
 
-def test_uncertainty_and_confidence_are_counted_over_places() -> None:
-    rows = [
-        row(map_squared=[0.5, 5.9], outcomes=[(0.85, True), (0.85, False)]),
-        row("02", map_squared=[6.1, 7.5], outcomes=[(0.35, True), (0.95, True)]),
-    ]
-    assert figures(rows)["map_within_95"] == pytest.approx(2 / 4)
-    assert figures(rows)["map_nees"] == pytest.approx(20 / 4 / 2)
-    assert figures(rows)["map_calibration_error"] == pytest.approx((2 * 0.35 + 0.65 + 0.05) / 4)
-
-
 def test_nothing_measured_is_undefined_or_none_found() -> None:
     assert all(value == 0.0 if name.startswith("nodes") else np.isnan(value) for name, value in figures([]).items())
 

@@ -105,14 +105,3 @@ def test_lines_that_cannot_be_driven(frame: LocalFrame) -> None:
         track_from_line(frame.lonlat([[0, 0], [0, 0]]))
     with pytest.raises(DriveError, match=r"3,000 m apart.*Usual cause"):
         track_from_line(frame.lonlat([[0, 0], [3000, 0]]))
-
-
-def test_bends_are_as_wide_as_a_car_needs(frame: LocalFrame) -> None:
-    line = frame.lonlat([[-40.0, 0.0], [0.0, 0.0], [-20.0, 30.0]])
-    tight, wide = (track_from_line(line, None, TrackConfig(speed_mps=5, min_radius_m=radius)) for radius in (0.0, 6.0))
-    for track, least, most in ((tight, 0.5, 4.0), (wide, 5.5, 12.0)):
-        poses = track.T_map_lidar(frame)
-        turns = np.abs(np.diff(np.unwrap(yaw_of(poses))))
-        steps = np.linalg.norm(np.diff(poses[:, :2, 3], axis=0), axis=1)
-        assert least < (steps / np.maximum(turns, 1e-9)).min() < most
-    assert np.allclose(wide.T_map_lidar(frame)[0, :2, 3], [-40, 0], atol=0.01)

@@ -7,8 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from rosbags.rosbag1 import Writer as Writer1
-from rosbags.rosbag2 import CompressionFormat, CompressionMode
 
 from interloc.config import KeyframeConfig
 from interloc.drives.inspect import inspect_drive
@@ -17,7 +15,6 @@ from interloc.drives.options import DriveOptions
 from interloc.reduction import look as look_module
 from interloc.reduction.look import DriveLook, look_into
 from interloc.reduction.reduce import prepare_reduction, reduce_drive
-from tests.bags import write_bag
 from tests.las_files import write_scan_files
 from tests.pcd_files import write_pcd
 from tests.small_drives import (
@@ -238,53 +235,3 @@ def test_a_name_that_is_file_and_folder_is_a_problem() -> None:
     files = {"velodyne/000000.bin": 16, "oxts/1.txt": 4, "oxts/1.txt/2.txt": 4}
     look = look_into(files, {}, "odd").drive
     assert errors(look)
-
-
-@pytest.mark.parametrize(("form", "compression"), [
-    ("bag", None), ("bag", (Writer1.CompressionFormat.LZ4,)),
-    ("mcap", None), ("mcap", (CompressionMode.STORAGE, CompressionFormat.ZSTD)),
-])  # fmt: skip
-def test_a_bag_is_looked_into_by_ranges_of_its_bytes(form: str, compression: Any, tmp_path: Path) -> None:
-    scans = [np.ones((4000, 4), np.float32)] * 3
-    labels = [np.full(4000, 40, np.uint32)] * 3
-    full, bare = tmp_path / "full", tmp_path / "bare"
-    for folder in (full, bare):
-        folder.mkdir()
-    poses = [np.eye(4)] * 3
-    write_bag(
-        full / "a", form, scans, [1, 2, 3], labels=labels, poses=poses, fixes=[(1, (49, 8, 0))], compression=compression
-    )
-    write_bag(bare / "a", form, scans, [1, 2, 3], compression=compression)
-
-    def look(root: Path) -> tuple[DriveLook, int]:
-        paths = {path.relative_to(root).as_posix(): path for path in root.rglob("*") if path.is_file()}
-        listing = {name: path.stat().st_size for name, path in paths.items()}
-        ranges: dict[str, dict[int, bytes]] = {}
-        for turns in range(6):
-            found = look_into(listing, {}, root.name, ranges=ranges).drive
-            for name, wanted in found.wanted_ranges.items():
-                for start, stop in wanted:
-                    ranges.setdefault(name, {})[start] = paths[name].read_bytes()[start:stop]
-            if not found.wanted_ranges:
-                return found, turns
-        raise AssertionError("it asks for ever")
-
-    found, turns = look(full)
-    assert (found.carries_labels, found.has_poses, found.georeference) == (True, None, "the fixes of /fix")
-    assert turns <= 3
-    found, _ = look(bare)
-    assert (found.carries_labels, found.has_poses, found.georeference) == (False, False, None)
-    assert "no topic of GNSS fixes" in str(found.georeference_reason)
-    (fault,) = found.unlabelled
-    assert "without the field label" in fault.message
-
-
-def test_a_damaged_bag_is_left_to_the_check(tmp_path: Path) -> None:
-    for content in (
-        b"#ROSBAG V2.0\n" + bytes(9000),
-        b"\x89MCAP0\r\n" + bytes(9000),
-        b"SQLite format 3\0" + bytes(9000),
-        bytes(9000),
-    ):
-        found = look_into({"a.bag": len(content)}, {}, "a", ranges={"a.bag": {0: content}}).drive
-        assert (found.wanted_ranges, found.carries_labels) == ({}, None)
