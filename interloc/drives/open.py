@@ -351,7 +351,9 @@ def _checked(reading: DriveReading, findings: Findings) -> DriveReading:
     reading = replace(reading, flatness_m=check_flat_road(drive, scans.usable, pose_file, findings))
     tells_motion = not isinstance(scans, RawScans) or (scans.check_turns(findings) and not scans.recording.is_cut)
     if findings.errors == errors and tells_motion:  # else what follows is the same fault in other words
-        check_scan_motion(drive, scans.usable, pose_file, findings)
+        poses = reading.trajectory.poses
+        is_computed = poses is not None and poses.is_computed
+        check_scan_motion(drive, scans.usable, pose_file, findings, is_computed=is_computed)
     if isinstance(scans, RawScans):
         scans.tell_doubts(findings)
         with findings.stage():  # a reduced drive has the warning in its manifest

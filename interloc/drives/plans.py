@@ -46,7 +46,8 @@ def upright_plan(xyz: Float32Array | FloatArray) -> FloatArray:
     highest = np.full_like(lowest, -np.inf)
     np.minimum.at(lowest.ravel(), cell, points[:, 2])
     np.maximum.at(highest.ravel(), cell, points[:, 2])
-    cells: FloatArray = (np.argwhere(highest - lowest > _UPRIGHT_M) - half + 0.5) * _PLAN_M
+    upright = np.argwhere(highest - lowest > _UPRIGHT_M).astype(np.float64)
+    cells: FloatArray = (upright - half + 0.5) * _PLAN_M
     return cells
 
 
@@ -171,7 +172,8 @@ class GroundPlan:
         """
         half = len(self.signs) // 2
         at = np.argwhere(source.signs)
-        moved = rotate_2d((at - half + 0.5) * _PLAN_M, motions[:, 2:]) + motions[:, None, :2]
+        middles: FloatArray = (at.astype(np.float64) - half + 0.5) * _PLAN_M
+        moved = rotate_2d(middles, motions[:, 2:]) + motions[:, None, :2]
         cells = np.floor(moved / _PLAN_M).astype(np.int64) + half
         inside = ((cells >= 0) & (cells < 2 * half)).all(axis=2)
         cells[~inside] = 0

@@ -94,7 +94,9 @@ class _Explanation:
         return -len(self.wrong), -float(self.lost_m.mean())
 
 
-def check_scan_motion(drive: FolderDrive, usable: IntArray, pose_file: str, findings: Findings) -> None:
+def check_scan_motion(
+    drive: FolderDrive, usable: IntArray, pose_file: str, findings: Findings, *, is_computed: bool = False
+) -> None:
     """Check that the scans move as the poses do: in scale, direction, to the right side, at the right time.
 
     Pairs some metres apart, spread over the drive and where its motion changes most, are laid onto each other by all
@@ -115,22 +117,22 @@ def check_scan_motion(drive: FolderDrive, usable: IntArray, pose_file: str, find
     fault = _unlike(near, poses, mistake) or _in_another_unit(pairs, near, poses)
     tells = pairs or any(each.ratio * _CLOSER < 1.0 for each in mistakes)
     scale = _scale_of(matcher.laid, poses) if matcher.kind == "upright" else None
-    if scale is None and fault is None and drive.georeference is None and not drive.is_slow:
+    is_unexplained = fault is None or fault[3] == _ANOTHER
+    if scale is None and is_unexplained and not (is_computed or drive.is_slow or drive.georeference):
         with findings.stage():
             scale = _scale_of_ground(drive, usable)
     is_off = scale is not None and abs(np.log(scale)) > _OFF_SCALE
-    untold = "" if tells else "too little that stands upright or turns to tell whether they move as the poses."
-    if tells and scale is None and fault is None:
-        untold = "too little that stands upright to be sure of the scale of the poses."
-    if untold and float(np.linalg.norm(np.ptp(poses[:, :3, 3], axis=0))) > _MUCH_M:
-        findings.untold(pose_file, f"the scans hold {untold}")
+    if scale is None and fault is None and float(np.linalg.norm(np.ptp(poses[:, :3, 3], axis=0))) > _MUCH_M:
+        what = "the scale of the poses is right" if tells else "the scans move as the poses do"
+        told = findings.untold if is_computed or drive.georeference else findings.warning
+        told(pose_file, f"whether {what} cannot be told: the scans hold too little that stands upright.")
     if mistake.is_clear and (fault is None or fault[1] < _PLACES_WRONG):
         text = f"the scans do not move as the poses do ({mistake.closer} of {mistake.of} places). {mistake.words}."
         if mistake.metres < _LITTLE_M:
             findings.warning(pose_file, text)
         else:
             findings.refuse(pose_file, text)
-    elif is_off and (fault is None or fault[3] == _ANOTHER):
+    elif is_off and is_unexplained:
         assert scale is not None
         text = f"the scans do not move as the poses do. {_scale_words(scale)}."
         findings.refuse(pose_file, text)
