@@ -13,7 +13,7 @@ from interloc.arrays import IntArray
 from interloc.config import DEFAULT, DetectorConfig
 from interloc.detection.detector import Detector, KeyframeDetections, locate
 from interloc.detection.keyframes import select_keyframes
-from interloc.detection.road import patch_keyframes, road_patch
+from interloc.detection.occupancy import patch_keyframes, road_patch
 from interloc.detection.scan import ScanLike
 from interloc.detection.warm import warm_up
 from interloc.drive import Drive, DriveScan, is_slow, read_ahead, scans_of

@@ -379,8 +379,7 @@ def _measure(
     **described: Any,
 ) -> None:
     """Run a benchmark by the values of `measuring_options`; `described` are further fields of `Benchmark`."""
-    from interloc.drives.label_errors import parse_level
-    from interloc.lab.measure import Scoring
+    from interloc.lab.measure import Scoring, parse_level
     from interloc.lab.run import Benchmark, NamedConfig, write_benchmark
     from interloc.lab.tables import NO_NOISE
 

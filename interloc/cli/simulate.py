@@ -37,7 +37,7 @@ SPEED = click.option(
     type=click.FloatRange(0.2, 60),
     default=8.0,
     show_default=True,
-    help="Speed along the track in metres per second; a track of OXTS rows keeps its own.",
+    help="Speed in metres per second.",
 )
 scene_options = options.together(
     click.option(
@@ -67,21 +67,17 @@ scene_options = options.together(
 """Options that all simulations share."""
 
 
-@click.group(short_help="Make a drive whose truth is known: town, track or KITTI twin.")
+@click.group(short_help="Make a drive whose truth is known: town or KITTI twin.")
 def command() -> None:
-    """Write drives whose truth is known: a LiDAR drives through a made-up town, or along a real track over a real map.
+    """Write drives whose truth is known: a LiDAR drives through a made-up town, or along a track of KITTI over its map.
 
     \b
     The made-up town, with every shape of junction that matters; its map is DRIVE/map.osm:
       interloc simulate town -o DRIVE                      5 km, every shape
-      interloc simulate town --part plain -o DRIVE              670 m, X, T and Y junctions only
+      interloc simulate town --part plain -o DRIVE         670 m, X, T and Y junctions only
     \b
     The town of the demo, with curved streets, market square and park:
       interloc simulate town --part quarter --ground-only --columns 720 -o DRIVE
-    \b
-    Any map, any track (GPX, CSV with lat and lon, OXTS rows):
-      interloc simulate track --osm map.osm.gz --track ride.gpx -o DRIVE
-      interloc simulate track --osm map.osm.gz --track oxts.txt.gz --every-scan -o DRIVE
     \b
     The twin of a KITTI sequence, as `interloc benchmark twins` measures it:
       interloc simulate twin 07 --kitti kitti -o DRIVE
@@ -122,56 +118,6 @@ def town(drive: Path, part: Part, every_scan: bool, speed_mps: float, **common: 
         trip = Town(part, seed=options.seed).trip(TrackConfig(speed_mps=speed_mps))
         scans = simulate(trip, drive, options, progress=bar)
     _go_on(scans, drive, drive / MAP_FILE)
-
-
-@command.command()
-@DRIVE
-@click.option("--osm", required=True, type=options.PATH, help="OSM file with the streets around the track.")
-@click.option(
-    "--track",
-    "track_file",
-    required=True,
-    type=options.PATH,
-    help="Where to drive: .gpx, .csv with columns lat and lon, or OXTS rows (.txt, .txt.gz, a folder oxts/data).",
-)
-@click.option("--buildings", type=options.PATH, help="OSM file with the buildings; else those of --osm, or made up.")
-@EVERY_SCAN
-@SPEED
-@click.option(
-    "--offset",
-    "offset_m",
-    type=click.FloatRange(-20, 20),
-    default=0.0,
-    show_default=True,
-    help="Metres to drive to the right of the track, for tracks along the centre line of the road.",
-)
-@scene_options
-def track(
-    drive: Path,
-    osm: Path,
-    track_file: Path,
-    buildings: Path | None,
-    every_scan: bool,
-    speed_mps: float,
-    offset_m: float,
-    **common: Any,
-) -> None:
-    """Drive along a real track over a real map.
-
-    \b
-    Example:
-      interloc simulate track --osm map.osm.gz --track ride.gpx -o drive && interloc run drive -o out --osm map.osm.gz
-    """
-    from interloc.lab.config import TrackConfig
-    from interloc.lab.drive import Trip, simulate
-    from interloc.lab.streets import read_map
-    from interloc.lab.tracks import open_track
-
-    with console.progress("simulate", "scan") as bar:
-        line = open_track(track_file, TrackConfig(speed_mps=speed_mps, offset_m=offset_m))
-        trip = Trip(line, read_map(osm, buildings), {"track": track_file.name})
-        scans = simulate(trip, drive, _options(every_scan=every_scan, **common), progress=bar)
-    _go_on(scans, drive, osm)
 
 
 @command.command()

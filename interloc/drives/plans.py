@@ -47,8 +47,7 @@ def upright_plan(xyz: Float32Array | FloatArray) -> FloatArray:
     np.minimum.at(lowest.ravel(), cell, points[:, 2])
     np.maximum.at(highest.ravel(), cell, points[:, 2])
     upright = np.argwhere(highest - lowest > _UPRIGHT_M).astype(np.float64)
-    cells: FloatArray = (upright - half + 0.5) * _PLAN_M
-    return cells
+    return (upright - half + 0.5) * _PLAN_M
 
 
 def road_plan(road: Float32Array | FloatArray) -> FloatArray:

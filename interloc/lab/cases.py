@@ -13,7 +13,8 @@ from typing import Literal
 import numpy as np
 
 from interloc.drive import Drive
-from interloc.drives.georeference.read import ODOMETRY_OF_RAW
+from interloc.drives.files import SourceFile
+from interloc.drives.georeference.read import ODOMETRY_OF_RAW, read_oxts_rows
 from interloc.drives.open import open_drive
 from interloc.drives.options import DriveOptions, LabelFolder
 from interloc.errors import ConfigError, DriveError, GeoreferenceError, MapError
@@ -21,7 +22,7 @@ from interloc.evaluation.published import SEQUENCES
 from interloc.lab.config import SceneConfig, SimulationOptions, StreetConfig
 from interloc.lab.drive import Trip, simulate
 from interloc.lab.streets import read_map
-from interloc.lab.tracks import LidarTrack, read_oxts, track_from_oxts
+from interloc.lab.tracks import LidarTrack, track_from_oxts
 from interloc.osm.container import MAP_ENDINGS
 from interloc.processes import Progress
 
@@ -198,7 +199,7 @@ def twin_files(kitti_dir: Path, sequence: str, *, poses: Poses = "suma") -> dict
 def twin_track(kitti_dir: Path, sequence: str, *, poses: Poses = "suma") -> LidarTrack:
     """Return the track of a sequence: places from OXTS, and the given poses to be written with the drive."""
     files = twin_files(kitti_dir, sequence, poses=poses)
-    rows = read_oxts(files["oxts"])
+    rows = read_oxts_rows(SourceFile(files["oxts"], Path()))
     camera = np.loadtxt(files["poses"]).reshape(-1, 3, 4)
     times = np.loadtxt(files["times"])
     count = min(len(rows), len(camera), len(times))

@@ -28,9 +28,9 @@ from interloc.drive import Georeference, GroundPoints
 from interloc.errors import ConfigError
 from interloc.kernels import compiled
 from interloc.lab.config import LidarConfig
+from interloc.lab.drive import Lidar
 from interloc.lab.ground import Layer, Surface, line_parts, paint
 from interloc.lab.kinds import KINDS, Plan
-from interloc.lab.lidar import Lidar
 from interloc.pipeline import detect
 from interloc.processes import Progress
 

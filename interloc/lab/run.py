@@ -56,7 +56,7 @@ class Benchmark:
     def measured(self, rows: list[Row]) -> Measured:
         """Return the rows of this benchmark for its tables."""
         names = tuple(dict.fromkeys(case.name for case in self.cases))
-        return Measured(tuple(rows), names, tuple(each.name for each in self.configs), self.noises, self.labels)
+        return Measured(tuple(rows), names, tuple(each.name for each in self.configs), self.noises)
 
     def cells(self, case: Case) -> list[tuple[Cell, DetectorConfig]]:
         """Return what is to be measured on a drive."""
@@ -203,7 +203,7 @@ def write_benchmark(benchmark: Benchmark, rows: list[Row], out: Path) -> tuple[s
     record = {
         "benchmark": benchmark.title,
         "policy": benchmark.truth.policy,
-        "labels": measured.labels,
+        "labels": benchmark.labels,
         "drives": list(measured.drives),
         "presets": list(measured.presets),
         "noises": list(measured.noises),

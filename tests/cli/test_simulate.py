@@ -15,18 +15,6 @@ from interloc.lab.config import SENSORS
 FEW = ("--max-scans", 4, "--columns", 90)
 
 
-@pytest.fixture
-def street(tmp_path: Path) -> tuple[Path, Path]:
-    """A street of 200 m to the east, as a map, and a ride along it, as a CSV."""
-    osm, track = tmp_path / "street.osm", tmp_path / "ride.csv"
-    osm.write_text(
-        '<osm version="0.6"><node id="1" lat="49.0" lon="8.4"/><node id="2" lat="49.0" lon="8.4027"/>'
-        '<way id="1"><nd ref="1"/><nd ref="2"/><tag k="highway" v="residential"/></way></osm>'
-    )
-    track.write_text("lat,lon\n49.0,8.4005\n49.0,8.4022\n")
-    return osm, track
-
-
 def test_the_small_town_is_a_drive_with_its_map(tmp_path: Path, interloc: Callable) -> None:
     drive = tmp_path / "drive"
     outcome = interloc("simulate", "town", "--part", "plain", "-o", drive, *FEW)
@@ -71,24 +59,6 @@ def test_ground_only(tmp_path: Path, interloc: Callable) -> None:
     assert facts["town"] == "quarter"
     labels = np.fromfile(drive / "labels/000000.label", dtype=np.uint32)
     assert set(labels.tolist()) <= {40, 44, 48, 49, 60}
-
-
-def test_any_map_and_track(tmp_path: Path, street: tuple[Path, Path], interloc: Callable) -> None:
-    osm, track = street
-    drive = tmp_path / "drive"
-    outcome = interloc("simulate", "track", "--osm", osm, "--track", track, "-o", drive, "--offset", 1.5, *FEW)
-    assert outcome.code == 0
-    assert str(osm) in outcome.out
-    assert open_drive(drive).georeference is not None
-
-
-def test_a_track_of_another_place(tmp_path: Path, street: tuple[Path, Path], interloc: Callable) -> None:
-    osm, track = street
-    track.write_text("lat,lon\n48.0,8.4005\n48.0,8.4022\n")
-    outcome = interloc("simulate", "track", "--osm", osm, "--track", track, "-o", tmp_path / "drive")
-    assert outcome.code == 1
-    assert outcome.complaint
-    assert not (tmp_path / "drive").exists()
 
 
 def test_the_twin_of_an_unknown_sequence(tmp_path: Path, interloc: Callable) -> None:

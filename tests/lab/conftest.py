@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from interloc.lab.config import LidarConfig, RoadsideConfig, SceneConfig, StreetConfig, TrackConfig
-from interloc.lab.lidar import Lidar
+from interloc.lab.drive import Lidar
 from interloc.lab.measure import Cell, Place, Row
 from interloc.lab.scene import Scene, build_scene
 from interloc.lab.streets import read_map

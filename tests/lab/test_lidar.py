@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from interloc.lab.config import LidarConfig
+from interloc.lab.drive import Lidar
 from interloc.lab.ground import KERB_M
-from interloc.lab.lidar import Lidar
 from interloc.lab.scene import Scene
 
 Seen = tuple[np.ndarray, np.ndarray]

@@ -105,7 +105,7 @@ def test_files_of_a_benchmark(benchmark: Benchmark, finished: tuple[Path, list[R
     assert pooled["ace_m"]["spread"] is not None
     assert len(record["rows"]) == 6
     assert "made up by a simulator" in record["attribution"]
-    assert "IV. Errors of the labels" in (out / "benchmark.txt").read_text()
+    assert "tables II to IV of the paper" in (out / "benchmark.txt").read_text()
 
 
 def test_twins_in_processes_are_the_same_and_leave_nothing_behind(kitti: Path, tmp_path: Path) -> None:

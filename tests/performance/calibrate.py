@@ -32,10 +32,10 @@ from scipy.optimize import minimize
 from interloc.arrays import BoolArray, FloatArray
 from interloc.config import PRESETS, CalibrationConfig, DetectorConfig
 from interloc.drive import Drive
-from interloc.drives.label_errors import MislabelledDrive, parse_level
 from interloc.evaluation.evaluate import evaluate
 from interloc.geometry import enu_from_lonlat
 from interloc.lab.cases import FolderCase, TwinCase
+from interloc.lab.measure import MislabelledDrive, parse_level
 from interloc.lab.places import BOUND_95
 from interloc.mapping.estimation import SightingStats, fix_variance, junction_probability, position_covariance
 from interloc.mapping.fusion import evidence, fuse

@@ -365,18 +365,22 @@ def _mean_square(
     inside = (fix_times >= times[0]) & (fix_times <= times[-1])
     ours = np.interp(fix_times, times, positions[:, 0]) + 1j * np.interp(fix_times, times, positions[:, 1])
     theirs = enu[:, 0] + 1j * enu[:, 1]
-    squares, shared, free = 0.0, 0.0, 0
-    for window in windows:
-        rows = window[inside[window]]
-        if len(rows) < max(_MIN_IN_WINDOW - 1, 0.7 * len(window)):
-            continue
-        a, b = ours[rows] - ours[rows].mean(), theirs[rows] - theirs[rows].mean()
-        turn = np.vdot(a, b)
-        off = b - a * turn / max(abs(turn), 1e-9)
-        squares += float((np.abs(off) ** 2).sum())
-        shared += float(np.vdot(off[:-1], off[1:]).real)
-        free += 2 * len(rows) - 3
-    if not free:
+    kept = [rows for window in windows if _enough(rows := window[inside[window]], window)]
+    if not kept:
         return float("inf"), 0.0
+    rows, counts = np.concatenate(kept), np.array([len(each) for each in kept])
+    begins = np.cumsum(counts) - counts
+    a, b = (each[rows] - np.repeat(np.add.reduceat(each[rows], begins) / counts, counts) for each in (ours, theirs))
+    turn = np.add.reduceat(np.conj(a) * b, begins)
+    off = b - a * np.repeat(turn / np.maximum(np.abs(turn), 1e-9), counts)
+    follows: BoolArray = np.ones(len(rows), dtype=np.bool_)
+    follows[begins] = False  # the one before it is of another piece
+    shared = float((np.conj(off[:-1]) * off[1:]).real[follows[1:]].sum())
+    squares, free = float((np.abs(off) ** 2).sum()), int((2 * counts - 3).sum())
     alike = min(max(shared / max(squares, 1e-9), 0.0), 0.99)
     return squares / free, free * (1.0 - alike) / (1.0 + alike)
+
+
+def _enough(rows: IntArray, window: IntArray) -> bool:
+    """Return whether so many rows of a piece lie within the drive that it counts."""
+    return len(rows) >= max(_MIN_IN_WINDOW - 1, 0.7 * len(window))
