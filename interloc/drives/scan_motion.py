@@ -118,11 +118,12 @@ def check_scan_motion(
     tells = pairs or any(each.ratio * _CLOSER < 1.0 for each in mistakes)
     scale = _scale_of(matcher.laid, poses) if matcher.kind == "upright" else None
     is_unexplained = fault is None or fault[3] == _ANOTHER
-    if scale is None and is_unexplained and not (is_computed or drive.is_slow or drive.georeference):
+    is_long = float(np.linalg.norm(np.ptp(poses[:, :3, 3], axis=0))) > _MUCH_M
+    if scale is None and is_unexplained and is_long and not (is_computed or drive.is_slow or drive.georeference):
         with findings.stage():
             scale = _scale_of_ground(drive, usable)
     is_off = scale is not None and abs(np.log(scale)) > _OFF_SCALE
-    if scale is None and fault is None and float(np.linalg.norm(np.ptp(poses[:, :3, 3], axis=0))) > _MUCH_M:
+    if scale is None and fault is None and is_long:
         what = "the scale of the poses is right" if tells else "the scans move as the poses do"
         told = findings.untold if is_computed or drive.georeference else findings.warning
         told(pose_file, f"whether {what} cannot be told: the scans hold too little that stands upright.")
@@ -236,7 +237,9 @@ def _scale_of_ground(drive: FolderDrive, usable: IntArray) -> float | None:
         return None
     sums = np.where(known, np.nansum(shares, axis=0) / np.maximum(np.isfinite(shares).sum(axis=0), 1), np.inf)
     best, as_told = int(np.argmin(sums)), len(_GROUND_SCALES) // 2
-    beside = shares[:, np.clip([best - _BESIDE, best + _BESIDE], 0, len(sums) - 1)].mean(axis=1)
+    if not _BESIDE <= best < len(sums) - _BESIDE:
+        return None
+    beside = shares[:, [best - _BESIDE, best + _BESIDE]].mean(axis=1)
     tell = shares[beside > shares[:, best] + _RISE]
     gain = tell[:, as_told] - tell[:, best]
     is_off = gain.mean() > max(_MIN_GAIN, _GAIN * tell[:, best].mean()) if len(tell) else False
