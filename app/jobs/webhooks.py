@@ -7,18 +7,16 @@ same transaction, so that no kill comes in between; a `Deliverer` makes the call
 import base64
 import hashlib
 import hmac
-import http.client
 import json
 import logging
-import socket
 import threading
 from collections import Counter, defaultdict
 from collections.abc import Collection, Mapping
-from contextlib import suppress
 from datetime import datetime
 from typing import Any, Literal
 from urllib.parse import urlsplit
 
+import httpx
 from pydantic import BaseModel, ConfigDict, Field
 from sqlalchemy import select, update
 from sqlalchemy.exc import SQLAlchemyError
@@ -36,7 +34,7 @@ RETRIES_S = (5, 300)
 """Pauses after the first try and the second; the third is the last."""
 
 _LOOK_S = 1.0
-_CALL_S = 15.0  # for a call as a whole; after twice that time its server is taken for dead, and it is made again
+_CALL_S = 15.0  # for each step of a call; after twice that time its server is taken for dead, and it is made again
 _AT_ONCE_PER_HOST = 4  # a host that answers slowly, or not at all, keeps only itself waiting
 _TOLD_BYTES = 200  # of an answer that is no success: what of it is kept
 
@@ -222,41 +220,25 @@ class Deliverer:
 
 def _call(delivery: Delivery, secret: bytes, seconds: int) -> str | None:
     """Send a message by POST, without redirects and proxies; return why that failed."""
-    parts, body = urlsplit(delivery.uri), delivery.body.encode()
+    body = delivery.body.encode()
     headers = {
         "Content-Type": "application/json",
         "User-Agent": "InterLoc",
-        "Connection": "close",
         "webhook-id": delivery.id,
         "webhook-timestamp": str(seconds),
         "webhook-signature": signature(secret, delivery.id, seconds, body),
     }
-    kind = http.client.HTTPSConnection if parts.scheme == "https" else http.client.HTTPConnection
-    connection = kind(str(parts.hostname), parts.port, timeout=_CALL_S)
-    is_late = threading.Event()
-
-    def hang_up() -> None:
-        is_late.set()
-        with suppress(OSError):
-            connection.sock.shutdown(socket.SHUT_RDWR)
-
-    in_time = threading.Timer(_CALL_S, hang_up)
-    in_time.daemon = True
     try:
-        connection.connect()
-        in_time.start()  # the timeout above is that of each step, and an answer may come one byte at a time
-        connection.request("POST", (parts.path or "/") + (f"?{parts.query}" if parts.query else ""), body, headers)
-        answer = connection.getresponse()
-        if is_late.is_set():
-            raise TimeoutError
-        if 200 <= answer.status < 300:
-            return None
-        return f"{answer.status} {answer.reason}: {answer.read(_TOLD_BYTES).decode(errors='replace')}"[:500]
-    except (OSError, http.client.HTTPException, UnicodeError) as error:
-        return f"no answer within {_CALL_S:g} s" if is_late.is_set() else f"{type(error).__name__}: {error}"[:500]
-    finally:
-        in_time.cancel()
-        connection.close()
+        with (
+            httpx.Client(trust_env=False, timeout=_CALL_S, headers=headers) as client,
+            client.stream("POST", delivery.uri, content=body) as answer,
+        ):
+            if answer.is_success:
+                return None
+            told = next(answer.iter_bytes(_TOLD_BYTES), b"")
+            return f"{answer.status_code} {answer.reason_phrase}: {told.decode(errors='replace')}"[:500]
+    except (httpx.HTTPError, httpx.InvalidURL, httpx.StreamError) as error:
+        return f"{type(error).__name__}: {error}"[:500]
 
 
 def signature(secret: bytes, id_: str, seconds: int, body: bytes) -> str:

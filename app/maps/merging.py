@@ -78,31 +78,21 @@ class Merger:
         with self._context.database.reading() as session:
             cities = session.scalars(select(CityMap).order_by(CityMap.created_at)).all()
             standings = standings_of(session, self._context, cities)
-        waiting = [city.id for city in cities if standings[city.id].is_waiting(city)]
-        for map_id in waiting:
+        waiting = [city for city in cities if standings[city.id].is_waiting(city)]
+        for city in waiting:
             if self._stopping.is_set():
                 break
-            self._look_at(map_id)
+            bring = self._merge if standings[city.id].is_stale else self._audit
+            try:
+                bring(city, standings[city.id])
+            except _LostError:
+                pass
+            except SQLAlchemyError as error:
+                _log.warning("map %s: not brought up to date, tried again: %s", city.id, error)
+            except Exception:  # noqa: BLE001 - the others go on
+                _log.exception("map %s: not brought up to date, tried again later", city.id)
+                self._stopping.wait(_AGAIN_S)
         return bool(waiting)
-
-    def _look_at(self, map_id: str) -> None:
-        try:
-            with self._context.database.reading() as session:
-                city = session.get(CityMap, map_id)
-                standing = None if city is None else standings_of(session, self._context, [city])[map_id]
-            if city is None or standing is None:
-                return
-            if standing.is_stale:
-                self._merge(city, standing)
-            elif standing.is_waiting(city):
-                self._audit(city, standing)
-        except _LostError:
-            pass
-        except SQLAlchemyError as error:
-            _log.warning("map %s: not brought up to date, tried again: %s", map_id, error)
-        except Exception:  # noqa: BLE001 - the others go on
-            _log.exception("map %s: not brought up to date, tried again later", map_id)
-            self._stopping.wait(_AGAIN_S)
 
     def _merge(self, city: CityMap, standing: Standing) -> None:
         storage = self._context.storage

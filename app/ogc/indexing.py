@@ -1,6 +1,6 @@
 """The rows of features follow the results: written when a job ends or a map is merged, and for older jobs later.
 
-The features of a job that goes to the trash stay, and are not shown; they go with its row.
+The features of jobs whose drive is in the trash stay, and are not shown; they go with its row.
 """
 
 import logging

@@ -149,7 +149,7 @@ class Job(Base):
     started_at: Mapped[float | None]
     finished_at: Mapped[float | None]
     deleted_at: Mapped[float | None]
-    """Since when it lies in the trash; that its drive does is not written here."""
+    """Set while it is being purged; that its drive lies in the trash is not written here."""
     deleted_by: Mapped[str | None]
 
     attempts: Mapped[int] = mapped_column(Integer, default=0)

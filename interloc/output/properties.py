@@ -416,6 +416,11 @@ class OsmRoadProperties(ResultProperties):
     highway: str = Field(title="Class of road", description="Value of its tag `highway`.")
     name: str | None = Field(title="Name", description="Name or else reference number; null if it has none.")
     is_drivable: bool = Field(title="Drivable", description="Whether it is a road under policy drive+service.")
+    is_one_way: bool | None = Field(
+        None,
+        title="One-way",
+        description="Whether people drive only in the direction of the line; null in results that do not say.",
+    )
     seen_m: RoadWidth = Field(
         None,
         title="Seen",

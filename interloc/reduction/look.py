@@ -36,7 +36,14 @@ from interloc.drives.scans.pcd import PcdScans, number_scans, open_pcd_files, re
 from interloc.drives.scans.raw import RawScans, trajectory_of
 from interloc.drives.scans.recorded import LABEL_FIELDS, Recording
 from interloc.drives.scans.reduced import ReducedScans, reduced_trajectory
-from interloc.drives.scans.reduced_format import ReducedLabels, ReducedManifest, from_runs, read_manifest, to_runs
+from interloc.drives.scans.reduced_format import (
+    ReducedLabels,
+    ReducedManifest,
+    SourceScans,
+    from_runs,
+    read_manifest,
+    to_runs,
+)
 from interloc.drives.scans.rosbag.bag import find_bag
 from interloc.drives.trajectory import LidarPoses, Trajectory, read_trajectory
 from interloc.geometry import enu_from_lonlat, lonlat_from_enu
@@ -86,7 +93,7 @@ class LookedPlan(BaseModel):
     kept: list[tuple[int, int]] = Field(description="Scans to send, as runs: the first number, and how many there are.")
     files: dict[str, str] = Field(description="Small files to send: path in the reduced drive -> path in the folder.")
     manifest: ReducedManifest = Field(
-        description="reduced.json, to be completed with label folders that were not counted, and sizes (`source`)."
+        description="reduced.json; label folders that are not sent are to be left out of it."
     )
 
 
@@ -317,16 +324,19 @@ class _Look:
             rows = rows_of_part(options.frames, frames, parts.file(parts.scans).name)
             frames, trajectory = frames[rows], trajectory.part(rows)
         if is_bin:
-            self._plan(parts, frames, trajectory, options)
+            self._plan(parts, recording, frames, trajectory, options)
         self._show(trajectory, pose_file, frames)
 
-    def _plan(self, parts: DriveParts, frames: IntArray, trajectory: Trajectory, options: DriveOptions) -> None:
+    def _plan(
+        self, parts: DriveParts, recording: Recording, frames: IntArray, trajectory: Trajectory, options: DriveOptions
+    ) -> None:
         """Say what a client sends that reduces the scans itself, with the labels whose ids were counted."""
         plan = plan_of(parts, frames, trajectory, options.oxts, self.keyframes, self.findings)
         if plan is None:
             return
-        counted = [
-            ReducedLabels.of(folder, scheme, dict(self.counts[folder])) for folder, scheme in self.schemes.items()
+        labels = [
+            ReducedLabels.of(folder, scheme, dict(self.counts[folder]), self.found.labels[folder].size_bytes)
+            for folder, scheme in self.schemes.items()
         ]
         kept = [(int(first), int(count)) for first, count in to_runs(plan.kept)]
         files = {
@@ -334,7 +344,15 @@ class _Look:
             for name, source in plan.copies.sources.items()
             if isinstance(source, Path) and source.is_relative_to(self.place)
         }
-        manifest = plan.manifest.with_labels(counted)
+        points = recording.point_counts
+        assert points is not None
+        source = SourceScans(
+            scan_bytes=recording.scan_bytes,
+            points_per_scan=int(np.median(points)),
+            least_points=int(points.min()),
+            most_points=int(points.max()),
+        )
+        manifest = plan.manifest.with_labels(labels, source)
         self.found.plan = LookedPlan(scans=len(frames), kept=kept, files=files, manifest=manifest)
 
     def _open_pcd(self, parts: DriveParts, options: DriveOptions) -> Recording:

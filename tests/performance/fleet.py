@@ -7,6 +7,7 @@ import hashlib
 import json
 import os
 import random
+import shutil
 import socket
 import subprocess
 import sys
@@ -364,8 +365,7 @@ class Client:
         while len(self._mine) > KEPT_DRIVES:
             old = self._mine.pop(0)
             self.ledger.forget(old)
-            self.ask("DELETE", f"/drives/{old}")
-            self.ask("DELETE", f"/trash/drives/{old}")
+            self.ask("DELETE", f"/drives/{old}?purge=true")
 
     def _merge(self, drive: str) -> None:
         """Make a map of a drive, take the drive out, put it in again: it is the same map with the same names."""
@@ -462,7 +462,7 @@ def clients(fleet: Fleet, ledger: Ledger, street: Path, reference: dict[str, str
 
 
 class Backups:
-    """`interloc backup` into one folder, over and over."""
+    """`interloc backup`, over and over."""
 
     def __init__(self, fleet: Fleet, out: Path, ledger: Ledger) -> None:
         self._fleet = fleet
@@ -492,6 +492,7 @@ class Backups:
         log, out = self.out.with_name("backup.log"), self.out.with_name("backup.out")
         while not self._stopping.wait(0.5):
             log.write_bytes(b"")
+            shutil.rmtree(self.out, ignore_errors=True)
             arguments = ["backup", self.out, "--data-dir", self._fleet.data, "--quiet"]
             self._process = forks.Command(arguments, environment, out, log)
             if self._process.wait() == 0:

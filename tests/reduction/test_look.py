@@ -50,7 +50,8 @@ def errors(look: DriveLook) -> list[str]:
 
 def test_a_look_finds_what_reading_the_drive_finds(drive: Path) -> None:
     look, report = look_at(drive), inspect_drive(drive)
-    plan = prepare_reduction(drive, keyframes=KeyframeConfig()).plan
+    reduction = prepare_reduction(drive, keyframes=KeyframeConfig())
+    plan = reduction.plan
     assert (look.layout, look.pose_frame) == (report.layout, report.pose_frame)
     assert (look.scans.count, look.scans.size_bytes) == (report.scans, report.scan_bytes)
     assert look.scans.runs == [(0, 12)]
@@ -60,7 +61,7 @@ def test_a_look_finds_what_reading_the_drive_finds(drive: Path) -> None:
     assert look.keyframes == len(plan.kept)
     assert look.frames_to_look_into == [0, 3, 6, 8, 11]
     assert errors(look) == []
-    assert look.plan.manifest == plan.manifest
+    assert look.plan.manifest == plan.manifest.with_labels([], reduction.manifest.source)
     assert (look.plan.scans, look.plan.kept) == (12, [(0, 1), (3, 1), (6, 1), (9, 1)])
     every = look_at(drive, keyframes=None).plan
     assert (every.kept, every.manifest.keyframes) == ([(0, 12)], None)

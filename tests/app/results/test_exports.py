@@ -85,7 +85,7 @@ def test_tables_and_layers_that_are_made_of_the_intersections(finished: Finished
     table = finished.get("/jobs/default/export.csv?layer=osm-roads")
     assert table.headers["content-type"] == "text/csv; charset=utf-8"
     assert table.text.startswith(
-        "wkt,osm_id,highway,name,is_drivable,seen_m,mapped,offset_m,width_m,is_driven,drive,job,preset,labels,"
+        "wkt,osm_id,highway,name,is_drivable,is_one_way,seen_m,mapped,offset_m,width_m,is_driven,drive,job,preset,labels,"
         'attribution\r\n"LINESTRING ('
     )
     lines = finished.get("/jobs/default/export.geojson?layer=branches").json()
