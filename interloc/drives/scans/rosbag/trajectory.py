@@ -7,7 +7,7 @@ import numpy as np
 
 from interloc.arrays import BoolArray, FloatArray, IntArray
 from interloc.drive import Georeference
-from interloc.drives.findings import DriveFileError, Findings
+from interloc.drives.findings import DriveFileError, Finding, Findings
 from interloc.drives.georeference.fixes import (
     MIN_EXTENT_M,
     MIN_FIXES,
@@ -52,6 +52,12 @@ from interloc.drives.scans.rosbag.motion import (
 from interloc.drives.trajectory import LidarPoses, Trajectory, read_trajectory
 from interloc.errors import InterLocError
 from interloc.geometry import enu_from_lonlat, from_first
+
+_COMPARED = 3
+"""So many topics of poses are held against each other."""
+
+_APART_M, _APART = 3.0, 0.007
+"""So far may poses part, and by that share of the way: good odometry drifts by less than 1 %."""
 
 _MANY, _MOST = 0.2, 0.9
 """Shares of the scans without a pose: that is worth a warning, and no drive."""
@@ -148,24 +154,58 @@ def _owned_first(candidates: list[BagTopic], bag: Bag, points: PointsTopic, tree
 def _first_that_covers(
     candidates: list[BagTopic], bag: Bag, points: PointsTopic, times: ScanTimes, tree: FrameTree, findings: Findings
 ) -> tuple[BagTopic, LidarMotion, ScanTimes]:
-    """Return the first topic whose poses are known at some scan, its motion, and the times of scans by its clock."""
+    """Return the topic whose poses are known at some scan, its motion, and the times of scans by its clock.
+
+    It is the first, but for odometry of wheels, which lies in a plane, where there are others.
+    """
+    covering: list[tuple[BagTopic, LidarMotion, ScanTimes, list[Finding]]] = []
     faults: list[DriveFileError] = []
     for topic in candidates:
+        said = Findings(stop_at_first=False)
         try:
-            motion, on_clock = _cover(topic, bag, points, times, tree, findings)
+            covering.append((topic, *_cover(topic, bag, points, times, tree, said), said.found))
         except DriveFileError as error:
-            faults.append(error)
+            faults += [] if covering else [error]
+        if len(covering) == _COMPARED:
+            break
+    if not covering:
+        raise faults[0]
+    wheels = [_looks_like_wheels(topic, motion) for topic, motion, *_ in covering]
+    chosen = wheels.index(min(wheels))
+    topic, motion, on_clock, told = covering[chosen]
+    for finding in [*(Finding("warning", fault.path, fault.message) for fault in faults), *told]:
+        findings.tell(finding)
+    others = [other.name for other in candidates if other is not topic]
+    text = (
+        f"the poses are taken from {topic.name} ({topic.type}); others may be in {', '.join(others[:5])}. Choose with "
+        "--poses."
+    )
+    for (other, moves, *_), rank in zip(covering, wheels, strict=True):
+        both = on_clock.stamp_s[motion.covers(on_clock.stamp_s) & moves.covers(on_clock.stamp_s)]
+        if other is topic or rank != wheels[chosen] or len(both) < 2:
             continue
-        for fault in faults:
-            findings.warning(fault.path, fault.message)
-        if others := [other.name for other in candidates if other is not topic]:
-            findings.note(
+        ours, theirs = (from_first(each.at(both))[:, :3, 3] for each in (motion, moves))
+        apart_m = float(np.linalg.norm(ours - theirs, axis=1).max())
+        length_m = float(np.linalg.norm(np.diff(ours, axis=0), axis=1).sum())
+        if apart_m > max(_APART_M, _APART * length_m):
+            findings.warning(
                 bag.name,
-                f"the poses are taken from {topic.name} ({topic.type}); others may be in {', '.join(others[:5])}. "
-                "Choose with --poses.",
+                f"which poses are better cannot be told: on {length_m:,.0f} m those of {topic.name} and {other.name} "
+                f"part by {apart_m:.0f} m. One of them drifts, as odometry of wheels does, or jumps; {text}",
             )
-        return topic, motion, on_clock
-    raise faults[0]
+            return topic, motion, on_clock
+    if others:
+        findings.note(bag.name, text)
+    return topic, motion, on_clock
+
+
+def _looks_like_wheels(topic: BagTopic, motion: LidarMotion) -> int:
+    """Tell how much speaks for odometry of wheels: its name, and that it lies in a plane, as no measured poses do."""
+    if topic.type in TRANSFORMS:
+        return 0
+    T = motion.edges[0].moves.poses
+    is_plane = bool((T[:, 2, 3] == T[0, 2, 3]).all() and (T[:, 2, 2] > 1 - 1e-12).all())
+    return 2 * ("wheel" in topic.name.lower()) + is_plane
 
 
 def _cover(
