@@ -15,7 +15,7 @@ from multiprocessing import active_children, get_all_start_methods, get_context,
 from multiprocessing.process import BaseProcess
 from typing import Any, TypeVar
 
-from interloc.errors import InterLocError
+from interloc.errors import ConfigError, InterLocError, install
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -25,6 +25,8 @@ Progress = Callable[[int, int], None]
 
 GARBAGE_THRESHOLD = 20_000
 """Objects from which garbage is looked for in a process of our own; by default 700, which takes a tenth of its time."""
+
+_PATIENCE_S = 10.0  # with a scheduler that does not answer
 
 _messages: Any = None
 """In a worker: the queue to the parent process."""
@@ -107,6 +109,24 @@ def in_own_process(work: Callable[[Task], Result], task: Task) -> Result:
             return future.result()
         except (BrokenProcessPool, EOFError):
             raise InterLocError("its process was ended from outside. Usual cause: too little memory.") from None
+
+
+def dask_client(address: str) -> Any:  # noqa: ANN401 - distributed has no types
+    """Connect with the scheduler of a Dask cluster."""
+    try:
+        from distributed import Client  # noqa: PLC0415 - an extra
+
+        connect: Any = Client
+        return connect(address, timeout=_PATIENCE_S, name="interloc", set_as_default=False)
+    except ImportError as error:
+        raise ConfigError(
+            f"a Dask scheduler is named ({address}), but Dask is not installed. Install it: {install('dask')}"
+        ) from error
+    except (OSError, ValueError, TimeoutError) as error:
+        raise ConfigError(
+            f"no Dask scheduler answers at {address} ({error or type(error).__name__}). "
+            "Start one (`dask scheduler`), and workers (`dask worker ADDRESS`) that see the same files."
+        ) from error
 
 
 def stop_processes() -> None:

@@ -2,11 +2,11 @@
 
 from pathlib import Path
 
+from interloc.lab.cases import twin_files
 from interloc.lab.config import SceneConfig
 from interloc.lab.scene import Scene, build_scene
 from interloc.lab.streets import read_map
 from interloc.lab.tracks import LidarTrack
-from interloc.lab.twins import twin_files
 
 
 def twin_scene(

@@ -245,9 +245,6 @@ class LookRequest(Body):
         description="Path in the folder -> contents, Base64: poses, times, calibration, georeference. `wanted` of an "
         "answer names those that were left out.",
     )
-    ranges: dict[str, dict[Annotated[int, Field(ge=0)], Annotated[bytes, EncodedBytes(encoder=_StrictBase64)]]] = Field(
-        {}, description="Path of a bag -> first byte of a range -> its bytes, Base64; see `wanted_ranges`."
-    )
     root: str | None = Field(
         None, description="Path in the folder of the drive to look into; null: the first. Empty: the folder itself."
     )

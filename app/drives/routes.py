@@ -105,7 +105,7 @@ def list_drives(
     openapi_extra=CHANGES_NOTHING,
     responses=problems({413: "The listing is too large.", 422: "A member is refused, or the work takes too long."}),
 )
-@priced("heavy", bound="the body: listing, small files and ranges", body_bytes=32 * 1024**2)
+@priced("heavy", bound="the body: listing and small files", body_bytes=32 * 1024**2)
 async def look_into_folder(request: LookRequest, context: ContextDep, runner: RunnerDep, client: ClientDep) -> Response:
     """Tell which drives a folder of yours holds, what is wrong with one of them, where it went, and what to send of it.
 
@@ -122,7 +122,6 @@ async def look_into_folder(request: LookRequest, context: ContextDep, runner: Ru
         UploadOptions.model_validate(dict(request.options)),
         request.keyframes,
         request.label_counts,
-        request.ranges,
         WorkSettings.model_validate(context.settings),
         await run_in_threadpool(context.storage.incoming),
         client=client,

@@ -100,12 +100,12 @@ def refuse_unless_open(drive: Drive | DriveCounts, paths: Iterable[str]) -> None
 
 
 def check_upload(
-    context: Context, drive_id: str, path: str, length: int, sender: str, *, is_packed: bool = False
+    context: Context, drive_id: str, paths: Sequence[str], length: int, sender: str, *, is_packed: bool = False
 ) -> None:
-    """Refuse an upload before its body is read, if `keep` would refuse it afterwards."""
+    """Refuse an upload before its body is read, if `keep` would refuse it afterwards; `paths`: those that are known."""
     with context.database.reading() as session:
         drive = find_drive(session, drive_id)
-        refuse_unless_open(drive, [path])
+        refuse_unless_open(drive, paths)
         check_drive(context, drive.file_count, drive.size_bytes + (0 if is_packed else length))
         check_quota(context, session, drive.owner, sender, length)
 

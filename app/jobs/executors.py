@@ -10,11 +10,10 @@ from typing import Any, Protocol, TypeVar, TypeVarTuple
 from app.jobs.processes import NoWorkersError, ProcessExecutor, WorkerLostError
 from app.settings import Settings
 from app.work.kinds import compile_kernels
-from interloc.errors import ConfigError, install
-from interloc.processes import cores
+from interloc.errors import ConfigError
+from interloc.processes import cores, dask_client
 
 _ASK_AGAIN_S = 5.0
-_PATIENCE_S = 10.0  # with a scheduler that does not answer
 
 Given = TypeVarTuple("Given")
 Result = TypeVar("Result")
@@ -83,23 +82,10 @@ class DaskExecutor:
         self._asking = threading.Lock()
         self._client: Any  # of distributed, which has no types
         self._executor: Executor
-        try:
-            self._connect()
-        except ImportError as error:
-            raise ConfigError(
-                f"a Dask scheduler is named ({address}), but Dask is not installed. Install it: {install('dask')}"
-            ) from error
-        except (OSError, ValueError, TimeoutError) as error:
-            raise ConfigError(
-                f"no Dask scheduler answers at {address} ({error or type(error).__name__}). "
-                "Start one (`dask scheduler`), and workers (`dask worker ADDRESS`) that see the same files."
-            ) from error
+        self._connect()
 
     def _connect(self) -> None:
-        from distributed import Client  # noqa: PLC0415 - an extra
-
-        connect: Any = Client
-        self._client = connect(self._address, timeout=_PATIENCE_S, name="interloc", set_as_default=False)
+        self._client = dask_client(self._address)
         # Not pure: a repeated call must be executed again, because its outcome is a file, not its value.
         self._executor = self._client.get_executor(pure=False)
 
@@ -118,7 +104,7 @@ class DaskExecutor:
                 ):  # it gives a scheduler up that was away for longer than its patience
                     self._connect()
                 slots = sum(self._client.nthreads().values())
-            except (OSError, ValueError, TimeoutError):
+            except (OSError, ValueError, TimeoutError, ConfigError):
                 slots = 0
             finally:
                 self._known_slots = time.monotonic() + _ASK_AGAIN_S, slots

@@ -3,8 +3,8 @@
 import sqlite3
 import threading
 import time
-from collections.abc import Callable, Generator, Iterator
-from contextlib import contextmanager, nullcontext
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -19,15 +19,14 @@ from sqlalchemy.exc import ArgumentError, DBAPIError, OperationalError
 from sqlalchemy.exc import TimeoutError as WaitedTooLong
 from sqlalchemy.orm import Session, sessionmaker
 
-from app.store.features import make_tables
-from app.store.models import Base
+from app.store.models import Base, make_tables
 from interloc.errors import ConfigError, InterLocError
 
 _MIGRATIONS = Path(__file__).parent / "migrations"
 _UPGRADE_LOCK = 0x1E7E210C  # any number: PostgreSQL's advisory lock of servers that start together
 _UPGRADE_PATIENCE_S = 60  # of a server that starts while another one still brings the tables up to date
 _CONNECT_TIMEOUT_S = 10
-_SILENCE_S = 30.0  # of a statement of PostgreSQL: a server that is paused, or whose machine hangs, closes nothing
+_SILENCE_S = 30.0  # of a statement of PostgreSQL
 
 PATIENCE_S = 5.0
 """Time that a request waits for the database at most, all queues together."""
@@ -37,7 +36,6 @@ _PROBE_S = 2.0
 _AGAIN_S = 0.01
 _STUCK_S = 1.0  # without any progress of the writers, no more than a few may wait
 _MAX_STUCK = 16
-_LOOK_S = 0.1
 _AFTERWARDS = "afterwards"
 
 _SQLITE_NOW = "SELECT round((julianday('now') - 2440587.5) * 86400.0, 3)"  # unixepoch('subsec') needs SQLite 3.42
@@ -65,8 +63,16 @@ class Database:
         if self.is_sqlite:
             options: dict[str, Any] = {"timeout": PATIENCE_S, "check_same_thread": False}
         else:
-            waits = f"-c lock_timeout={PATIENCE_S:g}s -c idle_in_transaction_session_timeout=60s"
-            options = {"connect_timeout": _CONNECT_TIMEOUT_S, "options": waits}
+            waits = {
+                "lock_timeout": PATIENCE_S,
+                "statement_timeout": _SILENCE_S,
+                "idle_in_transaction_session_timeout": 60,
+            }
+            options = {
+                "connect_timeout": _CONNECT_TIMEOUT_S,
+                "options": " ".join(f"-c {name}={seconds:g}s" for name, seconds in waits.items()),
+                "tcp_user_timeout": round(1000 * _SILENCE_S),  # a machine that is gone closes nothing
+            }
         # Enough connections for all threads that answer requests and work on jobs; more of them wait.
         self.engine = create_engine(
             self.url,
@@ -81,11 +87,14 @@ class Database:
             event.listen(self.engine, "do_connect", self._open_sqlite)
             event.listen(self.engine, "connect", _set_up_sqlite)
             event.listen(self.engine, "begin", _begin_sqlite)
-        else:
-            event.listen(self.engine, "do_connect", _connect_patiently)
         self._sessions = sessionmaker(self.engine, expire_on_commit=False)
         self.waits = Waits()
-        self._turns = _Turns(self.waits)
+        self._turn = threading.Lock()  # of SQLite, which has one writer
+        self._lock = threading.Lock()
+        self._writers = 0
+        """Number of those that wait, or write."""
+        self._moved = 0.0
+        """When one of them got on last."""
         self.check_place: Callable[[], None] = lambda: None
         """Called before a transaction that writes, and before its commit: where it raises, nothing is acknowledged."""
 
@@ -103,20 +112,53 @@ class Database:
         turn did not come in time, or that many wait and none gets on; an `OperationalError` that another process holds
         the lock.
         """
-        deadline = time.monotonic() + (_LONG_PATIENCE_S if patient else PATIENCE_S)
-        with self._turns.one(deadline, alone=self.is_sqlite, patient=patient) as begun, self._sessions() as session:
-            left_s = max(0.0, deadline - time.monotonic())
+        arrived = time.monotonic()
+        until = arrived + (_LONG_PATIENCE_S if patient else PATIENCE_S)
+        with self._waiting(arrived, until, patient=patient), self._sessions() as session:
+            left_s = max(0.0, until - time.monotonic())
             if self.is_sqlite:
                 session.connection(execution_options={"writes": True, "patience_s": left_s})
             elif patient:
                 session.execute(text(f"SET LOCAL lock_timeout = {round(1000 * left_s) or 1}"))
-            begun()
+            with self._lock:
+                self.waits.count += 1
+                self.waits.seconds += time.monotonic() - arrived
             self.check_place()
             yield session
             self.check_place()
             session.commit()
         for call in session.info.get(_AFTERWARDS, ()):
             call()
+
+    @contextmanager
+    def _waiting(self, arrived: float, until: float, *, patient: bool) -> Iterator[None]:
+        """Wait for the turn to write, of which SQLite gives one at a time.
+
+        Where something holds all writers up, more and more requests would wait, until no thread is left that could
+        answer anything else: once nothing moves, only a few may wait.
+        """
+        with self._lock:
+            self._moved = self._moved if self._writers else arrived
+            self._writers += 1
+            is_stuck = self._writers > _MAX_STUCK and arrived > self._moved + _STUCK_S
+        try:
+            if is_stuck and not patient:
+                raise DatabaseBusyError("many writers wait for the database, and none gets on")
+            if self.is_sqlite and not self._turn.acquire(timeout=max(0.0, until - time.monotonic())):
+                raise DatabaseBusyError("others wrote to the database all the time")
+            try:
+                yield
+            finally:
+                if self.is_sqlite:
+                    self._turn.release()
+            self._moved = time.monotonic()
+        except (WaitedTooLong, OperationalError):
+            with self._lock:
+                self.waits.given_up += 1
+            raise
+        finally:
+            with self._lock:
+                self._writers -= 1
 
     @contextmanager
     def snapshot(self) -> Iterator[Connection]:
@@ -163,8 +205,7 @@ class Database:
     def _upgrade(self, then: Callable[[Session], None] | None) -> None:
         with self.engine.connect().execution_options(writes=True) as connection, connection.begin():
             if not self.is_sqlite:
-                connection.connection.dbapi_connection.silence_s = float("inf")  # type: ignore[union-attr]
-                connection.detach()  # no request gets it
+                connection.execute(text("SET LOCAL statement_timeout = 0"))
                 connection.execute(text(f"SET LOCAL lock_timeout = '{_UPGRADE_PATIENCE_S}s'"))
                 connection.execute(text(f"SELECT pg_advisory_xact_lock({_UPGRADE_LOCK})"))
             config = Config()
@@ -184,9 +225,14 @@ class Database:
 
     def _refuse_unknown(self, found: str | None, config: Config) -> None:
         known = [script.revision for script in ScriptDirectory.from_config(config).walk_revisions()]
-        if found is None or found in known:
+        if found in known:
             return
         shown = self.url.render_as_string(hide_password=True)
+        if found is None:
+            raise InterLocError(
+                f"the database {shown} holds tables of the same names that InterLoc has not made. Give it one of its "
+                "own, INTERLOC_DATABASE_URL"
+            )
         if found > known[0]:
             raise InterLocError(
                 f"the database {shown} was made by a newer version of InterLoc (its tables are at {found!r}, this "
@@ -208,82 +254,6 @@ class Database:
             arguments[0] = f"{Path(path).absolute().as_uri()}?mode=rw"
             options["uri"] = True
         self._was_there = True
-
-
-class _Writer:
-    """A writer that waits, or writes."""
-
-    def __init__(self) -> None:
-        self.arrived = time.monotonic()
-        self.has_begun = False
-
-
-class _Turns:
-    """Writers take turns, so that those of this process do not starve each other, and none waits without end.
-
-    SQLite has one writer, PostgreSQL has many; where it or another process holds them all up, more and more requests
-    would wait, until no thread is left that could answer anything else. So only a few may wait once nothing moves.
-    """
-
-    def __init__(self, waits: Waits) -> None:
-        self._waits = waits
-        self._lock = threading.Lock()
-        self._turn = threading.Lock()
-        self._writers: dict[_Writer, None] = {}  # in the order of their arrival
-        self._moved = float("-inf")
-
-    @contextmanager
-    def one(self, deadline: float, *, alone: bool, patient: bool) -> Iterator[Callable[[], None]]:
-        """Wait for a turn; yields what is to be called when the database has begun the transaction too."""
-        writer = _Writer()
-        with self._lock:
-            self._writers[writer] = None
-        try:
-            with self._take(writer, deadline, patient=patient) if alone else nullcontext():
-                if not patient:
-                    self._refuse_if_stuck(writer)
-                yield lambda: self._begin(writer, alone=alone)
-        except (WaitedTooLong, OperationalError):
-            if not (alone and writer.has_begun):
-                with self._lock:
-                    self._waits.given_up += 1
-            raise
-        except BaseException:
-            self._moved = time.monotonic()
-            raise
-        else:
-            self._moved = time.monotonic()
-        finally:
-            with self._lock:
-                del self._writers[writer]
-
-    @contextmanager
-    def _take(self, writer: _Writer, deadline: float, *, patient: bool) -> Iterator[None]:
-        while not self._turn.acquire(timeout=max(0.0, min(_LOOK_S, deadline - time.monotonic()))):
-            if time.monotonic() >= deadline:
-                raise DatabaseBusyError("others wrote to the database all the time")
-            if not patient:
-                self._refuse_if_stuck(writer)
-        try:
-            yield
-        finally:
-            self._turn.release()
-
-    def _begin(self, writer: _Writer, *, alone: bool) -> None:
-        writer.has_begun = True
-        now = time.monotonic()
-        with self._lock:
-            self._waits.count += 1
-            self._waits.seconds += now - writer.arrived
-        if alone:
-            self._moved = now
-
-    def _refuse_if_stuck(self, writer: _Writer) -> None:
-        with self._lock:
-            writers = list(self._writers)
-        is_stuck = time.monotonic() - max(writers[0].arrived, self._moved) > _STUCK_S
-        if is_stuck and writers.index(writer) >= _MAX_STUCK:
-            raise DatabaseBusyError(f"{len(writers)} writers wait for the database, and none gets on")
 
 
 def afterwards(session: Session, call: Callable[[], None]) -> None:
@@ -336,37 +306,6 @@ def _set_up_sqlite(connection: Any, _record: object) -> None:  # noqa: ANN401 - 
     for pragma in ("synchronous=NORMAL", "foreign_keys=ON"):
         cursor.execute(f"PRAGMA {pragma}")
     cursor.close()
-
-
-def _connect_patiently(
-    _dialect: object,
-    _record: object,
-    arguments: Any,  # noqa: ANN401 - SQLAlchemy's
-    options: Any,  # noqa: ANN401
-) -> Any:  # noqa: ANN401 - a DBAPI connection
-    """Connect to PostgreSQL so that a statement that is not answered is given up, and its connection with it."""
-    import psycopg  # noqa: PLC0415 - an extra
-
-    class Patient(psycopg.Connection[Any]):
-        silence_s = _SILENCE_S
-
-        def wait(self, gen: Generator[Any, Any, Any], *args: Any, **kwargs: Any) -> Any:  # noqa: ANN401 - psycopg's
-            return super().wait(self._bounded(gen), *args, **kwargs)
-
-        def _bounded(self, gen: Generator[Any, Any, Any]) -> Generator[Any, Any, Any]:
-            until = time.monotonic() + self.silence_s
-            try:
-                wanted = next(gen)
-                while True:
-                    ready = yield wanted
-                    if not ready and time.monotonic() > until:
-                        self.pgconn.finish()
-                        raise psycopg.OperationalError(f"the database has not answered for {self.silence_s:g} s")
-                    wanted = gen.send(ready)
-            except StopIteration as done:
-                return done.value
-
-    return Patient.connect(*arguments, **options)
 
 
 def _lower(value: object) -> object:

@@ -20,6 +20,7 @@ from interloc.city.models import AuditConfig, Judgement, Kind
 from interloc.city.osm_plane import OsmPlane
 from interloc.city.places import SAME_PASS_S, PlaceTable
 from interloc.osm.graph import RoadGraph
+from interloc.osm.unjoined import unjoined
 
 WRONG_M = 15.0
 """Within this of what was marked wrong nothing is claimed."""
@@ -38,6 +39,7 @@ _TRACK_M = 15.0
 _ODD_M = 30.0
 _ALSO_ELSEWHERE_M = 60.0
 _GROUP_M = 25.0  # roads between nodes of one junction are no longer than this
+_SLIP_M = 10.0  # a place so near is the junction that a slip of the map hides
 _PAST_M = 100.0  # roads of a node join the track within this
 _ON_TRACK_M = 4.0
 _AHEAD_M = 15
@@ -129,6 +131,7 @@ class _Auditor:
             ({"missing_junction", "missing_branch"}, self._missing),
             ({"moved"}, self._beside),
             ({"moved"}, self._moved),
+            ({"not_joined", "no_node"}, self._unjoined),
             ({"phantom"}, self._phantoms),
             ({"one_junction"}, self._groups),
         ]
@@ -317,6 +320,28 @@ class _Auditor:
                 if np.median(off) > _OFF_MAP_M:
                     return True
         return False
+
+    def _unjoined(self) -> Iterator[Finding]:
+        """Yield junctions that the map hides by a slip of drawing, and passes saw."""
+        osm, table, rows = self.osm, self.places, self.looked_at
+        near = _nearest(osm.xy, table.xy[rows])[0] <= _ALSO_ELSEWHERE_M
+        slips = unjoined(osm.graph, osm.xy, osm.open_roads, near)
+        away, place = _nearest(np.array([each.xy for each in slips]).reshape(-1, 2), table.xy[rows])
+        for each, metres, row in zip(slips, away.tolist(), rows[place].tolist() if len(rows) else (), strict=False):
+            about = table.uid[row] if each.node is None else osm.graph.node_id[each.node]
+            least = self.config.min_confidence * self._ease(each.kind, about)
+            if metres > _SLIP_M or self.certainty[row] < least:
+                continue
+            if self._is_held_back(self._excuse(table.xy[row], table.near[row])):
+                continue
+            yield self._finding(
+                each.kind,
+                row,
+                each.node,
+                f"{table.passes[row]} passes of a LiDAR saw a junction here, and on the map {each.text}. "
+                "Should they be joined?",
+                distance_m=_round(metres),
+            )
 
     def _phantoms(self) -> Iterator[Finding]:
         """Yield nodes that passes came by where they saw no junction, and other ground where a side road should be."""

@@ -15,7 +15,7 @@ from pydantic import AwareDatetime, BaseModel, ConfigDict, Field
 
 from interloc.output.properties import OsmIdOrNone
 
-Kind = Literal["missing_junction", "missing_branch", "moved", "phantom", "one_junction"]
+Kind = Literal["missing_junction", "missing_branch", "moved", "not_joined", "no_node", "phantom", "one_junction"]
 """Of a finding against OpenStreetMap."""
 
 
@@ -75,9 +75,10 @@ class AuditConfig(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     kinds: tuple[Kind, ...] = Field(
-        ("missing_junction", "missing_branch", "moved"),
+        ("missing_junction", "missing_branch", "moved", "not_joined", "no_node"),
         description="Kinds of findings: a junction that the map lacks; a branch that a junction of the map lacks; a "
-        "junction that lies elsewhere; and, only where asked for, a node where passes saw no junction (phantom), and "
+        "junction that lies elsewhere; one whose roads come to one place and are not joined (not_joined), or cross "
+        "without a node (no_node); and, only where asked for, a node where passes saw no junction (phantom), and "
         "nodes close together where passes saw one junction (one_junction).",
     )
     min_passes: int = Field(2, ge=1, le=1000, description="Independent passes that must agree.")

@@ -21,7 +21,9 @@ if TYPE_CHECKING:
     "--kind",
     "kinds",
     multiple=True,
-    type=click.Choice(["missing_junction", "missing_branch", "moved", "phantom", "one_junction"]),
+    type=click.Choice(
+        ["missing_junction", "missing_branch", "moved", "not_joined", "no_node", "phantom", "one_junction"]
+    ),
     show_default="all but phantom and one_junction",
     help="Kind of findings; as often as needed.",
 )

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from interloc.cli.units import Records, Row, Unit
 
 CITY = "city"
-TABLE, PAGE = "batch.csv", "batch.html"
+TABLE = "batch.csv"
 _OF_MAP = ("osm", "overpass", "policy", "tolerance_m", "locate", "near", "radius_km")
 _TRUE, _FALSE = ("true", "yes", "1"), ("false", "no", "0")
 
@@ -61,10 +61,10 @@ def command(
 ) -> None:
     """Work on many DRIVES as `interloc run` does on one.
 
-    A drive that fails stops nothing. After an interruption the same command does what is left; drives that are done
-    are done again only where their files or options have changed. Instead of drives, a LIST.csv names them: its column
-    drive says where each is, name what to call it, and any other column is an option of `interloc run` for that drive
-    alone, such as osm, near or labels. At the end DIR/batch.csv and batch.html have a row per drive.
+    A drive that fails stops nothing. The same command does what is left, or failed; drives that are done are done
+    again only where their options have changed, or all with --fresh. Instead of drives, a LIST.csv names them: its
+    column drive says where each is, name what to call it, and any other column is an option of `interloc run` for that
+    drive alone, such as osm, near or labels. At the end DIR/batch.csv has a row per drive.
 
     \b
     Examples:
@@ -73,7 +73,7 @@ def command(
       interloc batch s3://bucket/drives -o s3://bucket/results --osm s3://bucket/region.osm.pbf --dask tcp://cluster:8786
     """
     from interloc import storage
-    from interloc.cli.units import Records, do_all
+    from interloc.cli.units import COLUMNS, Records, do_all
     from interloc.processes import cores
 
     options.configure(given["preset"], given["settings"])  # a mistake in it would fail every drive
@@ -97,14 +97,18 @@ def command(
         raise InterLocError("interrupted; the drives that are done are kept: the same command does the rest") from error
     rows = [done[unit.name] for unit in units]
     left_out = _merge(rows, records) if as_map else []
-    _write_table(rows, records.place)
+    text = io.StringIO()
+    writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    write_file(records.place / TABLE, text.getvalue())
     storage.send_results()  # now: the table of a batch in which a drive failed is one too
     failed = [row for row in rows if row["error"] is not None]
     if not console.wants_json():
         for line in left_out:
             console.note(f"not on the map: {line}")
     record = {"out": out, "drives": rows, "failed": len(failed), "not_on_map": left_out}
-    console.say(record, _facts(rows, f"{out}/{PAGE}"))
+    console.say(record, _facts(rows, f"{out}/{TABLE}"))
     if failed:
         first = failed[0]
         raise InterLocError(
@@ -223,19 +227,6 @@ def _names(drives: Sequence[str], given: Sequence[str | None]) -> list[str]:
     return names
 
 
-def _write_table(rows: Sequence[Row], place: Path) -> None:
-    from interloc.cli.units import COLUMNS
-    from interloc.evaluation.report import template
-
-    text = io.StringIO()
-    writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    has_map = (place / CITY / "city.geojson").is_file()
-    write_file(place / TABLE, text.getvalue())
-    write_file(place / PAGE, template("batch.html", "interloc.cli").render(rows=rows, has_map=has_map))
-
-
 def _merge(rows: Sequence[Row], records: Records) -> list[str]:
     """Put what was found together to one map; return which drives are not on it, and why."""
     from dataclasses import replace
@@ -263,11 +254,11 @@ def _merge(rows: Sequence[Row], records: Records) -> list[str]:
     return left_out
 
 
-def _facts(rows: Sequence[Row], page: str) -> list[tuple[str, str]]:
+def _facts(rows: Sequence[Row], table: str) -> list[tuple[str, str]]:
     done = [row for row in rows if row["error"] is None]
     return [
         ("drives", f"{len(done)} of {len(rows)} successful"),
         ("intersections", str(sum(row["intersections"] or 0 for row in done))),
         ("time", f"{sum(row['seconds'] for row in rows):.1f} s of work"),
-        ("table", page),
+        ("table", table),
     ]

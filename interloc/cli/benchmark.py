@@ -13,10 +13,10 @@ from interloc.errors import require_lab
 
 if TYPE_CHECKING:
     from interloc.drives.options import LabelFolder
+    from interloc.lab.cases import Case, Poses
     from interloc.lab.measure import Row
     from interloc.lab.places import Part
-    from interloc.lab.run import Benchmark, NamedConfig
-    from interloc.lab.twins import Case, Poses
+    from interloc.lab.run import Benchmark
     from interloc.osm.policies import Policy
 
 
@@ -69,7 +69,6 @@ measuring_options = options.together(
     ),
     options.POLICY,
     options.TOLERANCE,
-    click.option("--fresh", is_flag=True, help="Measure again what is kept in OUT/rows."),
     options.workers_option,
     options.QUIET,
     options.JSON,
@@ -117,8 +116,9 @@ def command() -> None:
       interloc benchmark ablation --kitti kitti -o out                 what each rule and setting of a preset gives
       interloc benchmark places                                        drawn places, kind by kind; needs no data
 
-    OUT/benchmark.html has the tables, OUT/failures lists what went wrong where. A run that was stopped
-    continues where it was: finished rows are kept in OUT/rows as long as settings, inputs and program are the same.
+    OUT/benchmark.txt has the tables, OUT/benchmark.json the figures. A run that was stopped continues where it was:
+    finished rows are kept in OUT/rows as long as settings and version are the same. What went wrong in a drive, and
+    why, is told by `interloc run DRIVE --osm MAP`.
     """
     require_lab()
 
@@ -145,19 +145,18 @@ def twins(
     """Simulate drives along the real tracks of KITTI sequences over their real maps, and measure them.
 
     The seed decides houses, cars, noise and label errors. Each drive is deleted once it is measured, unless --keep.
+    The published figures beside the tables are of the real scans.
 
     \b
     Example:
       interloc benchmark twins --kitti kitti --sequences 00,05 --noise 20/20 -o out
     """
-    from interloc.lab.twins import twin_cases
+    from interloc.lab.cases import twin_cases
 
     cases = twin_cases(kitti, _list(sequences), seeds=seeds, poses=poses, keep=keep, max_scans=max_scans)
     _measure(
         cases,
         title="KITTI twins",
-        about="Simulated drives along the real tracks of KITTI sequences over their real OpenStreetMap, with exact "
-        f"labels; poses: {'SuMa' if poses == 'suma' else 'ground truth'}. The published figures are of the real scans.",
         labels="labels",
         seeds=seeds,
         **measuring,
@@ -190,6 +189,8 @@ def twins(
 def semantickitti(root: Path, oxts: Path, osm: Path, sequences: str, labels: LabelFolder, **measuring: Any) -> None:
     """Measure the sequences of SemanticKITTI itself.
 
+    The figures move with the state of the OSM files: the paper does not say which it used.
+
     \b
     Example:
       interloc benchmark semantickitti --root SemanticKITTI --oxts KITTI/raw --osm maps --labels predictions -o out
@@ -200,8 +201,6 @@ def semantickitti(root: Path, oxts: Path, osm: Path, sequences: str, labels: Lab
     _measure(
         cases,
         title="SemanticKITTI",
-        about=f"The sequences of SemanticKITTI with {'hand labels' if labels == 'labels' else 'predicted labels'}. "
-        "The figures move with the state of the OSM files: the paper does not say which it used.",
         labels=labels,
         **measuring,
     )
@@ -243,8 +242,6 @@ def drives(
     _measure(
         cases,
         title=", ".join(case.name for case in cases) if len(cases) <= 4 else f"{len(cases)} drives",
-        about=f"Drives as recorded, road points by {labels}/. Published figures stand beside drives that bear the name "
-        "of a SemanticKITTI sequence.",
         labels=labels,
         **given,
     )
@@ -301,9 +298,9 @@ def ablation(
     drives = SETS[part]
     if sequences:
         drives = replace(drives, sequences=tuple(_list(sequences)))
-    configs = taken_out(preset, options.configure(preset, ()), names)
+    configs = taken_out(options.configure(preset, ()), names)
     cases = drives.cases(kitti, recorded, keep=keep, max_scans=max_scans)
-    rows = _run(Benchmark(tuple(cases), tuple(configs)), out, workers=workers, fresh=False)
+    rows = _run(Benchmark(tuple(cases), tuple(configs)), out, workers)
     table = ablation_table(rows, configs, part)
     write_file(out / "ablation.txt", f"{table.text()}\n")
     if console.wants_json():
@@ -378,37 +375,31 @@ def _measure(
     seeds: int,
     policy: Policy,
     tolerance_m: float,
-    fresh: bool,
     workers: int | None,
     **described: Any,
 ) -> None:
     """Run a benchmark by the values of `measuring_options`; `described` are further fields of `Benchmark`."""
-    from interloc.drives.label_errors import parse_level
-    from interloc.lab.measure import Scoring
-    from interloc.lab.report import PAGE, benchmark_record, write_benchmark
-    from interloc.lab.run import Benchmark
-    from interloc.lab.tables import NO_NOISE, tables
+    from interloc.lab.measure import Scoring, parse_level
+    from interloc.lab.run import Benchmark, NamedConfig, write_benchmark
+    from interloc.lab.tables import NO_NOISE
 
     levels = [f"{100 * r_fpr:g}/{100 * r_fnr:g}" for r_fpr, r_fnr in map(parse_level, noises)]
     benchmark = Benchmark(
         tuple(cases),
-        tuple(_named_config(preset, settings) for preset in presets),
+        tuple(NamedConfig(" ".join([name, *settings]), options.configure(name, settings)) for name in presets),
         tuple(dict.fromkeys([NO_NOISE, *levels])),
         seeds,
         Scoring(policy, tolerance_m),
         **described,
     )
-    rows = _run(benchmark, out, workers=workers, fresh=fresh)
-    measured = benchmark.measured(rows)
-    write_benchmark(benchmark, measured, out)
+    text, record = write_benchmark(benchmark, _run(benchmark, out, workers), out)
     if console.wants_json():
-        console.say_json(benchmark_record(benchmark, measured))
-        return
-    click.echo("\n\n".join(table.text() for table in tables(measured)))
-    click.echo(f"\nreport  {out / PAGE}")
+        console.say_json(record)
+    else:
+        click.echo(text)
 
 
-def _run(benchmark: Benchmark, out: Path, *, workers: int | None, fresh: bool) -> list[Row]:
+def _run(benchmark: Benchmark, out: Path, workers: int | None) -> list[Row]:
     """Measure, with a progress bar over the rows."""
     from interloc.errors import InterLocError, is_interruption
     from interloc.lab.run import run_benchmark
@@ -416,18 +407,10 @@ def _run(benchmark: Benchmark, out: Path, *, workers: int | None, fresh: bool) -
 
     try:
         with console.progress("measure", "row") as bar:
-            return run_benchmark(benchmark, out, workers=workers or cores(), fresh=fresh, progress=bar)
+            return run_benchmark(benchmark, out, workers=workers or cores(), progress=bar)
     except (KeyboardInterrupt, SystemError) as error:
         if not is_interruption(error):
             raise
         raise InterLocError(
             f"interrupted; finished rows are kept in {out / 'rows'}, and the same command goes on from there"
         ) from None
-
-
-def _named_config(preset: str, settings: tuple[str, ...]) -> NamedConfig:
-    from interloc.lab.run import NamedConfig
-
-    name = preset + "".join(f" {setting}" for setting in settings)
-    arguments = ("--preset", preset, *(part for setting in settings for part in ("--set", setting)))
-    return NamedConfig(name, options.configure(preset, settings), arguments)

@@ -114,7 +114,7 @@ def _place_by_gpx(drive: Drive, gpx: Path, out: Path | None) -> None:
     placed = georeference_by_gpx(drive, read_gpx(gpx))
     source, std_m = placed.georeference.source, round(_median(placed.georeference.position_std_m), 1)
     uncertainty = f"{std_m} m (one sigma, median; what all fixes of a phone share included)"
-    uncertainty += f"; {placed.untold}" if placed.untold else ""
+    uncertainty += f"; {placed.doubts}" if placed.doubts else ""
     facts = {
         "matched_by": placed.matched_by,
         "rms_m": round(placed.rms_m, 1),

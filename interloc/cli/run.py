@@ -6,12 +6,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
-from click.core import ParameterSource
 
 from interloc.cli import console, options, summary
 
 if TYPE_CHECKING:
-    from interloc.config import DetectorConfig
     from interloc.drives.folder import FolderDrive
     from interloc.osm.graph import RoadGraph
     from interloc.osm.policies import Policy
@@ -22,11 +20,6 @@ if TYPE_CHECKING:
 @options.evaluation_options
 @options.locate_option
 @options.near_options
-@click.option(
-    "--reference",
-    is_flag=True,
-    help="Run the paper's steps done plainly with OpenCV and scikit-image: slow, for comparison. Takes no settings.",
-)
 def command(
     drive: Path,
     out: Path,
@@ -36,7 +29,6 @@ def command(
     locate: bool,
     near: tuple[float, float] | None,
     radius_km: float | None,
-    reference: bool,
     **given: Any,
 ) -> None:
     """Find the intersections along DRIVE. With a map they are scored, and the report is OUT/report.html.
@@ -51,12 +43,11 @@ def command(
     from interloc.errors import Beside
     from interloc.output.layout import result_folder
     from interloc.output.write import write_results
+    from interloc.pipeline import detect
 
     search = options.search_area(near, radius_km)
     may_locate = locate or near is not None
     has_map = given["osm"] is not None or given["overpass"] or may_locate
-    if reference:
-        _check_reference(has_map=has_map, settings=given["settings"])
     source, config, graph = options.open_for_evaluation(
         drive, needs_georeference=has_map and not may_locate, needs_map=has_map, **given
     )
@@ -70,7 +61,8 @@ def command(
     with result_folder(out) as folder:
         if locate:
             source = source.without_georeference()
-        result = scored = _detect(source, config, workers, reference=reference)
+        with console.progress("detect", "keyframe") as bar:
+            result = scored = detect(source, config, workers=workers, progress=bar)
         if locate and graph is not None:
             result, scored = _place(result, source, graph, policy, tolerance_m, search, folder)
         network = write_results(result, folder, beside=beside)
@@ -91,25 +83,6 @@ def command(
         facts = [first, *facts[:-1], *others]
     console.say({"run": summary.run_summary(result, out), "report": report}, facts)
     beside.check(out)
-
-
-def _check_reference(*, has_map: bool, settings: tuple[str, ...]) -> None:
-    preset_from = click.get_current_context().get_parameter_source("preset")
-    if settings or preset_from is not ParameterSource.DEFAULT:
-        raise click.UsageError("--reference has the settings of the paper; it takes neither --preset nor --set")
-    if has_map:
-        raise click.UsageError("--reference takes no map: score its result by `interloc evaluate`")
-
-
-def _detect(drive: FolderDrive, config: DetectorConfig, workers: int | None, *, reference: bool) -> DriveResult:
-    with console.progress("detect", "keyframe") as bar:
-        if reference:
-            from interloc.reference import detect_by_reference
-
-            return detect_by_reference(drive, workers=workers, progress=bar)
-        from interloc.pipeline import detect
-
-        return detect(drive, config, workers=workers, progress=bar)
 
 
 def _place(

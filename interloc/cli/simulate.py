@@ -12,9 +12,9 @@ from interloc.cli import console, options
 from interloc.errors import require_lab
 
 if TYPE_CHECKING:
-    from interloc.lab.config import SimulationOptions, TrackConfig
+    from interloc.lab.cases import Poses
+    from interloc.lab.config import SimulationOptions
     from interloc.lab.town import Part
-    from interloc.lab.twins import Poses
 
 
 DRIVE = click.option(
@@ -37,18 +37,8 @@ SPEED = click.option(
     type=click.FloatRange(0.2, 60),
     default=8.0,
     show_default=True,
-    help="Speed along the track in metres per second; a track of OXTS rows keeps its own.",
+    help="Speed in metres per second.",
 )
-RADIUS = click.option(
-    "--min-radius",
-    "min_radius_m",
-    type=click.FloatRange(0, 50),
-    default=0.0,
-    show_default=True,
-    help="Smallest radius of a bend that is driven, metres; a car needs 5 to 6. 0: as sharp as the streets meet.",
-)
-
-
 scene_options = options.together(
     click.option(
         "--seed",
@@ -57,39 +47,7 @@ scene_options = options.together(
         show_default=True,
         help="Seed of everything random: houses, cars, noise. The same seed gives the same drive.",
     ),
-    click.option("--exact", is_flag=True, help="A LiDAR without noise, dropout and loss of range."),
-    click.option("--bare", is_flag=True, help="No houses, hedges and parked cars: nothing hides the road."),
     click.option("--ground-only", is_flag=True, help="Write only points on the ground: about half the size."),
-    click.option(
-        "--turn-time",
-        "turn_s",
-        type=click.FloatRange(0, 1),
-        default=0.0,
-        show_default=True,
-        help="Seconds that a turn of the LiDAR takes while the vehicle moves on, such as 0.1: scans are written as PCD "
-        "files whose points carry times.",
-    ),
-    click.option(
-        "--worn",
-        is_flag=True,
-        help="Ground that is worn in patches, lasers of unequal brightness, lowered kerbs and flush sidewalks.",
-    ),
-    click.option("--service-roads", is_flag=True, help="Label service roads as road, not as other ground."),
-    click.option(
-        "--private-drives",
-        type=click.FloatRange(0, 100),
-        default=0.0,
-        metavar="PER_KM",
-        help="Drives labelled road that the map does not have, along each kilometre of street.",
-    ),
-    click.option(
-        "--posts",
-        type=click.FloatRange(0, 500),
-        default=0.0,
-        metavar="PER_KM",
-        help="Lamp posts and trees along each kilometre of a street's sides: they hold an odometry where nothing else "
-        "stands.",
-    ),
     click.option("--max-scans", type=click.IntRange(min=1), help="Number of scans after which the drive ends."),
     click.option(
         "--sensor",
@@ -109,21 +67,17 @@ scene_options = options.together(
 """Options that all simulations share."""
 
 
-@click.group(short_help="Make a drive whose truth is known: town, track or KITTI twin.")
+@click.group(short_help="Make a drive whose truth is known: town or KITTI twin.")
 def command() -> None:
-    """Write drives whose truth is known: a LiDAR drives through a made-up town, or along a real track over a real map.
+    """Write drives whose truth is known: a LiDAR drives through a made-up town, or along a track of KITTI over its map.
 
     \b
     The made-up town, with every shape of junction that matters; its map is DRIVE/map.osm:
       interloc simulate town -o DRIVE                      5 km, every shape
-      interloc simulate town --small -o DRIVE              670 m, X, T and Y junctions only
+      interloc simulate town --part plain -o DRIVE         670 m, X, T and Y junctions only
     \b
     The town of the demo, with curved streets, market square and park:
       interloc simulate town --part quarter --ground-only --columns 720 -o DRIVE
-    \b
-    Any map, any track (GPX, CSV with lat and lon, OXTS rows):
-      interloc simulate track --osm map.osm.gz --track ride.gpx -o DRIVE
-      interloc simulate track --osm map.osm.gz --track oxts.txt.gz --every-scan -o DRIVE
     \b
     The twin of a KITTI sequence, as `interloc benchmark twins` measures it:
       interloc simulate twin 07 --kitti kitti -o DRIVE
@@ -143,12 +97,10 @@ def command() -> None:
     help="full: every shape of junction that matters, 5 km. plain: its X, T and Y junctions only, 670 m. "
     "quarter: a town as one knows them, 15 junctions along 2.1 km of curved streets and round a market square.",
 )
-@click.option("--small", "part", flag_value="plain", help="The same as --part plain.")
 @EVERY_SCAN
 @SPEED
-@RADIUS
 @scene_options
-def town(drive: Path, part: Part, every_scan: bool, speed_mps: float, min_radius_m: float, **common: Any) -> None:
+def town(drive: Path, part: Part, every_scan: bool, speed_mps: float, **common: Any) -> None:
     """Drive through a made-up town whose map is its truth.
 
     The full one has oblique, staggered and compound junctions, a roundabout, a dual carriageway and a bridge.
@@ -157,65 +109,15 @@ def town(drive: Path, part: Part, every_scan: bool, speed_mps: float, min_radius
     Example:
       interloc simulate town --part quarter -o drive && interloc run drive -o out --osm drive/map.osm
     """
+    from interloc.lab.config import TrackConfig
     from interloc.lab.drive import simulate
     from interloc.lab.town import MAP_FILE, Town
 
     options = _options(every_scan=every_scan, **common)
     with console.progress("simulate", "scan") as bar:
-        trip = Town(part, seed=options.seed).trip(_track_config(speed_mps, min_radius_m=min_radius_m))
+        trip = Town(part, seed=options.seed).trip(TrackConfig(speed_mps=speed_mps))
         scans = simulate(trip, drive, options, progress=bar)
     _go_on(scans, drive, drive / MAP_FILE)
-
-
-@command.command()
-@DRIVE
-@click.option("--osm", required=True, type=options.PATH, help="OSM file with the streets around the track.")
-@click.option(
-    "--track",
-    "track_file",
-    required=True,
-    type=options.PATH,
-    help="Where to drive: .gpx, .csv with columns lat and lon, or OXTS rows (.txt, .txt.gz, a folder oxts/data).",
-)
-@click.option("--buildings", type=options.PATH, help="OSM file with the buildings; else those of --osm, or made up.")
-@EVERY_SCAN
-@SPEED
-@click.option(
-    "--offset",
-    "offset_m",
-    type=click.FloatRange(-20, 20),
-    default=0.0,
-    show_default=True,
-    help="Metres to drive to the right of the track, for tracks along the centre line of the road.",
-)
-@RADIUS
-@scene_options
-def track(
-    drive: Path,
-    osm: Path,
-    track_file: Path,
-    buildings: Path | None,
-    every_scan: bool,
-    speed_mps: float,
-    offset_m: float,
-    min_radius_m: float,
-    **common: Any,
-) -> None:
-    """Drive along a real track over a real map.
-
-    \b
-    Example:
-      interloc simulate track --osm map.osm.gz --track ride.gpx -o drive && interloc run drive -o out --osm map.osm.gz
-    """
-    from interloc.lab.drive import Trip, simulate
-    from interloc.lab.streets import read_map
-    from interloc.lab.tracks import open_track
-
-    with console.progress("simulate", "scan") as bar:
-        line = open_track(track_file, _track_config(speed_mps, offset_m, min_radius_m))
-        trip = Trip(line, read_map(osm, buildings), {"track": track_file.name})
-        scans = simulate(trip, drive, _options(every_scan=every_scan, **common), progress=bar)
-    _go_on(scans, drive, osm)
 
 
 @command.command()
@@ -243,8 +145,8 @@ def twin(sequence: str, kitti: Path, drive: Path, poses: Poses, every_scan: bool
     Example:
       interloc simulate twin 07 --kitti kitti -o drive && interloc run drive -o out --osm kitti/osm/07.osm.gz
     """
+    from interloc.lab.cases import twin_cases, twin_trip
     from interloc.lab.drive import simulate
-    from interloc.lab.twins import twin_cases, twin_trip
 
     (case,) = twin_cases(kitti, [sequence], poses=poses)
     with console.progress("simulate", "scan") as bar:
@@ -254,56 +156,19 @@ def twin(sequence: str, kitti: Path, drive: Path, poses: Poses, every_scan: bool
 
 
 def _options(
-    *,
-    every_scan: bool,
-    seed: int,
-    exact: bool,
-    bare: bool,
-    ground_only: bool,
-    max_scans: int | None,
-    sensor: str,
-    columns: int | None,
-    turn_s: float,
-    worn: bool,
-    service_roads: bool,
-    private_drives: float,
-    posts: float,
+    *, every_scan: bool, seed: int, ground_only: bool, max_scans: int | None, sensor: str, columns: int | None
 ) -> SimulationOptions:
     """Return the values of `scene_options` as the simulator takes them."""
-    from interloc.lab.config import (
-        SENSORS,
-        LidarConfig,
-        RoadsideConfig,
-        SceneConfig,
-        SimulationOptions,
-        StreetConfig,
-    )
+    from interloc.lab.config import SENSORS, SimulationOptions
 
-    changed: dict[str, Any] = {"turn_s": turn_s, **({} if columns is None else {"columns": columns})}
-    no_noise = {"range_noise_m": 0.0, "surface_noise": 0.0, "dropout": 0.0, "road_half_range_m": None} if exact else {}
-    nothing: dict[str, Any] = {"parked_car_density": 0.0, "hedge_share": 0.0, "buildings": "none"} if bare else {}
-    scene: dict[str, Any] = {"roadside": RoadsideConfig(**nothing, posts_per_km=posts)}
-    streets: dict[str, Any] = {"private_drives_per_km": private_drives}
-    if service_roads:
-        streets["service_roads"] = "road"
-    if worn:
-        changed["gain"] = 0.1
-        scene["wear"] = 0.2
-        streets |= {"flush_sidewalk_share": 0.2, "lowered_kerb_share": 0.15}
+    lidar = SENSORS[sensor]
     return SimulationOptions(
         seed=seed,
         keyframes_only=not every_scan,
         ground_only=ground_only,
         max_scans=max_scans,
-        scene=SceneConfig(**scene, streets=StreetConfig(**streets)),
-        sensor=LidarConfig(**{**SENSORS[sensor].model_dump(), **changed, **no_noise}),
+        sensor=lidar if columns is None else lidar.model_copy(update={"columns": columns}),
     )
-
-
-def _track_config(speed_mps: float, offset_m: float = 0.0, min_radius_m: float = 0.0) -> TrackConfig:
-    from interloc.lab.config import TrackConfig
-
-    return TrackConfig(speed_mps=speed_mps, offset_m=offset_m, min_radius_m=min_radius_m)
 
 
 def _go_on(scans: int, drive: Path, osm: Path) -> None:

@@ -1,36 +1,32 @@
 """Drives of a batch, each a unit of work of its own: `interloc run` or `detect` in a process of its own.
 
 A unit is the command line of one drive, so its result is that of the command by itself. It can be repeated at will: a
-result folder appears whole or not at all. Units are done on this machine, or by the workers of a Dask cluster.
+result folder appears whole or not at all. Units are done on this machine, or by the workers of a Dask cluster. The same
+command does those again that failed, or whose options are others.
 """
 
-import hashlib
 import io
 import json
 import shutil
 import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
-from contextlib import contextmanager, redirect_stderr, suppress
-from dataclasses import dataclass
+from concurrent.futures import FIRST_COMPLETED, Executor, ThreadPoolExecutor, wait
+from contextlib import contextmanager, redirect_stderr
+from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
-from threading import Event
 from typing import Any
 
 import click
 
 from interloc import storage
 from interloc.cli.summary import not_right
-from interloc.errors import ConfigError, IncompleteError, InterLocError, install
+from interloc.errors import ConfigError, IncompleteError, InterLocError
 from interloc.files import write_file
-from interloc.processes import in_own_process, stop_processes
+from interloc.processes import dask_client, in_own_process, stop_processes
 
 RECORDS = ".batch"
 """Folder of what is known of each unit: the same batch goes on where it was stopped."""
-
-_TRIES = 3  # of a unit whose process died
-_PATIENCE_S = 10.0  # with a scheduler that does not answer
 
 
 @dataclass(frozen=True)
@@ -44,14 +40,7 @@ class Unit:
     command: str
     """run or detect."""
     arguments: tuple[str, ...]
-    """Of the command, without the result folder."""
-
-    @property
-    def identity(self) -> dict[str, Any]:
-        """What must be the same for an earlier result to count: the command, and size and time of what it reads."""
-        named = {self.drive, *self.arguments}
-        files = {name: _stamps(name) for name in sorted(named) if not name.startswith("-")}
-        return {"command": self.command, "arguments": list(self.arguments), "files": files}
+    """Of the command, without the result folder: what must be the same for an earlier result to count."""
 
 
 COLUMNS = (
@@ -79,9 +68,6 @@ ace_m are those of the detections (D = 5 m); reasons say of which kinds the inte
 
 Row = dict[str, Any]
 """What became of a unit: a value for each of the `COLUMNS`; its error is None where it was successful."""
-
-Submit = Callable[[Unit, str], "Future[Row]"]
-"""Has a unit of the batch in a folder, or at an address, done."""
 
 
 def work(unit: Unit, out: str) -> Row:
@@ -156,15 +142,16 @@ class Records:
         try:
             record = json.loads((self._folder / f"{unit.name}.json").read_bytes())
             row: Row = record["row"]
-            is_there = (self.place / unit.name / "run.json").is_file() and record["unit"] == unit.identity
+            is_same = Unit(**record["unit"] | {"arguments": tuple(record["unit"]["arguments"])}) == unit
+            is_there = (self.place / unit.name / "run.json").is_file()
         except (OSError, ValueError, TypeError, KeyError):
             return None
-        return row if is_there and row["error"] is None else None
+        return row if is_same and is_there and row["error"] is None else None
 
-    def write(self, unit: Unit, identity: dict[str, Any], row: Row) -> Row:
+    def write(self, unit: Unit, row: Row) -> Row:
         """Record what became of a unit."""
         name = f"{RECORDS}/{unit.name}.json"
-        write_file(self.place / name, json.dumps({"unit": identity, "row": row}, indent=1))
+        write_file(self.place / name, json.dumps({"unit": asdict(unit), "row": row}, indent=1))
         if storage.is_url(self.out):
             storage.send_part(self.place, name)
         elif row["error"] is None and not (self.place / unit.name / "run.json").is_file():
@@ -175,87 +162,51 @@ class Records:
 def do_all(
     units: Sequence[Unit], records: Records, workers: int, dask: str | None, progress: Callable[[int], None]
 ) -> dict[str, Row]:
-    """Do units; one that fails stops nothing, one whose process dies is tried again.
+    """Do units, by `workers` processes of this machine, or by those of the Dask scheduler at an address.
 
-    By `workers` processes of this machine, or by those of the Dask scheduler at an address. `progress` is called
-    several times per second with how many are done; whatever it raises ends the batch.
+    One that fails, or whose process dies, stops nothing. `progress` is called several times per second with how many
+    are done; whatever it raises ends the batch.
     """
     rows: dict[str, Row] = {}
-    with _dask(dask) if dask is not None else _processes(workers) as submit:
-        running = {submit(unit, records.out): (unit, unit.identity) for unit in units}
+    with _processes(workers) if dask is None else _dask(dask) as (executor, do):
+        running = {executor.submit(do, unit, records.out): unit for unit in units}
         while running:
             for future in wait(running, timeout=0.2, return_when=FIRST_COMPLETED).done:
-                unit, identity = running.pop(future)
+                unit = running.pop(future)
                 try:
                     row = future.result()
-                except Exception as error:  # noqa: BLE001 - of Dask, whose workers or scheduler died
-                    row = _lost(unit, f"the Dask cluster gave it up ({type(error).__name__}: {error})")
-                rows[unit.name] = records.write(unit, identity, row)
+                except Exception as error:  # noqa: BLE001 - its process, or Dask's workers or scheduler, died
+                    row = {**dict.fromkeys(COLUMNS), "name": unit.name, "drive": unit.drive, "state": "failed"}
+                    row |= {"seconds": 0.0, "warnings": "", "error": f"{unit.drive}: {error or type(error).__name__}"}
+                rows[unit.name] = records.write(unit, row)
             progress(len(rows))
     return rows
 
 
-def _lost(unit: Unit, why: str) -> Row:
-    error = f"{unit.drive}: {why}. Usual cause: too little memory."
-    lost = {"name": unit.name, "drive": unit.drive, "state": "failed", "seconds": 0.0, "warnings": "", "error": error}
-    return {**dict.fromkeys(COLUMNS), **lost}
+Do = Callable[[Unit, str], Row]
+"""Does a unit of the batch in a folder, or at an address."""
+
+
+def _in_process(unit: Unit, out: str) -> Row:
+    return in_own_process(partial(work, out=out), unit)
 
 
 @contextmanager
-def _processes(workers: int) -> Iterator[Submit]:
-    """Do units in a process each, again where that dies; what runs is stopped where the batch ends early."""
-    stopping = Event()
-
-    def do(unit: Unit, out: str) -> Row:
-        for _ in range(_TRIES):
-            with suppress(InterLocError):  # it died: what is wrong with the drive is an outcome
-                if not stopping.is_set():
-                    return in_own_process(partial(work, out=out), unit)
-        return _lost(unit, f"its worker died {_TRIES} times")
-
+def _processes(workers: int) -> Iterator[tuple[Executor, Do]]:
+    """Do units in a process each; what runs is stopped where the batch ends early."""
     with ThreadPoolExecutor(workers, "batch") as threads:
         try:
-            yield lambda unit, out: threads.submit(do, unit, out)
+            yield threads, _in_process
         except BaseException:
-            stopping.set()
             threads.shutdown(wait=False, cancel_futures=True)
             stop_processes()
             raise
 
 
 @contextmanager
-def _dask(address: str) -> Iterator[Submit]:
+def _dask(address: str) -> Iterator[tuple[Executor, Do]]:
+    client = dask_client(address)
     try:
-        from distributed import Client
-
-        connect: Any = Client
-        client = connect(address, timeout=_PATIENCE_S, name="interloc", set_as_default=False)
-    except ImportError as error:
-        raise ConfigError(
-            f"a Dask scheduler is named ({address}), but Dask is not installed. Install it: {install('dask')}"
-        ) from error
-    except (OSError, ValueError, TimeoutError) as error:
-        raise ConfigError(
-            f"no Dask scheduler answers at {address} ({error or type(error).__name__}). "
-            "Start one (`dask scheduler`), and workers (`dask worker ADDRESS`) that see the same files."
-        ) from error
-    try:
-        executor = client.get_executor(pure=False)  # a repeated call must be executed again
-        yield lambda unit, out: executor.submit(work, unit, out)
+        yield client.get_executor(pure=False), work  # a repeated call must be executed again
     finally:
         client.close(timeout=5)
-
-
-def _stamps(name: str) -> list[list[Any]]:
-    """Return name, size and time of a file, or of what is directly in a folder; of all objects below a prefix."""
-    path = Path(name)
-    try:
-        if storage.is_url(name):
-            bucket, key = storage.Bucket.of(name)
-            found = bucket.below(key) or [each for each in [bucket.head(key)] if each is not None]
-            told = "\n".join(f"{each.key} {each.size} {each.etag} {each.modified_s}" for each in found)
-            return [[len(found), hashlib.sha256(told.encode()).hexdigest()]]
-        entries = sorted(path.iterdir()) if path.is_dir() else [path]
-        return [[entry.name, entry.stat().st_size, entry.stat().st_mtime_ns] for entry in entries]
-    except (OSError, InterLocError):
-        return []

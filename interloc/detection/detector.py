@@ -15,10 +15,9 @@ from interloc.detection.centerline import Centerline, extract_centerline
 from interloc.detection.compound import split_compound
 from interloc.detection.image import BinaryImage, Roi
 from interloc.detection.keyframes import Keyframe, KeyframeSelector
-from interloc.detection.occupancy import infer_occupancy
+from interloc.detection.occupancy import branch_widths, infer_occupancy
 from interloc.detection.refinement import Junction, refine
 from interloc.detection.scan import ScanLike, checked_points, checked_pose
-from interloc.detection.widths import branch_widths
 from interloc.errors import expect
 from interloc.geometry import rotate_2d, yaw_of
 from interloc.stopwatch import Stopwatch

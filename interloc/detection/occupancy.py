@@ -1,11 +1,17 @@
-"""Inference of the road occupancy (paper, section III-B.4)."""
+"""The road of a keyframe as an image: its occupancy (paper, section III-B.4), widths across it, and patches of it."""
 
 from dataclasses import replace
 
+import numpy as np
+
+from interloc.arrays import FloatArray, IntArray, StructuredArray, UInt8Array
 from interloc.config import OccupancyConfig
-from interloc.detection.image import BinaryImage
-from interloc.kernels.islands import fill_islands
-from interloc.kernels.morphology import dilate, disc_half_widths, erode
+from interloc.detection.image import BinaryImage, Roi
+from interloc.detection.lines import SIDE_BY_SIDE_RAD
+from interloc.geometry import thin
+from interloc.kernels.bits import median_runs_across
+from interloc.kernels.morphology import dilate, disc_half_widths, erode, fill_islands
+from interloc.results import RoadPatch
 
 
 def infer_occupancy(bev: BinaryImage, config: OccupancyConfig) -> BinaryImage:
@@ -41,3 +47,103 @@ def infer_occupancy(bev: BinaryImage, config: OccupancyConfig) -> BinaryImage:
 def odd_pixels(length_m: float, resolution_m: float) -> int:
     """Return the odd number of pixels nearest to a length; never less than 1 (no effect)."""
     return 2 * round((length_m / resolution_m - 1) / 2) + 1 if length_m > resolution_m else 1
+
+
+# Widths across the branches (beyond the paper): main roads and driveways told apart
+
+
+NEAR_M, FAR_M = 8.0, 20.0
+"""Part of a branch that is measured, from the intersection: nearer the kerbs are round, farther little is seen."""
+
+_DISTANCES_M = np.arange(NEAR_M, FAR_M + 0.5, 1.0)
+MAX_WIDTH_M = 30.0
+"""What is wider is no road across, but one along: that of the next intersection."""
+
+MIN_STEPS = 3
+
+
+def branch_widths(position: FloatArray, lines: StructuredArray, occupancy: BinaryImage) -> FloatArray:
+    """Measure the road across each branch, at right angles to its line.
+
+    Parameters
+    ----------
+    position : (2,) float64
+        Row and column of the intersection.
+    lines : (B,) LINE
+        Of the branches.
+    occupancy
+        Set where the ground is road.
+
+    Returns
+    -------
+    (B,) float64
+        Median width along the branch, metres; NaN where too little of it is road, and where all of it that is measured
+        lies in the mouth of the next branch.
+    """
+    directions = np.ascontiguousarray(lines["direction"])
+    return occupancy.resolution_m * median_runs_across(
+        occupancy.words,
+        occupancy.height,
+        occupancy.width,
+        position,
+        directions,
+        _DISTANCES_M / occupancy.resolution_m,
+        _longest_m(directions) / occupancy.resolution_m,
+        MIN_STEPS,
+    )
+
+
+def _longest_m(directions: FloatArray) -> FloatArray:
+    """Return how wide the road of each branch can be at each distance, metres: else it runs into the next branch.
+
+    The bisector of two branches is the border between their roads; those that run side by side share none.
+    """
+    alike = directions @ directions.T
+    alike[alike > np.cos(SIDE_BY_SIDE_RAD)] = -1.0  # itself too
+    cosine = alike.max(axis=1, initial=-0.9)  # roads that lie so far apart bound nothing
+    tangent = np.sqrt((1.0 - cosine) / (1.0 + cosine))  # of half the angle
+    longest_m: FloatArray = np.minimum(2.0 * tangent[:, None] * _DISTANCES_M, MAX_WIDTH_M)
+    return longest_m
+
+
+# Patches for the mosaic: what a keyframe knows of the road around it, coarse and packed
+
+
+PATCH_STEP_M = 10.0
+"""Distance between the keyframes whose road is kept: the windows of those between hold hardly more."""
+
+CELL_M = 0.5
+"""Side of the cells of a patch, about: a whole number of cells of the method."""
+
+
+def patch_keyframes(T_world_lidar: FloatArray) -> IntArray:
+    """Return the rows of the keyframes whose road is kept, from the (K, 4, 4) poses of all keyframes."""
+    return thin(T_world_lidar[:, :2, 3], PATCH_STEP_M)
+
+
+def road_patch(keyframe: int, occupancy: BinaryImage, roi: Roi, against: BinaryImage | None = None) -> RoadPatch:
+    """Keep the road around a keyframe, of each coarse cell the cell in its middle.
+
+    Parameters
+    ----------
+    keyframe : int
+        Its row among the keyframes of the drive.
+    occupancy
+        Of the keyframe (paper, III-B.4).
+    roi
+        Where it lies in W.
+    against
+        Where other ground was seen; None where nobody can tell.
+    """
+    step = max(1, round(CELL_M / roi.resolution_m))
+    size = roi.size // step
+
+    def coarse(image: BinaryImage) -> UInt8Array:
+        words = image.words  # the rows that are not needed are not unpacked
+        rows = np.concatenate([words[:1], words[1 + step // 2 : -1 : step][:size], words[-1:]])
+        return replace(image, words=rows, height=size).to_array()[:, step // 2 :: step][:, :size]
+
+    cells = coarse(occupancy)
+    other = None if against is None else np.minimum(coarse(against), 1 - cells)
+    corner_xy = np.array([roi.left * roi.resolution_m, (roi.top + 1) * roi.resolution_m])
+    return RoadPatch.pack(keyframe, corner_xy, step * roi.resolution_m, cells, other)

@@ -9,7 +9,7 @@ from interloc.arrays import Float32Array, FloatArray
 from interloc.config import DetectorConfig
 from interloc.detection.detector import Detector, locate
 from interloc.detection.image import BinaryImage
-from interloc.detection.road import road_patch
+from interloc.detection.occupancy import road_patch
 from interloc.detection.scan import Scan
 from interloc.kernels import bits
 from interloc.kernels.points import select_points

@@ -10,7 +10,7 @@ from interloc.arrays import FloatArray, IntArray
 from interloc.drive import Georeference
 from interloc.drives.files import SourceFile, gaps, listed, rows_by_frame, seconds_of
 from interloc.drives.findings import DriveFileError, Findings
-from interloc.drives.georeference.geodetic import poses_of
+from interloc.drives.georeference.geodetic import poses_of, without_standing
 from interloc.drives.georeference.read import AS_PUBLISHED, georeference_of_kitti360, is_karlsruhe, read_georeference
 from interloc.drives.layouts import NUMBERED_ANYHOW, DriveParts, PoseOwner
 from interloc.drives.options import DriveOptions, PoseFrame
@@ -139,6 +139,8 @@ def read_trajectory(
                 _check_length(file, parts.file(parts.times), pose_count, findings)
         if poses is not None and times_s is not None:
             _check_speed(poses, times_s, parts, findings)
+    if georeference is not None and poses is not None and poses.frame != "oxts":
+        georeference = without_standing(poses.T_world_lidar, georeference, frames, findings)
     if options.oxts is None and parts.geo is None and parts.in_kitti360_world and poses is not None:
         georeference = _in_kitti360_world(poses, parts, georeference, findings)
     return Trajectory(poses, pose_count, times_s, georeference, reason)

@@ -6,15 +6,17 @@ the closed list of the answers. A reason says what lies there, not that it is th
 
 Of something wrong, in this order (the thresholds are the constants below):
 
-1. `left_out`: a junction that only exists with ways that the policy leaves out, and no counted node is nearer.
-2. `slip_road`: on a slip road near its mouth. Its lanes join far from where the map puts the node.
-3. `fork`: between two roads that leave a node at an acute angle. Their surfaces part further on than their lines.
-4. `second`: near a node that another detection (of this keyframe) or another intersection stands for already.
-5. `off`: near a node, but not near enough.
-6. `bend`: a road that turns here, without a junction.
-7. `road_end`: the end of a road.
-8. `path`: a path for walkers or cyclists meets a road.
-9. `nothing`: none of these. What the map may lack.
+1. `not_joined`, `no_node`: nodes at one place that are not joined, and roads that cross on one level without a node:
+   slips of OpenStreetMap that hide a junction, where no counted node is nearer.
+2. `left_out`: a junction that only exists with ways that the policy leaves out, and no counted node is nearer.
+3. `slip_road`: on a slip road near its mouth. Its lanes join far from where the map puts the node.
+4. `fork`: between two roads that leave a node at an acute angle. Their surfaces part further on than their lines.
+5. `second`: near a node that another detection (of this keyframe) or another intersection stands for already.
+6. `off`: near a node, but not near enough; or near a node of a merged place whose middle is not near enough.
+7. `bend`: a road that turns here, without a junction.
+8. `road_end`: the end of a road.
+9. `path`: a path for walkers or cyclists meets a road.
+10. `nothing`: none of these. What the map may lack.
 
 Of a node that was missed:
 
@@ -47,11 +49,16 @@ from interloc.geometry import enu_from_lonlat, lonlat_from_enu, middle_of
 from interloc.mapping.mosaic import Mosaic
 from interloc.osm.graph import RoadGraph, distinct_edges
 from interloc.osm.intersections import DRIVABLE, MIN_DEGREE, IntersectionNodes, road_ways
+from interloc.osm.unjoined import Unjoined, unjoined
 
-FalseKind = Literal["left_out", "slip_road", "fork", "second", "off", "bend", "road_end", "path", "nothing"]
+FalseKind = Literal[
+    "not_joined", "no_node", "left_out", "slip_road", "fork", "second", "off", "bend", "road_end", "path", "nothing"
+]
 MissKind = Literal["merged", "misplaced", "too_few", "levels", "twice", "not_driven", "short", "not_seen"]
 
 KINDS: dict[FalseKind | MissKind, str] = {
+    "not_joined": "nodes at one place that OpenStreetMap does not join",
+    "no_node": "roads that cross without a node in OpenStreetMap",
     "left_out": "junction with a way that the policy leaves out",
     "slip_road": "mouth of a slip road",
     "fork": "roads part at an acute angle",
@@ -182,7 +189,13 @@ class MapEvidence:
         self._driven_xy = self.plane(lonlat)
         self._near = _around(self._xy, self._driven_xy)
         self._is_road = road_ways(graph, nodes.policy)
+        members = [np.searchsorted(graph.node_id, nodes.members_of(row)) for row in range(len(nodes))]
         self._counted = _Points(self.node_xy, np.arange(len(nodes)))
+        self._members = [each.tolist() for each in members]
+        self._parts = _Points(
+            self._xy[np.concatenate([*members, np.empty(0, dtype=np.int64)])],
+            np.repeat(np.arange(len(nodes)), [len(each) for each in members]),
+        )
 
     def plane(self, lonlat: FloatArray) -> FloatArray:
         """Return metres east and north of the middle of the drive of (N, 2) degrees."""
@@ -191,6 +204,37 @@ class MapEvidence:
     def nearest_node(self, xy: FloatArray) -> tuple[FloatArray, IntArray]:
         """Return the distance of (Q, 2) places to the nearest node that counts, and its row; infinite and -1: none."""
         return self._counted.nearest(xy)
+
+    def nearest_part(self, xy: FloatArray) -> tuple[FloatArray, IntArray]:
+        """Return the same of the nodes that were merged to those that count, with the row of the merged one."""
+        return self._parts.nearest(xy)
+
+    def parts_m(self, node: int, xy: FloatArray) -> FloatArray:
+        """Return the distance of (Q, 2) places from a node that counts, or the nearest of those that were merged."""
+        metres: FloatArray = np.hypot(*(xy[:, None] - self._xy[self._members[node]]).T).min(axis=0)
+        return metres
+
+    @cached_property
+    def radius_m(self) -> FloatArray:
+        """(N,) float64: how far the nodes of each that counts lie from its middle; 0 where it is one node."""
+        return np.array(
+            [np.hypot(*(self._xy[at] - xy).T).max() for at, xy in zip(self._members, self.node_xy, strict=True)]
+        )
+
+    def off_what(self, node: int) -> str:
+        """Return what a place is off where several nodes are one: " the middle of ..."; else nothing."""
+        return f" {self.name_of(node)}" if len(self._members[node]) > 1 else ""
+
+    def name_of(self, node: int) -> str:
+        """Return what a node that counts is called: "node 7", or "the middle of nodes 7, 8 and 9 (one place)"."""
+        *others, last = (str(each) for each in self.nodes.members_of(node))
+        return f"the middle of nodes {', '.join(others)} and {last} (one place)" if others else f"node {last}"
+
+    @cached_property
+    def unjoined(self) -> tuple[_Points, list[Unjoined]]:
+        """Junctions that a slip of the map hides; row: which."""
+        found = unjoined(self.graph, self._xy, road_ways(self.graph, "drive+service"), self._near)
+        return _Points(np.array([each.xy for each in found]).reshape(-1, 2), np.arange(len(found))), found
 
     def streets(self, xy: FloatArray, reach_m: FloatArray) -> list[str | None]:
         """Return the names of the roads within (Q,) distances of (Q, 2) places, as "A / B"; None: no name is there."""
@@ -207,11 +251,6 @@ class MapEvidence:
             for at, way in zip(place.tolist(), ways[rows[line]].tolist(), strict=True):
                 found[at].add(str(names[way]))
         return [" / ".join(sorted(each, key=str.casefold)) or None for each in found]
-
-    def way(self, row: int) -> str:
-        """Return what a way is: `highway=service "Gottlob-Schreber-Weg"`."""
-        name = self.graph.ways.name[row]
-        return f"highway={self.graph.ways.highway[row]}" + (f' "{name}"' if name else "")
 
     @cached_property
     def left_out(self) -> _Points:
@@ -295,7 +334,7 @@ class MapEvidence:
         It lies in one where the line from the node to it deviates from the bisector of two roads by no more than their
         angle.
         """
-        row = self._row_of(node)
+        row = min(self._members[node], key=lambda each: float(np.hypot(*(self._xy[each] - xy))))
         roads = self._roads
         ends = [roads.walk(self._xy[row], row, each, ARM_M)[0] for each in roads.neighbours.get(row, [])]
         directions = [_unit(end - self._xy[row]) for end in ends]
@@ -309,7 +348,7 @@ class MapEvidence:
 
     def _row_of(self, node: int) -> int:
         """Return the row in the graph of a node that counts; of a merged one, of its smallest node."""
-        return int(np.searchsorted(self.graph.node_id, self.nodes.osm_id[node]))
+        return int(self._members[node][0])
 
     def road_end_m(self, xy: FloatArray) -> float:
         """Return the distance of a place (2,) from the nearest end of a road; infinite without any."""
@@ -365,7 +404,7 @@ class MapEvidence:
 
     def branches_seen(self, node: int, mosaic: Mosaic) -> str | None:
         """Say which of the branches of a node (row of the nodes that count) a drive saw; None: the node is merged."""
-        if self.nodes.tolerance_m is not None:
+        if len(self._members[node]) > 1:
             return None
         row, roads = self._row_of(node), self._roads
         along = np.arange(SEEN_FROM_M, BRANCH_M, 1.0)
@@ -397,7 +436,7 @@ class MapEvidence:
 
         None: the node is a merged one. No road is followed further than `BRANCH_M`.
         """
-        if self.nodes.tolerance_m is not None:
+        if len(self._members[node]) > 1:
             return None
         row = self._row_of(node)
         roads = self._roads
@@ -474,24 +513,22 @@ def explain_false(
         return []
     is_taken = set(taken)
     node_m, node = evidence.nearest_node(xy)
-    left_out_m, left_out = evidence.left_out.nearest(xy)
+    part_m, place = evidence.nearest_part(xy)  # large places reach further than their middle
+    node, node_m = np.where(part_m < node_m, place, node), np.minimum(node_m, part_m)
+    hidden = _hidden(evidence, xy, node_m)
     mouth_m, link = evidence.mouths.nearest(xy)
     link_m = evidence.distance_to_link(xy)
     path_m, path = evidence.paths.nearest(xy)
-    policy = evidence.nodes.policy
     reasons = []
     for row, group in enumerate(groups):
-        if left_out_m[row] <= SAME_PLACE_M and left_out_m[row] < node_m[row]:
-            way = evidence.way(int(left_out[row]))
-            reason = Reason(
-                "left_out", f"junction with {way}, {left_out_m[row]:.1f} m away, which policy {policy} leaves out"
-            )
+        if junction := hidden[row]:
+            reason = junction
         elif link_m[row] <= ON_LINK_M and mouth_m[row] <= MOUTH_M:
-            way = evidence.way(int(link[row]))
+            way = evidence.graph.ways.label(int(link[row]))
             reason = Reason("slip_road", f"mouth of a slip road ({way}), its node {mouth_m[row]:.1f} m away")
         elif node_m[row] <= NEAR_M:
             is_second = (group, int(node[row])) in is_taken
-            reason = _near_node(evidence, int(node[row]), xy[row], float(node_m[row]), limit_m, is_second=is_second)
+            reason = _near_node(evidence, int(node[row]), xy[row], limit_m, is_second=is_second)
             if odd := evidence.oddity(int(node[row])):
                 reason = Reason(reason.kind, f"{reason.sentence}; of that node: {odd}")
         elif (turn := evidence.bend_deg(xy[row])) >= BEND_DEG:
@@ -501,26 +538,39 @@ def explain_false(
         elif (end_m := evidence.road_end_m(xy[row])) <= SAME_PLACE_M:
             reason = Reason("road_end", f"end of a road, {end_m:.1f} m away")
         elif path_m[row] <= PATH_M:
-            reason = Reason("path", f"{evidence.way(int(path[row]))} meets a road, {path_m[row]:.1f} m away")
+            reason = Reason(
+                "path", f"{evidence.graph.ways.label(int(path[row]))} meets a road, {path_m[row]:.1f} m away"
+            )
         else:
             reason = Reason("nothing", f"nothing in OpenStreetMap within {NEAR_M:g} m explains it: worth a look")
         reasons.append(reason)
     return reasons
 
 
-def _near_node(
-    evidence: MapEvidence, node: int, xy: FloatArray, distance_m: float, limit_m: float, *, is_second: bool
-) -> Reason:
+def _hidden(evidence: MapEvidence, xy: FloatArray, node_m: FloatArray) -> list[Reason | None]:
+    """Say which junction is at (N, 2) places that does not count, where no node that counts is as near."""
+    slip_m, slip = evidence.unjoined[0].nearest(xy)
+    left_out_m, left_out = evidence.left_out.nearest(xy)
+    reasons: list[Reason | None] = [None] * len(xy)
+    for row in np.flatnonzero(np.minimum(slip_m, left_out_m) < np.minimum(node_m, SAME_PLACE_M + 1e-9)).tolist():
+        if slip_m[row] <= left_out_m[row]:
+            found = evidence.unjoined[1][slip[row]]
+            reasons[row] = Reason(found.kind, f"{slip_m[row]:.1f} m away {found.text}: an error of OpenStreetMap?")
+        else:
+            way = f"{evidence.graph.ways.label(int(left_out[row]))}, {left_out_m[row]:.1f} m away"
+            reasons[row] = Reason("left_out", f"junction with {way}, which policy {evidence.nodes.policy} leaves out")
+    return reasons
+
+
+def _near_node(evidence: MapEvidence, node: int, xy: FloatArray, limit_m: float, *, is_second: bool) -> Reason:
     """Say what a wrong place (2,) has to do with the node that counts near it."""
-    osm_id = int(evidence.nodes.osm_id[node])
+    name, distance_m = evidence.name_of(node), float(np.hypot(*(evidence.node_xy[node] - xy)))
     angle = evidence.fork_deg(node, xy)
     if angle <= FORK_DEG:
-        return Reason("fork", f"roads part by only {angle:.0f} degrees at node {osm_id}, {distance_m:.1f} m away")
+        return Reason("fork", f"roads part by only {angle:.0f} degrees at {name}, {distance_m:.1f} m away")
     if is_second:
-        return Reason(
-            "second", f"second one at a compound or wide junction: node {osm_id}, {distance_m:.1f} m away, has one"
-        )
-    return Reason("off", f"off by {distance_m:.1f} m from node {osm_id}; {limit_m:g} m are allowed")
+        return Reason("second", f"second one at a compound or wide junction: {name}, {distance_m:.1f} m away, has one")
+    return Reason("off", f"off by {distance_m:.1f} m from {name}; {limit_m:g} m are allowed")
 
 
 @dataclass(frozen=True)
@@ -563,19 +613,19 @@ def _explain_missed(evidence: MapEvidence, seen: FoundByDrive, node: int) -> Rea
     neighbour_m = np.hypot(*(evidence.node_xy[seen.intersection_node] - xy).T)
     holds_both = np.isin(np.arange(len(fused_m)), seen.detection_intersection[detected]) | (fused_m <= seen.gate_m)
     of_others[(neighbour_m > COMPOUND_M) | ~holds_both] = np.inf
-    unassigned_m = np.where(is_free, fused_m, np.inf)
+    part_m = evidence.parts_m(node, seen.intersection_xy)  # large places reach further than their middle
+    unassigned_m = np.where(is_free, np.minimum(fused_m, part_m), np.inf)
     merged_m, misplaced_m = of_others.min(initial=np.inf), unassigned_m.min(initial=np.inf)
     if merged_m <= COMPOUND_M and merged_m <= misplaced_m:
         row = int(np.argmin(of_others))
-        other = int(evidence.nodes.osm_id[seen.intersection_node[row]])
-        return Reason(
-            "merged", f"merged with node {other}, {neighbour_m[row]:.1f} m away: one intersection stands for both"
-        )
+        other = evidence.name_of(int(seen.intersection_node[row]))
+        return Reason("merged", f"merged with {other}, {neighbour_m[row]:.1f} m away: one intersection stands for both")
     if misplaced_m <= NEAR_M:
         row = int(np.argmin(unassigned_m))
         return Reason(
             "misplaced",
-            f"intersection {seen.intersection_id[row]} lies {misplaced_m:.1f} m off; {seen.gate_m:g} m are allowed",
+            f"intersection {seen.intersection_id[row]} lies {fused_m[row]:.1f} m off{evidence.off_what(node)}; "
+            f"{seen.gate_m:g} m are allowed",
         )
     if detected.any():
         keyframes = len(np.unique(seen.detection_keyframe[detected]))
@@ -587,7 +637,7 @@ def _explain_missed(evidence: MapEvidence, seen: FoundByDrive, node: int) -> Rea
 
 def _not_detected(evidence: MapEvidence, seen: FoundByDrive, node: int) -> Reason:
     """Say of a node at which nothing was detected what may be the cause."""
-    keyframe_m = np.hypot(*(seen.keyframe_xy - evidence.node_xy[node]).T)
+    keyframe_m = evidence.parts_m(node, seen.keyframe_xy)
     passed_m = float(keyframe_m.min())
     if levels := evidence.levels(node, seen.keyframe_xy[keyframe_m <= LEVEL_M]):
         return Reason("levels", levels)

@@ -136,12 +136,12 @@ def _kind_rows(counts: Mapping[str, Mapping[str, int]]) -> list[tuple[str, dict[
 
 
 @cache
-def template(name: str, package: str = "interloc.evaluation") -> Any:  # noqa: ANN401 - jinja2 is imported late
-    """Return a page template of a package, which may build on those of this one; with `percent` and `metres`."""
-    from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined  # noqa: PLC0415 - slow to import
+def template(name: str) -> Any:  # noqa: ANN401 - jinja2 is imported late
+    """Return a page template, with `percent` and `metres`."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined  # noqa: PLC0415 - slow to import
 
     environment = Environment(
-        loader=ChoiceLoader([PackageLoader(each) for each in dict.fromkeys((package, "interloc.evaluation"))]),
+        loader=PackageLoader("interloc.evaluation"),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,

@@ -128,7 +128,7 @@ def give_verdicts(
         intersections=fused,
         uids=_uids(graph, intersections, map_level, fused.osm_id),
         names=_names(evidence, intersections.lonlat, map_level.node),
-        node_names=evidence.streets(evidence.node_xy, np.full(len(nodes), nodes.tolerance_m or _AT_NODE_M)),
+        node_names=evidence.streets(evidence.node_xy, evidence.radius_m + _AT_NODE_M),
         node_outcome=_node_outcomes(map_level.node_found, map_level.node_in_zone),
         node_intersection=node_intersection,
         node_reason=[each.sentence if each else other for each, other in zip(missed, odd, strict=True)],
@@ -176,7 +176,7 @@ def _names(evidence: MapEvidence, lonlat: FloatArray, node: IntArray) -> list[st
     """Name intersections by the streets that meet at their node, or else by those that are near."""
     has_node = node != UNMATCHED
     xy = np.where(has_node[:, None], evidence.node_xy[node] if len(evidence.nodes) else 0.0, evidence.plane(lonlat))
-    at_node = evidence.nodes.tolerance_m or _AT_NODE_M
+    at_node = evidence.radius_m[node] + _AT_NODE_M if len(evidence.nodes) else SAME_PLACE_M
     return evidence.streets(xy, np.where(has_node, at_node, SAME_PLACE_M))
 
 

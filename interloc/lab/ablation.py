@@ -15,11 +15,10 @@ from interloc.arrays import FloatArray
 from interloc.config import PAPER, DetectorConfig, flatten, with_settings
 from interloc.errors import ConfigError
 from interloc.evaluation.matching import UNMATCHED
-from interloc.lab.cases import FolderCase, folder_cases
+from interloc.lab.cases import Case, FolderCase, folder_cases, twin_cases
 from interloc.lab.measure import Row
 from interloc.lab.run import NamedConfig
 from interloc.lab.tables import MISSING, Table, metres, one_decimal, table_of
-from interloc.lab.twins import Case, twin_cases
 
 NOTHING = "nothing"
 _RESAMPLES = 1000
@@ -58,7 +57,7 @@ SETS = {
 `town` (`interloc simulate town`)."""
 
 
-def taken_out(preset: str, config: DetectorConfig, names: Sequence[str] = ()) -> list[NamedConfig]:
+def taken_out(config: DetectorConfig, names: Sequence[str] = ()) -> list[NamedConfig]:
     """Return the preset, and the preset with each setting in which it differs from `paper` set back to that, alone.
 
     A section that `paper` leaves out counts as one setting, and so does `candidates`; `names` chooses among them.
@@ -78,11 +77,11 @@ def taken_out(preset: str, config: DetectorConfig, names: Sequence[str] = ()) ->
     if unknown := [name for name in names if name not in back]:
         raise ConfigError(f"--take-out {unknown[0]}: expected one of {', '.join(back)}")
     without = [
-        NamedConfig(name, with_settings(config, [setting]), ("--preset", preset, "--set", setting))
+        NamedConfig(name, with_settings(config, [setting]))
         for name, setting in back.items()
         if not names or name in names
     ]
-    return [NamedConfig(NOTHING, config, ("--preset", preset)), *without]
+    return [NamedConfig(NOTHING, config), *without]
 
 
 _ACE, _AXES, _F1 = range(3)

@@ -1,24 +1,28 @@
-"""The drives of a benchmark and how they are found, and what a measurement of them depends on."""
+"""The drives of a benchmark: recorded ones, and twins: the track of a KITTI sequence, simulated over its real map."""
 
 import csv
-import hashlib
-import json
 import re
-import shlex
+import tempfile
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
-from functools import cache
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Literal
+
+import numpy as np
 
 from interloc.drive import Drive
-from interloc.drives.georeference.read import ODOMETRY_OF_RAW
+from interloc.drives.files import SourceFile
+from interloc.drives.georeference.read import ODOMETRY_OF_RAW, read_oxts_rows
 from interloc.drives.open import open_drive
 from interloc.drives.options import DriveOptions, LabelFolder
 from interloc.errors import ConfigError, DriveError, GeoreferenceError, MapError
 from interloc.evaluation.published import SEQUENCES
+from interloc.lab.config import SceneConfig, SimulationOptions, StreetConfig
+from interloc.lab.drive import Trip, simulate
+from interloc.lab.streets import read_map
+from interloc.lab.tracks import LidarTrack, track_from_oxts
 from interloc.osm.container import MAP_ENDINGS
 from interloc.processes import Progress
 
@@ -26,11 +30,6 @@ AXES = "axes.csv"
 KNOWN_AXES = Path(__file__).parent / "axes"
 """Where the axes of roads meet, a file per map: read by eye off road maps that people drew from satellite images, to
 about 0.5 m (docs/accuracy.md says how). Places that could not be told have no coordinates, and a note why."""
-_PACKAGE = Path(__file__).resolve().parents[1]
-_WITHOUT_INFLUENCE = ("cli", "client", "explain")
-"""Parts of this package that no figure depends on."""
-_SIMULATOR = ("config", "drive", "ground", "lidar", "raycast", "scene", "streets", "tracks", "twins")
-"""Modules that a simulated drive depends on."""
 
 
 @dataclass(frozen=True)
@@ -64,15 +63,6 @@ class FolderCase:
                 ) from error
         return found
 
-    def facts(self) -> dict[str, Any]:
-        """Return what the drive depends on: names, sizes and times of all files."""
-        given = [] if self.options.oxts is None else [self.options.oxts]
-        return {
-            "files": file_facts([self.path, self.osm, *given]),
-            "axes": self.axes(),
-            "options": self.options.model_dump(mode="json", exclude={"oxts"}),
-        }
-
     def check(self) -> None:
         """Raise what is wrong with the drive, as far as that shows without reading all of it."""
         try:
@@ -91,19 +81,6 @@ class FolderCase:
     def opened(self, scratch: Path, progress: Progress | None = None) -> Iterator[Drive]:  # noqa: ARG002 - as the others
         """Give the drive."""
         yield open_drive(self.path, self.options)
-
-    def explain(self, frame: int, settings: tuple[str, ...]) -> list[str]:
-        """Return the command lines that draw the steps of the method at a frame."""
-        unusual = self.options.model_dump(mode="json", exclude_defaults=True)
-        options = [text for name, value in unusual.items() for text in (f"--{name.replace('_', '-')}", value)]
-        return [explain_command(self.path, frame, self.name, self.osm, (*options, *settings))]
-
-
-def explain_command(drive: Path, frame: int, name: str, osm: Path, options: tuple[str, ...]) -> str:
-    """Return the command line that draws the steps of the method at a frame of a drive."""
-    out = f"explain_{name.replace('/', '_')}_{frame}"
-    words = ["interloc", "explain", str(drive), "--frame", str(frame), "-o", out, "--osm", str(osm), *options]
-    return shlex.join(words)
 
 
 def semantickitti_cases(
@@ -202,39 +179,134 @@ def numbered(folder: Path) -> list[str]:
     return sorted({entry.name[:2] for entry in folder.iterdir() if re.fullmatch(r"\d\d(\..+)?", entry.name)})
 
 
-def fingerprint(facts: dict[str, Any]) -> str:
-    """Return a short text that differs where the facts (plain values) differ."""
-    return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()[:20]
+Poses = Literal["suma", "gt"]
+"""Poses to be written with a twin: SuMa's (SemanticKITTI's `poses.txt`) or KITTI's ground truth."""
 
 
-@cache
-def measuring_program() -> str:
-    """Return a fingerprint of the program that measures: the whole package without what no figure depends on."""
-    files = (path for path in _PACKAGE.rglob("*.py") if path.relative_to(_PACKAGE).parts[0] not in _WITHOUT_INFLUENCE)
-    return _contents(files)
+def twin_files(kitti_dir: Path, sequence: str, *, poses: Poses = "suma") -> dict[str, Path]:
+    """Return the files that a twin is made of; `buildings` only where there are any: else houses are made up."""
+    files = {
+        "oxts": kitti_dir / "oxts" / f"{sequence}.txt.gz",
+        "poses": kitti_dir / f"poses_{poses}" / f"{sequence}.txt",
+        "calib": kitti_dir / "calib" / f"{sequence}.txt",
+        "times": kitti_dir / "times" / f"{sequence}.txt",
+        "osm": kitti_dir / "osm" / f"{sequence}.osm.gz",
+    }
+    buildings = kitti_dir / "osm_buildings" / f"{sequence}.osm.gz"
+    return files | ({"buildings": buildings} if buildings.is_file() else {})
 
 
-@cache
-def simulating_program() -> str:
-    """Return a fingerprint of the simulator."""
-    return _contents(path for path in Path(__file__).parent.glob("*.py") if path.stem in _SIMULATOR)
+def twin_track(kitti_dir: Path, sequence: str, *, poses: Poses = "suma") -> LidarTrack:
+    """Return the track of a sequence: places from OXTS, and the given poses to be written with the drive."""
+    files = twin_files(kitti_dir, sequence, poses=poses)
+    rows = read_oxts_rows(SourceFile(files["oxts"], Path()))
+    camera = np.loadtxt(files["poses"]).reshape(-1, 3, 4)
+    times = np.loadtxt(files["times"])
+    count = min(len(rows), len(camera), len(times))
+    track = track_from_oxts(rows[:count], times[:count])
+    return replace(track, poses_camera=camera[:count], calib_text=files["calib"].read_text())
 
 
-def _contents(files: Iterable[Path]) -> str:
-    digest = hashlib.sha256()
-    for file in sorted(files):
-        digest.update(file.relative_to(_PACKAGE).as_posix().encode())
-        digest.update(file.read_bytes())
-    return digest.hexdigest()[:20]
+def twin_trip(kitti_dir: Path, sequence: str, *, poses: Poses = "suma") -> Trip:
+    """Return a sequence as it is to be simulated; see `twin_track`."""
+    track = twin_track(kitti_dir, sequence, poses=poses)
+    files = twin_files(kitti_dir, sequence, poses=poses)
+    return Trip(track, read_map(files["osm"], files.get("buildings")), {"twin": sequence, "poses": poses})
 
 
-def file_facts(paths: Iterable[Path]) -> list[tuple[str, int, int]]:
-    """Return name, size and time of change of files, and of the files in folders, in a fixed order."""
-    facts = []
-    for path in paths:
-        files = sorted(file for file in path.rglob("*") if file.is_file()) if path.is_dir() else [path]
-        for file in files:
-            status = file.stat()
-            name = file.relative_to(path).as_posix() if path.is_dir() else file.name
-            facts.append((name, status.st_size, status.st_mtime_ns))
-    return facts
+@dataclass(frozen=True)
+class TwinCase:
+    """A KITTI twin: the real track of a sequence, simulated over its real map with a LiDAR."""
+
+    kitti: Path
+    """Folder with `oxts/`, `poses_suma/`, `poses_gt/`, `calib/`, `times/`, `osm/` and, if known, `osm_buildings/`."""
+    sequence: str
+    """Two digits."""
+    seed: int = 0
+    """Seed of everything random; with an odd one service roads are labelled as road, which the policy does not count.
+    """
+    poses: Poses = "suma"
+    """{"suma", "gt"}."""
+    keep: Path | None = None
+    """Folder in which twins stay and are found again."""
+    max_scans: int | None = None
+    """Number of keyframes after which the drive ends."""
+
+    @property
+    def name(self) -> str:
+        """Name in the tables."""
+        return self.sequence
+
+    @property
+    def shows_service_roads(self) -> bool:
+        """Whether service roads are labelled as road: in half of the seeds."""
+        return self.seed % 2 == 1
+
+    @property
+    def osm(self) -> Path:
+        """Map of the sequence."""
+        return self.kitti / "osm" / f"{self.sequence}.osm.gz"
+
+    def axes(self) -> None:
+        """Return None: in a simulated drive the axes of the roads meet at the nodes of the map."""
+
+    def check(self) -> None:
+        """Do nothing: its inputs were looked for when it was planned."""
+
+    @contextmanager
+    def opened(self, scratch: Path, progress: Progress | None = None) -> Iterator[Drive]:
+        """Simulate the twin, unless it is kept from before; it is gone at the end, unless it is to be kept."""
+        if self.keep is not None:
+            first = f"_first{self.max_scans}" if self.max_scans else ""
+            path = self.keep / f"{self.sequence}_{self.poses}_seed{self.seed}{first}"
+            if not path.is_dir():  # a drive is written whole or not at all
+                self._simulate(path, progress)
+            yield open_drive(path)
+            return
+        with tempfile.TemporaryDirectory(prefix=".twin-", dir=scratch) as folder:
+            path = Path(folder) / self.sequence
+            self._simulate(path, progress)
+            yield open_drive(path)
+
+    def _simulate(self, path: Path, progress: Progress | None) -> None:
+        options = SimulationOptions(
+            seed=self.seed,
+            keyframes_only=True,
+            ground_only=True,
+            max_scans=self.max_scans,
+            scene=SceneConfig(
+                streets=StreetConfig(service_roads="road" if self.shows_service_roads else "other_ground")
+            ),
+        )
+        simulate(twin_trip(self.kitti, self.sequence, poses=self.poses), path, options, progress=progress)
+
+
+Case = FolderCase | TwinCase
+
+
+def twin_cases(
+    kitti: Path,
+    sequences: Sequence[str] = SEQUENCES,
+    *,
+    seeds: int | Sequence[int] = 1,
+    poses: Poses = "suma",
+    keep: Path | None = None,
+    max_scans: int | None = None,
+) -> list[TwinCase]:
+    """Return the twins of some sequences, each with several seeds: so many of them, or these."""
+    if not kitti.is_dir():
+        raise DriveError(f"{kitti}: no such folder. Expected oxts/, poses_{poses}/, calib/, times/ and osm/ in it.")
+
+    def missing(sequence: str) -> list[str]:
+        needed = twin_files(kitti, sequence, poses=poses).values()
+        return [path.relative_to(kitti).as_posix() for path in needed if not path.is_file()]
+
+    for sequence in sequences:
+        if lacks := missing(sequence):
+            complete = [each for each in numbered(kitti / "oxts") if not missing(each)]
+            raise DriveError(
+                f"{kitti}: sequence {sequence} has no {', '.join(lacks)}. "
+                f"Sequences with all that a twin needs: {', '.join(complete) or 'none'}."
+            )
+    numbers = range(seeds) if isinstance(seeds, int) else seeds
+    return [TwinCase(kitti, sequence, seed, poses, keep, max_scans) for sequence in sequences for seed in numbers]

@@ -25,14 +25,6 @@ class LidarConfig(_Config):
     range_noise_m: float = Field(0.02, ge=0, le=1, description="Standard deviation of a range.")
     surface_noise: float = Field(1.0, ge=0, le=10, description="Factor on the roughness of the ground (0: smooth).")
     dropout: float = Field(0.03, ge=0, lt=1, description="Share of the shots that give no return anywhere.")
-    gain: float = Field(0.0, ge=0, le=1, description="Spread of the brightness from laser to laser, as a share of it.")
-    turn_s: float = Field(
-        0.0,
-        ge=0,
-        le=1,
-        description="Time of a turn, within which the vehicle moves on: scans are written as PCD with the time of each "
-        "point. 0: a turn takes no time.",
-    )
     road_half_range_m: float | None = Field(
         60.0,
         gt=1,
@@ -77,17 +69,9 @@ medium signal. Velodyne HDL-64E S2: user manual 63-HDL64ES2. All of them on the 
 class StreetConfig(_Config):
     """How wide streets are, and what runs beside them; the table of classes is `osm_map.STREET_CLASSES`."""
 
-    width_factor: float = Field(1.0, gt=0.2, le=3, description="Factor on every default width.")
-    use_width_tags: bool = Field(True, description="Use the tags `width` and `lanes` of the map.")
     corner_radius_factor: float = Field(1.0, ge=0, le=3, description="Factor on the radius of kerbs at junctions.")
     sidewalks: bool = Field(True, description="Draw sidewalks along streets unless the map says that there are none.")
     sidewalk_width_m: float = Field(1.9, gt=0.3, le=10, description="Width of a sidewalk.")
-    flush_sidewalk_share: float = Field(
-        0.0, ge=0, le=1, description="Share of the streets whose sidewalks lie as high as the road."
-    )
-    lowered_kerb_share: float = Field(
-        0.0, ge=0, le=1, description="Share of the other sidewalks that lie as high as the road, in pieces of 4 m."
-    )
     parking_bay_share: float = Field(
         0.2, ge=0, le=1, description="Share of the residential streets with marked bays (label parking) at the kerb."
     )
@@ -97,14 +81,6 @@ class StreetConfig(_Config):
         description="Label of service roads other than drives and lanes of car parks. The ground truth policy "
         "`drive` leaves them out; labelled as road, each of their junctions counts as a false positive.",
     )
-    private_drives_per_km: float = Field(
-        0.0,
-        ge=0,
-        le=100,
-        description="Number of drives of 3 to 6 m by 15 to 45 m along each kilometre of street: labelled road, "
-        "but not on the map; at the same places for every seed.",
-    )
-    lane_markings: bool = Field(True, description="Draw dashed centre lines on the larger streets.")
 
 
 class RoadsideConfig(_Config):
@@ -114,9 +90,6 @@ class RoadsideConfig(_Config):
         0.35, ge=0, le=1, description="Share of the places at the kerb of a residential street that are taken."
     )
     hedge_share: float = Field(0.35, ge=0, le=1, description="Share of the back edge of sidewalks with hedge or fence.")
-    posts_per_km: float = Field(
-        0.0, ge=0, le=500, description="Number of lamp posts and trees along each kilometre of a street's sides."
-    )
     buildings: Literal["auto", "map", "made_up", "none"] = Field(
         "auto",
         description="Buildings of the map (map), made up along the streets (made_up), made up only if the map has "
@@ -130,9 +103,6 @@ class SceneConfig(_Config):
 
     streets: StreetConfig = StreetConfig()
     roadside: RoadsideConfig = RoadsideConfig()
-    wear: float = Field(
-        0.0, ge=0, le=1, description="Spread of the brightness of the ground from patch to patch, as a share of it."
-    )
     cell_m: float = Field(0.125, gt=0.02, le=1, description="Side of a cell of the raster of ground classes.")
     tile_m: float = Field(64.0, ge=8, le=512, description="Side of a tile of the raster of ground classes.")
     tiles_in_memory: int = Field(96, ge=16, le=4096, description="Number of tiles kept in memory.")
@@ -155,9 +125,6 @@ class TrackConfig(_Config):
     speed_mps: float = Field(8.0, gt=0.1, le=60, description="Speed along the route; times in the file are not used.")
     rate_hz: float = Field(10.0, gt=0.1, le=100, description="Scans per second.")
     smoothing_m: float = Field(3.0, ge=0, le=50, description="Width of the Gaussian that smooths the path.")
-    min_radius_m: float = Field(
-        0.0, ge=0, le=50, description="Smallest radius of a bend of the path; cars need 5 to 6 m. 0: any."
-    )
     offset_m: float = Field(0.0, ge=-20, le=20, description="Distance of the path from the given line, to the right.")
     max_gap_m: float = Field(500.0, gt=1, description="A line with a longer gap between two points is refused.")
 

@@ -1,4 +1,4 @@
-"""Simulating a drive along a track over a map, and writing it to disk scan by scan."""
+"""Simulating a drive along a track over a map: one turn of a LiDAR after the other, written to disk scan by scan."""
 
 import json
 from dataclasses import dataclass, field
@@ -11,18 +11,87 @@ from interloc.arrays import Float32Array, FloatArray, UInt32Array
 from interloc.config import DEFAULT
 from interloc.detection.keyframes import select_keyframes
 from interloc.files import atomic_folder
-from interloc.geometry import invert_transform
-from interloc.lab.config import DEFAULT_OPTIONS, SimulationOptions
-from interloc.lab.lidar import Lidar
+from interloc.lab.config import DEFAULT_OPTIONS, LidarConfig, SimulationOptions
+from interloc.lab.ground import MATERIAL_TABLE
+from interloc.lab.raycast import cast_rays
 from interloc.lab.scene import Scene, build_scene
 from interloc.lab.streets import MapData
 from interloc.lab.tracks import IMU_TO_VELO_TEXT, LidarTrack, camera_poses, format_oxts, lidar_poses, parse_tr
-from interloc.odometry import Velocity
 from interloc.processes import Progress
 
+_LABELS = MATERIAL_TABLE[:, 0].astype(np.uint32)
 MARKER = "simulation.json"
 GROUND_LABELS = (40, 60, 48, 44, 49)
 """Road, lane marking, sidewalk, parking, other ground: all that the method, and its noise model, look at."""
+
+
+class Lidar:
+    """A LiDAR by its configuration.
+
+    An HDL-64E is two blocks of lasers: the upper half of the rings a third of a degree apart, the lower half a half.
+    The chance of a return falls with reflectance * cos(incidence) / range^2.
+    """
+
+    def __init__(self, config: LidarConfig | None = None) -> None:
+        config = config or LidarConfig()
+        self.config = config
+        upper = (config.rings + 1) // 2
+        lower = config.rings - upper
+        gap = (config.middle_deg - config.bottom_deg) / max(lower, 1)
+        self.elevations = np.radians(
+            np.concatenate(
+                [
+                    np.linspace(config.top_deg, config.middle_deg, upper),
+                    np.linspace(config.middle_deg - gap, config.bottom_deg, lower),
+                ]
+            )
+        )
+        self.azimuths = 2 * np.pi * (np.arange(config.columns) + 0.5) / config.columns
+        half = config.road_half_range_m
+        self._limits = np.array(
+            [
+                config.min_range_m,
+                config.max_range_m,
+                config.range_noise_m,
+                config.surface_noise,
+                config.dropout,
+                -np.inf if half is None else np.log(config.height_m / half**3),
+            ]
+        )
+
+    def scan(
+        self, scene: Scene, T_map_lidar: FloatArray, rng: np.random.Generator, *, level: int = 0
+    ) -> tuple[Float32Array, UInt32Array]:
+        """Measure one turn, which takes no time, at a pose (4, 4), as seen from a level of the scene (`Scene.level`).
+
+        Returns (N, 4) float32 x, y, z in L (metres) and remission, ring by ring from the top, and (N,) uint32
+        SemanticKITTI ids. `rng` decides noise and dropout; the same state gives the same scan.
+        """
+        x, y = float(T_map_lidar[0, 3]), float(T_map_lidar[1, 3])
+        reach = self.config.max_range_m
+        scene.ground.show(x, y, reach, plan=level)
+        walls, surfaces = scene.obstacles.near(x, y, reach, level=level)
+        shape = (len(self.elevations), len(self.azimuths))
+        normal, uniform = rng.standard_normal((2, *shape), dtype=np.float32), rng.random(shape, dtype=np.float32)
+        points, codes, hit = cast_rays(
+            np.ascontiguousarray(T_map_lidar[:3, 3]),
+            np.ascontiguousarray(T_map_lidar[:3, :3]),
+            self.elevations,
+            self.azimuths,
+            scene.ground.tiles,
+            scene.ground.index,
+            scene.ground.frame,
+            scene.heights[level].grid,
+            scene.heights[level].frame,
+            walls,
+            surfaces,
+            MATERIAL_TABLE,
+            self._limits,
+            normal,
+            uniform,
+        )
+        seen = np.nonzero(hit)
+        return points[seen], _LABELS[codes[seen]]
 
 
 def simulate_drive(
@@ -35,7 +104,7 @@ def simulate_drive(
     about: dict[str, object] | None = None,
     progress: Progress | None = None,
 ) -> int:
-    """Write a drive in SemanticKITTI format, with OXTS; scans whose turn takes time as PCD files.
+    """Write a drive in SemanticKITTI format, with OXTS.
 
     `track` has a pose for each scan, in the scene that `build_scene(track, ...)` made. The folder is complete or not
     made at all; an older simulated drive is replaced. Scan k depends on the seed and k alone: any order and any
@@ -50,20 +119,16 @@ def simulate_drive(
     chosen = chosen[: options.max_scans]
     lidar = Lidar(options.sensor)
     with atomic_folder(Path(out), marker=MARKER) as folder:
-        velocities = _velocities(scene.T_map_lidar, track.times_s) if options.sensor.turn_s else None
-        for name in (("velodyne", "labels") if velocities is None else ("pcd",)) + ("oxts/data",):
+        for name in ("velodyne", "labels", "oxts/data"):
             (folder / name).mkdir(parents=True)
         for number, k in enumerate(map(int, chosen)):
             rng = np.random.default_rng([options.seed, k])
-            velocity = None if velocities is None else velocities[k]
-            scan = lidar.scan(scene, scene.T_map_lidar[k], rng, level=int(scene.level[k]), velocity=velocity)
+            points, labels = lidar.scan(scene, scene.T_map_lidar[k], rng, level=int(scene.level[k]))
             if options.ground_only:
-                scan = scan.of(np.isin(scan.labels, GROUND_LABELS))
-            if scan.times_s is None:
-                scan.points.tofile(folder / f"velodyne/{number:06d}.bin")
-                scan.labels.tofile(folder / f"labels/{number:06d}.label")
-            else:
-                (folder / f"pcd/{number:06d}.pcd").write_bytes(_pcd_bytes(scan.points, scan.labels, scan.times_s))
+                kept = np.isin(labels, GROUND_LABELS)
+                points, labels = points[kept], labels[kept]
+            points.tofile(folder / f"velodyne/{number:06d}.bin")
+            labels.tofile(folder / f"labels/{number:06d}.label")
             (folder / f"oxts/data/{number:010d}.txt").write_text(format_oxts(track.oxts[k]))
             if progress is not None:
                 progress(number + 1, len(chosen))
@@ -87,34 +152,12 @@ def simulate_drive(
     return len(chosen)
 
 
-def _velocities(T_map_lidar: FloatArray, times_s: FloatArray) -> list[Velocity]:
-    """Return the velocity after each of (N,) poses; after the last one, that before."""
-    steps = invert_transform(T_map_lidar[:-1]) @ T_map_lidar[1:]
-    found = [Velocity.between(step, passed) for step, passed in zip(steps, np.diff(times_s).tolist(), strict=True)]
-    return [*found, found[-1]]
-
-
-def _pcd_bytes(points: Float32Array, labels: UInt32Array, times_s: Float32Array) -> bytes:
-    """Return the scan as a PCD file whose points carry label and time."""
-    cells = np.zeros(
-        len(points), [(name, "<f4") for name in ("x", "y", "z", "intensity")] + [("label", "<u4"), ("t", "<f4")]
-    )
-    for column, name in enumerate(("x", "y", "z", "intensity")):
-        cells[name] = points[:, column]
-    cells["label"], cells["t"] = labels, times_s
-    header = (
-        "VERSION 0.7\nFIELDS x y z intensity label t\nSIZE 4 4 4 4 4 4\nTYPE F F F F U F\nCOUNT 1 1 1 1 1 1\n"
-        f"WIDTH {len(points)}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {len(points)}\nDATA binary\n"
-    )
-    return header.encode() + cells.tobytes()
-
-
 @dataclass(frozen=True)
 class Trip:
     """Where to drive."""
 
     track: LidarTrack
-    """From `open_track` (GPX, CSV, OXTS), `track_from_line` or `track_from_oxts`."""
+    """From `track_from_line` or `track_from_oxts`."""
     map: MapData
     """From `read_map`."""
     about: dict[str, object] = field(default_factory=dict)

@@ -12,7 +12,6 @@ from typing import Literal, NamedTuple
 import cv2
 import numpy as np
 import shapely
-from scipy.ndimage import map_coordinates
 from shapely.geometry import LineString, MultiPolygon, Point, Polygon
 from shapely.geometry.base import BaseGeometry
 from shapely.ops import substring
@@ -23,15 +22,12 @@ from interloc.lab.raycast import STEP_M, height_at
 from interloc.lab.streets import Profile, StreetMap
 
 KERB_M = 2 * STEP_M
-_PATCH_M = 2.5
-_PATCHES = np.random.default_rng(0).standard_normal((64, 64))
 _CELL_M = 4.0
 _SMOOTH_M = 6.0  # width of the Gaussian that smooths the heights along a track
 _SLOPE_M, _AHEAD_M = 10.0, 40.0
 _PIECE_M, _OFF_PITCH = 5.0, 0.1
 ARM_M = 32.0
 JUNCTION_REACH_M = 24.0
-_PRIVATE_FROM_END_M = 20.0
 TURNING_CIRCLE_M = 7.0
 MEDIAN_KERB_M = 1.0
 _SUBPIXEL_BITS = 4
@@ -51,7 +47,6 @@ class Surface(IntEnum):
     VEGETATION = 8
     FENCE = 9
     STRUCTURE = 10
-    FLUSH_SIDEWALK = 11
 
 
 class Material(NamedTuple):
@@ -82,20 +77,10 @@ MATERIALS: dict[Surface, Material] = {
     Surface.VEGETATION: Material(70, 0.0, 0.15, 0.35, 0.12, 0.9),
     Surface.FENCE: Material(51, 0.0, 0.04, 0.30, 0.13, 0.7),
     Surface.STRUCTURE: Material(52, 0.0, 0.02, 0.33, 0.12, 1.0),
-    Surface.FLUSH_SIDEWALK: Material(48, 0.0, 0.006, 0.295, 0.088, 1.1),
 }
 
 MATERIAL_TABLE = np.array([MATERIALS[code] for code in Surface], dtype=np.float64)
 """(surfaces, 6) float64: the columns of `Material`, one row per code; the kernel reads it."""
-
-GROUND = np.array([code <= Surface.OTHER_GROUND or code == Surface.FLUSH_SIDEWALK for code in Surface])
-"""(surfaces,) bool: what is ground."""
-
-
-def worn(xy: FloatArray) -> FloatArray:
-    """Return how much (N, 2) places in M are brighter than usual, in standard deviations: patches of some metres."""
-    shades: FloatArray = map_coordinates(_PATCHES, xy.T / _PATCH_M, order=1, mode="grid-wrap")
-    return shades
 
 
 @dataclass(frozen=True)
@@ -226,7 +211,6 @@ def plan_ground(
     lanes of car parks, service roads, roads with rounded kerbs, lane markings.
     """
     paths, lots, drives = Layer(Surface.SIDEWALK), Layer(Surface.PARKING), Layer(Surface.PARKING)
-    flush = Layer(Surface.FLUSH_SIDEWALK)
     medians, walks, bays = Layer(Surface.OTHER_GROUND), Layer(Surface.SIDEWALK), Layer(Surface.PARKING)
     aisles, alleys = Layer(Surface.PARKING), Layer(Surface.OTHER_GROUND)
     roads, marks = Layer(Surface.ROAD), Layer(Surface.MARKING)
@@ -243,9 +227,7 @@ def plan_ground(
         roads.add(surface)
         for part in line_parts(line):
             _add_sides(part, profile, walks, medians, bays)
-            _add_flush(part, profile, config, flush, medians, bays)
-            _add_private(part, profile, config, roads)
-            if config.lane_markings and profile.kind.marked:
+            if profile.kind.marked:
                 _add_dashes(part, profile, marks)
     for fillet, profile_walk in _fillets(street_map, profiles, lines, config):
         roads.add(fillet)
@@ -257,7 +239,7 @@ def plan_ground(
         roads.add(disc)
         walks.add(disc.buffer(config.sidewalk_width_m))
     roads.add(driven)
-    return [layer.close() for layer in (paths, lots, drives, medians, walks, flush, bays, aisles, alleys, roads, marks)]
+    return [layer.close() for layer in (paths, lots, drives, medians, walks, bays, aisles, alleys, roads, marks)]
 
 
 def _aside(profile: Profile, config: StreetConfig) -> Literal["drive", "aisle", "alley"] | None:
@@ -328,38 +310,6 @@ def _add_sides(line: LineString, profile: Profile, walks: Layer, medians: Layer,
             bays.add(_side(middle, profile.half_m + profile.bay_left_m))
         if profile.bay_right_m:
             bays.add(_side(middle, -profile.half_m - profile.bay_right_m))
-
-
-def _add_private(line: LineString, profile: Profile, config: StreetConfig, roads: Layer) -> None:
-    """Draw drives that the map does not have, well away from the ends of a street."""
-    draw = np.random.default_rng([profile.street.way_id & 0x7FFFFFFF, round(line.length), 3])
-    usable = line.length - 2 * _PRIVATE_FROM_END_M
-    for along in draw.uniform(
-        0.0, max(usable, 0.0), draw.poisson(max(usable, 0.0) * config.private_drives_per_km / 1000)
-    ):
-        at = _PRIVATE_FROM_END_M + along
-        foot, ahead = (np.array(line.interpolate(metres).coords[0]) for metres in (at, at + 1.0))
-        across = np.array([ahead[1] - foot[1], foot[0] - ahead[0]]) * draw.choice([-1.0, 1.0])
-        length, width = draw.uniform(15.0, 45.0), draw.uniform(3.0, 6.0)
-        end = foot + (profile.half_m + length) * across / np.hypot(*across)
-        roads.add(LineString([foot, end]).buffer(width / 2, cap_style="flat"))
-
-
-def _add_flush(
-    line: LineString, profile: Profile, config: StreetConfig, flush: Layer, medians: Layer, bays: Layer
-) -> None:
-    """Lay sidewalks as high as the road over those behind a kerb: along whole streets, or in pieces of 4 m."""
-    draw = np.random.default_rng([profile.street.way_id & 0x7FFFFFFF, round(line.length), 2])
-    if not config.flush_sidewalk_share and not config.lowered_kerb_share:
-        return
-    if draw.random() < config.flush_sidewalk_share:
-        _add_sides(line, profile, flush, medians, bays)
-        return
-    for start in np.arange(0.0, line.length - 4.0, 4.0):
-        if draw.random() < config.lowered_kerb_share:
-            piece = substring(line, float(start), float(start) + 4.0)
-            for left_m in (profile.edge_m(left=True), -profile.edge_m(left=False)):
-                flush.add(_side(LineString(piece.coords), left_m))
 
 
 def _add_dashes(line: LineString, profile: Profile, marks: Layer) -> None:

@@ -1,9 +1,11 @@
-"""One drive, one preset, one level of label errors: detect, evaluate, and keep in a file what the tables need of it."""
+"""One drive, one preset, one level of label errors: detect, evaluate, and keep in a file what the tables need of it.
+
+Label errors are made on purpose: what the result does when the segmentation errs (paper, section V-C).
+"""
 
 import re
 import time
-from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,29 +13,89 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from interloc.arrays import FloatArray
+from interloc.arrays import FloatArray, IntArray
 from interloc.config import DetectorConfig
 from interloc.detection.keyframes import select_keyframes
-from interloc.drive import Drive
-from interloc.drives.label_errors import MislabelledDrive, parse_level
-from interloc.errors import OutputError
+from interloc.drive import Drive, Georeference, GroundPoints, is_slow
+from interloc.errors import ConfigError, OutputError
 from interloc.evaluation.evaluate import Evaluation, evaluate
-from interloc.evaluation.map_level import squared_errors
 from interloc.evaluation.matching import UNMATCHED
 from interloc.evaluation.metrics import STANDARD_THRESHOLD_M
 from interloc.files import atomic_write, reason_of
-from interloc.geometry import enu_from_lonlat, middle_of
+from interloc.geometry import enu_from_lonlat
 from interloc.osm.graph import RoadGraph
 from interloc.osm.policies import Policy
-from interloc.output.geojson import DEGREE_DECIMALS, rounded
-from interloc.pipeline import detect, detect_range
+from interloc.pipeline import detect, detect_range, versions
 from interloc.processes import Progress
 
-GROUP_M = 6.0
-"""False detections nearer than this to each other are one group."""
 
-Explain = Callable[[int], list[str]]
-"""Returns the command lines that show a frame."""
+@dataclass(frozen=True)
+class MislabelledDrive:
+    """A drive whose labels err: a `Drive`; shares outside of 0..1 are a ConfigError."""
+
+    drive: Drive
+    """The drive with the labels as they are."""
+    r_fpr: float
+    """Share of the confusable points (sidewalk, parking, other ground) that are taken for road, 0..1."""
+    r_fnr: float
+    """Share of the road points that are missed, 0..1."""
+    seed: int = 0
+    """The same points err for the same seed and frame, whatever the process and the order of reading."""
+
+    def __post_init__(self) -> None:
+        for name, share in (("r_fpr", self.r_fpr), ("r_fnr", self.r_fnr)):
+            if not 0 <= share <= 1:
+                raise ConfigError(f"{name} is {share:g}; expected a share from 0 to 1 (5 % is 0.05).")
+        if self.seed < 0:
+            raise ConfigError(f"seed is {self.seed}; expected 0 or more.")
+
+    @property
+    def name(self) -> str:
+        """Name of the folder."""
+        return self.drive.name
+
+    @property
+    def frames(self) -> IntArray:
+        """(N,) int64 scan numbers."""
+        return self.drive.frames
+
+    @property
+    def T_world_lidar(self) -> FloatArray:
+        """(N, 4, 4) float64 pose of the LiDAR at each scan."""
+        return self.drive.T_world_lidar
+
+    @property
+    def times_s(self) -> FloatArray | None:
+        """(N,) float64 seconds, or None."""
+        return self.drive.times_s
+
+    @property
+    def is_slow(self) -> bool:
+        """Whether several scans should be read at once."""
+        return is_slow(self.drive)
+
+    @property
+    def georeference(self) -> Georeference | None:
+        """Georeference, or None."""
+        return self.drive.georeference
+
+    def ground_points(self, index: int) -> GroundPoints:
+        """Read a scan, and let some of its labels err."""
+        points = self.drive.ground_points(index)
+        draw = np.random.default_rng([self.seed, int(self.drive.frames[index])]).random(
+            len(points.xyz), dtype=np.float32
+        )
+        is_road = points.is_road
+        return GroundPoints.split(points.xyz, np.where(is_road, draw >= self.r_fnr, draw < self.r_fpr))
+
+
+def parse_level(level: str) -> tuple[float, float]:
+    """Return r-FPR and r-FNR as shares, 0..1, of a level in percent such as "5/20"; another text is a ConfigError."""
+    match = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*/\s*(\d+(?:\.\d+)?)\s*", level)
+    shares = tuple(float(part) / 100.0 for part in match.groups()) if match else ()
+    if len(shares) != 2 or max(shares) > 1.0:
+        raise ConfigError(f"level {level!r} is not valid. Expected r-FPR/r-FNR in percent, such as 5/20.")
+    return shares[0], shares[1]
 
 
 class _Record(BaseModel):
@@ -79,9 +141,8 @@ class Row(_Record):
     """A drive measured once."""
 
     cell: Cell
-    fingerprint: str
-    """Of everything that the figures depend on: settings, inputs, program."""
-    policy: str
+    settings: dict[str, Any]
+    """Of the method and of the scoring, and the versions of the program and what it rests on."""
     keyframes: int
     errors_m: tuple[float, ...]
     """Center errors of all matched detections, metres."""
@@ -102,39 +163,29 @@ class Row(_Record):
     """Of the assigned pairs, metres."""
     map_axes_errors_m: tuple[tuple[float, float], ...]
     """Of those pairs at whose node somebody read where the axes of the roads meet: from the node, and from there."""
-    map_squared: tuple[float, ...]
-    """Of the assigned pairs: errors in units of their covariances, squared (`evaluation.map_level`)."""
-    map_confidence: tuple[float, ...]
-    """Of the fused intersections in the zone."""
-    map_right: tuple[bool, ...]
-    """Whether these have a node."""
     compute_s: float
     """Processor time from files to intersections."""
     warnings: tuple[str, ...]
     made_up_map: bool
     """A simulator made the map up: it is not of OpenStreetMap."""
-    failures: tuple[dict[str, Any], ...]
-    """See `find_failures`."""
 
 
 def write_row(row: Row, folder: Path) -> None:
     """Keep a row in a folder."""
     with atomic_write(folder / f"{row.cell.file_name}.json") as handle:
-        handle.write(row.model_dump_json(exclude_none=False).encode() + b"\n")
+        handle.write(row.model_dump_json().encode() + b"\n")
 
 
-def read_row(cell: Cell, fingerprint: str, folder: Path) -> Row | None:
-    """Read the row of a cell, if one is kept that was measured with the same settings, inputs and program."""
+def read_row(cell: Cell, settings: dict[str, Any], folder: Path) -> Row | None:
+    """Read the row of a cell, if one is kept that was measured with these settings."""
     path = folder / f"{cell.file_name}.json"
     try:
         row = Row.model_validate_json(path.read_bytes())
-    except FileNotFoundError:
-        return None
-    except ValidationError:  # of another version of this program
+    except (FileNotFoundError, ValidationError):  # or of another version of this program
         return None
     except OSError as error:
         raise OutputError(f"{path} could not be read: {reason_of(error)}.") from error
-    return row if row.cell == cell and row.fingerprint == fingerprint else None
+    return row if row.cell == cell and row.settings == settings else None
 
 
 @dataclass(frozen=True)
@@ -146,22 +197,25 @@ class Scoring:
     """Of policy `consolidated`."""
 
 
+def settings_of(config: DetectorConfig, truth: Scoring) -> dict[str, Any]:
+    """Return what `Row.settings` keeps."""
+    scoring = {"policy": truth.policy, "tolerance_m": truth.tolerance_m}
+    return {"method": config.model_dump(mode="json"), "scoring": scoring, "versions": versions()}
+
+
 def measure(
     cell: Cell,
-    fingerprint: str,
     drive: Drive,
     graph: RoadGraph,
     config: DetectorConfig,
     truth: Scoring,
-    explain: Explain,
     *,
     axes: Mapping[int, tuple[float, float]] | None = None,
     progress: Progress | None = None,
 ) -> Row:
     """Measure a cell of the benchmark, by a drive without label errors and its map.
 
-    `explain` gives the command lines that show a frame; `axes` longitude and latitude of where the axes of the roads
-    meet, by node (None: at the nodes).
+    `axes` are longitude and latitude of where the axes of the roads meet, by node (None: at the nodes).
     """
     r_fpr, r_fnr = parse_level(cell.noise)
     source = MislabelledDrive(drive, r_fpr, r_fnr, cell.seed) if r_fpr or r_fnr else drive
@@ -171,11 +225,9 @@ def measure(
     used_s = time.process_time() - began  # of this process: what else runs on the machine does not count
     evaluation = evaluate(result, graph, policy=truth.policy, tolerance_m=truth.tolerance_m)
     matching, level = evaluation.matching, evaluation.map_level
-    squared = squared_errors(evaluation.intersections, level, evaluation.nodes.lonlat)
     return Row(
         cell=cell,
-        fingerprint=fingerprint,
-        policy=truth.policy,
+        settings=settings_of(config, truth),
         keyframes=len(evaluation.keyframes),
         errors_m=_rounded(matching.error_m[matching.is_matched]),
         places=_places(evaluation, axes),
@@ -189,13 +241,9 @@ def measure(
         map_nodes=int(level.node_in_zone.sum()),
         map_errors_m=_rounded(level.errors_m),
         map_axes_errors_m=_from_axes(evaluation, axes or {}),
-        map_squared=_rounded(squared[np.isfinite(squared)]),
-        map_confidence=_rounded(evaluation.intersections.confidence[level.counts]),
-        map_right=tuple(level.right[level.counts].tolist()),
         compute_s=round(used_s, 4),
         warnings=evaluation.warnings,
         made_up_map=graph.is_made_up,
-        failures=tuple(find_failures(evaluation, explain)),
     )
 
 
@@ -247,75 +295,3 @@ def _warm_up(drive: Drive, config: DetectorConfig) -> None:
 
 def _rounded(values: FloatArray) -> tuple[float, ...]:
     return tuple(np.round(values, 4).tolist())
-
-
-def find_failures(evaluation: Evaluation, explain: Explain) -> list[dict[str, Any]]:
-    """List what went wrong on a drive, place by place: what cost most first.
-
-    `what`: "false" for a group of false detections, "missed" for a node that was missed at keyframes. `kind`: one of
-    `interloc.evaluation.reasons.KINDS`, of a group the most frequent one, or of a node "part_of_the_time" (found, but
-    not at every keyframe) and "on_the_map" (only by an intersection of the map within 10 m). `times`: detections, or
-    keyframes. `off_m`: of the group from the nearest node, or the smallest error at the node. `see`: the command lines
-    that draw the frame in the middle.
-    """
-    found = [*_false_detections(evaluation), *_missed_nodes(evaluation)]
-    for failure in found:
-        node, (lon, lat), frames = failure.pop("node"), failure.pop("lonlat"), failure["frames"]
-        nodes = evaluation.nodes
-        failure |= {
-            "osm_id": None if node is None else int(nodes.osm_id[node]),
-            "degree": None if node is None else int(nodes.degree[node]),
-            "lon": rounded(lon, DEGREE_DECIMALS),
-            "lat": rounded(lat, DEGREE_DECIMALS),
-            "off_m": rounded(failure["off_m"], 2),
-            "see": explain(sorted(frames)[len(frames) // 2]),
-        }
-        failure["frames"] = sorted(set(frames))
-    return sorted(found, key=lambda failure: -failure["times"])
-
-
-def _false_detections(evaluation: Evaluation) -> Iterator[dict[str, Any]]:
-    """Yield the false detections in groups, which steps of at most `GROUP_M` join."""
-    from scipy.sparse import coo_array  # noqa: PLC0415 - slow to import
-    from scipy.sparse.csgraph import connected_components  # noqa: PLC0415
-    from scipy.spatial import cKDTree  # noqa: PLC0415
-
-    detections, kinds = evaluation.detections, evaluation.verdicts.false_kind
-    assert detections.lonlat is not None
-    false = np.flatnonzero(~(evaluation.matching.error_m < STANDARD_THRESHOLD_M))
-    if len(false) == 0:
-        return
-    lon, lat = middle_of(detections.lonlat)
-    xy = enu_from_lonlat(lat, lon, detections.lonlat[false])
-    nodes_xy = enu_from_lonlat(lat, lon, evaluation.nodes.lonlat)
-    pairs = cKDTree(xy).query_pairs(GROUP_M, output_type="ndarray")
-    links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(xy), len(xy)))
-    count, group = connected_components(links, directed=False)
-    for number in range(count):
-        members = false[group == number]
-        away = np.hypot(*(nodes_xy - np.median(xy[group == number], axis=0)).T)
-        yield {
-            "what": "false",
-            "kind": Counter(kinds[row] for row in members.tolist()).most_common(1)[0][0],
-            "times": len(members),
-            "off_m": away.min() if len(away) else np.nan,
-            "node": int(away.argmin()) if len(away) else None,
-            "lonlat": np.median(detections.lonlat[members], axis=0),
-            "frames": evaluation.keyframes.frame[detections.keyframe[members]].tolist(),
-        }
-
-
-def _missed_nodes(evaluation: Evaluation) -> Iterator[dict[str, Any]]:
-    table, matching = evaluation.node_table, evaluation.matching
-    for node in np.flatnonzero(table.in_zone & (~table.found | (table.missed_keyframes > 0))).tolist():
-        at_node = matching.zone_node == node
-        misses = matching.zone_keyframe[at_node & ~matching.zone_found]
-        yield {
-            "what": "missed",
-            "kind": "part_of_the_time" if table.found[node] else evaluation.verdicts.miss_kind[node] or "on_the_map",
-            "times": max(int(table.missed_keyframes[node]), 0 if table.found[node] else 1),
-            "off_m": table.best_error_m[node],
-            "node": node,
-            "lonlat": evaluation.nodes.lonlat[node],
-            "frames": evaluation.keyframes.frame[misses if len(misses) else matching.zone_keyframe[at_node]].tolist(),
-        }

@@ -26,12 +26,11 @@ from interloc.arrays import BoolArray, FloatArray, IntArray, UInt8Array
 from interloc.config import DetectorConfig
 from interloc.drive import Georeference, GroundPoints
 from interloc.errors import ConfigError
-from interloc.evaluation.map_level import BOUND_95
 from interloc.kernels import compiled
 from interloc.lab.config import LidarConfig
+from interloc.lab.drive import Lidar
 from interloc.lab.ground import Layer, Surface, line_parts, paint
 from interloc.lab.kinds import KINDS, Plan
-from interloc.lab.lidar import Lidar
 from interloc.pipeline import detect
 from interloc.processes import Progress
 
@@ -56,6 +55,8 @@ _LIDAR = LidarConfig()
 _DOWN = -Lidar(_LIDAR).elevations
 _RANGES_M = np.sort(_LIDAR.height_m / np.tan(_DOWN[np.radians(1.5) < _DOWN]))
 _MOST_WAYS = 6
+BOUND_95 = 5.991464547107979
+"""Squared distance in sigmas that holds 95 % of a normal distribution in the plane: -2 ln 0.05, 2.45 squared."""
 _RESAMPLES = 1000
 
 

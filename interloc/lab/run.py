@@ -2,10 +2,9 @@
 
 import logging
 import shutil
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,12 +12,13 @@ import numpy as np
 
 from interloc.config import DetectorConfig
 from interloc.errors import InterLocError, OutputError
-from interloc.files import reason_of
-from interloc.lab.cases import fingerprint, measuring_program
-from interloc.lab.measure import Cell, Row, Scoring, measure, read_row, write_row
-from interloc.lab.tables import MISSING, NO_NOISE, Measured, figures, metres, percent
-from interloc.lab.twins import Case
+from interloc.files import reason_of, write_file
+from interloc.lab.cases import Case
+from interloc.lab.measure import Cell, Row, Scoring, measure, read_row, settings_of, write_row
+from interloc.lab.tables import MISSING, NO_NOISE, Measured, figures, metres, percent, tables
 from interloc.osm.reader import read_osm
+from interloc.output.credits import joint_credit, map_credit
+from interloc.output.geojson import rounded, write_record
 from interloc.pipeline import versions
 from interloc.processes import Progress, run_in_processes, send_message
 
@@ -35,8 +35,6 @@ class NamedConfig:
     name: str
     """Name in the tables."""
     config: DetectorConfig
-    arguments: tuple[str, ...] = ()
-    """The same as options of the command line."""
 
 
 @dataclass(frozen=True)
@@ -52,29 +50,22 @@ class Benchmark:
     """Number of seeds of the label errors on recorded drives; a simulated drive has its own seed."""
     truth: Scoring = _DRIVE_POLICY
     title: str = ""
-    about: str = ""
-    """What is measured, for the head of the page."""
     labels: str = "labels"
     """"labels" (by hand, or exact) or "predictions" (of a network)."""
 
-    @property
-    def drives(self) -> list[str]:
-        """Names of the drives, each once, in order."""
-        return list(dict.fromkeys(case.name for case in self.cases))
-
-    def measured(self, rows: Iterable[Row]) -> Measured:
+    def measured(self, rows: list[Row]) -> Measured:
         """Return the rows of this benchmark for its tables."""
-        presets = tuple(each.name for each in self.configs)
-        return Measured(tuple(rows), tuple(self.drives), presets, self.noises, self.labels)
+        names = tuple(dict.fromkeys(case.name for case in self.cases))
+        return Measured(tuple(rows), names, tuple(each.name for each in self.configs), self.noises)
 
-    def cells(self, case: Case) -> list[tuple[Cell, NamedConfig]]:
+    def cells(self, case: Case) -> list[tuple[Cell, DetectorConfig]]:
         """Return what is to be measured on a drive."""
         found = []
-        for config in self.configs:
+        for each in self.configs:
             for noise in self.noises:
                 # Without label errors nothing is random in a recorded drive.
                 seeds = [case.seed] if case.seed is not None else range(self.seeds if noise != NO_NOISE else 1)
-                found += [(Cell(drive=case.name, preset=config.name, noise=noise, seed=s), config) for s in seeds]
+                found += [(Cell(drive=case.name, preset=each.name, noise=noise, seed=s), each.config) for s in seeds]
         return found
 
 
@@ -83,21 +74,19 @@ class _Task:
     """The cells of one drive that are not measured yet: the unit of parallel work."""
 
     case: Case
-    cells: tuple[tuple[Cell, NamedConfig, str], ...]
+    cells: tuple[tuple[Cell, DetectorConfig], ...]
     truth: Scoring
     out: Path
 
 
-def run_benchmark(
-    benchmark: Benchmark, out: Path, *, workers: int = 1, fresh: bool = False, progress: Progress | None = None
-) -> list[Row]:
+def run_benchmark(benchmark: Benchmark, out: Path, *, workers: int = 1, progress: Progress | None = None) -> list[Row]:
     """Measure everything that is planned, and keep each row in `out/rows` as soon as it is there.
 
-    With several workers, so many drives at a time, each in a process; the rows do not depend on it. `fresh` measures
-    kept rows again. `progress` is called with the number of rows that are there, and of all. Rows that were finished
-    before anything fails are kept.
+    With several workers, so many drives at a time, each in a process; the rows do not depend on it. Rows that are there
+    from before are taken where settings and versions are the same. `progress` is called with the number of rows that
+    are there, and of all. Rows that were finished before anything fails are kept.
     """
-    done, tasks = _plan(benchmark, out, fresh=fresh)
+    done, tasks = _plan(benchmark, out)
     finished, total = len(done), len(done) + sum(len(task.cells) for task in tasks)
 
     def tell(*_: int) -> None:
@@ -122,26 +111,23 @@ def run_benchmark(
     return [done[cell] for case in benchmark.cases for cell, _ in benchmark.cells(case)]
 
 
-def _plan(benchmark: Benchmark, out: Path, *, fresh: bool) -> tuple[dict[Cell, Row], list[_Task]]:
+def _plan(benchmark: Benchmark, out: Path) -> tuple[dict[Cell, Row], list[_Task]]:
     """Return the rows that are kept from before, and what is to be measured; the drives of that are checked."""
     rows_dir = _make_folder(out)
     done: dict[Cell, Row] = {}
     tasks = []
     for case in benchmark.cases:
-        facts: dict[str, Any] = {"drive": case.facts(), "program": [measuring_program(), versions()]}
-        facts |= {"truth": [benchmark.truth.policy, benchmark.truth.tolerance_m]}
         missing = []
-        for cell, named in benchmark.cells(case):
-            mark = fingerprint({**facts, "cell": cell.model_dump(), "config": named.config.model_dump(mode="json")})
-            row = None if fresh else read_row(cell, mark, rows_dir)
+        for cell, config in benchmark.cells(case):
+            row = read_row(cell, settings_of(config, benchmark.truth), rows_dir)
             if row is None:
-                missing.append((cell, named, mark))
+                missing.append((cell, config))
             else:
                 done[cell] = row
         if missing:
             tasks.append(_Task(case, tuple(missing), benchmark.truth, out))
     if done:
-        logger.info("%d of the rows are kept from before (%s); --fresh measures them again", len(done), rows_dir)
+        logger.info("%d of the rows are kept from before in %s; for other drives take another folder", len(done), out)
     try:
         for task in tasks:  # all of them before any long work
             task.case.check()
@@ -178,9 +164,8 @@ def _run_task(task: _Task, count: Callable[[str], None] = send_message, tell: Pr
     rows = []
     graph, axes = read_osm(task.case.osm), task.case.axes()
     with task.case.opened(task.out, tell) as drive:
-        for cell, named, mark in task.cells:
-            explain = partial(task.case.explain, settings=named.arguments)
-            row = measure(cell, mark, drive, graph, named.config, task.truth, explain, axes=axes, progress=tell)
+        for cell, config in task.cells:
+            row = measure(cell, drive, graph, config, task.truth, axes=axes, progress=tell)
             write_row(row, task.out / ROWS)
             rows.append(row)
             count(describe(row))
@@ -199,3 +184,48 @@ def describe(row: Row) -> str:
         f"ACE {written('ace_m', metres, 'm')}, Pre@5 {written('precision_at_5', percent, '%')}, "
         f"Rec@5 {written('recall_at_5', percent, '%')}, nodes {row.nodes_found}/{row.nodes_in_zone}"
     )
+
+
+def write_benchmark(benchmark: Benchmark, rows: list[Row], out: Path) -> tuple[str, dict[str, Any]]:
+    """Write the tables, `benchmark.txt`, and the figures behind them, `benchmark.json`; return both.
+
+    In the record, `results` are by preset, level of label errors and drive ("all": pooled), each figure with `mean`,
+    `spread` (sample standard deviation over the seeds, None for one seed) and `seeds`; `rows` are the same per seed.
+    """
+    measured = benchmark.measured(rows)
+    results = []
+    for (preset, noise, drive), line in measured.estimates.iterrows():
+        estimates = {
+            name: {"mean": _plain(mean), "spread": _plain(spread), "seeds": int(seeds)}
+            for name, (mean, spread, seeds) in line.unstack().iterrows()
+        }
+        results.append({"preset": preset, "noise": noise, "drive": drive, **estimates})
+    record = {
+        "benchmark": benchmark.title,
+        "policy": benchmark.truth.policy,
+        "labels": benchmark.labels,
+        "drives": list(measured.drives),
+        "presets": list(measured.presets),
+        "noises": list(measured.noises),
+        "results": results,
+        "rows": [
+            {
+                **row.cell.model_dump(),
+                "keyframes": row.keyframes,
+                **{name: _plain(value) for name, value in figures([row]).items()},
+                "warnings": list(row.warnings),
+            }
+            for row in rows
+        ],
+        "config": {each.name: each.config.model_dump(mode="json") for each in benchmark.configs},
+        **joint_credit(map_credit(is_made_up=row.made_up_map) for row in rows).members,
+        "versions": versions(),
+    }
+    text = "\n\n".join(table.text() for table in tables(measured))
+    write_file(out / "benchmark.txt", text + "\n")
+    write_record(out / "benchmark.json", record)  # last: whoever waits for it finds the rest
+    return text, record
+
+
+def _plain(value: float) -> float | None:
+    return None if np.isnan(value) else rounded(value, 5)

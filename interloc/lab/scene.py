@@ -141,9 +141,6 @@ def furnish(
         _park_cars(walls, profile, line, config, yard, rng, number)
         if not profile.is_service:
             _grow_hedges(walls, profile, line, config, yard, rng)
-        if config.posts_per_km:
-            rng = np.random.default_rng([seed, street.way_id & 0x7FFFFFFF, street.part, 6])
-            _stand_posts(walls, profile, line, config.posts_per_km, yard, rng)
     return walls
 
 
@@ -316,25 +313,6 @@ def _grow_hedges(
             along = stop + 3.0 + 3.0 * away
 
 
-def _stand_posts(
-    walls: WallList, profile: Profile, line: LineString, per_km: float, yard: Yard, rng: np.random.Generator
-) -> None:
-    """Stand lamp posts and trees, trunk and crown, within some metres of the edges of a street."""
-    for side in (1, -1):
-        for along in np.sort(rng.uniform(0, line.length, rng.poisson(line.length * per_km / 1000))):
-            aside, tall, kind = rng.random(3)
-            place, heading = _at(line, float(along))
-            offset = profile.edge_m(left=side == 1) + 0.5 + 3.0 * aside
-            centre = place + side * offset * np.array([-np.sin(heading), np.cos(heading)])
-            if not yard.off_road(Point(centre), 0.4) or not yard.clear(centre[None], VEHICLE_CLEARANCE_M):
-                continue
-            height, is_tree = 4.0 + 4.0 * tall, kind < 0.6
-            width = 0.3 if is_tree else 0.16
-            walls.add_box(centre, heading, (width, width), -0.3, height, Surface.STRUCTURE)
-            if is_tree:
-                walls.add_box(centre, heading, (height / 3, height / 3), 2.5, height, Surface.VEGETATION)
-
-
 def _at(line: LineString, along_m: float) -> tuple[FloatArray, float]:
     """Return the place and the heading at a distance along a line."""
     a = shapely.get_coordinates(line.interpolate(max(along_m - 0.5, 0.0)))[0]
@@ -376,8 +354,6 @@ class Scene:
     """(N, 4, 4) float64: the poses of the track, with the sensor at its height above this ground."""
     level: IntArray
     """(N,) int64: from which level each pose sees the scene."""
-    wear: float = 0.0
-    """Spread of the brightness of the ground from patch to patch."""
 
     @property
     def frame(self) -> LocalFrame:
@@ -429,7 +405,7 @@ def build_scene(
         # Above this ground, not at the satellites' altitude, which drifts by metres between two visits.
         pose[2, 3] = heights[level[i]].at(pose[0, 3], pose[1, 3]) + sensor_height_m
     walls = furnish(street_map, profiles, lines[0], config.roadside, driven_xy=_every_metre(xy), seed=seed)
-    return Scene(street_map, profiles, ground, heights, Obstacles(walls, heights), poses, level, config.wear)
+    return Scene(street_map, profiles, ground, heights, Obstacles(walls, heights), poses, level)
 
 
 def _refuse_elsewhere(roads: Path, profiles: list[Profile], xy: FloatArray, limit_m: float) -> None:

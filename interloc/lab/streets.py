@@ -68,29 +68,23 @@ _LANE_M = 3.25
 _ONEWAY_LANE_M = 3.5
 
 
-def road_width_m(tags: Mapping[str, str], config: StreetConfig) -> float:
+def road_width_m(tags: Mapping[str, str]) -> float:
     """Return the width of the road surface of a driven way, kerb to kerb.
 
     `width` counts if plausible; then `lanes`; then the class. A one-way carriageway has 3.5 m per lane and, with a
     single lane, room to pass a stopped car (5 m in all).
     """
-    kind = tags["highway"]
-    street = STREET_CLASSES[kind]
-    oneway = is_oneway(tags)
-    tagged = _number(tags.get("width")) if config.use_width_tags else None
-    lanes = _number(tags.get("lanes")) if config.use_width_tags else None
+    street, tagged, lanes = STREET_CLASSES[tags["highway"]], _number(tags.get("width")), _number(tags.get("lanes"))
     if tagged is not None and 2.5 <= tagged <= 30:
         return tagged
-    if kind == "service":
-        return config.width_factor * (3.5 if tags.get("service") in YARD_SERVICES else street.width_m)
-    if oneway:
+    if tags["highway"] == "service":
+        return 3.5 if tags.get("service") in YARD_SERVICES else street.width_m
+    if is_oneway(tags):
         count = lanes if lanes is not None and 1 <= lanes <= 6 else street.oneway_lanes
-        return config.width_factor * max(count * _ONEWAY_LANE_M, 5.0)
-    if lanes is not None and 1 <= lanes <= 8:
-        if lanes <= 2:
-            return config.width_factor * (street.width_m if lanes == 2 else min(street.width_m, 4.5))
-        return config.width_factor * max(lanes * _LANE_M, street.width_m)
-    return config.width_factor * street.width_m
+        return max(count * _ONEWAY_LANE_M, 5.0)
+    if lanes is None or not 1 <= lanes <= 8 or lanes == 2:
+        return street.width_m
+    return min(street.width_m, 4.5) if lanes < 2 else max(lanes * _LANE_M, street.width_m)
 
 
 def is_oneway(tags: Mapping[str, str]) -> bool:
@@ -367,7 +361,7 @@ def _profile(
     draw: FloatArray,
 ) -> Profile:
     kind = STREET_CLASSES[street.tags["highway"]]
-    half = road_width_m(street.tags, config) / 2
+    half = road_width_m(street.tags) / 2
     left, right = sidewalk_sides(street.tags) if config.sidewalks else (False, False)
     if "sidewalk" not in street.tags and not urban:
         left = right = False

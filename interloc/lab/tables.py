@@ -9,17 +9,9 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from interloc.arrays import BoolArray, FloatArray
-from interloc.evaluation.map_level import (
-    Interval,
-    calibration_error,
-    calibration_error_by_chance,
-    share_within,
-    squared_per_dimension,
-    with_interval,
-)
+from interloc.arrays import FloatArray
 from interloc.evaluation.metrics import NEAR_PAIR_M, STANDARD_THRESHOLD_M
-from interloc.evaluation.published import AVERAGE, COMPARISON, LABEL_ERRORS, PERFORMANCE, RANGENET, SEQUENCES, Published
+from interloc.evaluation.published import AVERAGE, COMPARISON, LABEL_ERRORS, PERFORMANCE, SEQUENCES, Published
 from interloc.lab.measure import Row
 
 MISSING = "–"  # noqa: RUF001 - a dash, not a minus
@@ -35,11 +27,6 @@ def pooled(rows: Sequence[Row], column: str) -> FloatArray:
     return np.array([each for row in rows for each in getattr(row, column)], dtype=np.float64)
 
 
-def outcomes(rows: Sequence[Row]) -> tuple[FloatArray, BoolArray]:
-    """Return the confidences of the fused intersections in the zone, and whether each has a node."""
-    return pooled(rows, "map_confidence"), pooled(rows, "map_right").astype(np.bool_)
-
-
 def scores(rows: Sequence[Row], threshold_m: float = STANDARD_THRESHOLD_M) -> tuple[float, float, float]:
     """Return precision, recall and F1 at a threshold (paper, eq. 18); NaN where there is nothing to count."""
     true = int(np.count_nonzero(pooled(rows, "errors_m") < threshold_m))
@@ -53,8 +40,7 @@ def figures(rows: Sequence[Row]) -> dict[str, float]:
 
     NaN where a figure is undefined. Those of the map are of the fused intersections, matched one-to-one.
     """
-    errors_m, map_errors_m, squared = (pooled(rows, name) for name in ("errors_m", "map_errors_m", "map_squared"))
-    confidence, right = outcomes(rows)
+    errors_m, map_errors_m = pooled(rows, "errors_m"), pooled(rows, "map_errors_m")
 
     def total(name: str) -> float:
         return float(sum(getattr(row, name) for row in rows))
@@ -73,9 +59,6 @@ def figures(rows: Sequence[Row]) -> dict[str, float]:
         "map_precision": _ratio(total("map_true"), total("map_true") + total("map_false")),
         "map_recall": _ratio(total("map_nodes") - total("map_missed"), total("map_nodes")),
         "map_median_m": _of(np.median, map_errors_m),
-        "map_within_95": _of(share_within, squared),
-        "map_nees": _of(squared_per_dimension, squared),
-        "map_calibration_error": calibration_error(confidence, right) if len(confidence) else np.nan,
         "ms_a_keyframe": 1e3 * _ratio(total("compute_s"), total("keyframes")),
     }
 
@@ -123,8 +106,6 @@ class Measured:
     presets: tuple[str, ...]
     noises: tuple[str, ...]
     """In the order of the tables."""
-    labels: str = "labels"
-    """"labels" (by hand, or exact) or "predictions" (of a network)."""
 
     def of(self, *, preset: str, noise: str, drive: str = ALL) -> list[Row]:
         """Return the rows of a preset at a level of label errors, of one drive or all."""
@@ -147,41 +128,6 @@ class Measured:
         by_seed = pd.DataFrame.from_dict(found, orient="index")
         return by_seed.groupby(level=[0, 1, 2], sort=False).agg(["mean", "std", "count"])
 
-    @cached_property
-    def reliability(self) -> dict[tuple[str, str], dict[str, Interval]]:
-        """How true uncertainty and confidence are, by preset and level: intersections of all drives and seeds."""
-        found = {}
-        for preset, noise in product(self.presets, self.noises):
-            rows = self.of(preset=preset, noise=noise)
-            squared = pooled(rows, "map_squared")
-            confidence, right = outcomes(rows)
-            found[preset, noise] = {
-                "within_95": with_interval(share_within, squared),
-                "nees": with_interval(squared_per_dimension, squared),
-                "calibration_error": with_interval(calibration_error, confidence, right),
-                "calibration_error_by_chance": calibration_error_by_chance(confidence),
-            }
-        return found
-
-    @property
-    def is_papers_set(self) -> bool:
-        """True where the drives are the eight of the paper, so that "all" is its average."""
-        return sorted(self.drives) == sorted(SEQUENCES)
-
-    @property
-    def note_on_seeds(self) -> tuple[str, ...]:
-        """What to say of spreads."""
-        seeds = len({row.cell.seed for row in self.rows})
-        return (f"{seeds} seeds: mean ± standard deviation over the seeds.",) if seeds > 1 else ()
-
-    @property
-    def note_on_published(self) -> tuple[str, ...]:
-        """What to say where the published figures are of other drives."""
-        if self.is_papers_set:
-            return ()
-        names = ", ".join(self.drives) if len(self.drives) <= 12 else f"{len(self.drives)} drives"
-        return (f"Published: all eight sequences of SemanticKITTI; this run: {names}.",)
-
 
 def ours(preset: str) -> str:
     """Return the name of a preset in the tables: `paper` alone would look like what the paper reports."""
@@ -203,54 +149,21 @@ def one_decimal(value: float) -> str:
     return f"{value:.1f}"
 
 
-class Figure(NamedTuple):
-    """A figure of the tables."""
-
-    title: str
-    name: str
-    """One of `figures`."""
-    write: Callable[[float], str]
-    published: str = ""
-    """The same figure among those of the paper."""
-    total: str = ""
-    """Name of the number that it is a count out of: "25/26"."""
-
-    def cell(self, measured: Measured, preset: str, noise: str, drive: str = ALL) -> str:
-        """Return the figure as text: mean and, with several seeds, spread."""
-        mean, spread, seeds = measured.estimates.loc[(preset, noise, drive), self.name]
-        if np.isnan(mean):
-            return MISSING
-        if self.total:
-            total = measured.estimates.loc[(preset, noise, drive), (self.total, "mean")]
-            return f"{mean:.0f}/{total:.0f}" if seeds == 1 else f"{mean:.1f}/{total:.1f}"
-        return self.write(mean) if np.isnan(spread) else f"{self.write(mean)} ± {self.write(spread)}"
-
-    def published_cell(self, published: Published | None) -> str:
-        """Return the figure of the paper."""
-        value = getattr(published, self.published, None)
-        return MISSING if value is None else self.write(value)
-
-
-_ACE = Figure("ACE [m]", "ace_m", metres, "ace_m")
-_PRECISION = Figure("Pre@5 [%]", "precision_at_5", percent, "precision")
-_RECALL = Figure("Rec@5 [%]", "recall_at_5", percent, "recall")
-_OF_DRIVES = (
-    _ACE,
-    Figure("ACE, pairs < 10 m [m]", "ace_under_10_m", metres),
-    _PRECISION,
-    _RECALL,
-    Figure("nodes found / in zone", "nodes_found", one_decimal, total="nodes_in_zone"),
-    Figure("map precision [%]", "map_precision", percent),
-    Figure("map recall [%]", "map_recall", percent),
-    Figure("map median error [m]", "map_median_m", metres),
-    Figure("ms per keyframe", "ms_a_keyframe", one_decimal),
-)
-_OF_LEVELS = (_ACE, _PRECISION, _RECALL)
-_OF_COMPARISON = (
-    _ACE,
-    Figure("Pre@6.9 [%]", "precision_at_6_9", percent, "precision"),
-    Figure("Rec@13.3 [%]", "recall_at_13_3", percent, "recall"),
-)
+_COLUMNS: dict[str, tuple[str, Callable[[float], str]]] = {
+    "ACE [m]": ("ace_m", metres),
+    "< 10 m": ("ace_under_10_m", metres),
+    "Pre@5 [%]": ("precision_at_5", percent),
+    "Rec@5 [%]": ("recall_at_5", percent),
+    "Pre@6.9": ("precision_at_6_9", percent),
+    "Rec@13.3": ("recall_at_13_3", percent),
+    "nodes": ("nodes_found", one_decimal),
+    "in zone": ("nodes_in_zone", one_decimal),
+    "map: precision [%]": ("map_precision", percent),
+    "recall [%]": ("map_recall", percent),
+    "median [m]": ("map_median_m", metres),
+    "ms": ("ms_a_keyframe", one_decimal),
+}
+"""Title of a column -> which of the `figures`, and how it is written."""
 
 
 def table_of(
@@ -268,58 +181,61 @@ def table_of(
     )
 
 
-def performance_table(measured: Measured, noise: str) -> Table:
-    """Return the performance per drive (paper, Table "Performance on SemanticKITTI sequences") at a level of errors."""
-    columns = [*measured.drives, *([ALL] if len(measured.drives) > 1 else [])]
-    average = AVERAGE if measured.is_papers_set else None
-    known = [average if each == ALL else PERFORMANCE.get(each) for each in columns] if noise == NO_NOISE else []
-    lines: dict[tuple[str, ...], Iterable[str]] = {}
-    for figure in _OF_DRIVES:
-        if figure.published and any(known):
-            lines[figure.title, PUBLISHED] = [figure.published_cell(each) for each in known]
-        for preset in measured.presets:
-            lines[figure.title, ours(preset)] = [figure.cell(measured, preset, noise, each) for each in columns]
-    notes = []
-    if ALL in columns:
-        notes.append(
-            "All: detections, misses, errors and nodes of all drives taken together, as the paper's average is."
-        )
-    if any(known):
-        notes.append("Published: SemanticKITTI with RangeNet++ labels.")
-    level = "" if noise == NO_NOISE else f", label errors {noise} %"
-    return table_of(f"II. Performance per drive{level}", lines, columns, (*notes, *measured.note_on_seeds))
+def _published(drive: str, noise: str) -> dict[str, dict[str, float]]:
+    """Return what the paper reports of a drive, or of all (its tables II, III and IV), by whose figures these are."""
 
+    def at_5(figures: Published) -> dict[str, float]:
+        return {"ace_m": figures.ace_m, "precision_at_5": figures.precision, "recall_at_5": figures.recall}
 
-def comparison_table(measured: Measured) -> Table:
-    """Return the comparison with MMInsectDet (paper, Table "Performance comparison with MMInsectDet")."""
-    lines: dict[tuple[str, ...], Iterable[str]] = {
-        (name,): [figure.published_cell(value) for figure in _OF_COMPARISON] for name, value in COMPARISON.items()
+    if drive != ALL:
+        return {PUBLISHED: at_5(PERFORMANCE[drive])} if noise == NO_NOISE and drive in PERFORMANCE else {}
+    if noise != NO_NOISE:
+        return {PUBLISHED: at_5(LABEL_ERRORS[noise])} if noise in LABEL_ERRORS else {}
+    compared = {
+        name: {"ace_m": each.ace_m, "precision_at_6_9": each.precision, "recall_at_13_3": each.recall}
+        for name, each in COMPARISON.items()
     }
-    for preset in measured.presets:
-        cells = [figure.cell(measured, preset, measured.noises[0]) for figure in _OF_COMPARISON]
-        lines[f"InterLoc, {ours(preset)}",] = cells
-    columns = [figure.title for figure in _OF_COMPARISON]
-    return table_of("III. Comparison with MMInsectDet", lines, columns, measured.note_on_published)
+    method, ours_there = compared
+    return {
+        PUBLISHED: at_5(AVERAGE) | compared[ours_there],
+        f"{PUBLISHED}, hand labels": at_5(LABEL_ERRORS[noise]),
+        f"{method}, {PUBLISHED}": compared[method],
+    }
 
 
-def noise_table(measured: Measured) -> Table:
-    """Return the performance at each level of label errors (paper, Table "... different segmentation error levels")."""
-    is_predicted = measured.labels == "predictions"
+def results_table(measured: Measured) -> Table:
+    """Return all figures by level of label errors and drive, pooled last, with those of the paper beside them."""
+
+    def cells(values: Mapping[str, tuple[float, float]]) -> list[str]:
+        written = []
+        for name, write in _COLUMNS.values():
+            mean, spread = values.get(name, (np.nan, np.nan))
+            one = MISSING if np.isnan(mean) else write(mean)
+            written.append(one if np.isnan(spread) else f"{one} ± {write(spread)}")
+        return written
+
     lines: dict[tuple[str, ...], Iterable[str]] = {}
-    for noise in measured.noises:
-        published = RANGENET if noise == NO_NOISE and is_predicted else LABEL_ERRORS.get(noise)
-        if published is not None:
-            lines[noise, PUBLISHED] = [figure.published_cell(published) for figure in _OF_LEVELS]
+    for noise, drive in product(measured.noises, (*measured.drives, ALL)):
+        for who, values in _published(drive, noise).items():
+            lines[noise, drive, who] = cells({name: (value, np.nan) for name, value in values.items()})
         for preset in measured.presets:
-            lines[noise, ours(preset)] = [figure.cell(measured, preset, noise) for figure in _OF_LEVELS]
-    source = "RangeNet++ labels" if is_predicted else "hand labels"
-    note = f"Label errors in percent, on top of the labels as they are; 0/0 published: {source}."
+            found = measured.estimates.loc[preset, noise, drive].unstack()  # noqa: PD010 - back to a row per figure
+            lines[noise, drive, ours(preset)] = cells({name: (mean, std) for name, (mean, std, _) in found.iterrows()})
+    notes = [
+        "Label errors in percent, r-FPR/r-FNR, on top of the labels as they are. All: detections, misses, errors and",
+        "nodes of all drives taken together, as the paper's average is.",
+        "Published: SemanticKITTI with RangeNet++ labels, where label errors are added with hand labels; of all: its",
+        f"sequences {', '.join(SEQUENCES)}.",
+    ]
+    seeds = len({row.cell.seed for row in measured.rows})
+    if seeds > 1:
+        notes.append(f"{seeds} seeds: mean ± standard deviation over the seeds.")
     return table_of(
-        "IV. Errors of the labels",
+        "Performance, comparison with MMInsectDet, and errors of the labels (tables II to IV of the paper)",
         lines,
-        [figure.title for figure in _OF_LEVELS],
-        (note, *measured.note_on_published),
-        names=["r-FPR/r-FNR", ""],
+        _COLUMNS,
+        tuple(notes),
+        names=["label errors", "drive", ""],
     )
 
 
@@ -341,43 +257,7 @@ def axes_table(measured: Measured) -> Table:
     )
 
 
-def reliability_table(measured: Measured) -> Table:
-    """Return whether the uncertainty of the intersections and their confidence are true, per level of label errors."""
-
-    def bounded(found: Interval, write: Callable[[float], str]) -> str:
-        if found.value is None or found.low is None or found.high is None:
-            return MISSING
-        return f"{write(found.value)} ({write(found.low)} to {write(found.high)})"
-
-    lines: dict[tuple[str, ...], Iterable[str]] = {}
-    for noise, preset in product(measured.noises, measured.presets):
-        found = measured.reliability[preset, noise]
-        lines[noise, ours(preset)] = [
-            str(found["within_95"].count),
-            bounded(found["within_95"], percent),
-            bounded(found["nees"], metres),
-            str(found["calibration_error"].count),
-            bounded(found["calibration_error"], percent),
-            bounded(found["calibration_error_by_chance"], percent),
-        ]
-    return table_of(
-        "Uncertainty and confidence",
-        lines,
-        ["with a node", "within 95 % [%]", "NEES", "in the zone", "ECE [%]", "by chance [%]"],
-        (
-            "Intersections of the map, each counted once per drive and seed; in brackets: bootstrap interval of 95 %.",
-            "Within 95 %: share whose node lies in the ellipse of 95 % of the covariance.",
-            "NEES: squared error in units of the covariance per degree of freedom; 1 where errors are as stated.",
-            "ECE: expected calibration error of the confidence, ten bins of equal width.",
-            "By chance: ECE of so many places where the confidence is exactly true; mean, and 95 % of all draws.",
-        ),
-        names=["r-FPR/r-FNR", ""],
-    )
-
-
 def tables(measured: Measured) -> list[Table]:
-    """Return the tables of a benchmark: performance, comparison and label errors, axes, and reliability."""
-    shown = [performance_table(measured, measured.noises[0]), comparison_table(measured), noise_table(measured)]
-    if any(row.map_axes_errors_m for row in measured.rows):
-        shown.append(axes_table(measured))
-    return [*shown, reliability_table(measured)]
+    """Return the tables of a benchmark: the results, and the errors from where the axes meet, where that is known."""
+    has_axes = any(row.map_axes_errors_m for row in measured.rows)
+    return [results_table(measured), *([axes_table(measured)] if has_axes else [])]

@@ -1,7 +1,6 @@
-"""Where the LiDAR is at every scan: along OXTS rows, or along a line of longitudes and latitudes; read from files."""
+"""Where the LiDAR is at every scan: along OXTS rows, or along a line of longitudes and latitudes."""
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -9,10 +8,8 @@ from pyproj import Proj
 from scipy.ndimage import gaussian_filter1d
 
 from interloc.arrays import FloatArray
-from interloc.drives.files import SourceFile, list_numbered
-from interloc.drives.georeference.read import georeference_of_lidar, read_oxts_folder, read_oxts_rows
+from interloc.drives.georeference.read import georeference_of_lidar
 from interloc.drives.poses.frame import KITTI_T_VELO_IMU
-from interloc.drives.scans.las.tracks import read_table
 from interloc.errors import DriveError
 from interloc.geometry import (
     enu_from_lonlat,
@@ -22,7 +19,6 @@ from interloc.geometry import (
     rotation_from_rpy,
     rpy_from_rotation,
 )
-from interloc.gpx import read_gpx
 from interloc.lab.config import TrackConfig
 
 
@@ -71,7 +67,6 @@ CALIB_TEXT = "".join(
 )
 """A `calib.txt` for drives that have none: a camera that looks ahead, 0.27 m before and 0.08 m below the LiDAR."""
 _STEP_M = 0.25
-_MAX_ROUNDS = 500
 
 
 def parse_tr(text: str) -> FloatArray:
@@ -177,7 +172,7 @@ def track_from_line(
             f"Points {where} and {where + 1} of the track are {steps[where]:,.0f} m apart. "
             f"Expected at most {config.max_gap_m:g} m. Usual cause: lon and lat swapped, or two recordings."
         )
-    path = widen_bends(smooth_path(xyz, config.smoothing_m, config.offset_m), config.min_radius_m)
+    path = smooth_path(xyz, config.smoothing_m, config.offset_m)
     along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path[:, :2], axis=0).T))])
     wanted = np.arange(0.0, along[-1], config.speed_mps / config.rate_hz)
     places = np.column_stack([np.interp(wanted, along, path[:, i]) for i in range(3)])
@@ -220,21 +215,6 @@ def smooth_path(xyz: FloatArray, smoothing_m: float, offset_m: float = 0.0) -> F
     return path
 
 
-def widen_bends(path: FloatArray, radius_m: float) -> FloatArray:
-    """Smooth a path, (N, 3) points some 0.25 m apart, where it bends more tightly than a radius; its ends stay."""
-    path = path.copy()
-    for _ in range(_MAX_ROUNDS if radius_m else 0):
-        run = np.diff(path[:, :2], axis=0)
-        yaw = np.unwrap(np.arctan2(run[:, 1], run[:, 0]))
-        bend = np.abs(gaussian_filter1d(np.gradient(yaw), 2)) / np.maximum(np.hypot(run[:, 0], run[:, 1]), 1e-6)
-        tight = gaussian_filter1d((bend > 1 / radius_m).astype(float), radius_m / _STEP_M / 2)
-        if not (bend > 1 / radius_m).any():
-            break
-        share = np.clip(4 * np.interp(np.arange(len(path)), np.arange(len(bend)) + 0.5, tight), 0, 1)[:, None]
-        path[1:-1] += (share * (gaussian_filter1d(path, 4, axis=0, mode="nearest") - path))[1:-1]
-    return path
-
-
 def camera_poses(T_map_lidar: FloatArray, tr: FloatArray) -> FloatArray:
     """Return (N, 3, 4) KITTI poses: camera at each scan in the frame of the first camera."""
     T_world_lidar = invert_transform(T_map_lidar[:1]) @ T_map_lidar
@@ -248,39 +228,3 @@ def lidar_poses(poses_camera: FloatArray, tr: FloatArray) -> FloatArray:
     full[:, :3] = poses_camera
     result: FloatArray = invert_transform(tr) @ full @ tr
     return result
-
-
-def open_track(path: Path, config: TrackConfig | None = None) -> LidarTrack:
-    """Read a track of any kind: .gpx, .csv, or else OXTS rows (a file, .gz too, or a folder `oxts/data`)."""
-    path = Path(path)
-    suffix = path.suffix.lower()
-    if suffix == ".gpx":
-        line = read_gpx(path)
-        return track_from_line(line.lonlat, line.alt_m, config)
-    if suffix == ".csv":
-        return track_from_line(*read_csv(path), config)
-    rate = (config or TrackConfig()).rate_hz
-    return track_from_oxts(read_oxts(path), rate_hz=rate)
-
-
-def read_csv(path: Path) -> tuple[FloatArray, FloatArray | None]:
-    """Read a track from a CSV file whose header names `lat`, `lon` and, if known, `alt`; other columns are skipped.
-
-    Returns (N, 2) longitudes, latitudes in degrees and, where every point has one, (N,) heights in metres.
-    """
-    file = SourceFile(path, Path())
-    expected = "Expected a header that names the columns lat and lon (degrees), and alt (metres) if known."
-    table = read_table(file, [("lon", "lat", "z"), ("lon", "lat")], expected, blank="z")
-    lonlat, alt = table.values[:, :2], table.values[:, 2:]
-    beyond = np.abs(lonlat) > (180.0, 90.0)
-    if beyond.any():
-        row = int(np.argmax(beyond.any(axis=1)))
-        lon, lat = lonlat[row]
-        raise file.fault(f"latitude {lat:g}, longitude {lon:g}. Expected degrees on the earth.", table.at[row])
-    return lonlat.copy(), alt[:, 0].copy() if alt.size and np.isfinite(alt).all() else None
-
-
-def read_oxts(path: Path) -> FloatArray:
-    """Read OXTS rows: a text file (may be .gz) of one row per scan, or a folder of one file per scan (`oxts/data`)."""
-    file = SourceFile(path, Path())
-    return read_oxts_folder(file, list_numbered(file, ".txt").numbers) if path.is_dir() else read_oxts_rows(file)

@@ -10,7 +10,7 @@ import numpy as np
 from interloc.arrays import FloatArray
 from interloc.config import DEFAULT, DetectorConfig
 from interloc.detection.detector import Detector, Window, locate
-from interloc.detection.road import PATCH_STEP_M, road_patch
+from interloc.detection.occupancy import PATCH_STEP_M, road_patch
 from interloc.detection.scan import checked_pose
 from interloc.errors import DriveError, GeoreferenceError
 from interloc.live.growing_map import Event, GrowingMap

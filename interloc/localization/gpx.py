@@ -13,7 +13,7 @@ import numpy as np
 
 from interloc.arrays import FloatArray
 from interloc.drive import Drive, Georeference
-from interloc.drives.georeference.fixes import fit_shift
+from interloc.drives.georeference.fixes import are_moving, fit_moving, standing_in_words
 from interloc.errors import LocationError
 from interloc.geometry import enu_from_lonlat, rotate_2d, thin
 from interloc.gpx import GpxTrack
@@ -35,6 +35,7 @@ _LEAD = 2.0  # the next place along the track must fit that much worse
 _SLIDE_M = 5.0
 _SHARE = 0.8  # of the drive that the track must cover
 _MUCH_SCATTER = 2.0
+_UNKNOWN_M = 30.0  # driven while the fixes stood still
 _STEP_M = 5.0  # points of the track that are closer are scatter, above all where it stands
 
 
@@ -50,8 +51,9 @@ class GpxPlacement:
     """Of the distances of the drive from the track, before it was bent onto it."""
     late_s: float = 0.0
     """By how much the clock of the track was put right: so much its fixes are late, early where it is negative."""
-    untold: str = ""
-    """Why its clock may be off without being seen to be, in words; "" where that is seen, or times were not used."""
+    doubts: str = ""
+    """Which of its fixes stand still, and why its clock may be off without being seen to be, in words; "" where
+    neither is so, or times were not used."""
 
 
 def georeference_by_gpx(drive: Drive, gpx: GpxTrack) -> GpxPlacement:
@@ -64,19 +66,30 @@ def georeference_by_gpx(drive: Drive, gpx: GpxTrack) -> GpxPlacement:
     roads = _as_roads(gpx)
     xy = roads.xy(gpx.lonlat)
     chain = Chain.of(track, NO_SIGHTINGS)
-    matched_by, late_s, untold = "shape", 0.0, ""
+    matched_by, late_s, doubts = "shape", 0.0, ""
     target = None
     if (times_s := _common_clock(drive, gpx)) is not None:
         assert gpx.time_s is not None
-        clock = fit_shift(times_s, track.xy, gpx.time_s, xy)
+        clock, runs = fit_moving(times_s, track.xy, gpx.time_s, xy)
+        moves, fixes = are_moving(runs, len(xy)), xy.copy()
+        for run in runs:
+            if run.driven_m > _UNKNOWN_M:  # what the drive did there is not on the chord
+                moves[run.first + 1], fixes[run.first + 1] = True, np.nan
         late = clock if clock is not None and clock.is_there and clock.metres >= FIX_STD_M else None
         if late is not None and not late.is_sure and late.before_m <= _MUCH_SCATTER * FIX_STD_M:
             late = None  # no more than the scatter of fixes pretends
         if late is None or late.is_sure:  # else the shape alone must tell where it is
             late_s = 0.0 if late is None else late.late
-            target = _by_time(times_s + late_s, track, chain, gpx, xy)
+            target = _by_time(times_s + late_s, track, chain, gpx.time_s[moves], fixes[moves])
             matched_by = "shape" if target is None else "time"
-            untold = "" if clock is None or target is None else clock.untold
+            doubts = "" if clock is None or target is None else clock.untold
+        if target is not None and runs:
+            doubts = " ".join([standing_in_words(runs, gpx.time_s - times_s[0], "{:.0f} to {:.0f} s"), doubts]).strip()
+            known = fixes[moves & np.isfinite(fixes[:, 0])]
+            pieces = np.cumsum(np.isnan(fixes[moves, 0]))[np.isfinite(fixes[moves, 0])]
+            rows = thin(known, _STEP_M)
+            segments = np.column_stack([known[rows[:-1]], known[rows[1:]]])
+            roads = replace(roads, segments=segments[np.diff(pieces[rows]) == 0])
     if target is None:
         late_s = 0.0
         target = _by_shape(drive.name, chain, xy[thin(xy, _STEP_M)], gpx.source)
@@ -93,7 +106,7 @@ def georeference_by_gpx(drive: Drive, gpx: GpxTrack) -> GpxPlacement:
     moved = f", whose clock is put right by {-late_s:+.1f} s" if late_s else ""
     georeference = georeference_by(chain, bent, track, roads, f"the track {gpx.source} (by {matched_by}{moved})")
     position_std_m = np.sqrt((covariance[rows, 0, 0] + covariance[rows, 1, 1]) / 2.0 + FIX_STD_M**2)
-    return GpxPlacement(replace(georeference, position_std_m=position_std_m), matched_by, rms_m, late_s, untold)
+    return GpxPlacement(replace(georeference, position_std_m=position_std_m), matched_by, rms_m, late_s, doubts)
 
 
 def _as_roads(gpx: GpxTrack) -> RoadMap:
@@ -121,13 +134,14 @@ def _along(distance: FloatArray, at_m: FloatArray, xy: FloatArray) -> FloatArray
     return np.column_stack([np.interp(distance, at_m, xy[:, axis], left=np.nan, right=np.nan) for axis in (0, 1)])
 
 
-def _by_time(times_s: FloatArray, track: Track, chain: Chain, gpx: GpxTrack, xy: FloatArray) -> FloatArray | None:
+def _by_time(
+    times_s: FloatArray, track: Track, chain: Chain, fix_times_s: FloatArray, xy: FloatArray
+) -> FloatArray | None:
     """Return where the poses of the chain were, (n, 2), by the clock of the track; None where it hardly covers them."""
-    assert gpx.time_s is not None
     then = np.interp(chain.at_m, track.at_m, times_s)
-    if ((then >= gpx.time_s[0]) & (then <= gpx.time_s[-1])).mean() < _SHARE:
+    if ((then >= fix_times_s[0]) & (then <= fix_times_s[-1])).mean() < _SHARE:
         return None
-    return _along(then, gpx.time_s, xy)
+    return _along(then, fix_times_s, xy)
 
 
 def _by_shape(name: str, chain: Chain, xy: FloatArray, source: str) -> FloatArray:

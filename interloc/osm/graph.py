@@ -1,6 +1,6 @@
 """The roads of an OpenStreetMap extract as plain columns."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -38,6 +38,27 @@ class Ways:
 
     def __len__(self) -> int:
         return len(self.id)
+
+    def label(self, row: int) -> str:
+        """Return what a way is: `highway=service "Gottlob-Schreber-Weg"`."""
+        return f"highway={self.highway[row]}" + (f' "{self.name[row]}"' if self.name[row] else "")
+
+    @cached_property
+    def is_ring(self) -> BoolArray:
+        """(W,) bool: parts of roundabouts."""
+        return self._tagged(lambda tags: tags.get("junction") in {"roundabout", "circular"})
+
+    @cached_property
+    def direction(self) -> IntArray:
+        """(W,) int64: 1 where everybody drives along the way, -1 where against it, 0 in both directions."""
+        back = self._tagged(lambda tags: tags.get("oneway") in {"-1", "reverse"})
+        along = self._tagged(lambda tags: tags.get("oneway") in {"yes", "true", "1"})
+        meant = self.is_ring | np.array([highway == "motorway" for highway in self.highway], dtype=np.bool_)
+        meant &= ~self._tagged(lambda tags: "oneway" in tags)
+        return (along | meant).astype(np.int64) - back
+
+    def _tagged(self, test: Callable[[dict[str, str]], bool]) -> BoolArray:
+        return np.array([test(tags) for tags in self.tags or ({},) * len(self)], dtype=np.bool_)
 
 
 @dataclass(frozen=True)

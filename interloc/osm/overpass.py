@@ -23,7 +23,7 @@ from filelock import FileLock, Timeout
 from platformdirs import user_cache_path
 
 from interloc.errors import MapError, NetworkError, OutputError
-from interloc.osm.graph import Bounds, RoadGraph, Ways, layer_of
+from interloc.osm.graph import KEPT_TAGS, Bounds, RoadGraph, Ways, layer_of
 
 logger = logging.getLogger(__name__)
 
@@ -184,7 +184,7 @@ def _settings(url: str, folder: Path, timeout_s: int) -> Iterator[None]:
         "overpass_rate_limit": False,
         "requests_kwargs": {"hooks": {"response": _inspect}},
         "doh_url_template": None,  # no look-ups at a third party when the name does not resolve
-        "useful_tags_way": ["area", "bridge", "highway", "layer", "name", "ref", "tunnel"],
+        "useful_tags_way": ["area", "highway", "layer", "name", "ref", *KEPT_TAGS],
         "log_console": False,
         "log_file": False,
     }
@@ -249,9 +249,10 @@ def _road_graph(graph: Any, bounds: Bounds, url: str, date: str | None) -> RoadG
     row = {node: index for index, node in enumerate(node_id.tolist())}
     tags: dict[int, dict[str, Any]] = {}
     pieces: set[tuple[int, int, int]] = set()
-    for start, end, data in graph.edges(data=True):  # both directions of a two-way road
-        tags[data["osmid"]] = data
-        pieces.add((data["osmid"], *sorted((row[start], row[end]))))
+    for start, end, data in graph.edges(data=True):  # both directions of a two-way road, one of them reversed
+        tags[data["osmid"]] = {**data, "oneway": "yes" if data["oneway"] else None}  # as osmnx has turned its nodes
+        if not data["reversed"]:
+            pieces.add((data["osmid"], row[start], row[end]))
     ways = sorted(tags)
     way_row = {way: index for index, way in enumerate(ways)}
     table = np.array([(a, b, way_row[way]) for way, a, b in sorted(pieces)], dtype=np.int64).reshape(-1, 3)
@@ -266,6 +267,7 @@ def _road_graph(graph: Any, bounds: Bounds, url: str, date: str | None) -> RoadG
             name=tuple(str(tags[way].get("name") or tags[way].get("ref") or "") for way in ways),
             is_area=np.array([tags[way].get("area") == "yes" for way in ways], dtype=np.bool_),
             layer=np.array([layer_of(tags[way]) for way in ways], dtype=np.int64),
+            tags=tuple({key: str(tags[way][key]) for key in KEPT_TAGS if tags[way].get(key)} for way in ways),
         ),
         source=f"Overpass ({url})",
         date=date,

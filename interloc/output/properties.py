@@ -438,6 +438,11 @@ class OsmRoadProperties(Properties):
     highway: str = Field(title="Class of road", description="Value of its tag `highway`.")
     name: str | None = Field(title="Name", description="Name or else reference number; null if it has none.")
     is_drivable: bool = Field(title="Drivable", description="Whether it is a road under policy drive+service.")
+    is_one_way: bool | None = Field(
+        None,
+        title="One-way",
+        description="Whether people drive only in the direction of the line; null in results that do not say.",
+    )
     seen_m: RoadWidth = Field(
         None,
         title="Seen",
@@ -645,11 +650,14 @@ class FindingProperties(Properties):
     id: str = Field(
         title="Finding", description="Name of the finding, of its kind and place or node; the same in later audits."
     )
-    kind: Literal["missing_junction", "missing_branch", "moved", "phantom", "one_junction"] = Field(
-        title="Kind",
-        description="missing_junction: a junction that the map lacks. missing_branch: one that a junction lacks on the "
-        "map. moved: a junction that lies elsewhere. phantom: a node where passes saw no junction. "
-        "one_junction: nodes close together where passes saw one junction.",
+    kind: Literal["missing_junction", "missing_branch", "moved", "not_joined", "no_node", "phantom", "one_junction"] = (
+        Field(
+            title="Kind",
+            description="missing_junction: a junction that the map lacks. missing_branch: one that a junction lacks on "
+            "the map. moved: a junction that lies elsewhere. not_joined: one whose roads come to one place and share "
+            "no node. no_node: one whose roads cross without a node. phantom: a node where passes saw no junction. "
+            "one_junction: nodes close together where passes saw one junction.",
+        )
     )
     text: str = Field(title="Question", description="What was found, for a person who looks at it.")
     uid: str | None = Field(title="Name of the place", description="The place in `city`; null for a phantom.")

@@ -1,14 +1,15 @@
 """The roads of a result as files for robots, vehicles and simulators: Nav2, Lanelet2, OpenDRIVE.
 
-How many lanes a road has is assumed from its width: less than 4.5 m is one lane for both directions, any other has two,
-and traffic keeps to the right. Roads end before their junctions, across which curves lead from each lane to those of
-the other roads.
+How many lanes a road has is assumed from its width, and is the same in all of them: less than 4.5 m is one lane for
+both directions, any other has two. One-way streets, of one lane, are those of the map that the result was scored
+against, and the side of traffic is that of the place (`interloc.output.traffic`). Roads end before their junctions,
+across which curves lead from each lane to those of the other roads.
 """
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from itertools import pairwise
+from dataclasses import dataclass, field
+from itertools import pairwise, permutations
 from pathlib import Path
 from typing import Any, NamedTuple
 from xml.etree import ElementTree as ET
@@ -20,21 +21,61 @@ from shapely.ops import substring
 from interloc.arrays import FloatArray
 from interloc.errors import GeoreferenceError
 from interloc.files import write_file
+from interloc.geometry import middle_of, projection
 from interloc.output.geojson import encode
+from interloc.output.layers import LAYERS
 from interloc.output.read import read_results
 from interloc.output.roads import roads
+from interloc.output.traffic import Side, one_way_roads, side_of
 from interloc.output.vector_files import PLACE_IT
+from interloc.results import DriveResult
 from interloc.roadmap.network import RoadEdge, RoadNetwork
 
 _ORIGIN_M = 100.0  # files in metres count from a round place of the map
 _MIN_SEEN = 0.5  # share of a road that was seen: others are left out
 
 
-ROADS_ASSUMED = (
-    "Lanes, traffic on the right and travel in both directions are assumed: a LiDAR sees neither one-way streets nor "
-    "the side of traffic."
-)
-"""What the files do not know."""
+@dataclass(frozen=True)
+class Traffic:
+    """How people drive on the roads of a network."""
+
+    side: Side = "right"
+    one_way: Mapping[int, int] = field(default_factory=dict)
+    """Ids of one-way roads: 1 from start to end, -1 back."""
+    source: str = "assumed"
+    """Where the side is known from."""
+    has_map: bool = False
+    """Whether a map said which streets are one-way."""
+
+    def __str__(self) -> str:
+        streets = "no map said which streets are one-way: both directions are assumed everywhere"
+        if self.has_map:
+            count = len(self.one_way)
+            streets = (
+                f"{count} of the roads {'is' if count == 1 else 'are'} one-way, by the map that it was scored with"
+            )
+        other = "right" if self.side == "left" else "left"
+        return (
+            f"Lanes are assumed from the widths; traffic keeps to the {self.side}, {self.source} (else give --traffic "
+            f"{other}); {streets}."
+        )
+
+
+def _traffic(result: Path, run: DriveResult, network: RoadNetwork, side: Side | None) -> Traffic:
+    """Tell how people drive where a result lies, from its place and from the ways of the map beside it."""
+    source = "as given"
+    if side is None and run.keyframes.lonlat is not None and len(run.keyframes.lonlat):
+        side, source = side_of(np.array(middle_of(run.keyframes.lonlat))), "by the place"
+    path = result / "osm_roads.geojson"
+    ways = LAYERS["osm_roads"].read(path).features if path.is_file() and network.epsg is not None else []
+    ways = [each for each in ways if each.geometry is not None and each.properties.is_drivable]
+    known = [each for each in ways if each.properties.is_one_way is not None]
+    one_way = dict[int, int]()
+    if known:
+        to_plane = projection(4326, network.epsg or 4326)
+        lines = [to_plane(np.array(each.geometry.coordinates)[:, :2]) for each in known]
+        one_way = one_way_roads(network, lines, np.array([each.properties.is_one_way for each in known]))
+    return Traffic(side or "right", one_way, source if side else "assumed", has_map=bool(known))
 
 
 def road_ending(out: Path) -> str | None:
@@ -42,10 +83,11 @@ def road_ending(out: Path) -> str | None:
     return next((ending for ending in ROAD_FORMATS if out.name.lower().endswith(ending)), None)
 
 
-def write_road_file(result: Path, out: Path) -> None:
+def write_road_file(result: Path, out: Path, side: Side | None = None) -> str:
     """Write the roads of a result folder, made of its `road.tif`, in the format that the ending of `out` names.
 
-    Lanelet2 knows longitude and latitude only: of a result in local metres it is a GeoreferenceError.
+    `side` of traffic: by default that of the place. Returns what was assumed, in words. Lanelet2 knows longitude and
+    latitude only: of a result in local metres it is a GeoreferenceError.
     """
     ending = road_ending(out)
     assert ending is not None
@@ -55,8 +97,10 @@ def write_road_file(result: Path, out: Path) -> None:
             f"{result} is in metres of its own frame, and Lanelet2 knows longitude and latitude only: the drive has no "
             f"georeference. {PLACE_IT}, or write a .xodr or .nav2.geojson, in metres."
         )
-    content = ROAD_FORMATS[ending](roads(run), run.drive)
-    write_file(out, content)
+    network = roads(run)
+    traffic = _traffic(result, run, network, side)
+    write_file(out, ROAD_FORMATS[ending](network, traffic, run.drive))
+    return str(traffic)
 
 
 # lanes ----------------------------------------------------------------------------------------------------------------
@@ -83,11 +127,18 @@ class LaneRoad:
     normal: FloatArray
     """(N, 2) float64: unit vectors to the left of it."""
     width_m: float
+    one_way: int
+    """1 from start to end, -1 back, 0: both directions."""
 
     @property
     def is_single(self) -> bool:
-        """One lane for both directions."""
-        return self.width_m < TWO_LANES_M
+        """One lane, for both directions or a one-way street."""
+        return bool(self.one_way) or self.width_m < TWO_LANES_M
+
+    @property
+    def lanes(self) -> tuple[int, ...]:
+        """Directions of the lanes, 1 from start to end, -1 back; a single lane for both is 1."""
+        return (self.one_way or 1,) if self.is_single else (1, -1)
 
     def border(self, side: int) -> FloatArray:
         """Return the left (1), the middle (0) or the right (-1) line, (N, 2)."""
@@ -112,13 +163,27 @@ class Arm(NamedTuple):
         place: FloatArray = self.road.border(side)[-1 if self.at_end else 0]
         return place
 
-    def sides(self, *, inbound: bool) -> tuple[int, int]:
+    def direction(self, *, inbound: bool) -> int:
+        """Return how the lane into the node, or out of it, runs along the road: 1 from start to end, -1 back."""
+        return 1 if inbound == self.at_end else -1
+
+    def has_lane(self, *, inbound: bool) -> bool:
+        """Tell whether people may drive into the node here, or out of it."""
+        return self.road.one_way in (0, self.direction(inbound=inbound))
+
+    def sides(self, side: Side, *, inbound: bool) -> tuple[int, int]:
         """Return which lines of the road bound its lane into the node, or out of it: to the left and to the right."""
-        forward = 1 if inbound == self.at_end else -1
-        return (forward if self.road.is_single else 0), -forward
+        return lane_sides(self.road, side, self.direction(inbound=inbound))
 
 
-def lane_roads(network: RoadNetwork) -> list[LaneRoad]:
+def lane_sides(road: LaneRoad, side: Side, direction: int) -> tuple[int, int]:
+    """Return the lines to the left and right of a lane: left (1), middle (0), right (-1) of the road."""
+    if road.is_single:
+        return direction, -direction
+    return (0, -direction) if side == "right" else (direction, 0)
+
+
+def lane_roads(network: RoadNetwork, one_way: Mapping[int, int]) -> list[LaneRoad]:
     """Return the roads that have lanes: those of which half or more was seen."""
     edges = [edge for edge in network.edges if edge.seen >= _MIN_SEEN and edge.length_m > 1.0]
     areas = {node.id for node in network.nodes if node.area is not None and node.kind == "place"}
@@ -136,7 +201,7 @@ def lane_roads(network: RoadNetwork) -> list[LaneRoad]:
             is_cut = len(at_node[end]) > 1 and end not in areas
             cuts.append(min(mouth, _MOUTH_SHARE * line.length) if is_cut else 0.0)
         xy = shapely.get_coordinates(substring(line, cuts[0], line.length - cuts[1]))
-        roads.append(LaneRoad(edge, xy, _normals(xy), widths[edge.id]))
+        roads.append(LaneRoad(edge, xy, _normals(xy), widths[edge.id], one_way.get(edge.id, 0)))
     return roads
 
 
@@ -150,9 +215,10 @@ def arms_of(roads: Sequence[LaneRoad]) -> dict[int, list[Arm]]:
 
 
 def turns(arms: Sequence[Arm]) -> Iterator[tuple[Arm, Arm]]:
-    """Yield each way across a node: from one arm to another one; there are no U-turns."""
-    for a, first in enumerate(arms):
-        yield from ((first, second) for b, second in enumerate(arms) if a != b)
+    """Yield each way across a node, from one arm to another one, that one-way streets allow; there are no U-turns."""
+    for first, second in permutations(arms, 2):
+        if first.has_lane(inbound=True) and second.has_lane(inbound=False):
+            yield first, second
 
 
 def curve(start: FloatArray, way: FloatArray, end: FloatArray, way_on: FloatArray) -> FloatArray:
@@ -182,13 +248,13 @@ def _normals(xy: FloatArray) -> FloatArray:
 _BEND_M = 0.3  # a road may leave the straight line by
 
 
-def nav2_graph(network: RoadNetwork) -> bytes:
+def nav2_graph(network: RoadNetwork, traffic: Traffic) -> bytes:
     """Return a route graph of Nav2 as GeoJSON: points are nodes, lines of two positions edges with their ids.
 
     Its loader (`nav2_route`, `geojson_graph_file_loader.cpp`) goes straight from node to node, whatever the geometry of
-    an edge: roads are cut where they bend. Edges lead one way: each is there twice. Coordinates are read as 32-bit
-    numbers: they are metres from a round place of the map, which `origin` tells. What is unknown is left out, since
-    null is refused.
+    an edge: roads are cut where they bend. Edges lead one way: each is there twice, but for one-way streets.
+    Coordinates are read as 32-bit numbers: they are metres from a round place of the map, which `origin` tells. What is
+    unknown is left out, since null is refused.
     """
     places = {node.id: node.xy for node in network.nodes}
     origin = np.floor(np.min(list(places.values()), axis=0) / _ORIGIN_M) * _ORIGIN_M if places else np.zeros(2)
@@ -204,7 +270,8 @@ def nav2_graph(network: RoadNetwork) -> bytes:
         number += len(inner)
         places |= dict(zip(stops[1:-1], inner, strict=True))
         used |= set(stops)
-        for pair in (pair for one, other in pairwise(stops) for pair in ((one, other), (other, one))):
+        directions = (1, -1) if not traffic.one_way.get(edge.id) else (traffic.one_way[edge.id],)
+        for pair in (pair[::way] for pair in pairwise(stops) for way in directions):
             line = [_position(places[stop] - origin) for stop in pair]
             edges.append(_feature("LineString", line, _edge_properties(edge, *pair)))
     for edge_number, feature in enumerate(edges, number + 1):
@@ -221,7 +288,7 @@ def nav2_graph(network: RoadNetwork) -> bytes:
     head = {
         "type": "FeatureCollection",
         "name": "roads",
-        "description": ROADS_ASSUMED,
+        "description": str(traffic),
         "origin": {"x_m": origin[0], "y_m": origin[1]},
     }
     if network.epsg is not None:
@@ -297,22 +364,21 @@ class _Writer:
         return text + b"\n"
 
 
-def lanelet2_map(network: RoadNetwork) -> bytes:
+def lanelet2_map(network: RoadNetwork, traffic: Traffic) -> bytes:
     """Return a map of Lanelet2: roads as lanelets, and one from each lane to each other one across a junction."""
     writer = _Writer(network.lonlat)
-    roads = lane_roads(network)
+    roads = lane_roads(network, traffic.one_way)
     corner: dict[tuple[int, int, bool], int] = {}  # (road, side, at its end) -> node
     for road in roads:
         ways = {side: _border(writer, road, side, corner) for side in ((1, -1) if road.is_single else (1, 0, -1))}
-        if road.is_single:
-            writer.lanelet(ways[1], ways[-1], one_way=False)
-        else:
-            writer.lanelet(ways[0], ways[-1], one_way=True)
-            writer.lanelet(ways[0], ways[1], one_way=True)
+        for direction in road.lanes:
+            left, right = lane_sides(road, traffic.side, direction)
+            writer.lanelet(ways[left], ways[right], one_way=bool(road.one_way) or not road.is_single)
     for arms in arms_of(roads).values():
         for first, second in turns(arms):
             lines = []
-            for a, b in zip(first.sides(inbound=True), second.sides(inbound=False), strict=True):
+            side = traffic.side
+            for a, b in zip(first.sides(side, inbound=True), second.sides(side, inbound=False), strict=True):
                 between = curve(first.place(a), first.way_in, second.place(b), -second.way_in)[1:-1]
                 start, end = corner[first.road.edge.id, a, first.at_end], corner[second.road.edge.id, b, second.at_end]
                 lines.append(writer.way([start, *writer.nodes(between), end], _VIRTUAL))
@@ -332,26 +398,30 @@ _PIECE_M = 8.0
 _DATE = "1970-01-01T00:00:00"  # the same bytes for the same roads
 
 
-def opendrive_map(network: RoadNetwork, name: str) -> bytes:
-    """Return OpenDRIVE 1.7 with the name of the drive: the roads, and a junction at each node where they meet."""
-    roads = lane_roads(network)
+def opendrive_map(network: RoadNetwork, traffic: Traffic, name: str) -> bytes:
+    """Return OpenDRIVE 1.7 with the name of the drive: the roads, and a junction at each node where they meet.
+
+    Where traffic keeps to the right, lanes with negative ids lead along the road, else those with positive ones. A
+    single lane lies across the middle, by an offset; one for both directions is `bidirectional`.
+    """
+    roads, along = lane_roads(network, traffic.one_way), -1 if traffic.side == "right" else 1
     every = np.concatenate([road.xy for road in roads]) if roads else np.zeros((1, 2))
     origin = np.floor(every.min(axis=0) / _ORIGIN_M) * _ORIGIN_M
     root = ET.Element("OpenDRIVE")
     _add_header(root, network.epsg, name, origin, every - origin)
     arms = {node: ends for node, ends in arms_of(roads).items() if len(ends) > 1}
     for road in roads:
-        _add_road(root, road, origin, arms)
+        _add_road(root, road, origin, arms, along)
     number = max((road.edge.id for road in roads), default=0)
     junctions = []
     for node, ends in arms.items():
         junction = ET.Element("junction", {"name": f"node {node}", "id": str(node), "type": "default"})
         for count, (first, second) in enumerate(turns(ends)):
             number += 1
-            _add_turn(root, first, second, number, node, origin)
+            _add_turn(root, first, second, number, node, origin, along)
             connection = {"id": str(count), "incomingRoad": str(first.road.edge.id), "connectingRoad": str(number)}
             link = ET.SubElement(junction, "connection", {**connection, "contactPoint": "start"})
-            ET.SubElement(link, "laneLink", {"from": str(_lane(first, inbound=True)), "to": "-1"})
+            ET.SubElement(link, "laneLink", {"from": str(_lane(first, along, inbound=True)), "to": str(along)})
         junctions.append(junction)
     root.extend(junctions)
     ET.indent(root, " ")
@@ -373,16 +443,19 @@ def _add_header(root: ET.Element, epsg: int | None, name: str, origin: FloatArra
     ET.SubElement(header, "userData", {"code": "lanes", "value": ASSUMED})
 
 
-def _lane(arm: Arm, *, inbound: bool) -> int:
-    """Return the lane that leads into the node, or out of it: -1 in the direction of the road, 1 against it."""
-    return -1 if inbound == arm.at_end else 1
+def _lane(arm: Arm, along: int, *, inbound: bool) -> int:
+    """Return the lane that leads into the node, or out of it; `along` is the one in the direction of the road."""
+    directions = arm.road.lanes
+    return along * (directions[0] if len(directions) == 1 else arm.direction(inbound=inbound))
 
 
 def _contact(arm: Arm) -> str:
     return "end" if arm.at_end else "start"
 
 
-def _add_road(root: ET.Element, road: LaneRoad, origin: FloatArray, arms: Mapping[int, Sequence[Arm]]) -> None:
+def _add_road(
+    root: ET.Element, road: LaneRoad, origin: FloatArray, arms: Mapping[int, Sequence[Arm]], along: int
+) -> None:
     line = shapely.LineString(road.xy - origin)
     count = max(1, round(line.length / _PIECE_M))
     at = np.linspace(0.0, line.length, count + 1)
@@ -390,31 +463,41 @@ def _add_road(root: ET.Element, road: LaneRoad, origin: FloatArray, arms: Mappin
     way = np.gradient(knots, axis=0)
     way[0], way[-1] = (np.array([n[1], -n[0]]) for n in (road.normal[0], road.normal[-1]))
     way /= np.maximum(np.linalg.norm(way, axis=1), 1e-9)[:, None]
-    element, link = _new_road(root, road.edge.id, "-1", knots, way, f"road {road.edge.id}")
+    element, link = _new_road(root, road.edge.id, "-1", knots, way, along)
     for end, node in (("predecessor", road.edge.start), ("successor", road.edge.end)):
         if node in arms:
             ET.SubElement(link, end, {"elementType": "junction", "elementId": str(node)})
-    _add_lanes(element, dict.fromkeys((1, -1), (road.width_m / 2.0, road.width_m / 2.0)), {})
+    lanes = [along * direction for direction in road.lanes]
+    width = road.width_m / len(lanes)
+    kind = "bidirectional" if road.is_single and not road.one_way else "driving"
+    _add_lanes(element, dict.fromkeys(lanes, (width, width)), {}, kind, [-sum(lanes) * width / 2.0] * 2)
 
 
-def _add_turn(root: ET.Element, first: Arm, second: Arm, number: int, node: int, origin: FloatArray) -> None:
+def _add_turn(
+    root: ET.Element, first: Arm, second: Arm, number: int, node: int, origin: FloatArray, along: int
+) -> None:
     knots = np.stack([first.place(0), second.place(0)]) - origin
     way = np.stack([first.way_in, -second.way_in])
-    element, link = _new_road(root, number, str(node), knots, way, f"turn {number}")
+    element, link = _new_road(root, number, str(node), knots, way, along)
     for end, arm in (("predecessor", first), ("successor", second)):
         to = {"elementType": "road", "elementId": str(arm.road.edge.id), "contactPoint": _contact(arm)}
         ET.SubElement(link, end, to)
-    lanes = {"predecessor": _lane(first, inbound=True), "successor": _lane(second, inbound=False)}
-    _add_lanes(element, {-1: (first.road.width_m / 2.0, second.road.width_m / 2.0)}, lanes)
+    lanes = {"predecessor": _lane(first, along, inbound=True), "successor": _lane(second, along, inbound=False)}
+    widths = [arm.road.width_m / len(arm.road.lanes) for arm in (first, second)]
+    offsets = [
+        -along * width / 2.0 if arm.road.is_single else 0.0 for arm, width in zip((first, second), widths, strict=True)
+    ]
+    _add_lanes(element, {along: widths}, lanes, offsets_m=offsets)
 
 
 def _new_road(
-    root: ET.Element, number: int, junction: str, knots: FloatArray, way: FloatArray, name: str
+    root: ET.Element, number: int, junction: str, knots: FloatArray, way: FloatArray, along: int
 ) -> tuple[ET.Element, ET.Element]:
     """Add a road along cubic pieces; return it, and its link."""
     pieces = [_piece(*knots[k : k + 2], *way[k : k + 2]) for k in range(len(knots) - 1)]
     length = math.fsum(float(piece["length"]) for _, piece in pieces)
-    about = {"name": name, "length": f"{length:.12g}", "id": str(number), "junction": junction, "rule": "RHT"}
+    name, rule = f"{'road' if junction == '-1' else 'turn'} {number}", "RHT" if along < 0 else "LHT"
+    about = {"name": name, "length": f"{length:.12g}", "id": str(number), "junction": junction, "rule": rule}
     road = ET.SubElement(root, "road", about)
     link = ET.SubElement(road, "link")
     plan, s = ET.SubElement(road, "planView"), 0.0
@@ -441,28 +524,45 @@ def _piece(start: FloatArray, end: FloatArray, way: FloatArray, way_on: FloatArr
     return polynomial, place
 
 
-def _add_lanes(road: ET.Element, widths: Mapping[int, tuple[float, float]], links: Mapping[str, int]) -> None:
-    """Add lanes by id, each with its width at the start and at the end; `links` are those of the lane -1."""
+def _add_lanes(
+    road: ET.Element,
+    widths: Mapping[int, Sequence[float]],
+    links: Mapping[str, int],
+    kind: str = "driving",
+    offsets_m: Sequence[float] = (0.0, 0.0),
+) -> None:
+    """Add lanes by id, each with its width at the start and at the end; `links` are those of the only one.
+
+    The lanes are moved to the left by offsets at the start and at the end.
+    """
     length = float(road.get("length", "1"))
-    section = ET.SubElement(ET.SubElement(road, "lanes"), "laneSection", {"s": "0"})
+    lanes = ET.SubElement(road, "lanes")
+    if any(offsets_m):
+        first, last = offsets_m
+        ET.SubElement(lanes, "laneOffset", {"s": "0", **_linear(first, last, length)})
+    section = ET.SubElement(lanes, "laneSection", {"s": "0"})
     for name, number in (("left", 1), ("center", 0), ("right", -1)):
         if number and number not in widths:
             continue
-        kind = "driving" if number else "none"
-        lane = ET.SubElement(ET.SubElement(section, name), "lane", {"id": str(number), "type": kind, "level": "false"})
-        if number == -1 and links:
+        about = {"id": str(number), "type": kind if number else "none", "level": "false"}
+        lane = ET.SubElement(ET.SubElement(section, name), "lane", about)
+        if number and links:
             link = ET.SubElement(lane, "link")
             for end, other in links.items():
                 ET.SubElement(link, end, {"id": str(other)})
         if number:
             first, last = widths[number]
-            slope = {"a": f"{first:.9g}", "b": f"{(last - first) / length:.12g}", "c": "0", "d": "0"}
-            ET.SubElement(lane, "width", {"sOffset": "0", **slope})
+            ET.SubElement(lane, "width", {"sOffset": "0", **_linear(first, last, length)})
 
 
-ROAD_FORMATS: dict[str, Callable[[RoadNetwork, str], bytes]] = {
-    ".nav2.geojson": lambda network, _: nav2_graph(network),
-    ".osm": lambda network, _: lanelet2_map(network),
+def _linear(first: float, last: float, length: float) -> dict[str, str]:
+    """Return the polynomial of what grows from one value to another along a road."""
+    return {"a": f"{first:.9g}", "b": f"{(last - first) / length:.12g}", "c": "0", "d": "0"}
+
+
+ROAD_FORMATS: dict[str, Callable[[RoadNetwork, Traffic, str], bytes]] = {
+    ".nav2.geojson": lambda network, traffic, _: nav2_graph(network, traffic),
+    ".osm": lambda network, traffic, _: lanelet2_map(network, traffic),
     ".xodr": opendrive_map,
 }
 """Ending -> format: route graph of Nav2, map of Lanelet2, OpenDRIVE."""

@@ -132,9 +132,10 @@ def osm_road_features(
     order = near[np.argsort(graph.edge_way[near], kind="stable")]
     ways, first = np.unique(graph.edge_way[order], return_index=True)
     pieces: list[tuple[int, list[list[float]]]] = []
+    sense = np.where(graph.ways.direction < 0, -1, 1).tolist()
     for way, edges in zip(ways.tolist(), np.split(lines[order], first[1:]), strict=True):
         joined: Any = shapely.line_merge(shapely.multilinestrings(edges))
-        parts = (shapely.get_coordinates(line) for line in shapely.get_parts(joined))
+        parts = (shapely.get_coordinates(line)[:: sense[way]] for line in shapely.get_parts(joined))
         pieces += [(way, positions(lonlat, local=False)) for lonlat in parts]
     rows = [way for way, _ in pieces]
     return LAYERS["osm_roads"].features(
@@ -143,6 +144,7 @@ def osm_road_features(
         highway=[graph.ways.highway[row] for row in rows],
         name=[graph.ways.name[row] or None for row in rows],
         is_drivable=road_ways(graph, "drive+service")[rows],
+        is_one_way=(graph.ways.direction != 0)[rows],
         **{name: [seen.get(row, {}).get(name) if seen else None for row in rows] for name in SEEN},
     )
 

@@ -18,7 +18,7 @@ from typing import Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from interloc.arrays import FloatArray, IntArray
+from interloc.arrays import IntArray
 from interloc.config import KeyframeConfig
 from interloc.detection.keyframes import select_keyframes
 from interloc.drives.checks import check_motion, sample_indices
@@ -36,11 +36,16 @@ from interloc.drives.scans.pcd import PcdScans, number_scans, open_pcd_files, re
 from interloc.drives.scans.raw import RawScans, trajectory_of
 from interloc.drives.scans.recorded import LABEL_FIELDS, Recording
 from interloc.drives.scans.reduced import ReducedScans, reduced_trajectory
-from interloc.drives.scans.reduced_format import ReducedLabels, ReducedManifest, from_runs, read_manifest, to_runs
+from interloc.drives.scans.reduced_format import (
+    ReducedLabels,
+    ReducedManifest,
+    SourceScans,
+    from_runs,
+    read_manifest,
+    to_runs,
+)
 from interloc.drives.scans.rosbag.bag import find_bag
-from interloc.drives.scans.rosbag.peek import MissingRangeError, peek
-from interloc.drives.trajectory import LidarPoses, Trajectory, read_trajectory
-from interloc.geometry import enu_from_lonlat, lonlat_from_enu
+from interloc.drives.trajectory import Trajectory, read_trajectory
 from interloc.reduction.listing import ListedDrive, Listing, find_drives, reason_for_none
 from interloc.reduction.reduce import plan_of
 
@@ -50,7 +55,6 @@ HEAD_BYTES = 65_536
 _MEMORY = Path("/dev/shm")  # noqa: S108 - a folder of a random name is made there
 _PAGE_BYTES = 4096
 _MAX_POSITIONS = 20_000
-_MAX_TOPICS = 20
 _MAX_TRACK_BYTES = 4_000_000  # of what may be the trajectory of a cloud; of a longer one the head is enough
 
 LabelCounts = Mapping[LabelFolder, Mapping[int, int]]
@@ -88,7 +92,7 @@ class LookedPlan(BaseModel):
     kept: list[tuple[int, int]] = Field(description="Scans to send, as runs: the first number, and how many there are.")
     files: dict[str, str] = Field(description="Small files to send: path in the reduced drive -> path in the folder.")
     manifest: ReducedManifest = Field(
-        description="reduced.json, to be completed with label folders that were not counted, and sizes (`source`)."
+        description="reduced.json; label folders that are not sent are to be left out of it."
     )
 
 
@@ -97,10 +101,6 @@ class LookedTrack(BaseModel):
 
     local: bool = Field(description="Whether the positions are metres.")
     positions: list[tuple[float, float]] = Field(description="Of the scans, or of some of very many.")
-    fitted: list[tuple[float, float]] | None = Field(
-        description="The poses laid over the georeference, moved and turned but not bent."
-    )
-    fit_m: float | None = Field(description="Median distance of the two in metres.")
     length_m: float = Field(description="Distance driven in metres.")
 
 
@@ -136,11 +136,6 @@ class DriveLook(ListedName):
     wanted: dict[str, int] = Field(
         {}, description="Files whose contents tell more: path in the folder -> how many of their first bytes to give."
     )
-    wanted_ranges: dict[str, list[tuple[int, int]]] = Field(
-        {},
-        description="Bags, of which some ranges tell more: path in the folder -> first byte, and that after the last, "
-        "of each range to give (`ranges`).",
-    )
     georeference: str | None = Field(None, description="Where the georeference comes from.")
     georeference_reason: str | None = Field(None, description="Why there is none.")
     pose_frame: str | None = Field(None, description="Sensor whose poses the pose file holds.")
@@ -174,14 +169,13 @@ def look_into(
     *,
     keyframes: KeyframeConfig | None = KeyframeConfig(),  # noqa: B008 - frozen
     label_counts: LabelCounts = MappingProxyType({}),
-    ranges: Mapping[str, Mapping[int, bytes]] = MappingProxyType({}),
     max_files: int = 1_000_000,
     place: Path | None = None,
 ) -> FolderLook:
     """Find the drives in a folder, and look into one of them (the first by default); a bad drive raises nothing.
 
-    The listing and `contents` (of small files, or of the heads of others) are by path, relative and with slashes;
-    `ranges` of bags by where they begin. `options` says how the drive is to be read that is laid out at a place; it is
+    The listing and `contents` (of small files, or of the heads of others) are by path, relative and with slashes.
+    `options` says how the drive is to be read that is laid out at a place; it is
     laid out in `place`, or where the system has temporary folders, unless it has more than `max_files`. `keyframes`
     says which scans a job needs, None all; `label_counts` is what was counted in the scans that an earlier look has
     named.
@@ -192,7 +186,7 @@ def look_into(
     if chosen is None:
         return FolderLook(drives=names, drive=None, reason=reason_for_none(listing, name))
     with TemporaryDirectory(dir=_quickest(place, chosen, contents), prefix="interloc-look-") as above:
-        look = _Look(chosen, listing, contents, Path(above) / "drive", ranges, keyframes, label_counts)
+        look = _Look(chosen, listing, contents, Path(above) / "drive", keyframes, label_counts)
         if len(chosen.files) > max_files:
             text = f"{len(chosen.files):,} are too many; expected at most {max_files:,}. Cut the drive."
             look.findings.refuse("files", text)
@@ -218,7 +212,6 @@ class _Look:
     listing: Listing
     contents: Mapping[str, bytes]
     place: Path
-    ranges: Mapping[str, Mapping[int, bytes]]
     keyframes: KeyframeConfig | None
     counts: LabelCounts
     findings: Findings = field(default_factory=lambda: Findings(stop_at_first=False))
@@ -326,16 +319,19 @@ class _Look:
             rows = rows_of_part(options.frames, frames, parts.file(parts.scans).name)
             frames, trajectory = frames[rows], trajectory.part(rows)
         if is_bin:
-            self._plan(parts, frames, trajectory, options)
+            self._plan(parts, recording, frames, trajectory, options)
         self._show(trajectory, pose_file, frames)
 
-    def _plan(self, parts: DriveParts, frames: IntArray, trajectory: Trajectory, options: DriveOptions) -> None:
+    def _plan(
+        self, parts: DriveParts, recording: Recording, frames: IntArray, trajectory: Trajectory, options: DriveOptions
+    ) -> None:
         """Say what a client sends that reduces the scans itself, with the labels whose ids were counted."""
         plan = plan_of(parts, frames, trajectory, options.oxts, self.keyframes, self.findings)
         if plan is None:
             return
-        counted = [
-            ReducedLabels.of(folder, scheme, dict(self.counts[folder])) for folder, scheme in self.schemes.items()
+        labels = [
+            ReducedLabels.of(folder, scheme, dict(self.counts[folder]), self.found.labels[folder].size_bytes)
+            for folder, scheme in self.schemes.items()
         ]
         kept = [(int(first), int(count)) for first, count in to_runs(plan.kept)]
         files = {
@@ -343,7 +339,15 @@ class _Look:
             for name, source in plan.copies.sources.items()
             if isinstance(source, Path) and source.is_relative_to(self.place)
         }
-        manifest = plan.manifest.with_labels(counted)
+        points = recording.point_counts
+        assert points is not None
+        source = SourceScans(
+            scan_bytes=recording.scan_bytes,
+            points_per_scan=int(np.median(points)),
+            least_points=int(points.min()),
+            most_points=int(points.max()),
+        )
+        manifest = plan.manifest.with_labels(labels, source)
         self.found.plan = LookedPlan(scans=len(frames), kept=kept, files=files, manifest=manifest)
 
     def _open_pcd(self, parts: DriveParts, options: DriveOptions) -> Recording:
@@ -433,39 +437,8 @@ class _Look:
                     found.frames_to_look_into = _sample(from_runs(found.labels[folder].runs))
         if self.drive.kind == "rosbag":
             find_bag(place, required=True, findings=self.findings)
-            self._peek_into_bag(options)
         else:
             self._read_clouds(options)
-
-    def _peek_into_bag(self, options: DriveOptions) -> None:
-        """Tell from some ranges of the first file of a bag which topics it has, and whether its points carry labels."""
-        found = self.found
-        inside, path = next(iter(self.drive.scans.items()))
-        try:
-            seen = peek(self.listing[path], self.ranges.get(path, {}))
-        except MissingRangeError as missing:
-            found.wanted_ranges[path] = missing.ranges
-            return
-        if seen is None:
-            return
-        topics = ", ".join(f"{name} ({type_})" for name, type_ in sorted(seen.topics.items())[:_MAX_TOPICS])
-        if not seen.of("points"):
-            text = (
-                f"holds no points. Expected a topic of sensor_msgs/PointCloud2 or Livox's CustomMsg. It has: {topics}."
-            )
-            self.findings.refuse(inside, text)
-            return
-        found.carries_labels = seen.has_labels
-        if seen.has_labels is False and not found.labels:
-            text = "has points without the field label. Expected labels/ with a .label file per scan."
-            found.unlabelled.append(Finding("error", inside, text))
-        if not seen.of("poses") and options.poses is None:
-            found.has_poses = False
-            self.findings.warning("poses", NO_POSES)
-        if fixes := seen.of("fixes"):
-            found.georeference = f"the fixes of {fixes[0]}"
-        elif options.oxts is None and "geo.csv" not in self.drive.small:
-            found.georeference_reason = "the bag has no topic of GNSS fixes (sensor_msgs/NavSatFix)"
 
     def _read_clouds(self, options: DriveOptions) -> None:
         """Look for the trajectory of LAS files, or for the poses where each holds a scan."""
@@ -518,20 +491,17 @@ class _Look:
         by = self.keyframes
         found.keyframes = len(poses.T_world_lidar if by is None else select_keyframes(poses.T_world_lidar, by))
         check_motion(poses.T_world_lidar, pose_file, self.findings)
-        places, fitted, fit_m = poses.T_world_lidar[:, :2, 3], None, None
+        places = poses.T_world_lidar[:, :2, 3]
         if fixes is not None:
             places = np.stack([fixes.lon_deg, fixes.lat_deg], axis=1)
         if fixes is not None and poses.frame != "oxts":
             with self.findings.stage():
                 check_against_poses(poses.T_world_lidar, fixes, self.findings)
-            fitted, fit_m = _laid_over(poses, places)
         step = -(-len(places) // _MAX_POSITIONS)
         digits = 3 if fixes is None else 8
         found.track = LookedTrack(
             local=fixes is None,
             positions=places[::step].round(digits).tolist(),
-            fitted=None if fitted is None else fitted[::step].round(digits).tolist(),
-            fit_m=fit_m,
             length_m=poses.length_m,
         )
 
@@ -539,14 +509,3 @@ class _Look:
 def _sample(frames: IntArray) -> list[int]:
     """Return the scans that a look goes into, evenly spread."""
     return [int(frames[row]) for row in sample_indices(np.arange(len(frames)), SAMPLED_SCANS)]
-
-
-def _laid_over(poses: LidarPoses, lonlat: FloatArray) -> tuple[FloatArray, float]:
-    """Lay the poses over fixes by a turn and a shift (least squares)."""
-    lon, lat = lonlat[0]
-    target = enu_from_lonlat(lat, lon, lonlat) @ (1, 1j)
-    source = poses.T_world_lidar[:, :2, 3] @ (1, 1j)
-    turn = np.vdot(source - source.mean(), target - target.mean())
-    laid = target.mean() + (source - source.mean()) * (turn / abs(turn) if turn else 1)
-    fitted = lonlat_from_enu(lat, lon, np.stack([laid.real, laid.imag], axis=1))
-    return fitted, float(np.median(np.abs(laid - target)))

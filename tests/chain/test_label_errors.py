@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from interloc.drives.label_errors import MislabelledDrive
 from interloc.drives.open import open_drive
 from interloc.evaluation.evaluate import Evaluation, evaluate
+from interloc.lab.measure import MislabelledDrive
 from interloc.lab.town import MAP_FILE
 from interloc.osm.reader import read_osm
 from interloc.pipeline import detect

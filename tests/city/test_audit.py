@@ -172,6 +172,18 @@ def test_a_node_where_other_ground_was_seen_is_a_phantom_where_asked_for(tmp_pat
     assert {kind for kind, _ in told(audit(merge(passes()), graph, ALL_KINDS))} <= {"phantom"}
 
 
+@pytest.mark.parametrize(("highway", "tags", "kind"), [
+    ("residential", "", "no_node"), ("residential", '<tag k="bridge" v="yes"/>', None), ("service", "", None)
+])  # fmt: skip
+def test_a_junction_that_a_slip_of_the_map_hides_is_found(
+    city: CityMap, tmp_path: Path, highway: str, tags: str, kind: str | None
+) -> None:
+    side = node(900, 100.0, -30.0) + node(901, 100.0, 60.0) + way(2000, (900, 901), tags, highway)
+    assert told(audit(city, osm(tmp_path, all_but(100.0), extra=side))) == ([(kind, 100)] if kind else [])
+    apart = node(900, 100.0, 0.1) + node(901, 100.0, 60.0) + way(2000, (900, 901), tags, highway)
+    assert told(audit(city, osm(tmp_path, all_but(100.0), extra=apart))) == ([("not_joined", 100)] if kind else [])
+
+
 def test_nodes_close_together_are_one_junction_where_asked_for(city: CityMap, tmp_path: Path) -> None:
     graph = osm(tmp_path, [*all_but(100.0), (97.0, 0.0), (104.0, 0.0)])
     assert told(audit(city, graph)) == []

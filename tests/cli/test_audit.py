@@ -12,7 +12,7 @@ def test_a_map_of_drives_is_compared_with_openstreetmap(tmp_path: Path, interloc
     interloc("merge", write_folder(tmp_path / "a", small_result(), scored=False), "-o", tmp_path / "city")
     arguments = ("audit", tmp_path / "city", "--osm", tmp_path / "map.osm", "-o", tmp_path / "audit")
     told = interloc(*arguments, "--passes", 1, "--json").json
-    assert (told["findings"], told["by_kind"]) == (0, {"missing_junction": 0, "missing_branch": 0, "moved": 0})
+    assert (told["findings"], set(told["by_kind"].values())) == (0, {0})
     assert json.loads((tmp_path / "audit" / "audit.json").read_text())["osm"] == "map.osm"
     assert interloc(*arguments, "--kind", "phantom").out.startswith("findings   0 phantom")
     assert "is not a map of many drives" in interloc("audit", tmp_path / "a", *arguments[2:]).complaint

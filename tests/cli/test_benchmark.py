@@ -25,13 +25,9 @@ def measured(drive: Path, osm: Path, tmp_path_factory: pytest.TempPathFactory) -
 
 def test_tables_and_files(measured: tuple[Path, str]) -> None:
     out, printed = measured
-    for words in ("II. Performance per drive", "III. Comparison with MMInsectDet", "IV. Errors of the labels"):
-        assert words in printed
-    assert printed.endswith(f"report  {out / 'benchmark.html'}\n")
-    assert (out / "benchmark.txt").read_text() in printed
-    assert {path.name for path in out.iterdir()} == {
-        *("benchmark.html", "benchmark.json", "benchmark.txt", "failures", "rows")
-    }
+    assert "Performance, comparison with MMInsectDet, and errors of the labels" in printed
+    assert (out / "benchmark.txt").read_text() == printed
+    assert {path.name for path in out.iterdir()} == {"benchmark.json", "benchmark.txt", "rows"}
     record = json.loads((out / "benchmark.json").read_text())
     for preset in ("default", "paper"):
         (figures,) = (

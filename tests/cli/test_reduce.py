@@ -8,11 +8,11 @@ from typing import Any
 import pytest
 
 from interloc.config import DEFAULT
-from interloc.drives.label_errors import MislabelledDrive
 from interloc.drives.open import open_drive
 from interloc.explain.evidence import gather
 from interloc.lab.config import LidarConfig, SimulationOptions
 from interloc.lab.drive import simulate
+from interloc.lab.measure import MislabelledDrive
 from interloc.lab.town import Town
 from interloc.pipeline import detect
 

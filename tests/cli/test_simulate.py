@@ -15,21 +15,9 @@ from interloc.lab.config import SENSORS
 FEW = ("--max-scans", 4, "--columns", 90)
 
 
-@pytest.fixture
-def street(tmp_path: Path) -> tuple[Path, Path]:
-    """A street of 200 m to the east, as a map, and a ride along it, as a CSV."""
-    osm, track = tmp_path / "street.osm", tmp_path / "ride.csv"
-    osm.write_text(
-        '<osm version="0.6"><node id="1" lat="49.0" lon="8.4"/><node id="2" lat="49.0" lon="8.4027"/>'
-        '<way id="1"><nd ref="1"/><nd ref="2"/><tag k="highway" v="residential"/></way></osm>'
-    )
-    track.write_text("lat,lon\n49.0,8.4005\n49.0,8.4022\n")
-    return osm, track
-
-
 def test_the_small_town_is_a_drive_with_its_map(tmp_path: Path, interloc: Callable) -> None:
     drive = tmp_path / "drive"
-    outcome = interloc("simulate", "town", "--small", "-o", drive, *FEW)
+    outcome = interloc("simulate", "town", "--part", "plain", "-o", drive, *FEW)
     assert outcome.code == 0
     assert json.loads((drive / "simulation.json").read_text())["town"] == "plain"
     assert not outcome.err  # no progress where nobody watches
@@ -47,7 +35,9 @@ def test_the_small_town_is_a_drive_with_its_map(tmp_path: Path, interloc: Callab
 def test_a_sensor_by_its_name(tmp_path: Path, interloc: Callable) -> None:
     assert list(SENSORS) == list(options.SENSORS)
     drive = tmp_path / "drive"
-    assert interloc("simulate", "town", "--small", "-o", drive, "--max-scans", 1, "--sensor", "vlp-16").code == 0
+    assert (
+        interloc("simulate", "town", "--part", "plain", "-o", drive, "--max-scans", 1, "--sensor", "vlp-16").code == 0
+    )
     x, y, z, _ = np.fromfile(drive / "velodyne/000000.bin", np.float32).reshape(-1, 4).T
     elevations = np.unique(np.degrees(np.arctan2(z, np.hypot(x, y))).round())
     assert set(elevations.tolist()) <= set(range(-15, 16, 2))
@@ -56,39 +46,19 @@ def test_a_sensor_by_its_name(tmp_path: Path, interloc: Callable) -> None:
 
 def test_every_scan(tmp_path: Path, interloc: Callable) -> None:
     drive = tmp_path / "drive"
-    assert interloc("simulate", "town", "--small", "-o", drive, "--every-scan", "--speed", 5, *FEW).code == 0
+    assert interloc("simulate", "town", "--part", "plain", "-o", drive, "--every-scan", "--speed", 5, *FEW).code == 0
     step = np.linalg.norm(np.diff(open_drive(drive).T_world_lidar[:, :3, 3], axis=0), axis=1)
     assert step == pytest.approx(0.5, abs=0.02)
 
 
-def test_an_exact_and_bare_world(tmp_path: Path, interloc: Callable) -> None:
+def test_ground_only(tmp_path: Path, interloc: Callable) -> None:
     drive = tmp_path / "drive"
     town = ("simulate", "town", "--part", "quarter", "-o", drive)
-    assert interloc(*town, "--exact", "--bare", "--ground-only", *FEW).code == 0
+    assert interloc(*town, "--ground-only", *FEW).code == 0
     facts = json.loads((drive / "simulation.json").read_text())
     assert facts["town"] == "quarter"
-    assert facts["sensor"]["range_noise_m"] == facts["sensor"]["dropout"] == 0
-    assert facts["scene"]["roadside"]["buildings"] == "none"
     labels = np.fromfile(drive / "labels/000000.label", dtype=np.uint32)
     assert set(labels.tolist()) <= {40, 44, 48, 49, 60}
-
-
-def test_any_map_and_track(tmp_path: Path, street: tuple[Path, Path], interloc: Callable) -> None:
-    osm, track = street
-    drive = tmp_path / "drive"
-    outcome = interloc("simulate", "track", "--osm", osm, "--track", track, "-o", drive, "--offset", 1.5, *FEW)
-    assert outcome.code == 0
-    assert str(osm) in outcome.out
-    assert open_drive(drive).georeference is not None
-
-
-def test_a_track_of_another_place(tmp_path: Path, street: tuple[Path, Path], interloc: Callable) -> None:
-    osm, track = street
-    track.write_text("lat,lon\n48.0,8.4005\n48.0,8.4022\n")
-    outcome = interloc("simulate", "track", "--osm", osm, "--track", track, "-o", tmp_path / "drive")
-    assert outcome.code == 1
-    assert outcome.complaint
-    assert not (tmp_path / "drive").exists()
 
 
 def test_the_twin_of_an_unknown_sequence(tmp_path: Path, interloc: Callable) -> None:

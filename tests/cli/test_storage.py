@@ -125,7 +125,7 @@ def test_drives_of_a_prefix_are_a_batch_whose_results_are_as_by_themselves(
     storage.clear()
     assert interloc("run", short_drive, "-o", tmp_path / "alone").code == 0
     names = {f"one-short/{path.name}" for path in (tmp_path / "alone").iterdir()}
-    assert names | {"batch.csv", "batch.html", ".batch/one-short.json"} <= set(keys_below("batch"))
+    assert names | {"batch.csv", ".batch/one-short.json"} <= set(keys_below("batch"))
     for path in (tmp_path / "alone").glob("*.geojson"):
         assert content_of(f"batch/one-short/{path.name}") == path.read_bytes()
     again = interloc("batch", *command)

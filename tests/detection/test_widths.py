@@ -6,7 +6,7 @@ import pytest
 from interloc.arrays import FloatArray
 from interloc.detection.image import BinaryImage
 from interloc.detection.lines import LINE
-from interloc.detection.widths import branch_widths
+from interloc.detection.occupancy import branch_widths
 from tests.images import binary_image
 
 RESOLUTION_M = 0.16

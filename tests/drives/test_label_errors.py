@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from interloc.drive import Drive
-from interloc.drives.label_errors import MislabelledDrive, parse_level
 from interloc.drives.open import open_drive
 from interloc.errors import ConfigError
+from interloc.lab.measure import MislabelledDrive, parse_level
 
 
 def test_no_noise_changes_nothing_and_all_swaps_road_and_the_rest(sequence: Path) -> None:

@@ -131,6 +131,36 @@ def test_a_node_counts_as_taken_only_in_the_same_group() -> None:
     assert reason.kind == "off"
 
 
+@pytest.mark.parametrize(
+    ("side", "layers", "sentence"),
+    [
+        ([(0.1, 0), (0, 60)], None, "nodes 101 and 103 lie at the same place and are not joined"),
+        ([(40, -0.2), (40, 60)], None, 'node 103 lies on highway=residential "Way 0" and is not joined to it'),
+        ([(40, -60), (40, 60)], None, 'highway=residential "Way 0" and highway=residential "Way 1" cross on one level'),
+        ([(40, -60), (40, 60)], (0, 1), None),  # a bridge
+        ([(0.1, 0), (0, 60)], (0, -1), None),
+        ([(0.1, 0), (90, 0.1)], None, None),  # a road drawn twice
+    ],
+)
+def test_a_slip_of_the_map_hides_a_junction(side: Any, layers: tuple[int, ...] | None, sentence: str | None) -> None:
+    evidence = evidence_of([STREET, ("residential", side)], layers=layers)
+    (reason,) = explain_false(evidence, evidence.plane(lonlat((side[0][0], 3.0))), [7], [], 10.0)
+    assert (reason.kind in {"not_joined", "no_node"}) == (sentence is not None)
+    assert sentence is None or sentence in reason.sentence
+
+
+def test_what_is_near_a_node_of_a_merged_place_is_told_the_place_and_how_far_its_middle_is() -> None:
+    ring: Line = ("residential", [(25, 0), (0, 25), (-25, 0), (0, -25), (25, 0)])
+    streets: list[Line] = [("residential", [(25, 0), (90, 0)]), ("residential", [(0, 25), (0, 90)])]
+    graph = draw_map([ring, *streets, ("residential", [(-25, 0), (-90, 0)])])
+    graph = replace(graph, ways=replace(graph.ways, tags=({"junction": "roundabout"}, {}, {}, {})))
+    evidence = MapEvidence(graph, intersection_nodes(graph, "consolidated"), lonlat([(0, 0)]))
+    (reason,) = explain_false(evidence, evidence.plane(lonlat((26, 0))), [7], [], 10.0)
+    assert reason == Reason(
+        "off", "off by 26.0 m from the middle of nodes 100, 101 and 102 (one place); 10 m are allowed"
+    )
+
+
 def test_a_slip_road_has_a_mouth() -> None:
     lines: list[Line] = [
         ("residential", [(-90, 0), (0, 0), (30, 0), (90, 0)]),

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from interloc.lab.config import LidarConfig, RoadsideConfig, SceneConfig, StreetConfig, TrackConfig
-from interloc.lab.lidar import Lidar
+from interloc.lab.drive import Lidar
 from interloc.lab.measure import Cell, Place, Row
 from interloc.lab.scene import Scene, build_scene
 from interloc.lab.streets import read_map
@@ -99,16 +99,13 @@ def row(
     fused: tuple[int, int, int, int] = (1, 0, 0, 1),
     map_errors_m: Sequence[float] = (0.5,),
     map_axes_errors_m: Sequence[tuple[float, float]] = (),
-    map_squared: Sequence[float] = (1.0,),
-    outcomes: Sequence[tuple[float, bool]] = ((0.9, True),),
     keyframes: int = 100,
     compute_s: float = 0.5,
 ) -> Row:
-    """Make a row; `nodes`: found, in zone; `fused`: true, false, missed, nodes; `outcomes`: confidence, right."""
+    """Make a row; `nodes`: found, in zone; `fused`: true, false, missed, nodes."""
     return Row(
         cell=Cell(drive=drive, preset=preset, noise=noise, seed=seed),
-        fingerprint="f",
-        policy="drive",
+        settings={"method": {}},
         keyframes=keyframes,
         errors_m=tuple(errors_m),
         places=tuple(places),
@@ -122,13 +119,9 @@ def row(
         map_nodes=fused[3],
         map_errors_m=tuple(map_errors_m),
         map_axes_errors_m=tuple(map_axes_errors_m),
-        map_squared=tuple(map_squared),
-        map_confidence=tuple(confidence for confidence, _ in outcomes),
-        map_right=tuple(right for _, right in outcomes),
         compute_s=compute_s,
         warnings=(),
         made_up_map=True,
-        failures=(),
     )
 
 

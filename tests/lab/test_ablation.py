@@ -18,7 +18,7 @@ from interloc.osm.intersections import intersection_nodes
 from interloc.osm.reader import read_osm
 from tests.lab.conftest import row
 
-CONFIGS = taken_out("default", DEFAULT, ["compound"])
+CONFIGS = taken_out(DEFAULT, ["compound"])
 
 
 def place(
@@ -28,20 +28,20 @@ def place(
 
 
 def test_each_setting_is_taken_out_alone() -> None:
-    nothing, *others = taken_out("default", DEFAULT)
+    nothing, *others = taken_out(DEFAULT)
     assert (nothing.name, nothing.config) == (NOTHING, DEFAULT)
     by_name = {each.name: each for each in others}
     assert by_name["compound"].config == DEFAULT.model_copy(update={"compound": None})
     assert by_name["candidates"].config.candidates == PAPER.candidates
     assert by_name["branches.square_std_deg"].config.branches.square_std_deg is None
-    assert by_name["bev.vote"].arguments == ("--preset", "default", "--set", "bev.vote=false")
+    assert by_name["bev.vote"].config.bev.vote is False
     assert not [name for name in by_name if name.startswith(("fusion", "calibration"))]
-    assert taken_out("paper", PAPER) == [type(nothing)(NOTHING, PAPER, ("--preset", "paper"))]
+    assert taken_out(PAPER) == [type(nothing)(NOTHING, PAPER)]
 
 
 def test_an_unknown_setting_is_named_with_those_that_can_be_taken_out() -> None:
     with pytest.raises(ConfigError, match=r"--take-out branches\.fork: expected one of bev\.min_points, .*compound"):
-        taken_out("default", DEFAULT, ["branches.fork"])
+        taken_out(DEFAULT, ["branches.fork"])
 
 
 def test_the_parts_have_no_place_in_common() -> None:

@@ -7,8 +7,7 @@ import pytest
 
 from interloc.drives.options import DriveOptions
 from interloc.errors import ConfigError, DriveError, GeoreferenceError, MapError
-from interloc.lab.cases import file_facts, folder_cases, semantickitti_cases
-from interloc.lab.twins import twin_cases
+from interloc.lab.cases import folder_cases, semantickitti_cases, twin_cases
 
 
 @pytest.fixture
@@ -110,12 +109,3 @@ def test_maps_are_one_for_all_or_one_a_drive(tmp_path: Path) -> None:
         folder_cases(drives, maps)
     with pytest.raises(MapError, match="no such file"):
         folder_cases(drives, [tmp_path / "no.osm"])
-
-
-def test_a_changed_file_is_noticed(tmp_path: Path) -> None:
-    folder = tmp_path / "drive"
-    folder.mkdir()
-    (folder / "poses.txt").write_text("1")
-    before = file_facts([folder])
-    (folder / "poses.txt").write_text("12")
-    assert file_facts([folder]) != before

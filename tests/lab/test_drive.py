@@ -15,7 +15,7 @@ from interloc.lab.config import LidarConfig, SimulationOptions, TrackConfig
 from interloc.lab.drive import Trip, simulate, simulate_drive
 from interloc.lab.scene import Scene
 from interloc.lab.streets import read_map
-from interloc.lab.tracks import LidarTrack, LocalFrame, open_track
+from interloc.lab.tracks import LidarTrack, LocalFrame, track_from_line
 
 
 @pytest.fixture(scope="module")
@@ -88,15 +88,13 @@ def test_a_folder_of_something_else_stays(street_scene: Scene, straight_track: L
     assert (tmp_path / "thesis.txt").read_text() == "mine"
 
 
-def test_a_csv_track_over_a_map(frame: LocalFrame, write_map: Callable[..., Path], tmp_path: Path) -> None:
+def test_a_line_over_a_map(frame: LocalFrame, write_map: Callable[..., Path], tmp_path: Path) -> None:
     roads = write_map(
         ([(-90.0, 0.0), (0.0, 0.0), (90.0, 0.0)], {"highway": "residential"}),
         ([(0.0, 0.0), (20.0, 80.0)], {"highway": "residential"}),
     )
     lonlat = frame.lonlat([[-30, 0], [0, 0], [10, 40]])
-    track = tmp_path / "track.csv"
-    track.write_text("lat,lon\n" + "".join(f"{lat:.9f},{lon:.9f}\n" for lon, lat in lonlat))
-    trip = Trip(open_track(track, TrackConfig(speed_mps=10, rate_hz=4)), read_map(roads))
+    trip = Trip(track_from_line(lonlat, None, TrackConfig(speed_mps=10, rate_hz=4)), read_map(roads))
     count = simulate(trip, tmp_path / "drive", SimulationOptions(sensor=LidarConfig(columns=120)))
     drive = open_drive(tmp_path / "drive")
     assert count == len(drive.frames)
@@ -104,14 +102,3 @@ def test_a_csv_track_over_a_map(frame: LocalFrame, write_map: Callable[..., Path
     assert np.linalg.norm(drive.T_world_lidar[-1, :3, 3] - drive.T_world_lidar[0, :3, 3]) > 50
     labels = np.fromfile(tmp_path / "drive/labels/000010.label", np.uint32)
     assert 50 in labels  # houses are made up where the map has none
-
-
-def test_scans_whose_turn_takes_time_are_written_with_the_times_of_their_points(
-    street_scene: Scene, straight_track: LidarTrack, small_sensor: LidarConfig, tmp_path: Path
-) -> None:
-    sensor = small_sensor.model_copy(update={"turn_s": 0.1})
-    simulate_drive(street_scene, straight_track, tmp_path / "bent", SimulationOptions(sensor=sensor, max_scans=4))
-    report = inspect_drive(tmp_path / "bent")
-    assert (report.layout, report.scans) == ("pcd", 4)
-    assert any("motion within each scan is taken out" in problem.message for problem in report.problems)
-    assert report.ok

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from interloc.errors import MapError
-from interloc.lab.config import RoadsideConfig, SceneConfig, StreetConfig, TrackConfig
+from interloc.lab.config import RoadsideConfig, SceneConfig, TrackConfig
 from interloc.lab.ground import Surface, beyond_ends, fit_heights, without_drift
 from interloc.lab.raycast import surface_at
 from interloc.lab.scene import Scene, build_scene
@@ -33,56 +33,6 @@ def test_it_stands_on_road_even_where_the_map_is_off(frame: LocalFrame, write_ma
 def test_the_cross_section_of_a_street(street_scene: Scene, frame: LocalFrame) -> None:
     found = [surface(street_scene, frame, 30.0, y) for y in (0.0, 3.0, 4.0, 5.0, 6.0, -4.0, -6.0)]
     assert found == [*[Surface.ROAD] * 2, *[Surface.SIDEWALK] * 2, Surface.TERRAIN, Surface.SIDEWALK, Surface.TERRAIN]
-
-
-def test_sidewalks_as_high_as_the_road(straight_track: LidarTrack, frame: LocalFrame, write_map: WriteMap) -> None:
-    path = write_map(([(-150.0, 0.0), (150.0, 0.0)], {"highway": "residential"}))
-
-    def along(**streets: float) -> list[Surface]:
-        config = BARE.model_copy(update={"streets": StreetConfig(parking_bay_share=0, **streets)})
-        scene = build_scene(straight_track, read_map(path), config=config)
-        return [surface(scene, frame, x, 4.0) for x in np.arange(-50.0, 50.0, 2.0)]
-
-    assert set(along(flush_sidewalk_share=1.0)) == {Surface.FLUSH_SIDEWALK}
-    pieces = along(lowered_kerb_share=0.5)
-    assert 10 < pieces.count(Surface.FLUSH_SIDEWALK) < 40
-    assert set(pieces) == {Surface.FLUSH_SIDEWALK, Surface.SIDEWALK}
-
-
-def test_drives_that_the_map_does_not_have_are_road(
-    straight_track: LidarTrack, frame: LocalFrame, write_map: WriteMap
-) -> None:
-    path = write_map(([(-150.0, 0.0), (150.0, 0.0)], {"highway": "residential"}))
-
-    def beside(seed: int, **streets: float) -> list[Surface]:
-        config = BARE.model_copy(update={"streets": StreetConfig(**streets)})
-        scene = build_scene(straight_track, read_map(path), config=config, seed=seed)
-        return [surface(scene, frame, x, y) for x in np.arange(-50.0, 50.0, 2.0) for y in (-12.0, 12.0)]
-
-    assert Surface.ROAD not in beside(0)
-    assert Surface.ROAD in beside(0, private_drives_per_km=40.0)
-    assert beside(0, private_drives_per_km=40.0) == beside(1, private_drives_per_km=40.0)
-
-
-def test_posts_and_trees_stand_beside_the_road_and_off_the_track(
-    straight_track: LidarTrack, write_map: WriteMap
-) -> None:
-    path = write_map(([(-150.0, 0.0), (150.0, 0.0)], {"highway": "residential"}))
-
-    def walls(posts_per_km: float, seed: int = 0) -> np.ndarray:
-        roadside = BARE.roadside.model_copy(update={"posts_per_km": posts_per_km})
-        scene = build_scene(
-            straight_track, read_map(path), config=BARE.model_copy(update={"roadside": roadside}), seed=seed
-        )
-        return scene.obstacles.near(0.0, 0.0, 150.0)[0]
-
-    found = walls(100.0)
-    assert len(walls(0.0)) == 0
-    np.testing.assert_array_equal(walls(100.0), found)
-    assert not np.array_equal(walls(100.0, seed=1), found)
-    assert 4 * 30 < len(found) < 8 * 80  # four sides of some 60 posts, as many of crowns
-    posts = found[found[:, 4] < 0]  # bottoms
-    assert np.abs(posts[:, [1, 3]]).min() > 3.0
 
 
 def test_kerbs_are_round_at_a_junction(straight_track: LidarTrack, frame: LocalFrame, write_map: WriteMap) -> None:
@@ -145,7 +95,7 @@ def test_who_drives_over_a_bridge_does_not_see_the_road_below(frame: LocalFrame,
     ],
 )
 def test_widths(tags: dict[str, str], width: float) -> None:
-    assert road_width_m(tags, StreetConfig()) == pytest.approx(width)
+    assert road_width_m(tags) == pytest.approx(width)
 
 
 def test_heights_follow_the_track_and_spread() -> None:

@@ -5,15 +5,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from interloc.evaluation.published import SEQUENCES
 from interloc.lab.tables import (
     Measured,
     Table,
     axes_table,
-    comparison_table,
     figures,
-    noise_table,
-    performance_table,
+    results_table,
     tables,
 )
 from tests.lab.conftest import row
@@ -52,16 +49,6 @@ def test_figures_are_pooled_over_drives(rows: list[dict[str, Any]], expected: di
     assert {name: found[name] for name in expected} == pytest.approx(expected)
 
 
-def test_uncertainty_and_confidence_are_counted_over_places() -> None:
-    rows = [
-        row(map_squared=[0.5, 5.9], outcomes=[(0.85, True), (0.85, False)]),
-        row("02", map_squared=[6.1, 7.5], outcomes=[(0.35, True), (0.95, True)]),
-    ]
-    assert figures(rows)["map_within_95"] == pytest.approx(2 / 4)
-    assert figures(rows)["map_nees"] == pytest.approx(20 / 4 / 2)
-    assert figures(rows)["map_calibration_error"] == pytest.approx((2 * 0.35 + 0.65 + 0.05) / 4)
-
-
 def test_nothing_measured_is_undefined_or_none_found() -> None:
     assert all(value == 0.0 if name.startswith("nodes") else np.isnan(value) for name, value in figures([]).items())
 
@@ -81,80 +68,46 @@ def test_a_drive_with_one_seed_takes_part_in_every_pool() -> None:
     assert estimates.loc["default", "0/0", "all"]["ace_m", "mean"] == pytest.approx((1.0 + 2.0) / 2)
 
 
-def test_performance_stands_beside_the_published_figures() -> None:
-    measured = Measured((row("00", [1.0, 2.0], fn=1), row("town", [7.0])), ("00", "town"), ("default",), ("0/0",))
-    table = performance_table(measured, "0/0")
+def test_drives_and_levels_stand_beside_the_published_figures() -> None:
+    rows = (
+        row("00", [1.0, 2.0], fn=1),
+        row("town", [7.0]),
+        row("00", [9.0], noise="20/20"),
+        row("town", [7.0], noise="20/20"),
+    )
+    table = results_table(Measured(rows, ("00", "town"), ("default",), ("0/0", "20/20")))
     lines = lines_of(table)
-    assert [*table.frame.columns] == ["00", "town", "all"]
-    assert lines["ACE [m]", "published"] == ("1.28", "–", "–")  # noqa: RUF001
-    assert lines["ACE [m]", "preset default"] == ("1.50", "7.00", "3.33")
-    assert lines["Pre@5 [%]", "published"] == ("97.2", "–", "–")  # noqa: RUF001
-    assert lines["Pre@5 [%]", "preset default"] == ("100.0", "0.0", "66.7")
-    assert lines["Rec@5 [%]", "preset default"] == ("66.7", "–", "66.7")  # noqa: RUF001
-    assert lines["nodes found / in zone", "preset default"] == ("1/1", "1/1", "2/2")
-    assert lines["ms per keyframe", "preset default"] == ("5.0", "5.0", "5.0")
-
-
-def test_the_published_average_stands_only_beside_its_own_eight_sequences() -> None:
-    measured = Measured(tuple(row(name) for name in SEQUENCES), SEQUENCES, ("default",), ("0/0",))
-    assert lines_of(performance_table(measured, "0/0"))["ACE [m]", "published"][-1] == "1.92"
-    assert not any("all eight" in note for note in comparison_table(measured).notes)
-    some = Measured((row("07"),), ("07",), ("default",), ("0/0",))
-    assert [*performance_table(some, "0/0").frame.columns] == ["07"]
-    assert comparison_table(some).notes == ("Published: all eight sequences of SemanticKITTI; this run: 07.",)
-
-
-def test_drives_of_no_known_sequence_have_no_published_row() -> None:
-    measured = Measured((row("town"),), ("town",), ("default",), ("0/0",))
-    assert "published" not in performance_table(measured, "0/0").text().lower()
-
-
-def test_comparison() -> None:
-    measured = Measured((row("00", [1.0, 6.0, 8.0, 20.0], fn=1),), ("00",), ("default",), ("0/0",))
-    assert lines_of(comparison_table(measured)) == {
-        ("MMInsectDet",): ("4.25", "89.2", "83.1"),
-        ("InterLoc, published",): ("1.92", "94.4", "84.3"),
-        ("InterLoc, preset default",): ("8.75", "50.0", "75.0"),
-    }
-
-
-def test_levels_of_label_errors() -> None:
-    rows = [
-        row(errors_m=[error], preset=preset, noise=noise)
-        for preset, noise, error in (
-            ("default", "0/0", 1.0),
-            ("default", "20/20", 2.0),
-            ("paper", "0/0", 3.0),
-            ("paper", "20/20", 9.0),
-        )
+    assert [words for words in lines if words[:2] == ("0/0", "all")] == [
+        ("0/0", "all", "published"),
+        ("0/0", "all", "published, hand labels"),
+        ("0/0", "all", "MMInsectDet, published"),
+        ("0/0", "all", "preset default"),
     ]
-    measured = Measured(tuple(rows), ("00",), ("default", "paper"), ("0/0", "20/20"))
-    lines = lines_of(noise_table(measured))
-    assert lines["0/0", "published"] == ("1.86", "90.1", "80.7")
-    assert lines["20/20", "published"] == ("3.23", "78.8", "68.0")
-    assert lines["20/20", "preset default"] == ("2.00", "100.0", "100.0")
-    assert lines["20/20", "preset paper"] == ("9.00", "0.0", "–")  # noqa: RUF001
-
-
-def test_predicted_labels_stand_beside_the_published_network() -> None:
-    measured = Measured((row(),), ("00",), ("default",), ("0/0",), labels="predictions")
-    assert lines_of(noise_table(measured))["0/0", "published"] == ("1.92", "89.5", "76.7")
+    assert lines["0/0", "00", "published"][:4] == ("1.28", "–", "97.2", "94.2")  # noqa: RUF001
+    assert lines["0/0", "00", "preset default"][:4] == ("1.50", "1.50", "100.0", "66.7")
+    assert ("0/0", "town", "published") not in lines
+    assert lines["0/0", "town", "preset default"][:4] == ("7.00", "7.00", "0.0", "–")  # noqa: RUF001
+    assert lines["0/0", "all", "published"][:6] == ("1.92", "–", "89.5", "76.7", "94.4", "84.3")  # noqa: RUF001
+    assert lines["0/0", "all", "MMInsectDet, published"][4:6] == ("89.2", "83.1")
+    assert lines["0/0", "all", "preset default"][0] == "3.33"
+    assert lines["0/0", "all", "preset default"][6:8] == ("2.0", "2.0")
+    assert lines["20/20", "all", "published"][:4] == ("3.23", "–", "78.8", "68.0")  # noqa: RUF001
+    assert lines["20/20", "all", "preset default"][:3] == ("8.00", "8.00", "0.0")
+    assert not any("seeds" in note for note in table.notes)
 
 
 def test_seeds_show_their_spread() -> None:
     rows = (row(errors_m=[1.0], seed=0, nodes=(1, 2)), row(errors_m=[2.0], seed=1, nodes=(2, 2)))
-    table = performance_table(Measured(rows, ("00",), ("default",), ("0/0",)), "0/0")
-    lines = lines_of(table)
-    assert lines["ACE [m]", "preset default"] == ("1.50 ± 0.71",)
-    assert lines["nodes found / in zone", "preset default"] == ("1.5/2.0",)
+    table = results_table(Measured(rows, ("00",), ("default",), ("0/0",)))
+    line = lines_of(table)["0/0", "00", "preset default"]
+    assert (line[0], line[6], line[7]) == ("1.50 ± 0.71", "1.5 ± 0.7", "2.0 ± 0.0")
     assert table.notes[-1] == "2 seeds: mean ± standard deviation over the seeds."
 
 
 def test_a_drive_without_detections_shows_dashes() -> None:
-    measured = Measured((row("00", [], fused=(0, 0, 0, 0), map_errors_m=[]),), ("00",), ("default",), ("0/0",))
-    lines = lines_of(performance_table(measured, "0/0"))
-    for name in ("ACE [m]", "Pre@5 [%]", "Rec@5 [%]", "map precision [%]", "map recall [%]", "map median error [m]"):
-        assert lines[name, "preset default"] == ("–",)  # noqa: RUF001
+    measured = Measured((row("town", [], fused=(0, 0, 0, 0), map_errors_m=[]),), ("town",), ("default",), ("0/0",))
+    line = lines_of(results_table(measured))["0/0", "town", "preset default"]
+    assert [line[column] for column in (0, 1, 2, 3, 8, 9, 10)] == ["–"] * 7  # noqa: RUF001
     assert all(table.text() for table in tables(measured))
 
 

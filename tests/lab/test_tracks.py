@@ -1,7 +1,4 @@
-"""Tracks from lines, GPX, CSV and OXTS."""
-
-import gzip
-from pathlib import Path
+"""Tracks from lines and OXTS."""
 
 import numpy as np
 import pytest
@@ -9,11 +6,7 @@ import pytest
 from interloc.errors import DriveError
 from interloc.geometry import yaw_of
 from interloc.lab.config import TrackConfig
-from interloc.lab.tracks import LocalFrame, format_oxts, open_track, read_csv, track_from_line, track_from_oxts
-
-GPX = """<?xml version="1.0"?><gpx xmlns="http://www.topografix.com/GPX/1/1" version="1.1"><trk><trkseg>
-<trkpt lat="49.0" lon="8.4"><ele>110</ele><time>2024-01-01T00:00:00Z</time></trkpt>
-<trkpt lat="49.0" lon="8.401"><ele>112</ele></trkpt></trkseg></trk></gpx>"""
+from interloc.lab.tracks import LocalFrame, track_from_line, track_from_oxts
 
 
 def test_a_line_is_driven_at_constant_speed(frame: LocalFrame) -> None:
@@ -43,61 +36,6 @@ def test_oxts_rows_and_lidar_fixes_undo_each_other(frame: LocalFrame) -> None:
     assert np.allclose(track.R_enu_lidar, again.R_enu_lidar, atol=1e-6)  # the calibration has 7 digits
 
 
-def test_gpx(tmp_path: Path) -> None:
-    path = tmp_path / "a.gpx"
-    path.write_text(GPX)
-    assert len(open_track(path, TrackConfig(speed_mps=10, rate_hz=1))) == 8  # 73 m at 10 m a scan
-
-
-@pytest.mark.parametrize(
-    "text", ["lat,lon\n49,8.4\n49.001,8.4\n", "Time;Longitude;Latitude;Ele\n0;8.4;49;1\n1;8.4;49.001;\n"]
-)
-def test_csv(tmp_path: Path, text: str) -> None:
-    path = tmp_path / "a.csv"
-    path.write_text(text)
-    lonlat, alt = read_csv(path)
-    assert lonlat.tolist() == [[8.4, 49.0], [8.4, 49.001]]
-    assert alt is None
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("49,8.4\n49.001,8.4\n", "Expected a header"),
-        ("", "is empty"),
-        ("lat,lon\n", "a header only"),
-        ("lat,lon\n49,8.4\nnorth,8.4\n", "line 3"),
-        ("lat,lon\n49\n", "line 2"),
-        ("lat,lon\n49,8.4\nnan,8.4\n", "line 3.*not finite"),
-        ("lat,lon\n49,8.4\n8.4,190\n", "line 3: latitude 8.4, longitude 190"),
-    ],
-)
-def test_bad_csv(tmp_path: Path, text: str, message: str) -> None:
-    path = tmp_path / "bad.csv"
-    path.write_text(text)
-    with pytest.raises(DriveError, match=message):
-        read_csv(path)
-
-
-def test_oxts_files(tmp_path: Path, frame: LocalFrame) -> None:
-    rows = track_from_line(frame.lonlat([[0, 0], [20, 0]])).oxts
-    packed = tmp_path / "rows.txt.gz"
-    packed.write_bytes(gzip.compress("".join(map(format_oxts, rows)).encode()))
-    for i, row in enumerate(rows):
-        (tmp_path / f"{i:010d}.txt").write_text(format_oxts(row))
-    one, other = open_track(packed), open_track(tmp_path)
-    assert np.array_equal(one.oxts, other.oxts)
-    assert np.allclose(one.oxts[:, 0], rows[:, 0], atol=1e-10)
-
-
-@pytest.mark.parametrize("text", ["a b c\n", "1 2 3\n4 5\n", "99 8 0 0 0 0" + " 0" * 24])
-def test_bad_oxts(tmp_path: Path, text: str) -> None:
-    path = tmp_path / "rows.txt"
-    path.write_text(text)
-    with pytest.raises(DriveError, match="xpected"):
-        open_track(path)
-
-
 def test_lines_that_cannot_be_driven(frame: LocalFrame) -> None:
     with pytest.raises(DriveError, match="1 point"):
         track_from_line(frame.lonlat([[0, 0]]))
@@ -105,14 +43,3 @@ def test_lines_that_cannot_be_driven(frame: LocalFrame) -> None:
         track_from_line(frame.lonlat([[0, 0], [0, 0]]))
     with pytest.raises(DriveError, match=r"3,000 m apart.*Usual cause"):
         track_from_line(frame.lonlat([[0, 0], [3000, 0]]))
-
-
-def test_bends_are_as_wide_as_a_car_needs(frame: LocalFrame) -> None:
-    line = frame.lonlat([[-40.0, 0.0], [0.0, 0.0], [-20.0, 30.0]])
-    tight, wide = (track_from_line(line, None, TrackConfig(speed_mps=5, min_radius_m=radius)) for radius in (0.0, 6.0))
-    for track, least, most in ((tight, 0.5, 4.0), (wide, 5.5, 12.0)):
-        poses = track.T_map_lidar(frame)
-        turns = np.abs(np.diff(np.unwrap(yaw_of(poses))))
-        steps = np.linalg.norm(np.diff(poses[:, :2, 3], axis=0), axis=1)
-        assert least < (steps / np.maximum(turns, 1e-9)).min() < most
-    assert np.allclose(wide.T_map_lidar(frame)[0, :2, 3], [-40, 0], atol=0.01)

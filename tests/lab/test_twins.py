@@ -8,10 +8,10 @@ from shapely.geometry import LineString
 
 from interloc.drives.open import open_drive
 from interloc.geometry import lonlat_from_enu
+from interloc.lab.cases import twin_track, twin_trip
 from interloc.lab.config import LidarConfig, RoadsideConfig, SceneConfig, SimulationOptions
 from interloc.lab.drive import simulate, simulate_drive
 from interloc.lab.streets import read_map, street_map_of
-from interloc.lab.twins import twin_track, twin_trip
 from tests.twins import twin_scene
 
 

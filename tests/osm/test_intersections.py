@@ -1,22 +1,22 @@
 from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from interloc.errors import ConfigError
-from interloc.osm.graph import RoadGraph, Ways
+from interloc.osm.graph import RoadGraph, Ways, layer_of
 from interloc.osm.intersections import intersection_nodes, road_ways
 from interloc.osm.policies import POLICIES, Policy
 from interloc.osm.reader import read_osm
 
 
-def graph(
-    places: list[tuple[float, float]], ways: list[tuple[str, list[int]]], *, areas: tuple[int, ...] = ()
-) -> RoadGraph:
-    """Make a map of places (east, north in metres, roughly) and ways (highway, places)."""
-    pieces = [(a, b, way) for way, (_, nodes) in enumerate(ways) for a, b in pairwise(nodes)]
+def graph(places: list[tuple[float, float]], ways: list[tuple[Any, ...]], *, areas: tuple[int, ...] = ()) -> RoadGraph:
+    """Make a map of places (east, north in metres, roughly) and ways (highway, places, and more tags)."""
+    pieces = [(a, b, way) for way, (_, nodes, *_) in enumerate(ways) for a, b in pairwise(nodes)]
+    tags = [dict(*more) for _, _, *more in ways]
     table = np.array(pieces, dtype=np.int64)
     return RoadGraph(
         node_id=np.arange(len(places)) + 1000,
@@ -25,9 +25,11 @@ def graph(
         edge_way=table[:, 2],
         ways=Ways(
             id=np.arange(len(ways)),
-            highway=tuple(highway for highway, _ in ways),
-            name=("",) * len(ways),
+            highway=tuple(highway for highway, *_ in ways),
+            name=tuple(each.pop("name", "") for each in tags),
             is_area=np.array([way in areas for way in range(len(ways))]),
+            layer=np.array([layer_of(each) for each in tags]),
+            tags=tuple(tags),
         ),
         source="by hand",
     )
@@ -73,23 +75,77 @@ def test_an_unknown_policy_names_the_known_ones() -> None:
         intersection_nodes(roads, "consolidated", tolerance_m=0)
 
 
-def dual_carriageway(gap_m: float) -> RoadGraph:
-    """Two one-way roads, a street across both: two nodes of four neighbours."""
-    places = [(0.0, 0.0), (0.0, gap_m), (99.0, 0.0), (-99.0, 0.0), (99.0, gap_m), (-99.0, gap_m), (0.0, -99.0)]
-    places += [(0.0, gap_m + 99.0), (0.0, gap_m / 2)]
-    return graph(places, [("primary", [2, 0, 3]), ("primary", [4, 1, 5]), ("residential", [6, 0, 8, 1, 7])])
+ONE_WAY = {"oneway": "yes"}
+JOINED: dict[str, tuple[list[tuple[float, float]], list[tuple[Any, ...]]]] = {
+    "carriageways": (
+        [(0, 0), (0, 14), (99, 0), (-99, 0), (99, 14), (-99, 14), (0, -99), (0, 99), (1, 7)],
+        [("primary", [2, 0, 3], {"oneway": "-1"}), ("primary", [4, 1, 5], ONE_WAY), ("residential", [6, 0, 8, 1, 7])],
+    ),
+    "island in a side road": (
+        [(-8, 0), (8, 0), (0, -25), (-99, 0), (99, 0), (0, -99)],
+        [("tertiary", [3, 0, 1, 4]), ("residential", [0, 2, 1], ONE_WAY), ("residential", [2, 5])],
+    ),
+    "slip lane": (
+        [(0, 0), (-20, 0), (0, -20), (-99, 0), (99, 0), (0, -99)],
+        [("primary", [3, 1, 0, 4]), ("primary", [0, 2, 5]), ("primary_link", [1, 2], ONE_WAY)],
+    ),
+    "roundabout": (
+        [(40, 0), (0, 40), (-40, 0), (0, -40), (32, 24), (80, 0), (0, 140), (-140, 0), (0, -140), (140, 0)],
+        [
+            ("primary", [0, 1, 2, 3, 4, 0], {"junction": "roundabout"}),
+            *(("primary", each, ONE_WAY) for each in ([4, 5], [5, 0])),
+            *(("primary", each) for each in ([5, 9], [1, 6], [2, 7], [3, 8])),
+        ],
+    ),
+}  # fmt: skip
 
 
-def test_the_two_nodes_of_a_dual_carriageway_become_one() -> None:
-    roads = dual_carriageway(gap_m=14.0)
-    assert intersection_nodes(roads).degree.tolist() == [4, 4]
-    merged = intersection_nodes(roads, "consolidated", tolerance_m=10.0)
-    assert (merged.osm_id.tolist(), merged.degree.tolist(), merged.tolerance_m) == ([1000], [6], 10.0)
-    assert merged.lonlat[0] == pytest.approx(roads.lonlat[[0, 1]].mean(axis=0), abs=1e-7)
+@pytest.mark.parametrize(("kind", "degree", "middle"), [
+    ("carriageways", 6, (0, 7)), ("island in a side road", 3, (0, 0)), ("slip lane", 3, None), ("roundabout", 4, None)
+])  # fmt: skip
+def test_nodes_of_one_place_become_one(kind: str, degree: int, middle: tuple[float, float] | None) -> None:
+    roads = graph(*JOINED[kind])
+    merged = intersection_nodes(roads, "consolidated")
+    assert (merged.osm_id.tolist(), merged.degree.tolist(), merged.tolerance_m) == ([1000], [degree], 15.0)
+    assert merged.members_of(0) == tuple(intersection_nodes(roads).osm_id.tolist())
+    if middle is not None:
+        assert merged.lonlat[0] == pytest.approx([8.4 + middle[0] / 73_100, 49.0 + middle[1] / 111_200], abs=1e-6)
 
 
-def test_nodes_further_apart_than_twice_the_tolerance_stay() -> None:
-    assert len(intersection_nodes(dual_carriageway(gap_m=24.0), "consolidated", tolerance_m=10.0)) == 2
+def test_an_island_in_a_road_is_no_intersection() -> None:
+    """Two roads leave it; the same of a roundabout that only one street reaches."""
+    road = [("tertiary", [4, 0]), ("tertiary", [1, 5])]
+    lanes = [("tertiary", [0, 3, 1], ONE_WAY), ("tertiary", [1, 2, 0], ONE_WAY)]
+    island = graph([(-8, 0), (8, 0), (0, 2), (0, -2), (-99, 0), (99, 0)], [*road, *lanes])
+    street = ("residential", [3, 0])
+    ring = graph(
+        [(0, 0), (9, 9), (18, 0), (-99, 0)], [("residential", [0, 1, 2, 0], {"junction": "roundabout"}), street]
+    )
+    assert [len(intersection_nodes(each)) for each in (island, ring)] == [2, 1]
+    assert [len(intersection_nodes(each, "consolidated")) for each in (island, ring)] == [0, 0]
+
+
+@pytest.mark.parametrize("tags", [({}, {}), ({"oneway": "yes", "name": "A"}, {"oneway": "-1", "name": "B"})])
+def test_neighbours_that_a_street_joins_are_two(tags: tuple[dict[str, str], ...]) -> None:
+    places = [(0.0, 0.0), (0.0, 14.0), (99.0, 0.0), (-99.0, 0.0), (99.0, 14.0), (-99.0, 14.0), (0.0, -99.0), (0, 99.0)]
+    lines = ([2, 0, 3], [4, 1, 5], [6, 0, 1, 7])
+    roads = graph(places, [("residential", line, each) for line, each in zip(lines, (*tags, {}), strict=True)])
+    assert intersection_nodes(roads, "consolidated").degree.tolist() == [4, 4]
+
+
+def test_neighbours_on_a_road_of_two_carriageways_are_two() -> None:
+    places = [(x, y) for x in (-99.0, 0.0, 26.0, 99.0) for y in (0.0, 10.0)] + [(0.0, -99.0), (26.0, -99.0)]
+    ways = [("primary", [0, 2, 4, 6], ONE_WAY), ("primary", [7, 5, 3, 1], ONE_WAY)]
+    ways += [("residential", [8, 2, 3]), ("residential", [9, 4, 5])]
+    merged = intersection_nodes(graph(places, ways), "consolidated")
+    assert merged.members == ((1002, 1003), (1004, 1005))
+
+
+@pytest.mark.parametrize("tags", [{"layer": "1"}, {"bridge": "yes"}, {"tunnel": "yes"}])
+def test_carriageways_on_different_levels_are_two(tags: dict[str, str]) -> None:
+    places, ways = JOINED["carriageways"]
+    roads = graph(places, [(*ways[0][:2], ways[0][2] | tags), *ways[1:]])
+    assert len(intersection_nodes(roads, "consolidated")) == 2
 
 
 def test_a_bridge_above_a_crossing_is_not_merged_with_it() -> None:
@@ -110,7 +166,7 @@ def test_a_bridge_above_a_crossing_is_not_merged_with_it() -> None:
 def test_kitti_00_has_the_known_number_of_nodes(data: Callable[[str], Path]) -> None:
     roads = read_osm(data("kitti/osm/00.osm.gz"))
     counts = {policy: len(intersection_nodes(roads, policy)) for policy in POLICIES}
-    assert counts == {"all": 333, "drive+service": 119, "drive": 83, "consolidated": 70}
+    assert counts == {"all": 333, "drive+service": 119, "drive": 83, "consolidated": 79}
 
 
 def test_consolidation_keeps_clear_of_what_lies_outside_the_bounds(data: Callable[[str], Path]) -> None:

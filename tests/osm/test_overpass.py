@@ -106,7 +106,8 @@ def test_the_answer_becomes_a_road_graph(town: Town, tmp_path: Path) -> None:
     assert roads.ways.id.tolist() == [10, 11, 12, 13]
     assert roads.ways.name == ("Made-up Street", "", "", "")
     assert roads.ways.is_area.tolist() == [False, False, False, True]
-    assert roads.node_id[roads.edges[roads.edge_way == 0]].tolist() == [[1, 2], [1, 3], [2, 5], [5, 6]]
+    assert roads.node_id[roads.edges[roads.edge_way == 0]].tolist() == [[1, 2], [2, 5], [3, 1], [5, 6]]  # along the way
+    assert roads.ways.direction.tolist() == [0, 1, 0, 0]
     assert (roads.date, roads.bounds) == ("2026-03-01T12:00:00Z", BOUNDS)
     assert town.url in roads.source
     assert intersection_nodes(roads, "drive").osm_id.tolist() == [1]

@@ -4,14 +4,17 @@ import json
 from dataclasses import replace
 from itertools import pairwise, permutations, product
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
+import shapely
 from numpy.testing import assert_allclose
 
 from interloc.errors import GeoreferenceError
-from interloc.output.road_files import lanelet2_map, nav2_graph, opendrive_map, write_road_file
+from interloc.output.road_files import Traffic, lanelet2_map, nav2_graph, opendrive_map, write_road_file
+from interloc.output.traffic import Side, one_way_roads, side_of
 from interloc.roadmap.extract import extract_roads
 from interloc.roadmap.network import RoadNetwork
 from tests.output.small import small_result, with_roads, write_folder
@@ -34,7 +37,7 @@ def network() -> RoadNetwork:
 
 def test_nav2_reads_the_graph(network: RoadNetwork) -> None:
     """The rules of `GeoJsonGraphFileLoader` (nav2_route/src/plugins/graph_file_loaders, ros-navigation/navigation2)."""
-    graph = json.loads(nav2_graph(network))
+    graph = json.loads(nav2_graph(network, Traffic()))
     points = [each for each in graph["features"] if each["geometry"]["type"] == "Point"]
     lines = [each for each in graph["features"] if each["geometry"]["type"] == "LineString"]
     assert len(points) + len(lines) == len(graph["features"])
@@ -70,7 +73,7 @@ def test_lanelet2_finds_a_route_between_any_two_junctions(network: RoadNetwork, 
     from lanelet2 import io, projection, routing, traffic_rules  # noqa: PLC0415
 
     path = tmp_path / "roads.osm"
-    path.write_bytes(lanelet2_map(network))
+    path.write_bytes(lanelet2_map(network, Traffic()))
     lon, lat = network.lonlat(network.nodes[0].xy[None])[0].tolist()
     loaded, errors = io.loadRobust(str(path), projection.UtmProjector(io.Origin(lat, lon)))
     assert list(errors) == []
@@ -90,9 +93,104 @@ def test_lanelet2_finds_a_route_between_any_two_junctions(network: RoadNetwork, 
         assert any(graph.getRoute(lanes[one], lanes[other], 0) for one, other in pairs), (start, end)
 
 
-def test_opendrive_is_without_a_gap(network: RoadNetwork) -> None:
+def test_lanes_keep_to_their_side_and_obey_one_way_streets(network: RoadNetwork, tmp_path: Path) -> None:
+    """As `lanelet2` routes; OpenDRIVE and Nav2 have the same lanes. A road of 4 m has one lane for both directions."""
+    pytest.importorskip("lanelet2", reason="lanelet2 has no wheel for this Python")
+    from lanelet2 import io, projection, routing, traffic_rules  # noqa: PLC0415
+
+    lon, lat = network.lonlat(network.nodes[0].xy[None])[0].tolist()
+    one_way, narrow = network.edges[0], min(network.edges, key=lambda each: each.width_m)
+    for side, direction in product(("right", "left"), (1, -1)):
+        traffic = Traffic(side, {one_way.id: direction})
+        (tmp_path / "roads.osm").write_bytes(lanelet2_map(network, traffic))
+        loaded = io.load(str(tmp_path / "roads.osm"), projection.UtmProjector(io.Origin(lat, lon)))
+        rules = traffic_rules.create(traffic_rules.Locations.Germany, traffic_rules.Participants.Vehicle)
+        graph = routing.RoutingGraph(loaded, rules)
+        assert list(graph.checkValidity()) == []
+        lanes = {
+            edge.id: [lane for lane in loaded.laneletLayer if is_on(lane, edge.xy - network.nodes[0].xy)]
+            for edge in network.edges
+        }
+        (only,), (both,) = lanes[one_way.id], lanes[narrow.id]
+        assert lane_ahead(only) @ (one_way.xy[-1] - one_way.xy[0]) * direction > 0
+        assert (rules.isOneWay(only), rules.isOneWay(both)) == (True, False)
+        assert {len(each) for number, each in lanes.items() if number not in {one_way.id, narrow.id}} == {2}
+        for edge in network.edges:
+            middle = edge.xy[len(edge.xy) // 2] - network.nodes[0].xy
+            for lane in lanes[edge.id] if len(lanes[edge.id]) == 2 else ():
+                ahead, place = lane_ahead(lane), lane_points(lane)
+                beside = place[np.hypot(*(place - middle).T).argmin()] - middle
+                assert (ahead[0] * beside[1] - ahead[1] * beside[0] > 0) == (side == "left")
+
+        root = ET.fromstring(opendrive_map(network, traffic, "a"))  # noqa: S314 - our own
+        assert {road.get("rule") for road in root.iter("road")} == {"RHT" if side == "right" else "LHT"}
+        driving = {int(road.get("id", "")): kinds_of_lanes(road) for road in root.iter("road")}
+        assert (driving[one_way.id], driving[narrow.id]) == (["driving"], ["bidirectional"])
+        edges = [
+            each["properties"]
+            for each in json.loads(nav2_graph(network, traffic))["features"]
+            if "startid" in each["properties"]
+        ]
+        pairs = {(each["startid"], each["endid"], each["metadata"]["road"]) for each in edges}
+        assert {road for start, end, road in pairs if (end, start, road) not in pairs} == {one_way.id}
+
+
+def kinds_of_lanes(road: ET.Element) -> list[str | None]:
+    return [lane.get("type") for lane in road.findall("lanes/laneSection/*/lane") if lane.get("id") != "0"]
+
+
+def lane_points(lane: Any) -> np.ndarray:
+    return np.array([(point.x, point.y) for point in lane.centerline])
+
+
+def lane_ahead(lane: Any) -> np.ndarray:
+    points = lane_points(lane)
+    return (points[-1] - points[0]) / np.hypot(*(points[-1] - points[0]))
+
+
+def is_on(lane: Any, line: np.ndarray) -> bool:
+    """Whether a lane runs beside all of a line, but for the mouths of its junctions."""
+    points = lane_points(lane)
+    near = shapely.distance(shapely.LineString(line), shapely.points(points))
+    reach = np.hypot(*np.diff(points, axis=0).T).sum()
+    return bool(near.max() < 4.0 and reach > 0.3 * np.hypot(*np.diff(line, axis=0).T).sum())
+
+
+def test_a_road_is_one_way_where_all_ways_of_the_map_beside_it_lead_one_way(network: RoadNetwork) -> None:
+    (edge, *_) = network.edges
+    ahead, back = edge.xy + 1.0, edge.xy[::-1] - 1.0
+    yes, no = np.array([True]), np.array([False])
+    assert one_way_roads(network, [ahead], yes) == {edge.id: 1}
+    assert one_way_roads(network, [back], yes) == {edge.id: -1}
+    assert one_way_roads(network, [back], no) == {}
+    assert one_way_roads(network, [ahead, back], np.array([True, True])) == {}  # two carriageways of one road
+    assert one_way_roads(network, [ahead + 30.0], yes) == {}  # another street
+
+
+@pytest.mark.parametrize(
+    ("lonlat", "side"),
+    [
+        ((8.4, 49.0), "right"),
+        ((0.12, 52.2), "left"),
+        ((1.61, 50.73), "right"),  # Boulogne, in sight of Dover
+        ((102.6, 17.97), "right"),  # Vientiane, and across the Mekong Nong Khai
+        ((102.74, 17.87), "left"),
+        ((139.7, 35.7), "left"),
+        ((126.9, 37.5), "right"),
+        ((178.02, -38.66), "left"),
+        ((24.27, -17.5), "left"),  # the Caprivi Strip
+        ((-75.8, 20.0), "right"),
+    ],
+)
+def test_the_side_of_traffic_is_that_of_the_place(lonlat: tuple[float, float], side: Side) -> None:
+    assert side_of(np.array(lonlat)) == side
+
+
+@pytest.mark.parametrize("traffic", [Traffic(), Traffic("left", {1: -1, 2: 1})])
+def test_opendrive_is_without_a_gap(network: RoadNetwork, traffic: Traffic) -> None:
     """Ends of reference lines meet where their links say so, within a millimetre; lanes have the same widths there."""
-    root = ET.fromstring(opendrive_map(network, "Straße <1> & Co"))  # noqa: S314 - our own
+    along = "-1" if traffic.side == "right" else "1"
+    root = ET.fromstring(opendrive_map(network, traffic, "Straße <1> & Co"))  # noqa: S314 - our own
     header = root.find("header")
     assert header.get("name") == "Straße <1> & Co"
     assert header.findtext("geoReference") == "+proj=utm +zone=32 +datum=WGS84 +units=m +no_defs"
@@ -112,10 +210,10 @@ def test_opendrive_is_without_a_gap(network: RoadNetwork) -> None:
             continue
         for mine, end in (("start", "predecessor"), ("end", "successor")):
             link = road.find(f"link/{end}")
-            lane = road.find(f"lanes/laneSection/right/lane/link/{end}")
+            lane = road.find(f"lanes/laneSection/*/lane/link/{end}")
             other = link.get("elementId")
             assert_allclose(places[number][mine], places[other][link.get("contactPoint")], atol=1e-3)
-            width, there = widths[number]["-1"], widths[other][lane.get("id")]
+            width, there = widths[number][along], widths[other][lane.get("id")]
             s = 0.0 if mine == "start" else float(road.get("length", ""))
             assert float(width.get("a")) + s * float(width.get("b")) == pytest.approx(float(there.get("a")), abs=1e-4)
             turns += 1

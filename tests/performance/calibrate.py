@@ -9,7 +9,8 @@ benchmark twins --keep`) the nodes are true by construction.
 Drives go together by their maps (00.osm.gz): those of one sequence share their junctions, so a sequence is either
 fitted to or held out, in all its seeds. Simulated and recorded drives have the same weight in all. Three fits are made:
 to the sequences of --fit; to all but one sequence, for each in turn (cross-validation); and to all. Detections are kept
-in OUT as long as drives, settings and detector stay the same, so a second fit takes seconds.
+in OUT as long as the settings stay the same, so a second fit takes seconds: for other drives or another program, take
+another folder.
 """
 
 from __future__ import annotations
@@ -17,33 +18,25 @@ from __future__ import annotations
 import argparse
 import json
 import pickle
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 import click
 import numpy as np
 from scipy.optimize import minimize
 
-import interloc
 from interloc.arrays import BoolArray, FloatArray
 from interloc.config import PRESETS, CalibrationConfig, DetectorConfig
 from interloc.drive import Drive
-from interloc.drives.label_errors import MislabelledDrive, parse_level
 from interloc.evaluation.evaluate import evaluate
-from interloc.evaluation.map_level import (
-    Interval,
-    calibration_error,
-    calibration_error_by_chance,
-    share_within,
-    squared_per_dimension,
-    with_interval,
-)
 from interloc.geometry import enu_from_lonlat
-from interloc.lab.cases import FolderCase, file_facts, fingerprint
-from interloc.lab.twins import TwinCase
+from interloc.lab.cases import FolderCase, TwinCase
+from interloc.lab.measure import MislabelledDrive, parse_level
+from interloc.lab.places import BOUND_95
 from interloc.mapping.estimation import SightingStats, fix_variance, junction_probability, position_covariance
 from interloc.mapping.fusion import evidence, fuse
 from interloc.osm.reader import read_osm
@@ -56,6 +49,7 @@ FITTED = ("line_std_m", "unclear_line_std_m", "coarse_line_std_m", "shape_limit_
 WEIGHTS = ("log_odds", "log_odds_seen", "log_odds_per_doubling")
 START = PRESETS["default"].calibration or CalibrationConfig()
 MIN_PLACES = 5  # fewer say nothing of their map
+_RESAMPLES, _BINS = 1000, 10
 _LOG_SPREAD = 1.0
 """Of the prior of each standard deviation, about its start: weak, for sets that say nothing of one of them."""
 _WEIGHTS, _WEIGHT_SPREADS = np.array([0.0, 6.0, 0.0]), np.array([10.0, 1.0, 10.0])
@@ -130,15 +124,8 @@ def opened(case: Case, level: str, out: Path) -> Iterator[Drive]:
 
 def detected(case: Case, name: str, level: str, config: DetectorConfig, out: Path) -> DriveResult:
     """Detect on a drive, or take what is kept of it."""
-    package = Path(interloc.__file__).parent
-    program = [*(package / "detection").glob("*.py"), *(package / "kernels").glob("*.py")]
-    facts = {
-        "drive": case.facts(),
-        "level": level,
-        "config": config.model_dump(mode="json", exclude={"fusion", "calibration"}),
-        "program": file_facts(sorted(program)),
-    }
-    path, mark = out / f"{name}_{level.replace('/', '-')}.pickle", fingerprint(facts)
+    path = out / f"{name}_{level.replace('/', '-')}.pickle"
+    mark = config.model_dump(mode="json", exclude={"fusion", "calibration"})
     if path.exists():
         known, result = pickle.loads(path.read_bytes())  # noqa: S301 - written by this program
         if known == mark:
@@ -218,6 +205,56 @@ def fit(drives: list[Places]) -> CalibrationConfig:
 
     weights = minimize(misfit_of_outcomes, np.ones(3), bounds=[(None, None), (0, None), (0, None)]).x
     return calibration.model_copy(update=dict(zip(WEIGHTS, weights.tolist(), strict=True)))
+
+
+class Interval(NamedTuple):
+    """A figure with the middle 95 % of what was drawn; None where there is nothing to count."""
+
+    value: float | None
+    low: float | None
+    high: float | None
+    count: int
+
+
+def with_interval(statistic: Callable[..., float], *columns: FloatArray | BoolArray) -> Interval:
+    """Return a figure of some places with the interval of its bootstrap: places drawn anew, with replacement."""
+    if not (count := len(columns[0])):
+        return Interval(None, None, None, 0)
+    rng = np.random.default_rng(0)
+    picks = [rng.integers(0, count, count) for _ in range(_RESAMPLES)]
+    low, high = np.percentile([statistic(*(column[rows] for column in columns)) for rows in picks], (2.5, 97.5))
+    return Interval(statistic(*columns), float(low), float(high), count)
+
+
+def share_within(squared: FloatArray) -> float:
+    """Return the share of squared errors within the ellipse of 95 %."""
+    return float(np.mean(squared <= BOUND_95))
+
+
+def squared_per_dimension(squared: FloatArray) -> float:
+    """Return the normalised estimation error squared per degree of freedom (Bar-Shalom et al. 2001, 5.4): 1 if true."""
+    return float(np.mean(squared)) / 2.0
+
+
+def calibration_error(confidence: FloatArray, right: BoolArray) -> float:
+    """Return the expected calibration error over bins of equal width (Naeini et al. 2015; Guo et al. 2017)."""
+    # Count times difference of the means is the sum of the differences; the bootstrap asks for this thousands of times.
+    numbers = np.minimum((confidence * _BINS).astype(np.int64), _BINS - 1)
+    return float(np.abs(np.bincount(numbers, confidence - right)).sum()) / len(confidence)
+
+
+def calibration_error_by_chance(confidence: FloatArray) -> Interval:
+    """Return mean and middle 95 % of the calibration error of places whose confidence would be exactly true.
+
+    Few places do not fall out in the shares that they should: whether each is right is drawn by its confidence, many
+    times (consistency resampling, Broecker and Smith 2007). An error within the interval says nothing against it.
+    """
+    if not (count := len(confidence)):
+        return Interval(None, None, None, 0)
+    rng = np.random.default_rng(0)
+    drawn = [calibration_error(confidence, rng.random(count) < confidence) for _ in range(_RESAMPLES)]
+    low, high = np.percentile(drawn, (2.5, 97.5))
+    return Interval(float(np.mean(drawn)), float(low), float(high), count)
 
 
 def reliability(drives: Iterable[tuple[Places, CalibrationConfig]]) -> tuple[Interval, ...]:

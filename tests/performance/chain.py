@@ -27,12 +27,12 @@ EAST_DEG_PER_KM = 1 / 73.0
 """At the latitude of Karlsruhe."""
 
 
-def twin(kitti: Path, twins: Path, sequence: str, sensor: str, scans: str, posts: float) -> Path:
+def twin(kitti: Path, twins: Path, sequence: str, sensor: str, scans: str) -> Path:
     """Return the folder of a twin at ten scans per second, simulated where it is not there yet."""
-    folder = twins / "-".join(filter(None, (sequence, sensor, scans, f"posts{posts:g}" if posts else "")))
+    folder = twins / "-".join(filter(None, (sequence, sensor, scans)))
     if not (folder / "simulation.json").is_file():
         limit = ["--max-scans", scans] if scans else []
-        where = ["--kitti", str(kitti), "--sensor", sensor, "--posts", str(posts), "-o", str(folder)]
+        where = ["--kitti", str(kitti), "--sensor", sensor, "-o", str(folder)]
         run(["simulate", "twin", sequence, "--every-scan", "--quiet", *where, *limit])
     return folder
 
@@ -81,13 +81,12 @@ def main() -> None:
     parser.add_argument("drives", nargs="+", metavar="SEQUENCE[:SENSOR[:SCANS]]")
     parser.add_argument("--kitti", type=Path, required=True, help="as of interloc simulate twin, with karlsruhe.osm.gz")
     parser.add_argument("--twins", type=Path, required=True, help="where the drives are kept: 1 to 7 GB each")
-    parser.add_argument("--posts", type=float, default=0.0, help="as of interloc simulate: per km beside streets (0)")
     parser.add_argument("--away", type=float, default=7.0, help="how far away the other place is, km (7)")
     options = parser.parse_args()
     osm = options.kitti / "karlsruhe.osm.gz"
     for each in options.drives:
         sequence, sensor, scans, *_ = [*each.split(":"), "", ""]
-        drive = twin(options.kitti, options.twins, sequence, sensor or "hdl-64e", scans, options.posts)
+        drive = twin(options.kitti, options.twins, sequence, sensor or "hdl-64e", scans)
         placed = open_drive(drive).georeference
         assert placed is not None
         truth = np.column_stack([placed.lon_deg, placed.lat_deg])

@@ -61,6 +61,8 @@ def environment(folder: Path, wheel: Path, extra: str) -> Path:
     wanted = f"{wheel}[{extra}]" if extra else str(wheel)
     install = ["-m", "pip", "install", "--quiet", "--no-compile", "-c", str(ROOT / "constraints.txt"), wanted]
     subprocess.run([python, *install], check=True)
+    for module in folder.glob("lib/*/site-packages/interloc/**/*.py"):
+        os.utime(module, (0, 0))  # or each environment would compile the kernels anew
     return python
 
 

@@ -7,8 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from rosbags.rosbag1 import Writer as Writer1
-from rosbags.rosbag2 import CompressionFormat, CompressionMode
 
 from interloc.config import KeyframeConfig
 from interloc.drives.inspect import inspect_drive
@@ -17,7 +15,6 @@ from interloc.drives.options import DriveOptions
 from interloc.reduction import look as look_module
 from interloc.reduction.look import DriveLook, look_into
 from interloc.reduction.reduce import prepare_reduction, reduce_drive
-from tests.bags import write_bag
 from tests.las_files import write_scan_files
 from tests.pcd_files import write_pcd
 from tests.small_drives import (
@@ -53,7 +50,8 @@ def errors(look: DriveLook) -> list[str]:
 
 def test_a_look_finds_what_reading_the_drive_finds(drive: Path) -> None:
     look, report = look_at(drive), inspect_drive(drive)
-    plan = prepare_reduction(drive, keyframes=KeyframeConfig()).plan
+    reduction = prepare_reduction(drive, keyframes=KeyframeConfig())
+    plan = reduction.plan
     assert (look.layout, look.pose_frame) == (report.layout, report.pose_frame)
     assert (look.scans.count, look.scans.size_bytes) == (report.scans, report.scan_bytes)
     assert look.scans.runs == [(0, 12)]
@@ -63,7 +61,7 @@ def test_a_look_finds_what_reading_the_drive_finds(drive: Path) -> None:
     assert look.keyframes == len(plan.kept)
     assert look.frames_to_look_into == [0, 3, 6, 8, 11]
     assert errors(look) == []
-    assert look.plan.manifest == plan.manifest
+    assert look.plan.manifest == plan.manifest.with_labels([], reduction.manifest.source)
     assert (look.plan.scans, look.plan.kept) == (12, [(0, 1), (3, 1), (6, 1), (9, 1)])
     every = look_at(drive, keyframes=None).plan
     assert (every.kept, every.manifest.keyframes) == ([(0, 12)], None)
@@ -118,17 +116,13 @@ def test_a_georeference_from_elsewhere_is_part_of_the_plan(tmp_path: Path) -> No
     assert bad.plan is not None  # the rest of it stands
 
 
-def test_poses_are_laid_over_the_georeference(tmp_path: Path) -> None:
+def test_the_track_is_that_of_the_georeference(tmp_path: Path) -> None:
     root = write_kitti_raw(tmp_path / "2011_09_26_drive_0001_sync", poses=lidar_poses())
     by_oxts = look_at(root)
     assert by_oxts.layout == "kitti_raw"
-    assert (by_oxts.track.local, by_oxts.track.fitted) == (False, None)  # there are no other poses
+    assert by_oxts.track.local is False
     fixes = open_drive(root).georeference
     np.testing.assert_allclose(by_oxts.track.positions, np.stack([fixes.lon_deg, fixes.lat_deg], axis=1), atol=1e-8)
-    (root / "poses.txt").write_text(pose_text(lidar_poses()))
-    posed = look_at(root).track
-    assert posed.fit_m < 0.1
-    np.testing.assert_allclose(posed.fitted, posed.positions, atol=2e-6)
 
 
 def test_what_is_missing_or_does_not_fit_is_listed_by_name(tmp_path: Path) -> None:
@@ -238,53 +232,3 @@ def test_a_name_that_is_file_and_folder_is_a_problem() -> None:
     files = {"velodyne/000000.bin": 16, "oxts/1.txt": 4, "oxts/1.txt/2.txt": 4}
     look = look_into(files, {}, "odd").drive
     assert errors(look)
-
-
-@pytest.mark.parametrize(("form", "compression"), [
-    ("bag", None), ("bag", (Writer1.CompressionFormat.LZ4,)),
-    ("mcap", None), ("mcap", (CompressionMode.STORAGE, CompressionFormat.ZSTD)),
-])  # fmt: skip
-def test_a_bag_is_looked_into_by_ranges_of_its_bytes(form: str, compression: Any, tmp_path: Path) -> None:
-    scans = [np.ones((4000, 4), np.float32)] * 3
-    labels = [np.full(4000, 40, np.uint32)] * 3
-    full, bare = tmp_path / "full", tmp_path / "bare"
-    for folder in (full, bare):
-        folder.mkdir()
-    poses = [np.eye(4)] * 3
-    write_bag(
-        full / "a", form, scans, [1, 2, 3], labels=labels, poses=poses, fixes=[(1, (49, 8, 0))], compression=compression
-    )
-    write_bag(bare / "a", form, scans, [1, 2, 3], compression=compression)
-
-    def look(root: Path) -> tuple[DriveLook, int]:
-        paths = {path.relative_to(root).as_posix(): path for path in root.rglob("*") if path.is_file()}
-        listing = {name: path.stat().st_size for name, path in paths.items()}
-        ranges: dict[str, dict[int, bytes]] = {}
-        for turns in range(6):
-            found = look_into(listing, {}, root.name, ranges=ranges).drive
-            for name, wanted in found.wanted_ranges.items():
-                for start, stop in wanted:
-                    ranges.setdefault(name, {})[start] = paths[name].read_bytes()[start:stop]
-            if not found.wanted_ranges:
-                return found, turns
-        raise AssertionError("it asks for ever")
-
-    found, turns = look(full)
-    assert (found.carries_labels, found.has_poses, found.georeference) == (True, None, "the fixes of /fix")
-    assert turns <= 3
-    found, _ = look(bare)
-    assert (found.carries_labels, found.has_poses, found.georeference) == (False, False, None)
-    assert "no topic of GNSS fixes" in str(found.georeference_reason)
-    (fault,) = found.unlabelled
-    assert "without the field label" in fault.message
-
-
-def test_a_damaged_bag_is_left_to_the_check(tmp_path: Path) -> None:
-    for content in (
-        b"#ROSBAG V2.0\n" + bytes(9000),
-        b"\x89MCAP0\r\n" + bytes(9000),
-        b"SQLite format 3\0" + bytes(9000),
-        bytes(9000),
-    ):
-        found = look_into({"a.bag": len(content)}, {}, "a", ranges={"a.bag": {0: content}}).drive
-        assert (found.wanted_ranges, found.carries_labels) == ({}, None)

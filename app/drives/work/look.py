@@ -24,7 +24,6 @@ def look(
     options: UploadOptions,
     keyframes: KeyframeConfig | None,
     label_counts: LabelCounts,
-    ranges: dict[str, dict[int, bytes]],
     limits: WorkSettings,
     place: Path,
 ) -> bytes:
@@ -43,7 +42,6 @@ def look(
         partial(reading_options, options),
         keyframes=keyframes,
         label_counts=label_counts,
-        ranges=ranges,
         max_files=limits.max_drive_files,
         place=place,
     )

@@ -1,6 +1,7 @@
-"""Georeference from positions alone: GNSS fixes without attitude, and poses that tell how the vehicle moved.
+"""Fixes against poses that tell how the vehicle moved: which of them stand still, and how late they are.
 
-A shift in time between the two shows by their shapes: they are the same, one after the other on the same road.
+A shift in time between the two shows by their shapes: they are the same, one after the other on the same road. From
+positions alone, GNSS fixes without attitude, follows a georeference.
 """
 
 from __future__ import annotations
@@ -9,8 +10,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from interloc.arrays import FloatArray, IntArray
+from interloc.arrays import BoolArray, FloatArray, IntArray
 from interloc.drive import Georeference
+from interloc.drives.findings import Findings
 from interloc.geometry import enu_from_lonlat, lonlat_from_enu, rotate_2d, rotation_from_rpy
 
 MIN_FIXES = 3
@@ -44,6 +46,10 @@ _UNSURE_M, _MUCH_BETTER = 5.0, 0.5
 """A shift that is not sure is told only where it is so large, and explains so much."""
 
 _UNTOLD_M = 20.0
+_STANDS, _DRIVEN_M, _BRIDGED_M = 0.1, 2.0, 10.0
+"""A fix stands still that moves by less than this share of what is driven meanwhile, over 2 m at least. Poses bridge a
+few metres without a loss."""
+
 _ALIKE, _ALIKE_M = 1.5, 0.1
 """Shifts at which no more than so much is left are as good as the best: the smallest is taken, and is not sure."""
 
@@ -191,6 +197,56 @@ def _fit(ours: FloatArray, theirs: FloatArray, weights: FloatArray) -> tuple[flo
 
 
 @dataclass(frozen=True)
+class Standing:
+    """A run of fixes that stand still while the vehicle drives, as where a receiver repeats its last position."""
+
+    first: int
+    """Row of the fix that the others repeat."""
+    stop: int
+    """Row of the first fix that moves again; how many there are where none does."""
+    driven_m: float
+
+    @property
+    def repeated(self) -> slice:
+        """The rows that tell nothing."""
+        return slice(self.first + 1, self.stop)
+
+
+def standing_fixes(positions: FloatArray, enu: FloatArray) -> list[Standing]:
+    """Find where fixes stand still while the vehicle drives, by (K, 2) positions of poses and of fixes, metres."""
+    found: list[Standing] = []
+    ours, theirs = (list(map(complex, *each.T.tolist())) for each in (positions, enu))
+    first, driven_m = 0, 0.0
+    for row in range(1, len(ours) + 1):
+        meanwhile_m = abs(ours[row] - ours[first]) if row < len(ours) else 0.0
+        if row < len(ours) and abs(theirs[row] - theirs[first]) < _STANDS * max(meanwhile_m, _DRIVEN_M):
+            driven_m = max(driven_m, meanwhile_m)
+            continue
+        if driven_m >= _DRIVEN_M:
+            found.append(Standing(first, row, driven_m))
+        first, driven_m = row, 0.0
+    return found
+
+
+def standing_in_words(runs: list[Standing], at: FloatArray, span: str) -> str:
+    """Say which fixes stand still, by what (K,) tells when each was, and how that is written of two of them."""
+    longest = sorted(runs, key=lambda run: -run.driven_m)[:3]
+    named = "; ".join(f"{span.format(*at[[run.first, run.stop - 1]])}, {run.driven_m:.0f} m" for run in longest)
+    return (
+        f"{sum(run.stop - run.first - 1 for run in runs):,} of {len(at):,} fixes stand still while the vehicle drives "
+        f"({named}{'; ...' if len(runs) > len(longest) else ''}): they are left out, and the poses tell where it was. "
+        "Usual cause: a receiver that repeats its last position, or that lost its signal."
+    )
+
+
+def tell_standing(runs: list[Standing], at: FloatArray, span: str, source: str, findings: Findings) -> None:
+    """Say it, with a warning where much was driven meanwhile."""
+    if runs:
+        tell = findings.warning if max(run.driven_m for run in runs) > _BRIDGED_M else findings.note
+        tell(source, standing_in_words(runs, at, span))
+
+
+@dataclass(frozen=True)
 class Shift:
     """By how much fixes are late or early."""
 
@@ -263,6 +319,32 @@ def fit_shift(times: FloatArray, positions: FloatArray, fix_times: FloatArray, e
     return Shift(late, metres, untold_m, is_there, is_sure, float(np.sqrt(unshifted)), float(np.sqrt(best)))
 
 
+def fit_moving(
+    times: FloatArray, positions: FloatArray, fix_times: FloatArray, enu: FloatArray
+) -> tuple[Shift | None, list[Standing]]:
+    """Find which fixes stand still, and the shift of those that do not; parameters as of `fit_shift`."""
+    late, shift = 0.0, None
+    for _ in range(2):  # where fixes are late, they stand still for as long at each start
+        then = [np.interp(fix_times - late, times, axis) for axis in positions.T]
+        runs = standing_fixes(np.stack(then, axis=1), enu)
+        moves = are_moving(runs, len(enu))
+        if np.count_nonzero(moves) < MIN_FIXES:  # they are not the fixes of this drive
+            return None, []
+        shift = fit_shift(times, positions, fix_times[moves], enu[moves])
+        if shift is None or not shift.is_there or late:
+            break
+        late = shift.late
+    return shift, runs
+
+
+def are_moving(runs: list[Standing], count: int) -> BoolArray:
+    """Return (K,) which of so many fixes are in none of the runs."""
+    moves: BoolArray = np.ones(count, dtype=np.bool_)
+    for run in runs:
+        moves[run.repeated] = False
+    return moves
+
+
 def misfit_m(times: FloatArray, positions: FloatArray, fix_times: FloatArray, enu: FloatArray) -> float:
     """Return the root mean square of what poses are off fixes, piece by piece; parameters as of `fit_shift`."""
     return float(np.sqrt(_mean_square(times, positions, fix_times, enu, _windows(enu))[0]))
@@ -283,18 +365,22 @@ def _mean_square(
     inside = (fix_times >= times[0]) & (fix_times <= times[-1])
     ours = np.interp(fix_times, times, positions[:, 0]) + 1j * np.interp(fix_times, times, positions[:, 1])
     theirs = enu[:, 0] + 1j * enu[:, 1]
-    squares, shared, free = 0.0, 0.0, 0
-    for window in windows:
-        rows = window[inside[window]]
-        if len(rows) < max(_MIN_IN_WINDOW - 1, 0.7 * len(window)):
-            continue
-        a, b = ours[rows] - ours[rows].mean(), theirs[rows] - theirs[rows].mean()
-        turn = np.vdot(a, b)
-        off = b - a * turn / max(abs(turn), 1e-9)
-        squares += float((np.abs(off) ** 2).sum())
-        shared += float(np.vdot(off[:-1], off[1:]).real)
-        free += 2 * len(rows) - 3
-    if not free:
+    kept = [rows for window in windows if _enough(rows := window[inside[window]], window)]
+    if not kept:
         return float("inf"), 0.0
+    rows, counts = np.concatenate(kept), np.array([len(each) for each in kept])
+    begins = np.cumsum(counts) - counts
+    a, b = (each[rows] - np.repeat(np.add.reduceat(each[rows], begins) / counts, counts) for each in (ours, theirs))
+    turn = np.add.reduceat(np.conj(a) * b, begins)
+    off = b - a * np.repeat(turn / np.maximum(np.abs(turn), 1e-9), counts)
+    follows: BoolArray = np.ones(len(rows), dtype=np.bool_)
+    follows[begins] = False  # the one before it is of another piece
+    shared = float((np.conj(off[:-1]) * off[1:]).real[follows[1:]].sum())
+    squares, free = float((np.abs(off) ** 2).sum()), int((2 * counts - 3).sum())
     alike = min(max(shared / max(squares, 1e-9), 0.0), 0.99)
     return squares / free, free * (1.0 - alike) / (1.0 + alike)
+
+
+def _enough(rows: IntArray, window: IntArray) -> bool:
+    """Return whether so many rows of a piece lie within the drive that it counts."""
+    return len(rows) >= max(_MIN_IN_WINDOW - 1, 0.7 * len(window))

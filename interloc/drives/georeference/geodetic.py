@@ -8,9 +8,16 @@ from interloc.arrays import FloatArray, IntArray
 from interloc.drive import Georeference
 from interloc.drives.files import SourceFile
 from interloc.drives.findings import Findings, GeoreferenceFileError
-from interloc.drives.georeference.fixes import fit_shift
+from interloc.drives.georeference.fixes import MIN_FIXES, are_moving, fit_shift, standing_fixes, tell_standing
 from interloc.drives.poses.motion import body_steps, body_turns, rows_apart
-from interloc.geometry import ecef_from_geodetic, enu_from_lonlat, from_first, rigid_transforms
+from interloc.geometry import (
+    ecef_from_geodetic,
+    enu_from_lonlat,
+    from_first,
+    invert_transform,
+    lonlat_from_enu,
+    rigid_transforms,
+)
 
 MAX_GEOREFERENCE_ERROR = 0.1
 """Of the distance between two scans; all KITTI drives stay under 0.02, and those of other drives are over 0.1."""
@@ -83,6 +90,41 @@ def ecef_poses(georeference: Georeference) -> FloatArray:
     up = np.stack([cos_lat * cos_lon, cos_lat * sin_lon, sin_lat], axis=1)
     positions = ecef_from_geodetic(georeference.lat_deg, georeference.lon_deg, georeference.alt_m)
     return rigid_transforms(np.stack([east, north, up], axis=2) @ georeference.R_enu_lidar, positions)
+
+
+def without_standing(
+    poses: FloatArray, georeference: Georeference, frames: IntArray, findings: Findings
+) -> Georeference:
+    """Let (N, 4, 4) T_world_lidar tell where the vehicle was while fixes stood still, from those before and after.
+
+    Fixes that stand for half of the drive stay as they are: they are not its fixes.
+    """
+    lonlat = np.stack([georeference.lon_deg, georeference.lat_deg], axis=-1)
+    runs = standing_fixes(poses[:, :2, 3], enu_from_lonlat(lonlat[0, 1], lonlat[0, 0], lonlat))
+    steps_m = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
+    driven_m = np.concatenate([[0.0], np.cumsum(steps_m)])
+    is_most = max((run.driven_m for run in runs), default=0.0) > driven_m[-1] / 2
+    if not runs or is_most or np.count_nonzero(are_moving(runs, len(poses))) < MIN_FIXES:
+        return georeference
+    tell_standing(runs, frames.astype(np.float64), "scans {:.0f} to {:.0f}", georeference.source, findings)
+    R, std_m = georeference.R_enu_lidar.copy(), georeference.position_std_m
+    alt, std_m = georeference.alt_m.copy(), None if std_m is None else std_m.copy()
+    for run in runs:
+        rows, last = run.repeated, min(run.stop, len(poses) - 1)
+        moved = invert_transform(poses[run.first]) @ poses[run.first + 1 : last + 1]
+        enu = moved[:, :3, 3] @ R[run.first].T
+        if run.stop < len(poses):  # what the poses drift until the next fix is spread over the way there
+            at_m = enu_from_lonlat(lonlat[run.first, 1], lonlat[run.first, 0], lonlat[last])
+            share = (driven_m[run.first + 1 : last + 1] - driven_m[run.first]) / (driven_m[last] - driven_m[run.first])
+            enu += share[:, None] * (np.array([*at_m, alt[last] - alt[run.first]]) - enu[-1])
+        enu, moved = enu[: run.stop - run.first - 1], moved[: run.stop - run.first - 1]
+        lonlat[rows] = lonlat_from_enu(lonlat[run.first, 1], lonlat[run.first, 0], enu[:, :2])
+        alt[rows], R[rows] = alt[run.first] + enu[:, 2], R[run.first] @ moved[:, :3, :3]
+        if std_m is not None:
+            std_m[rows] = std_m[[run.first, last]].max()
+    return replace(
+        georeference, lat_deg=lonlat[:, 1], lon_deg=lonlat[:, 0], alt_m=alt, R_enu_lidar=R, position_std_m=std_m
+    )
 
 
 def check_against_poses(poses: FloatArray, georeference: Georeference, findings: Findings) -> float | None:

@@ -26,8 +26,6 @@ import { countLabels } from "./reduce.js";
  * @typedef {object} Track
  * @property {boolean} local Positions are metres, not degrees.
  * @property {number[][]} positions Where the scans were taken: longitude and latitude, or x and y.
- * @property {number[][] | null} fitted The poses laid over the georeference, turned and moved but not bent.
- * @property {number | null} fit_m Median distance of the two, metres.
  * @property {number} length_m
  */
 /**
@@ -46,7 +44,6 @@ import { countLabels } from "./reduce.js";
  * @property {string[]} pose_files Files that may hold the poses of a recording.
  * @property {string[]} borrowed Notes on files that were taken from beside the drive.
  * @property {Record<string, number>} wanted Files whose first bytes would tell more.
- * @property {Record<string, [number, number][]>} wanted_ranges Parts of bags that would tell more.
  * @property {number[]} frames_to_look_into Scans whose label ids would tell more.
  * @property {string | null} pose_frame
  * @property {string | null} pose_frame_reason
@@ -103,7 +100,6 @@ export async function lookInto(folder, { root, options, keyframes, extras = new 
     ...{ name: folder.name.slice(0, 200) || "drive", root, options, keyframes },
     files: Object.fromEntries([...files].map(([path, file]) => [path, file.size])),
     contents: await contentsOf(small),
-    ranges: /** @type {Record<string, Record<string, string>>} */ ({}),
     label_counts: /** @type {Record<string, Record<string, number>>} */ ({}),
   };
 
@@ -113,16 +109,12 @@ export async function lookInto(folder, { root, options, keyframes, extras = new 
     const heads = Object.entries(look.wanted).map(([path, bytes]) => [path, fileAt(path).slice(0, bytes)]);
     const more = await contentsOf(new Map(/** @type {[string, Blob][]} */ (heads)));
     Object.assign(request.contents, more);
-    const ranges = Object.entries(look.wanted_ranges);
-    for (const [path, pieces] of ranges)
-      for (const [start, stop] of pieces)
-        (request.ranges[path] ??= {})[start] = await base64Of(fileAt(path).slice(start, stop));
     const uncounted = Object.entries(look.labels).filter(([name]) => !(name in request.label_counts));
     for (const [name, labels] of uncounted) {
       const paths = look.frames_to_look_into.map((frame) => pathOf(labels, frame));
       request.label_counts[name] = await countAll(folder, look.root, paths);
     }
-    return Object.keys(more).length + ranges.length + uncounted.length > 0;
+    return Object.keys(more).length + uncounted.length > 0;
   }
 
   for (let turn = 1; ; turn += 1) {

@@ -7,7 +7,7 @@ import { problemNote } from "../messages.js";
 /** @import { Upload } from "./upload.js" */
 
 const REDRAW_MS = 150;
-const STEPS = { files: "Small files", archive: "Archive", plan: "Plan", scans: "Scans", check: "Check", run: "Job" };
+const STEPS = { archive: "Archive", plan: "Plan", files: "Files", check: "Check", run: "Job" };
 
 /**
  * @param {object} actions
@@ -54,16 +54,14 @@ export function progressView({ onChange, onCorrect, onLeave }) {
       return status === "failed" ? "failed" : "now";
     };
     drawOnce(steps, [status, step], () => upload.steps.map((each, i) => stepItem(each, stateOf(i))));
-    const isSending = step === "files" || step === "scans" || step === "archive";
-    const fraction =
-      status === "done" ? 1 : isSending ? transfer.meter.fraction : upload.total ? upload.done / upload.total : null;
+    const fraction = status === "done" ? 1 : (upload.sent ?? (upload.total ? upload.done / upload.total : null));
     if (fraction === null) bar.removeAttribute("value");
     else bar.value = fraction;
     bar.hidden = status === "failed" || status === "stopped";
     line.hidden = bar.hidden;
     line.textContent =
       transfer.waiting ?? (transfer.isPaused ? "Paused. What is being sent still arrives." : upload.message);
-    fill(figures, figuresOf(upload, isSending));
+    fill(figures, figuresOf(upload));
     drawOnce(fault, error, () => error && problemNote(error));
     const found = upload.problems;
     drawOnce(problems, found, () => found.length > 0 && [el("h3", "What was found"), problemList(found)]);
@@ -126,22 +124,17 @@ function stepItem(step, state) {
   return el("li", props, STEPS[step], el("span.unseen", `, ${readAloud}`));
 }
 
-/** @param {Upload} upload @param {boolean} isSending */
-function figuresOf(upload, isSending) {
-  const { transfer, done, total, step, source } = upload;
+/** @param {Upload} upload */
+function figuresOf({ transfer, done, total, step, status, sent, secondsLeft }) {
   const { meter } = transfer;
-  const { folders, sending } = upload.settings;
-  const isOfScans =
-    step === "check" || (step === "scans" && source.drive?.look.plan && sending !== "raw" && folders.length === 1);
-  const isUnderWay = isSending && upload.status === "running";
+  const isUnderWay = sent !== null && status === "running";
+  const seconds = isUnderWay ? meter.secondsLeft : step === "check" ? secondsLeft : null;
   const all = formatBytes(Math.max(meter.total, meter.sent));
-  const seconds = isUnderWay && step !== "files" ? meter.secondsLeft : step === "check" ? upload.secondsLeft : null;
-  const left = seconds !== null && formatDuration(seconds);
   return factRows([
-    total && [isOfScans ? "Scans" : "Files", `${formatCount(done)} of ${formatCount(total)}`],
+    total && [step === "check" ? "Scans" : "Files", `${formatCount(done)} of ${formatCount(total)}`],
     (meter.sent || meter.skipped) && ["Sent", `${formatBytes(meter.sent)} of about ${all}`],
     meter.skipped && ["There already", formatBytes(meter.skipped)],
     isUnderWay && meter.speed !== null && ["Speed", `${formatBytes(meter.speed)}/s`],
-    left && ["Time left", `about ${left}`],
+    seconds !== null && ["Time left", `about ${formatDuration(seconds)}`],
   ]);
 }

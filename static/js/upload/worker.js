@@ -11,9 +11,8 @@ self.addEventListener("message", async ({ data: { files, scheme } }) => {
     const key = JSON.stringify([scheme.road, scheme.confusable]);
     const groups = tables.get(key) ?? groupsOf(scheme);
     tables.set(key, groups);
-    const bytes = await reduceScan(files, groups);
-    const digest = await sha256(bytes, "base64");
-    self.postMessage({ bytes, digest }, { transfer: [bytes.buffer] });
+    const data = await reduceScan(files, groups);
+    self.postMessage({ data, digest: await sha256(data) }, { transfer: [data.buffer] });
   } catch (error) {
     self.postMessage({ error: error instanceof Error ? error.message : String(error) });
   }

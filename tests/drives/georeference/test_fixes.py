@@ -4,8 +4,11 @@ import numpy as np
 import pytest
 
 from interloc.arrays import FloatArray
-from interloc.drives.georeference.fixes import fit_shift
-from interloc.geometry import rotate_2d
+from interloc.drive import Georeference
+from interloc.drives.findings import Findings
+from interloc.drives.georeference.fixes import fit_moving, fit_shift
+from interloc.drives.georeference.geodetic import poses_of, without_standing
+from interloc.geometry import enu_from_lonlat, lonlat_from_enu, rotate_2d, rotation_from_rpy
 
 TIMES = np.arange(0.0, 120.0, 0.1)
 
@@ -63,3 +66,51 @@ def test_speeds_that_repeat_do_not_make_a_shift_of_a_period() -> None:
     found = fit_shift(TIMES, straight, TIMES[::10] + 2.0, straight[::10])
     assert found.late == pytest.approx(2.0, abs=0.2)
     assert not found.is_sure
+
+
+def test_fixes_that_stand_while_the_vehicle_drives_tell_nothing() -> None:
+    """Frozen for 12 s and 3 s under fresh stamps, and late by 2 s or not: the others tell the shift."""
+    for late_s in (0.0, 2.0):
+        fixes = path()[::5].copy()
+        fixes[40:64], fixes[100:106] = fixes[40], fixes[100]
+        found, runs = fit_moving(TIMES, path(), TIMES[::5] + late_s, fixes)
+        assert [(run.first, run.stop) for run in runs] == [(40, 64), (100, 106)]
+        assert [run.driven_m for run in runs] == pytest.approx([110.0, 25.0], rel=0.2)
+        assert found.is_there == (late_s != 0.0)
+        assert found.late == pytest.approx(late_s, abs=0.1)
+
+
+@pytest.mark.parametrize("late_s", [0.0, 3.0])
+def test_a_parked_vehicle_stands_with_its_fixes(late_s: float) -> None:
+    parked = np.repeat(path(), np.where(np.arange(len(TIMES)) == 500, 300, 1), axis=0)
+    times = 0.1 * np.arange(len(parked))
+    noise = np.random.default_rng(4).normal(0.0, 1.0, parked.shape)
+    for fixes in (parked, parked + noise):
+        assert not fit_moving(times, parked, times + late_s, fixes)[1]
+
+
+def test_of_fixes_that_repeat_the_first_counts() -> None:
+    """New ones come once a second, ten are written."""
+    found, runs = fit_moving(TIMES, path(), TIMES, np.repeat(path()[::10], 10, axis=0))
+    assert not found.is_there
+    assert len(runs) == 120
+
+
+@pytest.mark.parametrize("stands", [slice(0, 150), slice(400, 640), slice(1100, 1200)])
+def test_poses_tell_where_it_was_while_the_georeference_stood(stands: slice) -> None:
+    xy, yaw = path(), 0.8 * np.sin(TIMES / 9.0)
+    zero = np.zeros(len(xy))
+    lonlat = lonlat_from_enu(49.0, 8.4, xy)
+    R_enu_lidar = rotation_from_rpy(zero, zero, yaw)
+    true = Georeference(lonlat[:, 1], lonlat[:, 0], zero + 110.0, R_enu_lidar, "geo.csv", zero + 0.1)
+    rows = np.arange(len(xy))
+    rows[stands] = stands.start
+    findings = Findings(stop_at_first=False)
+    poses = poses_of(true)
+    found = without_standing(poses, true.part(rows), np.arange(len(xy)), findings)
+    off_m = enu_from_lonlat(found.lat_deg, found.lon_deg, lonlat)
+    assert np.abs(off_m).max() < 0.05
+    assert np.abs(found.R_enu_lidar - R_enu_lidar).max() < 1e-3
+    (warning,) = findings.found
+    assert f"scans {stands.start} to {stands.stop - 1}, " in warning.message
+    assert without_standing(poses, true, np.arange(len(xy)), Findings(stop_at_first=True)) is true

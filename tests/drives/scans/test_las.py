@@ -136,7 +136,6 @@ def test_clocks_are_found_out(tmp_path: Path, cloud_s: float, track_s: float, sa
     [
         (slice(None), [1e7, 0, 0, 0], r"trajectory.csv: covers .* have nothing in common"),
         (slice(None), [0, 5000, 0, 0], r"was 5,0\d\d m away from the points of strip.laz"),
-        (40, [0, 8000, 0, 0], r"jumps by 8,000 m between 320000001.950 s and 320000002.000 s"),
     ],
 )
 def test_a_trajectory_of_another_time_or_place_is_refused(
@@ -257,40 +256,38 @@ def test_the_system_can_be_named(tmp_path: Path) -> None:
         interloc.open_drive(tmp_path, crs="EPSG:1")
 
 
-@pytest.mark.parametrize("compressed", [True, False])
-def test_order_does_not_matter_nor_does_the_number_of_files(tmp_path: Path, compressed: bool) -> None:
+def test_the_number_of_files_does_not_matter(tmp_path: Path) -> None:
+    """Two heads on one vehicle, and a strip of each."""
     xyz, times, track = straight_cloud(60, density=2000)
-    shuffled = np.random.default_rng(1).permutation(len(xyz))
     (tmp_path / "one").mkdir()
     write_las(tmp_path / "one" / "a.las", xyz, times_s=times, labels=11, crs=UTM32)
     (tmp_path / "two" / "laz").mkdir(parents=True)
-    suffix = "laz" if compressed else "las"
-    for number, rows in enumerate(np.array_split(shuffled, 3)):
-        file = tmp_path / "two" / "laz" / f"tile_{number}.{suffix}"
-        write_las(file, xyz[rows], times_s=times[rows], labels=11, crs=UTM32)
+    for number in range(2):
+        file = tmp_path / "two" / "laz" / f"head_{number}.laz"
+        write_las(file, xyz[number::2], times_s=times[number::2], labels=11, crs=UTM32)
     for folder in ("one", "two"):
         write_track(tmp_path / folder / "track.csv", track)
     one, two = interloc.open_drive(tmp_path / "one"), interloc.open_drive(tmp_path / "two")
     np.testing.assert_array_equal(one.frames, two.frames)
     for index in (0, 7, len(one.frames) - 1):
         a, b = one.ground_points(index).road, two.ground_points(index).road
-        np.testing.assert_allclose(a[np.argsort(a[:, 1])], b[np.argsort(b[:, 1])], atol=2e-3)
-    assert two.scans.name(0).startswith("laz/tile_0")
+        np.testing.assert_allclose(a[np.lexsort(a.T)], b[np.lexsort(b.T)], atol=2e-3)
+    assert two.scans.name(0).startswith("laz/head_0.laz and 1 more")
 
 
-def test_points_in_no_order_are_refused_where_it_is_hopeless(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    street(tmp_path)
-    monkeypatch.setattr(mapping, "_HOPELESS", 0)
-    monkeypatch.setattr(mapping, "_HOPELESS_POINTS", 0)
-    with pytest.raises(DriveError, match=r"not in the order of their times: .* Sort them by gps_time"):
+def test_points_in_no_order_are_refused(tmp_path: Path) -> None:
+    xyz, times, track = straight_cloud()
+    shuffled = np.random.default_rng(1).permutation(len(xyz))
+    write_las(tmp_path / "a.las", xyz[shuffled], times_s=times[shuffled], labels=11, crs=UTM32)
+    write_track(tmp_path / "track.csv", track)
+    with pytest.raises(DriveError, match=r"not in the order of their times, .* Sort them by gps_time"):
         interloc.open_drive(tmp_path)
 
 
-def test_of_scans_with_very_many_points_every_second_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_scans_of_too_many_points_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(mapping, "MAX_SCAN_POINTS", 300)
-    drive = interloc.open_drive(street(tmp_path, labels=11))
-    counts = [len(drive.ground_points(index).road) for index in range(len(drive.frames))]
-    assert 150 < min(counts[1:-1]) <= max(counts) <= 300
+    with pytest.raises(DriveError, match=r"a scan has at most 300\. Thin the cloud"):
+        interloc.open_drive(street(tmp_path, labels=11))
 
 
 def test_withheld_points_are_not_used(tmp_path: Path) -> None:
@@ -311,7 +308,8 @@ def test_a_vehicle_that_stands_is_one_scan(tmp_path: Path) -> None:
     write_track(tmp_path / "trajectory.csv", track)
     drive = interloc.open_drive(tmp_path)
     assert len(drive.frames) == 1
-    assert drive.ground_points(0).road_count == 6000
+    assert 1400 < drive.ground_points(0).road_count < 1600  # within 1.5 s of the pose, which is the first
+    assert any("measured while the vehicle stood, and are left out" in each for each in notes(tmp_path))
 
 
 def test_clouds_without_road_say_so(tmp_path: Path) -> None:

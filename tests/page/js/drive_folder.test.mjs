@@ -25,7 +25,6 @@ function folder(files, name = "picked") {
 const LOOK = {
   ...{ root: "07", name: "07", layout: "semantickitti", scans: null, labels: {}, whole: {}, small: {}, wanted: {} },
   ...{
-    wanted_ranges: {},
     problems: [],
     unlabelled: [],
     georeference_reason: null,

@@ -70,24 +70,19 @@ class Cloud:
     read_evlrs: bool
     """There are records after the points that are worth reading (they may hold the coordinate system)."""
 
-    @property
-    def blocks(self) -> int:
-        """Number of its blocks."""
-        return -(-self.points // BLOCK_POINTS)
-
     def crs(self) -> Any | None:  # noqa: ANN401 - pyproj is imported late
         """Return the pyproj.CRS that the header states, or None where it states none."""
         with self._opened(read_evlrs=self.read_evlrs) as reader, in_words(self.file):
             return reader.header.parse_crs()
 
     def read(self, first: int = 0, last: int | None = None) -> Iterator[Points]:
-        """Yield the blocks from one on up to another (None: to the end), one after the other."""
+        """Yield the points from one on up to another (None: to the end), at most `BLOCK_POINTS` at once."""
+        stop = self.points if last is None else min(last, self.points)
         with self._opened() as reader:
-            for block in range(first, self.blocks if last is None else last):
-                start = block * BLOCK_POINTS
-                expected = min(BLOCK_POINTS, self.points - start)
+            for start in range(first, stop, BLOCK_POINTS):
+                expected = min(BLOCK_POINTS, stop - start)
                 with in_words(self.file, f" after {start:,} of {self.points:,} points"):
-                    if start and block == first:
+                    if start and start == first:
                         reader.seek(start)
                     points = reader.read_points(expected)
                     if len(points) != expected:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -32,7 +31,9 @@ MAX_GAP_M = 100.0
 """Where two poses of the trajectory lie further apart than this, nothing in between is used."""
 
 MAX_SCAN_POINTS = 4_000_000
-"""Of a scan with more, as where the vehicle waited, every second (third, ...) point is read."""
+
+_LONGEST_S = 1.5
+"""Points that were measured longer before or after the pose of their scan, as where the vehicle waits, are left out."""
 
 SENSOR_HEIGHT_M = 2.0
 """Over the ground, where the heights of the trajectory are not those of the cloud (ellipsoid and geoid)."""
@@ -41,8 +42,6 @@ _MARGIN_S = 0.5  # points measured a little before the first pose, or after the 
 _SAMPLED_FILES, _SAMPLED_EVERY = 20, 25
 _NEAR_M, _HEIGHTS_M = 15.0, (-1.0, 8.0)
 _MAX_OUTSIDE, _OUTSIDE_WORTH_SAYING = 0.5, 0.01
-_JUMP_M, _JUMP_MPS = 50.0, 1000.0
-_SLOW, _HOPELESS, _HOPELESS_POINTS = 8, 100, 5e9
 _SORT = "Sort them by gps_time, with lassort -gps_time or pdal translate IN OUT sort --filters.sort.dimension=GpsTime"
 _NO_SCANS = (
     "A map cloud has no scans: points need the time at which they were measured (gps_time), and a trajectory says "
@@ -61,7 +60,15 @@ def open_mapping(clouds: tuple[Cloud, ...], parts: DriveParts, options: DriveOpt
     track_s, position = _vehicle(track, times, points, grid, clouds[0], findings)
     slices, classes = _index(clouds, cut(track_s, position), track, folder, findings)
     has_road = bool(classes[ROAD_SURFACE])
-    _note_points(slices, classes, folder, findings)
+    if has_road:
+        findings.note(folder.name, f"the classification of the points is their label ({ROAD_SURFACE}: road surface).")
+    else:
+        findings.note(
+            folder.name,
+            f"no point is classified as road surface ({ROAD_SURFACE}); the classes are "
+            f"{', '.join(str(number) for number in np.flatnonzero(classes)[:20])}. "
+            "The labels must come from elsewhere: label files, or a network.",
+        )
     origin = _at(slices.times_s, track_s, position)
     rows = np.arange(len(origin))
     along = origin[np.minimum(rows + 1, rows[-1])] - origin[np.maximum(rows - 1, 0)]
@@ -77,7 +84,7 @@ def open_mapping(clouds: tuple[Cloud, ...], parts: DriveParts, options: DriveOpt
         CutClouds(clouds, slices, origin, to_lidar, has_road),
         rows.astype(np.int64),
         scan_bytes=sum(cloud.size for cloud in clouds),
-        point_counts=-(-slices.counts // slices.steps),
+        point_counts=slices.counts,
         carries_labels=has_road,
         scheme="las" if has_road else None,
         has_remission=has_intensity,
@@ -121,8 +128,8 @@ def _sample(clouds: tuple[Cloud, ...], folder: SourceFile) -> tuple[FloatArray, 
     read = [
         points
         for cloud in _some_of(clouds)
-        for block in sorted({0, cloud.blocks - 1})
-        for points in cloud.read(block, block + 1)
+        for start in sorted({0, (cloud.points - 1) // BLOCK_POINTS * BLOCK_POINTS})
+        for points in cloud.read(start, start + BLOCK_POINTS)
     ]
     times = np.concatenate([points.times_s[::_SAMPLED_EVERY] for points in read])
     xyz = np.concatenate([points.xyz[::_SAMPLED_EVERY] for points in read])
@@ -181,14 +188,6 @@ def _vehicle(
             f"the trajectory lies outside of {grid.name} ({grid.source}). Usual cause: another zone, or another system "
             "than stated; name the right one (--crs EPSG:25832)."
         )
-    step = np.linalg.norm(np.diff(position, axis=0), axis=1)
-    jumps = (step > _JUMP_M) & (step > _JUMP_MPS * np.diff(track.times_s))
-    if jumps.any():
-        row = int(np.argmax(jumps))
-        raise track.file.fault(
-            f"jumps by {step[row]:,.0f} m between {track.times_s[row]:.3f} s and {track.times_s[row + 1]:.3f} s, as no "
-            "vehicle does. Usual cause: a damaged line, or fixes without a solution; leave them out."
-        )
     match = match_clocks(times_s, points, first, track.times_s, position[:, :2], track.file)
     findings.note(
         name,
@@ -232,6 +231,11 @@ class Cuts:
         intervals: IntArray = np.where(inside, at, -1)
         return intervals
 
+    def near_poses(self) -> Cuts:
+        """Return the parts of the intervals that lie within `_LONGEST_S` of their poses."""
+        start, end = self.times_s - _LONGEST_S, self.times_s + _LONGEST_S
+        return Cuts(self.times_s, np.maximum(self.start_s, start), np.minimum(self.end_s, end))
+
 
 def cut(times_s: FloatArray, position: FloatArray) -> Cuts:
     """Cut a drive, by (P,) ascending times and (P, 3) positions, into intervals of about `SLICE_M` driven.
@@ -256,35 +260,43 @@ def cut(times_s: FloatArray, position: FloatArray) -> Cuts:
 
 
 @dataclass(frozen=True)
-class Slices(Cuts):
-    """The intervals that hold points: the scans; and between which of them the points of every block lie."""
+class Slices:
+    """The intervals that hold points: the scans."""
 
+    times_s: FloatArray
+    """(S,) float64: of their poses."""
     counts: IntArray
     """(S,) int64: points of every scan."""
-    lowest: IntArray
-    highest: IntArray
-    """(B,) int64: of the blocks of all files, one after the other; -1 of a block that belongs to none."""
-
-    @property
-    def steps(self) -> IntArray:
-        """(S,) int64: 1 where all points of a scan are read, 2 where every second is, ..., to `MAX_SCAN_POINTS`."""
-        return np.maximum(-(-self.counts // MAX_SCAN_POINTS), 1)
+    rows: IntArray
+    """(files, S, 2) int64: from which point on, and up to which, each lies in every file."""
 
 
 def _index(
     clouds: tuple[Cloud, ...], cuts: Cuts, track: SurveyTrack, folder: SourceFile, findings: Findings
 ) -> tuple[Slices, IntArray]:
     """Go through all points once; return the scans, and the (256,) counts of the classes of their points."""
+    near = cuts.near_poses()
     counts, classes = np.zeros(len(cuts.times_s), np.int64), np.zeros(256, np.int64)
-    bounds, outside = [], 0
-    for points in (points for cloud in clouds for points in cloud.read()):
-        found = cuts.of(points.times_s)[~points.withheld]
-        inside = found >= 0
-        outside += int(np.count_nonzero(~inside))
-        bounds.append((found[inside].min(), found[inside].max()) if inside.any() else (-1, -1))
-        counts += np.bincount(found[inside], minlength=len(counts))
-        classes += np.bincount(points.labels[~points.withheld][inside], minlength=256)
-    share = outside / max(int(counts.sum()) + outside, 1)
+    rows, outside, total = np.zeros((len(clouds), len(counts), 2), np.int64), 0, 0
+    for number, cloud in enumerate(clouds):
+        before = -np.inf
+        for points in cloud.read():
+            times = points.times_s
+            if not (np.diff(times, prepend=before) >= 0).all():
+                raise cloud.file.fault(
+                    f"its points are not in the order of their times, or have none that is finite. {_SORT}. Usual "
+                    "cause: a cloud that was sorted by place."
+                )
+            before = times[-1]
+            rows[number, :, 0] += np.searchsorted(times, near.start_s)
+            rows[number, :, 1] += np.searchsorted(times, near.end_s)
+            is_used = ~points.withheld
+            total += int(np.count_nonzero(is_used))
+            outside += int(np.count_nonzero(cuts.of(times[is_used]) < 0))
+            found = near.of(times[is_used])
+            counts += np.bincount(found[found >= 0], minlength=len(counts))
+            classes += np.bincount(points.labels[is_used][found >= 0], minlength=256)
+    share = outside / max(total, 1)
     message = f"{outside:,} points ({share:.1%}) were measured when the trajectory has no pose"
     if not counts.any() or share > _MAX_OUTSIDE:
         raise track.file.fault(
@@ -292,44 +304,15 @@ def _index(
         )
     if share > _OUTSIDE_WORTH_SAYING:
         findings.warning(track.file.name, f"{message}; they are left out.")
-    kept = np.flatnonzero(counts)
-    lowest, highest = np.array(bounds, dtype=np.int64).T
-    used = lowest >= 0
-    lowest, highest = (np.where(used, np.searchsorted(kept, ends), -1) for ends in (lowest, highest))
-    slices = Slices(cuts.times_s[kept], cuts.start_s[kept], cuts.end_s[kept], counts[kept], lowest, highest)
-    reads = int((highest - lowest + 1)[used].sum())
-    in_order = len(lowest) + len(kept)  # a scan begins in the block where the one before ends
-    if reads > _HOPELESS * in_order and reads * BLOCK_POINTS > _HOPELESS_POINTS:
+    if waiting := total - outside - int(counts.sum()):
+        findings.note(folder.name, f"{waiting:,} points were measured while the vehicle stood, and are left out.")
+    if counts.max() > MAX_SCAN_POINTS:
         raise folder.fault(
-            f"the points are not in the order of their times: the {len(kept):,} scans lie in {reads:,} pieces all over "
-            f"the files. Expected points in the order in which they were measured. {_SORT}. Usual cause: a cloud that "
-            "was cut into tiles, or sorted by place."
+            f"{counts.max():,} points were measured along {SLICE_M:g} m; a scan has at most {MAX_SCAN_POINTS:,}. Thin "
+            "the cloud, with las2las -keep_every_nth 2."
         )
-    if reads > _SLOW * in_order:
-        findings.warning(
-            folder.name,
-            f"the points are not in the order of their times: every block of {BLOCK_POINTS:,} points is read for "
-            f"{reads / len(lowest):,.0f} scans, which takes long. {_SORT}.",
-        )
-    return slices, classes
-
-
-def _note_points(slices: Slices, classes: IntArray, folder: SourceFile, findings: Findings) -> None:
-    if classes[ROAD_SURFACE]:
-        findings.note(folder.name, f"the classification of the points is their label ({ROAD_SURFACE}: road surface).")
-    else:
-        findings.note(
-            folder.name,
-            f"no point is classified as road surface ({ROAD_SURFACE}); the classes are "
-            f"{', '.join(str(number) for number in np.flatnonzero(classes)[:20])}. "
-            "The labels must come from elsewhere: label files, or a network.",
-        )
-    if large := int(np.count_nonzero(slices.steps > 1)):
-        findings.note(
-            folder.name,
-            f"{large:,} scans hold more than {MAX_SCAN_POINTS:,} points, up to {slices.counts.max():,}: of these every "
-            "second, third, ... is read. Usual cause: the vehicle waited there.",
-        )
+    kept = np.flatnonzero(counts)
+    return Slices(cuts.times_s[kept], counts[kept], rows[:, kept]), classes
 
 
 def _trajectory(
@@ -364,46 +347,43 @@ class CutClouds:
 
     def name(self, frame: int) -> str:
         """Return how messages call a scan: its files, and its time."""
-        names = list(dict.fromkeys(cloud.file.name for cloud, _ in self._blocks(frame)))
+        names = [cloud.file.name for cloud, _, _ in self._rows(frame)]
         more = f" and {len(names) - 1} more" if len(names) > 1 else ""
-        return f"{names[0]}{more}, {self.slices.start_s[frame]:.3f} s to {self.slices.end_s[frame]:.3f} s"
+        return f"{names[0]}{more}, {self.slices.times_s[frame]:.3f} s"
 
     def files(self, frame: int) -> tuple[Path, ...]:
         """Return the files that a scan is read from."""
-        return tuple(dict.fromkeys(cloud.file.path for cloud, _ in self._blocks(frame)))
+        return tuple(cloud.file.path for cloud, _, _ in self._rows(frame))
 
     def read(self, frame: int) -> ScanPoints:
         """Read the points of a scan."""
-        start, end, step = self.slices.start_s[frame], self.slices.end_s[frame], int(self.slices.steps[frame])
-        values, labels, seen = [], [], 0
-        for cloud, block in self._blocks(frame):
+        values, labels = [], []
+        for cloud, first, last in self._rows(frame):
             with in_words(cloud.file):
                 state = cloud.file.path.stat()
-            read = _read_block(cloud, block, (state.st_mtime_ns, state.st_size))
-            rows = np.flatnonzero((read.times_s >= start) & (read.times_s < end) & ~read.withheld)
-            rows, seen = rows[(-seen) % step :: step], seen + len(rows)
-            away = read.xyz[rows] - self.origin[frame]
-            points = np.empty((len(rows), 4), np.float32)
-            points[:, :2] = away[:, :2] @ self.to_lidar[frame].T
-            points[:, 2] = away[:, 2]
-            points[:, 3] = read.intensity[rows]
-            values.append(points)
-            labels.append(read.labels[rows])
+            for start in range(first // BLOCK_POINTS * BLOCK_POINTS, last, BLOCK_POINTS):
+                read = _read_block(cloud, start, (state.st_mtime_ns, state.st_size))
+                used = np.flatnonzero(~read.withheld[max(first - start, 0) : last - start]) + max(first - start, 0)
+                away = read.xyz[used] - self.origin[frame]
+                points = np.empty((len(used), 4), np.float32)
+                points[:, :2] = away[:, :2] @ self.to_lidar[frame].T
+                points[:, 2] = away[:, 2]
+                points[:, 3] = read.intensity[used]
+                values.append(points)
+                labels.append(read.labels[used])
         all_labels = np.concatenate(labels).astype(np.uint32) if self.carries_labels else None
         return ScanPoints(np.concatenate(values), all_labels)
 
-    def _blocks(self, frame: int) -> Iterator[tuple[Cloud, int]]:
-        """Yield the files and blocks that may hold points of a scan."""
-        begins = np.cumsum([0, *(cloud.blocks for cloud in self.clouds)])
-        for row in np.flatnonzero((self.slices.lowest <= frame) & (frame <= self.slices.highest)):
-            at = int(np.searchsorted(begins, row, side="right")) - 1
-            yield self.clouds[at], int(row - begins[at])
+    def _rows(self, frame: int) -> list[tuple[Cloud, int, int]]:
+        """Return the files that hold points of a scan, each with the first of them, and that after the last."""
+        rows = self.slices.rows[:, frame].tolist()
+        return [(cloud, first, last) for cloud, (first, last) in zip(self.clouds, rows, strict=True) if last > first]
 
 
 @lru_cache(maxsize=4)
-def _read_block(cloud: Cloud, block: int, _state: tuple[int, int]) -> Points:
+def _read_block(cloud: Cloud, start: int, _state: tuple[int, int]) -> Points:
     """Read a block of a file in a state; scans are mostly read one after the other, and share them."""
-    return next(cloud.read(block, block + 1))
+    return next(cloud.read(start, start + BLOCK_POINTS))
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,6 @@ LAS), and as seconds since 1970 with or without leap seconds. Headers name the c
 trajectories do not name theirs: so each is tried, and the one taken by which the vehicle was where the points are.
 """
 
-import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -149,11 +148,11 @@ class Table(NamedTuple):
     """Line of each row, from 1."""
 
 
-def read_table(file: SourceFile, kinds: Sequence[Sequence[str]], expected: str, blank: str = "") -> Table:
+def read_table(file: SourceFile, kinds: Sequence[Sequence[str]], expected: str) -> Table:
     """Read a table of numbers with a header; the columns may have any of the usual names, and units.
 
     Of the kinds of quantities (time, x, y, z, lat, lon), the first of which there are all is read; `expected` is what
-    messages say that the header should be, and the quantity `blank` may be missing in a row (NaN).
+    messages say that the header should be.
     """
     lines = file.lines()
     start = next(row for row, text in enumerate(lines) if text.strip())
@@ -176,9 +175,7 @@ def read_table(file: SourceFile, kinds: Sequence[Sequence[str]], expected: str, 
         fields = _split(text)
         if len(fields) != len(names):
             raise file.fault(f"{len(fields)} fields; expected {len(names)} as in the header.", number)
-        row = {quantity: fields[columns[quantity]] for quantity in kind}
-        gaps = [row.pop(blank)] if blank in row and not is_number(row[blank]) else []
-        values.append([*file.numbers(list(row.values()), number), *(math.nan for _ in gaps)])
+        values.append(file.numbers([fields[columns[quantity]] for quantity in kind], number))
         at.append(number)
     if not values:
         raise file.fault(f"holds a header only. {expected}")
@@ -280,7 +277,6 @@ def _candidates(middle_s: float, first_s: float, time_offset_s: float) -> dict[f
         "GPS seconds since 1980": 0.0,
         "adjusted standard time": time_offset_s,
         "UNIX time (UTC)": leap - _GPS_EPOCH_UNIX_S,
-        "UNIX time without leap seconds": -_GPS_EPOCH_UNIX_S,
     }
     candidates = {0.0: "the same clock"}
     for seconds in (leap, -leap, 18.0, -18.0):
@@ -289,13 +285,9 @@ def _candidates(middle_s: float, first_s: float, time_offset_s: float) -> dict[f
         for ours, of_cloud in clocks.items():
             candidates.setdefault(to_gps - of_cloud, f"the trajectory in {theirs}, the cloud in {ours}")
         if 0 <= middle_s <= _WEEK_S + 3600:
-            weeks = round((middle_s - first_s - to_gps) / _WEEK_S)
-            candidates.setdefault(
-                to_gps + weeks * _WEEK_S, f"the trajectory in {theirs}, the cloud in seconds of the GPS week"
-            )
+            whole = round((middle_s - first_s - to_gps) / _WEEK_S) * _WEEK_S
+            candidates.setdefault(to_gps + whole, f"the trajectory in {theirs}, the cloud in seconds of the GPS week")
         if 0 <= first_s <= _WEEK_S + 3600:
-            weeks = round((middle_s + to_gps - first_s) / _WEEK_S)
-            candidates.setdefault(
-                weeks * _WEEK_S - to_gps, f"the trajectory in seconds of the GPS week, the cloud in {theirs}"
-            )
+            whole = round((middle_s + to_gps - first_s) / _WEEK_S) * _WEEK_S
+            candidates.setdefault(whole - to_gps, f"the trajectory in seconds of the GPS week, the cloud in {theirs}")
     return candidates

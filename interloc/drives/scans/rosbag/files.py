@@ -46,11 +46,11 @@ _KINDS = {".bag": "a bag of ROS 1", ".db3": "an SQLite database", ".mcap": "an M
 _CURES = {
     ".bag": "`rosbag reindex {name}` makes the index anew",
     ".db3": "`sqlite3 {name} .recover` saves what can be read, and `ros2 bag reindex` describes it anew",
-    ".mcap": "`mcap recover {name} -o recovered.mcap` saves what can be read",
+    ".mcap": "`mcap recover {name} -o recovered.mcap` writes it anew with its index, or saves what can be read",
 }
 _CODECS = ("", "bz2", "lz4", "zstd")  # compressions, by the number that stands for them in a place
 _DAMAGE = (ArithmeticError, EOFError, LookupError, MemoryError, TypeError, ValueError, struct.error, sqlite3.Error)
-ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+_ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 _MAX_RATIO, _SMALL_BYTES = 1000, 64 * 1024 * 1024  # what more comes out of is made to fill the memory
 _MAX_INDEX_BYTES = 64 * 1024 * 1024  # of some hundred gigabytes
 _PIECE_BYTES, _PIECES_BYTES = 1 << 16, 1 << 24
@@ -118,7 +118,7 @@ def channels_of(file: SourceFile) -> list[Channel]:
         if suffix == ".db3":
             with closing(_connect(file.path)) as database:
                 return _db3_channels(file, database)
-        return (mcap_channels if suffix == ".mcap" else ros1_channels)(raw)
+        return (_mcap_channels if suffix == ".mcap" else _ros1_channels)(raw)
 
 
 def locate(file: SourceFile, channel: Channel) -> IntArray:
@@ -143,7 +143,7 @@ def read_messages(file: SourceFile, places: IntArray, limit: int = MAX_BYTES) ->
         else:
             messages = _messages_of_file(file.path, places, limit)
         for place, message in zip(places, messages, strict=True):
-            if not message.startswith(ZSTD_MAGIC):
+            if not message.startswith(_ZSTD_MAGIC):
                 yield message
             elif limit < MAX_BYTES:
                 yield from read_messages(file, place[None])
@@ -154,7 +154,7 @@ def read_messages(file: SourceFile, places: IntArray, limit: int = MAX_BYTES) ->
 # Chunks
 
 
-def codec_number(name: str) -> int:
+def _codec_number(name: str) -> int:
     """Return the number that stands for a compression in a place."""
     name = "" if name == "none" else name
     if name not in _CODECS:
@@ -177,7 +177,7 @@ def _decompressor(codec: int) -> Any:  # noqa: ANN401 - of three packages, alike
     return ZstdDecompressor()
 
 
-def largest_unpacked(size: int) -> int:
+def _largest_unpacked(size: int) -> int:
     """Return to how many bytes some packed bytes may unpack."""
     return min(MAX_BYTES, max(_SMALL_BYTES, _MAX_RATIO * size))
 
@@ -193,7 +193,7 @@ class _Unpacked(io.BytesIO):
 
     def read(self, count: int | None = -1, /) -> bytes:
         assert count is not None
-        at, most = self.tell(), largest_unpacked(self._size)
+        at, most = self.tell(), _largest_unpacked(self._size)
         self.seek(0, 2)
         while self.tell() < at + count and not self._decompressor.eof:
             packed = b""
@@ -221,21 +221,16 @@ def _exactly(stream: BinaryIO, count: int) -> bytes:
 
 
 def _messages_of_file(path: Path, places: IntArray, limit: int) -> Iterator[bytes]:
+    """Read messages of an MCAP file or a bag of ROS 1; every chunk is unpacked once if their places ascend."""
+    read_one = _mcap_message if path.suffix == ".mcap" else _ros1_message
     with BagReader(io.FileIO(path)) as raw:
-        yield from messages_at(raw, places, limit)
-
-
-def messages_at(raw: BinaryIO, places: IntArray, limit: int) -> Iterator[bytes]:
-    """Read messages of an MCAP file or a bag of ROS 1 by their places; every chunk is unpacked once if they ascend."""
-    raw.seek(0)
-    read_one = _mcap_message if raw.read(len(MAGIC[".mcap"])) == MAGIC[".mcap"] else _ros1_message
-    for (start, size, codec), chunk in groupby(places.tolist(), key=lambda place: tuple(place[:OFFSET])):
-        stream = _Unpacked(raw, start, size, codec) if codec else raw
-        for *_, offset in chunk:
-            if offset >= size and not codec:
-                raise DamagedBagError("its index leads out of a chunk")
-            stream.seek(offset if codec else start + offset)
-            yield read_one(stream, limit)
+        for (start, size, codec), chunk in groupby(places.tolist(), key=lambda place: tuple(place[:OFFSET])):
+            stream = _Unpacked(raw, start, size, codec) if codec else raw
+            for *_, offset in chunk:
+                if offset >= size and not codec:
+                    raise DamagedBagError("its index leads out of a chunk")
+                stream.seek(offset if codec else start + offset)
+                yield read_one(stream, limit)
 
 
 def _rest(raw: BinaryIO, start: int) -> io.BytesIO:
@@ -249,7 +244,7 @@ def _rest(raw: BinaryIO, start: int) -> io.BytesIO:
 # MCAP
 
 
-def mcap_channels(raw: BinaryIO) -> list[Channel]:
+def _mcap_channels(raw: BinaryIO) -> list[Channel]:
     """Read which channels an MCAP file has, from the summary at its end."""
     from mcap import records as kinds  # noqa: PLC0415 - it is an extra
     from mcap.exceptions import McapError  # noqa: PLC0415
@@ -273,24 +268,23 @@ def mcap_channels(raw: BinaryIO) -> list[Channel]:
     chunks = [record for record in records if isinstance(record, kinds.ChunkIndex)]
     places: dict[int, list[tuple[int, ...]]] = {}
     for chunk in chunks:
-        if chunk.compression and chunk.uncompressed_size > largest_unpacked(chunk.compressed_size):
+        if chunk.compression and chunk.uncompressed_size > _largest_unpacked(chunk.compressed_size):
             raise DamagedBagError(
                 f"a chunk of {chunk.compressed_size:,} bytes is said to unpack to {chunk.uncompressed_size:,} bytes"
             )
         head_bytes = _RECORD.size + 28 + 4 + len(chunk.compression.encode()) + 8
-        place = (chunk.chunk_start_offset + head_bytes, chunk.compressed_size, codec_number(chunk.compression))
+        place = (chunk.chunk_start_offset + head_bytes, chunk.compressed_size, _codec_number(chunk.compression))
         for number, at in chunk.message_index_offsets.items():
             places.setdefault(number, []).append((*place, at))
-    if chunks and not (channels and schemas and (counts or places)):
+    if (not counts or any(counts.values())) and not (channels and schemas and places):
         raise DamagedBagError("its summary lacks the channels, their schemas or the index of the messages")
     encodings: dict[str, Encoding] = {"cdr": "cdr", "ros1": "ros1"}
     found = []
     for record in channels:
         schema = schemas.get(record.schema_id)
-        name = "" if schema is None else ros2_spelling(schema.name)
+        name = "" if schema is None else _ros2_spelling(schema.name)
         count = counts.get(record.id, 0) if counts else None
-        indexed = partial(_locate_in_mcap, record.id, places.get(record.id, []))
-        pieces = indexed if chunks else partial(_locate_without_chunks, record.id, start)
+        pieces = partial(_locate_in_mcap, record.id, places.get(record.id, []))
         found.append(Channel(record.topic, name, encodings.get(record.message_encoding), count, pieces))
     return found
 
@@ -303,19 +297,6 @@ def _locate_in_mcap(number: int, chunks: list[tuple[int, ...]], raw: BinaryIO) -
             raise DamagedBagError("its summary leads to a place where no index is")
         entries = np.frombuffer(_exactly(raw, size), "<u8").reshape(-1, 2).astype(np.int64)
         yield _rows(entries[:, 0], place, entries[:, 1])
-
-
-def _locate_without_chunks(number: int, end: int, raw: BinaryIO) -> Iterator[IntArray]:
-    """Find messages that lie in the file one by one and without an index, as the fastest settings of recorders do."""
-    at = len(MAGIC[".mcap"])
-    while at < end:
-        raw.seek(at)
-        kind, size = _RECORD.unpack(_exactly(raw, _RECORD.size))
-        if kind == _MESSAGE:
-            channel, _, log_ns, _ = _MESSAGE_HEAD.unpack(_exactly(raw, _MESSAGE_HEAD.size))
-            if channel == number:
-                yield np.array([[log_ns, at, _RECORD.size + size, 0, 0]], dtype=np.int64)
-        at += _RECORD.size + size
 
 
 def _rows(log_ns: IntArray, place: list[int], offsets: IntArray) -> IntArray:
@@ -332,7 +313,7 @@ def _mcap_message(stream: BinaryIO, limit: int) -> bytes:
     return _exactly(stream, min(size - _MESSAGE_HEAD.size, limit))
 
 
-def ros2_spelling(name: str) -> str:
+def _ros2_spelling(name: str) -> str:
     """Spell the name of a type as ROS 2 does: "sensor_msgs/PointCloud2" is "sensor_msgs/msg/PointCloud2"."""
     package, _, rest = name.partition("/")
     return f"{package}/msg/{rest}" if rest and "/" not in rest else name
@@ -341,7 +322,7 @@ def ros2_spelling(name: str) -> str:
 # ROS 1
 
 
-def ros1_channels(raw: BinaryIO) -> list[Channel]:
+def _ros1_channels(raw: BinaryIO) -> list[Channel]:
     """Read which connections a bag of ROS 1 has, and which chunks hold their messages, from the index at its end."""
     from rosbags.rosbag1.reader import Header, Reader, ReaderError, RecordType  # noqa: PLC0415 - it is an extra
 
@@ -373,7 +354,7 @@ def ros1_channels(raw: BinaryIO) -> list[Channel]:
 def _locate_in_ros1(number: int, chunks: list[tuple[int, int]], raw: BinaryIO) -> Iterator[IntArray]:
     for at, connections in chunks:
         raw.seek(at)
-        codec = codec_number(_ros1_header(raw).get_string("compression"))
+        codec = _codec_number(_ros1_header(raw).get_string("compression"))
         (size,) = struct.unpack("<I", _exactly(raw, 4))
         place = [raw.tell(), size, codec]
         raw.seek(size, 1)
@@ -427,7 +408,7 @@ def _db3_channels(file: SourceFile, database: sqlite3.Connection) -> list[Channe
         places = np.zeros((len(own), 5), dtype=np.int64)
         places[:, 0], places[:, 1 + OFFSET] = own[:, 2], own[:, 0]
         wire: Encoding | None = "cdr" if encoding == "cdr" else None
-        found.append(Channel(str(name), ros2_spelling(str(kind)), wire, len(own), partial(_given, places)))
+        found.append(Channel(str(name), _ros2_spelling(str(kind)), wire, len(own), partial(_given, places)))
     return found
 
 

@@ -92,6 +92,19 @@ def test_fixes_of_another_time_are_put_right(
     assert words in said(findings)
 
 
+def test_fixes_that_stand_still_are_left_out(tmp_path: Path) -> None:
+    frozen: dict[str, Any] = {}
+
+    def written(bag: BagWriter, time: float, p: Any) -> None:
+        stands = 12.0 <= time - START < 24.0
+        bag.fix("/fix", time, frozen.setdefault("at", p) if stands else p)
+
+    path, enu, _ = drive_with_fixes(tmp_path / "drive", written=written)
+    _, trajectory, findings = opened(path)
+    assert np.linalg.norm(places_of(trajectory) - enu, axis=1).max() < 0.1
+    assert "11 of 40 fixes stand still while the vehicle drives (12.0 to 23.0 s, " in said(findings)
+
+
 def test_transforms_come_before_poses_without_an_owner(tmp_path: Path) -> None:
     mount = np.diag([-1.0, -1.0, 1.0, 1.0])
     mount[:3, 3] = 1.2, 0.0, 1.9
@@ -280,3 +293,25 @@ def test_scans_that_are_parts_of_a_turn_are_told(tmp_path: Path) -> None:
             bag.cloud("/points", START + 0.0125 * row, cells_of(parts[row % 8], np.tile([40, 48], 45)))
     told = [each.message for each in inspect_drive(tmp_path / "drive").problems]
     assert any("a scan sees 50 degrees around" in each and "they see 360" in each for each in told)
+
+
+@pytest.mark.parametrize(
+    ("wheels", "bends", "words"),
+    [
+        ("/odom", 0.01, "the poses are taken from /slam"),  # in a plane, while those of the other are not
+        ("/wheel_odom", 0.0, "the poses are taken from /slam"),
+        ("/odom", 0.0, "which poses are better cannot be told: on 26 m those of /odom and /slam part by"),
+    ],
+)
+def test_odometry_of_wheels_comes_after_others(tmp_path: Path, wheels: str, bends: float, words: str) -> None:
+    poses = straight(step_m=2.0)
+    poses[:, 2, 3] = bends * np.arange(len(poses)) ** 2
+    drifting = poses.copy()
+    drifting[:, :3, 3] *= (1.2, 1.0, 0.0 if bends else 1.0)
+    with BagWriter(tmp_path / "drive", "mcap") as bag:
+        for row, time in enumerate(times_of()):
+            bag.odometry(wheels, time, drifting[row])
+            bag.odometry(wheels, time + 0.01, drifting[row])
+            bag.odometry("/slam", time, poses[row])
+            bag.cloud("/points", time, cells_of(scans_of()[row]))
+    assert words in said(opened(tmp_path / "drive")[2])
