@@ -28,7 +28,7 @@ def generated(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     description = folder / "openapi.json"
     description.write_text(json.dumps(create_app(Settings()).openapi()))
     settings = folder / "settings.yaml"
-    settings.write_text("post_hooks: []\n")  # nothing is formatted: nobody reads it
+    settings.write_text("post_hooks: []\nliteral_enums: true\n")  # nothing is formatted: nobody reads it
     options = ["--config", settings, "--path", description, "--meta", "none", "--output-path", folder / NAME]
     made = subprocess.run(
         [sys.executable, "-m", "openapi_python_client", "generate", *map(str, options), "--fail-on-warning"],

@@ -76,7 +76,8 @@ def test_tables_and_layers_that_are_made_of_the_intersections(finished: Finished
     table = finished.get("/jobs/default/export?f=csv&layer=osm_roads")
     assert table.headers["content-type"] == "text/csv; charset=utf-8"
     assert table.text.startswith(
-        'wkt,osm_id,highway,name,is_drivable,is_one_way,seen_m,mapped,offset_m,width_m,is_driven,attribution\r\n"LINESTRING ('
+        "wkt,osm_id,highway,name,is_drivable,is_one_way,seen_m,mapped,offset_m,width_m,is_driven,attribution\r\n"
+        '"LINESTRING ('
     )
     lines = finished.get("/jobs/default/export?f=geojson&layer=branches").json()
     stored = json.loads((finished.results / "default/intersections.geojson").read_text())["features"]
