@@ -3,9 +3,9 @@
 import json
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Annotated, Any, cast
+from typing import Annotated, Any, Literal, cast
 
-from fastapi import APIRouter, Depends, Path, Request, Response
+from fastapi import APIRouter, Depends, Path, Query, Request, Response
 
 from app.context import ContextDep
 from app.http.delivery import answer_tagged, service_address
@@ -81,6 +81,14 @@ def _serve_map(map_id: MapId, request: Request, context: ContextDep) -> None:
     description = f"Road intersections of many drives, fused, and what OpenStreetMap has wrong: map {city.name}."
     path, title = f"/api/v1/maps/{map_id}", f"InterLoc: {city.name}"
     request.state.served = _Served(request, context, Source(map=map_id), path, title, description)
+
+
+def _as_json(
+    _format: Annotated[
+        Literal["json", "geojson"] | None, Query(alias="f", description="The form that every answer has.")
+    ] = None,
+) -> None:
+    """Take the parameter that many clients send to name the form they want."""
 
 
 def _served(request: Request) -> _Served:
@@ -204,7 +212,7 @@ def _router(prefix: str, name: str, source: Callable[..., None], problems: dict[
             summary=summary,
             operation_id=f"read_{name}{endpoint.__name__}",
             openapi_extra=OF_ITS_DATA if endpoint is _items else None,
-            dependencies=[Depends(source)],
+            dependencies=[Depends(source), Depends(_as_json)],
             response_class=Response,
             responses={**TAGGED, 200: answer, **(_MISSING if "{" in path else {}), **problems},
         )(endpoint)
