@@ -38,9 +38,8 @@ from app.jobs.webhooks import check_subscriber
 from app.networks import work as models
 from app.states import DriveState, JobKind, JobState
 from app.store.database import Database, afterwards
-from app.store.incoming import size_of
 from app.store.models import Drive, DriveFile, Job
-from app.store.storage import files_below, remove_empty
+from app.store.storage import files_below, remove_empty, size_of
 from app.work.documents import CommitJob, CommitOutcome, Outcome, UnpackJob
 from app.work.places import REDUCED, TRAJECTORY, UNPACKED, link, read_listing
 from interloc.drives.inspect import DriveReport

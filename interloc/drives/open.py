@@ -349,11 +349,12 @@ def _checked(reading: DriveReading, findings: Findings) -> DriveReading:
         check_points(seen, scans.parts.file(scans.parts.scans).name, findings, has_poses=True)
     check_motion(drive.T_world_lidar, pose_file, findings)
     reading = replace(reading, flatness_m=check_flat_road(drive, scans.usable, pose_file, findings))
-    is_cut = isinstance(scans, RawScans) and scans.recording.is_cut
-    if findings.errors == errors and not is_cut:  # else what follows is the same fault in other words
-        check_scan_motion(drive, scans.usable, pose_file, findings)
+    tells_motion = not isinstance(scans, RawScans) or (scans.check_turns(findings) and not scans.recording.is_cut)
+    if findings.errors == errors and tells_motion:  # else what follows is the same fault in other words
+        poses = reading.trajectory.poses
+        is_computed = poses is not None and poses.is_computed
+        check_scan_motion(drive, scans.usable, pose_file, findings, is_computed=is_computed)
     if isinstance(scans, RawScans):
-        scans.check_turns(findings)
         scans.tell_doubts(findings)
         with findings.stage():  # a reduced drive has the warning in its manifest
             if (dropped := drive.dropped) is not None:
