@@ -425,6 +425,7 @@ class Runner:
             with self._lock:
                 del self._attempts[attempt.claim.lease]
             self._context.jobs_changed.set()
+            self._context.maps_changed.set()
 
     def _keep_leases(self) -> None:
         """Renew the leases of this server, and stop what was cancelled or lost."""

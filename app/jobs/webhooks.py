@@ -22,7 +22,7 @@ from sqlalchemy import select, update
 from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.orm import Session
 
-from app.context import Context
+from app.context import Context, Helper
 from app.http.problem_types import WEBHOOK_REFUSED
 from app.http.problems import Problem
 from app.settings import Settings
@@ -139,40 +139,29 @@ def _model(row: Delivery) -> DeliveryModel:
     return DeliveryModel(**columns_for(DeliveryModel, row), state=state)
 
 
-class Deliverer:
-    """Makes the calls, from `start` to `stop`; several servers share them out through the database.
+class Deliverer(Helper):
+    """Makes the calls; several servers share them out through the database.
 
     A call that was made, but whose answer was not written before a kill, is made again with the same `webhook-id`.
     """
 
     def __init__(self, context: Context) -> None:
+        super().__init__("deliverer")
         self._context = context
         self._at_work: Counter[str] = Counter()
         """Number of calls under way by host."""
         self._lock = threading.Lock()
-        self._stopping = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="deliverer", daemon=True)
 
-    def start(self) -> None:
-        """Begin, in the background, where there are hosts that may be called."""
-        if self._context.settings.webhook_hosts:
-            self._thread.start()
-
-    def stop(self) -> None:
-        """Begin no further call."""
-        self._stopping.set()
-        if self._thread.is_alive():
-            self._thread.join(5)
-
-    def _run(self) -> None:
-        while not self._stopping.is_set():
+    def run(self) -> None:
+        """Do so where there are hosts that may be called."""
+        while self._context.settings.webhook_hosts and not self.stopping.is_set():
             try:
                 delivery = self._claim()
             except SQLAlchemyError as error:
                 _log.warning("webhooks could not be looked for: %s", error)
                 delivery = None
             if delivery is None:
-                self._stopping.wait(_LOOK_S)
+                self.stopping.wait(_LOOK_S)
             else:
                 threading.Thread(target=self._deliver, args=(delivery,), name=delivery.id, daemon=True).start()
 

@@ -7,7 +7,7 @@ from typing import Any
 from sqlalchemy import Table
 
 from app.results.models import collection_id
-from app.store.features import OF_MAPS, OF_RESULTS
+from app.store.models import OF_MAPS, OF_RESULTS
 from app.work.layers import RESULT_LAYERS
 from interloc.output.layers import CITY_LAYERS, Layer
 from interloc.output.properties import ORIGIN, Attribute, ResultProperties, attributes_of

@@ -39,8 +39,7 @@ from app.ogc.collections import GEOMETRY, OF_ALL, OF_JOB, OF_MAP, Collection
 from app.ogc.filters import Translator, bad_filter, conjuncts, equalities
 from app.ogc.work import time_text
 from app.store.database import moment
-from app.store.features import SOUGHT
-from app.store.models import Drive, FeatureLayer, Job
+from app.store.models import SOUGHT, Drive, FeatureLayer, Job
 from interloc.output.geojson import encode
 
 Interval = tuple[float, float]
@@ -72,8 +71,6 @@ class Query:
     """CQL2 JSON."""
     after: Key | None = None
     """Where the page begins: with the feature after this one."""
-    until: float | None = None
-    """Until when jobs had ended whose features are asked for, seconds since 1970, as the first page had them."""
     limit: int = 100
 
 
@@ -107,8 +104,6 @@ class Source:
 
     job: str | None = None
     """Of this job; None: of the one that stands for each drive."""
-    until: float | None = None
-    """Among those that had ended then, seconds since 1970: so that all pages of a query are of the same jobs."""
     map: str | None = None
 
     @property
@@ -125,8 +120,7 @@ class Source:
         """Return the query for layers, joined with their drives."""
         if self.map is not None:
             return select(*columns).select_from(FeatureLayer).where(FeatureLayer.map_id == self.map)
-        ended = [] if self.until is None else [Job.finished_at <= self.until]
-        found = select(Job).where(Job.id == self.job) if self.job is not None else chosen_results(*ended)
+        found = select(Job).where(Job.id == self.job) if self.job is not None else chosen_results()
         jobs = found.with_only_columns(Job.id, Job.drive_id).subquery()
         return (
             select(*columns)
@@ -134,13 +128,6 @@ class Source:
             .join(FeatureLayer, FeatureLayer.job_id == jobs.c.id)
             .join(Drive, Drive.id == jobs.c.drive_id)
         )
-
-    def pinned(self, session: Session) -> Source:
-        """Return the source of these jobs and no later ones."""
-        if not self.is_of_all or self.until is not None:
-            return self
-        ends = chosen_results().with_only_columns(Job.finished_at).subquery()
-        return Source(until=session.scalar(select(func.max(ends.c.finished_at))))
 
 
 def extents(session: Session, source: Source) -> dict[str, Extent]:

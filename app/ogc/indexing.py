@@ -15,8 +15,7 @@ from sqlalchemy.orm import Session
 from app.context import Context
 from app.ogc.work import LayerRows, is_on_earth, rows_of
 from app.states import JobKind, JobState
-from app.store.features import OF_MAPS, OF_RESULTS
-from app.store.models import FeatureLayer, Job
+from app.store.models import OF_MAPS, OF_RESULTS, FeatureLayer, Job
 from interloc.errors import InterLocError
 
 _AT_ONCE = 10_000  # rows

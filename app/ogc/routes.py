@@ -33,7 +33,7 @@ DEFAULT_LIMIT = 1000
 MAX_LIMIT = 10_000
 
 _TIME = re.compile(r"\d{4}-\d\d-\d\d([Tt ]\d\d:\d\d:\d\d(\.\d{1,9})?([Zz]|[+-]\d\d:\d\d))?")
-_KEY = r"^(\d{1,9})\.(\d{1,9})(\.\d{1,17})?$"
+_KEY = r"^(\d{1,9})\.(\d{1,9})$"
 _Crs84 = Literal["http://www.opengis.net/def/crs/OGC/1.3/CRS84", "http://www.opengis.net/def/crs/OGC/0/CRS84h"]
 
 
@@ -72,17 +72,12 @@ def _asked(
         str | None, Parameter(pattern=_KEY, description="Where the page begins: taken from the link `next`.")
     ] = None,
 ) -> Query:
-    key, until = None, None
-    if after is not None:
-        layer, number, *ended = map(int, after.split("."))
-        key, until = Key(layer, number), ended[0] / 1e6 if ended else None
     language: Language = filter_lang or ("cql2-json" if (filter_ or "").lstrip().startswith("{") else "cql2-text")
     return Query(
         area=bbox,
         interval=None if datetime_ is None else _interval(datetime_),
         filter=None if filter_ is None else read_filter(filter_, language),
-        after=key,
-        until=until,
+        after=None if after is None else Key(*map(int, after.split("."))),
         limit=min(limit, MAX_LIMIT),
     )
 
@@ -114,11 +109,6 @@ def _span(text: str, whole: str) -> Interval:
     except (ValueError, OverflowError):
         raise _wrong("datetime", whole, _EXPECTED_TIME) from None
     return begin, begin if len(text) > 10 else begin + 86_400.0 - 1e-6
-
-
-def page_token(key: Key, until: float | None) -> str:
-    """Return `after` of the page behind a key, of jobs that had ended until then."""
-    return str(key) if until is None else f"{key}.{math.floor(until * 1e6) + 2}"
 
 
 _CollectionId = Annotated[
@@ -247,9 +237,8 @@ def _items(collection_id: _CollectionId, request: Request, served: _ServedDep, a
         parts = [equals(name, value, found.queryables[name]) for name, value in named]
         asked = replace(asked, filter={"op": "and", "args": [*parts, True if asked.filter is None else asked.filter]})
     with served.database.reading() as session:
-        source = replace(served.source, until=asked.until).pinned(session)
-        page = find_page(session, source, found, asked)
-    following = None if page.next is None else page_token(page.next, source.until)
+        page = find_page(session, served.source, found, asked)
+    following = None if page.next is None else str(page.next)
     return served.answer(served.place.items(found, page, request.query_params.multi_items(), following), GEOJSON)
 
 

@@ -19,8 +19,7 @@ from sqlalchemy.exc import ArgumentError, DBAPIError, OperationalError
 from sqlalchemy.exc import TimeoutError as WaitedTooLong
 from sqlalchemy.orm import Session, sessionmaker
 
-from app.store.features import make_tables
-from app.store.models import Base
+from app.store.models import Base, make_tables
 from interloc.errors import ConfigError, InterLocError
 
 _MIGRATIONS = Path(__file__).parent / "migrations"

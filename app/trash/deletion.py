@@ -95,6 +95,7 @@ def delete_drive(
         drive.deleted_by = client
     _log.info("drive %s: deleted by %s", drive_id, client or "the clean-up", extra={"drive": drive_id})
     context.jobs_changed.set()
+    context.maps_changed.set()
     if at_once or context.settings.trash_h == 0:
         purge(context, Drive, drive_id)
     return True

@@ -2,11 +2,10 @@
 
 That is what has been in the trash for long enough, what dead servers were receiving, archives that are unpacked, raw
 scans that are reduced, and folders without a row that hold neither files nor a result. A folder without a row that
-holds some may be somebody's only copy, as where an older database was brought back: it is named, and stays.
+holds some may be somebody's only copy, as where an older database was brought back: it stays, `check` names it.
 """
 
 import logging
-import threading
 import time
 from collections import Counter
 from collections.abc import Iterator
@@ -16,7 +15,7 @@ from sqlalchemy import ColumnElement, and_, exists, select
 from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.orm import Session
 
-from app.context import Context
+from app.context import Context, Helper
 from app.drives.commit import tidy_drive
 from app.http.problems import Problem
 from app.jobs.folders import jobs_with_scratch, tidy
@@ -45,7 +44,7 @@ def sweep(context: Context, *, by_age: bool = True) -> Counter[Removal]:
         swept["expired"] = _expire(context)
         swept["purged"] = len(empty_trash(context, older_than_s=3600 * context.settings.trash_h))
         swept["archive"] = _remove_archives(context)
-    swept["unknown"] = _remove_unknown(context, by_age=by_age)
+        swept["unknown"] = _remove_unknown(context)
     for name, size in remove_dead(context.storage.folder(INCOMING)):
         _log.info("%s/%s: its server is dead, %d bytes removed", INCOMING, name, size)
         context.metrics.count_removal("incoming", size)
@@ -74,24 +73,16 @@ def unknown_folders(context: Context) -> Iterator[str]:
                 yield f"{kind}/{path.name}"
 
 
-def _remove_unknown(context: Context, *, by_age: bool) -> int:
-    """Remove old folders without a row, as a worker makes them whose job was purged; name those that hold something."""
-    named, removed = [], 0
+def _remove_unknown(context: Context) -> int:
+    """Remove old folders without a row that hold nothing, as a worker makes them whose job was purged."""
+    removed = 0
     for key in unknown_folders(context):
         folder = context.storage.folder(key)
-        if any((folder / name).exists() for name in ("files", REDUCED, "result", "osm")):
-            named.append(key)
-        elif by_age and is_old(folder):
+        holds = any((folder / name).exists() for name in ("files", REDUCED, "result", "osm"))
+        if not holds and is_old(folder):
             context.metrics.count_removal("unknown", size_of(folder))
             context.storage.delete(key)
             removed += 1
-    if named:
-        _log.warning(
-            "no row knows %d folders of drives, jobs or maps: %s. Is the database an older copy? They stay; `interloc "
-            "check` names them, `interloc restore` brings back a backup, and what nobody needs may be removed",
-            len(named),
-            ", ".join(named[:3]) + (", ..." if len(named) > 3 else ""),
-        )
     return removed
 
 
@@ -154,38 +145,29 @@ def _tidy_scratch(context: Context) -> None:
         tidy(context.storage, job_id, keep_result=state == JobState.SUCCESSFUL)
 
 
-class Sweeper:
-    """What a server does on the side, from `start` to `stop`: it cleans up once per hour.
+class Sweeper(Helper):
+    """Cleans up once per hour.
 
     Every two minutes it writes when tokens were last used. Nothing is removed for its age within the first hour: the
     clock may have been set wrongly before the start, and an hour is time to notice that.
     """
 
     def __init__(self, context: Context) -> None:
+        super().__init__("sweeper")
         self._context = context
-        self._stopping = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="sweeper", daemon=True)
 
-    def start(self) -> None:
-        """Begin, in the background."""
-        self._thread.start()
-
-    def stop(self) -> None:
-        """End, having written once more when tokens were last used."""
-        self._stopping.set()
-        self._thread.join(5)
-
-    def _run(self) -> None:
+    def run(self) -> None:
+        """Do so; at the end it writes once more when tokens were last used."""
         sweep_at, by_age = time.monotonic(), False
         while True:
             try:
                 self._context.tokens.write_uses()
-                if time.monotonic() >= sweep_at and not self._stopping.is_set():
+                if time.monotonic() >= sweep_at and not self.stopping.is_set():
                     sweep_at += PERIOD_S
                     sweep(self._context, by_age=by_age)
                     by_age = True
             except (SQLAlchemyError, OSError, InterLocError) as error:
                 _log.warning("clean-up: %s", error)
-            if self._stopping.is_set():
+            if self.stopping.is_set():
                 return
-            self._stopping.wait(_USES_S)
+            self.stopping.wait(_USES_S)

@@ -18,16 +18,15 @@ from typing import Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from interloc.arrays import FloatArray, IntArray
+from interloc.arrays import IntArray
 from interloc.config import KeyframeConfig
 from interloc.detection.keyframes import select_keyframes
 from interloc.drives.checks import check_motion, sample_indices
 from interloc.drives.files import EMPTY, NumberedFiles, SourceFile, each_read_once, list_numbered, rows_of_part
 from interloc.drives.findings import Finding, Findings, by_severity
 from interloc.drives.georeference.geodetic import check_against_poses
-from interloc.drives.kinds import Kind
 from interloc.drives.labels import LabelScheme, judge_labels
-from interloc.drives.layouts import PCD_ENDINGS, POSE_FILES, DriveParts, find_layout
+from interloc.drives.layouts import PCD_ENDINGS, POSE_FILES, DriveParts, Kind, find_layout
 from interloc.drives.open import NO_POSES, SAMPLED_SCANS
 from interloc.drives.options import LABEL_FILES, ODOMETRY, DriveOptions, LabelFolder, LayoutName
 from interloc.drives.scans.bin_files import BinScans, open_bin_files
@@ -45,8 +44,7 @@ from interloc.drives.scans.reduced_format import (
     to_runs,
 )
 from interloc.drives.scans.rosbag.bag import find_bag
-from interloc.drives.trajectory import LidarPoses, Trajectory, read_trajectory
-from interloc.geometry import enu_from_lonlat, lonlat_from_enu
+from interloc.drives.trajectory import Trajectory, read_trajectory
 from interloc.reduction.listing import ListedDrive, Listing, find_drives, reason_for_none
 from interloc.reduction.reduce import plan_of
 
@@ -102,10 +100,6 @@ class LookedTrack(BaseModel):
 
     local: bool = Field(description="Whether the positions are metres.")
     positions: list[tuple[float, float]] = Field(description="Of the scans, or of some of very many.")
-    fitted: list[tuple[float, float]] | None = Field(
-        description="The poses laid over the georeference, moved and turned but not bent."
-    )
-    fit_m: float | None = Field(description="Median distance of the two in metres.")
     length_m: float = Field(description="Distance driven in metres.")
 
 
@@ -496,20 +490,17 @@ class _Look:
         by = self.keyframes
         found.keyframes = len(poses.T_world_lidar if by is None else select_keyframes(poses.T_world_lidar, by))
         check_motion(poses.T_world_lidar, pose_file, self.findings)
-        places, fitted, fit_m = poses.T_world_lidar[:, :2, 3], None, None
+        places = poses.T_world_lidar[:, :2, 3]
         if fixes is not None:
             places = np.stack([fixes.lon_deg, fixes.lat_deg], axis=1)
         if fixes is not None and poses.frame != "oxts":
             with self.findings.stage():
                 check_against_poses(poses.T_world_lidar, fixes, self.findings)
-            fitted, fit_m = _laid_over(poses, places)
         step = -(-len(places) // _MAX_POSITIONS)
         digits = 3 if fixes is None else 8
         found.track = LookedTrack(
             local=fixes is None,
             positions=places[::step].round(digits).tolist(),
-            fitted=None if fitted is None else fitted[::step].round(digits).tolist(),
-            fit_m=fit_m,
             length_m=poses.length_m,
         )
 
@@ -517,14 +508,3 @@ class _Look:
 def _sample(frames: IntArray) -> list[int]:
     """Return the scans that a look goes into, evenly spread."""
     return [int(frames[row]) for row in sample_indices(np.arange(len(frames)), SAMPLED_SCANS)]
-
-
-def _laid_over(poses: LidarPoses, lonlat: FloatArray) -> tuple[FloatArray, float]:
-    """Lay the poses over fixes by a turn and a shift (least squares)."""
-    lon, lat = lonlat[0]
-    target = enu_from_lonlat(lat, lon, lonlat) @ (1, 1j)
-    source = poses.T_world_lidar[:, :2, 3] @ (1, 1j)
-    turn = np.vdot(source - source.mean(), target - target.mean())
-    laid = target.mean() + (source - source.mean()) * (turn / abs(turn) if turn else 1)
-    fitted = lonlat_from_enu(lat, lon, np.stack([laid.real, laid.imag], axis=1))
-    return fitted, float(np.median(np.abs(laid - target)))

@@ -26,8 +26,6 @@ import { countLabels } from "./reduce.js";
  * @typedef {object} Track
  * @property {boolean} local Positions are metres, not degrees.
  * @property {number[][]} positions Where the scans were taken: longitude and latitude, or x and y.
- * @property {number[][] | null} fitted The poses laid over the georeference, turned and moved but not bent.
- * @property {number | null} fit_m Median distance of the two, metres.
  * @property {number} length_m
  */
 /**

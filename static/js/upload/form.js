@@ -8,7 +8,7 @@ import { bytesOf, filesOfDrive, inFolder, lookInto, problemsOf, sorted } from ".
 import { folderOfInput } from "./folder.js";
 import { labelForm } from "./label_form.js";
 import { fingerprintOf } from "./memory.js";
-import { fitVerdict, mapVerdict, showPreview } from "./preview.js";
+import { mapVerdict, showPreview } from "./preview.js";
 import { readingForm } from "./reading_form.js";
 import { groundBytesOf } from "./upload.js";
 
@@ -146,11 +146,9 @@ export function formView(
   function showFacts() {
     if (!drive) return;
     const folders = isOpen ? labels.folders() : [];
-    const fit = found?.track ? fitVerdict(found.track) : null;
     const rows = [
       ...factsOf(drive, folders, groundBytesOf(drive, folders), sending()),
       found?.track ? /** @type {[string, string]} */ (["Distance", formatMetres(found.track.length_m, 0)]) : null,
-      fit && /** @type {[string, any]} */ (["Poses lie", el("span", { class: fit[1] ? "warn" : "" }, fit[0])]),
     ];
     fill(facts, factRows(rows));
   }

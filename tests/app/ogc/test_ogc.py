@@ -22,11 +22,9 @@ from app.ogc.collections import OF_ALL
 from app.ogc.filters import MAX_CHARACTERS, Language, read_filter
 from app.ogc.index import Query, Source, extents, find_page
 from app.ogc.indexing import index_missing, write_job_rows
-from app.ogc.routes import page_token
 from app.ogc.work import rows_of
 from app.settings import Settings
-from app.store.features import OF_RESULTS
-from app.store.models import Drive, FeatureLayer, Job
+from app.store.models import OF_RESULTS, Drive, FeatureLayer, Job
 from app.trash import deletion as trash
 from interloc.arrays import FloatArray
 from interloc.output.credits import ODBL, map_credit
@@ -617,32 +615,6 @@ def test_qgis_reads_all_layers_and_the_live_project(gis: Gis, tmp_path: Path) ->
     assert detections["legend"] == [each.title for each in STYLES["detections"].rules]
     assert (detections["aliases"]["error_m"], detections["types"]["error_m"]) == ("Error", "Real")
     assert min(pixels_of(tmp_path / "live.png", colour) for colour in (RIGHT, ROAD)) > 20
-
-
-def test_the_pages_of_a_query_are_of_one_set_of_jobs_though_another_ends_meanwhile(tmp_path: Path) -> None:
-    context = Context.open(Settings(data_dir=tmp_path, min_free_bytes=0))
-    try:
-        add_drive(context, "street", line(TOWN, 20))
-        with context.database.writing() as session:  # ends later
-            session.add(job("street-late", "street", state="running", created_at=3.0))
-        write_result(context.storage.folder("jobs/street-late/result"), line(TOWN, 35))
-        index_missing(context)
-        detections = OF_ALL["detections"]
-        with context.database.reading() as session:
-            source = Source().pinned(session)
-            first = find_page(session, source, detections, Query(limit=15))
-        with context.database.writing() as session:
-            session.execute(update(Job).where(Job.id == "street-late").values(state="successful", finished_at=10.0))
-        index_missing(context)
-        until = float(page_token(first.next, source.until).split(".")[2]) / 1e6
-        with context.database.reading() as session:
-            second = find_page(session, Source(until=until), detections, Query(limit=15, after=first.next))
-            assert find_page(session, Source(), detections, Query()).matched == 35
-        ids = [json.loads(each)["id"] for each in first.features + second.features]
-        assert (len(ids), len(set(ids)), second.matched) == (20, 20, 20)
-        assert {each.partition(".")[0] for each in ids} == {"street-new"}
-    finally:
-        context.close()
 
 
 def test_the_rows_follow_trash_and_purge(tmp_path: Path) -> None:
