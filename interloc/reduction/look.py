@@ -25,9 +25,8 @@ from interloc.drives.checks import check_motion, sample_indices
 from interloc.drives.files import EMPTY, NumberedFiles, SourceFile, each_read_once, list_numbered, rows_of_part
 from interloc.drives.findings import Finding, Findings, by_severity
 from interloc.drives.georeference.geodetic import check_against_poses
-from interloc.drives.kinds import Kind
 from interloc.drives.labels import LabelScheme, judge_labels
-from interloc.drives.layouts import PCD_ENDINGS, POSE_FILES, DriveParts, find_layout
+from interloc.drives.layouts import PCD_ENDINGS, POSE_FILES, DriveParts, Kind, find_layout
 from interloc.drives.open import NO_POSES, SAMPLED_SCANS
 from interloc.drives.options import LABEL_FILES, ODOMETRY, DriveOptions, LabelFolder, LayoutName
 from interloc.drives.scans.bin_files import BinScans, open_bin_files
