@@ -109,7 +109,7 @@ types: $(READY_TO_TEST)
 	$(BIN)/mypy
 
 bench: $(READY_TO_TEST)
-	$(BIN)/python tests/performance/bench.py
+	$(BIN)/python -m tests.performance.bench
 
 # What the service carries: uploads, reads, listeners, memory; needs 10 GB of disk and some minutes.
 load: $(READY_TO_TEST)

@@ -36,8 +36,6 @@ class Context:
     """Set when a job was submitted, was cancelled or has ended: the runner looks for the next one at once."""
     maps_changed: threading.Event = field(default_factory=threading.Event)
     """Set when a map may have to be brought up to date: it is looked at at once."""
-    map_jobs: dict[tuple[Any, ...], dict[str, Any]] = field(default_factory=dict)
-    """The job that stands for each drive, and what the database said when that was read last."""
     lacks_workers: threading.Event = field(default_factory=threading.Event)
     """Set while this server takes no job, because it has no worker for it."""
 
@@ -65,6 +63,31 @@ class Context:
         """Close database and storage."""
         self.database.close()
         self.storage.close()
+
+
+class Helper:
+    """What a server does on the side, in a thread of its own, from `start` to `stop`."""
+
+    def __init__(self, name: str, wake: threading.Event | None = None) -> None:
+        self.stopping = threading.Event()
+        self._wake = wake
+        self._thread = threading.Thread(target=self.run, name=name, daemon=True)
+
+    def start(self) -> None:
+        """Begin, in the background."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Let it end soon, and wait for that."""
+        self.stopping.set()
+        if self._wake is not None:
+            self._wake.set()
+        if self._thread.is_alive():
+            self._thread.join(5)
+
+    def run(self) -> None:
+        """Do it until `stopping` is set."""
+        raise NotImplementedError
 
 
 def open_database(settings: Settings) -> Database:

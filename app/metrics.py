@@ -1,16 +1,15 @@
 """Metrics for Prometheus: requests are counted when they end; jobs and drives are counted in the database on demand."""
 
-from collections import defaultdict
 from collections.abc import Iterable, Iterator
 from functools import partial
-from typing import Any, Literal
+from typing import Literal
 
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, ProcessCollector, generate_latest
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric, SummaryMetricFamily
 from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
-from app.states import JobKind, JobState
+from app.states import JobState
 from app.store.database import Database
 from app.store.models import Drive, Job
 from app.store.storage import Storage
@@ -25,7 +24,6 @@ _REMOVALS = (
     "Removed: deleted (files, by clients), purged (from the trash), reduced (raw files of ready drives), incoming (of "
     "dead servers), archive (unpacked), unknown (without a row, and empty). To the trash: expired (uploads)."
 )
-_RECENT = 200  # jobs whose stages are summed up
 
 
 class Metrics:
@@ -51,7 +49,7 @@ class Metrics:
             "interloc_removed_bytes", "Bytes of what was removed or went to the trash.", ("reason",)
         )
         self.webhooks = counter("interloc_webhooks", "Calls of subscribers, by outcome.", ("outcome",))
-        refused = "Requests refused for their token: unknown, too many, expired, read only."
+        refused = "Requests refused for their token: unknown, expired, read only."
         self.refused_tokens = counter("interloc_refused_tokens", refused, ("reason",))
 
     def count_request(
@@ -85,22 +83,13 @@ class _StateRegistry(CollectorRegistry):
     def collect(self) -> Iterable[Metric]:
         """Read it."""
         yield GaugeMetricFamily("interloc_free_bytes", "Space left where drives are kept.", self._storage.free_bytes())
-        yield from _writers(self._database)
+        given_up = CounterMetricFamily("interloc_database_busy", "Writers that did not get their turn in time.")
+        given_up.add_metric([], self._database.given_up)
+        yield given_up
         with self._database.reading() as session:
             now = self._database.clock(session)
             yield from _drives(session)
             yield from _jobs(session, now)
-            yield from _stages(session)
-
-
-def _writers(database: Database) -> Iterator[Metric]:
-    waits = database.waits
-    taken = SummaryMetricFamily("interloc_database_write_wait_seconds", "Time that writers waited for their turn.")
-    taken.add_metric([], count_value=waits.count, sum_value=waits.seconds)
-    yield taken
-    given_up = CounterMetricFamily("interloc_database_busy", "Writers that did not get their turn in time.")
-    given_up.add_metric([], waits.given_up)
-    yield given_up
 
 
 def _drives(session: Session) -> Iterator[Metric]:
@@ -144,30 +133,3 @@ def _jobs(session: Session, now: float) -> Iterator[Metric]:
     for kind, state, count, seconds in session.execute(query_):
         worked.add_metric([kind, state], count_value=count, sum_value=seconds or 0.0)
     yield worked
-
-
-def _stages(session: Session) -> Iterator[Metric]:
-    """Sum up where the time of the last jobs went."""
-    query = select(Job.summary).where(Job.kind == JobKind.INTERSECTIONS, Job.state == JobState.SUCCESSFUL)
-    outcomes = [
-        outcome for outcome in session.scalars(query.order_by(Job.finished_at.desc()).limit(_RECENT)) if outcome
-    ]
-    seconds: defaultdict[str, float] = defaultdict(float)
-    for outcome in outcomes:
-        for stage, spent in (outcome.get("stage_seconds") or {}).items():
-            seconds[stage] += spent
-    stages = GaugeMetricFamily(
-        "interloc_stage_seconds", f"Time spent in each stage by the last {_RECENT} jobs.", labels=["stage"]
-    )
-    for stage, spent in seconds.items():
-        stages.add_metric([stage], spent)
-    yield stages
-    yield GaugeMetricFamily(
-        "interloc_keyframes_per_second", f"Keyframes per second of work, of the last {_RECENT} jobs.", _rate(outcomes)
-    )
-
-
-def _rate(outcomes: list[dict[str, Any]]) -> float:
-    seconds = sum(outcome.get("seconds") or 0.0 for outcome in outcomes)
-    keyframes = sum(outcome.get("keyframes") or 0 for outcome in outcomes)
-    return keyframes / seconds if seconds > 0 else 0.0

@@ -8,7 +8,7 @@ import os
 import socket
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Any
+from typing import Any, cast
 
 import uvicorn
 from fastapi import FastAPI
@@ -103,7 +103,7 @@ class Server(uvicorn.Server):
 
     def __init__(self, app: FastAPI, settings: Settings, started: Callable[[int], None] | None = None) -> None:
         config = uvicorn.Config(
-            _Forwarded(app, settings.trusted_proxies),
+            _Forwarded(cast("Any", app), settings.trusted_proxies),
             host=settings.host,
             port=settings.port,
             http=Protocol,

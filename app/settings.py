@@ -128,7 +128,7 @@ class Settings(BaseSettings):
         72.0,
         ge=0,
         le=24 * 365,
-        description="Time in hours for which deleted drives and jobs can be restored; 0: they are gone at once.",
+        description="Time in hours for which deleted drives can be restored; 0: they are gone at once.",
     )
 
     # What the page may show and fetch.

@@ -165,5 +165,5 @@ async def show_problem_type(
 )
 @priced("cheap")
 def show_metrics(context: ContextDep, _client: ClientDep) -> Response:
-    """Show requests, uploads, jobs by state, queue wait, time of the stages, worker restarts, free disk."""
+    """Show requests, uploads, jobs by state, queue wait, worker restarts, free disk."""
     return Response(context.metrics.render(context.database, context.storage), media_type=CONTENT_TYPE)

@@ -2,7 +2,7 @@
 
 import platform
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from importlib.metadata import version
@@ -43,10 +43,6 @@ class RangeResult:
     """Of the process so far."""
     road: tuple[RoadPatch, ...] = ()
     """The road around the keyframes of the range that `patch_keyframes` names."""
-
-
-FindRange = Callable[[Drive, IntArray, int, int, DetectorConfig, Progress | None], RangeResult]
-"""Finds the intersections around the keyframes of a range, as `detect_range` does."""
 
 
 def detect_range(
@@ -122,7 +118,6 @@ def detect(
     *,
     workers: int | None = 1,
     progress: Progress | None = None,
-    find: FindRange | None = None,
 ) -> DriveResult:
     """Find the intersections along a drive and fuse them into a map.
 
@@ -135,8 +130,6 @@ def detect(
         Processes; None: as many as pay off. The result does not depend on it.
     progress
         Called with the keyframes done and the keyframes in all.
-    find
-        What finds the intersections of a range, a function of a module; `detect_range` by default.
 
     Returns
     -------
@@ -151,22 +144,20 @@ def detect(
     """
     expect(drive, Drive)
     expect(config, DetectorConfig)
-    if find is None:
-        warm_up(config)  # once per process, and no part of the time that the run takes
+    warm_up(config)  # once per process, and no part of the time that the run takes
     began = time.perf_counter()
     keyframes = select_keyframes(drive.T_world_lidar, config.keyframes)
     if not len(keyframes):
         raise DriveError(f"{drive.name}: the drive holds no scans")
-    find = find or detect_range
     if workers is None:
         # Scans that are slow to read are read by threads: every process would read its halo once more.
         pay_off = 1 if is_slow(drive) else max(1, len(keyframes) // _MIN_KEYFRAMES_PER_PROCESS)
         workers = min(cores(), pay_off)
     ranges = split(len(keyframes), workers)
     if len(ranges) == 1:
-        results = [find(drive, keyframes, 0, len(keyframes), config, progress)]
+        results = [detect_range(drive, keyframes, 0, len(keyframes), config, progress)]
     else:
-        results = _detect_in_processes(find, drive, keyframes, ranges, config, workers, progress)
+        results = _detect_in_processes(drive, keyframes, ranges, config, workers, progress)
     return assemble(
         drive,
         keyframes,
@@ -233,7 +224,6 @@ def split(count: int, workers: int) -> list[tuple[int, int]]:
 
 
 def _detect_in_processes(
-    find: FindRange,
     drive: Drive,
     keyframes: IntArray,
     ranges: list[tuple[int, int]],
@@ -249,13 +239,11 @@ def _detect_in_processes(
         if progress is not None:
             progress(done, len(keyframes))
 
-    return run_in_processes(partial(_find_between, find, drive, keyframes, config), ranges, workers, on_result=count)
+    return run_in_processes(partial(_detect_between, drive, keyframes, config), ranges, workers, on_result=count)
 
 
-def _find_between(
-    find: FindRange, drive: Drive, keyframes: IntArray, config: DetectorConfig, bounds: tuple[int, int]
-) -> RangeResult:
-    return find(drive, keyframes, *bounds, config, None)
+def _detect_between(drive: Drive, keyframes: IntArray, config: DetectorConfig, bounds: tuple[int, int]) -> RangeResult:
+    return detect_range(drive, keyframes, *bounds, config)
 
 
 def versions() -> dict[str, Any]:

@@ -15,8 +15,8 @@ from interloc.config import PAPER
 from interloc.drive import Drive, Georeference, GroundPoints
 from interloc.drives.open import open_drive
 from interloc.pipeline import detect
-from interloc.reference import REFERENCE, detect_by_reference
 from interloc.results import DriveResult
+from tests.reference import detect_by_reference
 from tests.towns import town_drive
 
 
@@ -86,12 +86,3 @@ def test_a_town_is_found_alike(town: Drive) -> None:
     assert len(maps[0]) == len(maps[1])
     distance = np.hypot(*np.moveaxis(maps[0][:, None] - maps[1][None], -1, 0))
     assert distance.min(axis=1).max() < 1.0
-
-
-def test_the_run_says_that_it_was_the_reference() -> None:
-    run = detect_by_reference(Crossing(scans=3)).run
-    assert run["reference"] is True
-    assert run["config"]["preset"] == REFERENCE.preset == "reference"
-    assert REFERENCE.model_copy(update={"preset": "paper"}) == PAPER
-    assert {"opencv", "scikit-image", "interloc"} <= set(run["versions"])
-    assert "reference" not in detect(Crossing(scans=3), PAPER).run

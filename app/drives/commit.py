@@ -22,7 +22,7 @@ from app.drives.records import (
     note_extent,
     reduced_key,
 )
-from app.drives.upload import lock_counts, refuse_similar_names, refuse_unless_open, register, sizes_of
+from app.drives.upload import lock_counts, place, refuse_unless_open
 from app.http.intake import Arrival, Placement
 from app.http.limits import check_free_space, check_quota, job_limit
 from app.http.problem_types import (
@@ -38,9 +38,8 @@ from app.jobs.webhooks import check_subscriber
 from app.networks import work as models
 from app.states import DriveState, JobKind, JobState
 from app.store.database import Database, afterwards
-from app.store.incoming import size_of
 from app.store.models import Drive, DriveFile, Job
-from app.store.storage import files_below, remove_empty
+from app.store.storage import files_below, remove_empty, size_of
 from app.work.documents import CommitJob, CommitOutcome, Outcome, UnpackJob
 from app.work.places import REDUCED, TRAJECTORY, UNPACKED, link, read_listing
 from interloc.drives.inspect import DriveReport
@@ -271,11 +270,7 @@ def _finish_unpack(session: Session, context: Context, job: Job, drive: Drive, o
             for arrival in arrivals:
                 # A second name: if the server dies before the end of the transaction, all of this is repeated.
                 link(scratch / UNPACKED / arrival.path, arrival.temporary)
-            paths = [arrival.path for arrival in arrivals]
-            known = sizes_of(session, drive.id, paths)
-            refuse_similar_names(session, drive.id, paths)
-            register(context, session, lock_counts(session, drive.id), arrivals, known, job.owner)
-            placement.move(arrivals)
+            place(context, session, placement, lock_counts(session, drive.id), arrivals, job.owner)
     except Problem as problem:
         job.state = JobState.FAILED
         job.error = problem.document()

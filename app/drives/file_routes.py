@@ -25,8 +25,7 @@ from app.jobs.view import wait_for_job
 from app.paths import MAX_PATH, PATH_PATTERN, check_path
 from app.states import FINAL
 from app.store.models import Job
-from interloc.drives.kinds import is_recording
-from interloc.drives.layouts import POSE_FILES, SCAN_FOLDERS
+from interloc.drives.layouts import POSE_FILES, SCAN_FOLDERS, is_recording
 
 router = APIRouter(prefix="/drives/{drive_id}", tags=["Uploads"])
 
@@ -112,7 +111,7 @@ async def put_file(
         return UploadedFile(path=path, size_bytes=arrival.size_bytes, sha256=arrival.sha256)
 
     def check(length: int) -> None:
-        check_upload(context, drive_id, path, length, client)
+        check_upload(context, drive_id, [path], length, client)
 
     return await receive_file(request, path, limit, keep_file, check)
 
@@ -199,11 +198,14 @@ _BATCH = {
 )
 @priced("streaming")
 async def post_scans(drive_id: DriveId, request: Request, context: ContextDep, client: ClientDep) -> UploadedBatch:
-    """Upload several files at once, all or none of them. A repeated request replaces files of the same names."""
+    """Upload several files at once, all or none of them: small ones cost a fraction of a request for each.
+
+    A part may have a Content-Digest, as a single file. A repeated request replaces files of the same names.
+    """
     limits = context.settings
     length = declared_length(request, limits.max_batch_bytes, "A request with several files")
     boundary = boundary_of(request.headers.get("content-type"))
-    await run_in_threadpool(check_upload, context, drive_id, "batch", length or 0, client)
+    await run_in_threadpool(check_upload, context, drive_id, [], length or 0, client)
     reader = BatchReader(
         context,
         boundary,
@@ -252,7 +254,7 @@ async def post_archive(
     """
     limit = context.settings.max_archive_bytes
     length = declared_length(request, limit, "An archive")
-    await run_in_threadpool(check_upload, context, drive_id, "archive", length or 0, client, is_packed=True)
+    await run_in_threadpool(check_upload, context, drive_id, ["archive"], length or 0, client, is_packed=True)
     content_type = request.headers.get("content-type", "")
     if content_type.startswith("multipart/"):
         job = await _receive_form(context, request, drive_id, client, boundary_of(content_type), length)

@@ -101,18 +101,6 @@ def _bad_digest(field: str, what: str) -> Problem:
 
 
 def prefers_html(headers: Headers) -> bool:
-    """Tell whether a client would rather have HTML than JSON; JSON where it does not care."""
-    weights = _weights(headers.get("accept", ""))
-    anything = weights.get("*/*", 0.0)
-    html = weights.get("text/html", weights.get("text/*", anything))
-    return html > weights.get("application/json", weights.get("application/*", anything))
-
-
-def _weights(header: str) -> dict[str, float]:
-    """Return the alternatives of an Accept header with their weights."""
-    weights = {}
-    for part in header.lower().split(","):
-        value, *parameters = (piece.strip() for piece in part.split(";"))
-        weight = next((each[2:] for each in parameters if each.startswith("q=")), "1")
-        weights[value] = float(weight) if re.fullmatch(r"\d(\.\d*)?", weight) else 0.0
-    return weights
+    """Tell whether a client asks for HTML, as browsers do, and not for JSON."""
+    accepted = headers.get("accept", "").lower()
+    return "text/html" in accepted and "application/json" not in accepted

@@ -1,4 +1,4 @@
-"""What every request passes, from the outside in: log, headers, faults, gate, limits of the body."""
+"""What every request passes, from the outside in: log and headers, faults, gate, limits of the body."""
 
 import asyncio
 import logging
@@ -76,28 +76,28 @@ def add_middleware(app: FastAPI, settings: Settings) -> None:
     app.add_middleware(
         GZipMiddleware, minimum_size=_MIN_PACKED_BYTES, compresslevel=1, exclude_content_types=_PACKED_ALREADY
     )
-    app.add_middleware(AnswerHeaders, settings=settings)
-    app.add_middleware(RequestLog, root_path=settings.root_path)
+    app.add_middleware(Outermost, settings=settings)
 
 
-class RequestLog:
-    """Gives each request an id, logs it in one line and counts it. The outermost one: it sees what all others answer.
+class Outermost:
+    """Gives each request an id, logs it in one line and counts it; tells browsers what they may do with the answer.
 
-    A reverse proxy that shows the service under `root_path` may take that off or leave it on.
+    It sees what all others answer; headers that an endpoint set stay. A reverse proxy that shows the service under its
+    root path may take that off or leave it on.
     """
 
-    def __init__(self, app: ASGIApp, root_path: str = "") -> None:
+    def __init__(self, app: ASGIApp, settings: Settings) -> None:
         self._app = app
-        self._root_path = root_path
+        self._root_path = settings.root_path
+        self._page_policy = page_policy(settings)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Go on, and see how it ends."""
-        if scope["type"] == "websocket":
+        if scope["type"] in {"http", "websocket"}:
             scope["root_path"] = self._root_path
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
-        scope["root_path"] = self._root_path
         scope["path"] = _without_slash(scope["path"], path_of(scope))
         started = time.perf_counter()
         status, received_bytes, is_stream, location = _GONE, 0, False, ""
@@ -120,6 +120,7 @@ class RequestLog:
                 status = message["status"]
                 headers = MutableHeaders(scope=message)
                 headers["x-request-id"] = request_id
+                _complete(headers, scope, self._page_policy)
                 is_stream = headers.get("content-type", "").startswith("text/event-stream")
                 location = headers.get("location", "")
             await send(message)
@@ -182,44 +183,28 @@ def _route(scope: Scope, path: str) -> str:
     return _API + template if is_below else template
 
 
-class AnswerHeaders:
-    """Tells browsers what the page may do, and that nothing else may be done with it; what an endpoint set stays."""
+_ALWAYS = {
+    "x-content-type-options": "nosniff",
+    # Tile servers require a referrer; other sites need not know which drive was looked at.
+    "referrer-policy": "strict-origin-when-cross-origin",
+    "cross-origin-opener-policy": "same-origin",
+    "cross-origin-resource-policy": "same-origin",
+    "permissions-policy": "camera=(), geolocation=(), microphone=(), payment=(), usb=()",
+}
 
-    def __init__(self, app: ASGIApp, settings: Settings) -> None:
-        self._app = app
-        self._page_policy = page_policy(settings)
-        self._always = {
-            "x-content-type-options": "nosniff",
-            # Tile servers require a referrer; other sites need not know which drive was looked at.
-            "referrer-policy": "strict-origin-when-cross-origin",
-            "cross-origin-opener-policy": "same-origin",
-            "cross-origin-resource-policy": "same-origin",
-            "permissions-policy": "camera=(), geolocation=(), microphone=(), payment=(), usb=()",
-        }
 
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Go on, and add to the answer."""
-        if scope["type"] != "http":
-            await self._app(scope, receive, send)
-            return
-        of_api = is_api(path_of(scope))
-        policy = DATA_POLICY if of_api else self._page_policy
-
-        async def send_with_headers(message: Message) -> None:
-            if message["type"] == "http.response.start":
-                headers = MutableHeaders(scope=message)
-                for name, value in self._always.items():
-                    headers.setdefault(name, value)
-                headers.setdefault("content-security-policy", policy)
-                if of_api:
-                    headers.setdefault("cache-control", "no-store")
-                if scope["scheme"] == "https":
-                    headers.setdefault("strict-transport-security", f"max-age={_HSTS_S}")
-                if "content-encoding" in headers and "etag" in headers:  # other bytes that say the same
-                    headers["etag"] = f"W/{headers['etag']}"
-            await send(message)
-
-        await self._app(scope, receive, send_with_headers)
+def _complete(headers: MutableHeaders, scope: Scope, page_policy: str) -> None:
+    """Add to the headers of an answer what browsers go by."""
+    of_api = is_api(path_of(scope))
+    for name, value in _ALWAYS.items():
+        headers.setdefault(name, value)
+    headers.setdefault("content-security-policy", DATA_POLICY if of_api else page_policy)
+    if of_api:
+        headers.setdefault("cache-control", "no-store")
+    if scope["scheme"] == "https":
+        headers.setdefault("strict-transport-security", f"max-age={_HSTS_S}")
+    if "content-encoding" in headers and "etag" in headers:  # other bytes that say the same
+        headers["etag"] = f"W/{headers['etag']}"
 
 
 def page_policy(settings: Settings) -> str:

@@ -4,8 +4,10 @@ from collections.abc import Callable, Mapping
 
 from python_multipart.exceptions import MultipartParseError
 from python_multipart.multipart import MultipartParser, parse_options_header
+from starlette.datastructures import Headers
 
 from app.context import Context
+from app.http.headers import sha256_of
 from app.http.intake import Arrival, Intake
 from app.http.limits import CLOSE, too_large
 from app.http.problem_types import BAD_PART, BODY_MALFORMED, NOT_MULTIPART_FORM_DATA, TOO_MANY_FILES
@@ -54,8 +56,9 @@ class BatchReader:
         self._size = 0
         self._headers: dict[bytes, bytes] = {}
         self._name = self._value = b""  # of the header that is being read
+        self._sha256: str | None = None  # of the part that is being read, where the client announces it
         self._intakes: list[Intake] = []
-        self._arrivals: list[Arrival] = []
+        self._arrivals: dict[str, Arrival] = {}
         self._ended = False
         self._parser = MultipartParser(
             boundary,
@@ -89,7 +92,7 @@ class BatchReader:
             raise _malformed("it ends before its last boundary")
         if not self._arrivals:
             raise bad_part("The request has no parts. Expected one or more files.")
-        return self._arrivals
+        return list(self._arrivals.values())
 
     def discard(self) -> None:
         """Remove the files that were not moved to their places."""
@@ -126,15 +129,17 @@ class BatchReader:
         if place is None:
             raise bad_part(f"There is no part {field[:80]!r}; expected {', '.join(self._fields)}.")
         path = place(None if filename is None else _text(filename))
-        if any(arrival.path == path for arrival in self._arrivals):
+        if path in self._arrivals:
             raise bad_part(f"{path} comes twice.")
+        self._sha256 = sha256_of(Headers(raw=list(self._headers.items())))
         self._intakes.append(Intake(self._context, path, self._max_file_bytes))
 
     def _take_data(self, data: bytes, start: int, end: int) -> None:
         self._intakes[-1].write(memoryview(data)[start:end])
 
     def _end_part(self) -> None:
-        self._arrivals.append(self._intakes[-1].finish())
+        arrival = self._intakes[-1].finish(self._sha256)
+        self._arrivals[arrival.path] = arrival
 
     def _end(self) -> None:
         self._ended = True

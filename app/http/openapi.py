@@ -58,7 +58,7 @@ TAGS = [
     {"name": "Exports", "description": "Results in formats of GIS programs."},
     {"name": "GIS", "description": "OGC API - Features: results as layers of a GIS, by place, time and CQL2 filters."},
     {"name": "Maps", "description": "Many drives as one map, and the queue of what OpenStreetMap has wrong by it."},
-    {"name": "Trash", "description": "Deleted drives and jobs: restore them, or delete them for good."},
+    {"name": "Trash", "description": "Deleted drives: restore them, or delete them for good."},
     {"name": "System", "description": "For operators and for the page."},
 ]
 
@@ -163,13 +163,11 @@ def _complete(document: dict[str, Any], *, needs_token: bool) -> dict[str, Any]:
 def _common(method: str, operation: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
     """Describe the problems that operations have in common."""
     yield "400", _problem("The request does not keep to HTTP, or has a parameter or a body that cannot be read.")
-    yield "431", _problem("The headers are too large, or too many.")
     yield "500", _problem("A fault of the service.")
     yield "503", _problem("The service or its database is busy, or is being stopped.")
     yield "421", _problem("The service does not answer under this host name.")
     if operation.get("security"):
         yield "401", _problem(_CLOSED)
-        yield "429", _problem("Too many wrong tokens.")
     if method.upper() not in _SAFE:
         yield "403", _problem("The token may only read, or the request came from a page of another site.")
     if changes_something(method, operation):

@@ -44,6 +44,11 @@ class Box(NamedTuple):
     north: float
 
     @property
+    def is_on_earth(self) -> bool:
+        """Whether its sides are degrees in their order."""
+        return all(abs(lon) <= 180 for lon in (self.west, self.east)) and -90 <= self.south <= self.north <= 90
+
+    @property
     def parts(self) -> list[tuple[float, float, float, float]]:
         """Its boxes among -180 to 540 degrees: what crosses the meridian lies beyond 180."""
         spans = [(self.west, self.east), (self.west + 360.0, self.east + 360.0)]
@@ -68,8 +73,7 @@ async def _box(
     numbers = [float(part) for part in bbox.split(",")]
     half = len(numbers) // 2
     box = Box(*numbers[:2], *numbers[half : half + 2])
-    is_on_earth = all(abs(lon) <= 180 for lon in (box.west, box.east)) and -90 <= box.south <= box.north <= 90
-    if not is_on_earth:
+    if not box.is_on_earth:
         raise refusal(REQUEST_NOT_VALID, "query.bbox", f"found {bbox!r}; expected {EXPECTED[BOX]}.")
     return box
 

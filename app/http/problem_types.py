@@ -53,7 +53,6 @@ DATA_FOLDER_GONE = _kind("data-folder-gone", 503, "The data folder is not where 
 DATABASE_BUSY = _kind("database-busy", 503, "The database did not answer in time.")
 DIFFERENT_DRIVES = _kind("different-drives", 422, "The jobs to compare are not of one drive.")
 DISK_FULL = _kind("disk-full", 507, "The service has no disk space left.")
-DRIVE_IN_THE_TRASH = _kind("drive-in-the-trash", 409, "The drive of the job is in the trash itself.")
 DRIVE_IS_BEING_CHECKED = _kind(
     "drive-is-being-checked", 409, "The commit of the drive still runs, and it takes no files meanwhile."
 )
@@ -72,7 +71,6 @@ FILTER_NOT_VALID = _kind(
     "filter-not-valid", 400, "The filter is not CQL2, or asks for what cannot be filtered here; `detail` says what."
 )
 FORMAT_NOT_INSTALLED = _kind("format-not-installed", 501, "The service lacks the package that writes this format.")
-HOST_NOT_CLEAR = _kind("host-not-clear", 400, "The request names no Host, or several.")
 IDEMPOTENCY_KEY_USED_BEFORE = _kind(
     "idempotency-key-used-before", 422, "The Idempotency-Key was sent with another request."
 )
@@ -106,7 +104,7 @@ NOT_FOUND = _kind("not-found", 404, "There is nothing at this address.")
 NOT_GEOREFERENCED = _kind(
     "not-georeferenced", 404, "The drive has no georeference, so nothing of it has longitude and latitude."
 )
-NOT_IN_THE_TRASH = _kind("not-in-the-trash", 404, "The trash holds no such drive or job.")
+NOT_IN_THE_TRASH = _kind("not-in-the-trash", 404, "The trash holds no such drive.")
 NOT_IN_THIS_RESULT = _kind("not-in-this-result", 404, "The result has no such part.")
 NOT_MULTIPART_FORM_DATA = _kind(
     "not-multipart-form-data", 415, "The body must be multipart/form-data.", title="Not multipart/form-data"
@@ -140,14 +138,10 @@ TOKEN_MAY_ONLY_READ = _kind(
 TOKEN_NEEDED = _kind("token-needed", 401, "The service needs a valid API token.")
 TOO_LARGE = _kind("too-large", 413, "A body or drive is larger than allowed.")
 TOO_MANY_FILES = _kind("too-many-files", 413, "A request or drive has more files than allowed.")
-TOO_MANY_HEADERS = _kind("too-many-headers", 431, "The request has too many headers.")
 TOO_MANY_JOBS = _kind("too-many-jobs", 429, "Too many jobs of this client wait or run.")
 TOO_MANY_MAPS = _kind("too-many-maps", 429, "The client has as many maps of many drives as it may have.")
 TOO_MANY_SESSIONS = _kind("too-many-sessions", 429, "The client has as many live sessions as it may have.")
 TOO_MANY_UPLOADS = _kind("too-many-uploads", 429, "The client has as many drives that take files as it may have.")
-TOO_MANY_WRONG_TOKENS = _kind(
-    "too-many-wrong-tokens", 429, "Too many tokens that do not exist were sent within a minute."
-)
 UNKNOWN_HOST_NAME = _kind("unknown-host-name", 421, "The service does not answer under this host name.")
 UNKNOWN_PARAMETER = _kind(
     "unknown-parameter", 400, "The address takes no query parameter of this name; `problems` lists which."

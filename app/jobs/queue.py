@@ -127,21 +127,12 @@ class JobQueue:
             session.execute(
                 update(Job).where(Job.lease_owner.in_(leases), Job.state == JobState.RUNNING).values(lease_until=until)
             )
-            return self._look(session, leases)
-
-    def look(self, leases: Iterable[str]) -> dict[str, Held]:
-        """Return which leases are lost and which jobs were cancelled."""
-        with self._database.reading() as session:
-            return self._look(session, list(leases))
-
-    @staticmethod
-    def _look(session: Session, leases: list[str]) -> dict[str, Held]:
-        rows = session.execute(
-            select(Job.lease_owner, Job.cancel_requested).where(
-                Job.lease_owner.in_(leases), Job.state == JobState.RUNNING
+            rows = session.execute(
+                select(Job.lease_owner, Job.cancel_requested).where(
+                    Job.lease_owner.in_(leases), Job.state == JobState.RUNNING
+                )
             )
-        )
-        ours = {lease: cancelled for lease, cancelled in rows if lease is not None}
+            ours = {lease: cancelled for lease, cancelled in rows if lease is not None}
         return {lease: ("cancelled" if ours[lease] else "held") if lease in ours else "lost" for lease in leases}
 
     def is_cancelled(self, session: Session, claim: Claim) -> bool:
@@ -219,7 +210,7 @@ def submit(
 ) -> tuple[Job, bool]:
     """Put a job into the queue, in a transaction of the caller; return it, and whether it is new.
 
-    The same idempotency key returns the same job, unless that lies in the trash. The limit is that of the jobs of this
+    The same idempotency key returns the same job, unless its drive is deleted. The limit is that of the jobs of this
     owner and kind that may wait or run. Problems are 404 no such drive, 409 it is not committed, 422 the key was used
     for another request, 429 too many jobs.
     """
@@ -297,7 +288,7 @@ def cancel(session: Session, database: Database, job: Job) -> None:
 
 
 def _job_of_key(session: Session, owner: str, key: str) -> Job | None:
-    """Return the job that was made with a key; one in the trash gives the key up, since the request means another."""
+    """Return the job that was made with a key; that of a deleted drive gives the key up: another is meant."""
     query = select(Job, Drive.deleted_at).join(Drive, Drive.id == Job.drive_id)
     found = session.execute(query.where(Job.owner == owner, Job.idempotency_key == key)).first()
     if found is None:

@@ -12,7 +12,6 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, TypeVarTuple
 
-from sqlalchemy import select
 from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.orm import Session
 
@@ -22,10 +21,10 @@ from app.http.problems import Problem
 from app.jobs import failures
 from app.jobs.executors import WorkExecutor, open_executor
 from app.jobs.failures import limit_reached
-from app.jobs.folders import jobs_with_scratch, place_result, progress_files, task_of, tidy, without_paths
+from app.jobs.folders import place_result, progress_files, task_of, tidy, without_paths
 from app.jobs.processes import NoWorkersError, WorkerLimitError, WorkerLostError
 from app.jobs.queue import URGENT_AT_ONCE, Claim, JobQueue, not_ready
-from app.states import FINAL, DriveState, JobKind, JobState
+from app.states import DriveState, JobKind, JobState
 from app.store.models import Drive, Job
 from app.work import kinds
 from app.work.documents import JobRequest, Outcome
@@ -43,6 +42,7 @@ Stop = Literal["cancelled", "lost", "shutdown"]
 
 _POLL_S = 0.5  # in which a job is looked for
 _LOOK_S = 0.5  # interval at which progress is read
+_RENEW_S = 1.0  # interval at which leases are renewed, and cancelled jobs found
 _GRACE_S = 1.5  # time for work to end by itself once it was asked to, and to tidy up; then its process is killed
 _log = logging.getLogger(__name__)
 
@@ -379,7 +379,6 @@ class Runner:
             thread.join(5)
 
     def _claim_jobs(self) -> None:
-        self._tidy_scratch()
         told = ""
         while not self._stopping.is_set():
             try:
@@ -426,45 +425,28 @@ class Runner:
             with self._lock:
                 del self._attempts[attempt.claim.lease]
             self._context.jobs_changed.set()
+            self._context.maps_changed.set()
 
     def _keep_leases(self) -> None:
         """Renew the leases of this server, and stop what was cancelled or lost."""
         lease_s = self._context.settings.lease_s
-        asked = renewed = time.monotonic()
-        while not self._stopping.wait(_POLL_S):
+        renewed = time.monotonic()
+        while not self._stopping.wait(min(_RENEW_S, lease_s / 5)):
             with self._lock:
                 attempts = {lease: attempt for lease, (attempt, _) in self._attempts.items()}
             now = time.monotonic()
-            if not attempts:
-                asked = now
-                continue
             try:
-                if now - renewed >= lease_s / 5:
-                    held = self._queue.heartbeat(attempts)
-                    asked = renewed = now
-                else:
-                    held = self._queue.look(attempts)
+                held = self._queue.heartbeat(attempts) if attempts else {}
+                renewed = now
             except SQLAlchemyError as error:
                 _log.warning("the leases of %d jobs could not be renewed: %s", len(attempts), error)
-                if now - asked > lease_s:  # other servers have taken the jobs over, or will
+                if now - renewed > lease_s:  # other servers have taken the jobs over, or will
                     for attempt in attempts.values():
                         attempt.stop("lost")
                 continue
             for lease, state in held.items():
                 if state != "held":
                     attempts[lease].stop(state)
-
-    def _tidy_scratch(self) -> None:
-        """Remove the scratch of jobs that have ended, left behind by a server that was killed before it could tidy."""
-        try:
-            found = jobs_with_scratch(self._context.storage)
-            with self._context.database.reading() as session:
-                ended = session.execute(select(Job.id, Job.state).where(Job.id.in_(found), Job.state.in_(FINAL))).all()
-        except (SQLAlchemyError, OSError) as error:
-            _log.warning("left-over scratch folders could not be looked for: %s", error)
-            return
-        for job_id, state in ended:
-            tidy(self._context.storage, job_id, keep_result=state == JobState.SUCCESSFUL)
 
 
 RunnerDep = Annotated[Runner, part_of_app("runner")]

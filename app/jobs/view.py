@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import time
-from collections import defaultdict
+from collections import Counter
 from collections.abc import AsyncIterator, Iterable
 from dataclasses import dataclass
 from functools import cache
@@ -36,7 +36,6 @@ _MAP_LAYERS = [layer.address for layer in LAYERS.values() if layer.is_osm and la
 _OTHER_KINDS = {JobKind.COMMIT: "check", JobKind.UNPACK: "archive", JobKind.DEMO: "demo drive"}
 _STEADY_S, _STEADY_SHARE = 5.0, 0.05  # the beginning tells nothing: drive and map are read first
 _POLL_S = 0.5
-_UNREAD = 16  # changes that a listener may be behind
 _FIRST_LOOK_S, _LAST_LOOK_S = 0.05, 0.5
 _NO_WORKER = "It waits for a worker: none can be started at present. The service keeps trying; its log says why."
 
@@ -57,7 +56,7 @@ def find_job(session: Session, job_id: str) -> tuple[Job, str]:
 
 
 def is_alive() -> ColumnElement[bool]:
-    """Return the condition that neither a job nor its drive, joined, is in the trash."""
+    """Return the condition that a job is not deleted, nor its drive, joined."""
     return and_(Job.deleted_at.is_(None), Drive.deleted_at.is_(None))
 
 
@@ -67,7 +66,7 @@ def no_job(job_id: str) -> Problem:
 
 
 def chosen_results(*conditions: ColumnElement[bool]) -> Select[Job]:
-    """Return the query for the job that stands for each drive that has a successful one; nothing in the trash counts.
+    """Return the query for the job that stands for each drive that has a successful one; nothing deleted counts.
 
     The one that somebody has pinned; else the best by the map: one with the settings of this version before one with
     those of the paper, then the highest F1 of its intersections, then the newest. One that was not scored comes last.
@@ -196,62 +195,46 @@ class Change:
 
 
 class JobWatcher:
-    """Reports the changes of jobs; to be used in the event loop."""
+    """Reports the changes of jobs; to be used in the event loop. All who follow jobs share one look at the database."""
 
     def __init__(self, context: Context) -> None:
         self._context = context
-        self._listeners: defaultdict[str, set[asyncio.Queue[Change | None]]] = defaultdict(set)
-        self._versions: dict[str, int] = {}
-        """Of the jobs that are followed, as all their listeners know them."""
-        self._polling: asyncio.Task[None] | None = None
+        self._followed: Counter[str] = Counter()
+        self._latest: dict[str, Change | None] = {}
+        """Of the jobs that are followed; None: it was removed."""
+        self._look: asyncio.Task[None] | None = None
 
     async def follow(self, job_id: str, last: Change) -> AsyncIterator[Change]:
         """Yield what comes after a change of a job, until the job has ended, is deleted, or the server stops."""
-        queue: asyncio.Queue[Change | None] = asyncio.Queue(_UNREAD)
-        self._listeners[job_id].add(queue)
-        self._versions.pop(job_id, None)  # the next look passes on what it finds
-        if self._polling is None or self._polling.done():
-            self._polling = asyncio.create_task(self._poll())
+        self._followed[job_id] += 1
         try:
-            while (change := await queue.get()) is not None:
+            while not (last.is_final or self._context.stopping.is_set()):
+                if self._look is None or self._look.done():
+                    self._look = asyncio.create_task(self._look_again())
+                await asyncio.shield(self._look)
+                change = self._latest.get(job_id, last)
+                if change is None:
+                    return
                 if change.version >= last.version and (change.version, change.message) != (last.version, last.message):
                     last = change
                     yield change
-                if change.is_final:
-                    return
         finally:
-            self._listeners[job_id].discard(queue)
-            if not self._listeners[job_id]:
-                del self._listeners[job_id]
+            self._followed[job_id] -= 1
+            if not self._followed[job_id]:
+                del self._followed[job_id]
+                self._latest.pop(job_id, None)
 
-    async def _poll(self) -> None:
+    async def _look_again(self) -> None:
+        """Take note of what has changed after a moment."""
+        await asyncio.sleep(_POLL_S)
+        latest = {job_id: self._latest.get(job_id) for job_id in self._followed}
+        known = {job_id: None if change is None else change.version for job_id, change in latest.items()}
         try:
-            while self._listeners and not self._context.stopping.is_set():
-                followed = {job_id: self._versions.get(job_id) for job_id in self._listeners}
-                try:
-                    changes = await run_in_threadpool(_changes, self._context, followed)
-                except OperationalError as error:
-                    _log.warning("changes of jobs could not be read: %s", error)
-                    changes = {}  # the next look finds them all
-                for job_id, change in changes.items():
-                    if change is not None and self._versions.get(job_id) == followed[job_id]:
-                        self._versions[job_id] = change.version
-                    for queue in self._listeners.get(job_id, ()):
-                        _put(queue, change)
-                await asyncio.sleep(_POLL_S)
-        except Exception:  # noqa: BLE001 - the listeners must not wait for ever
-            _log.exception("changes of jobs could not be passed on")
-        finally:  # whatever happened, end the streams of all listeners
-            for queues in self._listeners.values():
-                for queue in queues:
-                    _put(queue, None)
-
-
-def _put(queue: asyncio.Queue[Change | None], change: Change | None) -> None:
-    """Pass on a change; of a listener that reads too slowly the oldest is left out: the newest says it all."""
-    if queue.full():
-        queue.get_nowait()
-    queue.put_nowait(change)
+            changes = await run_in_threadpool(_changes, self._context, known)
+        except OperationalError as error:  # the next look finds them all
+            _log.warning("changes of jobs could not be read: %s", error)
+            return
+        self._latest |= {job_id: change for job_id, change in changes.items() if job_id in self._followed}
 
 
 def _changes(context: Context, followed: dict[str, int | None]) -> dict[str, Change | None]:

@@ -7,24 +7,22 @@ same transaction, so that no kill comes in between; a `Deliverer` makes the call
 import base64
 import hashlib
 import hmac
-import http.client
 import json
 import logging
-import socket
 import threading
 from collections import Counter, defaultdict
 from collections.abc import Collection, Mapping
-from contextlib import suppress
 from datetime import datetime
 from typing import Any, Literal
 from urllib.parse import urlsplit
 
+import httpx
 from pydantic import BaseModel, ConfigDict, Field
 from sqlalchemy import select, update
 from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.orm import Session
 
-from app.context import Context
+from app.context import Context, Helper
 from app.http.problem_types import WEBHOOK_REFUSED
 from app.http.problems import Problem
 from app.settings import Settings
@@ -36,7 +34,7 @@ RETRIES_S = (5, 300)
 """Pauses after the first try and the second; the third is the last."""
 
 _LOOK_S = 1.0
-_CALL_S = 15.0  # for a call as a whole; after twice that time its server is taken for dead, and it is made again
+_CALL_S = 15.0  # for each step of a call; after twice that time its server is taken for dead, and it is made again
 _AT_ONCE_PER_HOST = 4  # a host that answers slowly, or not at all, keeps only itself waiting
 _TOLD_BYTES = 200  # of an answer that is no success: what of it is kept
 
@@ -141,40 +139,29 @@ def _model(row: Delivery) -> DeliveryModel:
     return DeliveryModel(**columns_for(DeliveryModel, row), state=state)
 
 
-class Deliverer:
-    """Makes the calls, from `start` to `stop`; several servers share them out through the database.
+class Deliverer(Helper):
+    """Makes the calls; several servers share them out through the database.
 
     A call that was made, but whose answer was not written before a kill, is made again with the same `webhook-id`.
     """
 
     def __init__(self, context: Context) -> None:
+        super().__init__("deliverer")
         self._context = context
         self._at_work: Counter[str] = Counter()
         """Number of calls under way by host."""
         self._lock = threading.Lock()
-        self._stopping = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="deliverer", daemon=True)
 
-    def start(self) -> None:
-        """Begin, in the background, where there are hosts that may be called."""
-        if self._context.settings.webhook_hosts:
-            self._thread.start()
-
-    def stop(self) -> None:
-        """Begin no further call."""
-        self._stopping.set()
-        if self._thread.is_alive():
-            self._thread.join(5)
-
-    def _run(self) -> None:
-        while not self._stopping.is_set():
+    def run(self) -> None:
+        """Do so where there are hosts that may be called."""
+        while self._context.settings.webhook_hosts and not self.stopping.is_set():
             try:
                 delivery = self._claim()
             except SQLAlchemyError as error:
                 _log.warning("webhooks could not be looked for: %s", error)
                 delivery = None
             if delivery is None:
-                self._stopping.wait(_LOOK_S)
+                self.stopping.wait(_LOOK_S)
             else:
                 threading.Thread(target=self._deliver, args=(delivery,), name=delivery.id, daemon=True).start()
 
@@ -222,41 +209,25 @@ class Deliverer:
 
 def _call(delivery: Delivery, secret: bytes, seconds: int) -> str | None:
     """Send a message by POST, without redirects and proxies; return why that failed."""
-    parts, body = urlsplit(delivery.uri), delivery.body.encode()
+    body = delivery.body.encode()
     headers = {
         "Content-Type": "application/json",
         "User-Agent": "InterLoc",
-        "Connection": "close",
         "webhook-id": delivery.id,
         "webhook-timestamp": str(seconds),
         "webhook-signature": signature(secret, delivery.id, seconds, body),
     }
-    kind = http.client.HTTPSConnection if parts.scheme == "https" else http.client.HTTPConnection
-    connection = kind(str(parts.hostname), parts.port, timeout=_CALL_S)
-    is_late = threading.Event()
-
-    def hang_up() -> None:
-        is_late.set()
-        with suppress(OSError):
-            connection.sock.shutdown(socket.SHUT_RDWR)
-
-    in_time = threading.Timer(_CALL_S, hang_up)
-    in_time.daemon = True
     try:
-        connection.connect()
-        in_time.start()  # the timeout above is that of each step, and an answer may come one byte at a time
-        connection.request("POST", (parts.path or "/") + (f"?{parts.query}" if parts.query else ""), body, headers)
-        answer = connection.getresponse()
-        if is_late.is_set():
-            raise TimeoutError
-        if 200 <= answer.status < 300:
-            return None
-        return f"{answer.status} {answer.reason}: {answer.read(_TOLD_BYTES).decode(errors='replace')}"[:500]
-    except (OSError, http.client.HTTPException, UnicodeError) as error:
-        return f"no answer within {_CALL_S:g} s" if is_late.is_set() else f"{type(error).__name__}: {error}"[:500]
-    finally:
-        in_time.cancel()
-        connection.close()
+        with (
+            httpx.Client(trust_env=False, timeout=_CALL_S, headers=headers) as client,
+            client.stream("POST", delivery.uri, content=body) as answer,
+        ):
+            if answer.is_success:
+                return None
+            told = next(answer.iter_bytes(_TOLD_BYTES), b"")
+            return f"{answer.status_code} {answer.reason_phrase}: {told.decode(errors='replace')}"[:500]
+    except (httpx.HTTPError, httpx.InvalidURL, httpx.StreamError) as error:
+        return f"{type(error).__name__}: {error}"[:500]
 
 
 def signature(secret: bytes, id_: str, seconds: int, body: bytes) -> str:

@@ -43,8 +43,8 @@ from interloc.live.wire import decode_scan
 from interloc.live.worker import LiveWorker
 
 _ROAD, _OTHER = 11, 2  # road surface and ground, by the ids of LAS: they may be all that was sent
-_MAX_OF_ALL = 16
-_OF_SESSION, _OF_CLIENT, _OF_ALL = 96 * MB, 128 * MB, max(256 * MB, machine_memory() // 16)
+_OF_SESSION = 96 * MB  # that it may hold: no client fills the memory of the server
+_MAX_OF_ALL = min(16, max(4, machine_memory() // 16 // _OF_SESSION))
 _LARGE = 4 * MB
 _WAITING = 16 * MB  # of one session: a message is no larger
 _UNREAD = 256  # messages that a slow watcher may be behind, then it has to begin anew; that are kept to be repeated
@@ -57,51 +57,6 @@ _FINAL = {"end", "refused", "failed"}
 _log = logging.getLogger(__name__)
 
 Written = TypeVar("Written")
-
-
-class Budget:
-    """How many bytes live sessions may hold: one, those of a client, all together; threads share it.
-
-    It is asked before anything is taken, so that no client fills the memory of the server.
-    """
-
-    def __init__(self) -> None:
-        self._held: dict[str, tuple[str, dict[str, int]]] = {}  # by session: its owner, bytes by what they are for
-        self._lock = threading.Lock()
-
-    def begin(self, session: str, owner: str) -> None:
-        """Take note of a session."""
-        with self._lock:
-            self._held[session] = owner, {}
-
-    def ask(self, session: str, what: str, size: int) -> None:
-        """Let a session hold so many bytes of something from now on; a `DriveError` says that it may not."""
-        with self._lock:
-            if session not in self._held:  # it is over
-                return
-            owner, own = self._held[session]
-            of_session = sum(own.values()) - own.get(what, 0) + size
-            others = [(by, sum(held.values())) for other, (by, held) in self._held.items() if other != session]
-            of_client = of_session + sum(held for by, held in others if by == owner)
-            of_all = of_session + sum(held for _, held in others)
-            for whose, held, bound in (
-                ("the session", of_session, _OF_SESSION),
-                ("the sessions of this client", of_client, _OF_CLIENT),
-                ("all sessions", of_all, _OF_ALL),
-            ):
-                if held > bound:
-                    raise DriveError(
-                        f"{whose} would hold {held / MB:,.0f} MB of the memory of the service, and may hold "
-                        f"{bound / MB:,.0f} MB. Send the points of the ground only, or take fewer keyframes "
-                        "(keyframes.window, keyframes.lookahead), larger cells (bev.resolution_m) or less range "
-                        "(bev.max_range_m)."
-                    )
-            own[what] = size
-
-    def end(self, session: str) -> None:
-        """Forget a session."""
-        with self._lock:
-            self._held.pop(session, None)
 
 
 _one_at_a_time = threading.Lock()
@@ -215,7 +170,6 @@ class LiveEntry:
         owner: str,
         config: DetectorConfig,
         when_quiet: Callable[[], object],
-        budget: Budget,
     ) -> None:
         self.id = secrets.token_hex(8)
         self.name, self.owner = begin.name, owner
@@ -235,9 +189,8 @@ class LiveEntry:
         self._intersections: dict[int, dict[str, Any]] = {}
         self._vehicle: dict[str, Any] | None = None
         self.keeper: Keeper | None = None
-        self._budget = budget
-        budget.begin(self.id, self.owner)
-        session = LiveSession(config, partial(budget.ask, self.id, "window"))
+        self._held: dict[str, int] = {}  # bytes by what they are for
+        session = LiveSession(config, partial(self.hold, "window"))
         self._worker = LiveWorker(session, self._say, keep=self._keep, queue_bytes=_WAITING, turn=_turn)
 
     @property
@@ -276,11 +229,23 @@ class LiveEntry:
         else:
             self.last_frame = scan.frame
             try:
-                self._budget.ask(self.id, "scans", self._worker.held_bytes + scan.nbytes)
+                self.hold("scans", self._worker.held_bytes + scan.nbytes)
             except DriveError as error:
                 self._worker.drop(scan.frame, str(error))
             else:
                 self._worker.put(scan)
+
+    def hold(self, what: str, size: int) -> None:
+        """Hold so many bytes of something from now on; a `DriveError` says that the session may not."""
+        held = sum(own for name, own in [*self._held.items()] if name != what) + size
+        if held > _OF_SESSION:
+            raise DriveError(
+                f"the session would hold {held / MB:,.0f} MB of the memory of the service, and may hold "
+                f"{_OF_SESSION / MB:,.0f} MB. Send the points of the ground only, or take fewer keyframes "
+                "(keyframes.window, keyframes.lookahead), larger cells (bev.resolution_m) or less range "
+                "(bev.max_range_m)."
+            )
+        self._held[what] = size
 
     def finish(self) -> None:
         """Let the session answer its last keyframes and end."""
@@ -353,8 +318,7 @@ class LiveEntry:
     def _tell(self, document: dict[str, Any]) -> None:
         if self.is_over:
             return
-        with suppress(DriveError):  # it holds less now
-            self._budget.ask(self.id, "scans", self._worker.held_bytes)
+        self._held["scans"] = self._worker.held_bytes
         self._remember(document)
         text = json.dumps(document)
         is_final = document["type"] in _FINAL
@@ -364,7 +328,6 @@ class LiveEntry:
             _put(queue, text)
         if is_final:
             self._worker.abandon()
-            self._budget.end(self.id)
             self.refusal = document.get("reason")
             self.is_over, self.quiet_since = True, time.monotonic()
             self._when_quiet()
@@ -402,7 +365,6 @@ class LiveSessions:
 
     def __init__(self, context: Context) -> None:
         self._context = context
-        self._budget = Budget()
         self.watching: Counter[str] = Counter()
         """How many times each client watches."""
         self._entries: dict[str, LiveEntry] = {}
@@ -411,7 +373,7 @@ class LiveSessions:
         """Begin a session; a 429 where the client, or all together, have too many."""
         self._refuse_more(owner)
         idle_s, loop = self._context.settings.live_idle_s, asyncio.get_running_loop()
-        entry = LiveEntry(begin, owner, config, lambda: loop.call_later(idle_s + 1.0, self.tidy), self._budget)
+        entry = LiveEntry(begin, owner, config, lambda: loop.call_later(idle_s + 1.0, self.tidy))
         self._entries[entry.id] = entry
         return entry
 
@@ -419,7 +381,7 @@ class LiveSessions:
         """Refuse (429) another session of a client that has too many, or where all together have."""
         self.tidy()
         running = [each for each in self._entries.values() if not each.is_over]
-        limit = self._context.settings.max_live_sessions
+        limit = min(self._context.settings.max_live_sessions, _MAX_OF_ALL // 2)
         if sum(each.owner == owner for each in running) >= limit or len(running) >= _MAX_OF_ALL:
             raise Problem(
                 TOO_MANY_SESSIONS,

@@ -7,8 +7,6 @@ again: nothing is lost, and nothing is done twice.
 
 import logging
 import secrets
-import threading
-import time
 from collections.abc import Callable
 from concurrent.futures import Future, wait
 from contextlib import suppress
@@ -18,18 +16,18 @@ from sqlalchemy import bindparam, delete, insert, select, update
 from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.orm import Session
 
-from app.context import Context
+from app.context import Context, Helper
 from app.jobs.processes import WorkerLimitError, WorkerLostError
 from app.jobs.runner import Runner
 from app.maps import work
-from app.maps.records import Standing, map_key, standings_of, state_of_all
+from app.maps.records import Standing, map_key, standings_of
 from app.maps.work import Audited, Merged, Register, Source
 from app.ogc.indexing import write_map_rows
 from app.store.models import CityMap, Drive, MapDrive, MapPlace
 from interloc.errors import InterLocError
 
-_LOOK_S = 1.0
-_LOOK_AT_ALL_S = 10.0  # for what no row tells: files that are gone, or were put past this server
+_LOOK_S = 5.0  # in which what another server changed is found, and files that are gone
+_HOLD_S = 1.0  # in which a lease is renewed, and what was left is tried again
 _AGAIN_S = 5.0
 _OWNER = "maps"
 _log = logging.getLogger(__name__)
@@ -40,69 +38,44 @@ class _LostError(Exception):
     """The lease is lost, or the server stops."""
 
 
-class Merger:
-    """Brings maps up to date, one after the other, from `start` to `stop`."""
+class Merger(Helper):
+    """Brings maps up to date, one after the other; one that is at work when it stops is done again later."""
 
     def __init__(self, context: Context, runner: Runner) -> None:
+        super().__init__("maps", context.maps_changed)
         self._context = context
         self._runner = runner
         self._lease = secrets.token_hex(8)
-        self._stopping = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="maps", daemon=True)
 
-    def start(self) -> None:
-        """Begin, in the background."""
-        self._thread.start()
-
-    def stop(self) -> None:
-        """End; a map that is at work is left as it was, and done again later."""
-        self._stopping.set()
-        self._context.maps_changed.set()
-        self._thread.join(5)
-
-    def _run(self) -> None:
-        seen: tuple[Any, ...] | None = None
-        looked = 0.0
-        while not self._stopping.is_set():
-            is_told = self._context.maps_changed.wait(_LOOK_S)
+    def run(self) -> None:
+        """Do so."""
+        is_behind = True
+        while not self.stopping.is_set():
+            self._context.maps_changed.wait(_HOLD_S if is_behind else _LOOK_S)
             self._context.maps_changed.clear()
             with suppress(SQLAlchemyError):  # the database is told of elsewhere
-                with self._context.database.reading() as session:
-                    now = state_of_all(session)
-                if now != seen or is_told or time.monotonic() > looked + _LOOK_AT_ALL_S:
-                    seen = None if self._look() else now
-                    looked = time.monotonic()
+                is_behind = self._look()
 
     def _look(self) -> bool:
         """Bring up to date what is not; return whether anything was not."""
         with self._context.database.reading() as session:
             cities = session.scalars(select(CityMap).order_by(CityMap.created_at)).all()
             standings = standings_of(session, self._context, cities)
-        waiting = [city.id for city in cities if standings[city.id].is_waiting(city)]
-        for map_id in waiting:
-            if self._stopping.is_set():
+        waiting = [city for city in cities if standings[city.id].is_waiting(city)]
+        for city in waiting:
+            if self.stopping.is_set():
                 break
-            self._look_at(map_id)
+            bring = self._merge if standings[city.id].is_stale else self._audit
+            try:
+                bring(city, standings[city.id])
+            except _LostError:
+                pass
+            except SQLAlchemyError as error:
+                _log.warning("map %s: not brought up to date, tried again: %s", city.id, error)
+            except Exception:  # noqa: BLE001 - the others go on
+                _log.exception("map %s: not brought up to date, tried again later", city.id)
+                self.stopping.wait(_AGAIN_S)
         return bool(waiting)
-
-    def _look_at(self, map_id: str) -> None:
-        try:
-            with self._context.database.reading() as session:
-                city = session.get(CityMap, map_id)
-                standing = None if city is None else standings_of(session, self._context, [city])[map_id]
-            if city is None or standing is None:
-                return
-            if standing.is_stale:
-                self._merge(city, standing)
-            elif standing.is_waiting(city):
-                self._audit(city, standing)
-        except _LostError:
-            pass
-        except SQLAlchemyError as error:
-            _log.warning("map %s: not brought up to date, tried again: %s", map_id, error)
-        except Exception:  # noqa: BLE001 - the others go on
-            _log.exception("map %s: not brought up to date, tried again later", map_id)
-            self._stopping.wait(_AGAIN_S)
 
     def _merge(self, city: CityMap, standing: Standing) -> None:
         storage = self._context.storage
@@ -156,8 +129,8 @@ class Merger:
             raise _LostError
         seconds = self._context.settings.job_stage_s
         future: Future[Outcome] = self._runner.submit(function, *args, client=_OWNER, seconds=seconds)
-        while not wait({future}, timeout=_LOOK_S).done:
-            if self._stopping.is_set():
+        while not wait({future}, timeout=_HOLD_S).done:
+            if self.stopping.is_set():
                 future.cancel()
                 self._end(city.id, None)
                 raise _LostError

@@ -7,18 +7,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from sqlalchemy import case, func, select
+from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from app.context import Context
 from app.http.problem_types import NO_SUCH_MAP
 from app.http.problems import Problem
-from app.jobs.view import chosen_results, is_alive
+from app.jobs.view import chosen_results
 from app.maps.models import MapModel
 from app.maps.work import CITY
-from app.states import JobKind, JobState
 from app.store.database import moment
-from app.store.models import CityMap, Drive, FeatureLayer, Job, MapDrive, MapVerdict
+from app.store.models import CityMap, FeatureLayer, Job, MapDrive, MapVerdict
 from app.store.storage import Storage
 from interloc.city.models import Judgement, wrong_ones
 from interloc.osm.container import is_map
@@ -69,26 +68,10 @@ class Standing:
         return self.is_stale or (self.audit_key is not None and self.audit_key != city.audited)
 
 
-def state_of_all(session: Session) -> tuple[Any, ...]:
-    """Return what differs where a row does that says what any map should hold or holds, or what is wrong."""
-    of = MapDrive.is_member
-    members = select(func.count(), func.count(of), func.count(case((of.is_(True), 1)))).select_from(MapDrive)
-    maps = select(func.count(), func.sum(CityMap.revision), func.count(CityMap.lease_owner))
-    verdicts = select(func.count(), func.sum(MapVerdict.at))
-    return *_state_of_jobs(session), *(tuple(session.execute(each).one()) for each in (members, maps, verdicts))
-
-
-def _state_of_jobs(session: Session) -> tuple[Any, ...]:
-    is_result = (Job.kind == JobKind.INTERSECTIONS, Job.state == JobState.SUCCESSFUL, is_alive())
-    of_jobs = select(func.count(), func.sum(Job.finished_at)).join(Drive, Drive.id == Job.drive_id).where(*is_result)
-    pinned = select(Drive.id, Drive.pinned_job).where(Drive.pinned_job.is_not(None))
-    return tuple(frozenset(map(tuple, session.execute(each))) for each in (of_jobs, pinned))
-
-
 def standings_of(session: Session, context: Context, cities: Sequence[CityMap]) -> dict[str, Standing]:
     """Compare what maps should hold with what they hold: a few queries for however many maps."""
     of_these = [city.id for city in cities]
-    jobs = _chosen(session, context)
+    jobs = _chosen(session)
     rows: dict[str, dict[str, MapDrive]] = defaultdict(dict)
     for row in session.scalars(select(MapDrive).where(MapDrive.map_id.in_(of_these))):
         rows[row.map_id][row.drive_id] = row
@@ -101,17 +84,11 @@ def standings_of(session: Session, context: Context, cities: Sequence[CityMap]) 
     }
 
 
-def _chosen(session: Session, context: Context) -> dict[str, tuple[int, Any]]:
-    """Return the job that stands for each drive, with its place in their order; ranked where something changed."""
-    state = _state_of_jobs(session)
-    known = context.map_jobs.get(state)
-    if known is None:
-        columns = (Job.id, Job.drive_id, Job.request["osm"]["file"].as_string().label("osm"))
-        asked = chosen_results().with_only_columns(*columns).order_by(Job.created_at, Job.id)
-        known = {job.drive_id: (place, job) for place, job in enumerate(session.execute(asked))}
-        context.map_jobs.clear()
-        context.map_jobs[state] = known
-    return known
+def _chosen(session: Session) -> dict[str, tuple[int, Any]]:
+    """Return the job that stands for each drive, with its place in their order."""
+    columns = (Job.id, Job.drive_id, Job.request["osm"]["file"].as_string().label("osm"))
+    asked = chosen_results().with_only_columns(*columns).order_by(Job.created_at, Job.id)
+    return {job.drive_id: (place, job) for place, job in enumerate(session.execute(asked))}
 
 
 def judgements_of(session: Session, maps: Sequence[str]) -> dict[str, list[Judgement]]:

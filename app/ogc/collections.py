@@ -7,8 +7,8 @@ from typing import Any
 from sqlalchemy import Table
 
 from app.results.models import collection_id
-from app.store.features import OF_MAPS, OF_RESULTS
-from app.work.layers import FOOTPRINTS, RESULT_LAYERS
+from app.store.models import OF_MAPS, OF_RESULTS
+from app.work.layers import RESULT_LAYERS
 from interloc.output.layers import CITY_LAYERS, Layer
 from interloc.output.properties import ORIGIN, Attribute, ResultProperties, attributes_of
 
@@ -29,7 +29,6 @@ _KINDS: dict[str, dict[str, Any]] = {
 }
 _DRAFT = "https://json-schema.org/draft/2020-12/schema"
 _SHAPES = {"Point": "point", "LineString": "any", "Polygon": "any"}  # lines and areas may have several parts
-_SPANS = {"time": "primary-instant", "first_time": "primary-interval-start", "last_time": "primary-interval-end"}
 
 
 @dataclass(frozen=True)
@@ -74,17 +73,11 @@ class Collection:
         """Whether its features are points."""
         return self.layer.geometry == "Point"
 
-    def schema(self, address: str) -> dict[str, Any]:
-        """Return the JSON schema of its features (OGC API - Features, part 5), which stands at this address."""
-        return self._document(address, [each.name for each in self.attributes])
-
     def feature_schema(self, address: str) -> dict[str, Any]:
         """Return the JSON schema of its features as GeoJSON, from which GDAL takes the types of properties.
 
         Lists are left out: GDAL would take them for texts, where it knows better by looking at features.
         """
-        described = {each.name: schema_of(each) for each in self.attributes}
-        plain = {each.name for each in self.attributes if each.kind != "list"}
         return {
             **self._head(address),
             "required": ["type", "geometry", "properties"],
@@ -92,13 +85,18 @@ class Collection:
                 "type": {"type": "string", "const": "Feature"},
                 "id": {"type": "string"},
                 "geometry": {"$ref": f"https://geojson.org/schema/{'Point' if self.is_point else 'Geometry'}.json"},
-                "properties": {"type": "object", "properties": {k: v for k, v in described.items() if k in plain}},
+                "properties": {"type": "object", "properties": self._described()},
             },
         }
 
     def queryables_schema(self, address: str) -> dict[str, Any]:
         """Return the JSON schema of what filters may name (part 3), which stands at this address."""
-        return self._document(address, list(self.queryables))
+        shape = {"x-ogc-role": "primary-geometry", "format": f"geometry-{_SHAPES[self.layer.geometry]}"}
+        properties = {GEOMETRY: shape, **self._described()}
+        return {**self._head(address), "properties": properties, "additionalProperties": False}
+
+    def _described(self) -> dict[str, Any]:
+        return {each.name: schema_of(each) for each in self.attributes if each.kind != "list"}
 
     def _head(self, address: str) -> dict[str, Any]:
         return {
@@ -107,15 +105,6 @@ class Collection:
             "title": self.layer.title,
             "description": self.layer.description,
             "type": "object",
-        }
-
-    def _document(self, address: str, names: list[str]) -> dict[str, Any]:
-        shape = {"x-ogc-role": "primary-geometry", "format": f"geometry-{_SHAPES[self.layer.geometry]}"}
-        described = {each.name: schema_of(each) for each in self.attributes}
-        return {
-            **self._head(address),
-            "properties": {GEOMETRY: shape, **{name: described[name] for name in names}},
-            "additionalProperties": False,
         }
 
 
@@ -133,8 +122,6 @@ def schema_of(attribute: Attribute) -> dict[str, Any]:
     described = {"title": attribute.title, "description": attribute.description, **_KINDS[_kind_of(attribute)]}
     if attribute.unit is not None:
         described["x-ogc-unit"] = attribute.unit
-    if attribute.name in _SPANS:
-        described["x-ogc-role"] = _SPANS[attribute.name]
     return described
 
 
@@ -142,16 +129,7 @@ OF_JOB = {each.id: each for each in (Collection(collection_id(layer), layer) for
 """The collections of one job, as far as its result has them, by their ids."""
 
 OF_ALL = {
-    name: OF_JOB[name]
-    for name in (
-        "intersections",
-        "detections",
-        "keyframes",
-        "trajectories",
-        FOOTPRINTS.name,
-        "osm_nodes",
-        "matches",
-    )
+    name: OF_JOB[name] for name in ("intersections", "detections", "keyframes", "trajectories", "osm_nodes", "matches")
 }
 """The collections of the results that stand for all drives."""
 

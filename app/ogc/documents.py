@@ -18,7 +18,6 @@ OPENAPI = "application/vnd.oai.openapi+json;version=3.0"
 
 _PART_1 = "http://www.opengis.net/spec/ogcapi-features-1/1.0/conf"
 _PART_3 = "http://www.opengis.net/spec/ogcapi-features-3/1.0/conf"
-_PART_5 = "http://www.opengis.net/spec/ogcapi-features-5/1.0/conf"
 _CQL2 = "http://www.opengis.net/spec/cql2/1.0/conf"
 _COMMON = "http://www.opengis.net/spec/ogcapi-common"
 
@@ -27,7 +26,6 @@ CONFORMS_TO = [
     f"{_COMMON}-2/1.0/conf/collections",
     *(f"{_PART_1}/{name}" for name in ("core", "geojson")),
     *(f"{_PART_3}/{name}" for name in ("queryables", "filter", "features-filter")),
-    *(f"{_PART_5}/{name}" for name in ("schemas", "core-roles-features")),
     *(
         f"{_CQL2}/{name}"
         for name in (
@@ -137,7 +135,6 @@ class Place:
             "links": [
                 _link("self", address, "application/json", collection.layer.title),
                 _link("items", f"{address}/items", GEOJSON, "The features"),
-                _link("http://www.opengis.net/def/rel/ogc/1.0/schema", f"{address}/schema", SCHEMA, "Schema"),
                 _link("describedBy", f"{address}/feature-schema", SCHEMA, "Schema of the GeoJSON"),  # as GDAL spells it
                 _link("http://www.opengis.net/def/rel/ogc/1.0/queryables", f"{address}/queryables", SCHEMA, "Filters"),
                 *license_,
@@ -153,7 +150,7 @@ class Place:
             _link("describedby", f"{address}/feature-schema", SCHEMA, "Schema of the GeoJSON"),
         ]
         if following is not None:
-            rest = [(name, value) for name, value in asked if name not in {"after", "offset"}]
+            rest = [(name, value) for name, value in asked if name != "after"]
             links.append(_link("next", f"{address}/items{_query([*rest, ('after', following)])}", GEOJSON, "Next page"))
         head = {
             "type": "FeatureCollection",

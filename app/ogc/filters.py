@@ -1,7 +1,7 @@
 """Filters in CQL2 (OGC 21-065): read by the package cql2, bounded, and translated to SQL.
 
-The truth of SQL is that of CQL2: what compares with null is neither true nor false. Spatial operators find candidates
-by their boxes; whether these touch a geometry is decided afterwards, where the boxes alone do not tell.
+The truth of SQL is that of CQL2: what compares with null is neither true nor false. A spatial condition is one on the
+box of a feature, which is the feature itself where it is a point.
 """
 
 import json
@@ -16,7 +16,7 @@ from typing import Any, Literal
 import cql2
 from sqlalchemy import BigInteger, ColumnElement, Text, and_, cast, false, func, literal, not_, or_, true
 
-from app.http.parameters import refusal
+from app.http.parameters import Box, refusal
 from app.http.problem_types import FILTER_NOT_VALID
 from app.http.problems import Problem
 from app.ogc.collections import GEOMETRY, Collection
@@ -29,16 +29,11 @@ MAX_CHARACTERS = 16_000
 MAX_DEPTH = 24
 MAX_NODES = 300
 """Operators, properties and values of a filter."""
-MAX_SPATIAL = 8
-"""Spatial operators of a filter."""
-MAX_VERTICES = 2000
-"""Vertices of all its geometries."""
 
 CRS84 = "http://www.opengis.net/def/crs/OGC/1.3/CRS84"
 
 _MAX_WORDS = 2 * MAX_NODES
 _QUOTED = re.compile(r"'[^']*'|\"[^\"]*\"")
-_COORDINATES = re.compile(r"\([-+0-9.eE,()\s]*\)")
 _ILIKE = re.compile(r"\b(?P<name>\w+) +ILIKE +(?P<pattern>'(?:[^']|'')*')|'(?:[^']|'')*'", re.IGNORECASE)
 _WORD = re.compile(r"\w[\w.]*|[^\w\s,()]")
 _GEOMETRY = {"property": GEOMETRY}
@@ -57,7 +52,7 @@ def read_filter(content: str, language: Language) -> Any:  # noqa: ANN401 - JSON
         content = _ILIKE.sub(_without_ilike, content)
     if _nesting(content) > MAX_DEPTH:  # before any parser sees it: theirs are recursive
         raise bad_filter(f"It is nested deeper than {MAX_DEPTH} levels.")
-    words = _WORD.finditer(_COORDINATES.sub(" ", _QUOTED.sub("x", content)))  # chains of them are nested, too
+    words = _WORD.finditer(_QUOTED.sub("x", content))  # chains of them are nested, too
     if language != "cql2-json" and sum(1 for _ in words) > _MAX_WORDS:
         raise bad_filter(f"It is larger than {MAX_NODES} parts.")
     try:
@@ -177,32 +172,25 @@ class Translator:
     collection: Collection
     columns: Mapping[str, ColumnElement[Any]]
     """Of each queryable."""
-    touches: Callable[[tuple[float, ...]], ColumnElement[bool]]
-    """Returns the condition that the box of a feature touches west, south, east, north."""
+    near: Callable[[Box], ColumnElement[bool]]
+    """Returns the condition that the box of a feature touches another one."""
     is_sqlite: bool
-    exact: list[Any] = field(default_factory=list)
-    """Geometries that features must touch, too: the conditions hold for all whose boxes do."""
     used: set[str] = field(default_factory=set)
     """Names of the properties in the conditions."""
-    _spatials: int = 0
-    _vertices: int = 0
 
-    def conditions(self, tree: Any) -> list[ColumnElement[bool]]:  # noqa: ANN401 - JSON
-        """Return the conditions of a filter, all of which must hold; a 400 for what it cannot hold."""
-        return [self._truth(each, is_alone=True) for each in conjuncts(tree)]
-
-    def _truth(self, node: Any, *, is_alone: bool = False) -> ColumnElement[bool]:  # noqa: ANN401 - JSON
+    def condition(self, node: Any) -> ColumnElement[bool]:  # noqa: ANN401 - JSON
+        """Return the condition of a filter; a 400 for what it cannot hold."""
         if isinstance(node, bool):
             return true() if node else false()
         name, arguments = self._operation(node) if isinstance(node, dict) else ("", [])
         if name in _COMPARISONS:
             return self._compared(name, *map(self._value, arguments))
         if name == "s_intersects":
-            return self._near(*arguments, is_alone=is_alone)
+            return self._near(*arguments)
         others: dict[str, Callable[..., ColumnElement[bool]]] = {
-            "and": lambda *parts: and_(*map(self._truth, parts)),
-            "or": lambda *parts: or_(*map(self._truth, parts)),
-            "not": lambda part: not_(self._truth(part)),
+            "and": lambda *parts: and_(*map(self.condition, parts)),
+            "or": lambda *parts: or_(*map(self.condition, parts)),
+            "not": lambda part: not_(self.condition(part)),
             "isnull": lambda part: (self.columns[GEOMETRY] if part == _GEOMETRY else self._value(part).sql).is_(None),
             "like": self._like,
             "between": self._between,
@@ -287,24 +275,12 @@ class Translator:
         globs = [signs[sign] if sign else re.sub(r"([*?[])", r"[\1]", one + other) for one, sign, other in pieces]
         return text.bool_op("GLOB")("".join(globs))
 
-    def _near(self, left: Any, right: Any, *, is_alone: bool) -> ColumnElement[bool]:  # noqa: ANN401
-        """Return the condition that the box of a feature touches that of a geometry."""
-        import shapely  # noqa: PLC0415 - an eighth of a second of start-up time
-
+    def _near(self, left: Any, right: Any) -> ColumnElement[bool]:  # noqa: ANN401
+        """Return the condition that the box of a feature touches a box or a point that the filter holds."""
         given = right if left == _GEOMETRY else left
-        if _GEOMETRY not in (left, right) or not isinstance(given, dict) or given == _GEOMETRY:
-            raise bad_filter(f"s_intersects compares {GEOMETRY} with a geometry that the filter holds.")
-        shape = _geometry_of(given)
-        self._spatials, self._vertices = self._spatials + 1, self._vertices + shapely.get_num_coordinates(shape)
-        if self._spatials > MAX_SPATIAL:
-            raise bad_filter(f"It has more than {MAX_SPATIAL} spatial operators.")
-        if self._vertices > MAX_VERTICES:
-            raise bad_filter(f"Its geometries have more than {MAX_VERTICES:,} vertices.")
-        if not ("bbox" in given and self.collection.is_point):  # boxes do not tell all
-            if not is_alone:
-                raise bad_filter("s_intersects can stand beside other conditions by and only, not within or and not.")
-            self.exact.append(shape)
-        return or_(*(self.touches(part.bounds) for part in shapely.get_parts(shape)))
+        if _GEOMETRY not in (left, right) or not isinstance(given, dict):
+            raise bad_filter(f"s_intersects compares {GEOMETRY} with a BBOX or a POINT.")
+        return self.near(_box_of(given))
 
 
 def _as_other(value: _Value, other: _Value) -> _Value:
@@ -331,31 +307,17 @@ def _time_of(text: str) -> _Value:
         raise bad_filter(f"{_shown(text)} is too far away.") from None
 
 
-def _geometry_of(given: dict[str, Any]) -> Any:  # noqa: ANN401 - a geometry of shapely
-    """Return a geometry that a filter holds; a 400 where it is not one of longitudes and latitudes."""
-    import shapely  # noqa: PLC0415 - an eighth of a second of start-up time
-
-    geometry: Any
-    try:
-        if "bbox" in given:
-            numbers = [float(each) for each in given["bbox"]]
-            west, south, east, north = numbers if len(numbers) == 4 else (*numbers[:2], *numbers[3:5])
-            if south > north:
-                raise bad_filter("The south of a bbox is not above its north.")
-            geometry = shapely.box(west, south, east + 360.0 * (west > east), north)
-            if west > east:
-                geometry = shapely.union(geometry, shapely.box(-180.0, south, east, north))
-        else:
-            geometry = shapely.geometry.shape(given)
-    except (shapely.errors.ShapelyError, ValueError, TypeError, KeyError, AttributeError, IndexError, OverflowError):
-        raise bad_filter(
-            f"{_shown(given)} is not a geometry, or has too few positions or rings that do not close."
-        ) from None
-    if not (abs(shapely.get_coordinates(geometry)) <= 540.0).all():
-        raise bad_filter("Positions are longitude and latitude, degrees.")
-    if geometry.is_empty or not geometry.is_valid:
-        raise bad_filter(f"It holds a geometry that is not valid: {shapely.is_valid_reason(geometry)[:100]}.")
-    return geometry
+def _box_of(given: dict[str, Any]) -> Box:
+    """Return the box that a filter holds, or that of its point; a 400 where it is none of longitudes and latitudes."""
+    place = given.get("bbox", given.get("coordinates") if given.get("type") == "Point" else None)
+    numbers = place if isinstance(place, list) and all(isinstance(each, int | float) for each in place) else []
+    corners = {2: (0, 1, 0, 1), 3: (0, 1, 0, 1), 4: (0, 1, 2, 3), 6: (0, 1, 3, 4)}.get(len(numbers))
+    if corners is None:
+        raise bad_filter(f"s_intersects takes a BBOX or a POINT here, and found {_shown(given)}.")
+    box = Box(*(float(numbers[each]) for each in corners))
+    if not box.is_on_earth:
+        raise bad_filter("Positions are longitude and latitude, degrees; the south of a BBOX is not above its north.")
+    return box
 
 
 def _shown(value: Any) -> str:  # noqa: ANN401

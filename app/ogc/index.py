@@ -15,8 +15,6 @@ from json.encoder import encode_basestring
 from operator import itemgetter
 from typing import Any, NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
 from sqlalchemy import (
     ColumnElement,
     Row,
@@ -24,7 +22,6 @@ from sqlalchemy import (
     and_,
     bindparam,
     case,
-    false,
     func,
     literal,
     or_,
@@ -39,11 +36,10 @@ from sqlalchemy.orm import Session
 from app.http.parameters import Box
 from app.jobs.view import chosen_results
 from app.ogc.collections import GEOMETRY, OF_ALL, OF_JOB, OF_MAP, Collection
-from app.ogc.filters import Translator, bad_filter, equalities
-from app.ogc.work import shapes_of, time_text
+from app.ogc.filters import Translator, bad_filter, conjuncts, equalities
+from app.ogc.work import time_text
 from app.store.database import moment
-from app.store.features import SOUGHT
-from app.store.models import Drive, FeatureLayer, Job
+from app.store.models import SOUGHT, Drive, FeatureLayer, Job
 from interloc.output.geojson import encode
 
 Interval = tuple[float, float]
@@ -75,10 +71,6 @@ class Query:
     """CQL2 JSON."""
     after: Key | None = None
     """Where the page begins: with the feature after this one."""
-    until: float | None = None
-    """Until when jobs had ended whose features are asked for, seconds since 1970, as the first page had them."""
-    offset: int = 0
-    """Or after so many, for clients that count by themselves."""
     limit: int = 100
 
 
@@ -112,8 +104,6 @@ class Source:
 
     job: str | None = None
     """Of this job; None: of the one that stands for each drive."""
-    until: float | None = None
-    """Among those that had ended then, seconds since 1970: so that all pages of a query are of the same jobs."""
     map: str | None = None
 
     @property
@@ -130,8 +120,7 @@ class Source:
         """Return the query for layers, joined with their drives."""
         if self.map is not None:
             return select(*columns).select_from(FeatureLayer).where(FeatureLayer.map_id == self.map)
-        ended = [] if self.until is None else [Job.finished_at <= self.until]
-        found = select(Job).where(Job.id == self.job) if self.job is not None else chosen_results(*ended)
+        found = select(Job).where(Job.id == self.job) if self.job is not None else chosen_results()
         jobs = found.with_only_columns(Job.id, Job.drive_id).subquery()
         return (
             select(*columns)
@@ -139,13 +128,6 @@ class Source:
             .join(FeatureLayer, FeatureLayer.job_id == jobs.c.id)
             .join(Drive, Drive.id == jobs.c.drive_id)
         )
-
-    def pinned(self, session: Session) -> Source:
-        """Return the source of these jobs and no later ones."""
-        if not self.is_of_all or self.until is not None:
-            return self
-        ends = chosen_results().with_only_columns(Job.finished_at).subquery()
-        return Source(until=session.scalar(select(func.max(ends.c.finished_at))))
 
 
 def extents(session: Session, source: Source) -> dict[str, Extent]:
@@ -218,9 +200,8 @@ class _Search:
         self._key = tuple_(table.c.layer_id, table.c.number)
         self._layers = _layers(session, source, collection, *self._conditions_on_layers())
         self._joined: Any = table
-        self._exact: list[tuple[Any, ColumnElement[bool] | None]] = []
-        """Geometries that features must touch, and where their boxes tell that they do."""
-        self._place, self._rest = list(self._conditions_on_place()), list(self._other_conditions())
+        self._place = [] if query.area is None else [self._near(query.area)]
+        self._rest = list(self._other_conditions())
 
     def _conditions_on_layers(self) -> Iterator[ColumnElement[bool]]:
         """Yield conditions that hold where one feature of a layer matches."""
@@ -232,17 +213,6 @@ class _Search:
         if self._source.map is None:
             names: dict[str, Any] = {"drive": Drive.name, "job": of.job_id}
             yield from (names[name] == str(value) for name, value in equalities(self._query.filter) if name in names)
-
-    def _conditions_on_place(self) -> Iterator[ColumnElement[bool]]:
-        if (area := self._query.area) is not None:
-            spans = [(each.west, each.east) for each in self._layers.values() if each.west is not None]
-            near = [part for part in area.parts if any(west <= part[2] and east >= part[0] for west, east in spans)]
-            yield or_(*(self._near(part) for part in near or area.parts[:1]))
-            if not self._collection.is_point:
-                import shapely  # noqa: PLC0415 - an eighth of a second of start-up time
-
-                within = or_(*(_within(self._box, part) for part in area.parts))
-                self._exact.append((shapely.union_all([shapely.box(*part) for part in area.parts]), within))
 
     def _other_conditions(self) -> Iterator[ColumnElement[bool]]:
         table = self._table.c
@@ -264,8 +234,7 @@ class _Search:
             columns |= {name: of_result.c[name] for name in _OF_RESULT}
         is_sqlite = self._session.get_bind().dialect.name == "sqlite"
         translator = Translator(self._collection, columns, self._near, is_sqlite=is_sqlite)
-        yield from translator.conditions(self._query.filter)
-        self._exact += [(shape, None) for shape in translator.exact]
+        yield from [translator.condition(each) for each in conjuncts(self._query.filter)]
         if of_result is not None and not translator.used.isdisjoint(_OF_RESULT):
             self._joined = self._table.join(of_result, of_result.c.id == self._table.c.layer_id)
 
@@ -274,10 +243,15 @@ class _Search:
         table = self._table.c
         return table.west, table.south, table.get("east", table.west), table.get("north", table.south)
 
-    def _near(self, part: Sequence[float]) -> ColumnElement[bool]:
+    def _near(self, area: Box) -> ColumnElement[bool]:
         """Return the condition that the box of a feature touches another one: a range of the index."""
+        spans = [(each.west, each.east) for each in self._layers.values() if each.west is not None]
+        near = [part for part in area.parts if any(west <= part[2] and east >= part[0] for west, east in spans)]
         widest = max((layer.width or 0.0 for layer in self._layers.values()), default=0.0)
-        return and_(self._table.c.west >= part[0] - widest - 1e-9, _touches(self._box, part))
+        west = self._table.c.west
+        return or_(
+            *(and_(west >= part[0] - widest - 1e-9, _touches(self._box, part)) for part in near or area.parts[:1])
+        )
 
     def _asked(self, *columns: Any, where: Sequence[ColumnElement[bool]]) -> Select[Any]:  # noqa: ANN401
         # Written into the query: databases take only some thousand parameters.
@@ -294,20 +268,20 @@ class _Search:
         near = sum(layer.features for layer in self._layers.values())
         if self._place or is_sought:
             near = self._count(conditions if is_sought else self._place)
-        is_small = near < _FEW and (is_sought or bool(self._place))
-        if self._exact or (is_small and conditions):
-            keys = self._touching()
-            start, (layer, number) = query.offset, query.after or (-1, -1)
-            start += int(np.sum((keys[:, 0] < layer) | ((keys[:, 0] == layer) & (keys[:, 1] <= number))))
-            return self._page(self._rows_of(keys[start : start + query.limit + 1].tolist()), len(keys))
+        after = (-1, -1) if query.after is None else tuple(query.after)
+        if near < _FEW and (is_sought or self._place):
+            # Plain tuples, sorted here: both are several times as fast.
+            found: Any = self._session.execute(self._asked(table.layer_id, table.number, where=conditions))
+            keys = sorted(map(tuple, found.cursor.fetchall()))
+            left = [key for key in keys if key > after]
+            return self._page(self._rows_of(left[: query.limit + 1]), len(keys))
         asked = self._asked(self._table, where=[case((and_(true(), *self._place), 1), else_=0) == 1, *self._rest])
         asked = asked.where(true() if query.after is None else self._key > tuple_(*query.after))
-        asked = asked.order_by(table.layer_id, table.number).limit(query.limit + 1).offset(query.offset)
-        rows = self._session.execute(asked).all()
+        rows = self._session.execute(asked.order_by(table.layer_id, table.number).limit(query.limit + 1)).all()
         if is_sought or not self._rest:
             return self._page(rows, near)
-        is_whole = query.after is None and len(rows) <= query.limit and (rows or not query.offset)
-        return self._page(rows, query.offset + len(rows) if is_whole else self._count(conditions))
+        is_whole = query.after is None and len(rows) <= query.limit
+        return self._page(rows, len(rows) if is_whole else self._count(conditions))
 
     def _page(self, rows: Sequence[Row[Any]], matched: int) -> Page:
         limit = self._query.limit
@@ -325,40 +299,10 @@ class _Search:
             rows += self._session.execute(asked.order_by(table.number)).all()
         return rows
 
-    def _touching(self) -> NDArray[np.int64]:
-        """Return the keys of all features that touch the geometries that are asked for, (N, 2), in their order."""
-        import shapely  # noqa: PLC0415 - an eighth of a second of start-up time
-
-        table = self._table.c
-        surely = and_(true(), *(false() if within is None else within for _, within in self._exact))
-        own = (table.west, table.south) if self._collection.is_point else (case((surely, None), else_=table.geometry),)
-        asked = self._asked(table.layer_id, table.number, *own, where=[*self._place, *self._rest])
-        # Plain tuples, sorted here: both are several times as fast where there are ten thousands.
-        rows: Any = self._session.execute(asked).cursor.fetchall()  # type: ignore[attr-defined]
-        if self._collection.is_point:
-            found = np.array(rows, dtype=np.float64).reshape(-1, 4)
-            keys = found[:, :2].astype(np.int64)
-        else:
-            keys = np.array([row[:2] for row in rows], dtype=np.int64).reshape(-1, 2)
-            shapes = shapes_of([row[2] for row in rows])
-        touching = np.ones(len(rows), dtype=np.bool_)
-        for shape, _ in self._exact:
-            shapely.prepare(shape)
-            if self._collection.is_point:
-                touching &= shapely.intersects_xy(shape, found[:, 2], found[:, 3])
-            else:
-                touching &= shapely.is_missing(shapes) | shapely.intersects(shape, shapes)
-        keys = keys[touching]
-        return keys[np.lexsort((keys[:, 1], keys[:, 0]))]
-
 
 def _touches(box: Sequence[Any], part: Sequence[float]) -> ColumnElement[bool]:
     west, south, east, north = box
     return and_(west <= part[2], east >= part[0], south <= part[3], north >= part[1])
-
-
-def _within(box: Sequence[Any], part: Sequence[float]) -> ColumnElement[bool]:
-    return and_(box[0] >= part[0], box[1] >= part[1], box[2] <= part[2], box[3] <= part[3])
 
 
 def _time_text(seconds: float) -> str:

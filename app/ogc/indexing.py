@@ -1,6 +1,6 @@
 """The rows of features follow the results: written when a job ends or a map is merged, and for older jobs later.
 
-The features of a job that goes to the trash stay, and are not shown; they go with its row.
+The features of jobs whose drive is in the trash stay, and are not shown; they go with its row.
 """
 
 import logging
@@ -15,8 +15,7 @@ from sqlalchemy.orm import Session
 from app.context import Context
 from app.ogc.work import LayerRows, is_on_earth, rows_of
 from app.states import JobKind, JobState
-from app.store.features import OF_MAPS, OF_RESULTS
-from app.store.models import FeatureLayer, Job
+from app.store.models import OF_MAPS, OF_RESULTS, FeatureLayer, Job
 from interloc.errors import InterLocError
 
 _AT_ONCE = 10_000  # rows

@@ -22,8 +22,7 @@ from app.jobs.view import choice_of, chosen_results, title_of
 from app.ogc.work import outline_of
 from app.results.models import MEDIA_TYPE
 from app.states import DriveState
-from app.store.features import OF_RESULTS
-from app.store.models import Drive, FeatureLayer, Job
+from app.store.models import OF_RESULTS, Drive, FeatureLayer, Job
 from app.store.storage import Storage
 from app.work.places import TRAJECTORY
 from interloc.errors import InterLocError

@@ -1,28 +1,115 @@
 """OGC API - Features: the pinned or best result of every drive at /ogc, and each result and each map by itself."""
 
 import json
+import math
+import re
 from collections.abc import Callable
 from dataclasses import replace
+from datetime import UTC, datetime
 from typing import Annotated, Any, Literal, cast
 
-from fastapi import APIRouter, Depends, Path, Query, Request, Response
+from fastapi import APIRouter, Depends, Path, Request, Response
+from fastapi import Query as Parameter
 
 from app.context import ContextDep
 from app.http.delivery import answer_tagged, service_address
 from app.http.openapi import TAGGED, get_and_head, problems
-from app.http.parameters import OF_ITS_DATA, refuse_others
+from app.http.parameters import OF_ITS_DATA, BoxFilter, refusal, refuse_others
 from app.http.patterns import ID
 from app.http.prices import priced
-from app.http.problem_types import NO_SUCH_COLLECTION, NO_SUCH_FEATURE, NO_SUCH_MAP
+from app.http.problem_types import NO_SUCH_COLLECTION, NO_SUCH_FEATURE, NO_SUCH_MAP, REQUEST_NOT_VALID
 from app.http.problems import Problem
 from app.ogc.collections import Collection
 from app.ogc.documents import GEOJSON, OPENAPI, SCHEMA, Place
-from app.ogc.filters import equals
-from app.ogc.index import Extent, Source, extents, find_feature, find_page
-from app.ogc.parameters import MAX_LIMIT, AskedDep, page_token
+from app.ogc.filters import CRS84, Language, equals, read_filter
+from app.ogc.index import Extent, Interval, Key, Query, Source, extents, find_feature, find_page
 from app.results.folder import ResultsDep
 from app.results.routes.results import PROBLEMS, JobId
 from app.store.models import CityMap
+
+DEFAULT_LIMIT = 1000
+"""Features on a page: QGIS 3.22 and GDAL 3.6 take the types of properties from the first one."""
+
+MAX_LIMIT = 10_000
+
+_TIME = re.compile(r"\d{4}-\d\d-\d\d([Tt ]\d\d:\d\d:\d\d(\.\d{1,9})?([Zz]|[+-]\d\d:\d\d))?")
+_KEY = r"^(\d{1,9})\.(\d{1,9})$"
+_Crs84 = Literal["http://www.opengis.net/def/crs/OGC/1.3/CRS84", "http://www.opengis.net/def/crs/OGC/0/CRS84h"]
+
+
+def _asked(
+    bbox: BoxFilter,
+    limit: Annotated[
+        int, Parameter(ge=1, description=f"Maximum number of features; more than {MAX_LIMIT:,} are never sent at once.")
+    ] = DEFAULT_LIMIT,
+    _bbox_crs: Annotated[_Crs84 | None, Parameter(alias="bbox-crs", description=f"{CRS84}, the only one.")] = None,
+    datetime_: Annotated[
+        str | None,
+        Parameter(
+            alias="datetime",
+            description="Only features of this time, or of an interval: 2026-01-31T12:00:00Z, 2026-01-31/2026-02-01, "
+            "../2026-01-31.",
+        ),
+    ] = None,
+    filter_: Annotated[
+        str | None,
+        Parameter(
+            alias="filter",
+            description="Only features for which this CQL2 expression is true, over the queryables of the collection. "
+            "A queryable that must have one value can also be a parameter itself: outcome=wrong.",
+            examples=["outcome = 'wrong' AND score > 0.9"],
+        ),
+    ] = None,
+    filter_lang: Annotated[
+        Language | None,
+        Parameter(
+            alias="filter-lang",
+            description="By default by the first character of the filter. cql-text is what GDAL sends.",
+        ),
+    ] = None,
+    _filter_crs: Annotated[_Crs84 | None, Parameter(alias="filter-crs", description=f"{CRS84}, the only one.")] = None,
+    after: Annotated[
+        str | None, Parameter(pattern=_KEY, description="Where the page begins: taken from the link `next`.")
+    ] = None,
+) -> Query:
+    language: Language = filter_lang or ("cql2-json" if (filter_ or "").lstrip().startswith("{") else "cql2-text")
+    return Query(
+        area=bbox,
+        interval=None if datetime_ is None else _interval(datetime_),
+        filter=None if filter_ is None else read_filter(filter_, language),
+        after=None if after is None else Key(*map(int, after.split("."))),
+        limit=min(limit, MAX_LIMIT),
+    )
+
+
+AskedDep = Annotated[Query, Depends(_asked)]
+
+
+def _wrong(name: str, value: str, expected: str) -> Problem:
+    return refusal(REQUEST_NOT_VALID, f"query.{name}", f"{value[:80]!r} is not valid. Expected {expected}.")
+
+
+_EXPECTED_TIME = "a time as 2026-01-31T12:00:00Z, a date, or two of them as begin/end, where .. leaves one open"
+
+
+def _interval(text: str) -> Interval:
+    begin, slash, end = text.partition("/")
+    first = _span(begin, text) if begin not in {"", ".."} or not slash else (-math.inf, -math.inf)
+    last = first if not slash else _span(end, text) if end not in {"", ".."} else (math.inf, math.inf)
+    if first[0] > last[1]:
+        raise _wrong("datetime", text, "the begin of an interval before its end")
+    return first[0], last[1]
+
+
+def _span(text: str, whole: str) -> Interval:
+    """Return the first and the last second of a time or a day."""
+    try:
+        time = datetime.fromisoformat(text.upper() if _TIME.fullmatch(text) else "")
+        begin = (time if time.tzinfo is not None else time.replace(tzinfo=UTC)).timestamp()
+    except (ValueError, OverflowError):
+        raise _wrong("datetime", whole, _EXPECTED_TIME) from None
+    return begin, begin if len(text) > 10 else begin + 86_400.0 - 1e-6
+
 
 _CollectionId = Annotated[
     str, Path(description="Name of the collection, as listed.", max_length=100, examples=["intersections"])
@@ -85,7 +172,7 @@ def _serve_map(map_id: MapId, request: Request, context: ContextDep) -> None:
 
 def _as_json(
     _format: Annotated[
-        Literal["json", "geojson"] | None, Query(alias="f", description="The form that every answer has.")
+        Literal["json", "geojson"] | None, Parameter(alias="f", description="The form that every answer has.")
     ] = None,
 ) -> None:
     """Take the parameter that many clients send to name the form they want."""
@@ -132,13 +219,6 @@ def _collection(collection_id: _CollectionId, served: _ServedDep) -> Response:
 
 
 @priced("cheap")
-def _schema(collection_id: _CollectionId, served: _ServedDep) -> Response:
-    """Describe the properties of the features: type, unit, title and meaning."""
-    found = served.collection(collection_id)
-    return served.answer(found.schema(served.place.of_collection(found, "schema")), SCHEMA)
-
-
-@priced("cheap")
 def _feature_schema(collection_id: _CollectionId, served: _ServedDep) -> Response:
     """Describe the features as they are in GeoJSON, for programs such as GDAL."""
     found = served.collection(collection_id)
@@ -165,9 +245,8 @@ def _items(collection_id: _CollectionId, request: Request, served: _ServedDep, a
         parts = [equals(name, value, found.queryables[name]) for name, value in named]
         asked = replace(asked, filter={"op": "and", "args": [*parts, True if asked.filter is None else asked.filter]})
     with served.database.reading() as session:
-        source = replace(served.source, until=asked.until).pinned(session)
-        page = find_page(session, source, found, asked)
-    following = None if page.next is None else page_token(page.next, source.until)
+        page = find_page(session, served.source, found, asked)
+    following = None if page.next is None else str(page.next)
     return served.answer(served.place.items(found, page, request.query_params.multi_items(), following), GEOJSON)
 
 
@@ -192,7 +271,6 @@ _ADDRESSES: tuple[tuple[str, Callable[..., Response], str, str], ...] = (
     ("/conformance", _conformance, _JSON, "What the interface keeps to"),
     ("/collections", _collections, _JSON, "List the layers"),
     (_ONE, _collection, _JSON, "Describe a layer"),
-    (f"{_ONE}/schema", _schema, SCHEMA, "Describe the features of a layer"),
     (f"{_ONE}/feature-schema", _feature_schema, SCHEMA, "Describe the GeoJSON of a layer"),
     (f"{_ONE}/queryables", _queryables, SCHEMA, "Describe what filters may name"),
     (f"{_ONE}/items", _items, GEOJSON, "Give the features of a layer"),

@@ -12,19 +12,17 @@ from typing import Any
 
 import numpy as np
 
-from app.work.layers import FOOTPRINTS, RESULT_LAYERS, own_attributes
+from app.work.layers import RESULT_LAYERS, own_attributes
 from interloc.arrays import FloatArray
 from interloc.output.credits import OWN_CREDIT
 from interloc.output.derived import derived_features
-from interloc.output.geojson import DEGREE_DECIMALS, cut, damaged, encode, joined, positions, read_json
+from interloc.output.geojson import cut, damaged, encode, joined, positions, read_json
 from interloc.output.layers import CITY_LAYERS, DERIVED, LAYERS, Layer
 from interloc.output.layout import RUN_FILE, file_names
 
 MAX_OUTLINE = 300
 """Positions of the simplified line of a track."""
 
-_FOOTPRINT_M = 25.0
-_FOOTPRINT_TOLERANCE_M = 2.0
 _OUTLINE_TOLERANCE_M = 1.0
 _OUTLINE_DECIMALS = 6  # 0.1 m
 _METRES_PER_DEGREE = 111_320.0
@@ -60,7 +58,6 @@ def rows_of(folder: Path) -> Iterator[LayerRows]:
         for name in DERIVED:
             features = derived_features(name, intersections)
             collections[name] = {"features": [{**each, "geometry": cut(each["geometry"])} for each in features]}
-        collections[FOOTPRINTS.name] = _footprint(collections, run)
         for name, collection in collections.items():
             yield _layer_rows(RESULT_LAYERS[name], collection, run)
     except (KeyError, TypeError, ValueError, AttributeError, shapely.errors.ShapelyError) as error:
@@ -165,18 +162,11 @@ def _boxes(layer: Layer, geometries: list[dict[str, Any] | None]) -> FloatArray:
         return np.tile(np.array(points, dtype=np.float64).reshape(-1, 2), 2)
     import shapely  # noqa: PLC0415 - an eighth of a second of start-up time
 
-    return shapely.bounds(shapes_of([None if each is None else json.dumps(each) for each in geometries])).reshape(-1, 4)
-
-
-def shapes_of(texts: list[str | None]) -> Any:  # noqa: ANN401 - an array of geometries of shapely
-    """Return geometries of GeoJSON; those across the 180th meridian go on beyond 180 degrees."""
-    import shapely  # noqa: PLC0415 - an eighth of a second of start-up time
-
-    shapes = shapely.from_geojson(texts)
-    boxes = shapely.bounds(shapes).reshape(-1, 4)
-    for row in np.flatnonzero(boxes[:, 2] - boxes[:, 0] > 180.0).tolist():
-        shapes[row] = shapely.transform(shapes[row], lambda xy: xy + [360.0, 0.0] * (xy[:, :1] < 0))
-    return shapes
+    shapes = shapely.from_geojson([None if each is None else json.dumps(each) for each in geometries])
+    boxes: FloatArray = shapely.bounds(shapes).reshape(-1, 4)
+    for row in np.flatnonzero(boxes[:, 2] - boxes[:, 0] > 180.0).tolist():  # across the 180th meridian: on beyond it
+        boxes[row] = shapely.bounds(shapely.transform(shapes[row], lambda xy: xy + [360.0, 0.0] * (xy[:, :1] < 0)))
+    return boxes
 
 
 def outline_of(features: list[dict[str, Any]]) -> dict[str, Any] | None:
@@ -203,44 +193,3 @@ def simplified(lonlat: FloatArray) -> FloatArray:
             break
         tolerance_m *= 2
     return lonlat
-
-
-def _footprint(collections: dict[str, dict[str, Any]], run: dict[str, Any]) -> dict[str, Any]:
-    """Return the layer of the area that was driven through: one feature."""
-    (track,) = collections["trajectory"]["features"]
-    properties = {
-        "scans": track["properties"]["scans"],
-        **{name: len(collections[name]["features"]) for name in ("keyframes", "detections", "intersections")},
-        "first_time": run.get("first_time"),
-        "last_time": run.get("last_time"),
-    }
-    geometry = None if track["geometry"] is None else _surroundings(track["geometry"])
-    feature = {"type": "Feature", "id": "drive", "geometry": geometry, "properties": properties}
-    return {"features": [feature], "attribution": OWN_CREDIT.attribution}
-
-
-def _surroundings(track: dict[str, Any]) -> dict[str, Any]:
-    import shapely  # noqa: PLC0415 - an eighth of a second of start-up time
-
-    (line,) = shapes_of([json.dumps(track)])
-    west, south, east, north = line.bounds
-    metres = _METRES_PER_DEGREE * np.array([max(np.cos(np.radians((south + north) / 2)), 1e-6), 1.0])
-    plane = shapely.transform(line, lambda xy: (xy - [west, south]) * metres).simplify(_FOOTPRINT_TOLERANCE_M)
-    area = plane.buffer(_FOOTPRINT_M, quad_segs=3).simplify(_FOOTPRINT_TOLERANCE_M)
-    area = shapely.orient_polygons(shapely.transform(area, lambda xy: xy / metres + [west, south]))
-    if east > 180.0:
-        area = _split(area)
-    rounded = shapely.transform(area, lambda xy: np.round(xy, DEGREE_DECIMALS))
-    found: dict[str, Any] = json.loads(shapely.to_geojson(rounded))
-    return found
-
-
-def _split(area: Any) -> Any:  # noqa: ANN401 - a polygon
-    """Cut an area at the 180th meridian (RFC 7946, 3.1.9)."""
-    import shapely  # noqa: PLC0415 - an eighth of a second of start-up time
-
-    before = shapely.intersection(area, shapely.box(-360.0, -90.0, 180.0, 90.0))
-    after = shapely.intersection(area, shapely.box(180.0, -90.0, 540.0, 90.0))
-    after = shapely.transform(after, lambda xy: xy - [360.0, 0.0])
-    parts = [part for each in (before, after) for part in shapely.get_parts(each)]
-    return shapely.multipolygons(parts)

@@ -1,6 +1,6 @@
-"""Endpoints: deleting of drives and jobs, and the trash to which they go."""
+"""Endpoints: deleting of drives and jobs, and the trash to which drives go."""
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from fastapi import APIRouter, Path, Query, Request, Response
 
@@ -16,15 +16,10 @@ from app.jobs.queue import cancel
 from app.jobs.view import find_job, job_models
 from app.states import FINAL
 from app.trash import deletion as trash
-from app.trash.deletion import TrashItem, TrashKind, TrashList
+from app.trash.deletion import TrashItem, TrashList
 
 router = APIRouter(prefix="/trash", tags=["Trash"])
 of_items = APIRouter()
-
-Kind = Annotated[TrashKind, Path(description="What it is.")]
-Id = Annotated[str, Path(max_length=64, description="Id of the drive or job.")]
-
-NOT_THERE = problems({404: "It is not in the trash.", 409: "The drive of the job is in the trash itself."})
 
 
 @of_items.delete(
@@ -53,7 +48,7 @@ def delete_drive(
         **jobs.NOT_FOUND,
         200: {"description": "It has ended, by this request or earlier."},
         202: {"model": JobModel, "description": "It is being cancelled; it ends within seconds."},
-        204: {"description": "The job and its results are in the trash."},
+        204: {"description": "The job and its results are gone."},
         **problems({409: "It has not ended, so it cannot be removed."}),
     },
 )
@@ -64,12 +59,9 @@ def delete_job(
     response: Response,
     context: ContextDep,
     client: ClientDep,
-    purge: Annotated[bool, Query(description="Move a job that has ended to the trash, with its results.")] = False,
+    purge: Annotated[bool, Query(description="Delete a job that has ended for good, with its results.")] = False,
 ) -> JobModel | Response:
-    """Cancel a job that waits or runs; one that has ended stays as it is, unless it is to be removed.
-
-    What is removed can be restored for some days (POST /api/v1/trash/jobs/{id}/restore).
-    """
+    """Cancel a job that waits or runs; one that has ended stays as it is, unless it is to be removed, for good."""
     request.state.action = "remove_job" if purge else "cancel_job"
     if purge:
         trash.delete_job(context, job_id, client)
@@ -93,9 +85,8 @@ def list_trash(
     after: Annotated[str | None, Query(max_length=100, description="`next` of the previous page.")] = None,
     limit: Annotated[int, Query(ge=1, le=1000)] = 100,
 ) -> Response:
-    """List deleted drives and jobs, the last deleted first. Jobs of a deleted drive come and go with it."""
-    page = trash.list_trash(context, after, limit)
-    return answer_page(request, page)
+    """List deleted drives, the last deleted first. Their jobs come and go with them."""
+    return answer_page(request, trash.list_trash(context, after, limit))
 
 
 @router.delete("", status_code=204, summary="Empty the trash")
@@ -105,15 +96,18 @@ def empty_trash(context: ContextDep, _client: ClientDep) -> None:
     trash.empty_trash(context)
 
 
-@router.post("/{kind}/{item_id}/restore", responses=NOT_THERE, summary="Restore from the trash")
+@router.post(
+    "/{kind}/{item_id}/restore",
+    responses=problems({404: "It is not in the trash."}),
+    summary="Restore from the trash",
+)
 @priced("cheap")
-def restore_item(kind: Kind, item_id: Id, context: ContextDep, _client: ClientDep) -> TrashItem:
-    """Take a drive with its jobs and their results, or a job with its results, out of the trash."""
-    return trash.restore(context, kind, item_id)
-
-
-@router.delete("/{kind}/{item_id}", status_code=204, responses=NOT_THERE, summary="Delete for good")
-@priced("heavy", bound="one drive or job")
-def purge_item(kind: Kind, item_id: Id, context: ContextDep, _client: ClientDep) -> None:
-    """Delete a drive or a job of the trash for good, now."""
-    trash.purge_item(context, kind, item_id)
+def restore_item(
+    kind: Annotated[Literal["drives"], Path(description="What it is.")],
+    item_id: Annotated[str, Path(max_length=64, description="Id of the drive.")],
+    context: ContextDep,
+    _client: ClientDep,
+) -> TrashItem:
+    """Take a drive with its jobs and their results out of the trash."""
+    del kind
+    return trash.restore(context, item_id)

@@ -1,7 +1,7 @@
 """Backups, made while servers run, and their restoration.
 
-A backup is a folder in the layout of a data folder, with all rows in ``backup.sqlite3``, whatever database the service
-uses, and ``backup.json``, which says of what it is a backup and whether it is complete.
+A backup is a new folder in the layout of a data folder, with all rows in ``backup.sqlite3``, whatever database the
+service uses, and ``backup.json``, which says of what it is a backup; it is written last, once all else is on disk.
 
 The rows come first, as of one moment, then the files that they stand for, as second names (hard links) or copies. No
 file of a data folder is ever changed in place: each is written under another name, then renamed, and its row is written
@@ -10,8 +10,6 @@ the only way to miss it is that the service has removed or replaced it since: a 
 deleted or sent anew. Such a file is missed, or its size or time is not that of its row. Then rows and files are taken
 once more; what is there already stays, so each round is shorter than the one before, and what a service removes is soon
 outrun. What two rounds in a row miss is not there in the service itself: the backup names it, and is complete without.
-
-``backup.json`` says that the backup is not complete until all of that has come to its end and is on disk.
 """
 
 import os
@@ -19,13 +17,11 @@ import shutil
 import sqlite3
 import tempfile
 from collections.abc import Callable, Collection, Iterator, Sequence
-from contextlib import closing, contextmanager, suppress
-from dataclasses import dataclass
+from contextlib import closing, contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Literal, Self
 
-from filelock import FileLock, Timeout
 from pydantic import BaseModel, ValidationError
 from sqlalchemy import Connection, func, insert, inspect, select, update
 from sqlalchemy.exc import DBAPIError, SQLAlchemyError
@@ -45,8 +41,6 @@ from interloc.pipeline import versions
 DATABASE = "backup.sqlite3"
 RECORD = "backup.json"
 
-_LOCK = "lock"
-_PARTIAL = "partial"  # file that is being brought
 _ROUNDS = 10
 _ROWS_AT_ONCE = 1000
 _SHOWN = 3
@@ -65,8 +59,8 @@ class BackupRecord(BaseModel):
     """Of InterLoc."""
     begun_at: datetime
     ended_at: datetime | None = None
-    complete: bool = False
-    """Whether the backup went to its end; the other figures are those of its end."""
+    complete: bool = True
+    """False: a version before was stopped while it made it."""
     drives: int = 0
     jobs: int = 0
     files: int = 0
@@ -87,71 +81,55 @@ class BackupRecord(BaseModel):
                 "version of InterLoc."
             ) from error
 
-    def write(self, folder: Path) -> None:
-        """Write the record of a backup, once all else is on disk."""
-        os.sync()
-        with atomic_write(folder / RECORD) as file:
-            file.write(self.model_dump_json(indent=2).encode() + b"\n")
 
+def back_up(context: Context, out: Path, advance: Advance) -> BackupRecord:
+    """Make a backup in a new or empty folder, while servers may run; return its record.
 
-@dataclass(frozen=True)
-class BackupReport:
-    """What a backup has done."""
-
-    record: BackupRecord
-    brought_files: int
-    brought_bytes: int
-    """What was not there from an earlier backup."""
-    removed_files: int
-    """What an earlier backup had and the service has no longer."""
-
-
-def back_up(context: Context, out: Path, advance: Advance) -> BackupReport:
-    """Make a backup in a new or empty folder, or bring an older one of the same service up to date; servers may run.
-
-    A `ConfigError` refuses another folder, or one that lies where it cannot be a backup of this data folder. After an
-    `OutputError`, as on a full disk, the next backup goes on from there.
+    A `ConfigError` refuses another folder, or one that lies where it cannot be a backup of this data folder.
     """
-    out = Path(os.path.realpath(out))
+    root, out = context.storage.root, Path(os.path.realpath(out))
+    if out.is_relative_to(root):
+        raise ConfigError(f"{out} lies in the data folder {root}; a backup belongs elsewhere.")
+    if root.is_relative_to(out):
+        raise ConfigError(f"{out} holds the data folder {root}; a backup needs a folder of its own.")
+    _refuse_unless_empty(out, "and a backup is made in a new folder")
     with context.database.reading() as session:
         installation = id_of_database(session)
     assert installation is not None  # it has one since it was opened
-    _check_place(context.storage.root, out, installation)
-    with _written(f"The backup {out} is not complete; the next one goes on where it stopped."):
+    with _written(out, f"The backup {out} is of no use: remove it."):
         out.mkdir(parents=True, exist_ok=True)
-        with _alone(out):
-            return _make(context, out, installation, advance)
-
-
-def _make(context: Context, out: Path, installation: str, advance: Advance) -> BackupReport:
-    record = BackupRecord(installation=installation, version=str(versions()["interloc"]), begun_at=datetime.now(UTC))
-    record.write(out)  # it is not complete from here on
-    bringer = _Bringer(context.storage.root, out)
-    removed, missed = 0, set[str]()
-    for number in range(_ROUNDS):
-        for path in out.glob(f"{DATABASE}*"):
-            path.unlink()
-        _dump(context.database, out / DATABASE)
-        with _rows_in(out / DATABASE) as rows, rows.reading() as session:
-            record.drives, record.jobs = (
-                session.scalar(select(func.count()).select_from(table)) or 0 for table in (Drive, Job)
-            )
-            wanted = list(wanted_files(session, context.storage.root, all_of_folders=True))
-        removed += _prune(out, {each.key for each in wanted})
-        before, missed = missed, bringer.bring(wanted, advance)
-        if not missed or (number and missed == before):
-            break
-    else:
-        raise InterLocError(
-            f"the service changes faster than the backup {out} follows: {_named(missed)}. Make it again when less is "
-            "going on; what was brought so far is kept."
+        record = BackupRecord(
+            installation=installation, version=str(versions()["interloc"]), begun_at=datetime.now(UTC)
         )
-    record.missing = sorted(key for key in missed if not (out / key).is_file())
-    record.files = len(wanted) - len(record.missing)
-    record.size_bytes = sum((out / each.key).stat().st_size for each in wanted if each.key not in record.missing)
-    record.ended_at, record.complete = datetime.now(UTC), True
-    record.write(out)
-    return BackupReport(record, bringer.files, bringer.size_bytes, removed)
+        keys, missed = set[str](), set[str]()
+        for number in range(_ROUNDS):
+            for path in out.glob(f"{DATABASE}*"):
+                path.unlink()
+            _dump(context.database, out / DATABASE)
+            with _rows_in(out / DATABASE) as rows, rows.reading() as session:
+                record.drives, record.jobs = (
+                    session.scalar(select(func.count()).select_from(table)) or 0 for table in (Drive, Job)
+                )
+                wanted = list(wanted_files(session, root, all_of_folders=True))
+            before, missed = missed, _bring(root, out, wanted, advance)
+            keys.update(each.key for each in wanted)
+            if not missed or (number and missed == before):
+                break
+        else:
+            raise InterLocError(
+                f"the service changes faster than the backup {out} follows: {_named(missed)}. Make it again when less "
+                "is going on."
+            )
+        for key in keys.difference(each.key for each in wanted):  # removed in the service since an earlier round
+            (out / key).unlink(missing_ok=True)
+        there = [each.key for each in wanted if (out / each.key).is_file()]
+        record.missing = sorted(missed.difference(there))
+        record.files, record.size_bytes = len(there), sum((out / key).stat().st_size for key in there)
+        record.ended_at = datetime.now(UTC)
+        os.sync()
+        with atomic_write(out / RECORD) as file:
+            file.write(record.model_dump_json(indent=2).encode() + b"\n")
+    return record
 
 
 def _dump(database: Database, path: Path) -> None:
@@ -192,8 +170,8 @@ def restore(settings: Settings, backup: Path, advance: Advance) -> BackupRecord:
             database = Database(settings.sqlalchemy_url)
             try:
                 _refuse_unless_new(database)
-                with _written(f"What was restored so far is of no use: remove {folder}, and restore again."):
-                    _Bringer(backup, folder).bring(wanted, advance)
+                with _written(folder, f"What was restored so far is of no use: remove {folder}, and restore again."):
+                    _bring(backup, folder, wanted, advance)
                     os.sync()
                     with rows.snapshot() as source:
                         database.upgrade(lambda session: _fill(database, session, source))
@@ -227,91 +205,40 @@ def _fill(database: Database, session: Session, source: Connection) -> None:
         session.execute(update(table).where(table.deleted_at > 0).values(deleted_at=now))
 
 
-class _Bringer:
-    """Brings files into a folder, and counts them: as second names where that is possible, else as copies."""
-
-    def __init__(self, root: Path, out: Path) -> None:
-        self._root = root
-        self._out = out
-        self._can_link = True
-        self.files = 0
-        self.size_bytes = 0
-
-    def bring(self, wanted: Sequence[Wanted], advance: Advance) -> set[str]:
-        """Bring files; return the keys of those that are not there, or are not what their rows say."""
-        missed = set()
-        for number, each in enumerate(wanted):
-            advance(number, len(wanted), "")
-            try:
-                found = self._bring(each.key)
-            except (FileNotFoundError, NotADirectoryError):
-                missed.add(each.key)
-                continue
-            if each.size_bytes not in {None, found.st_size} or each.mtime_ns not in {None, found.st_mtime_ns}:
-                missed.add(each.key)
-        return missed
-
-    def _bring(self, key: str) -> os.stat_result:
-        source, target, partial = self._root / key, self._out / key, self._out / _PARTIAL
-        found = source.stat()
-        with suppress(FileNotFoundError):
-            there = target.stat()
-            is_copy = (found.st_size, found.st_mtime_ns) == (there.st_size, there.st_mtime_ns)
-            if os.path.samestat(found, there) or (is_copy and not self._can_link):
-                return there
-        target.parent.mkdir(parents=True, exist_ok=True)
-        partial.unlink(missing_ok=True)
-        if not self._link(source, partial):
-            with source.open("rb") as file, partial.open("wb") as copy:
-                found = os.fstat(file.fileno())
-                shutil.copyfileobj(file, copy, 2**20)
-            os.utime(partial, ns=(found.st_atime_ns, found.st_mtime_ns))
-        partial.replace(target)
-        brought = target.stat()
-        self.files += 1
-        self.size_bytes += brought.st_size
-        return brought
-
-    def _link(self, source: Path, target: Path) -> bool:
-        if self._can_link:
-            try:
-                os.link(source, target)
-            except FileNotFoundError:
-                raise
-            except OSError:  # another file system, or one without links; else the copy finds out what is wrong
-                self._can_link = False
-        return self._can_link
+def _bring(root: Path, out: Path, wanted: Sequence[Wanted], advance: Advance) -> set[str]:
+    """Bring files into a folder; return the keys of those that are not there, or are not what their rows say."""
+    missed = set()
+    for number, each in enumerate(wanted):
+        advance(number, len(wanted), "")
+        try:
+            found = _bring_one(root / each.key, out / each.key)
+        except (FileNotFoundError, NotADirectoryError):
+            missed.add(each.key)
+            continue
+        if each.size_bytes not in {None, found.st_size} or each.mtime_ns not in {None, found.st_mtime_ns}:
+            missed.add(each.key)
+    return missed
 
 
-def _prune(out: Path, keys: Collection[str]) -> int:
-    """Remove the files of a backup that are not among the keys, and folders that are empty then; return how many."""
-    removed = 0
-    for kind in ("drives", "jobs", "maps"):
-        for parent, folders, names in os.walk(out / kind, topdown=False):
-            for path in (Path(parent, name) for name in names):
-                if path.relative_to(out).as_posix() not in keys:
-                    path.unlink()
-                    removed += 1
-            for name in folders:
-                with suppress(OSError):
-                    Path(parent, name).rmdir()
-    return removed
-
-
-def _check_place(root: Path, out: Path, installation: str) -> None:
-    """Refuse a folder that cannot hold a backup of this service."""
-    if out.is_relative_to(root):
-        raise ConfigError(f"{out} lies in the data folder {root}; a backup belongs elsewhere, best on another disk.")
-    if root.is_relative_to(out):
-        raise ConfigError(f"{out} holds the data folder {root}; a backup needs a folder of its own.")
-    record = BackupRecord.read(out)
-    if record is None:
-        _refuse_unless_empty(out, f"and no {RECORD}, so it is not a backup")
-    elif record.installation != installation:
-        raise ConfigError(
-            f"{out} is the backup of another service (installation {record.installation}, this one is {installation}). "
-            "It was not touched. Give the name of a new or an empty folder."
-        )
+def _bring_one(source: Path, target: Path) -> os.stat_result:
+    """Give a file a second name, or copy it where that is not possible; one that is there already stays."""
+    found = source.stat()
+    if target.is_file():
+        there = target.stat()
+        if (found.st_size, found.st_mtime_ns) == (there.st_size, there.st_mtime_ns):
+            return there
+        target.unlink()
+    target.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        os.link(source, target)
+    except FileNotFoundError:
+        raise
+    except OSError:  # another file system, or one without links; else the copy finds out what is wrong
+        with source.open("rb") as file, target.open("wb") as copy:
+            found = os.fstat(file.fileno())
+            shutil.copyfileobj(file, copy, 2**20)
+        os.utime(target, ns=(found.st_atime_ns, found.st_mtime_ns))
+    return target.stat()
 
 
 def _refuse_unless_empty(folder: Path, remark: str) -> None:
@@ -319,7 +246,7 @@ def _refuse_unless_empty(folder: Path, remark: str) -> None:
     if folder.exists() and not folder.is_dir():
         raise ConfigError(f"{folder} is a file. Give the name of a new or an empty folder.")
     names = sorted(entry.name for entry in folder.iterdir()) if folder.exists() else []
-    names = [name for name in names if name not in {"lost+found", _LOCK}]
+    names = [name for name in names if name != "lost+found"]
     if names:
         shown = ", ".join(names[:_SHOWN]) + (", ..." if len(names) > _SHOWN else "")
         raise ConfigError(
@@ -332,7 +259,7 @@ def _refuse_unless_new(database: Database) -> None:
     path = database.url.database
     if database.is_sqlite and path is not None and not Path(path).exists():
         return
-    with _written("Nothing was restored."):
+    with _written(Path(path or ""), "Nothing was restored."):
         tables = set(inspect(database.engine).get_table_names()) & Base.metadata.tables.keys()
     if tables:
         raise ConfigError(
@@ -357,21 +284,7 @@ def _rows_in(path: Path, name: str | None = None) -> Iterator[Database]:
 
 
 @contextmanager
-def _alone(out: Path) -> Iterator[None]:
-    """Keep others from making the same backup."""
-    lock = FileLock(out / _LOCK, timeout=0)
-    try:
-        with suppress(NotImplementedError):  # a file system without locks
-            lock.acquire()
-        yield
-    except Timeout as error:
-        raise InterLocError(f"the backup {out} is being made by another process; wait for it.") from error
-    finally:
-        lock.release()
-
-
-@contextmanager
-def _written(remark: str) -> Iterator[None]:
+def _written(place: Path, remark: str) -> Iterator[None]:
     """Say what could not be written, and what that means."""
     try:
         yield
@@ -379,7 +292,7 @@ def _written(remark: str) -> Iterator[None]:
         reason = " ".join(str(error.orig if isinstance(error, DBAPIError) else error).split())
         raise InterLocError(f"the database could not be read or written: {reason}. {remark}") from error
     except OSError as error:
-        raise OutputError(f"{error.filename} could not be written: {reason_of(error)}. {remark}") from error
+        raise OutputError(f"{error.filename or place} could not be written: {reason_of(error)}. {remark}") from error
 
 
 def _named(keys: Collection[str]) -> str:

@@ -1,10 +1,8 @@
 """Rows against files: what the rows of a database stand for, and what is missing on either side.
 
-Looked at are names, sizes and times. The bytes are read only of a file that was written at another time than its row
-says: what a disk does to the others a file system or a backup program finds out.
+Looked at are names and sizes: what a disk does to the bytes a file system or a backup program finds out.
 """
 
-import hashlib
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -34,7 +32,6 @@ class Wanted(NamedTuple):
     key: str
     size_bytes: int | None = None
     mtime_ns: int | None = None
-    sha256: str | None = None
     """What its row says; None where no row says it."""
 
 
@@ -64,12 +61,12 @@ def _look(context: Context) -> Iterator[Discrepancy]:
     with context.database.reading() as session:
         for each in wanted_files(session, root):
             try:
-                differs = _differs(root / each.key, each)
+                differs = each.size_bytes not in {None, (root / each.key).stat().st_size}
             except (FileNotFoundError, NotADirectoryError):
                 yield Discrepancy("file-missing", each.key, "a row says that it is there. Bring it back from a backup.")
                 continue
             if differs:
-                message = "its bytes are not those that its row says. Send it again, or bring it back from a backup."
+                message = "its size is not that of its row. Send it again, or bring it back from a backup."
                 yield Discrepancy("file-differs", each.key, message)
         unpacking = select(Job.drive_id).where(
             Job.kind.in_([JobKind.UNPACK, JobKind.DEMO]), Job.state.in_(ACTIVE)
@@ -79,16 +76,6 @@ def _look(context: Context) -> Iterator[Discrepancy]:
     for key in unknown_folders(context):
         message = "no row knows this folder. Restore the database that does; or remove it where nobody needs it."
         yield Discrepancy("folder-unknown", key, message)
-
-
-def _differs(path: Path, wanted: Wanted) -> bool:
-    found = path.stat()
-    if wanted.sha256 is None or (found.st_size, found.st_mtime_ns) == (wanted.size_bytes, wanted.mtime_ns):
-        return False
-    if found.st_size != wanted.size_bytes:
-        return True
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest() != wanted.sha256
 
 
 def _unlisted(session: Session, root: Path, drive_id: str) -> Iterator[Discrepancy]:
@@ -107,10 +94,10 @@ def wanted_files(session: Session, root: Path, *, all_of_folders: bool = False) 
     """
     is_kept = or_(Drive.deleted_at.is_(None), Drive.deleted_at > 0)  # otherwise it is being purged
     for drive in session.scalars(select(Drive).where(is_kept).options(defer(Drive.report))).all():
-        files = select(DriveFile.path, DriveFile.size_bytes, DriveFile.mtime_ns, DriveFile.sha256)
-        for path, size, mtime_ns, sha256 in session.execute(files.where(DriveFile.drive_id == drive.id)):
+        files = select(DriveFile.path, DriveFile.size_bytes, DriveFile.mtime_ns)
+        for path, size, mtime_ns in session.execute(files.where(DriveFile.drive_id == drive.id)):
             if stays_uploaded(drive, path):
-                yield Wanted(f"{files_key(drive.id)}/{path}", size, mtime_ns, sha256)
+                yield Wanted(f"{files_key(drive.id)}/{path}", size, mtime_ns)
         if drive.state == DriveState.READY:
             yield from _wanted_reduced(root, drive.id, all_of_folders=all_of_folders)
     of_kept = select(Job).join(Drive, Drive.id == Job.drive_id).where(is_kept)

@@ -2,80 +2,49 @@
 
 That is what has been in the trash for long enough, what dead servers were receiving, archives that are unpacked, raw
 scans that are reduced, and folders without a row that hold neither files nor a result. A folder without a row that
-holds some may be somebody's only copy, as where an older database was brought back: it is named, and stays.
+holds some may be somebody's only copy, as where an older database was brought back: it stays, `check` names it.
 """
 
 import logging
-import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import suppress
 
 from sqlalchemy import ColumnElement, and_, exists, select
 from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.orm import Session
 
-from app.context import Context
+from app.context import Context, Helper
 from app.drives.commit import tidy_drive
 from app.http.problems import Problem
+from app.jobs.folders import jobs_with_scratch, tidy
 from app.metrics import Removal
 from app.ogc.indexing import index_missing
 from app.states import FINAL, DriveState, JobKind, JobState
-from app.store.incoming import is_old, remove_dead, size_of
 from app.store.models import CityMap, Drive, Job
-from app.store.storage import INCOMING
+from app.store.storage import INCOMING, is_old, remove_dead, size_of
 from app.trash.deletion import delete_drive, empty_trash
 from app.work.places import REDUCED
 from interloc.errors import InterLocError
 
 PERIOD_S = 3600.0
 _USES_S = 120.0
-_STEADY_S = 3500.0  # one period, for which the clock must not have jumped before anything goes for its age
-_JUMP_S = 600.0
 
 _log = logging.getLogger(__name__)
-
-
-class ClockWatch:
-    """Notices when the clock of the database was set, so that nobody is taken for dead or expired.
-
-    It compares it with one that never jumps; between two looks they may part by a tolerance.
-    """
-
-    def __init__(self, tolerance_s: float, monotonic: Callable[[], float] = time.monotonic) -> None:
-        self._tolerance_s = tolerance_s
-        self._monotonic = monotonic
-        self._last: tuple[float, float] | None = None
-        self._since = float("inf")
-        self.has_jumped = False
-
-    def look(self, now: float) -> float:
-        """Take note of the time by the database; return the seconds since it jumped last, or since the first look.
-
-        What happened before that is not known.
-        """
-        moment = self._monotonic()
-        if self._last is None:
-            self._since = moment
-        elif abs((now - self._last[0]) - (moment - self._last[1])) > self._tolerance_s:
-            self._since = moment
-            self.has_jumped = True
-        self._last = now, moment
-        return moment - self._since
 
 
 def sweep(context: Context, *, by_age: bool = True) -> Counter[Removal]:
     """Do all of it, as several servers may at the same time; return how much was removed, by reason.
 
-    What is old goes only `by_age`: not where the clock may be wrong.
+    What is old goes only `by_age`: not while the clock may be wrong.
     """
     swept: Counter[Removal] = Counter()
     if by_age:
         swept["expired"] = _expire(context)
         swept["purged"] = len(empty_trash(context, older_than_s=3600 * context.settings.trash_h))
         swept["archive"] = _remove_archives(context)
-    swept["unknown"] = _remove_unknown(context, by_age=by_age)
+        swept["unknown"] = _remove_unknown(context)
     for name, size in remove_dead(context.storage.folder(INCOMING)):
         _log.info("%s/%s: its server is dead, %d bytes removed", INCOMING, name, size)
         context.metrics.count_removal("incoming", size)
@@ -85,6 +54,7 @@ def sweep(context: Context, *, by_age: bool = True) -> Counter[Removal]:
         drives = session.execute(ready).all()
     for drive_id, keep_raw in drives:
         tidy_drive(context, drive_id, keep_raw=keep_raw)
+    _tidy_scratch(context)
     index_missing(context)
     if swept.total():
         _log.info("clean-up: %s", ", ".join(f"{count} {reason}" for reason, count in swept.items() if count))
@@ -103,24 +73,16 @@ def unknown_folders(context: Context) -> Iterator[str]:
                 yield f"{kind}/{path.name}"
 
 
-def _remove_unknown(context: Context, *, by_age: bool) -> int:
-    """Remove old folders without a row, as a worker makes them whose job was purged; name those that hold something."""
-    named, removed = [], 0
+def _remove_unknown(context: Context) -> int:
+    """Remove old folders without a row that hold nothing, as a worker makes them whose job was purged."""
+    removed = 0
     for key in unknown_folders(context):
         folder = context.storage.folder(key)
-        if any((folder / name).exists() for name in ("files", REDUCED, "result", "osm")):
-            named.append(key)
-        elif by_age and is_old(folder):
+        holds = any((folder / name).exists() for name in ("files", REDUCED, "result", "osm"))
+        if not holds and is_old(folder):
             context.metrics.count_removal("unknown", size_of(folder))
             context.storage.delete(key)
             removed += 1
-    if named:
-        _log.warning(
-            "no row knows %d folders of drives, jobs or maps: %s. Is the database an older copy? They stay; `interloc "
-            "check` names them, `interloc restore` brings back a backup, and what nobody needs may be removed",
-            len(named),
-            ", ".join(named[:3]) + (", ..." if len(named) > 3 else ""),
-        )
     return removed
 
 
@@ -174,43 +136,38 @@ def _remove_archives(context: Context) -> int:
     return removed
 
 
-class Sweeper:
-    """What a server does on the side, from `start` to `stop`: it cleans up once per hour.
+def _tidy_scratch(context: Context) -> None:
+    """Remove the scratch of jobs that have ended, left behind by a server that was killed before it could tidy."""
+    found = jobs_with_scratch(context.storage)
+    with context.database.reading() as session:
+        ended = session.execute(select(Job.id, Job.state).where(Job.id.in_(found), Job.state.in_(FINAL))).all()
+    for job_id, state in ended:
+        tidy(context.storage, job_id, keep_result=state == JobState.SUCCESSFUL)
 
-    Every two minutes it writes when tokens were last used. Nothing is removed for its age within the first hour, and
-    after the clock of the database has jumped: it may have been set wrongly, before the start too, and an hour is time
-    to notice that.
+
+class Sweeper(Helper):
+    """Cleans up once per hour.
+
+    Every two minutes it writes when tokens were last used. Nothing is removed for its age within the first hour: the
+    clock may have been set wrongly before the start, and an hour is time to notice that.
     """
 
     def __init__(self, context: Context) -> None:
+        super().__init__("sweeper")
         self._context = context
-        self._watch = ClockWatch(_JUMP_S)
-        self._stopping = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="sweeper", daemon=True)
 
-    def start(self) -> None:
-        """Begin, in the background."""
-        self._thread.start()
-
-    def stop(self) -> None:
-        """End, having written once more when tokens were last used."""
-        self._stopping.set()
-        self._thread.join(5)
-
-    def _run(self) -> None:
-        sweep_at = time.monotonic()
+    def run(self) -> None:
+        """Do so; at the end it writes once more when tokens were last used."""
+        sweep_at, by_age = time.monotonic(), False
         while True:
             try:
                 self._context.tokens.write_uses()
-                if time.monotonic() >= sweep_at and not self._stopping.is_set():
+                if time.monotonic() >= sweep_at and not self.stopping.is_set():
                     sweep_at += PERIOD_S
-                    sweep(self._context, by_age=self._clock_is_steady())
+                    sweep(self._context, by_age=by_age)
+                    by_age = True
             except (SQLAlchemyError, OSError, InterLocError) as error:
                 _log.warning("clean-up: %s", error)
-            if self._stopping.is_set():
+            if self.stopping.is_set():
                 return
-            self._stopping.wait(_USES_S)
-
-    def _clock_is_steady(self) -> bool:
-        with self._context.database.reading() as session:
-            return self._watch.look(self._context.database.clock(session)) >= _STEADY_S
+            self.stopping.wait(_USES_S)

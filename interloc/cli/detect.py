@@ -4,7 +4,6 @@ from pathlib import Path
 from typing import Any
 
 import click
-from click.core import ParameterSource
 
 from interloc.cli import console, options, summary
 
@@ -15,11 +14,6 @@ from interloc.cli import console, options, summary
 @options.config_options
 @options.drive_options
 @options.workers_option
-@click.option(
-    "--reference",
-    is_flag=True,
-    help="Run the paper's steps done plainly with OpenCV and scikit-image: slow, for comparison. Takes no settings.",
-)
 @options.QUIET
 @options.JSON
 def command(
@@ -28,7 +22,6 @@ def command(
     preset: str,
     settings: tuple[str, ...],
     workers: int | None,
-    reference: bool,
     **drive_: Any,
 ) -> None:
     """Find the intersections along DRIVE and write them to a result folder.
@@ -42,20 +35,12 @@ def command(
     from interloc.output.write import write_results
     from interloc.pipeline import detect
 
-    preset_from = click.get_current_context().get_parameter_source("preset")
-    if reference and (settings or preset_from is not ParameterSource.DEFAULT):
-        raise click.UsageError("--reference has the settings of the paper; it takes neither --preset nor --set")
     config = options.configure(preset, settings)
     source = options.open_drive(drive, drive_)
     beside = Beside()
     with result_folder(out) as folder:
         with console.progress("detect", "keyframe") as bar:
-            if reference:
-                from interloc.reference import detect_by_reference
-
-                result = detect_by_reference(source, workers=workers, progress=bar)
-            else:
-                result = detect(source, config, workers=workers, progress=bar)
+            result = detect(source, config, workers=workers, progress=bar)
         write_results(result, folder, beside=beside)
     console.say(summary.run_summary(result, out), [*summary.run_facts(result, out), *summary.doubt_facts(result)])
     beside.check(out)

@@ -51,41 +51,32 @@ def check(data_dir: Path | None) -> int:
 @options.QUIET
 @options.JSON
 def backup(out: Path, data_dir: Path | None) -> None:
-    """Back up drives, jobs, results and tokens of the web service to the folder OUT, while its servers run.
+    """Back up drives, jobs, results and tokens of the web service to the new folder OUT, while its servers run.
 
-    OUT is a new folder, or the backup of before: then only what has changed is brought, and what is deleted in the
-    service is gone from OUT. On the disk of the data folder a backup is made of hard links and takes no space. One
-    that was stopped is not complete; the next one goes on where it stopped.
+    On the disk of the data folder a backup is made of hard links: it takes no space, and other programs (rsync, restic)
+    bring it elsewhere, and keep older ones. On another disk it is a copy.
 
     \b
     Example:
-      interloc backup /mnt/backup/interloc --data-dir /srv/interloc
+      interloc backup /srv/backup --data-dir /srv/interloc && restic backup /srv/backup && rm -r /srv/backup
     """
     with open_service(data_dir) as context, console.progress("backup", " files") as bar:
         from app.upkeep.backup import back_up
 
-        report = back_up(context, out, bar)
-    record = report.record
+        record = back_up(context, out, bar)
     assert record.ended_at is not None
-    brought = f"{report.brought_files:,} files, {size(report.brought_bytes)}"
     rows = [
         ("backup", str(out)),
         ("drives", f"{record.drives:,}, with {record.jobs:,} jobs"),
         ("size", f"{record.files:,} files, {size(record.size_bytes)}"),
-        ("brought", brought if report.brought_files else "nothing: all was there"),
-        ("removed", f"{report.removed_files:,} files that the service has no longer"),
         ("time", f"{(record.ended_at - record.begun_at).total_seconds():.1f} s"),
     ]
-    console.say({"out": str(out), **record.model_dump(mode="json"), **asdict(report, dict_factory=_but_record)}, rows)
+    console.say({"out": str(out), **record.model_dump(mode="json")}, rows)
     if record.missing:
         raise InterLocError(
             f"all that there is was backed up, but files are missing in the service itself: "
             f"{_some(record.missing)}. `interloc check` names all."
         )
-
-
-def _but_record(items: list[tuple[str, object]]) -> dict[str, object]:
-    return {name: value for name, value in items if name != "record"}
 
 
 @click.command(short_help="Restore a backup of the web service.")
@@ -123,9 +114,9 @@ def _some(names: list[str]) -> str:
     return ", ".join(names[:_SHOWN]) + (f" and {len(names) - _SHOWN:,} more" if len(names) > _SHOWN else "")
 
 
-@click.group(short_help="Deleted drives and jobs: list, restore, empty.")
+@click.group(short_help="Deleted drives: list, restore, empty.")
 def trash() -> None:
-    """Manage deleted drives and jobs. A running server sees the change at once.
+    """Manage deleted drives. A running server sees the change at once.
 
     \b
     Example:
@@ -146,7 +137,7 @@ def list_(data_dir: Path | None) -> None:
             for each in page.items:
                 why = f"deleted by {each.deleted_by}" if each.deleted_by else "expired"
                 click.echo(
-                    f"{each.id}  {each.kind[:-1]:<5}  {size(each.size_bytes):>9}  {each.deleted_at:%Y-%m-%d %H:%M} UTC "
+                    f"{each.id}  {size(each.size_bytes):>9}  {each.deleted_at:%Y-%m-%d %H:%M} UTC "
                     f"{why}, gone {each.purged_at:%Y-%m-%d %H:%M} UTC  {each.name}"
                 )
             shown += len(page.items)
@@ -160,20 +151,17 @@ def list_(data_dir: Path | None) -> None:
 @click.argument("item", metavar="ID")
 @DATA_DIR
 def restore_item(item: str, data_dir: Path | None) -> None:
-    """Take the drive or the job ID out of the trash, a drive with its jobs and their results."""
+    """Take the drive ID out of the trash, with its jobs and their results."""
     from app.http.problems import Problem
     from app.trash import deletion
 
     with open_service(data_dir) as context:
         try:
-            restored = deletion.restore(context, "drives", item)
-        except Problem:
-            try:
-                restored = deletion.restore(context, "jobs", item)
-            except Problem as problem:
-                text = f"{item}: it is not in the trash; `interloc trash list` shows what is"
-                raise ConfigError(problem.detail if problem.status == 409 else text) from problem
-    click.echo(f"{restored.kind[:-1]} {restored.id} ({restored.name}) is restored")
+            restored = deletion.restore(context, item)
+        except Problem as problem:
+            text = f"{item}: it is not in the trash; `interloc trash list` shows what is"
+            raise ConfigError(text) from problem
+    click.echo(f"drive {restored.id} ({restored.name}) is restored")
 
 
 @trash.command()
@@ -186,5 +174,5 @@ def empty(older_than: float | None, data_dir: Path | None) -> None:
     with open_service(data_dir) as context:
         purged = empty_trash(context, older_than_s=3600 * (older_than or 0.0))
     for each in purged:
-        click.echo(f"{each.kind[:-1]} {each.id}: {size(each.size_bytes)}")
+        click.echo(f"{each.kind} {each.id}: {size(each.size_bytes)}")
     click.echo(f"{len(purged)} deleted for good, {size(sum(each.size_bytes for each in purged))}")

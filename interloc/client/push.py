@@ -287,10 +287,10 @@ def push(
 ) -> Pushed:
     """Send a drive to the server as it was prepared with the same options, and have it checked there.
 
-    So many files as there are threads are read, reduced and sent at once. The logs of what was sent are by default in
-    the user's cache. A `DriveError` says that a scan cannot be read, or why the server finds the drive unusable; after
-    a `NetworkError` the next push goes on where this one stopped; an `OutputError` may mean that another process pushes
-    the same drive.
+    So many bundles of files as there are threads are read, reduced and sent at once. The logs of what was sent are by
+    default in the user's cache. A `DriveError` says that a scan cannot be read, or why the server finds the drive
+    unusable; after a `NetworkError` the next push goes on where this one stopped; an `OutputError` may mean that
+    another process pushes the same drive.
     """
     report_stage = on_stage or (lambda _: None)
     with UploadLog(logs or log_folder(), _identity(connection, root, options)) as log:

@@ -1,22 +1,25 @@
-"""Sending many files over several connections; what the server already has is left out, also after a kill.
+"""Sending many files, small ones in bundles; what the server already has is left out, also after a kill.
 
 A push is identified by the server, the folder of the drive and the options that decide what is sent. The service lists
 the files that it has with their digests, but the digest of a reduced scan is known only once the scan was read and
 reduced. A log spares that: beside every digest it keeps sizes and times of the files that the scan was made from. It
 also keeps the id of the drive: names of drives need not be unique, and other clients may use the same.
 
-One line per file is added as soon as the server has accepted it, so nothing is lost when the process is killed; a line
-cut short is ignored. Without a log (another machine, an emptied cache) the whole drive is sent again.
+One line per file is added as soon as the server has accepted it, so no more than a bundle is sent again when the
+process is killed; a line cut short is ignored. Without a log (another machine, an emptied cache) all is sent again.
 """
 
 import base64
 import hashlib
 import json
+import math
+import secrets
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
+from itertools import zip_longest
 from multiprocessing import TimeoutError as NothingFinishedError
 from multiprocessing.pool import ThreadPool
 from pathlib import Path
@@ -33,6 +36,8 @@ from interloc.errors import DriveError, NetworkError, OutputError
 from interloc.files import reason_of
 
 _CHUNK_BYTES = 1024 * 1024
+_SMALL_BYTES = 1024 * 1024  # files up to here travel together
+_BUNDLE_BYTES, _BUNDLE_FILES, _ROUNDS = 8 * 1024 * 1024, 32, 4
 _PAGE_FILES = 10_000
 _REPORT_EVERY_S = 0.1
 _KEPT_DAYS = 60
@@ -188,6 +193,9 @@ class UploadProgress:
         return self.bytes_sent / max(time.monotonic() - self.began_s, 1e-3)
 
 
+Body = Callable[[], Any]
+"""Returns the bytes of a file, of a large one an iterator over chunks of them, each time it is called."""
+
 OnProgress = Callable[[UploadProgress], None]
 """Called in the thread that called `upload`; may raise an exception to end the upload."""
 
@@ -213,26 +221,23 @@ def upload(
     threads: int,
     on_progress: OnProgress | None = None,
 ) -> UploadProgress:
-    """Send the files that the server does not have, or has with other content.
+    """Send the files that the server does not have, or has with other content: small ones many per request.
 
-    Memory is bounded: each thread holds one file.
+    Memory is bounded: each thread holds one bundle.
     """
-    there = files_of(connection, drive_id)
     progress = UploadProgress(len(files))
+    at_once = min(_BUNDLE_FILES, math.ceil(len(files) / (_ROUNDS * threads)))  # of few files no thread has all
+    some = [files[start : start + at_once] for start in range(0, len(files), at_once or 1)]
+    sender = _Sender(connection, drive_id, files_of(connection, drive_id), log, progress)
     # Threads of concurrent.futures would be joined at exit: Ctrl-C would wait for a server that does not answer.
-    pool = ThreadPool(max(1, min(threads, len(files))))
+    pool = ThreadPool(max(1, min(threads, len(some))))
     try:
-        finished = pool.imap_unordered(partial(_deliver, connection, drive_id, there, log), files)
-        while progress.done < progress.total:
-            try:
-                sent_bytes = finished.next(timeout=_REPORT_EVERY_S)
-            except NothingFinishedError:
-                pass
-            else:
-                progress.done += 1
-                if sent_bytes is not None:
-                    progress.sent += 1
-                    progress.bytes_sent += sent_bytes
+        finished = pool.imap_unordered(sender.deliver, some)
+        left = len(some)
+        while left:
+            with suppress(NothingFinishedError):
+                finished.next(timeout=_REPORT_EVERY_S)
+                left -= 1
             if on_progress is not None:
                 on_progress(progress)
     except (Exception, KeyboardInterrupt) as error:
@@ -244,37 +249,129 @@ def upload(
     return progress
 
 
-def _deliver(
-    connection: Connection, drive_id: str, there: dict[str, FileAnswer], log: UploadLog, file: UploadFile
-) -> int | None:
-    """See to it that the server has a file; return the bytes sent, or None if it had the file already."""
-    known, signature = there.get(file.path), file.signature
-    if known is not None and log.sent(file.path) == Sent(signature, known.sha256):
-        return None
-    try:
-        size, digest, body = _content_of(file)
-    except OSError as error:
-        raise _unreadable(error) from error
-    is_there = known is not None and known.sha256 == digest.hex()
-    if not is_there:
-        _put(connection, file_address(drive_id, file.path), file.path, size, digest, body)
-    log.add(file.path, Sent(signature, digest.hex()))
-    return None if is_there else size
+@dataclass(frozen=True)
+class _Content:
+    """A file that the server lacks, as it is sent."""
+
+    file: UploadFile
+    signature: str
+    size: int
+    digest: bytes
+    body: Body
+
+    @property
+    def digest_header(self) -> str:
+        """Its SHA-256 as in RFC 9530."""
+        return f"sha-256=:{base64.b64encode(self.digest).decode()}:"
 
 
-Body = Callable[[], bytes | Iterator[bytes]]
-"""Returns the bytes of a file, or an iterator over chunks of them, each time it is called."""
+@dataclass
+class _Sender:
+    """Sees to it that the server has the files of a drive; threads share it."""
+
+    connection: Connection
+    drive_id: str
+    there: dict[str, FileAnswer]
+    log: UploadLog
+    progress: UploadProgress
+    lock: Lock = field(default_factory=Lock)
+
+    def deliver(self, files: Sequence[UploadFile]) -> None:
+        """Send what the server lacks of some files; each that it has is logged at once."""
+        bundle: list[_Content] = []
+        for file in files:
+            try:
+                content = self._lacking(file)
+            except DriveError:
+                self._send(bundle)  # what was read before the fault need not be read again
+                raise
+            if content is None:
+                self._count([])
+            elif content.size > _SMALL_BYTES or '"' in file.path or not file.path.isprintable():
+                self._send([content])
+            else:
+                bundle.append(content)
+                if sum(each.size for each in bundle) >= _BUNDLE_BYTES:
+                    self._send(bundle)
+                    bundle = []
+        self._send(bundle)
+
+    def _lacking(self, file: UploadFile) -> _Content | None:
+        """Return the content of a file, None where the server has it."""
+        known, signature = self.there.get(file.path), file.signature
+        if known is not None and self.log.sent(file.path) == Sent(signature, known.sha256):
+            return None
+        try:
+            content = _Content(file, signature, *_content_of(file))
+        except OSError as error:
+            raise _unreadable(error) from error
+        if known is not None and known.sha256 == content.digest.hex():
+            self.log.add(file.path, Sent(signature, known.sha256))
+            return None
+        return content
+
+    def _send(self, contents: list[_Content]) -> None:
+        """Send a file, or several small ones in one request: all of them arrive, or none does."""
+        if not contents:
+            return
+        first, *others = contents
+        try:
+            if others:
+                body, boundary = _bundle(contents)
+                headers = {"Content-Type": f"multipart/form-data; boundary={boundary}"}
+                address = f"/drives/{self.drive_id}/scans"
+                answers = self.connection.ask("POST", address, FilesAnswer, body=lambda: body, headers=headers).files
+            else:
+                headers = {"Content-Type": "application/octet-stream", "Content-Length": str(first.size)}
+                headers["Content-Digest"] = first.digest_header
+                address = file_address(self.drive_id, first.file.path)
+                answers = [self.connection.ask("PUT", address, FileAnswer, body=first.body, headers=headers)]
+        except Refusal as error:
+            size = sum(each.size for each in contents)
+            what = f"{first.file.path}{f' and {len(others)} more' if others else ''}, {size:,} bytes"
+            raise Refusal(error.status, error.problem, f"(while sending {what})") from error
+        self._accept(contents, answers)
+
+    def _accept(self, sent: list[_Content], answers: list[FileAnswer]) -> None:
+        """Log what the server has, where it is what was sent."""
+        for content, answer in zip_longest(sent, answers[: len(sent)]):
+            found = "nothing" if answer is None else answer.sha256
+            if found != content.digest.hex():
+                raise NetworkError(
+                    f"{self.connection.server} accepted {content.file.path}, but with other content than was sent "
+                    f"(SHA-256 {found[:12]}... instead of {content.digest.hex()[:12]}...). Usual cause: a proxy that "
+                    "changes bodies."
+                )
+            self.log.add(content.file.path, Sent(content.signature, found))
+        self._count([content.size for content in sent])
+
+    def _count(self, sizes: list[int]) -> None:
+        with self.lock:
+            self.progress.done += max(1, len(sizes))
+            self.progress.sent += len(sizes)
+            self.progress.bytes_sent += sum(sizes)
+
+
+def _bundle(contents: list[_Content]) -> tuple[bytes, str]:
+    """Return some files as multipart/form-data, and what separates them."""
+    boundary = secrets.token_hex(16)
+    pieces: list[bytes] = []
+    for each in contents:
+        name = f'Content-Disposition: form-data; name="files"; filename="{each.file.path}"'
+        pieces.append(f"--{boundary}\r\n{name}\r\nContent-Digest: {each.digest_header}\r\n\r\n".encode())
+        pieces += [each.body(), b"\r\n"]
+    return b"".join([*pieces, f"--{boundary}--\r\n".encode()]), boundary
 
 
 def _content_of(file: UploadFile) -> tuple[int, bytes, Body]:
-    """Return size, SHA-256 and bytes of a file; one that is sent as it is is read again each time."""
-    if not isinstance(file.content, Path):
-        data = file.content()
-        return len(data), hashlib.sha256(data).digest(), lambda: data
-    with file.content.open("rb") as source:
-        digest = hashlib.file_digest(source, "sha256").digest()
-        size = source.tell()
-    return size, digest, partial(_chunks, file.content, size)
+    """Return size, SHA-256 and bytes of a file; a large one that is sent as it is is read again each time."""
+    if isinstance(file.content, Path) and file.content.stat().st_size > _SMALL_BYTES:
+        with file.content.open("rb") as source:
+            digest = hashlib.file_digest(source, "sha256").digest()
+            size = source.tell()
+        return size, digest, partial(_chunks, file.content, size)
+    data = file.content.read_bytes() if isinstance(file.content, Path) else file.content()
+    return len(data), hashlib.sha256(data).digest(), lambda: data
 
 
 def _chunks(path: Path, size: int) -> Iterator[bytes]:
@@ -289,23 +386,6 @@ def _chunks(path: Path, size: int) -> Iterator[bytes]:
 
 def _unreadable(error: OSError) -> DriveError:
     return DriveError(f"{error.filename or 'a file'}: cannot be read: {reason_of(error)}.")
-
-
-def _put(connection: Connection, address: str, path: str, size: int, digest: bytes, body: Body) -> None:
-    headers = {
-        "Content-Type": "application/octet-stream",
-        "Content-Length": str(size),
-        "Content-Digest": f"sha-256=:{base64.b64encode(digest).decode()}:",  # RFC 9530
-    }
-    try:
-        answer = connection.ask("PUT", address, FileAnswer, body=body, headers=headers)
-    except Refusal as error:
-        raise Refusal(error.status, error.problem, f"(while sending {path}, {size:,} bytes)") from error
-    if answer.sha256 != digest.hex():
-        raise NetworkError(
-            f"{connection.server} accepted {path}, but with other content than was sent (SHA-256 "
-            f"{answer.sha256[:12]}... instead of {digest.hex()[:12]}...). Usual cause: a proxy that changes bodies."
-        )
 
 
 def file_address(drive_id: str, path: str) -> str:

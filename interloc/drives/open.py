@@ -20,9 +20,8 @@ from interloc.drives.folder import DROPPED, FolderDrive, Scans, dropped_in_words
 from interloc.drives.formats import FORMATS, ScanFormat, find_format, installed_formats
 from interloc.drives.georeference.geodetic import check_against_poses
 from interloc.drives.ground import LevelScans, check_points, level_of, levelled
-from interloc.drives.kinds import IN_CAPITALS, misnamed
 from interloc.drives.labels import SEMANTICKITTI, LabelJudgement
-from interloc.drives.layouts import SCAN_FOLDERS, not_a_drive, recognise_layout
+from interloc.drives.layouts import IN_CAPITALS, SCAN_FOLDERS, misnamed, not_a_drive, recognise_layout
 from interloc.drives.options import LABEL_FILES, ODOMETRY, DriveArguments, DriveOptions, LabelFolder, ReadingOptions
 from interloc.drives.scan_motion import check_scan_motion
 from interloc.drives.scans.deskewed import deskewed, is_to_deskew
@@ -352,11 +351,12 @@ def _checked(reading: DriveReading, findings: Findings) -> DriveReading:
         check_points(seen, scans.parts.file(scans.parts.scans).name, findings, has_poses=True)
     check_motion(drive.T_world_lidar, pose_file, findings)
     reading = replace(reading, flatness_m=check_flat_road(drive, scans.usable, pose_file, findings))
-    is_cut = isinstance(scans, RawScans) and scans.recording.is_cut
-    if findings.errors == errors and not is_cut:  # else what follows is the same fault in other words
-        check_scan_motion(drive, scans.usable, pose_file, findings)
+    tells_motion = not isinstance(scans, RawScans) or (scans.check_turns(findings) and not scans.recording.is_cut)
+    if findings.errors == errors and tells_motion:  # else what follows is the same fault in other words
+        poses = reading.trajectory.poses
+        is_computed = poses is not None and poses.is_computed
+        check_scan_motion(drive, scans.usable, pose_file, findings, is_computed=is_computed)
     if isinstance(scans, RawScans):
-        scans.check_turns(findings)
         scans.tell_doubts(findings)
         with findings.stage():  # a reduced drive has the warning in its manifest
             if (dropped := drive.dropped) is not None:

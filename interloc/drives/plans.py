@@ -1,7 +1,8 @@
-"""Ground plans of scans, laid onto each other by all turns and shifts at once.
+"""Ground plans of scans, laid onto each other.
 
 What stands upright (house fronts, poles, cars, trunks) makes the plan of a scan; where nothing does, the edges of the
 road do. Two plans are correlated over the plane by the fast Fourier transform, so no guess of the motion is needed.
+Where one is known, road and other ground tell how well it fits: the one must not come to lie on the other.
 """
 
 from __future__ import annotations
@@ -12,7 +13,8 @@ from functools import cached_property
 import cv2
 import numpy as np
 
-from interloc.arrays import Float32Array, FloatArray, UInt8Array
+from interloc.arrays import Float32Array, FloatArray, IntArray, UInt8Array
+from interloc.drive import GroundPoints
 from interloc.geometry import rotate_2d
 
 MAX_SHIFT_M = 40.0
@@ -26,6 +28,7 @@ _TURN_STEP_RAD = np.radians(3.0)
 _PLAN_M, _NEAREST_M = 0.5, 2.5
 _UPRIGHT_M = 0.4
 _UPRIGHT_RANGE_M, _EDGE_RANGE_M = 55.0, 26.0
+_GROUND_RANGE_M, _SHARED_CELLS = 30.0, 150
 _FINE_M, _WINDOW_M, _FAR_M = 0.25, 60.0, 2.0
 
 
@@ -142,3 +145,38 @@ def _drawn(cells: FloatArray, size: int) -> Float32Array:
     at = np.floor(cells / _CELL_M).astype(np.int64) + size // 2
     images[np.arange(len(cells))[:, None], at[..., 0], at[..., 1]] = 1.0
     return images
+
+
+@dataclass(frozen=True)
+class GroundPlan:
+    """Where around a scan is road and where other ground, in cells of half a metre."""
+
+    signs: IntArray
+    """(S, S) int64: positive where more points are road, negative where more are not, 0 where there are none."""
+
+    @classmethod
+    def of(cls, points: GroundPoints) -> GroundPlan:
+        """Draw the ground of a scan."""
+        half = int(_GROUND_RANGE_M / _PLAN_M)
+        near = np.hypot(points.xyz[:, 0], points.xyz[:, 1]) < _GROUND_RANGE_M - _PLAN_M
+        row, column = (np.floor(points.xyz[near, :2] / _PLAN_M).astype(np.int64) + half).T
+        weights = np.where(points.is_road[near], 1.0, -1.0)
+        counts = np.bincount(row * 2 * half + column, weights=weights, minlength=(2 * half) ** 2)
+        return cls(np.sign(counts).astype(np.int64).reshape(2 * half, 2 * half))
+
+    def contradiction(self, source: GroundPlan, motions: FloatArray) -> FloatArray:
+        """Return which share of the cells that both know is road in one alone, the source moved by (K, 3) motions.
+
+        (K,) float64: NaN where they share too few.
+        """
+        half = len(self.signs) // 2
+        at = np.argwhere(source.signs)
+        middles: FloatArray = (at.astype(np.float64) - half + 0.5) * _PLAN_M
+        moved = rotate_2d(middles, motions[:, 2:]) + motions[:, None, :2]
+        cells = np.floor(moved / _PLAN_M).astype(np.int64) + half
+        inside = ((cells >= 0) & (cells < 2 * half)).all(axis=2)
+        cells[~inside] = 0
+        products = self.signs[cells[..., 0], cells[..., 1]] * source.signs[at[:, 0], at[:, 1]] * inside
+        shared = np.count_nonzero(products, axis=1)
+        shares: FloatArray = np.count_nonzero(products < 0, axis=1) / np.maximum(shared, 1)
+        return np.where(shared >= _SHARED_CELLS, shares, np.nan)

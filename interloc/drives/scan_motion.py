@@ -7,7 +7,7 @@ import numpy as np
 from interloc.arrays import FloatArray, IntArray
 from interloc.drives.findings import Findings
 from interloc.drives.folder import FolderDrive
-from interloc.drives.plans import MAX_TURN_RAD, MIN_CELLS, PlanMatch, road_plan, upright_plan
+from interloc.drives.plans import MAX_TURN_RAD, MIN_CELLS, GroundPlan, PlanMatch, road_plan, upright_plan
 from interloc.drives.poses.motion import rows_apart
 from interloc.drives.scans.raw import RawScans
 from interloc.geometry import invert_transform, rotate_2d, wrap_angle, yaw_of
@@ -45,6 +45,13 @@ _MIRROR = (1.0, -1.0, -1.0)
 _SCALE_APART_M, _SCALE_PLACES, _AGREE, _ALIKE = 3.0, 4, 0.75, 0.05
 _OFF_SCALE = 0.07
 """Of the logarithm of a scale: on sound drives, real and simulated, it is 0.04 at most where places agree."""
+
+
+_GROUND_SCALES = np.exp(np.arange(-60, 61) * 0.03)
+_GROUND_PLACES, _GROUND_APART_M = 24, (3.0, 8.0)
+_BESIDE, _RISE, _GAIN, _MIN_GAIN = 4, 0.004, 0.25, 0.004
+"""Steps of the scale to a worse one; by how much more of the ground must contradict there at a place that tells; by
+how much less with another scale, as a share of what contradicts, and at least."""
 
 
 @dataclass(frozen=True)
@@ -87,7 +94,9 @@ class _Explanation:
         return -len(self.wrong), -float(self.lost_m.mean())
 
 
-def check_scan_motion(drive: FolderDrive, usable: IntArray, pose_file: str, findings: Findings) -> None:
+def check_scan_motion(
+    drive: FolderDrive, usable: IntArray, pose_file: str, findings: Findings, *, is_computed: bool = False
+) -> None:
     """Check that the scans move as the poses do: in scale, direction, to the right side, at the right time.
 
     Pairs some metres apart, spread over the drive and where its motion changes most, are laid onto each other by all
@@ -108,19 +117,23 @@ def check_scan_motion(drive: FolderDrive, usable: IntArray, pose_file: str, find
     fault = _unlike(near, poses, mistake) or _in_another_unit(pairs, near, poses)
     tells = pairs or any(each.ratio * _CLOSER < 1.0 for each in mistakes)
     scale = _scale_of(matcher.laid, poses) if matcher.kind == "upright" else None
+    is_unexplained = fault is None or fault[3] == _ANOTHER
+    is_long = float(np.linalg.norm(np.ptp(poses[:, :3, 3], axis=0))) > _MUCH_M
+    if scale is None and is_unexplained and is_long and not (is_computed or drive.is_slow or drive.georeference):
+        with findings.stage():
+            scale = _scale_of_ground(drive, usable)
     is_off = scale is not None and abs(np.log(scale)) > _OFF_SCALE
-    untold = "" if tells else "too little that stands upright or turns to tell whether they move as the poses."
-    if tells and scale is None and fault is None:
-        untold = "too little that stands upright to be sure of the scale of the poses."
-    if untold and float(np.linalg.norm(np.ptp(poses[:, :3, 3], axis=0))) > _MUCH_M:
-        findings.untold(pose_file, f"the scans hold {untold}")
+    if scale is None and fault is None and is_long:
+        what = "the scale of the poses is right" if tells else "the scans move as the poses do"
+        told = findings.untold if is_computed or drive.georeference else findings.warning
+        told(pose_file, f"whether {what} cannot be told: the scans hold too little that stands upright.")
     if mistake.is_clear and (fault is None or fault[1] < _PLACES_WRONG):
         text = f"the scans do not move as the poses do ({mistake.closer} of {mistake.of} places). {mistake.words}."
         if mistake.metres < _LITTLE_M:
             findings.warning(pose_file, text)
         else:
             findings.refuse(pose_file, text)
-    elif is_off and (fault is None or fault[3] == _ANOTHER):
+    elif is_off and is_unexplained:
         assert scale is not None
         text = f"the scans do not move as the poses do. {_scale_words(scale)}."
         findings.refuse(pose_file, text)
@@ -200,6 +213,40 @@ def _scale_of(laid: list[_Pair], poses: FloatArray) -> float | None:
     is_alike = (np.abs(alone - together) < max(_ALIKE, abs(together) / 4)) & (lost_m[:, best] < _CONTRADICTS_M)
     enough = max(_SCALE_PLACES, _AGREE * len(places))
     return float(_SCALES[best]) if np.count_nonzero(is_alike) >= enough else None
+
+
+def _scale_of_ground(drive: FolderDrive, usable: IntArray) -> float | None:
+    """Return how many times as far as the poses the scans move, by which road comes to lie on road; None: untold."""
+    poses = drive.T_world_lidar[usable]
+    steps_m = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
+    driven_m = np.concatenate([[0.0], np.cumsum(steps_m)])
+    starts = np.unique(np.searchsorted(driven_m, np.linspace(0.0, driven_m[-1], _GROUND_PLACES)))
+    plans: dict[int, GroundPlan] = {}
+    found: list[FloatArray] = []
+    for i in starts.tolist():
+        for j in np.unique(np.searchsorted(driven_m, driven_m[i] + _GROUND_APART_M)).tolist():
+            told = _planar(poses[i], poses[j]) if j < len(poses) else np.full(3, np.nan)
+            if abs(told[2]) < MAX_TURN_RAD:
+                for row in {i, j} - plans.keys():
+                    plans[row] = GroundPlan.of(drive.ground_points(int(usable[row])))
+                motions = told * np.stack([_GROUND_SCALES, _GROUND_SCALES, np.ones(len(_GROUND_SCALES))], axis=1)
+                found.append(plans[i].contradiction(plans[j], motions))
+    shares = np.array(found).reshape(-1, len(_GROUND_SCALES))
+    known = np.isfinite(shares).mean(axis=0) > 0.5 if len(shares) else np.zeros(len(_GROUND_SCALES), dtype=np.bool_)
+    if not known.any():
+        return None
+    sums = np.where(known, np.nansum(shares, axis=0) / np.maximum(np.isfinite(shares).sum(axis=0), 1), np.inf)
+    best, as_told = int(np.argmin(sums)), len(_GROUND_SCALES) // 2
+    if not _BESIDE <= best < len(sums) - _BESIDE:
+        return None
+    beside = shares[:, [best - _BESIDE, best + _BESIDE]].mean(axis=1)
+    tell = shares[beside > shares[:, best] + _RISE]
+    gain = tell[:, as_told] - tell[:, best]
+    is_off = gain.mean() > max(_MIN_GAIN, _GAIN * tell[:, best].mean()) if len(tell) else False
+    agree = np.count_nonzero(gain > 0.0) if is_off else len(tell)
+    if agree < max(_SCALE_PLACES, _AGREE * len(tell)):
+        return None
+    return float(_GROUND_SCALES[best]) if is_off else 1.0
 
 
 def _is_near(told: FloatArray) -> bool:
@@ -407,5 +454,5 @@ def _scale_explanation(pairs: list[_Pair], poses: FloatArray) -> _Explanation:
 def _scale_words(scale: float) -> str:
     return (
         f"The poses move {1 / max(scale, 1e-3):.2f} times as far as the scans. Usual cause: the scale of a monocular "
-        "or visual odometry, the radius of a wheel, or poses or points in another unit"
+        "or visual odometry, the radius of a wheel, another unit, or scans that were thinned out and numbered anew"
     )

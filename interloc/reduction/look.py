@@ -19,16 +19,15 @@ from typing import Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from interloc.arrays import FloatArray, IntArray
+from interloc.arrays import IntArray
 from interloc.config import KeyframeConfig
 from interloc.detection.keyframes import select_keyframes
 from interloc.drives.checks import check_motion, sample_indices
 from interloc.drives.files import EMPTY, NumberedFiles, SourceFile, each_read_once, list_numbered, rows_of_part
 from interloc.drives.findings import Finding, Findings, by_severity
 from interloc.drives.georeference.geodetic import check_against_poses
-from interloc.drives.kinds import IN_CAPITALS, Kind
 from interloc.drives.labels import LabelScheme, judge_labels
-from interloc.drives.layouts import PCD_ENDINGS, POSE_FILES, DriveParts, find_layout
+from interloc.drives.layouts import IN_CAPITALS, PCD_ENDINGS, POSE_FILES, DriveParts, Kind, find_layout
 from interloc.drives.open import NO_POSES, SAMPLED_SCANS
 from interloc.drives.options import LABEL_FILES, ODOMETRY, DriveOptions, LabelFolder, LayoutName
 from interloc.drives.scans.bin_files import BinScans, open_bin_files
@@ -37,10 +36,16 @@ from interloc.drives.scans.pcd import PcdScans, number_scans, open_pcd_files, re
 from interloc.drives.scans.raw import RawScans, trajectory_of
 from interloc.drives.scans.recorded import LABEL_FIELDS, Recording
 from interloc.drives.scans.reduced import ReducedScans, reduced_trajectory
-from interloc.drives.scans.reduced_format import ReducedLabels, ReducedManifest, from_runs, read_manifest, to_runs
+from interloc.drives.scans.reduced_format import (
+    ReducedLabels,
+    ReducedManifest,
+    SourceScans,
+    from_runs,
+    read_manifest,
+    to_runs,
+)
 from interloc.drives.scans.rosbag.bag import find_bag
-from interloc.drives.trajectory import LidarPoses, Trajectory, read_trajectory
-from interloc.geometry import enu_from_lonlat, lonlat_from_enu
+from interloc.drives.trajectory import Trajectory, read_trajectory
 from interloc.reduction.listing import ListedDrive, Listing, find_drives, reason_for_none
 from interloc.reduction.reduce import plan_of
 
@@ -88,7 +93,7 @@ class LookedPlan(BaseModel):
     kept: list[tuple[int, int]] = Field(description="Scans to send, as runs: the first number, and how many there are.")
     files: dict[str, str] = Field(description="Small files to send: path in the reduced drive -> path in the folder.")
     manifest: ReducedManifest = Field(
-        description="reduced.json, to be completed with label folders that were not counted, and sizes (`source`)."
+        description="reduced.json; label folders that are not sent are to be left out of it."
     )
 
 
@@ -97,10 +102,6 @@ class LookedTrack(BaseModel):
 
     local: bool = Field(description="Whether the positions are metres.")
     positions: list[tuple[float, float]] = Field(description="Of the scans, or of some of very many.")
-    fitted: list[tuple[float, float]] | None = Field(
-        description="The poses laid over the georeference, moved and turned but not bent."
-    )
-    fit_m: float | None = Field(description="Median distance of the two in metres.")
     length_m: float = Field(description="Distance driven in metres.")
 
 
@@ -321,16 +322,19 @@ class _Look:
             rows = rows_of_part(options.frames, frames, parts.file(parts.scans).name)
             frames, trajectory = frames[rows], trajectory.part(rows)
         if is_bin:
-            self._plan(parts, frames, trajectory, options)
+            self._plan(parts, recording, frames, trajectory, options)
         self._show(trajectory, pose_file, frames)
 
-    def _plan(self, parts: DriveParts, frames: IntArray, trajectory: Trajectory, options: DriveOptions) -> None:
+    def _plan(
+        self, parts: DriveParts, recording: Recording, frames: IntArray, trajectory: Trajectory, options: DriveOptions
+    ) -> None:
         """Say what a client sends that reduces the scans itself, with the labels whose ids were counted."""
         plan = plan_of(parts, frames, trajectory, options.oxts, self.keyframes, self.findings)
         if plan is None:
             return
-        counted = [
-            ReducedLabels.of(folder, scheme, dict(self.counts[folder])) for folder, scheme in self.schemes.items()
+        labels = [
+            ReducedLabels.of(folder, scheme, dict(self.counts[folder]), self.found.labels[folder].size_bytes)
+            for folder, scheme in self.schemes.items()
         ]
         kept = [(int(first), int(count)) for first, count in to_runs(plan.kept)]
         files = {
@@ -338,7 +342,15 @@ class _Look:
             for name, source in plan.copies.sources.items()
             if isinstance(source, Path) and source.is_relative_to(self.place)
         }
-        manifest = plan.manifest.with_labels(counted)
+        points = recording.point_counts
+        assert points is not None
+        source = SourceScans(
+            scan_bytes=recording.scan_bytes,
+            points_per_scan=int(np.median(points)),
+            least_points=int(points.min()),
+            most_points=int(points.max()),
+        )
+        manifest = plan.manifest.with_labels(labels, source)
         self.found.plan = LookedPlan(scans=len(frames), kept=kept, files=files, manifest=manifest)
 
     def _open_pcd(self, parts: DriveParts, options: DriveOptions) -> Recording:
@@ -482,20 +494,17 @@ class _Look:
         by = self.keyframes
         found.keyframes = len(poses.T_world_lidar if by is None else select_keyframes(poses.T_world_lidar, by))
         check_motion(poses.T_world_lidar, pose_file, self.findings)
-        places, fitted, fit_m = poses.T_world_lidar[:, :2, 3], None, None
+        places = poses.T_world_lidar[:, :2, 3]
         if fixes is not None:
             places = np.stack([fixes.lon_deg, fixes.lat_deg], axis=1)
         if fixes is not None and poses.frame != "oxts":
             with self.findings.stage():
                 check_against_poses(poses.T_world_lidar, fixes, self.findings)
-            fitted, fit_m = _laid_over(poses, places)
         step = -(-len(places) // _MAX_POSITIONS)
         digits = 3 if fixes is None else 8
         found.track = LookedTrack(
             local=fixes is None,
             positions=places[::step].round(digits).tolist(),
-            fitted=None if fitted is None else fitted[::step].round(digits).tolist(),
-            fit_m=fit_m,
             length_m=poses.length_m,
         )
 
@@ -503,14 +512,3 @@ class _Look:
 def _sample(frames: IntArray) -> list[int]:
     """Return the scans that a look goes into, evenly spread."""
     return [int(frames[row]) for row in sample_indices(np.arange(len(frames)), SAMPLED_SCANS)]
-
-
-def _laid_over(poses: LidarPoses, lonlat: FloatArray) -> tuple[FloatArray, float]:
-    """Lay the poses over fixes by a turn and a shift (least squares)."""
-    lon, lat = lonlat[0]
-    target = enu_from_lonlat(lat, lon, lonlat) @ (1, 1j)
-    source = poses.T_world_lidar[:, :2, 3] @ (1, 1j)
-    turn = np.vdot(source - source.mean(), target - target.mean())
-    laid = target.mean() + (source - source.mean()) * (turn / abs(turn) if turn else 1)
-    fitted = lonlat_from_enu(lat, lon, np.stack([laid.real, laid.imag], axis=1))
-    return fitted, float(np.median(np.abs(laid - target)))

@@ -90,17 +90,12 @@ export function address(path) {
 /**
  * SHA-256 of what is sent, where the browser offers it (https, or this machine).
  * @param {BufferSource} bytes
- * @param {"base64" | "hex"} form
- * @returns {Promise<string | null>} null where the browser cannot compute it.
+ * @returns {Promise<string | null>} Base64; null where the browser cannot compute it.
  */
-export async function sha256(bytes, form) {
+export async function sha256(bytes) {
   if (!globalThis.crypto?.subtle) return null;
-  const hash = new Uint8Array(await crypto.subtle.digest("SHA-256", bytes));
-  return form === "base64" ? btoa(String.fromCharCode(...hash)) : hexOf(hash);
+  return btoa(String.fromCharCode(...new Uint8Array(await crypto.subtle.digest("SHA-256", bytes))));
 }
-
-/** @param {Uint8Array} bytes */
-const hexOf = (bytes) => [...bytes].map((byte) => byte.toString(16).padStart(2, "0")).join("");
 
 /** @param {string} path @returns {string} A path of a drive, each part encoded: "a b/ü.bin" -> "a%20b/%C3%BC.bin". */
 export function encodePath(path) {
@@ -108,7 +103,8 @@ export function encodePath(path) {
 }
 
 /** @returns {string} A key that no other request has. */
-export const newKey = () => hexOf(crypto.getRandomValues(new Uint8Array(16)));
+export const newKey = () =>
+  [...crypto.getRandomValues(new Uint8Array(16))].map((byte) => byte.toString(16).padStart(2, "0")).join("");
 
 /** @param {Record<string, string>} headers @returns {Record<string, string>} With the token, if there is one. */
 function authHeaders(headers) {
@@ -207,14 +203,18 @@ export async function sendJson(method, path, json, options = {}) {
  *
  * @param {string} path
  * @param {Blob|ArrayBuffer|Uint8Array} data
- * @param {{digest?: string|null, onProgress?: (sent: number) => void, signal?: AbortSignal, method?: string}} [options]
- *   `digest`: SHA-256 in Base64, checked by the server.
+ * @param {{digest?: string|null, onProgress?: (sent: number) => void, signal?: AbortSignal, method?: string,
+ *   type?: string}} [options] `digest`: SHA-256 in Base64, checked by the server.
  * @returns {Promise<any>} The answer as JSON.
  * @throws {ApiError}
  */
-export function putFile(path, data, { digest = null, onProgress, signal, method = "PUT" } = {}) {
+export function putFile(
+  path,
+  data,
+  { digest = null, onProgress, signal, method = "PUT", type = "application/octet-stream" } = {},
+) {
   /** @type {Record<string, string>} */
-  const headers = { "Content-Type": "application/octet-stream" };
+  const headers = { "Content-Type": type };
   if (digest) headers["Content-Digest"] = `sha-256=:${digest}:`;
   return withToken(
     () =>

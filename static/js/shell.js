@@ -3,7 +3,7 @@
  */
 import { getConfig, getJson, getToken, onTokenChange, ROOT, setToken } from "./api.js";
 import { outLink } from "./controls.js";
-import { lists, onListsChange, refreshLists, titleOf, watchLists } from "./data/lists.js";
+import { lists, onListsChange, refreshLists, refreshOldLists, titleOf, watchLists } from "./data/lists.js";
 import { onUploadsChange, ownUpload, percent } from "./data/uploads.js";
 import { el, fill, icon } from "./dom.js";
 import { driveNames, jobName, openDrive } from "./job/words.js";
@@ -71,7 +71,7 @@ export function mountHeader(header) {
   onUploadsChange(showTitle);
   onTokenChange(update);
   update();
-  refreshLists().catch(showError);
+  refreshOldLists().catch(showError);
   watchLists();
 }
 

@@ -13,6 +13,7 @@ from app.drives.records import delete_file
 from app.drives.upload import keep
 from app.http.intake import Intake
 from app.settings import Settings
+from app.store.models import Drive
 from app.trash import deletion as trash
 from tests import forks
 
@@ -55,7 +56,7 @@ def purge(data_dir: Path, drive_id: str) -> None:
     context = _open(data_dir)
     delete = context.storage.delete
     context.storage.delete = lambda key: _die() if key.startswith("jobs/") else delete(key)
-    trash.purge(context, "drives", drive_id)
+    trash.purge(context, Drive, drive_id)
 
 
 def _open(data_dir: Path) -> Context:

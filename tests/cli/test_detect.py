@@ -88,15 +88,3 @@ def test_labels_of_another_folder_and_scheme(interloc: Callable, short_drive: Pa
     options = ("--labels", "predictions", "--label-scheme", "3")
     assert interloc("detect", short_drive, "-o", tmp_path / "out", *options).code == 0
     assert "predictions" in interloc("detect", short_drive, "-o", tmp_path / "other", "--labels", "labels").complaint
-
-
-def test_the_reference_runs_on_its_own_settings(
-    interloc: Callable, short_drive: Path, tmp_path: Path, strict_json: Callable
-) -> None:
-    assert interloc("detect", short_drive, "-o", tmp_path / "out", "--reference", "--workers", "1").code == 0
-    assert strict_json(tmp_path / "out" / "run.json")["reference"] is True
-    for settings in (["--preset", "paper"], ["--set", "bev.resolution_m=0.2"]):
-        refused = interloc("detect", short_drive, "-o", tmp_path / "no", "--reference", *settings)
-        assert refused.code == 2
-        assert "it takes neither --preset nor --set" in refused.err
-    assert not (tmp_path / "no").exists()

@@ -2,6 +2,7 @@
 
 import os
 import re
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -9,7 +10,10 @@ import numpy as np
 import pytest
 
 from interloc.arrays import FloatArray
+from interloc.drives.findings import Findings
 from interloc.drives.inspect import inspect_drive
+from interloc.drives.open import open_drive
+from interloc.drives.scan_motion import check_scan_motion
 from interloc.geometry import invert_transform, rotation_from_rpy
 from tests import streets
 
@@ -84,16 +88,30 @@ def test_poses_that_the_scans_contradict(
         assert words in text
 
 
+@pytest.mark.parametrize("kind", ["written", "ground"])
 @pytest.mark.parametrize("factor", [0.7, 0.9, 1.1, 1.2, 1.5])
-def test_a_wrong_scale_is_told_by_its_number(tmp_path: Path, written: Path, factor: float) -> None:
-    text = with_poses(written, tmp_path / "street", scaled(factor)(streets.poses()))
+def test_a_wrong_scale_is_told_by_its_number(
+    tmp_path: Path, request: pytest.FixtureRequest, kind: str, factor: float
+) -> None:
+    text = with_poses(request.getfixturevalue(kind), tmp_path / "street", scaled(factor)(streets.poses()))
     (found,) = re.findall(r"The poses move (\d\.\d\d) times as far as the scans", text)
     assert float(found) == pytest.approx(factor, rel=0.05)
 
 
-def test_where_nothing_stands_upright_the_scale_is_not_told(ground: Path) -> None:
-    notes = [problem.message for problem in inspect_drive(ground).problems]
-    assert any("to be sure of the scale of the poses" in note for note in notes)
+@pytest.mark.parametrize("severity", ["warning", "note"])
+def test_where_road_is_all_there_is_the_scale_cannot_be_told(
+    tmp_path: Path, ground: Path, severity: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In front of the result, but where fixes are held against the poses, too."""
+    shutil.copytree(ground, tmp_path / "road")
+    for file in (tmp_path / "road" / "labels").iterdir():
+        labels = np.fromfile(file, np.uint32)
+        np.where(labels == 40, 40, 50).astype(np.uint32).tofile(file)
+    drive = open_drive(tmp_path / "road", check=False)
+    findings = Findings(stop_at_first=False)
+    check_scan_motion(drive, drive.scans.usable, "poses.txt", findings, is_computed=severity == "note")
+    (found,) = findings.found
+    assert (found.severity, "scale of the poses is right cannot be told" in found.message) == (severity, True)
 
 
 @pytest.mark.parametrize("kind", ["written", "ground"])

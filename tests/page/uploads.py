@@ -1,6 +1,7 @@
 """The upload panel in a tab, and what has arrived on the server."""
 
 import re
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -8,6 +9,8 @@ import httpx
 
 from tests.app.processes import API
 from tests.page.results import visit
+
+_SENDS = re.compile(r"/drives/\w+/(files|scans)")
 
 
 class Upload:
@@ -18,7 +21,7 @@ class Upload:
         self.sent: list[str] = []
         self.under_way: set[Any] = set()
         self.held: list[Any] = []
-        self._listeners = {"request": self._note, "requestfinished": self._note_end, "requestfailed": self._note_end}
+        self._listeners = {"request": self._note, "requestfinished": self._note_end, "requestfailed": self._forget}
         for event, call in self._listeners.items():
             page.on(event, call)
         visit(page, address, "panel=upload")
@@ -34,12 +37,17 @@ class Upload:
             self.page.remove_listener(event, call)
 
     def _note(self, request: Any) -> None:
-        if request.method == "PUT":
-            self.sent.append(request.url.split("/files/", 1)[1])
+        if _SENDS.search(request.url) and request.method != "GET":
             self.under_way.add(request)
 
-    def _note_end(self, request: Any) -> None:
+    def _forget(self, request: Any) -> None:
         self.under_way.discard(request)
+
+    def _note_end(self, request: Any) -> None:
+        if request in self.under_way and (answer := request.response()) is not None and answer.ok:
+            content = answer.json()
+            self.sent += [file["path"] for file in content.get("files", [content])]
+        self._forget(request)
 
     def pick(self, folder: Path) -> None:
         self.page.set_input_files("input[name=folder]", folder)
@@ -57,7 +65,7 @@ class Upload:
         return str(self.page.inner_text("#panel-upload"))
 
     def let_through(self, count: int) -> None:
-        """Hold back all scans but the first few."""
+        """Hold back all bundles of files but the first few."""
         held = self.held
 
         def decide(route: Any) -> None:
@@ -68,16 +76,19 @@ class Upload:
             else:
                 held.append(route)
 
-        self.page.route("**/files/ground/**", decide)
+        self.page.route(_SENDS, lambda route: route.continue_() if route.request.method == "GET" else decide(route))
 
     def release(self) -> None:
+        from playwright.sync_api import Error  # noqa: PLC0415 - may be missing
+
         held, self.held = self.held, []
         for route in held:
-            route.continue_()
+            with suppress(Error):  # the page may have given it up
+                route.continue_()
 
-    def wait_for_scans(self, count: int) -> None:
-        """Wait until so many scans are through."""
-        script = "count => Number(/Scans\\s+(\\d+) of/.exec(document.body.innerText)?.[1] ?? 0) >= count"
+    def wait_for_files(self, count: int) -> None:
+        """Wait until so many files are through."""
+        script = "count => Number(/Files\\s+(\\d+) of/.exec(document.body.innerText)?.[1] ?? 0) >= count"
         self.page.wait_for_function(script, arg=count)
 
     def only(self) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 from interloc.config import PAPER
 from interloc.detection.keyframes import select_keyframes
 from interloc.drives.open import open_drive
-from interloc.reference import find_range
+from tests.reference import find_range
 
 ROAD_IDS = (40, 60)
 
@@ -26,7 +26,7 @@ def masking(root: Path) -> dict[str, float]:
 
 
 def literal(root: Path, keyframes: int) -> dict[str, float]:
-    """Time `interloc.reference` around the middle of a drive, once its first window is read: one scan per keyframe."""
+    """Time `tests.reference` around the middle of a drive, once its first window is read: one scan per keyframe."""
     drive = open_drive(root)
     every = select_keyframes(drive.T_world_lidar, PAPER.keyframes)
     first = max(0, len(every) // 2 - keyframes // 2)

@@ -28,7 +28,6 @@ from typing import Any
 import click
 import cv2
 import numpy as np
-from baselines import literal, masking
 from skimage.morphology import skeletonize
 
 from interloc.arrays import FloatArray
@@ -46,6 +45,7 @@ from interloc.lab.town import Town
 from interloc.output.write import write_results
 from interloc.pipeline import detect
 from interloc.processes import GARBAGE_THRESHOLD
+from tests.performance.baselines import literal, masking
 
 Measure = Callable[[Path], dict[str, float]]
 LONG = 10  # times as many scans

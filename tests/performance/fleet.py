@@ -3,10 +3,12 @@
 For `tests.performance.torture`.
 """
 
+import base64
 import hashlib
 import json
 import os
 import random
+import shutil
 import socket
 import subprocess
 import sys
@@ -17,6 +19,7 @@ from collections import Counter, defaultdict
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
 
@@ -33,8 +36,8 @@ from interloc.drives.open import open_drive
 from interloc.live.scan import LiveScan, play
 from tests import forks
 from tests.app.processes import API, FINAL, ServerProcess, archive_of, files_below, without_job
-from tests.performance.webhooks import SECRET, Receiver
 
+SECRET = "whsec_" + base64.b64encode(bytes(range(32))).decode()
 CLIENTS = 3
 SERVERS = 2
 LEASE_S = 3.0
@@ -42,6 +45,43 @@ PATIENCE_S = 600.0  # a job may be killed many times before it comes to its end
 TOLD_S = 120.0  # in which a subscriber hears of the end of a job, though calls are cut off
 KEPT_DRIVES = 2  # per client; older ones are deleted, so that looking through all of them stays quick
 ANEW = {429, 500, 502, 503, 507}
+
+
+class Receiver(ThreadingHTTPServer):
+    """Notes the ids under which each message came; fails a tenth of them at the first try."""
+
+    daemon_threads = True
+
+    def __init__(self, rng: random.Random, delay_s: float = 0.0) -> None:
+        self.delay_s = delay_s
+        self.ids: defaultdict[tuple[str, str], list[str]] = defaultdict(list)
+        self.failed: set[str] = set()
+        self.rng = rng
+        self.lock = threading.Lock()
+        self.is_called = threading.Event()
+        super().__init__(("127.0.0.1", 0), _Handler)
+        threading.Thread(target=self.serve_forever, args=(0.1,), daemon=True).start()
+
+
+class _Handler(BaseHTTPRequestHandler):
+    server: Receiver
+
+    def do_POST(self) -> None:
+        told = json.loads(self.rfile.read(int(self.headers["Content-Length"])))
+        id_ = self.headers["webhook-id"]
+        with self.server.lock:
+            fails = id_ not in self.server.failed and self.server.rng.random() < 0.1
+            self.server.failed.add(id_)
+            if not fails:
+                self.server.ids[told["data"]["job_id"], told["type"]].append(id_)
+        self.server.is_called.set()
+        time.sleep(self.server.delay_s)
+        self.server.is_called.clear()
+        self.send_response(500 if fails else 204)
+        self.end_headers()
+
+    def log_message(self, *_: object) -> None:
+        pass
 
 
 def sha256(content: bytes) -> str:
@@ -364,8 +404,7 @@ class Client:
         while len(self._mine) > KEPT_DRIVES:
             old = self._mine.pop(0)
             self.ledger.forget(old)
-            self.ask("DELETE", f"/drives/{old}")
-            self.ask("DELETE", f"/trash/drives/{old}")
+            self.ask("DELETE", f"/drives/{old}?purge=true")
 
     def _merge(self, drive: str) -> None:
         """Make a map of a drive, take the drive out, put it in again: it is the same map with the same names."""
@@ -462,7 +501,7 @@ def clients(fleet: Fleet, ledger: Ledger, street: Path, reference: dict[str, str
 
 
 class Backups:
-    """`interloc backup` into one folder, over and over."""
+    """`interloc backup`, over and over."""
 
     def __init__(self, fleet: Fleet, out: Path, ledger: Ledger) -> None:
         self._fleet = fleet
@@ -492,6 +531,7 @@ class Backups:
         log, out = self.out.with_name("backup.log"), self.out.with_name("backup.out")
         while not self._stopping.wait(0.5):
             log.write_bytes(b"")
+            shutil.rmtree(self.out, ignore_errors=True)
             arguments = ["backup", self.out, "--data-dir", self._fleet.data, "--quiet"]
             self._process = forks.Command(arguments, environment, out, log)
             if self._process.wait() == 0:

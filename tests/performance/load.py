@@ -4,6 +4,7 @@ A real `interloc serve` on this machine and clients in processes of their own, o
 
 - upload: per-file PUT of scans (2 MB and 200 kB) over four connections, against the disk's own speed in writing the
   same files one by one, each synced;
+- CPU time of the server for 1,870 reduced scans, each by itself and in bundles, as `interloc push` sends them;
 - memory of the server while 5 GB pass through it;
 - reading: requests a second on a result of 10,000 detections, with and without a known ETag;
 - listeners: 200 event streams on one running job, how late they hear of its end.
@@ -29,6 +30,8 @@ from urllib.parse import urlsplit
 
 import psutil
 
+from interloc.client.connection import Connection
+from interloc.client.upload import UploadFile, UploadLog, upload
 from tests.app.processes import API, ServerProcess, ended, started, submit
 from tests.app.street import write_street
 
@@ -130,6 +133,30 @@ def measure_uploads(server: ServerProcess, folder: Path, gigabytes: float) -> It
     yield f"memory of the server while {rounds} GB pass", value
 
 
+def measure_bundles(server: ServerProcess, folder: Path) -> Iterator[Row]:
+    """CPU time of the server per file and per GB."""
+    files, content = [f"ground/labels/{number:06d}.ground" for number in range(1870)], os.urandom(76_500)
+    gigabytes = len(files) * len(content) / 1e9
+
+    def single(drive: str) -> None:
+        put_many(server, drive, ((path, content) for path in files))
+
+    def bundled(drive: str) -> None:
+        with Connection(server.address) as connection, UploadLog(folder / "log", {}) as log:
+            log.begin(drive)
+            upload(connection, drive, [UploadFile(path, lambda: content) for path in files], log, threads=CONNECTIONS)
+
+    for name, send in (("by itself", single), ("in bundles", bundled)):
+        drive = new_drive(server, name)
+        process = psutil.Process(server.process.pid)
+        before = sum(process.cpu_times()[:2])
+        send(drive)
+        cpu_s = sum(process.cpu_times()[:2]) - before
+        server.client.delete(f"{API}/drives/{drive}")
+        value = f"{1e3 * cpu_s / len(files):.2f} ms of CPU per file, {cpu_s / gigabytes:.1f} s per GB"
+        yield f"upload of {len(files):,} reduced scans, each {name}", value
+
+
 def _read(netloc: str, path: str, headers: dict[str, str], status: int, counted: Any) -> None:
     connection = http.client.HTTPConnection(netloc, timeout=60)
     end, count = time.perf_counter() + READ_S, 0
@@ -204,12 +231,21 @@ def main(say: Callable[[str], object] = print) -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--gigabytes", type=float, default=5.0, help="to pass through the server")
     parser.add_argument("--scans", type=int, default=6800, help="of the drive whose detections are read")
+    parser.add_argument("--database", help="URL of an empty database; a SQLite file by default")
+    parser.add_argument("--only-bundles", action="store_true", help="measure the upload of reduced scans only")
     options = parser.parse_args()
+    database = {"database_url": options.database} if options.database else {}
     rows: list[Row] = []
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
+        if options.only_bundles:
+            with started(folder / "data", folder / "server.log", **database) as server:
+                for row in measure_bundles(server, folder):
+                    say("  ".join(row))
+            return
         street = write_street(folder / "street", options.scans)
-        with started(folder / "data", folder / "server.log") as server:
+        with started(folder / "data", folder / "server.log", **database) as server:
+            rows += measure_bundles(server, folder)
             rows += measure_uploads(server, folder, options.gigabytes)
             drive = new_drive(server, "street")
             files = [path for path in street.rglob("*") if path.is_file()]

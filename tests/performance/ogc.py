@@ -46,7 +46,6 @@ QUERIES = {
     "a verdict": "limit=100&filter=outcome='wrong'",
     "two numbers": "limit=100&filter=score>0.95 AND error_m BETWEEN 2 AND 3",
     "a pattern": "limit=100&filter=reason LIKE '%25misplaced%25'",
-    "a polygon": "limit=100&filter=S_INTERSECTS(geometry, POLYGON((8.42 49.02,8.45 49.02,8.44 49.05,8.42 49.02)))",
     "an afternoon": "limit=100&datetime=2026-03-01T12:00:00Z/2026-03-01T18:00:00Z",
     "a drive": "limit=1000&filter=drive='drive 500'",
 }

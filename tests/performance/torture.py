@@ -39,7 +39,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from app.context import Context
 from app.settings import Settings
 from app.store.models import Job
-from app.upkeep.backup import BackupReport, back_up, restore
+from app.upkeep.backup import BackupRecord, back_up, restore
 from app.upkeep.check import Discrepancy, check
 from tests import forks
 from tests.app.postgres import new_database
@@ -236,8 +236,8 @@ def measure_kills(folder: Path, street: Path, reference: dict[str, str], options
             backups.stop()
             ledger.compare_told()
             look_through(fleet, ledger, "at the end")
-            _back_up(fleet, backups.out)  # the folder in which backups were killed
-            _restore(folder / kind / "restored", backups.out, None, ledger.snapshot(), ledger)
+            _back_up(fleet, backups.out.with_name("last"))
+            _restore(folder / kind / "restored", backups.out.with_name("last"), None, ledger.snapshot(), ledger)
         for target, seconds in killer.recovered_s.items():
             times = f"{min(seconds):.1f} / {statistics.median(seconds):.1f} / {max(seconds):.1f} s"
             yield f"{kind}: kills of a {target}", f"{len(seconds)}; all went on after {times} (min/median/max)"
@@ -261,12 +261,12 @@ def measure_backups(folder: Path, street: Path, reference: dict[str, str], optio
         with clients(fleet, ledger, street, reference, f"{options.seed}-backups"):
             for number in range(options.backups):
                 time.sleep(2)
-                out = folder / f"backup{number - number % 2}"  # every second one brings the one before up to date
+                out = folder / f"backup{number}"
                 known = ledger.snapshot()
                 began = time.monotonic()
-                report = _back_up(fleet, out)
+                record = _back_up(fleet, out)
                 took_s.append(time.monotonic() - began)
-                ledger.faults["backup"] += report.record.missing
+                ledger.faults["backup"] += record.missing
                 known = {drive: paths for drive, paths in known.items() if drive in ledger.files}  # not deleted
                 with ExitStack() as stack:
                     url = None if number % 4 < 2 else stack.enter_context(new_database())
@@ -279,7 +279,7 @@ def measure_backups(folder: Path, street: Path, reference: dict[str, str], optio
     yield from _told("backups", ledger)
 
 
-def _back_up(fleet: Fleet, out: Path) -> BackupReport:
+def _back_up(fleet: Fleet, out: Path) -> BackupRecord:
     context = Context.open(fleet.settings())
     try:
         return back_up(context, out, lambda *_: None)

@@ -50,7 +50,8 @@ def errors(look: DriveLook) -> list[str]:
 
 def test_a_look_finds_what_reading_the_drive_finds(drive: Path) -> None:
     look, report = look_at(drive), inspect_drive(drive)
-    plan = prepare_reduction(drive, keyframes=KeyframeConfig()).plan
+    reduction = prepare_reduction(drive, keyframes=KeyframeConfig())
+    plan = reduction.plan
     assert (look.layout, look.pose_frame) == (report.layout, report.pose_frame)
     assert (look.scans.count, look.scans.size_bytes) == (report.scans, report.scan_bytes)
     assert look.scans.runs == [(0, 12)]
@@ -60,7 +61,7 @@ def test_a_look_finds_what_reading_the_drive_finds(drive: Path) -> None:
     assert look.keyframes == len(plan.kept)
     assert look.frames_to_look_into == [0, 3, 6, 8, 11]
     assert errors(look) == []
-    assert look.plan.manifest == plan.manifest
+    assert look.plan.manifest == plan.manifest.with_labels([], reduction.manifest.source)
     assert (look.plan.scans, look.plan.kept) == (12, [(0, 1), (3, 1), (6, 1), (9, 1)])
     every = look_at(drive, keyframes=None).plan
     assert (every.kept, every.manifest.keyframes) == ([(0, 12)], None)
@@ -115,17 +116,13 @@ def test_a_georeference_from_elsewhere_is_part_of_the_plan(tmp_path: Path) -> No
     assert bad.plan is not None  # the rest of it stands
 
 
-def test_poses_are_laid_over_the_georeference(tmp_path: Path) -> None:
+def test_the_track_is_that_of_the_georeference(tmp_path: Path) -> None:
     root = write_kitti_raw(tmp_path / "2011_09_26_drive_0001_sync", poses=lidar_poses())
     by_oxts = look_at(root)
     assert by_oxts.layout == "kitti_raw"
-    assert (by_oxts.track.local, by_oxts.track.fitted) == (False, None)  # there are no other poses
+    assert by_oxts.track.local is False
     fixes = open_drive(root).georeference
     np.testing.assert_allclose(by_oxts.track.positions, np.stack([fixes.lon_deg, fixes.lat_deg], axis=1), atol=1e-8)
-    (root / "poses.txt").write_text(pose_text(lidar_poses()))
-    posed = look_at(root).track
-    assert posed.fit_m < 0.1
-    np.testing.assert_allclose(posed.fitted, posed.positions, atol=2e-6)
 
 
 def test_what_is_missing_or_does_not_fit_is_listed_by_name(tmp_path: Path) -> None:

@@ -1,7 +1,6 @@
 """What a successful job yields: layers, report, files, one archive of all."""
 
 import hashlib
-from pathlib import Path as FilePath
 from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Path, Query, Request, Response
@@ -13,10 +12,8 @@ from app.http.headers import prefers_html
 from app.http.openapi import BINARY, Responses, get_and_head, problems
 from app.http.patterns import ID
 from app.http.prices import priced
-from app.results.folder import Result, ResultsDep
+from app.results.folder import ResultsDep
 from app.results.models import ResultFile, ResultFileList, collection_model
-from interloc.errors import OutputError
-from interloc.files import write_file
 from interloc.output.layers import LAYERS, Layer
 from interloc.output.qgis import qml
 
@@ -202,30 +199,15 @@ def download_archive(job_id: JobId, request: Request, results: ResultsDep) -> Re
         files.append((name.as_posix(), stat.st_mtime_ns, stat.st_size))
         compress_type = ZIP_STORED if name.suffix in _PACKED else ZIP_DEFLATED
         archive.add_path(path, f"{folder}/{name.as_posix()}", compress_type=compress_type)
-        style = _style_of(result, name)
-        if style is not None:
-            files.append((style.name, style.stat().st_mtime_ns, style.stat().st_size))
-            archive.add_path(style, f"{folder}/{name.with_suffix('.qml').as_posix()}")
+        layer = LAYERS.get(name.name.split(".", 1)[0]) if name.suffix in {".geojson", ".json"} else None
+        if layer is not None:
+            archive.add(qml(layer), f"{folder}/{name.with_suffix('.qml').as_posix()}")
     headers = {
         "etag": f'"{hashlib.sha256(repr(files).encode()).hexdigest()[:24]}"',
         "cache-control": REVALIDATE,
         "content-disposition": disposition(f"{folder}.zip"),
     }
     known = not_modified(request, headers)
+    headers["etag"] = f"W/{headers['etag']}"  # the styles have the time of the request
     content = () if request.method == "HEAD" else archive
     return known or StreamingResponse(content, headers=headers, media_type="application/zip")
-
-
-def _style_of(result: Result, name: FilePath) -> FilePath | None:
-    """Return the style of a layer for QGIS, a file with a time of its own: the same archive has the same bytes."""
-    layer = LAYERS.get(name.name.split(".", 1)[0]) if name.suffix in {".geojson", ".json"} else None
-    if layer is None:
-        return None
-    path, content = result.cache / "styles" / f"{layer.name}.qml", qml(layer).encode()
-    try:
-        if not path.exists() or path.read_bytes() != content:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            write_file(path, content)
-    except (OSError, OutputError):  # as on a full disk
-        return None
-    return path

@@ -225,18 +225,18 @@ class RawScans:
                 below += ids_below(points.values, labels.of(frame, points, source.name(frame)))
         check_below(labels.name, below, judgement.scheme, set(judgement.counts), findings)
 
-    def check_turns(self, findings: Findings) -> None:
-        """Warn where a scan is a part of a turn, and those after it are the other parts."""
+    def check_turns(self, findings: Findings) -> bool:
+        """Warn, and return False, where a scan is a part of a turn, and those after it are the other parts."""
         if self.frames is None or not len(self.usable):
-            return
+            return True
         first = len(self.usable) // 2
         own, seen = self._sectors(int(self.usable[first])), set[int]()
         if len(own) * SECTOR_DEG >= WIDE_VIEW_DEG or not own:
-            return
+            return True
         for index in self.usable[first : first + _SCANS_OF_TURN]:
             seen |= self._sectors(int(index))
         if len(seen) * SECTOR_DEG < min(_TURN_DEG, _PARTS * len(own) * SECTOR_DEG):
-            return  # a sensor that looks into one direction, or two
+            return True  # a sensor that looks into one direction, or two
         findings.warning(
             self.parts.file(self.parts.scans).name,
             f"a scan sees {len(own) * SECTOR_DEG} degrees around the sensor, those after it see other parts, and "
@@ -244,6 +244,7 @@ class RawScans:
             "Usual cause: packets of the sensor as messages. Have the driver publish whole turns, or join the points "
             "of each turn, moved by the poses.",
         )
+        return False
 
     def _sectors(self, index: int) -> set[int]:
         """Return in which sectors around the sensor a scan has points."""

@@ -1,5 +1,5 @@
 /** The drives, jobs and trash of the server, as last received: shared by header and panels. */
-import { getJson, keepLooking } from "../api.js";
+import { getJson, keepLooking, sleep } from "../api.js";
 import { groupBy } from "../dom.js";
 import { news } from "../news.js";
 
@@ -30,6 +30,15 @@ const MAX_TRIES = 3;
 
 const changes = news();
 export const onListsChange = changes.hear;
+
+const PATIENCE_MS = 1500;
+let tellThatMapIsSeen = () => {};
+/** What the page shows first is the map: what else it asks for at its start waits for that, but not long. */
+export const mapIsSeen = Promise.race([
+  new Promise((/** @type {(value: void) => void} */ resolve) => (tellThatMapIsSeen = resolve)),
+  sleep(PATIENCE_MS),
+]);
+export { tellThatMapIsSeen };
 
 /** When the lists were last asked for. */
 let askedAt = -Infinity;
@@ -75,6 +84,7 @@ export async function refreshLists(isLook = false) {
 
 /** Ask the server again, where the lists are not those of just now. */
 export async function refreshOldLists() {
+  await mapIsSeen;
   if (performance.now() - askedAt > FRESH_MS) await refreshLists();
 }
 

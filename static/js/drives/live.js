@@ -1,5 +1,6 @@
 /** The drives that are under way, to be watched. */
 import { getJson, keepLooking } from "../api.js";
+import { mapIsSeen } from "../data/lists.js";
 import { el, fill, plural } from "../dom.js";
 import { getState, setState, subscribe } from "../state.js";
 
@@ -25,7 +26,7 @@ export function liveSection() {
   };
   keepLooking(LOOK_MS, look);
   subscribe(["panel", "live"], () => void look());
-  void look();
+  void mapIsSeen.then(look);
   return section;
 }
 

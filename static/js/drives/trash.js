@@ -26,7 +26,7 @@ export function trashSection() {
 
 /** @param {any} item */
 function row(item) {
-  const what = item.kind === "jobs" ? `Job ${item.title} of ${item.name}` : item.name;
+  const what = item.name;
   const why = item.deleted_by ? `deleted ${formatAgo(item.deleted_at)} by ${item.deleted_by}` : "upload expired";
   const left = (new Date(item.purged_at).getTime() - Date.now()) / 3.6e6;
   const until = left > 0 ? `gone in ${formatHours(left)}` : "gone soon";
@@ -42,7 +42,7 @@ function row(item) {
 
 /** @param {any} item @param {string} what */
 async function restoreItem(item, what) {
-  await sendJson("POST", `trash/${item.kind}/${item.id}/restore`);
+  await sendJson("POST", `trash/drives/${item.id}/restore`);
   announce(`${what} is restored.`);
   await refreshLists();
 }

@@ -7,7 +7,7 @@ import { confirmAction, failureNote, problemNote, showError } from "../messages.
 import { getState, setState, subscribe } from "../state.js";
 import { isEditing, naming } from "./naming.js";
 import { openRunDialog } from "./run_dialog.js";
-import { ANYONE, afterDeletion, standing, stateBadge } from "./words.js";
+import { ANYONE, standing, stateBadge } from "./words.js";
 
 const STAGES = [
   ["waiting", "Waiting for its turn"],
@@ -123,7 +123,7 @@ function progress(job) {
   const cancel = async () => rememberJob(await sendJson("DELETE", `jobs/${job.id}`));
   const retried = `Attempt ${job.attempts}: a worker died; the job goes on where it stopped.`;
   return [
-    el("ol.steps.down", items),
+    el("ol.steps", items),
     el("div.stack-s", [
       el("progress", { max: 1, value: total ? fraction : null, "aria-label": "Progress" }),
       el("div.spread.small.number", el("span", count), el("span", rest)),
@@ -247,7 +247,7 @@ function removal(job) {
 
 /** @param {any} job */
 async function remove(job) {
-  const text = `Its results go with it; the drive stays. ${afterDeletion()}`;
+  const text = "Its results go with it; the drive stays. This cannot be undone, but the drive can be run again.";
   if (!(await confirmAction("Delete this job?", text, "Delete the job"))) return;
   await sendJson("DELETE", `jobs/${job.id}?purge=true`);
   setState({ job: null, frame: null, view: null, panel: "drives" });

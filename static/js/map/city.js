@@ -93,25 +93,40 @@ export class CityScene extends OverviewScene {
     const isCompared = count !== null;
     const filter = getCityFilter();
     const byKind = filter.kind && `kind = '${filter.kind}'`;
-    this.members ??= loadMembers(id).then((all) => new Map(all.map((each) => [each.label ?? "", each])));
-    this.verdicts ??= loadVerdicts(id);
-    const [places, tracks, changes, findings, members] = await Promise.all([
+    const more = () => {
+      this.members ??= loadMembers(id).then((all) => new Map(all.map((each) => [each.label ?? "", each])));
+      if (isCompared) this.verdicts ??= loadVerdicts(id);
+      return Promise.all([
+        featuresIn(id, "changes", asked.box, { limit: MAX_PLACES, signal }),
+        isCompared
+          ? featuresIn(id, "findings", asked.box, { limit: MAX_PLACES, filter: byKind, signal })
+          : { features: [] },
+        this.members,
+        this.verdicts,
+      ]);
+    };
+    const rest = this.isNew ? null : more();
+    const [places, tracks] = await Promise.all([
       this.#places(asked.box, cqlOf(filter), signal),
       featuresIn(id, "drives", asked.box, { limit: MAX_TRACKS, signal }),
-      featuresIn(id, "changes", asked.box, { limit: MAX_PLACES, signal }),
-      isCompared
-        ? featuresIn(id, "findings", asked.box, { limit: MAX_PLACES, filter: byKind, signal })
-        : { features: [] },
-      this.members,
-      this.verdicts,
     ]);
+    const show = (
+      /** @type {any[]} */ changes,
+      /** @type {any[]} */ findings,
+      /** @type {Map<string, Member>} */ members,
+    ) => {
+      this.items = this.itemsOf(tracks.features.map((each) => driveOf(each, members)));
+      this.spots = this.#spots(places.features, changes, findings, isCompared);
+      this.onChange(this.isNew);
+      this.isNew = false;
+    };
     if (signal.aborted) return;
     asked.isWhole = places.features.length >= places.matched && tracks.features.length >= tracks.matched;
     this.cut = [cutText("intersections", places), cutText("tracks", tracks)].filter(Boolean).join(", ");
-    this.items = this.itemsOf(tracks.features.map((each) => driveOf(each, members)));
-    this.spots = this.#spots(places.features, changes.features, findings.features, isCompared);
-    this.onChange(this.isNew);
-    this.isNew = false;
+    if (!rest) show([], [], new Map()); // seen before what there is to say of them is asked for
+    const [changes, findings, members] = await (rest ?? more());
+    if (signal.aborted) return;
+    show(changes.features, findings.features, members);
     this.loadRoads(() => this.onChange(false));
   }
 

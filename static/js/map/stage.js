@@ -3,7 +3,7 @@
 import { follow } from "../api.js";
 import { chosenCity, cities, loadMaps, onCityChange, versionOf, wantsCity, watchMaps } from "../data/city.js";
 import { demo, onDemoChange, tryDemo } from "../data/demo.js";
-import { FINAL, lists, loadJob, onListsChange, rememberJob } from "../data/lists.js";
+import { FINAL, lists, loadJob, onListsChange, rememberJob, tellThatMapIsSeen } from "../data/lists.js";
 import { loadOverview } from "../data/overview.js";
 import { loadResult, loadTrajectory, withService } from "../data/results.js";
 import { el, fill, icon, plural, takesDrops } from "../dom.js";
@@ -212,6 +212,7 @@ export async function mountStage() {
         tellOfCity(own);
         if (isFirst && !cities.entry) fitIt(); // the note has its size now
         parts.redraw();
+        tellThatMapIsSeen();
       });
       scene = own;
       tellOfCity(own);
@@ -399,6 +400,7 @@ export async function mountStage() {
     if (now === drivesShown) return;
     const isKnown = drivesShown === null && hasOverview; // the map of them was asked for just before
     drivesShown = now;
+    if (scene instanceof OverviewScene) scene.loadRoads(() => parts.redraw());
     if (isKnown) return;
     if (!job && !drive && !live) void showDrive();
   });
@@ -411,6 +413,7 @@ export async function mountStage() {
   });
   for (const { key, text, run } of [...QUEUE_KEYS, ...CITY_KEYS, ...MEASURE_KEYS]) addShortcut(key, text, run);
   await showDrive();
+  if (!(scene instanceof CityScene)) tellThatMapIsSeen();
 }
 
 /** @param {HTMLElement} holder @param {boolean} local @param {() => any} current */

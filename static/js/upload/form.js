@@ -8,7 +8,7 @@ import { bytesOf, filesOfDrive, inFolder, lookInto, problemsOf, sorted } from ".
 import { folderOfInput } from "./folder.js";
 import { labelForm } from "./label_form.js";
 import { fingerprintOf } from "./memory.js";
-import { fitVerdict, mapVerdict, showPreview } from "./preview.js";
+import { mapVerdict, showPreview } from "./preview.js";
 import { readingForm } from "./reading_form.js";
 import { groundBytesOf } from "./upload.js";
 
@@ -146,11 +146,9 @@ export function formView(
   function showFacts() {
     if (!drive) return;
     const folders = isOpen ? labels.folders() : [];
-    const fit = found?.track ? fitVerdict(found.track) : null;
     const rows = [
       ...factsOf(drive, folders, groundBytesOf(drive, folders), sending()),
       found?.track ? /** @type {[string, string]} */ (["Distance", formatMetres(found.track.length_m, 0)]) : null,
-      fit && /** @type {[string, any]} */ (["Poses lie", el("span", { class: fit[1] ? "warn" : "" }, fit[0])]),
     ];
     fill(facts, factRows(rows));
   }
@@ -218,7 +216,7 @@ export function formView(
     }
     const list = drive ? sorted([...problemsOf(drive, folders, made !== null), ...faults]) : [];
     const isError = (/** @type {FileProblem} */ each) => each.severity === "error";
-    const borrowed = drive?.look.borrowed.map((text) => el("p.small", text));
+    const borrowed = drive?.look.borrowed.map((/** @type {string} */ text) => el("p.small", text));
     fill(errors, problemList(list.filter(isError)));
     fill(problems, problemList(list.filter((each) => !isError(each))), borrowed);
     const complaint = list.some(isError)

@@ -10,8 +10,6 @@ import { isReadableMap } from "./osm_roads.js";
 /** @import { MapLook } from "./osm_roads.js" */
 /** @typedef {{track: Track | null, look: MapLook | null, isDone: boolean}} Found */
 
-const FIT_M = 10; // poses drift: by some metres on a drive of some kilometres
-const FIT_SHARE = 0.02;
 const ROAD_M = 15;
 
 /** @type {Worker | null} */
@@ -48,7 +46,7 @@ export function showPreview(drive, map, onFound) {
   const canLook = track && !track.local && map && isReadableMap(map.name) && typeof Worker === "function";
   show({ track, look: null, isDone: !canLook });
   if (!canLook) return;
-  worker = new Worker(new URL("./preview_worker.js", import.meta.url), { type: "module" });
+  worker = new Worker(new URL("./worker.js", import.meta.url), { type: "module" });
   worker.addEventListener("message", ({ data: look }) => {
     worker?.terminate();
     show({ track, look, isDone: true });
@@ -83,26 +81,15 @@ function dropWorker() {
 
 /** @param {DriveFolder} drive @param {Found} found @param {File | null} map @returns {import("../map/shown.js").Preview} */
 function previewOf(drive, { track, look }, map) {
-  const { positions, fitted, local, length_m } = /** @type {Track} */ (track);
+  const { positions, local, length_m } = /** @type {Track} */ (track);
   const result = trackAlone(positions, local);
-  result.keyframes = positions.map(([lng, lat]) => ({ lng, lat, properties: {} }));
-  result.places = fitted ? [fitted] : [];
+  result.keyframes = positions.map((/** @type {number[]} */ [lng, lat]) => ({ lng, lat, properties: {} }));
   result.roads = look?.roads ?? [];
   result.isMadeUp = look?.isMadeUp ?? false;
   const parts = [plural(positions.length, "scan"), formatMetres(length_m, 0)];
   if (local) parts.push("in metres of its poses: no georeference");
   if (look?.roads.length) parts.push(`roads of ${map?.name}`);
-  const fit = fitVerdict(/** @type {Track} */ (track));
-  if (fit?.[1]) parts.push(`poses (thin line) ${fit[0]}`);
   return { result, title: drive.look.name, text: parts.join(" · "), progress: shown.preview?.progress ?? 0 };
-}
-
-/** @param {Track} track @returns {[text: string, isBad: boolean] | null} How the poses fit the georeference. */
-export function fitVerdict({ fit_m, length_m }) {
-  if (fit_m === null) return null;
-  const isBad = fit_m > Math.max(FIT_M, FIT_SHARE * length_m);
-  const text = `${formatMetres(fit_m, 1)} from the georeference (median)`;
-  return [isBad ? `${text}: do both belong to this drive?` : text, isBad];
 }
 
 /** Say how a map fits the drive. @param {File} map @param {Found} found @returns {[text: string, isBad: boolean]} */

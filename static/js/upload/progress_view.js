@@ -7,7 +7,7 @@ import { problemNote } from "../messages.js";
 /** @import { Upload } from "./upload.js" */
 
 const REDRAW_MS = 150;
-const STEPS = { files: "Small files", archive: "Archive", plan: "Plan", scans: "Scans", check: "Check", run: "Job" };
+const STEPS = { archive: "Archive", plan: "Plan", files: "Files", check: "Check", run: "Job" };
 
 /**
  * @param {object} actions
@@ -54,16 +54,13 @@ export function progressView({ onChange, onCorrect, onLeave }) {
       return status === "failed" ? "failed" : "now";
     };
     drawOnce(steps, [status, step], () => upload.steps.map((each, i) => stepItem(each, stateOf(i))));
-    const isSending = step === "files" || step === "scans" || step === "archive";
-    const fraction =
-      status === "done" ? 1 : isSending ? transfer.meter.fraction : upload.total ? upload.done / upload.total : null;
+    const fraction = status === "done" ? 1 : (upload.sent ?? (upload.total ? upload.done / upload.total : null));
     if (fraction === null) bar.removeAttribute("value");
     else bar.value = fraction;
     bar.hidden = status === "failed" || status === "stopped";
     line.hidden = bar.hidden;
-    line.textContent =
-      transfer.waiting ?? (transfer.isPaused ? "Paused. What is being sent still arrives." : upload.message);
-    fill(figures, figuresOf(upload, isSending));
+    line.textContent = transfer.waiting ?? upload.message;
+    fill(figures, figuresOf(upload));
     drawOnce(fault, error, () => error && problemNote(error));
     const found = upload.problems;
     drawOnce(problems, found, () => found.length > 0 && [el("h3", "What was found"), problemList(found)]);
@@ -75,7 +72,6 @@ export function progressView({ onChange, onCorrect, onLeave }) {
     const { status } = upload;
     if (status === shownButtons) return;
     shownButtons = status;
-    const stop = el("button", { onClick: () => upload.stop() }, "Stop");
     const isFiles = upload.problems.length > 0;
     const next = status === "stopped" ? "Continue" : "Try again";
     const again = el("button", { class: isFiles ? "" : "primary", onClick: () => upload.run() }, next);
@@ -84,8 +80,7 @@ export function progressView({ onChange, onCorrect, onLeave }) {
     const leave = el("button.plain", { onClick: onLeave }, "Back");
     const sets = {
       ready: [],
-      running: [el("button", { onClick: () => upload.pause() }, icon("pause"), "Pause"), stop],
-      paused: [el("button.primary", { onClick: () => upload.resume() }, icon("play"), "Resume"), stop],
+      running: [el("button", { onClick: () => upload.stop() }, icon("pause"), "Stop")],
       failed: isFiles ? [correct, change, again, leave] : [again, change, correct, leave],
       stopped: [again, change, leave],
       done: [el("button.primary", { onClick: onLeave }, "Upload another")],
@@ -113,7 +108,6 @@ export function progressView({ onChange, onCorrect, onLeave }) {
 const BADGES = {
   ready: ["", "Ready"],
   running: ["busy", "Uploading"],
-  paused: ["", "Paused"],
   failed: ["error", "Stopped by a problem"],
   stopped: ["", "Stopped"],
   done: ["good", "Done"],
@@ -126,22 +120,17 @@ function stepItem(step, state) {
   return el("li", props, STEPS[step], el("span.unseen", `, ${readAloud}`));
 }
 
-/** @param {Upload} upload @param {boolean} isSending */
-function figuresOf(upload, isSending) {
-  const { transfer, done, total, step, source } = upload;
+/** @param {Upload} upload */
+function figuresOf({ transfer, done, total, step, status, sent, secondsLeft }) {
   const { meter } = transfer;
-  const { folders, sending } = upload.settings;
-  const isOfScans =
-    step === "check" || (step === "scans" && source.drive?.look.plan && sending !== "raw" && folders.length === 1);
-  const isUnderWay = isSending && upload.status === "running";
+  const isUnderWay = sent !== null && status === "running";
+  const seconds = isUnderWay ? meter.secondsLeft : step === "check" ? secondsLeft : null;
   const all = formatBytes(Math.max(meter.total, meter.sent));
-  const seconds = isUnderWay && step !== "files" ? meter.secondsLeft : step === "check" ? upload.secondsLeft : null;
-  const left = seconds !== null && formatDuration(seconds);
   return factRows([
-    total && [isOfScans ? "Scans" : "Files", `${formatCount(done)} of ${formatCount(total)}`],
+    total && [step === "check" ? "Scans" : "Files", `${formatCount(done)} of ${formatCount(total)}`],
     (meter.sent || meter.skipped) && ["Sent", `${formatBytes(meter.sent)} of about ${all}`],
     meter.skipped && ["There already", formatBytes(meter.skipped)],
     isUnderWay && meter.speed !== null && ["Speed", `${formatBytes(meter.speed)}/s`],
-    left && ["Time left", `about ${left}`],
+    seconds !== null && ["Time left", `about ${formatDuration(seconds)}`],
   ]);
 }

@@ -1,50 +1,50 @@
 /**
- * Sends files of one drive: several at once, again where the connection or the server fails for a while.
+ * Sends the files of one drive: small ones in bundles, some requests at once, again where the connection or the server
+ * fails for a while.
  *
- * Pausing, stopping, retrying and digests of what is sent are here, since only the browser can do them.
+ * Reducing scans, stopping, and digests of what is sent are here, since only the browser can do them.
  */
 
-import { ApiError, encodePath, putFile, request, sha256, sleep } from "../api.js";
+import { ApiError, encodePath, newKey, putFile, request, sha256, sleep } from "../api.js";
 import { readWhole } from "./reduce.js";
 
-/** One connection less than browsers open to a server, so that the page can still ask for something. */
-export const PARALLEL = 5;
+/**
+ * @typedef {object} Item A file that the service is to have.
+ * @property {string} path Inside the drive.
+ * @property {number} size Bytes; about as many where it is made.
+ * @property {boolean} isTrusted Whether the same was sent under this name before, so that it need not be read again.
+ * @property {File} [file] It is sent as it is,
+ * @property {() => object} [task] or it is what a worker makes by this.
+ */
+/** @typedef {{path: string, data: Blob | Uint8Array<ArrayBuffer>, size: number, digest: string | null}} Content To be sent. */
 
+/** One connection less than browsers open to a server, so that the page can still ask for something. */
+const PARALLEL = 5;
+/** Files up to this size travel together. */
+const SMALL_BYTES = 1024 * 1024;
+const BUNDLE_BYTES = 8 * 1024 * 1024;
+const BUNDLE_FILES = 32;
+const ROUNDS = 4;
 /** Larger files are sent without a digest: to compute one, the whole file is read into memory. */
-export const DIGEST_MAX_BYTES = 512 * 1024 * 1024;
+const DIGEST_MAX_BYTES = 512 * 1024 * 1024;
+const PAGE = 10_000;
 const GIVE_UP_MS = 15 * 60_000;
 const MAX_WAIT_MS = 30_000;
 const DAMAGED_TRIES = 3;
 
-const WINDOW_MS = 15_000;
-const STEP_MS = 500;
-
 /** How much was sent, how fast, and how long the rest will take. */
 export class Meter {
+  sent = 0;
+  /** Bytes that are to be sent in all; an estimate while scans are being reduced. */
+  total = 0;
+  /** Bytes that were there already. */
+  skipped = 0;
+  #began;
+
   /** @param {() => number} [now] Milliseconds. */
   constructor(now = () => performance.now()) {
     this.now = now;
-    this.sent = 0;
-    /** Bytes that are to be sent in all; an estimate while scans are being reduced. */
-    this.total = 0;
-    /** Bytes that were there already. */
-    this.skipped = 0;
-    /** @type {[number, number][]} Time and bytes sent until then. */
-    this.marks = [];
-  }
-
-  /** @param {number} bytes Less than nothing takes back what has to be sent again. */
-  add(bytes) {
-    this.sent += bytes;
-    const time = this.now();
-    const last = this.marks.at(-1);
-    if (!last || time - last[0] >= STEP_MS) this.marks.push([time, this.sent]);
-    while (this.marks.length > 2 && time - this.marks[0][0] > WINDOW_MS) this.marks.shift();
-  }
-
-  /** Forget the speed: after a pause it means nothing. */
-  restart() {
-    this.marks = [];
+    this.#began = now();
   }
 
   /** @returns {number} 0..1 */
@@ -55,132 +55,138 @@ export class Meter {
 
   /** @returns {number | null} Bytes per second; null where it is too early to tell. */
   get speed() {
-    const first = this.marks[0];
-    const seconds = first ? (this.now() - first[0]) / 1000 : 0;
-    return first && seconds > 1 ? Math.max(0, this.sent - first[1]) / seconds : null;
+    const seconds = (this.now() - this.#began) / 1000;
+    return this.sent > 0 && seconds > 1 ? this.sent / seconds : null;
   }
 
   get secondsLeft() {
-    const speed = this.speed;
-    return speed ? Math.max(0, this.total - this.sent) / speed : null;
-  }
-}
-
-/** So much may go on at once; the rest waits for its turn. */
-export class Turns {
-  /** @type {(() => void)[]} */
-  #waiting = [];
-
-  /** @param {number} free */
-  constructor(free) {
-    this.free = free;
-  }
-
-  /** @template T @param {() => Promise<T>} work */
-  async run(work) {
-    if (this.free > 0) this.free -= 1;
-    else await new Promise((/** @type {(value: void) => void} */ resolve) => this.#waiting.push(resolve));
-    try {
-      return await work();
-    } finally {
-      const next = this.#waiting.shift();
-      if (next) next();
-      else this.free += 1;
-    }
+    return this.speed && Math.max(0, this.total - this.sent) / this.speed;
   }
 }
 
 export class Transfer {
+  meter = new Meter();
+  /** Id of the drive. */
+  drive = "";
+  /** What it waits for, in words; null while all is well. @type {string | null} */
+  waiting = null;
+  #stopper = new AbortController();
+
   /** @param {() => void} onChange Called whenever something is worth showing. */
   constructor(onChange) {
     this.onChange = onChange;
-    this.meter = new Meter();
-    this.drive = "";
-    /** What it waits for, in words; null while all is well. @type {string | null} */
-    this.waiting = null;
-    this.stopper = new AbortController();
-    /** @type {{promise: Promise<void>, open: () => void} | null} */
-    this.gate = null;
-    this.connections = new Turns(PARALLEL);
   }
 
   get signal() {
-    return this.stopper.signal;
+    return this.#stopper.signal;
   }
 
-  get isPaused() {
-    return this.gate !== null;
-  }
-
-  /** Begin nothing more; what is being sent arrives. */
-  pause() {
-    if (this.gate) return;
-    let open = () => {};
-    const promise = new Promise((/** @type {(value: void) => void} */ resolve) => (open = resolve));
-    this.gate = { promise, open };
-    this.onChange();
-  }
-
-  resume() {
-    this.gate?.open();
-    this.gate = null;
-    this.meter.restart();
-    this.onChange();
-  }
-
+  /** Send nothing more; what is on its way is given up, and sent again when it goes on. */
   stop() {
-    this.stopper.abort(new DOMException("The upload was stopped.", "AbortError"));
-    this.gate?.open();
-    this.gate = null;
+    this.#stopper.abort(new DOMException("The upload was stopped.", "AbortError"));
   }
 
-  /** Wait while paused; throws where the upload was stopped. */
-  async waitWhilePaused() {
-    while (this.gate) await this.gate.promise;
-    this.signal.throwIfAborted();
+  /** @returns {Promise<Map<string, {size_bytes: number, digest: string}>>} What the service has of the drive, by path. */
+  async present() {
+    const present = new Map();
+    for (let after = ""; ; ) {
+      const query = `limit=${PAGE}${after && `&after=${encodeURIComponent(after)}`}`;
+      const { body } = await this.ask(`drives/${this.drive}/files?${query}`);
+      for (const { path, size_bytes, sha256: hex } of body.files) {
+        const bytes = hex.replace(/../g, (/** @type {string} */ pair) => String.fromCharCode(parseInt(pair, 16)));
+        present.set(path, { size_bytes, digest: btoa(bytes) });
+      }
+      if (!body.next) return present;
+      after = body.next;
+    }
   }
 
   /**
-   * Do something for each of many items, some at once; the first failure ends it.
+   * Send what the service lacks of some files, from one queue; the first failure ends it.
    *
-   * @template T
-   * @param {Iterable<T>} items
-   * @param {number} atOnce
-   * @param {(item: T) => Promise<void>} work
+   * @param {Item[]} items
+   * @param {(done: number) => void} onDone Called with the number of files that are there.
    */
-  async each(items, atOnce, work) {
-    const iterator = items[Symbol.iterator]();
-    let failed = false;
-    const lane = async () => {
-      for (let next = iterator.next(); !next.done && !failed; next = iterator.next()) {
-        try {
-          await this.waitWhilePaused();
-          await work(next.value);
-        } catch (error) {
-          failed = true;
-          throw error;
+  async sendAll(items, onDone) {
+    const present = await this.present();
+    const queue = items.values();
+    const bundled = Math.min(BUNDLE_FILES, Math.ceil(items.length / (ROUNDS * PARALLEL))); // of few files no lane has all
+    let done = 0;
+    /** @type {{error: unknown} | null} */
+    let fault = null;
+    const lane = async (/** @type {Worker | null} */ worker = null) => {
+      /** @type {Content[]} */
+      let bundle = [];
+      const send = async (/** @type {Content[]} */ contents) => {
+        await this.#send(contents);
+        onDone((done += contents.length));
+      };
+      try {
+        for (const item of queue) {
+          this.signal.throwIfAborted();
+          if (fault) return;
+          if (item.task) worker ??= new Worker(new URL("./worker.js", import.meta.url), { type: "module" });
+          const content = await this.#contentOf(item, present.get(item.path), worker);
+          if (!content) onDone((done += 1));
+          else if (content.size > SMALL_BYTES || /["%\\\p{C}]/u.test(content.path)) await send([content]);
+          else bundle.push(content);
+          if (bundle.length >= bundled || sizeOf(bundle) >= BUNDLE_BYTES) {
+            await send(bundle);
+            bundle = [];
+          }
         }
+        if (bundle.length) await send(bundle);
+      } catch (error) {
+        fault ??= { error };
+      } finally {
+        worker?.terminate();
       }
     };
-    const lanes = await Promise.allSettled(Array.from({ length: atOnce }, lane));
-    const bad = lanes.find((result) => result.status === "rejected");
-    if (bad) throw /** @type {PromiseRejectedResult} */ (bad).reason;
+    this.meter.total += items.reduce((sum, { size }) => sum + size, 0);
+    await Promise.all(Array.from({ length: PARALLEL }, () => lane()));
+    if (fault) throw /** @type {{error: unknown}} */ (fault).error;
   }
 
   /**
-   * Send one file.
-   *
-   * @param {string} path Inside the drive.
-   * @param {Blob | Uint8Array<ArrayBuffer>} data
-   * @param {string | null} [digest] SHA-256 in Base64, where it is known.
-   * @returns {Promise<{path: string, size_bytes: number, sha256: string}>}
+   * @param {Item} item
+   * @param {{size_bytes: number, digest: string} | undefined} there What the service has under its name.
+   * @param {Worker | null} worker
+   * @returns {Promise<Content | null>} null where the service has it.
    */
-  async put(path, data, digest = null) {
-    const size = data instanceof Blob ? data.size : data.byteLength;
-    if (!digest && size <= DIGEST_MAX_BYTES) {
-      digest = await sha256(data instanceof Blob ? await readWhole(data, path) : data, "base64");
-    }
-    return this.send(`drives/${this.drive}/files/${encodePath(path)}`, data, { digest });
+  async #contentOf({ path, size: expected, isTrusted, file, task }, there, worker) {
+    const skip = (/** @type {number} */ bytes) => {
+      this.meter.total -= expected;
+      this.meter.skipped += bytes;
+      this.onChange();
+      return null;
+    };
+    if (there && isTrusted && (!file || there.size_bytes === expected)) return skip(there.size_bytes);
+    const content = file ? await contentOf(file, path) : await made(/** @type {Worker} */ (worker), task?.());
+    if (content.digest !== null && content.digest === there?.digest) return skip(there.size_bytes);
+    const size = content.data instanceof Blob ? content.data.size : content.data.byteLength;
+    this.meter.total += size - expected;
+    return { path, size, ...content };
+  }
+
+  /** Send a file, or several small ones in one request: all of them arrive, or none. @param {Content[]} contents */
+  async #send(contents) {
+    const [{ path, data, digest }] = contents;
+    if (contents.length === 1) return this.send(`drives/${this.drive}/files/${encodePath(path)}`, data, { digest });
+    const boundary = newKey();
+    const parts = contents.flatMap((each) => [
+      `--${boundary}\r\nContent-Disposition: form-data; name="files"; filename="${each.path}"\r\n`,
+      each.digest ? `Content-Digest: sha-256=:${each.digest}:\r\n\r\n` : "\r\n",
+      each.data,
+      "\r\n",
+    ]);
+    const type = `multipart/form-data; boundary=${boundary}`;
+    const body = new Blob([...parts, `--${boundary}--\r\n`]);
+    return this.send(`drives/${this.drive}/scans`, body, { method: "POST", type, size: sizeOf(contents) });
+  }
+
+  /** Send one file that was not counted before. @param {string} path Inside the drive. @param {File} file */
+  async put(path, file) {
+    await this.#send([{ path, size: file.size, ...(await contentOf(file, path)) }]);
   }
 
   /**
@@ -188,30 +194,27 @@ export class Transfer {
    *
    * @param {string} path Of the service.
    * @param {Blob | Uint8Array<ArrayBuffer>} data
-   * @param {{digest?: string | null, method?: string}} [options]
+   * @param {{digest?: string | null, method?: string, type?: string, size?: number}} [options] `size`: what counts of it.
    */
-  async send(path, data, options = {}) {
-    const size = data instanceof Blob ? data.size : data.byteLength;
-    await this.waitWhilePaused();
-    return this.retry(() =>
-      this.connections.run(async () => {
-        let counted = 0;
-        const count = (/** @type {number} */ sent) => {
-          const step = Math.min(sent, size) - counted;
-          counted += step;
-          this.meter.add(step);
-          this.onChange();
-        };
-        try {
-          const answer = await putFile(path, data, { ...options, onProgress: count, signal: this.signal });
-          count(size);
-          return answer;
-        } catch (error) {
-          count(0);
-          throw error;
-        }
-      }),
-    );
+  async send(path, data, { size = data instanceof Blob ? data.size : data.byteLength, ...options } = {}) {
+    this.signal.throwIfAborted();
+    return this.retry(async () => {
+      let counted = 0;
+      const count = (/** @type {number} */ sent) => {
+        const step = Math.min(sent, size) - counted;
+        counted += step;
+        this.meter.sent += step;
+        this.onChange();
+      };
+      try {
+        const answer = await putFile(path, data, { ...options, onProgress: count, signal: this.signal });
+        count(size);
+        return answer;
+      } catch (error) {
+        count(0);
+        throw error;
+      }
+    });
   }
 
   /** Ask the service for something. @param {string} path @param {Parameters<typeof request>[1]} [options] */
@@ -244,12 +247,32 @@ export class Transfer {
         if (!isDamaged && !isPassing) throw error;
         const wait = waitFor(tries, /** @type {ApiError} */ (error).retryAfter);
         this.waiting = `${/** @type {ApiError} */ (error).title}. Trying again in ${Math.ceil(wait / 1000)} s.`;
-        this.meter.restart();
         this.onChange();
         await Promise.race([sleep(wait, this.signal), backOnline(this.signal)]);
       }
     }
   }
+}
+
+/** @param {Content[]} contents */
+const sizeOf = (contents) => contents.reduce((sum, { size }) => sum + size, 0);
+
+/** A file with its SHA-256 in Base64; a small one is read only once. @param {File} file @param {string} path */
+async function contentOf(file, path) {
+  if (file.size > DIGEST_MAX_BYTES) return { data: file, digest: null };
+  const bytes = new Uint8Array(await readWhole(file, path));
+  return { data: file.size > SMALL_BYTES ? file : bytes, digest: await sha256(bytes) };
+}
+
+/** @param {Worker} worker @param {any} task @returns {Promise<{data: Uint8Array<ArrayBuffer>, digest: string | null}>} */
+function made(worker, task) {
+  return new Promise((resolve, reject) => {
+    worker.onmessage = ({ data: answer }) =>
+      answer.error === undefined ? resolve(answer) : reject(new Error(answer.error));
+    worker.onerror = ({ message }) =>
+      reject(new Error(`The part of the page that reduces scans stopped: ${message || "it did not load"}.`));
+    worker.postMessage(task);
+  });
 }
 
 /** @param {number} tries @param {number | null} asked Seconds that the server asked for. @returns {number} Milliseconds. */

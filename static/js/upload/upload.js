@@ -1,15 +1,14 @@
 /** One upload from the first file to the job: every step can be repeated, so it goes on where it stopped. */
 
 import { ApiError, isMap, sleep } from "../api.js";
-import { bytesOf, lookInto, numbersOf, plannedFiles, rawFiles, sorted } from "./drive_folder.js";
+import { inFolder, lookInto, numbersOf, pathOf, plannedFiles, rawFiles, sorted } from "./drive_folder.js";
 import { forget, remember, remembered } from "./memory.js";
-import { listPresent, manifestBytes, sendFiles, sendReduced, sendSmallFiles } from "./sending.js";
 import { Transfer } from "./transfer.js";
 
 /** @import { FileProblem } from "../api.js" */
 /** @import { JobSettings } from "../job/job_form.js" */
-/** @import { DriveFolder } from "./drive_folder.js" */
-/** @import { Present } from "./sending.js" */
+/** @import { DriveFolder, DriveLook, NumberedLook } from "./drive_folder.js" */
+/** @import { Item } from "./transfer.js" */
 /**
  * @typedef {object} Settings
  * @property {string} name
@@ -34,8 +33,8 @@ import { Transfer } from "./transfer.js";
 /** @param {ReadingOptions} options @returns {"geometry" | "predictions" | null} Labels that the service makes. */
 export const madeFolder = ({ labels, model }) => labels ?? (model ? "predictions" : null);
 
-/** @typedef {"files" | "plan" | "scans" | "archive" | "check" | "run"} Step */
-/** @typedef {"ready" | "running" | "paused" | "failed" | "stopped" | "done"} Status */
+/** @typedef {"plan" | "files" | "archive" | "check" | "run"} Step */
+/** @typedef {"ready" | "running" | "failed" | "stopped" | "done"} Status */
 
 const COMMIT_WAIT_S = 3;
 const POLL_MS = 700;
@@ -64,7 +63,7 @@ export class Upload {
     this.status = "ready";
     /** @type {Step} */
     this.step = "files";
-    /** Scans done and in all, in the step of scans; or what the service counts while it checks. */
+    /** Files that are there and in all; or what the service counts while it checks. */
     this.done = 0;
     this.total = 0;
     /** Of what the service does, while it checks. @type {number | null} */
@@ -80,33 +79,21 @@ export class Upload {
     this.transfer = new Transfer(onChange);
   }
 
-  /** @returns {number | null} How much of the scans or the archive was sent, 0..1; null before and after. */
+  /** @returns {number | null} How much of the files or the archive was sent, 0..1; null before and after. */
   get sent() {
-    const isSending = this.step === "scans" || this.step === "archive";
-    return isSending ? this.transfer.meter.fraction : null;
+    return this.step === "files" || this.step === "archive" ? this.transfer.meter.fraction : null;
   }
 
   /** @returns {Step[]} */
   get steps() {
     const { archive, drive } = this.source;
-    /** @type {Step[]} */
-    const sending = archive ? ["archive"] : ["plan", "files", "scans"];
-    if (drive && !drive.look.scans) sending.shift(); // nothing to plan: only the service reads it, or it is reduced
+    /** @type {Step[]} Nothing is planned where only the service reads the scans, or they are reduced. */
+    const sending = archive ? ["archive"] : drive?.look.scans ? ["plan", "files"] : ["files"];
     return [...sending, "check", ...(this.settings.job ? [/** @type {Step} */ ("run")] : [])];
   }
 
   get isRunning() {
-    return this.status === "running" || this.status === "paused";
-  }
-
-  pause() {
-    this.transfer.pause();
-    this.#update({ status: "paused" });
-  }
-
-  resume() {
-    this.#update({ status: "running" });
-    this.transfer.resume();
+    return this.status === "running";
   }
 
   /** Leave it as it is; it can go on later. */
@@ -163,76 +150,46 @@ export class Upload {
     const { body } = await this.transfer.ask("drives", { method: "POST", json: { name, keep_raw: keepRaw, options } });
     this.driveId = body.id;
     this.transfer.drive = body.id;
-    if (this.source.drive) this.#remember(this.source.fingerprint);
+    if (this.source.drive) this.#remember();
     return body.state;
   }
 
-  /** @param {string} fingerprint @param {Record<string, string>} [schemes] */
-  #remember(fingerprint, schemes) {
-    const { drive } = this.source;
-    const driveId = /** @type {string} */ (this.driveId);
-    const before = remembered(driveId);
-    const at = before?.at ?? new Date().toISOString();
-    const { settings } = this;
+  /** @param {string} [way] How what is there was made; see `#send`. */
+  #remember(way) {
+    const { settings, driveId, source } = this;
+    const { fingerprint, drive } = source;
+    const at = remembered(/** @type {string} */ (driveId))?.at ?? new Date().toISOString();
     const root = drive?.look.root ?? "";
-    schemes ??= before?.schemes;
-    const isLoose = drive?.folder.isLoose;
-    remember({ driveId, fingerprint, name: settings.name, at, root, isLoose, settings, schemes });
+    remember({ driveId: /** @type {string} */ (driveId), fingerprint, name: settings.name, at, root, settings, way });
   }
 
   async #send() {
-    const { archive, drive, extras } = this.source;
-    const { meter } = this.transfer;
+    const { archive, drive, extras, fingerprint } = this.source;
     if (archive) {
-      meter.total = bytesOf(extras.values());
       await this.#sendArchive(archive);
-      await sendSmallFiles(this.transfer, extras, new Map());
+      await this.transfer.sendAll([...extras].map(asItem), () => {});
       return;
     }
     if (!drive) throw new Refusal("Nothing to send", "Pick the folder of a drive.");
-    const { folders, sending, options } = this.settings;
-    const isReduced = drive.look.layout === "reduced";
     if (drive.look.scans) await this.#lookAgain(drive);
-    this.#update({ step: "files", message: "" });
-    const isPlanned = drive.look.plan && sending !== "raw" && !madeFolder(options);
-    const maps = [...extras].filter(([path]) => isMap(path));
-    const small = isPlanned ? plannedFiles(drive, extras) : new Map([...drive.small, ...extras]);
-    for (const [path, file] of maps) small.set(path, file);
+    const { name, folders, sending, options } = this.settings;
+    const made = madeFolder(options);
+    const plan = sending === "raw" || made ? null : drive.look.plan;
+    const small = plan ? plannedFiles(drive, extras) : new Map([...drive.small, ...extras]);
+    for (const [path, file] of extras) if (isMap(path)) small.set(path, file);
+    const manifest = plan ? manifestFile(plan, name, folders) : small.get("reduced.json");
     small.delete("reduced.json"); // it makes a drive of the rest, so it goes last
-    meter.total = bytesOf(small.values());
-    const present = await listPresent(this.transfer);
-    await sendSmallFiles(this.transfer, small, present);
-    // The very same files were sent before: what the service has of them is good.
-    const isSame = remembered(/** @type {string} */ (this.driveId))?.fingerprint === this.source.fingerprint;
-    if (!isSame) this.#remember(""); // old and new files are mixed until all is sent
-    if (isPlanned) await this.#sendScans(drive, present, isSame);
-    else await this.#sendAll(rawFiles(drive, isReduced || madeFolder(options) ? [] : folders), present, isSame);
-    const manifest = drive.small.get("reduced.json");
-    if (isReduced && manifest) await this.transfer.put("reduced.json", manifest);
-    this.#remember(this.source.fingerprint);
-  }
-
-  /** @param {DriveFolder} drive @param {Present} present @param {boolean} isSame */
-  async #sendScans(drive, present, isSame) {
-    const { folders, name } = this.settings;
-    const { labels, plan } = drive.look;
-    const keyOf = (/** @type {string} */ folder) => JSON.stringify([labels[folder].road, labels[folder].confusable]);
-    const keys = Object.fromEntries(folders.map((folder) => [folder, keyOf(folder)]));
-    const before = remembered(/** @type {string} */ (this.driveId))?.schemes ?? {};
-    const trusted = new Set(isSame ? folders.filter((folder) => before[folder] === keys[folder]) : []);
-    this.#remember(isSame ? this.source.fingerprint : "", keys);
-    const frames = numbersOf(plan?.kept ?? []);
-    this.#update({ step: "scans", message: "", done: 0, total: frames.length * folders.length });
-    const what = { drive, frames, folders, groundBytes: groundBytesOf(drive, folders), present, trusted };
-    await sendReduced(this.transfer, what, (done) => this.#update({ done }));
-    await this.transfer.put("reduced.json", manifestBytes(drive, name, folders));
-  }
-
-  /** @param {[string, File][]} files @param {Present} present @param {boolean} isSame */
-  async #sendAll(files, present, isSame) {
-    this.transfer.meter.total += bytesOf(files.map(([, file]) => file));
-    this.#update({ step: "scans", message: "", done: 0, total: files.length });
-    await sendFiles(this.transfer, files, present, isSame, (done) => this.#update({ done }));
+    const whole = plan ? [] : rawFiles(drive, drive.look.layout === "reduced" || made ? [] : folders);
+    const items = [...[...small, ...whole].map(asItem), ...(plan ? scanItems(drive, plan, folders) : [])];
+    // What was made of the very same files in the same way is good on the service, until others are mixed with it.
+    const way = JSON.stringify([fingerprint, options, plan && folders.map((folder) => meaningOf(drive, folder))]);
+    const before = remembered(/** @type {string} */ (this.driveId))?.way; // none: nothing was sent so far
+    for (const item of items) item.isTrusted = before === way && !extras.has(item.path);
+    this.#remember(before === undefined || before === way ? way : "");
+    this.#update({ step: "files", message: "", done: 0, total: items.length });
+    await this.transfer.sendAll(items, (done) => this.#update({ done }));
+    if (manifest) await this.transfer.put("reduced.json", manifest);
+    this.#remember(way);
   }
 
   /** Let the service say what to send, by the settings as they are now. @param {DriveFolder} drive */
@@ -285,7 +242,7 @@ export class Upload {
     const json = { options: this.settings.options, keep_raw: this.settings.keepRaw };
     const headers = { Prefer: `wait=${COMMIT_WAIT_S}` }; // the same commit again joins the one that runs
     for (;;) {
-      await this.transfer.waitWhilePaused();
+      this.transfer.signal.throwIfAborted();
       const path = `drives/${this.driveId}/commit`;
       const { status, body } = await this.transfer.ask(path, { method: "POST", json, headers });
       if (status !== 202) return this.#update({ problems: sorted(body.report?.problems ?? []) });
@@ -316,7 +273,7 @@ export class Upload {
 
   /** @returns {Promise<{file: string} | null>} The map that an archive held. */
   async #mapInside() {
-    const file = [...(await listPresent(this.transfer)).keys()].find(isMap);
+    const file = [...(await this.transfer.present()).keys()].find(isMap);
     return file ? { file } : null;
   }
 }
@@ -333,6 +290,48 @@ async function alone(fingerprint, work) {
     if (lock) return work();
     throw new Refusal("Another tab sends this drive", "Wait for its end there, or stop it there and go on here.");
   });
+}
+
+/** @param {[path: string, file: File]} entry @returns {Item} */
+const asItem = ([path, file]) => ({ path, file, size: file.size, isTrusted: false });
+
+/** Which labels are ground. @param {DriveFolder} drive @param {string} folder */
+const meaningOf = ({ look }, folder) => ({
+  road: look.labels[folder].road,
+  confusable: look.labels[folder].confusable,
+});
+
+/**
+ * The ground points of scans, which workers make.
+ *
+ * @param {DriveFolder} drive
+ * @param {NonNullable<DriveLook["plan"]>} plan
+ * @param {string[]} folders Of labels.
+ * @returns {Item[]}
+ */
+function scanItems(drive, plan, folders) {
+  const fileOf = (/** @type {string} */ path) => drive.folder.files.get(inFolder(drive, path));
+  const size = groundBytesOf(drive, folders) / folders.length;
+  const taskOf = (/** @type {number} */ frame, /** @type {string} */ folder) => {
+    const scanName = pathOf(/** @type {NumberedLook} */ (drive.look.scans), frame);
+    const labelName = pathOf(drive.look.labels[folder], frame);
+    const files = { scan: fileOf(scanName), labels: fileOf(labelName), scanName, labelName };
+    if (!files.labels) throw new Error(`${labelName}: is missing. Expected one .label file per scan.`);
+    return { files, scheme: meaningOf(drive, folder) };
+  };
+  return numbersOf(plan.kept).flatMap((frame) =>
+    folders.map((folder) => {
+      const path = `ground/${folder}/${String(frame).padStart(6, "0")}.ground`;
+      return { path, size, isTrusted: false, task: () => taskOf(frame, folder) };
+    }),
+  );
+}
+
+/** @param {NonNullable<DriveLook["plan"]>} plan @param {string} name @param {string[]} folders Of labels. */
+function manifestFile({ manifest }, name, folders) {
+  const labels = manifest.labels.filter((/** @type {any} */ { folder }) => folders.includes(folder));
+  const text = JSON.stringify({ ...manifest, name: name.replaceAll("/", "_"), labels }, null, 1);
+  return new File([`${text}\n`], "reduced.json");
 }
 
 /**

@@ -305,6 +305,7 @@ def test_a_ready_drive_takes_maps_only(client: httpx.Client, street: Path) -> No
     assert client.delete(f"{address}/files/poses.txt").status_code == 409
     before = client.get(address).json()
     client.put(f"{address}/files/city/new.osm", content=b"<osm/>").raise_for_status()
+    client.post(f"{address}/scans", files={"files": ("city/new.osm", b"<osm />")}).raise_for_status()
     assert client.delete(f"{address}/files/city/new.osm").status_code == 204
     assert client.get(address).json() == before
     other = (street / "map.osm").read_bytes()

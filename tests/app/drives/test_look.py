@@ -104,4 +104,5 @@ def test_a_client_that_reduces_is_told_what_to_send_and_what_its_labels_mean(
     whole = reduce_drive(street, tmp_path / "reduced", keyframes=KeyframeConfig()).model_dump(mode="json")
     (written,) = look["plan"]["manifest"].pop("labels")
     assert written["counts"] == counts["labels"]
-    assert look["plan"]["manifest"] == {name: whole[name] for name in whole if name != "labels"} | {"source": None}
+    assert written["label_bytes"] == whole.pop("labels")[0]["label_bytes"]
+    assert look["plan"]["manifest"] == whole

@@ -1,5 +1,6 @@
 """Batches: several files in one request, all or none."""
 
+import base64
 import hashlib
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -85,6 +86,24 @@ def test_poses_may_come_as_a_plain_field(client: httpx.Client, drive: str) -> No
     body = b'--B\r\nContent-Disposition: form-data; name="poses"\r\n\r\n1 0 0\r\n--B--\r\n'
     assert raw(client, drive, body).status_code == 200
     assert client.get(f"{drive}/files/poses.txt").content == b"1 0 0"
+
+
+@pytest.mark.parametrize(
+    ("digest", "status"),
+    [
+        (hashlib.sha256(b"1 0 0").digest(), 200),
+        (hashlib.sha256(b"1 0 1").digest(), 422),
+        (b"short", 422),
+    ],
+)
+def test_each_part_is_what_its_digest_says(client: httpx.Client, drive: str, digest: bytes, status: int) -> None:
+    parts = [
+        b'--B\r\nContent-Disposition: form-data; name="files"; filename="times.txt"\r\n\r\n0',
+        b'\r\n--B\r\nContent-Disposition: form-data; name="files"; filename="poses.txt"\r\n',
+        b"Content-Digest: sha-256=:" + base64.b64encode(digest) + b":\r\n\r\n1 0 0\r\n--B--\r\n",
+    ]
+    assert raw(client, drive, b"".join(parts)).status_code == status
+    assert listed(client, drive) == (["poses.txt", "times.txt"] if status == 200 else [])
 
 
 @pytest.mark.parametrize(

@@ -126,11 +126,6 @@ def test_a_head_without_end_is_refused(client: httpx.Client) -> None:
     assert client.get("/healthz").status_code == 200
 
 
-def test_many_headers_are_refused(client: httpx.Client) -> None:
-    answer = client.get("/healthz", headers=[(f"x-{n}", "1") for n in range(120)])
-    assert answer.status_code == 431
-
-
 def test_a_head_that_trickles_in_is_given_up(client: httpx.Client, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Protocol, "head_s", 0.2)
     for begin in (b"", b"GET /healthz HTTP/1.1\r\nHost: local"):

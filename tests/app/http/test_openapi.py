@@ -36,7 +36,7 @@ def test_every_error_is_a_problem_document(document: dict[str, Any]) -> None:
         assert "default" not in statuses, name
         if name.partition(" ")[2].startswith("/api/"):
             assert operation["security"] == [{}, {"token": []}], name  # this service needs no token
-            assert {"401", "429"} <= statuses.keys(), name
+            assert "401" in statuses, name
         if "{" in name and "/presets/" not in name:
             assert "404" in statuses, name
         for status, response in statuses.items():

@@ -211,7 +211,7 @@ def test_a_waiting_job_is_dismissed_at_once_and_a_running_one_is_told(database: 
         with database.writing() as session:
             cancel(session, database, session.get_one(Job, job_id))
     assert first.job.id == waiting
-    assert queue.look([first.lease]) == {first.lease: "cancelled"}
+    assert queue.heartbeat([first.lease]) == {first.lease: "cancelled"}
     assert queue.heartbeat([first.lease]) == {first.lease: "cancelled"}
     with database.writing() as session:
         assert queue.is_cancelled(session, first)
@@ -227,7 +227,7 @@ def test_a_deleted_job_is_lost(database: Database, drive: str) -> None:
     assert claim is not None
     with database.writing() as session:
         session.delete(session.get_one(Job, job_id))
-    assert queue.look([claim.lease]) == {claim.lease: "lost"}
+    assert queue.heartbeat([claim.lease]) == {claim.lease: "lost"}
     assert not finish(database, queue, claim)
 
 

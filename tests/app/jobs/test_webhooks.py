@@ -5,7 +5,7 @@ import json
 import socket
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
@@ -131,29 +131,6 @@ def test_a_server_killed_before_the_call_still_calls(tmp_path: Path, receiver: R
         (delivery,) = job_of(server.client, job_id)["deliveries"]
         assert (delivery["state"], delivery["attempts"]) == ("waiting", 1)
         assert delivery["next_at"] is not None
-
-
-def test_an_answer_that_comes_one_byte_at_a_time_is_not_waited_for(
-    serve: Callable[..., httpx.Client], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(webhooks, "RETRIES_S", ())
-    monkeypatch.setattr(webhooks, "_CALL_S", 0.5)
-    client = serve(webhook_hosts="127.0.0.1", webhook_secret=SECRET)
-    is_over = threading.Event()
-
-    def trickle(listener: socket.socket) -> None:
-        connection, _ = listener.accept()
-        with connection, suppress(OSError):
-            connection.sendall(b"HTTP/1.1 200 OK\r\nX: ")
-            while not is_over.wait(0.1):
-                connection.sendall(b"x")
-
-    with socket.create_server(("127.0.0.1", 0)) as listener:
-        threading.Thread(target=trickle, args=(listener,), daemon=True).start()
-        job_id = commit(client, failedUri=f"http://127.0.0.1:{listener.getsockname()[1]}/x")
-        (gone,) = wait_until(lambda: [d for d in job_of(client, job_id)["deliveries"] if d["error"]], "its end")
-        is_over.set()
-    assert (gone["state"], gone["error"]) == ("given up", "no answer within 0.5 s")
 
 
 def test_who_may_not_be_called_is_refused_at_once(serve: Callable[..., httpx.Client], receiver: Receiver) -> None:

@@ -16,7 +16,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
 from app.live import routes, sessions
-from app.live.sessions import Budget, LiveEntry
+from app.live.sessions import LiveEntry
 from app.settings import MB, Settings
 from app.store import tokens
 from app.store.database import Database
@@ -239,25 +239,6 @@ def test_memory_is_asked_for_before_a_scan_is_taken(
         assert json.loads(other.recv(timeout=30))["type"] == "scan"
 
 
-def test_what_all_sessions_hold_is_bounded() -> None:
-    budget, whole = Budget(), sessions._OF_SESSION
-    for name, owner in (("a", "ann"), ("b", "ann"), ("c", "ann"), ("e", "eve")):
-        budget.begin(name, owner)
-    with pytest.raises(DriveError, match="the session would hold"):
-        budget.ask("a", "window", whole + 1)
-    budget.ask("a", "window", whole)
-    budget.ask("a", "window", whole // 2)  # it has become less
-    budget.ask("a", "scans", whole // 2)
-    with pytest.raises(DriveError, match="the sessions of this client would hold"):
-        budget.ask("b", "window", whole)
-    budget.ask("e", "window", whole)  # others have their room
-    budget.end("a")
-    budget.ask("b", "window", whole)
-    budget.ask("a", "window", whole)  # its thread has not heard yet that it is over
-    with pytest.raises(DriveError, match="this client"):
-        budget.ask("c", "window", sessions._OF_CLIENT - whole + 1)
-
-
 def test_a_silent_sender_whose_token_is_revoked_is_sent_away(
     serve: Callable[..., httpx.Client], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -331,12 +312,11 @@ def test_a_drive_that_is_kept_tells_what_was_lost(
     timed = replace(crossing, times_s=np.arange(48.0))  # else poses that are far apart are taken for a jump
     frames = iter(range(48))
 
-    def ask(_: Budget, _session: str, what: str, size: int) -> None:
+    def hold(_: LiveEntry, what: str, size: int) -> None:
         if what == "scans" and size and next(frames) in range(20, 30):
             raise DriveError("too many")
 
-    monkeypatch.setattr(Budget, "ask", ask)
-    monkeypatch.setattr(LiveEntry, "_remember", lambda *_: None)  # asks, too, what is still held
+    monkeypatch.setattr(LiveEntry, "hold", hold)
     monkeypatch.setattr(LiveWorker, "held_bytes", 0)
     said: Said = []
     begin = {"name": "lost", "config": config.model_dump(mode="json"), "keep": True}

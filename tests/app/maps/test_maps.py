@@ -113,7 +113,7 @@ def test_a_map_and_its_findings_are_layers_of_a_gis(served: Served) -> None:
     assert one["properties"]["drive_names"] == "Straße monday, Straße tuesday"
     assert "job" not in one["properties"]
     assert served.get(f"{items}/{one['id']}")["properties"] == one["properties"]
-    schema = served.get("/maps/default/ogc/collections/drives/schema")
+    schema = served.get("/maps/default/ogc/collections/drives/queryables")
     assert {"drive", "offset_east_m"} < schema["properties"].keys()
     tracks = served.get("/maps/default/ogc/collections/drives/items")["features"]
     assert [each["properties"]["drive"] for each in tracks] == ["Straße monday", "Straße tuesday"]

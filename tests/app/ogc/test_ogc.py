@@ -22,11 +22,9 @@ from app.ogc.collections import OF_ALL
 from app.ogc.filters import MAX_CHARACTERS, Language, read_filter
 from app.ogc.index import Query, Source, extents, find_page
 from app.ogc.indexing import index_missing, write_job_rows
-from app.ogc.parameters import page_token
 from app.ogc.work import rows_of
 from app.settings import Settings
-from app.store.features import OF_RESULTS
-from app.store.models import Drive, FeatureLayer, Job
+from app.store.models import OF_RESULTS, Drive, FeatureLayer, Job
 from app.trash import deletion as trash
 from interloc.arrays import FloatArray
 from interloc.output.credits import ODBL, map_credit
@@ -223,13 +221,13 @@ def see_collections(gis: Gis) -> None:
     assert gis.links(listed["matches"])["license"] == ODBL
     assert "license" not in gis.links(listed["keyframes"])
     of_job = [each["id"] for each in gis.json("/api/v1/jobs/timed-new/ogc/collections")["collections"]]
-    own = ["intersections", "detections", "trajectories", "keyframes", "branches", "uncertainty", "drives"]
+    own = ["intersections", "detections", "trajectories", "keyframes", "branches", "uncertainty"]
     assert of_job == own, "no map, no layers of one"
 
 
 def see_collection(gis: Gis) -> None:
     links = gis.links(gis.json("/ogc/collections/detections"))
-    assert {"self", "items", "describedBy", "http://www.opengis.net/def/rel/ogc/1.0/schema"} <= links.keys()
+    assert {"self", "items", "describedBy", "http://www.opengis.net/def/rel/ogc/1.0/queryables"} <= links.keys()
     assert gis.get("/ogc/collections/nothing").status_code == 404
     assert gis.get("/api/v1/jobs/timed-new/ogc/collections/matches").status_code == 404
 
@@ -268,8 +266,6 @@ def see_bbox(gis: Gis) -> None:
     assert gis.matched(bbox="179,-18,180,-16") == 50
     assert gis.matched(bbox="-180,-18,-179,-16") == 50
     assert gis.matched("trajectories", bbox="-180,-18,-179,-16") == 1
-    assert gis.matched("drives", bbox="-180,-18,-179,-16") == 1
-    assert gis.matched("drives", bbox="8.401,48.99,8.402,48.9995") == 0, "within its box only if it were no line"
     assert gis.matched("matches", bbox="8.39,49.00005,8.40003,49.01") == 4
     assert gis.matched(bbox="+8.3999, 4.89e1, 8.400095, 49.1") == 10
     for wrong in ("1,2,3", "1,2,3,x", "0,10,1,5", "0,0,200,1", "nan,0,1,1", ""):
@@ -303,19 +299,19 @@ def see_pages(gis: Gis) -> None:
     every = [each for page in ids for each in page]
     assert len(every) == len(set(every)) == document["numberMatched"] == (COUNT + 100) * 3 // 4
     assert gis.get("/ogc/collections/detections/items", after="x").status_code == 400
-    counted = [each["id"] for start in (0, 300) for each in gis.items(**query, offset=start)["features"]]
-    assert counted == ids[0] + ids[1], "clients that count by themselves"
-    assert "offset" not in gis.links(gis.items(**query, offset=300))["next"]
-    assert gis.items(offset=10_000)["features"] == []
-    for wrong in ({"offset": "x"}, {"offset": -1}, {"offset": 3, "after": "1.1"}):
-        assert gis.get("/ogc/collections/detections/items", **wrong).status_code == 400, wrong
 
 
 def see_unknown_parameters(gis: Gis) -> None:
     for path in ("", "/conformance", "/collections", "/collections/detections", "/collections/detections/items"):
         answer = gis.get(f"/ogc{path}", nonsense="1")
         assert (answer.status_code, answer.headers["content-type"]) == (400, "application/problem+json")
-    for name, value in (("f", "html"), ("bbox-crs", "EPSG:3857"), ("filter-crs", "x"), ("filter-lang", "sql")):
+    for name, value in (
+        ("f", "html"),
+        ("offset", "3"),
+        ("bbox-crs", "EPSG:3857"),
+        ("filter-crs", "x"),
+        ("filter-lang", "sql"),
+    ):
         assert gis.get("/ogc/collections/detections/items", **{name: value}).status_code == 400
     for path, form in (("", "json"), ("/collections", "json"), ("/collections/detections/items", "geojson")):
         assert gis.get(f"/ogc{path}", f=form).status_code == 200
@@ -337,17 +333,16 @@ def see_properties(gis: Gis) -> None:
 
 
 def see_schema(gis: Gis) -> None:
-    schema = gis.json("/ogc/collections/detections/schema")["properties"]
+    schema = gis.json("/ogc/collections/detections/queryables")["properties"]
     assert schema["error_m"].items() >= {"type": "number", "x-ogc-unit": "m", "title": "Error"}.items()
     assert schema["time"].items() >= {"type": "string", "format": "date-time"}.items()
     assert schema["geometry"]["format"] == "geometry-point"
     assert set(ORIGIN) <= schema.keys()
-    queryables = gis.json("/ogc/collections/detections/queryables")["properties"]
-    assert schema.keys() - queryables.keys() == {"branch_bearings_deg", "branch_widths_m"}
     features = gis.json("/ogc/collections/detections/feature-schema")["properties"]["properties"]["properties"]
-    assert schema.keys() - features.keys() == {"geometry", "branch_bearings_deg", "branch_widths_m"}
+    assert schema.keys() - features.keys() == {"geometry"}
     assert features["osm_id"]["type"] == "string"
-    assert schema.keys() - {"geometry"} == gis.items(limit=1)["features"][0]["properties"].keys()
+    lists = {"branch_bearings_deg", "branch_widths_m"}
+    assert {*features, *lists} == gis.items(limit=1)["features"][0]["properties"].keys()
 
 
 def see_tokens(gis: Gis) -> None:
@@ -376,7 +371,7 @@ REQUIREMENTS: dict[str, Callable[[Gis], None]] = {
     "/req/core/fc-links fc-rel-type fc-numberMatched": see_pages,
     "/req/core/query-param-unknown query-param-invalid http": see_unknown_parameters,
     "/rec/core/fc-filters": see_properties,
-    "/req/queryables/queryables-link queryables-document /req/schemas/properties type": see_schema,
+    "/req/queryables/queryables-link queryables-document": see_schema,
     "the token by header and as a password": see_tokens,
 }
 
@@ -403,7 +398,8 @@ FILTERS = [
     "osm_id LIKE '40%3'",
     "drive = 'Straße fiji' AND score > 0.5",
     "S_INTERSECTS(geometry, BBOX(8.4001, 48.9, 8.4003, 49.1))",
-    "S_INTERSECTS(geometry, POLYGON((8.4 48.9, 8.401 48.9, 8.4 49.1, 8.4 48.9))) AND frame > 3",
+    "NOT S_INTERSECTS(geometry, BBOX(8.4001, 48.9, 8.4003, 49.1)) AND frame > 3",
+    "S_INTERSECTS(POINT(8.4 49.0), geometry)",
     "frame < 3 OR S_INTERSECTS(geometry, BBOX(8.4001, 48.9, 8.4003, 49.1))",
     "TRUE",
 ]
@@ -449,7 +445,6 @@ def test_filters_find_what_the_package_finds_one_by_one(gis: Gis) -> None:
         (f"time < '{HOUR}00:10Z'", 10),
         ("time IS NULL", COUNT + 100),
         ("S_INTERSECTS(geometry, BBOX(179, -18, -179, -16))", 100),
-        ("S_INTERSECTS(POLYGON((8 48, 9 48, 9 49.5, 8 49.5, 8 48)), geometry)", COUNT),
     ],
 )
 def test_what_else_filters_find(gis: Gis, text: str, expected: int) -> None:
@@ -469,7 +464,6 @@ HOSTILE = [
     "frame + 1 = 2",
     "ACCENTI(reason) = 'x'",
     "S_WITHIN(geometry, POINT(1 1))",
-    "NOT S_INTERSECTS(geometry, POINT(1 1))",
     "frame",
     "'x'",
     "sleep(10) = 1",
@@ -485,10 +479,10 @@ HOSTILE = [
     " AND ".join(["frame > 1"] * 500),
     "frame IN (" + ",".join(["1"] * 500) + ")",
     "outcome = '" + "x" * MAX_CHARACTERS + "'",
-    " OR ".join(["S_INTERSECTS(geometry, POINT(1 1))"] * 9),
+    " OR ".join(["S_INTERSECTS(geometry, POINT(1 1))"] * 200),
     "S_INTERSECTS(geometry, LINESTRING(" + ",".join(f"{i % 90} {i % 7}" for i in range(2100)) + "))",
-    "S_INTERSECTS(geometry, POLYGON((0 0, 1 1, 0 1, 1 0, 0 0)))",
-    "S_INTERSECTS(geometry, POLYGON((0 0, 1 1)))",
+    "S_INTERSECTS(geometry, POLYGON((0 0, 1 0, 1 1, 0 0)))",
+    "S_INTERSECTS(geometry, BBOX(1, 2, 3, 1))",
     "S_INTERSECTS(geometry, POINT(1e300 1))",
     "S_INTERSECTS(geometry, geometry)",
     deep(100),
@@ -526,7 +520,7 @@ import pyogrio
 
 address, token, sql = sys.argv[1:]
 of_all, of_job = f"OAPIF:{address}/ogc", f"OAPIF:{address}/api/v1/jobs/fiji-new/ogc"
-found = {"drives": pyogrio.read_info(of_all, layer="drives", USERPWD=f"qgis:{token}")["features"]}
+found = {"tracks": pyogrio.read_info(of_all, layer="trajectories", USERPWD=f"qgis:{token}")["features"]}
 pyogrio.set_gdal_config_options({"GDAL_HTTP_AUTH": "BEARER", "GDAL_HTTP_BEARER": token})
 found["layers"] = [name for name, _ in pyogrio.list_layers(of_all)]
 info = pyogrio.read_info(of_all, layer="detections")
@@ -556,7 +550,7 @@ def test_gdal_reads_all_layers_by_a_password_and_by_a_header(gis: Gis) -> None:
     assert types["time"].startswith("datetime64"), "though the first page has none"
     assert (types["error_m"], types["frame"], types["osm_id"]) == ("float64", "int32", "object")
     assert found == {
-        "drives": 3,
+        "tracks": 3,
         "layers": list(OF_ALL),
         "count": COUNT + 220,
         "every": [COUNT + 220, "EPSG:4326", list(TOWN)],
@@ -625,32 +619,6 @@ def test_qgis_reads_all_layers_and_the_live_project(gis: Gis, tmp_path: Path) ->
     assert min(pixels_of(tmp_path / "live.png", colour) for colour in (RIGHT, ROAD)) > 20
 
 
-def test_the_pages_of_a_query_are_of_one_set_of_jobs_though_another_ends_meanwhile(tmp_path: Path) -> None:
-    context = Context.open(Settings(data_dir=tmp_path, min_free_bytes=0))
-    try:
-        add_drive(context, "street", line(TOWN, 20))
-        with context.database.writing() as session:  # ends later
-            session.add(job("street-late", "street", state="running", created_at=3.0))
-        write_result(context.storage.folder("jobs/street-late/result"), line(TOWN, 35))
-        index_missing(context)
-        detections = OF_ALL["detections"]
-        with context.database.reading() as session:
-            source = Source().pinned(session)
-            first = find_page(session, source, detections, Query(limit=15))
-        with context.database.writing() as session:
-            session.execute(update(Job).where(Job.id == "street-late").values(state="successful", finished_at=10.0))
-        index_missing(context)
-        until = float(page_token(first.next, source.until).split(".")[2]) / 1e6
-        with context.database.reading() as session:
-            second = find_page(session, Source(until=until), detections, Query(limit=15, after=first.next))
-            assert find_page(session, Source(), detections, Query()).matched == 35
-        ids = [json.loads(each)["id"] for each in first.features + second.features]
-        assert (len(ids), len(set(ids)), second.matched) == (20, 20, 20)
-        assert {each.partition(".")[0] for each in ids} == {"street-new"}
-    finally:
-        context.close()
-
-
 def test_the_rows_follow_trash_and_purge(tmp_path: Path) -> None:
     context = Context.open(Settings(data_dir=tmp_path, min_free_bytes=0))
     try:
@@ -666,12 +634,13 @@ def test_the_rows_follow_trash_and_purge(tmp_path: Path) -> None:
             with context.database.writing() as session:
                 session.execute(update(Drive).values(pinned_job=pinned))
             assert shown() == count
-        trash.delete_job(context, newest, "me")
-        assert shown() == 2, "of the job before"
-        trash.restore(context, "jobs", newest)
-        assert shown() == 20
         trash.delete_drive(context, "street", "me")
         assert shown() == 0
+        trash.restore(context, "street")
+        assert shown() == 20
+        trash.delete_job(context, newest, "me")
+        assert shown() == 2, "of the job before"
+        trash.delete_drive(context, "street", "me")
         trash.empty_trash(context)
         with context.database.reading() as session:
             assert session.query(FeatureLayer).count() == session.query(OF_RESULTS["detections"]).count() == 0

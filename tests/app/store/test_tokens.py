@@ -168,30 +168,13 @@ def test_wrong_tokens_never_stop_a_valid_one(serve: Serve, tmp_path: Path, monke
     database = open_database(Settings(data_dir=data))
     token = add_token(database, "alice")
     client = serve(data)
-    statuses = [client.get("/metrics", headers=bearer(f"guess-{n:010d}")).status_code for n in range(25)]
-    assert statuses == [401] * 20 + [429] * 5
-    answer = client.get("/api/v1/drives", headers=bearer("another-guess-of-mine"))
-    assert 1 <= int(answer.headers["retry-after"]) <= 61
+    assert {client.get("/metrics", headers=bearer(f"guess-{n:010d}")).status_code for n in range(25)} == {401}
     late = add_token(database, "bob")
     database.close()
     monkeypatch.setattr("app.store.tokens._BELIEVED_S", 0.0)  # whatever was believed is forgotten
     for each in (token, late):
         assert client.get("/api/v1/drives", headers=bearer(each)).status_code == 200
-    assert 'interloc_refused_tokens_total{reason="unknown"} 20.0' in client.get("/metrics", headers=bearer(token)).text
-
-
-def test_wrong_tokens_are_counted_whatever_address_they_claim(
-    closed: httpx.Client, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The client is a trusted proxy here, whose X-Forwarded-For is believed."""
-    monkeypatch.setattr("app.http.gate._FAILURES_OF_ALL", 30)
-    statuses = [
-        closed.get("/metrics", headers={**bearer(f"guess-{n:010d}"), "X-Forwarded-For": f"198.51.100.{n}"}).status_code
-        for n in range(35)
-    ]
-    assert statuses[-1] == 429
-    assert set(statuses) == {401, 429}
-    assert closed.get("/metrics", headers=bearer(OWN)).status_code == 200
+    assert 'interloc_refused_tokens_total{reason="unknown"} 25.0' in client.get("/metrics", headers=bearer(token)).text
 
 
 def changing_routes() -> list[tuple[str, str]]:

@@ -3,7 +3,7 @@ import { test } from "node:test";
 import { gzipSync } from "node:zlib";
 
 import { lookIntoMap } from "../../../static/js/upload/osm_roads.js";
-import { fitVerdict, mapVerdict } from "../../../static/js/upload/preview.js";
+import { mapVerdict } from "../../../static/js/upload/preview.js";
 
 const LAT = 49;
 const LON = 8.4;
@@ -11,12 +11,6 @@ const METRE = 1 / 111320;
 const EAST = METRE / Math.cos((LAT * Math.PI) / 180);
 
 const file = (text, name) => new File([text], name);
-test("a track says how the poses fit the georeference", () => {
-  assert.equal(fitVerdict({ fit_m: null, length_m: 50 }), null);
-  assert.deepEqual(fitVerdict({ fit_m: 0.05, length_m: 50 })[1], false);
-  assert.match(fitVerdict({ fit_m: 20, length_m: 50 })[0], /do both belong to this drive\?/);
-});
-
 const WORDS = { simulator: "interloc simulate", drivable: ["residential"] };
 const node = (id, x, y) => `<node id="${id}" lat="${LAT + y * METRE}" lon='${LON + x * EAST}' version="1"/>`;
 const way = (refs, kind) =>

@@ -15,7 +15,7 @@ from interloc.arrays import FloatArray, IntArray
 from interloc.drives.clocks import ClockShift, known_shift
 from interloc.drives.files import SourceFile
 from interloc.drives.findings import DriveFileError, Findings
-from interloc.drives.kinds import ENDINGS
+from interloc.drives.layouts import ENDINGS
 from interloc.drives.scans.recorded import CARLA_FIELD
 from interloc.drives.scans.rosbag.files import (
     CHUNK_START,
@@ -436,10 +436,13 @@ def clock_lead_s(stamps_ns: IntArray, log_ns: IntArray) -> float:
     return float(np.median(stamps_ns - log_ns)) / 1e9 if len(stamps_ns) else float("nan")
 
 
-def clock_shift(lead_s: float, other_lead_s: float) -> ClockShift | None:
-    """Compare the clocks of two topics by their `clock_lead_s`, which may be NaN.
+def clock_shift(
+    lead_s: float, other_lead_s: float, times_s: FloatArray, span_s: tuple[float, float]
+) -> ClockShift | None:
+    """Compare the clocks of two topics by their `clock_lead_s`, which may be NaN, and by the times of both.
 
-    None where the clocks are the same, or where one topic may only have been computed or recorded later.
+    None where the clocks are the same, or where one topic may only have been computed or recorded later: (N,) times of
+    the one lie then in the span of the other.
     """
     ahead_s = lead_s - other_lead_s
     if not abs(ahead_s) > 0.5:
@@ -448,6 +451,8 @@ def clock_shift(lead_s: float, other_lead_s: float) -> ClockShift | None:
         return known
     if max(lead_s, other_lead_s) > 0.1 > min(lead_s, other_lead_s):  # nothing is recorded before it happens
         return ClockShift(ahead_s, "a clock that is not synchronised")
+    if times_s.max() < span_s[0] or times_s.min() > span_s[1]:
+        return ClockShift(ahead_s, "a LiDAR or receiver without time synchronisation")
     return None
 
 

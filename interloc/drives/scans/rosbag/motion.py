@@ -237,13 +237,11 @@ class LidarMotion:
         return poses
 
 
-def read_motion(
-    bag: Bag, topic: BagTopic, tree: FrameTree, points_frame: str, findings: Findings, *, by_log: bool = False
-) -> LidarMotion:
-    """Read the poses of a topic, or by their times of recording, and bring them to the frame of the points."""
+def read_motion(bag: Bag, topic: BagTopic, tree: FrameTree, points_frame: str, findings: Findings) -> LidarMotion:
+    """Read the poses of a topic, and bring them to the frame of the points."""
     if topic.type in TRANSFORMS:
         return _from_tree(bag, topic, tree, points_frame, findings)
-    edge, count, lead_s = _read_edge(bag, topic, findings, by_log=by_log)
+    edge, count, lead_s = _read_edge(bag, topic, findings)
     if points_frame and points_frame == edge.parent and points_frame != edge.child:
         raise _moved_already(bag, points_frame, topic.name)
     extrinsic = tree.between(edge.child, points_frame) if edge.child and points_frame else None
@@ -279,7 +277,7 @@ def _poses(bag: Bag, topic: BagTopic) -> Iterator[StampedPose]:
     return bag.decoded(topic, lambda message, encoding: read_pose(message, topic.type, encoding))
 
 
-def _read_edge(bag: Bag, topic: BagTopic, findings: Findings, *, by_log: bool) -> tuple[Edge, int, float]:
+def _read_edge(bag: Bag, topic: BagTopic, findings: Findings) -> tuple[Edge, int, float]:
     """Read the poses of a topic of Odometry or poses; how many there are, and how far their clock is ahead."""
     stamps, values, pairs = array("q"), array("d"), array("q")
     frames: dict[tuple[str, str], int] = {}
@@ -297,9 +295,8 @@ def _read_edge(bag: Bag, topic: BagTopic, findings: Findings, *, by_log: bool) -
         )
     rows = np.flatnonzero(np.frombuffer(pairs, dtype=np.int64) == usual)
     stamp_ns = np.frombuffer(stamps, dtype=np.int64)[rows]
-    if not by_log and (stamp_ns <= 0).any():
+    if by_log := bool((stamp_ns <= 0).any()):
         findings.note(bag.name, f"{topic.name}: stamps of 0; the times at which the poses were recorded are used.")
-        by_log = True
     times_s = (topic.log_ns[rows] if by_log else stamp_ns) / 1e9
     moves = timed_poses(times_s, np.frombuffer(values).reshape(-1, ROW - 1)[rows], topic.name)
     if moves is None:

@@ -7,7 +7,7 @@ import numpy as np
 
 from interloc.arrays import BoolArray, FloatArray, IntArray
 from interloc.drive import Georeference
-from interloc.drives.findings import DriveFileError, Findings
+from interloc.drives.findings import DriveFileError, Finding, Findings
 from interloc.drives.georeference.fixes import (
     MIN_EXTENT_M,
     MIN_FIXES,
@@ -53,6 +53,12 @@ from interloc.drives.trajectory import LidarPoses, Trajectory, read_trajectory
 from interloc.errors import InterLocError
 from interloc.geometry import enu_from_lonlat, from_first
 
+_COMPARED = 3
+"""So many topics of poses are held against each other."""
+
+_APART_M, _APART = 3.0, 0.007
+"""So far may poses part, and by that share of the way: good odometry drifts by less than 1 %."""
+
 _MANY, _MOST = 0.2, 0.9
 """Shares of the scans without a pose: that is worth a warning, and no drive."""
 
@@ -70,8 +76,6 @@ class BagMotion:
     fixes: tuple[BagTopic, ...] = ()
     """The topics of GNSS fixes, the best first."""
     tree: FrameTree = field(default_factory=FrameTree)
-    by_log: bool = False
-    """Times are those of recording, not those of the headers."""
     pose_file: Path | None = None
     """That was given instead of a topic."""
     fault: InterLocError | None = None
@@ -108,10 +112,10 @@ def find_motion(
             )
         found = replace(found, tree=read_tree(bag))
         candidates = _owned_first(candidates, bag, points, found.tree) if options.poses is None else candidates
-        topic, motion, by_log, times = _first_that_covers(candidates, bag, points, times, found.tree, findings)
+        topic, motion, times = _first_that_covers(candidates, bag, points, times, found.tree, findings)
     except InterLocError as fault:
         return replace(found, fault=fault)
-    times_s = times.log_s if by_log else times.stamp_s
+    times_s = times.stamp_s
     covered = motion.covers(times_s)
     if left_out := int(np.count_nonzero(~covered)):
         first, last = motion.span_s
@@ -123,7 +127,7 @@ def find_motion(
             gap = f"{text}, and poses more than {LONGEST_GAP_S:.0f} s apart tell nothing between."
             return replace(found, fault=bag.fault(f"{gap} Usual cause: poses that were kept too rarely."))
         (findings.warning if left_out > _MANY * len(covered) else findings.note)(bag.name, f"{text}.")
-    found = replace(found, frames=every[covered], times_s=times_s[covered], motion=motion, poses=topic, by_log=by_log)
+    found = replace(found, frames=every[covered], times_s=times_s[covered], motion=motion, poses=topic)
     rows, jumps = longest_piece(motion.at(found.times_s)[:, :3, 3], found.times_s, found.frames)
     if not jumps:
         return found
@@ -149,38 +153,69 @@ def _owned_first(candidates: list[BagTopic], bag: Bag, points: PointsTopic, tree
 
 def _first_that_covers(
     candidates: list[BagTopic], bag: Bag, points: PointsTopic, times: ScanTimes, tree: FrameTree, findings: Findings
-) -> tuple[BagTopic, LidarMotion, bool, ScanTimes]:
-    """Return the first topic whose poses are known at some scan, its motion, and whether by times of recording.
+) -> tuple[BagTopic, LidarMotion, ScanTimes]:
+    """Return the topic whose poses are known at some scan, its motion, and the times of scans by its clock.
 
-    The times of the scans are returned on the clock of the poses.
+    It is the first, but for odometry of wheels, which lies in a plane, where there are others.
     """
+    covering: list[tuple[BagTopic, LidarMotion, ScanTimes, list[Finding]]] = []
     faults: list[DriveFileError] = []
     for topic in candidates:
+        said = Findings(stop_at_first=False)
         try:
-            motion, by_log, on_clock = _cover(topic, bag, points, times, tree, findings)
+            covering.append((topic, *_cover(topic, bag, points, times, tree, said), said.found))
         except DriveFileError as error:
-            faults.append(error)
+            faults += [] if covering else [error]
+        if len(covering) == _COMPARED:
+            break
+    if not covering:
+        raise faults[0]
+    wheels = [_looks_like_wheels(topic, motion) for topic, motion, *_ in covering]
+    chosen = wheels.index(min(wheels))
+    topic, motion, on_clock, told = covering[chosen]
+    for finding in [*(Finding("warning", fault.path, fault.message) for fault in faults), *told]:
+        findings.tell(finding)
+    others = [other.name for other in candidates if other is not topic]
+    text = (
+        f"the poses are taken from {topic.name} ({topic.type}); others may be in {', '.join(others[:5])}. Choose with "
+        "--poses."
+    )
+    for (other, moves, *_), rank in zip(covering, wheels, strict=True):
+        both = on_clock.stamp_s[motion.covers(on_clock.stamp_s) & moves.covers(on_clock.stamp_s)]
+        if other is topic or rank != wheels[chosen] or len(both) < 2:
             continue
-        for fault in faults:
-            findings.warning(fault.path, fault.message)
-        if others := [other.name for other in candidates if other is not topic]:
-            findings.note(
+        ours, theirs = (from_first(each.at(both))[:, :3, 3] for each in (motion, moves))
+        apart_m = float(np.linalg.norm(ours - theirs, axis=1).max())
+        length_m = float(np.linalg.norm(np.diff(ours, axis=0), axis=1).sum())
+        if apart_m > max(_APART_M, _APART * length_m):
+            findings.warning(
                 bag.name,
-                f"the poses are taken from {topic.name} ({topic.type}); others may be in {', '.join(others[:5])}. "
-                "Choose with --poses.",
+                f"which poses are better cannot be told: on {length_m:,.0f} m those of {topic.name} and {other.name} "
+                f"part by {apart_m:.0f} m. One of them drifts, as odometry of wheels does, or jumps; {text}",
             )
-        return topic, motion, by_log, on_clock
-    raise faults[0]
+            return topic, motion, on_clock
+    if others:
+        findings.note(bag.name, text)
+    return topic, motion, on_clock
+
+
+def _looks_like_wheels(topic: BagTopic, motion: LidarMotion) -> int:
+    """Tell how much speaks for odometry of wheels: its name, and that it lies in a plane, as no measured poses do."""
+    if topic.type in TRANSFORMS:
+        return 0
+    T = motion.edges[0].moves.poses
+    is_plane = bool((T[:, 2, 3] == T[0, 2, 3]).all() and (T[:, 2, 2] > 1 - 1e-12).all())
+    return 2 * ("wheel" in topic.name.lower()) + is_plane
 
 
 def _cover(
     topic: BagTopic, bag: Bag, points: PointsTopic, times: ScanTimes, tree: FrameTree, findings: Findings
-) -> tuple[LidarMotion, bool, ScanTimes]:
-    """Read the poses of a topic: by the times of their headers, or of recording where only these fit the scans."""
-    frame = points.frame_id
+) -> tuple[LidarMotion, ScanTimes]:
+    """Read the poses of a topic, and bring the times of the scans to their clock."""
     said = Findings(stop_at_first=False)
-    motion, by_log = read_motion(bag, topic, tree, frame, said), False
-    if (shift := clock_shift(times.lead_s, motion.lead_s)) is not None:
+    motion = read_motion(bag, topic, tree, points.frame_id, said)
+    first, last = motion.span_s
+    if (shift := clock_shift(times.lead_s, motion.lead_s, times.stamp_s, (first, last))) is not None:
         times = replace(times, stamp_s=times.stamp_s - shift.ahead_s)
         said.warning(
             bag.name,
@@ -188,12 +223,7 @@ def _cover(
             f"which both were recorded: the scans are put right by that. Usual cause: {shift.why}.",
         )
     stamp_s = times.stamp_s
-    covered = motion.covers(stamp_s)
-    first, last = motion.span_s
-    if not covered.any() and topic.type not in TRANSFORMS and (stamp_s.max() < first or stamp_s.min() > last):
-        motion, by_log = read_motion(bag, topic, tree, frame, Findings(stop_at_first=False), by_log=True), True
-        covered = motion.covers(times.log_s)
-    if not covered.any():
+    if not motion.covers(stamp_s).any():
         raise bag.fault(
             f"no scan has a pose of {topic.name}: the scans last from {stamp_s.min():.3f} s to {stamp_s.max():.3f} "
             f"s, the poses from {first:.3f} s to {last:.3f} s. Expected poses at most 2 s apart while scans were "
@@ -201,14 +231,7 @@ def _cover(
         )
     for finding in said.found:
         findings.tell(finding)
-    if by_log:
-        findings.warning(
-            bag.name,
-            f"the stamps of {points.topic.name} and {topic.name} are of different clocks; the times at which "
-            "the messages were recorded are used instead, which is less exact. Usual cause: a LiDAR without time "
-            "synchronisation.",
-        )
-    return motion, by_log, times
+    return motion, times
 
 
 def read_bag_trajectory(
@@ -270,7 +293,7 @@ def _georeference(
     reasons: list[str] = []
     with findings.stage():
         for topic in found.fixes:
-            fixes = BagFixes(bag, topic, points.frame_id, found.tree, by_log=found.by_log)
+            fixes = BagFixes(bag, topic, points.frame_id, found.tree)
             georeference, reason = fixes.georeference(motion, found.times_s, world, findings)
             if georeference is None:
                 reasons.append(reason)
@@ -293,13 +316,12 @@ _ARM_STD_M = 1.0
 
 @dataclass(frozen=True)
 class BagFixes:
-    """The fixes of one topic, by their own times or by those of recording (`by_log`)."""
+    """The fixes of one topic."""
 
     bag: Bag
     topic: BagTopic
     points_frame: str
     tree: FrameTree
-    by_log: bool = False
 
     def georeference(
         self, motion: LidarMotion, times_s: FloatArray, world: FloatArray, findings: Findings
@@ -334,9 +356,10 @@ class BagFixes:
         """Return the fixes within the poses, and the distance driven until every scan; or why there are none."""
         name, messages = self.topic.name, list(self.bag.decoded(self.topic, read_fix))
         stamps = np.array([fix.header.stamp_ns for fix in messages], dtype=np.int64)
-        log_s = self.topic.log_ns / 1e9
-        times_s = log_s if self.by_log or bool((stamps <= 0).any()) else stamps / 1e9
-        shift = None if times_s is log_s else clock_shift(clock_lead_s(stamps, self.topic.log_ns), motion.lead_s)
+        is_set = bool((stamps > 0).all())
+        times_s = stamps / 1e9 if is_set else self.topic.log_ns / 1e9
+        lead_s = clock_lead_s(stamps, self.topic.log_ns) if is_set else float("nan")
+        shift = clock_shift(lead_s, motion.lead_s, times_s, motion.span_s)
         if shift is not None:
             times_s = times_s - shift.ahead_s
             findings.warning(
@@ -374,11 +397,6 @@ class BagFixes:
                 "clocks.",
             )
         covered = rows[motion.covers(times_s[rows])]
-        if not len(covered) and len(by_log := rows[motion.covers(log_s[rows])]):
-            findings.warning(
-                self.bag.name, f"the stamps of {name} are of another clock; the times of recording are used."
-            )
-            times_s, covered = log_s, by_log
         rows = covered[latest_of_each(times_s[covered])]
         if len(rows) < MIN_FIXES:
             return None, (

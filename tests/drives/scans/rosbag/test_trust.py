@@ -293,3 +293,25 @@ def test_scans_that_are_parts_of_a_turn_are_told(tmp_path: Path) -> None:
             bag.cloud("/points", START + 0.0125 * row, cells_of(parts[row % 8], np.tile([40, 48], 45)))
     told = [each.message for each in inspect_drive(tmp_path / "drive").problems]
     assert any("a scan sees 50 degrees around" in each and "they see 360" in each for each in told)
+
+
+@pytest.mark.parametrize(
+    ("wheels", "bends", "words"),
+    [
+        ("/odom", 0.01, "the poses are taken from /slam"),  # in a plane, while those of the other are not
+        ("/wheel_odom", 0.0, "the poses are taken from /slam"),
+        ("/odom", 0.0, "which poses are better cannot be told: on 26 m those of /odom and /slam part by"),
+    ],
+)
+def test_odometry_of_wheels_comes_after_others(tmp_path: Path, wheels: str, bends: float, words: str) -> None:
+    poses = straight(step_m=2.0)
+    poses[:, 2, 3] = bends * np.arange(len(poses)) ** 2
+    drifting = poses.copy()
+    drifting[:, :3, 3] *= (1.2, 1.0, 0.0 if bends else 1.0)
+    with BagWriter(tmp_path / "drive", "mcap") as bag:
+        for row, time in enumerate(times_of()):
+            bag.odometry(wheels, time, drifting[row])
+            bag.odometry(wheels, time + 0.01, drifting[row])
+            bag.odometry("/slam", time, poses[row])
+            bag.cloud("/points", time, cells_of(scans_of()[row]))
+    assert words in said(opened(tmp_path / "drive")[2])

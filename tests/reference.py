@@ -1,7 +1,7 @@
 """The method of the paper done plainly, with OpenCV and scikit-image: slow, short, and nothing else.
 
-This is what the fast detector is held against: the tests compare the two over whole drives, `make bench` measures how
-much faster the other one is, and `interloc detect --reference` runs this one. Every step stands in one function under
+This is what the detector is held against: the tests compare the two over whole drives, and `make bench` measures how
+much faster the other one is. Every step stands in one function under
 its section of the paper; all settings are those of the preset `paper`. Nothing of `interloc.kernels` is used.
 
 Results differ a little from those of the preset `paper`: scikit-image thins by a variant of Zhang and Suen's algorithm,
@@ -9,7 +9,6 @@ OpenCV's disc lacks four pixels, and Harris corners of equal score are chosen in
 """
 
 import math
-from importlib.metadata import version
 from typing import NamedTuple
 
 import cv2
@@ -21,17 +20,16 @@ from interloc.config import PAPER, DetectorConfig, HarrisCandidates, OccupancyCo
 from interloc.detection.accumulation import roi_around
 from interloc.detection.detector import KeyframeDetections
 from interloc.detection.image import Roi
-from interloc.detection.keyframes import Keyframe
+from interloc.detection.keyframes import Keyframe, select_keyframes
 from interloc.detection.refinement import PARALLEL
 from interloc.drive import Drive, scans_of
 from interloc.geometry import rotate_2d, yaw_of
-from interloc.pipeline import RangeResult, detect
+from interloc.pipeline import RangeResult, assemble
 from interloc.processes import Progress, peak_memory_bytes
 from interloc.results import DriveResult, unknown_like
 from interloc.stopwatch import Stopwatch
 
-REFERENCE = PAPER.model_copy(update={"preset": "reference"})
-"""The settings of the reference; its name is recorded with the result."""
+REFERENCE = PAPER
 
 BESIDE = np.ones((3, 3), np.uint8)  # a pixel and its eight neighbours
 
@@ -45,12 +43,11 @@ class Junction(NamedTuple):
     residual: float
 
 
-def detect_by_reference(drive: Drive, *, workers: int | None = 1, progress: Progress | None = None) -> DriveResult:
+def detect_by_reference(drive: Drive) -> DriveResult:
     """Find the intersections along a drive as `interloc.detect` does, but by the steps of this module."""
-    result = detect(drive, REFERENCE, workers=workers, progress=progress, find=find_range)
-    result.run["reference"] = True
-    result.run["versions"] |= {"opencv": cv2.__version__, "scikit-image": version("scikit-image")}
-    return result
+    keyframes = select_keyframes(drive.T_world_lidar, REFERENCE.keyframes)
+    found = find_range(drive, keyframes, 0, len(keyframes))
+    return assemble(drive, keyframes, [found], REFERENCE, workers=1, seconds=0.0)
 
 
 def find_range(
