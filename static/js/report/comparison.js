@@ -34,6 +34,8 @@ onCompared((compared) => showPlaces(compared));
 export function mount(container) {
   onResult((result) => {
     showJobs = showCompared = showPlaces = () => {};
+    const isLoading = !result && lists.jobs.some(({ id, state }) => id === getState().job && state === "successful");
+    if (isLoading) return fill(container, busy("Loading the result…"));
     if (!result?.report) {
       const text = "Jobs of one drive that were scored are compared here: run it again with another map or settings.";
       return fill(container, el("p.quiet", text));

@@ -6,7 +6,6 @@ import { isArchive } from "../api.js";
  * @typedef {object} Folder
  * @property {string} name
  * @property {Map<string, File>} files By path inside the folder, parts joined by "/".
- * @property {boolean} [isLoose] It is no folder: the files were picked or dropped by themselves.
  */
 
 /** @typedef {(count: number) => void} OnCount Called now and then with the number of files found. */
@@ -23,13 +22,12 @@ const STILL_MS = 24;
 export function folderOfInput(list) {
   const files = new Map();
   let name = nameOfFiles([...list]);
-  const isLoose = ![...list].some((file) => file.webkitRelativePath);
   for (const file of list) {
     const [top, ...rest] = (file.webkitRelativePath || file.name).split("/");
     name = rest.length ? top : name;
     put(files, rest.length ? rest.join("/") : top, file);
   }
-  return { name, files, isLoose };
+  return { name, files };
 }
 
 /** @param {File[]} files @returns {string} The name of the largest, without its ending: that of a drive in loose files. */
@@ -91,9 +89,8 @@ async function readEntries(entries, plain, onCount) {
     if (entry) await walkEntry(entry, single ? "" : entry.name, files, onCount);
   }
   if (!entries.some(Boolean)) plain.forEach((file) => put(files, file.name, file));
-  const isLoose = !entries.some((entry) => entry?.isDirectory);
-  const name = single?.name ?? (isLoose ? nameOfFiles(plain) : "drive");
-  return { folder: { name, files, isLoose } };
+  const name = single?.name ?? (entries.some((entry) => entry?.isDirectory) ? "drive" : nameOfFiles(plain));
+  return { folder: { name, files } };
 }
 
 /** @param {FileSystemEntry} entry @param {string} path @param {Map<string, File>} files @param {OnCount} onCount */

@@ -34,7 +34,7 @@ import { Transfer } from "./transfer.js";
 export const madeFolder = ({ labels, model }) => labels ?? (model ? "predictions" : null);
 
 /** @typedef {"plan" | "files" | "archive" | "check" | "run"} Step */
-/** @typedef {"ready" | "running" | "paused" | "failed" | "stopped" | "done"} Status */
+/** @typedef {"ready" | "running" | "failed" | "stopped" | "done"} Status */
 
 const COMMIT_WAIT_S = 3;
 const POLL_MS = 700;
@@ -93,17 +93,7 @@ export class Upload {
   }
 
   get isRunning() {
-    return this.status === "running" || this.status === "paused";
-  }
-
-  pause() {
-    this.transfer.pause();
-    this.#update({ status: "paused" });
-  }
-
-  resume() {
-    this.#update({ status: "running" });
-    this.transfer.resume();
+    return this.status === "running";
   }
 
   /** Leave it as it is; it can go on later. */
@@ -169,8 +159,8 @@ export class Upload {
     const { settings, driveId, source } = this;
     const { fingerprint, drive } = source;
     const at = remembered(/** @type {string} */ (driveId))?.at ?? new Date().toISOString();
-    const of = { root: drive?.look.root ?? "", isLoose: drive?.folder.isLoose, name: settings.name };
-    remember({ driveId: /** @type {string} */ (driveId), fingerprint, at, settings, way, ...of });
+    const root = drive?.look.root ?? "";
+    remember({ driveId: /** @type {string} */ (driveId), fingerprint, name: settings.name, at, root, settings, way });
   }
 
   async #send() {
@@ -252,7 +242,7 @@ export class Upload {
     const json = { options: this.settings.options, keep_raw: this.settings.keepRaw };
     const headers = { Prefer: `wait=${COMMIT_WAIT_S}` }; // the same commit again joins the one that runs
     for (;;) {
-      await this.transfer.waitWhilePaused();
+      this.transfer.signal.throwIfAborted();
       const path = `drives/${this.driveId}/commit`;
       const { status, body } = await this.transfer.ask(path, { method: "POST", json, headers });
       if (status !== 202) return this.#update({ problems: sorted(body.report?.problems ?? []) });
