@@ -83,21 +83,13 @@ class _StateRegistry(CollectorRegistry):
     def collect(self) -> Iterable[Metric]:
         """Read it."""
         yield GaugeMetricFamily("interloc_free_bytes", "Space left where drives are kept.", self._storage.free_bytes())
-        yield from _writers(self._database)
+        given_up = CounterMetricFamily("interloc_database_busy", "Writers that did not get their turn in time.")
+        given_up.add_metric([], self._database.given_up)
+        yield given_up
         with self._database.reading() as session:
             now = self._database.clock(session)
             yield from _drives(session)
             yield from _jobs(session, now)
-
-
-def _writers(database: Database) -> Iterator[Metric]:
-    waits = database.waits
-    taken = SummaryMetricFamily("interloc_database_write_wait_seconds", "Time that writers waited for their turn.")
-    taken.add_metric([], count_value=waits.count, sum_value=waits.seconds)
-    yield taken
-    given_up = CounterMetricFamily("interloc_database_busy", "Writers that did not get their turn in time.")
-    given_up.add_metric([], waits.given_up)
-    yield given_up
 
 
 def _drives(session: Session) -> Iterator[Metric]:

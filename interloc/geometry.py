@@ -189,7 +189,7 @@ def utm_zone(lon_deg: float, lat_deg: float) -> int:
 
 
 def projection(source: int, target: int) -> Callable[[FloatArray], FloatArray]:
-    """Return what leads (..., 2) places from one coordinate system to another, by EPSG codes; 4326 is lon, lat."""
+    """Return what leads (..., 2) places from one coordinate system (EPSG, or a CRS) to another; 4326 is lon, lat."""
     from pyproj import Transformer  # noqa: PLC0415 - slow to import
 
     transformer = Transformer.from_crs(source, target, always_xy=True)

@@ -11,7 +11,7 @@ import pytest
 
 from interloc import open_drive, storage
 from interloc.errors import DriveError, OutputError
-from interloc.reduction.elsewhere import fetch_drive
+from interloc.reduction.listing import fetch_drive
 from interloc.storage import is_within
 from tests.small_drives import write_kitti_raw
 

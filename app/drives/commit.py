@@ -22,7 +22,7 @@ from app.drives.records import (
     note_extent,
     reduced_key,
 )
-from app.drives.upload import lock_counts, refuse_similar_names, refuse_unless_open, register, sizes_of
+from app.drives.upload import lock_counts, place, refuse_unless_open
 from app.http.intake import Arrival, Placement
 from app.http.limits import check_free_space, check_quota, job_limit
 from app.http.problem_types import (
@@ -270,11 +270,7 @@ def _finish_unpack(session: Session, context: Context, job: Job, drive: Drive, o
             for arrival in arrivals:
                 # A second name: if the server dies before the end of the transaction, all of this is repeated.
                 link(scratch / UNPACKED / arrival.path, arrival.temporary)
-            paths = [arrival.path for arrival in arrivals]
-            known = sizes_of(session, drive.id, paths)
-            refuse_similar_names(session, drive.id, paths)
-            register(context, session, lock_counts(session, drive.id), arrivals, known, job.owner)
-            placement.move(arrivals)
+            place(context, session, placement, lock_counts(session, drive.id), arrivals, job.owner)
     except Problem as problem:
         job.state = JobState.FAILED
         job.error = problem.document()

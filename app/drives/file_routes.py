@@ -25,8 +25,7 @@ from app.jobs.view import wait_for_job
 from app.paths import MAX_PATH, PATH_PATTERN, check_path
 from app.states import FINAL
 from app.store.models import Job
-from interloc.drives.kinds import is_recording
-from interloc.drives.layouts import POSE_FILES, SCAN_FOLDERS
+from interloc.drives.layouts import POSE_FILES, SCAN_FOLDERS, is_recording
 
 router = APIRouter(prefix="/drives/{drive_id}", tags=["Uploads"])
 

@@ -18,13 +18,10 @@ from app.http.openapi import CHANGED, CHANGES_NOTHING, TAGGED, get_and_head, pro
 from app.http.parameters import (
     After,
     BoxFilter,
-    CreatedAfter,
-    CreatedBefore,
     NamePart,
     answer_page,
     has_part,
     lies_in,
-    made_between,
 )
 from app.http.patterns import ID
 from app.http.prices import priced
@@ -80,13 +77,11 @@ def list_drives(
     box: BoxFilter,
     state: Annotated[DriveState | None, Query(description="Only those in this state.")] = None,
     name: NamePart = None,
-    created_after: CreatedAfter = None,
-    created_before: CreatedBefore = None,
     after: After = None,
     limit: Annotated[int, Query(ge=1, le=1000)] = 100,
 ) -> Response:
     """List drives, the newest first, without their reports."""
-    conditions = [*made_between(Drive, created_after, created_before)]
+    conditions = []
     if state is not None:
         conditions.append(Drive.state == state)
     if name is not None:

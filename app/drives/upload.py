@@ -47,22 +47,6 @@ _COUNT = (
 )
 
 
-def keep(context: Context, drive_id: str, arrivals: Sequence[Arrival], sender: str | None = None) -> bool:
-    """Place received files of different names in a drive; return False if one replaced another.
-
-    The sender is the owner of the drive where none is named. A problem (404; 409 it takes no files now, or a name is
-    that of a folder or too similar to another one; 413 it would become too large) changes nothing.
-    """
-    with Placement(context.storage, files_key(drive_id)) as placement, context.database.writing() as session:
-        counts = lock_counts(session, drive_id)
-        refuse_unless_open(counts, [arrival.path for arrival in arrivals])
-        known = sizes_of(session, drive_id, [arrival.path for arrival in arrivals])
-        refuse_similar_names(session, drive_id, [arrival.path for arrival in arrivals])
-        register(context, session, counts, arrivals, known, sender or counts.owner)
-        placement.move(arrivals)
-    return not known
-
-
 @dataclass(frozen=True)
 class DriveCounts:
     """The columns of a drive that an upload needs; read without the ORM because this runs once per file."""
@@ -72,6 +56,35 @@ class DriveCounts:
     state: str
     file_count: int
     size_bytes: int
+
+
+def keep(context: Context, drive_id: str, arrivals: Sequence[Arrival], sender: str | None = None) -> bool:
+    """Place received files of different names in a drive; return False if one replaced another.
+
+    The sender is the owner of the drive where none is named. A problem (404; 409 it takes no files now, or a name is
+    that of a folder or too similar to another one; 413 it would become too large) changes nothing.
+    """
+    with Placement(context.storage, files_key(drive_id)) as placement, context.database.writing() as session:
+        counts = lock_counts(session, drive_id)
+        refuse_unless_open(counts, [arrival.path for arrival in arrivals])
+        return place(context, session, placement, counts, arrivals, sender or counts.owner)
+
+
+def place(
+    context: Context,
+    session: Session,
+    placement: Placement,
+    drive: DriveCounts,
+    arrivals: Sequence[Arrival],
+    sender: str,
+) -> bool:
+    """Place files in a drive that the transaction has locked; return False if one replaced another."""
+    paths = [arrival.path for arrival in arrivals]
+    known = _sizes_of(session, drive.id, paths)
+    _refuse_similar_names(session, drive.id, paths)
+    _register(context, session, drive, arrivals, known, sender)
+    placement.move(arrivals)
+    return not known
 
 
 def lock_counts(session: Session, drive_id: str) -> DriveCounts:
@@ -110,7 +123,7 @@ def check_upload(
         check_quota(context, session, drive.owner, sender, length)
 
 
-def sizes_of(session: Session, drive_id: str, paths: Sequence[str]) -> dict[str, int]:
+def _sizes_of(session: Session, drive_id: str, paths: Sequence[str]) -> dict[str, int]:
     """Return the sizes of those files that exist already."""
     known: dict[str, int] = {}
     for start in range(0, len(paths), _AT_ONCE):
@@ -121,7 +134,7 @@ def sizes_of(session: Session, drive_id: str, paths: Sequence[str]) -> dict[str,
     return known
 
 
-def refuse_similar_names(session: Session, drive_id: str, paths: Sequence[str]) -> None:
+def _refuse_similar_names(session: Session, drive_id: str, paths: Sequence[str]) -> None:
     """Refuse (409) paths that other file systems take for one: of two that differ in case only, one would be lost."""
     plain = {path: folded(path) or path for path in paths}
     first: dict[str, str] = {}
@@ -138,7 +151,7 @@ def refuse_similar_names(session: Session, drive_id: str, paths: Sequence[str]) 
             if other != hashes[hashed]:
                 raise _too_similar(hashes[hashed], other)
         keys = {key: path for path, key in some if key != path}
-        for other in sizes_of(session, drive_id, list(keys)) if keys else ():
+        for other in _sizes_of(session, drive_id, list(keys)) if keys else ():
             raise _too_similar(keys[other], other)
 
 
@@ -150,7 +163,7 @@ def _too_similar(path: str, other: str) -> Problem:
     )
 
 
-def register(
+def _register(
     context: Context,
     session: Session,
     drive: DriveCounts,

@@ -2,13 +2,11 @@
 
 import re
 from collections.abc import Iterable, Iterator
-from datetime import datetime
 from typing import Annotated, Any, Literal, NamedTuple, Protocol
 from urllib.parse import quote, urlencode
 
 from fastapi import Depends, Query, Request, Response
 from fastapi.dependencies.models import Dependant
-from pydantic import AwareDatetime
 from sqlalchemy import ColumnElement, and_, func, or_
 
 from app.http.delivery import answer_tagged
@@ -25,13 +23,6 @@ NamePart = Annotated[
         pattern=TEXT,
         description="Only those with this in their name, in upper or lower case.",
     ),
-]
-CreatedAfter = Annotated[
-    AwareDatetime | None,
-    Query(description="Only those made at this time or later, as 2026-01-31T12:00:00Z."),
-]
-CreatedBefore = Annotated[
-    AwareDatetime | None, Query(description="Only those made before this time, as 2026-01-31T12:00:00Z.")
 ]
 
 
@@ -170,16 +161,6 @@ def rows_after(table: type[Drive | Job], cursor: str, by: Moment = "created_at")
         )
     time, last_time, last_id = getattr(table, by), float(match[1]), match[2]
     return or_(time < last_time, and_(time == last_time, table.id < last_id))
-
-
-def made_between(
-    table: type[Drive | Job], after: datetime | None, before: datetime | None
-) -> Iterator[ColumnElement[bool]]:
-    """Yield the conditions that a row was made at or after a time, and before another one."""
-    if after is not None:
-        yield table.created_at >= after.timestamp()
-    if before is not None:
-        yield table.created_at < before.timestamp()
 
 
 def has_part(column: Any, part: str) -> ColumnElement[bool]:  # noqa: ANN401 - a column, or a member of one

@@ -17,14 +17,11 @@ from app.http.openapi import CHANGED, TAGGED, Responses, get_and_head, problems
 from app.http.parameters import (
     After,
     BoxFilter,
-    CreatedAfter,
-    CreatedBefore,
     NamePart,
     answer_page,
     cursor_of,
     has_part,
     lies_in,
-    made_between,
     newest_first,
     rows_after,
 )
@@ -128,14 +125,12 @@ def list_jobs(
         Query(description="Only those of this kind; commit and unpack are the checks of uploads."),
     ] = JobKind.INTERSECTIONS,
     name: NamePart = None,
-    created_after: CreatedAfter = None,
-    created_before: CreatedBefore = None,
     after: After = None,
     limit: Annotated[int, Query(ge=1, le=1000)] = 100,
 ) -> Response:
     """List jobs, the newest first; `name` is looked for in the names of jobs and of their drives."""
     query = select(Job, Drive.name).join(Drive, Drive.id == Job.drive_id).where(is_alive())
-    query = query.order_by(*newest_first(Job)).limit(limit + 1).where(*made_between(Job, created_after, created_before))
+    query = query.order_by(*newest_first(Job)).limit(limit + 1)
     if kind != "all":
         query = query.where(Job.kind == kind)
     if drive is not None:

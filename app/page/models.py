@@ -11,9 +11,8 @@ from app.paths import ARCHIVE_ENDINGS
 from app.settings import Settings
 from interloc.drives.formats import FORMATS, installed_formats
 from interloc.drives.georeference.read import ODOMETRY_OF_RAW
-from interloc.drives.kinds import RECORDING_ENDINGS, SMALL_ENDINGS, TRACK_ENDINGS
 from interloc.drives.labels import SCHEMES
-from interloc.drives.layouts import PCD_ENDINGS
+from interloc.drives.layouts import PCD_ENDINGS, RECORDING_ENDINGS, SMALL_ENDINGS, TRACK_ENDINGS
 from interloc.drives.options import ReadingOptions
 from interloc.osm.container import MAP_ENDINGS, SIMULATOR
 from interloc.osm.intersections import DRIVABLE_OR_SERVICE
@@ -25,8 +24,6 @@ _LIMITS = (
     "max_file_bytes",
     "max_recording_bytes",
     "max_archive_bytes",
-    "max_batch_bytes",
-    "max_batch_files",
     "max_drive_bytes",
     "max_drive_files",
     "max_queued_jobs",

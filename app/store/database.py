@@ -5,7 +5,6 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -45,15 +44,6 @@ class DatabaseBusyError(WaitedTooLong):
     """The turn to write did not come in time."""
 
 
-@dataclass
-class Waits:
-    """Statistics of the writers of a server."""
-
-    count: int = 0
-    seconds: float = 0.0
-    given_up: int = 0
-
-
 class Database:
     """A connection pool, and the sessions on it, by the SQLAlchemy URL of a SQLite or PostgreSQL database."""
 
@@ -88,7 +78,8 @@ class Database:
             event.listen(self.engine, "connect", _set_up_sqlite)
             event.listen(self.engine, "begin", _begin_sqlite)
         self._sessions = sessionmaker(self.engine, expire_on_commit=False)
-        self.waits = Waits()
+        self.given_up = 0
+        """Number of writers that did not get their turn in time."""
         self._turn = threading.Lock()  # of SQLite, which has one writer
         self._lock = threading.Lock()
         self._writers = 0
@@ -120,9 +111,6 @@ class Database:
                 session.connection(execution_options={"writes": True, "patience_s": left_s})
             elif patient:
                 session.execute(text(f"SET LOCAL lock_timeout = {round(1000 * left_s) or 1}"))
-            with self._lock:
-                self.waits.count += 1
-                self.waits.seconds += time.monotonic() - arrived
             self.check_place()
             yield session
             self.check_place()
@@ -154,7 +142,7 @@ class Database:
             self._moved = time.monotonic()
         except (WaitedTooLong, OperationalError):
             with self._lock:
-                self.waits.given_up += 1
+                self.given_up += 1
             raise
         finally:
             with self._lock:

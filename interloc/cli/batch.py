@@ -180,7 +180,7 @@ def _drives_at(given: str) -> list[dict[str, Any]]:
     """Return the rows of a drive, or of all drives below a prefix in object storage."""
     if "://" not in given:
         return [{"drive": _place(given)}]
-    from interloc.reduction.elsewhere import find_stored
+    from interloc.reduction.listing import find_stored
 
     _, _, drives = find_stored(given)
     return [{"drive": "/".join(filter(None, (given.rstrip("/"), drive.root)))} for drive in drives] or [

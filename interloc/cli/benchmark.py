@@ -13,7 +13,7 @@ from interloc.errors import require_lab
 
 if TYPE_CHECKING:
     from interloc.drives.options import LabelFolder
-    from interloc.lab.cases import Case, Poses
+    from interloc.lab.cases import Case
     from interloc.lab.measure import Row
     from interloc.lab.places import Part
     from interloc.lab.run import Benchmark
@@ -83,7 +83,7 @@ def twin_options(sequences: str) -> Callable[[options.Function], options.Functio
             "--kitti",
             required=True,
             type=options.PATH,
-            help="Folder with oxts/NN.txt.gz, poses_suma/NN.txt, poses_gt/NN.txt, calib/NN.txt, times/NN.txt, "
+            help="Folder with oxts/NN.txt.gz, poses_suma/NN.txt, calib/NN.txt, times/NN.txt, "
             "osm/NN.osm.gz and, for real houses, osm_buildings/NN.osm.gz.",
         ),
         click.option(
@@ -125,18 +125,10 @@ def command() -> None:
 
 @command.command()
 @twin_options(SEQUENCES)
-@click.option(
-    "--poses",
-    type=click.Choice(["suma", "gt"]),
-    default="suma",
-    show_default=True,
-    help="Poses to write with the drives: SemanticKITTI's, which drift, or KITTI's ground truth.",
-)
 @measuring_options
 def twins(
     kitti: Path,
     sequences: str,
-    poses: Poses,
     keep: Path | None,
     max_scans: int | None,
     seeds: int,
@@ -153,7 +145,7 @@ def twins(
     """
     from interloc.lab.cases import twin_cases
 
-    cases = twin_cases(kitti, _list(sequences), seeds=seeds, poses=poses, keep=keep, max_scans=max_scans)
+    cases = twin_cases(kitti, _list(sequences), seeds=seeds, keep=keep, max_scans=max_scans)
     _measure(
         cases,
         title="KITTI twins",

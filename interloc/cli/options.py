@@ -37,7 +37,7 @@ class Place(click.Path):
         if param is not None and param.name == "out":
             place = storage.result_place(value)
             return storage.fetch_older(place) if isinstance(param, click.Argument) else place
-        from interloc.reduction.elsewhere import fetch_drive
+        from interloc.reduction.listing import fetch_drive
 
         with console.progress("fetch", "B") as bar:
             return fetch_drive(value, progress=bar)

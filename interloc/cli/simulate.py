@@ -12,7 +12,6 @@ from interloc.cli import console, options
 from interloc.errors import require_lab
 
 if TYPE_CHECKING:
-    from interloc.lab.cases import Poses
     from interloc.lab.config import SimulationOptions
     from interloc.lab.town import Part
 
@@ -126,19 +125,12 @@ def town(drive: Path, part: Part, every_scan: bool, speed_mps: float, **common: 
     "--kitti",
     required=True,
     type=options.PATH,
-    help="Folder with oxts/, poses_suma/, poses_gt/, calib/, times/, osm/ and osm_buildings/ of the sequences.",
+    help="Folder with oxts/, poses_suma/, calib/, times/, osm/ and osm_buildings/ of the sequences.",
 )
 @DRIVE
-@click.option(
-    "--poses",
-    type=click.Choice(["suma", "gt"]),
-    default="suma",
-    show_default=True,
-    help="Poses to write with the drive: SemanticKITTI's or KITTI's ground truth.",
-)
 @EVERY_SCAN
 @scene_options
-def twin(sequence: str, kitti: Path, drive: Path, poses: Poses, every_scan: bool, **common: Any) -> None:
+def twin(sequence: str, kitti: Path, drive: Path, every_scan: bool, **common: Any) -> None:
     """Drive along the real track of KITTI odometry SEQUENCE (00, 02, ...) over its real map.
 
     \b
@@ -148,10 +140,10 @@ def twin(sequence: str, kitti: Path, drive: Path, poses: Poses, every_scan: bool
     from interloc.lab.cases import twin_cases, twin_trip
     from interloc.lab.drive import simulate
 
-    (case,) = twin_cases(kitti, [sequence], poses=poses)
+    (case,) = twin_cases(kitti, [sequence])
     with console.progress("simulate", "scan") as bar:
         options = _options(every_scan=every_scan, **common)
-        scans = simulate(twin_trip(kitti, sequence, poses=poses), drive, options, progress=bar)
+        scans = simulate(twin_trip(kitti, sequence), drive, options, progress=bar)
     _go_on(scans, drive, case.osm)
 
 

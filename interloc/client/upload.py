@@ -16,7 +16,7 @@ import math
 import secrets
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import zip_longest
@@ -288,7 +288,7 @@ class _Sender:
             if content is None:
                 self._count([])
             elif content.size > _SMALL_BYTES or '"' in file.path or not file.path.isprintable():
-                self._put(content)
+                self._send([content])
             else:
                 bundle.append(content)
                 if sum(each.size for each in bundle) >= _BUNDLE_BYTES:
@@ -310,33 +310,27 @@ class _Sender:
             return None
         return content
 
-    def _put(self, content: _Content) -> None:
-        headers = {
-            "Content-Type": "application/octet-stream",
-            "Content-Length": str(content.size),
-            "Content-Digest": content.digest_header,
-        }
-        address = file_address(self.drive_id, content.file.path)
-        with _naming(f"{content.file.path}, {content.size:,} bytes"):
-            answer = self.connection.ask("PUT", address, FileAnswer, body=content.body, headers=headers)
-        self._accept([content], [answer])
-
-    def _send(self, bundle: list[_Content]) -> None:
-        """Send small files in one request: all of them arrive, or none does."""
-        if not bundle:
+    def _send(self, contents: list[_Content]) -> None:
+        """Send a file, or several small ones in one request: all of them arrive, or none does."""
+        if not contents:
             return
-        boundary = secrets.token_hex(16)
-        pieces = []
-        for each in bundle:
-            name = f'Content-Disposition: form-data; name="files"; filename="{each.file.path}"'
-            pieces.append(f"--{boundary}\r\n{name}\r\nContent-Digest: {each.digest_header}\r\n\r\n".encode())
-            pieces += [each.body(), b"\r\n"]
-        body = b"".join([*pieces, f"--{boundary}--\r\n".encode()])
-        headers = {"Content-Type": f"multipart/form-data; boundary={boundary}"}
-        address = f"/drives/{self.drive_id}/scans"
-        with _naming(f"{bundle[0].file.path} and {len(bundle) - 1} more, {len(body):,} bytes"):
-            answer = self.connection.ask("POST", address, FilesAnswer, body=lambda: body, headers=headers)
-        self._accept(bundle, answer.files)
+        first, *others = contents
+        try:
+            if others:
+                body, boundary = _bundle(contents)
+                headers = {"Content-Type": f"multipart/form-data; boundary={boundary}"}
+                address = f"/drives/{self.drive_id}/scans"
+                answers = self.connection.ask("POST", address, FilesAnswer, body=lambda: body, headers=headers).files
+            else:
+                headers = {"Content-Type": "application/octet-stream", "Content-Length": str(first.size)}
+                headers["Content-Digest"] = first.digest_header
+                address = file_address(self.drive_id, first.file.path)
+                answers = [self.connection.ask("PUT", address, FileAnswer, body=first.body, headers=headers)]
+        except Refusal as error:
+            size = sum(each.size for each in contents)
+            what = f"{first.file.path}{f' and {len(others)} more' if others else ''}, {size:,} bytes"
+            raise Refusal(error.status, error.problem, f"(while sending {what})") from error
+        self._accept(contents, answers)
 
     def _accept(self, sent: list[_Content], answers: list[FileAnswer]) -> None:
         """Log what the server has, where it is what was sent."""
@@ -358,13 +352,15 @@ class _Sender:
             self.progress.bytes_sent += sum(sizes)
 
 
-@contextmanager
-def _naming(what: str) -> Iterator[None]:
-    """Say in a refusal what was being sent."""
-    try:
-        yield
-    except Refusal as error:
-        raise Refusal(error.status, error.problem, f"(while sending {what})") from error
+def _bundle(contents: list[_Content]) -> tuple[bytes, str]:
+    """Return some files as multipart/form-data, and what separates them."""
+    boundary = secrets.token_hex(16)
+    pieces: list[bytes] = []
+    for each in contents:
+        name = f'Content-Disposition: form-data; name="files"; filename="{each.file.path}"'
+        pieces.append(f"--{boundary}\r\n{name}\r\nContent-Digest: {each.digest_header}\r\n\r\n".encode())
+        pieces += [each.body(), b"\r\n"]
+    return b"".join([*pieces, f"--{boundary}--\r\n".encode()]), boundary
 
 
 def _content_of(file: UploadFile) -> tuple[int, bytes, Body]:

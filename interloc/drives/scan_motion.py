@@ -119,13 +119,14 @@ def check_scan_motion(
     scale = _scale_of(matcher.laid, poses) if matcher.kind == "upright" else None
     is_unexplained = fault is None or fault[3] == _ANOTHER
     is_long = float(np.linalg.norm(np.ptp(poses[:, :3, 3], axis=0))) > _MUCH_M
-    if scale is None and is_unexplained and is_long and not (is_computed or drive.is_slow or drive.georeference):
+    is_checked = is_computed or drive.georeference is not None  # fixes tell the scale, too
+    if scale is None and is_unexplained and is_long and not (is_checked or drive.is_slow):
         with findings.stage():
             scale = _scale_of_ground(drive, usable)
     is_off = scale is not None and abs(np.log(scale)) > _OFF_SCALE
-    if scale is None and fault is None and is_long:
+    if scale is None and fault is None and is_long and not (is_checked and tells):
         what = "the scale of the poses is right" if tells else "the scans move as the poses do"
-        told = findings.untold if is_computed or drive.georeference else findings.warning
+        told = findings.untold if is_checked else findings.warning
         told(pose_file, f"whether {what} cannot be told: the scans hold too little that stands upright.")
     if mistake.is_clear and (fault is None or fault[1] < _PLACES_WRONG):
         text = f"the scans do not move as the poses do ({mistake.closer} of {mistake.of} places). {mistake.words}."

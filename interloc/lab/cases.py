@@ -8,7 +8,6 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
@@ -54,7 +53,7 @@ class FolderCase:
         found: dict[int, tuple[float, float]] = {}
         for path in [own] if own.is_file() else sorted(KNOWN_AXES.glob("*.csv")):
             try:
-                with path.open(newline="") as lines:
+                with path.open(newline="", encoding="utf-8-sig") as lines:
                     rows = [row for row in csv.DictReader(lines) if row["lon"]]
                 found |= {int(row["osm_id"]): (float(row["lon"]), float(row["lat"])) for row in rows}
             except (OSError, ValueError, KeyError, TypeError) as error:
@@ -179,15 +178,11 @@ def numbered(folder: Path) -> list[str]:
     return sorted({entry.name[:2] for entry in folder.iterdir() if re.fullmatch(r"\d\d(\..+)?", entry.name)})
 
 
-Poses = Literal["suma", "gt"]
-"""Poses to be written with a twin: SuMa's (SemanticKITTI's `poses.txt`) or KITTI's ground truth."""
-
-
-def twin_files(kitti_dir: Path, sequence: str, *, poses: Poses = "suma") -> dict[str, Path]:
+def twin_files(kitti_dir: Path, sequence: str) -> dict[str, Path]:
     """Return the files that a twin is made of; `buildings` only where there are any: else houses are made up."""
     files = {
         "oxts": kitti_dir / "oxts" / f"{sequence}.txt.gz",
-        "poses": kitti_dir / f"poses_{poses}" / f"{sequence}.txt",
+        "poses": kitti_dir / "poses_suma" / f"{sequence}.txt",
         "calib": kitti_dir / "calib" / f"{sequence}.txt",
         "times": kitti_dir / "times" / f"{sequence}.txt",
         "osm": kitti_dir / "osm" / f"{sequence}.osm.gz",
@@ -196,9 +191,9 @@ def twin_files(kitti_dir: Path, sequence: str, *, poses: Poses = "suma") -> dict
     return files | ({"buildings": buildings} if buildings.is_file() else {})
 
 
-def twin_track(kitti_dir: Path, sequence: str, *, poses: Poses = "suma") -> LidarTrack:
-    """Return the track of a sequence: places from OXTS, and the given poses to be written with the drive."""
-    files = twin_files(kitti_dir, sequence, poses=poses)
+def twin_track(kitti_dir: Path, sequence: str) -> LidarTrack:
+    """Return the track of a sequence: places from OXTS, written with the poses of SemanticKITTI (SuMa)."""
+    files = twin_files(kitti_dir, sequence)
     rows = read_oxts_rows(SourceFile(files["oxts"], Path()))
     camera = np.loadtxt(files["poses"]).reshape(-1, 3, 4)
     times = np.loadtxt(files["times"])
@@ -207,11 +202,11 @@ def twin_track(kitti_dir: Path, sequence: str, *, poses: Poses = "suma") -> Lida
     return replace(track, poses_camera=camera[:count], calib_text=files["calib"].read_text())
 
 
-def twin_trip(kitti_dir: Path, sequence: str, *, poses: Poses = "suma") -> Trip:
+def twin_trip(kitti_dir: Path, sequence: str) -> Trip:
     """Return a sequence as it is to be simulated; see `twin_track`."""
-    track = twin_track(kitti_dir, sequence, poses=poses)
-    files = twin_files(kitti_dir, sequence, poses=poses)
-    return Trip(track, read_map(files["osm"], files.get("buildings")), {"twin": sequence, "poses": poses})
+    track = twin_track(kitti_dir, sequence)
+    files = twin_files(kitti_dir, sequence)
+    return Trip(track, read_map(files["osm"], files.get("buildings")), {"twin": sequence})
 
 
 @dataclass(frozen=True)
@@ -219,14 +214,12 @@ class TwinCase:
     """A KITTI twin: the real track of a sequence, simulated over its real map with a LiDAR."""
 
     kitti: Path
-    """Folder with `oxts/`, `poses_suma/`, `poses_gt/`, `calib/`, `times/`, `osm/` and, if known, `osm_buildings/`."""
+    """Folder with `oxts/`, `poses_suma/`, `calib/`, `times/`, `osm/` and, if known, `osm_buildings/`."""
     sequence: str
     """Two digits."""
     seed: int = 0
     """Seed of everything random; with an odd one service roads are labelled as road, which the policy does not count.
     """
-    poses: Poses = "suma"
-    """{"suma", "gt"}."""
     keep: Path | None = None
     """Folder in which twins stay and are found again."""
     max_scans: int | None = None
@@ -258,7 +251,7 @@ class TwinCase:
         """Simulate the twin, unless it is kept from before; it is gone at the end, unless it is to be kept."""
         if self.keep is not None:
             first = f"_first{self.max_scans}" if self.max_scans else ""
-            path = self.keep / f"{self.sequence}_{self.poses}_seed{self.seed}{first}"
+            path = self.keep / f"{self.sequence}_seed{self.seed}{first}"
             if not path.is_dir():  # a drive is written whole or not at all
                 self._simulate(path, progress)
             yield open_drive(path)
@@ -278,7 +271,7 @@ class TwinCase:
                 streets=StreetConfig(service_roads="road" if self.shows_service_roads else "other_ground")
             ),
         )
-        simulate(twin_trip(self.kitti, self.sequence, poses=self.poses), path, options, progress=progress)
+        simulate(twin_trip(self.kitti, self.sequence), path, options, progress=progress)
 
 
 Case = FolderCase | TwinCase
@@ -289,16 +282,15 @@ def twin_cases(
     sequences: Sequence[str] = SEQUENCES,
     *,
     seeds: int | Sequence[int] = 1,
-    poses: Poses = "suma",
     keep: Path | None = None,
     max_scans: int | None = None,
 ) -> list[TwinCase]:
     """Return the twins of some sequences, each with several seeds: so many of them, or these."""
     if not kitti.is_dir():
-        raise DriveError(f"{kitti}: no such folder. Expected oxts/, poses_{poses}/, calib/, times/ and osm/ in it.")
+        raise DriveError(f"{kitti}: no such folder. Expected oxts/, poses_suma/, calib/, times/ and osm/ in it.")
 
     def missing(sequence: str) -> list[str]:
-        needed = twin_files(kitti, sequence, poses=poses).values()
+        needed = twin_files(kitti, sequence).values()
         return [path.relative_to(kitti).as_posix() for path in needed if not path.is_file()]
 
     for sequence in sequences:
@@ -309,4 +301,4 @@ def twin_cases(
                 f"Sequences with all that a twin needs: {', '.join(complete) or 'none'}."
             )
     numbers = range(seeds) if isinstance(seeds, int) else seeds
-    return [TwinCase(kitti, sequence, seed, poses, keep, max_scans) for sequence in sequences for seed in numbers]
+    return [TwinCase(kitti, sequence, seed, keep, max_scans) for sequence in sequences for seed in numbers]

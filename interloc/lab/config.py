@@ -114,9 +114,6 @@ class SceneConfig(_Config):
         le=5,
         description="Half width of a strip along the track that is road in any case.",
     )
-    max_map_distance_m: float = Field(
-        30.0, gt=0, description="A track whose median distance from the streets of the map is larger is refused."
-    )
 
 
 class TrackConfig(_Config):
@@ -126,7 +123,6 @@ class TrackConfig(_Config):
     rate_hz: float = Field(10.0, gt=0.1, le=100, description="Scans per second.")
     smoothing_m: float = Field(3.0, ge=0, le=50, description="Width of the Gaussian that smooths the path.")
     offset_m: float = Field(0.0, ge=-20, le=20, description="Distance of the path from the given line, to the right.")
-    max_gap_m: float = Field(500.0, gt=1, description="A line with a longer gap between two points is refused.")
 
 
 class SimulationOptions(_Config):

@@ -4,7 +4,6 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import shapely
@@ -388,7 +387,6 @@ def build_scene(
         )
     towns = config.roadside.buildings in {"made_up", "none"} or not street_map.buildings
     profiles = street_profiles(street_map, config.streets, towns=towns, seed=seed)
-    _refuse_elsewhere(data.path, profiles, xy, config.max_map_distance_m)
 
     crossings = find_crossings(profiles)
     level = _levels(profiles, crossings, xy)
@@ -406,17 +404,6 @@ def build_scene(
         pose[2, 3] = heights[level[i]].at(pose[0, 3], pose[1, 3]) + sensor_height_m
     walls = furnish(street_map, profiles, lines[0], config.roadside, driven_xy=_every_metre(xy), seed=seed)
     return Scene(street_map, profiles, ground, heights, Obstacles(walls, heights), poses, level)
-
-
-def _refuse_elsewhere(roads: Path, profiles: list[Profile], xy: FloatArray, limit_m: float) -> None:
-    tree = shapely.STRtree([p.line for p in profiles])
-    _, distance = tree.query_nearest(shapely.points(xy), return_distance=True, all_matches=False)
-    median = float(np.median(distance))
-    if median > limit_m:
-        raise MapError(
-            f"{roads}: the track runs {median:,.0f} m (median) from the nearest street of this map. "
-            f"Expected at most {limit_m:g} m. Usual cause: the map of another place, or of a part of the track."
-        )
 
 
 def _levels(profiles: list[Profile], crossings: list[Crossing], xy: FloatArray) -> IntArray:

@@ -163,15 +163,6 @@ def track_from_line(
         raise DriveError(f"The track has {len(lonlat)} point(s). Expected at least two.")
     frame = LocalFrame(lonlat[:, 1].mean(), lonlat[:, 0].mean())
     xyz = np.column_stack([frame.xy(lonlat), np.zeros(len(lonlat)) if alt_m is None else alt_m])
-    steps = np.hypot(*np.diff(xyz[:, :2], axis=0).T)
-    if not steps.sum() > 1.0:
-        raise DriveError("All points of the track lie at one place. Expected a line to drive along.")
-    if steps.max() > config.max_gap_m:
-        where = int(np.argmax(steps))
-        raise DriveError(
-            f"Points {where} and {where + 1} of the track are {steps[where]:,.0f} m apart. "
-            f"Expected at most {config.max_gap_m:g} m. Usual cause: lon and lat swapped, or two recordings."
-        )
     path = smooth_path(xyz, config.smoothing_m, config.offset_m)
     along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path[:, :2], axis=0).T))])
     wanted = np.arange(0.0, along[-1], config.speed_mps / config.rate_hz)

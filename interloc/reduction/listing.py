@@ -2,12 +2,25 @@
 
 import re
 from collections import Counter, defaultdict
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import cast
 
-from interloc.drives.kinds import CALIBRATION_BESIDE, KINDS, KITTI360_BESIDE, SIGNS, Kind
-from interloc.drives.layouts import KITTI360_POSES, POSE_FILES
+from interloc import storage
+from interloc.drives.layouts import (
+    CALIBRATION_BESIDE,
+    KINDS,
+    KITTI360_BESIDE,
+    KITTI360_POSES,
+    POSE_FILES,
+    SCAN_FOLDERS,
+    SIGNS,
+    Kind,
+)
+from interloc.errors import DriveError, InterLocError
+from interloc.storage import MAX_OBJECTS, Bucket, StoredObject
 from interloc.wording import counted
 
 Listing = Mapping[str, int]
@@ -27,6 +40,8 @@ class ListedDrive:
     """Files of scans (of ground points, of a reduced drive) and of labels."""
     small: dict[str, str] = field(default_factory=dict)
     """Poses, times, calibration and georeference; or what may be such."""
+    misnamed: dict[str, str] = field(default_factory=dict)
+    """What would be a part of it but for capitals: paths in the folder, and the names that they need."""
     borrowed: list[str] = field(default_factory=list)
     """What was taken from beside the drive, in words."""
 
@@ -44,6 +59,10 @@ class ListedDrive:
             self.labels[inside] = path
         elif names.is_small(inside):
             self.small[inside] = path
+        elif inside != (lower := inside.lower()) and (
+            names.is_scan(lower) or names.is_label(lower) or names.is_small(lower)
+        ):
+            self.misnamed[path] = lower
 
 
 def find_drives(listing: Listing, name: str) -> list[ListedDrive]:
@@ -141,6 +160,10 @@ _REASONS = (
         r"(.*/)?data_poses/.*|\d{4}_\d\d_\d\d_drive_\d{4}_sync/(poses|cam0_to_world)\.txt",
         "holds poses but no scans: pick the root of KITTI-360, with data_3d_raw/ in it",
     ),
+    (
+        rf"(?i:(.*/)?({'|'.join(SCAN_FOLDERS)})/[^/]+\.bin)",
+        "holds scans under names in capitals: upper and lower case are told apart; rename them to velodyne/000000.bin",
+    ),
     (r".*\.label", "holds labels but no scans: pick the folder that has velodyne/ too"),
     (r"(?i:[^/]*\.osm(\.\w+)?)", "is a map alone: pick the folder of the drive, and choose the map with it"),
 )
@@ -157,3 +180,97 @@ def reason_for_none(listing: Listing, name: str) -> str:
         if any(re.fullmatch(pattern, path) for path in listing):
             return f"{name} {reason}. {_EXPECTED}"
     return f"{name} {'is not a drive' if listing else 'is empty'}. {_EXPECTED}"
+
+
+# Drives in object storage: found by listing a prefix, and fetched to be read like those in folders
+
+
+_RESULTS = ("run.json", "city.json")
+_FOLDERS_BESIDE = ("calibration", "data_poses/{name}", "data_poses_oxts/{name}")
+
+
+def find_stored(address: str, limit: int = MAX_OBJECTS) -> tuple[Bucket, dict[str, StoredObject], list[ListedDrive]]:
+    """Find the drives below a prefix; return also the bucket, and what was listed, by path below the prefix."""
+    bucket, key = Bucket.of(address)
+    listing = {each.key[len(key) + 1 if key else 0 :]: each for each in bucket.below(key, limit)}
+    if not listing:
+        raise DriveError(f"{address} holds no objects. Expected the prefix of a drive. Usual cause: a mistyped name.")
+    name = key.rpartition("/")[2] or bucket.url.rpartition("/")[2]
+    return bucket, listing, find_drives({path: each.size for path, each in listing.items()}, name)
+
+
+def fetch_drive(
+    address: str,
+    folder: Path | None = None,
+    *,
+    within: Sequence[str] = (),
+    limit: int = MAX_OBJECTS,
+    check_sizes: Callable[[dict[str, int]], None] = lambda _: None,
+    progress: Callable[[int, int], None] = lambda _done, _total: None,
+) -> Path:
+    """Fetch a drive, a result, or a single file of object storage: what its listing says that it needs.
+
+    The address is s3://bucket/prefix of a drive, or the key of a file; the folder a temporary one of this process by
+    default. What was fetched there before is taken up again. Nothing beside the drive may be taken from outside of the
+    prefixes `within`; `limit` is that of objects below the prefix; `check_sizes` refuses a drive by the sizes of its
+    files before anything is read; `progress` is called with the bytes fetched, and with all of them. Returns the
+    folder, or the file.
+    """
+    bucket, key = Bucket.of(address)
+    single = bucket.head(key) if key else None
+    name = key.rpartition("/")[2]
+    objects = _drive_at(bucket, key, address, within, limit) if single is None else {name: single}
+    check_sizes({path: each.size for path, each in objects.items()})
+    place = folder or storage.temporary_folder()
+    path = place / next(iter(objects)).partition("/")[0]
+    if folder is None:
+        storage.show_as(path, address.rstrip("/"))
+    storage.fetch(bucket, objects, place, progress)
+    return path
+
+
+def _drive_at(bucket: Bucket, key: str, address: str, within: Sequence[str], limit: int) -> dict[str, StoredObject]:
+    """Return the objects that belong to the drive at a prefix, by path in a folder above it."""
+    _, below, drives = find_stored(address, limit)
+    if not drives and any(marker in below for marker in _RESULTS):
+        name = key.rpartition("/")[2] or "result"
+        return {f"{name}/{path}": each for path, each in below.items()}
+    if len(drives) != 1:
+        names = ", ".join(drive.root or drive.name for drive in drives[:5])
+        raise DriveError(
+            f"{address}: {reason_for_none({path: each.size for path, each in below.items()}, 'it')}"
+            if not drives
+            else f"{address} holds {len(drives)} drives ({names}{', ...' if len(drives) > 5 else ''}). Give one of "
+            "them, or all to `interloc batch`."
+        )
+    root = "/".join(filter(None, (key, drives[0].root)))
+    listing = {each.key: each for each in (*_beside(bucket, root, within), *below.values())}
+    (drive,) = (
+        each
+        for each in find_drives({path: each.size for path, each in listing.items()}, drives[0].name)
+        if each.root == root
+    )
+    name = root.rpartition("/")[2] or drive.name
+    return {f"{name}/{inside}": listing[path] for inside, path in drive.files.items()}
+
+
+def _beside(bucket: Bucket, root: str, within: Sequence[str]) -> list[StoredObject]:
+    """Return what the layouts keep beside a drive: calibration, and poses of a whole data set; what can be listed."""
+    above, name = root.rpartition("/")[0], root.rpartition("/")[2]
+    places = [place for place in dict.fromkeys((above, above.rpartition("/")[0])) if place != root]
+    places = [place for place in places if not within or storage.is_within(f"{bucket.url}/{place}", within)]
+    folders = [f"{place}/{each}".strip("/") for place in places for each in _FOLDERS_BESIDE]
+
+    def below(folder: str) -> list[StoredObject]:
+        with suppress(InterLocError):  # not everybody may list what lies beside
+            return bucket.below(folder.format(name=name))
+        return []
+
+    def directly(place: str) -> list[StoredObject]:
+        with suppress(InterLocError):
+            there = [*bucket.directly_below(place), *bucket.directly_below(f"{place}/poses".strip("/"))]
+            return [each for each in there if re.search(rf"(^|/)(calib[^/]*|poses/{re.escape(name)})\.txt$", each.key)]
+        return []
+
+    found = [*storage.in_parallel(below, folders), *storage.in_parallel(directly, places)]
+    return [each for some in found for each in some]

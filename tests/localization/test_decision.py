@@ -27,11 +27,14 @@ SEEN = evidence(0.9, seen=4, at_nodes=4)
         (None, 0.0, 0.0, 1000.0, "not_found"),
         (evidence(0.9, seen=6, at_nodes=6), 0.5, 0.5, 1000.0, "found"),
         (SEEN, 0.49, 1.33, 650.0, "found"),  # nothing but its own mirror image comes near
-        (SEEN, 0.95, 1.33, 650.0, "not_found"),
+        (SEEN, 1.1, 1.33, 650.0, "not_found"),
         (SEEN, 0.49, 1.36, 650.0, "not_found"),
         (evidence(0.75, seen=4, at_nodes=4), 0.1, 1.18, 650.0, "not_found"),
         (evidence(0.99), 0.1, 0.92, 1000.0, "not_found"),  # without intersections
         (evidence(0.9, seen=6, at_nodes=1, missed=5), 0.5, 0.5, 1000.0, "not_found"),
+        (evidence(0.8, seen=6, at_nodes=3, missed=4), 0.5, 0.5, 1000.0, "found"),  # far ahead of both
+        (evidence(0.8, seen=6, at_nodes=3, missed=4), 0.5, 0.8, 1000.0, "not_found"),
+        (evidence(0.8, seen=6, at_nodes=3, missed=4), 0.8, 0.5, 1000.0, "not_found"),
     ],
 )
 def test_a_place_must_lead_by_enough(

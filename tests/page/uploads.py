@@ -1,6 +1,7 @@
 """The upload panel in a tab, and what has arrived on the server."""
 
 import re
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -78,9 +79,12 @@ class Upload:
         self.page.route(_SENDS, lambda route: route.continue_() if route.request.method == "GET" else decide(route))
 
     def release(self) -> None:
+        from playwright.sync_api import Error  # noqa: PLC0415 - may be missing
+
         held, self.held = self.held, []
         for route in held:
-            route.continue_()
+            with suppress(Error):  # the page may have given it up
+                route.continue_()
 
     def wait_for_files(self, count: int) -> None:
         """Wait until so many files are through."""

@@ -26,7 +26,7 @@ from interloc.drives.findings import DriveFileError, Finding, Findings, by_sever
 from interloc.drives.folder import DROPPED
 from interloc.drives.formats import find_format
 from interloc.drives.inspect import DriveReport, report_of
-from interloc.drives.kinds import is_recording
+from interloc.drives.layouts import is_recording
 from interloc.drives.open import DriveReading, open_drive, read_drive
 from interloc.drives.options import ODOMETRY, DriveArguments, DriveOptions, LabelFolder
 from interloc.drives.scans.reduced import read_ground
@@ -36,8 +36,7 @@ from interloc.mapping.georeferencing import trajectory
 from interloc.osm.container import is_map
 from interloc.output.geojson import write_collection
 from interloc.output.write import trajectory_feature
-from interloc.reduction.elsewhere import fetch_drive
-from interloc.reduction.listing import find_drives
+from interloc.reduction.listing import fetch_drive, find_drives
 from interloc.reduction.reduce import Reduction, label_folders_in, prepare_reduction, reduction_of
 
 PART_SCANS = 200

@@ -10,7 +10,7 @@ from app.work.documents import UploadOptions
 from app.work.task import WorkSettings
 from interloc.config import KeyframeConfig
 from interloc.drives.findings import Finding
-from interloc.drives.kinds import is_recording
+from interloc.drives.layouts import is_recording
 from interloc.reduction.look import DriveLook, LabelCounts, look_into
 
 _MAX_PROBLEMS = 100

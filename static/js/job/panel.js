@@ -123,7 +123,7 @@ function progress(job) {
   const cancel = async () => rememberJob(await sendJson("DELETE", `jobs/${job.id}`));
   const retried = `Attempt ${job.attempts}: a worker died; the job goes on where it stopped.`;
   return [
-    el("ol.steps.down", items),
+    el("ol.steps", items),
     el("div.stack-s", [
       el("progress", { max: 1, value: total ? fraction : null, "aria-label": "Progress" }),
       el("div.spread.small.number", el("span", count), el("span", rest)),

@@ -11,50 +11,11 @@ import { countLabels } from "./reduce.js";
 
 /** @import { FileProblem } from "../api.js" */
 /** @import { Folder } from "./folder.js" */
+/** @typedef {any} DriveLook What the service found in a drive, as its description of the API has it. */
+/** @typedef {any} NumberedLook `LookedNumbers` there. */
+/** @typedef {any} Track `LookedTrack` there. */
 /** @typedef {[first: number, count: number][]} Runs Of numbers. */
-/** @typedef {{folder: string, suffix: string, digits: number, runs: Runs, count: number, size_bytes: number}} NumberedLook */
-/**
- * @typedef {object} LabelsMeaning What the ids of a label folder mean.
- * @property {FileProblem[]} problems
- * @property {string | null} scheme
- * @property {number[]} road
- * @property {number[]} confusable
- * @property {number | null} road_share
- * @property {number | null} ground_share Of road, sidewalk, parking and other ground: what is left of a scan.
- */
-/**
- * @typedef {object} Track
- * @property {boolean} local Positions are metres, not degrees.
- * @property {number[][]} positions Where the scans were taken: longitude and latitude, or x and y.
- * @property {number} length_m
- */
-/**
- * @typedef {object} DriveLook What the service found in a drive.
- * @property {string} root Its path in the folder; "" where it is the folder itself.
- * @property {string} name
- * @property {string | null} layout
- * @property {NumberedLook | null} scans null of a reduced drive, and of one that only the service reads.
- * @property {number | null} points_per_scan
- * @property {Record<string, NumberedLook & LabelsMeaning>} labels
- * @property {FileProblem[]} unlabelled What is wrong where neither label files nor a network are used.
- * @property {boolean | null} carries_labels Whether the points have labels; null: not known.
- * @property {boolean | null} has_poses false: the service computes them from the scans.
- * @property {Record<string, string>} whole Sent as they are: path in the drive -> path in the folder.
- * @property {Record<string, string>} small
- * @property {string[]} pose_files Files that may hold the poses of a recording.
- * @property {string[]} borrowed Notes on files that were taken from beside the drive.
- * @property {Record<string, number>} wanted Files whose first bytes would tell more.
- * @property {number[]} frames_to_look_into Scans whose label ids would tell more.
- * @property {string | null} pose_frame
- * @property {string | null} pose_frame_reason
- * @property {string | null} georeference
- * @property {string | null} georeference_reason
- * @property {Track | null} track
- * @property {number | null} keyframes
- * @property {{scans: number, kept: Runs, files: Record<string, string>, manifest: any} | null} plan How to send it reduced.
- * @property {FileProblem[]} problems Of the drive, whichever its labels.
- */
-/** @typedef {{root: string, name: string, kind: "bin" | "pcd" | "rosbag" | "las" | "reduced", files: number}} ListedName */
+/** @typedef {{root: string, name: string, kind: string, files: number}} ListedName */
 /**
  * @typedef {object} DriveFolder
  * @property {Folder} folder What was picked.
@@ -109,9 +70,11 @@ export async function lookInto(folder, { root, options, keyframes, extras = new 
     const heads = Object.entries(look.wanted).map(([path, bytes]) => [path, fileAt(path).slice(0, bytes)]);
     const more = await contentsOf(new Map(/** @type {[string, Blob][]} */ (heads)));
     Object.assign(request.contents, more);
-    const uncounted = Object.entries(look.labels).filter(([name]) => !(name in request.label_counts));
+    const uncounted = Object.entries(/** @type {Record<string, any>} */ (look.labels)).filter(
+      ([name]) => !(name in request.label_counts),
+    );
     for (const [name, labels] of uncounted) {
-      const paths = look.frames_to_look_into.map((frame) => pathOf(labels, frame));
+      const paths = look.frames_to_look_into.map((/** @type {number} */ frame) => pathOf(labels, frame));
       request.label_counts[name] = await countAll(folder, look.root, paths);
     }
     return Object.keys(more).length + uncounted.length > 0;

@@ -6,7 +6,6 @@ import { isArchive } from "../api.js";
  * @typedef {object} Folder
  * @property {string} name
  * @property {Map<string, File>} files By path inside the folder, parts joined by "/".
- * @property {boolean} [isLoose] It is no folder: the files were picked or dropped by themselves.
  */
 
 /** @typedef {(count: number) => void} OnCount Called now and then with the number of files found. */
@@ -23,13 +22,12 @@ const STILL_MS = 24;
 export function folderOfInput(list) {
   const files = new Map();
   let name = nameOfFiles([...list]);
-  const isLoose = ![...list].some((file) => file.webkitRelativePath);
   for (const file of list) {
     const [top, ...rest] = (file.webkitRelativePath || file.name).split("/");
     name = rest.length ? top : name;
     put(files, rest.length ? rest.join("/") : top, file);
   }
-  return { name, files, isLoose };
+  return { name, files };
 }
 
 /** @param {File[]} files @returns {string} The name of the largest, without its ending: that of a drive in loose files. */
@@ -68,22 +66,9 @@ export async function measure(folder, onCount = () => {}) {
  * @param {OnCount} [onCount]
  * @returns {Promise<{archive: File} | {folder: Folder}>}
  */
-export function readDrop(transfer, onCount = () => {}) {
-  const items = [...transfer.items].filter((item) => item.kind === "file");
-  return readEntries(
-    items.map((item) => item.webkitGetAsEntry()),
-    [...transfer.files],
-    onCount,
-  );
-}
-
-/**
- * @param {(FileSystemEntry | null)[]} entries
- * @param {File[]} plain
- * @param {OnCount} onCount
- * @returns {Promise<{archive: File} | {folder: Folder}>}
- */
-async function readEntries(entries, plain, onCount) {
+export async function readDrop(transfer, onCount = () => {}) {
+  const plain = [...transfer.files];
+  const entries = [...transfer.items].filter(({ kind }) => kind === "file").map((item) => item.webkitGetAsEntry());
   if (plain.length === 1 && isArchive(plain[0].name) && !entries[0]?.isDirectory) return { archive: plain[0] };
   const files = new Map();
   const single = entries.length === 1 && entries[0]?.isDirectory ? entries[0] : null;
@@ -91,9 +76,8 @@ async function readEntries(entries, plain, onCount) {
     if (entry) await walkEntry(entry, single ? "" : entry.name, files, onCount);
   }
   if (!entries.some(Boolean)) plain.forEach((file) => put(files, file.name, file));
-  const isLoose = !entries.some((entry) => entry?.isDirectory);
-  const name = single?.name ?? (isLoose ? nameOfFiles(plain) : "drive");
-  return { folder: { name, files, isLoose } };
+  const name = single?.name ?? (entries.some((entry) => entry?.isDirectory) ? "drive" : nameOfFiles(plain));
+  return { folder: { name, files } };
 }
 
 /** @param {FileSystemEntry} entry @param {string} path @param {Map<string, File>} files @param {OnCount} onCount */

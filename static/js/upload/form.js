@@ -216,7 +216,7 @@ export function formView(
     }
     const list = drive ? sorted([...problemsOf(drive, folders, made !== null), ...faults]) : [];
     const isError = (/** @type {FileProblem} */ each) => each.severity === "error";
-    const borrowed = drive?.look.borrowed.map((text) => el("p.small", text));
+    const borrowed = drive?.look.borrowed.map((/** @type {string} */ text) => el("p.small", text));
     fill(errors, problemList(list.filter(isError)));
     fill(problems, problemList(list.filter((each) => !isError(each))), borrowed);
     const complaint = list.some(isError)

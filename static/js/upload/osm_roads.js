@@ -30,17 +30,52 @@ export const isReadableMap = (name) => /\.osm(\.gz)?$/i.test(name);
  * @returns {Promise<MapLook | null>} null: it is too large to look into, or no OSM XML.
  */
 export async function lookIntoMap(file, track, words) {
-  const isPacked = /\.gz$/i.test(file.name);
-  const stream = isPacked ? file.stream().pipeThrough(new DecompressionStream("gzip")) : file.stream();
-  const reader = stream.pipeThrough(/** @type {any} */ (new TextDecoderStream())).getReader();
-  const found = new Collector(boxAround(track), words);
+  const packed = /\.gz$/i.test(file.name);
+  const stream = packed ? file.stream().pipeThrough(new DecompressionStream("gzip")) : file.stream();
+  const near = boxAround(track);
+  const extent = { ...NOWHERE };
+  /** @type {Box | null} */
+  let bounds = null;
+  let isMadeUp = false;
+  /** Those near the track. @type {Map<string, number[]>} */
+  const nodes = new Map();
+  /** @type {Road[]} */
+  const roads = [];
+  /** The way that is being read. @type {{refs: string[], highway: string} | null} */
+  let way = null;
+  const take = (/** @type {string} */ name, /** @type {string} */ text) => {
+    if (name === "tag" && !way) return; // of a node
+    const of = (/** @type {string} */ each) => attribute(text, each);
+    const numbers = (/** @type {string[]} */ ...names) => names.map((each) => Number.parseFloat(of(each)));
+    if (name === "node") {
+      const [lon, lat] = numbers("lon", "lat");
+      if (!Number.isFinite(lon) || !Number.isFinite(lat)) return;
+      grow(extent, lon, lat);
+      if (isIn(near, lon, lat)) nodes.set(of("id"), [lon, lat]);
+    } else if (name === "way") way = { refs: [], highway: "" };
+    else if (name === "nd") way?.refs.push(of("ref"));
+    else if (name === "tag" && way && of("k") === "highway") way.highway = of("v");
+    else if (name === "osm") isMadeUp = of("generator") === words.simulator;
+    else if (name === "bounds") {
+      const [west, south, east, north] = numbers("minlon", "minlat", "maxlon", "maxlat");
+      if ([west, south, east, north].every(Number.isFinite)) bounds = { west, south, east, north };
+    }
+  };
+  const endWay = () => {
+    if (way?.highway) {
+      const properties = { highway: way.highway, is_drivable: words.drivable.includes(way.highway) };
+      for (const line of linesOf(way.refs, nodes)) roads.push({ line, properties });
+    }
+    way = null;
+  };
   let rest = "";
   let read = 0;
+  const reader = stream.pipeThrough(/** @type {any} */ (new TextDecoderStream())).getReader();
   for (;;) {
     const { done, value } = await reader.read();
     if (done) break;
     read += value.length;
-    if (read > MAX_CHARACTERS || found.nodes.size > MAX_NODES) {
+    if (read > MAX_CHARACTERS || nodes.size > MAX_NODES) {
       await reader.cancel();
       return null;
     }
@@ -48,83 +83,26 @@ export async function lookIntoMap(file, track, words) {
     const end = text.lastIndexOf(">") + 1;
     rest = text.slice(end);
     for (const [, closing, name, attributes] of text.slice(0, end).matchAll(ELEMENT)) {
-      if (closing) found.close(name);
-      else found.open(name, attributes);
+      if (!closing) take(name, attributes);
+      else if (name === "way") endWay();
     }
   }
-  const bounds = found.bounds ?? found.extent;
-  if (!(bounds.west <= bounds.east)) return null;
-  const inside = track.filter(([lon, lat]) => isIn(bounds, lon, lat)).length;
-  const { roads, isMadeUp } = found;
+  const whole = /** @type {Box} */ (bounds ?? extent);
+  if (!(whole.west <= whole.east)) return null;
+  const inside = track.filter(([lon, lat]) => isIn(whole, lon, lat)).length;
   return { roads, isMadeUp, covered: inside / track.length, road_m: medianDistance(track, roads) };
 }
 
-/** Keeps the roads of a stream of elements whose nodes lie in a box. */
-class Collector {
-  /** @param {Box} near @param {Words} words */
-  constructor(near, { simulator, drivable }) {
-    this.near = near;
-    this.simulator = simulator;
-    this.drivable = new Set(drivable);
-    this.isMadeUp = false;
-    /** @type {Box | null} */
-    this.bounds = null;
-    this.extent = { ...NOWHERE };
-    /** @type {Map<string, number[]>} */
-    this.nodes = new Map();
-    /** @type {Road[]} */
-    this.roads = [];
-    /** @type {string[] | null} */
-    this.refs = null;
-    this.highway = "";
+/** What is known of a way: one that leaves the box becomes several. @param {string[]} refs @param {Map<string, number[]>} nodes */
+function linesOf(refs, nodes) {
+  /** @type {number[][][]} */
+  const lines = [[]];
+  for (const ref of refs) {
+    const place = nodes.get(ref);
+    if (place) lines[lines.length - 1].push(place);
+    else lines.push([]);
   }
-
-  /** @param {string} name @param {string} text Its attributes. */
-  open(name, text) {
-    if (name === "tag" && !this.refs) return; // of a node
-    const of = (/** @type {string} */ each) => attribute(text, each);
-    if (name === "node") this.#addNode(of("id"), Number.parseFloat(of("lon")), Number.parseFloat(of("lat")));
-    else if (name === "way") {
-      this.refs = [];
-      this.highway = "";
-    } else if (name === "nd") this.refs?.push(of("ref"));
-    else if (name === "tag" && of("k") === "highway") this.highway = of("v");
-    else if (name === "osm") this.isMadeUp = of("generator") === this.simulator;
-    else if (name === "bounds") {
-      const sides = ["minlon", "minlat", "maxlon", "maxlat"].map((each) => Number.parseFloat(of(each)));
-      const [west, south, east, north] = sides;
-      if (sides.every(Number.isFinite)) this.bounds = { west, south, east, north };
-    }
-  }
-
-  /** @param {string} name */
-  close(name) {
-    if (name !== "way" || !this.refs) return;
-    if (this.highway) this.#addRoads(this.refs, this.highway);
-    this.refs = null;
-  }
-
-  /** @param {string} id @param {number} lon @param {number} lat */
-  #addNode(id, lon, lat) {
-    if (!Number.isFinite(lon) || !Number.isFinite(lat)) return;
-    grow(this.extent, lon, lat);
-    if (isIn(this.near, lon, lat)) this.nodes.set(id, [lon, lat]);
-  }
-
-  /** @param {string[]} refs @param {string} highway A way that leaves the box becomes several. */
-  #addRoads(refs, highway) {
-    const properties = { highway, is_drivable: this.drivable.has(highway) };
-    /** @type {number[][]} */
-    let line = [];
-    for (const ref of [...refs, ""]) {
-      const place = this.nodes.get(ref);
-      if (place) line.push(place);
-      else {
-        if (line.length > 1) this.roads.push({ line, properties });
-        line = [];
-      }
-    }
-  }
+  return lines.filter((line) => line.length > 1);
 }
 
 /** @param {string} text Attributes as OSM's own tools write them. @param {string} name @returns {string} "" for none. */

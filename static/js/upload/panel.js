@@ -39,6 +39,7 @@ Others: KITTI raw, KITTI-360, and as recorded
   drive.mcap or drive.bag
   drive.db3           metadata.yaml
   street.laz, …       trajectory.csv`;
+const AGAIN = "Pick the same again to go on. What did not change is not sent again.";
 /** What a list of endings to pick from can hold of `.tar.gz`. @param {string} ending */
 const lastEnding = (ending) => ending.slice(ending.lastIndexOf("."));
 
@@ -82,10 +83,8 @@ async function showStart(message = null, begun = null) {
     const has = arrived && ` · ${plural(arrived.files, "file")} there, ${formatBytes(arrived.size_bytes)}`;
     const title = el("strong.cut", name);
     const about = el("div.cut", title, el("br"), el("small", formatAgo(at), has));
-    const pickAgain = () => (upload.isLoose ? pickFiles.querySelector("input") : input)?.click();
     return el("div.box.spread", [
       about,
-      el("button", { onClick: pickAgain }, "Pick it again"),
       iconButton("trash", `Remove ${name}`, () => run(() => remove(upload)), "Remove it from the service"),
     ]);
   });
@@ -103,7 +102,7 @@ async function showStart(message = null, begun = null) {
       message,
       el("div.drop.stack", icon("upload"), el("p", call, el("br"), or), el("div.row", buttons), input),
       el("p.small", note),
-      open.length > 0 && section("Uploads that were begun", open),
+      open.length > 0 && section("Uploads that were begun", el("p.small", AGAIN), open),
       el("details", el("summary", "What a drive looks like"), el("pre.code.box", { tabIndex: 0 }, EXAMPLE)),
     ]),
   );
@@ -144,17 +143,11 @@ function counter() {
 /** @param {Folder} folder @param {Begun | null} begun */
 async function showFolder(folder, begun) {
   await measure(folder, counter());
-  let { drives, drive, reason } = await lookInto(folder);
+  const { drives, drive, reason } = await lookInto(folder);
   if (!drive) {
     const error = { title: "No drive in this folder", detail: /** @type {string} */ (reason) };
     await showStart(problemNote(error), begun);
     return;
-  }
-  const first = drive.look.root;
-  for (const { root, fingerprint } of rememberedUploads()) {
-    if (root === first || !drives.some((each) => each.root === root)) continue;
-    const other = (await lookInto(folder, { root })).drive;
-    if (other && fingerprintOfDrive(other) === fingerprint) drive = other;
   }
   await showForm({ drive, drives, archive: null }, begun);
 }
@@ -220,10 +213,9 @@ async function goOn(picked, { driveId, settings }) {
 async function start(picked, upload) {
   current = upload;
   const begun = () => (upload.driveId ? { driveId: upload.driveId, settings: upload.settings } : null);
-  const again = "Pick the folder again. What did not change is not sent again.";
   const view = progressView({
     onChange: () => run(() => showForm(picked, begun())),
-    onCorrect: () => run(() => showStart(el("p.note", again), begun())),
+    onCorrect: () => run(() => showStart(el("p.note", AGAIN), begun())),
     onLeave: () => run(() => showStart()),
   });
   fill(panel, view.element);

@@ -46,7 +46,7 @@ export function showPreview(drive, map, onFound) {
   const canLook = track && !track.local && map && isReadableMap(map.name) && typeof Worker === "function";
   show({ track, look: null, isDone: !canLook });
   if (!canLook) return;
-  worker = new Worker(new URL("./preview_worker.js", import.meta.url), { type: "module" });
+  worker = new Worker(new URL("./worker.js", import.meta.url), { type: "module" });
   worker.addEventListener("message", ({ data: look }) => {
     worker?.terminate();
     show({ track, look, isDone: true });
@@ -83,7 +83,7 @@ function dropWorker() {
 function previewOf(drive, { track, look }, map) {
   const { positions, local, length_m } = /** @type {Track} */ (track);
   const result = trackAlone(positions, local);
-  result.keyframes = positions.map(([lng, lat]) => ({ lng, lat, properties: {} }));
+  result.keyframes = positions.map((/** @type {number[]} */ [lng, lat]) => ({ lng, lat, properties: {} }));
   result.roads = look?.roads ?? [];
   result.isMadeUp = look?.isMadeUp ?? false;
   const parts = [plural(positions.length, "scan"), formatMetres(length_m, 0)];

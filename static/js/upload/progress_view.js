@@ -59,8 +59,7 @@ export function progressView({ onChange, onCorrect, onLeave }) {
     else bar.value = fraction;
     bar.hidden = status === "failed" || status === "stopped";
     line.hidden = bar.hidden;
-    line.textContent =
-      transfer.waiting ?? (transfer.isPaused ? "Paused. What is being sent still arrives." : upload.message);
+    line.textContent = transfer.waiting ?? upload.message;
     fill(figures, figuresOf(upload));
     drawOnce(fault, error, () => error && problemNote(error));
     const found = upload.problems;
@@ -73,7 +72,6 @@ export function progressView({ onChange, onCorrect, onLeave }) {
     const { status } = upload;
     if (status === shownButtons) return;
     shownButtons = status;
-    const stop = el("button", { onClick: () => upload.stop() }, "Stop");
     const isFiles = upload.problems.length > 0;
     const next = status === "stopped" ? "Continue" : "Try again";
     const again = el("button", { class: isFiles ? "" : "primary", onClick: () => upload.run() }, next);
@@ -82,8 +80,7 @@ export function progressView({ onChange, onCorrect, onLeave }) {
     const leave = el("button.plain", { onClick: onLeave }, "Back");
     const sets = {
       ready: [],
-      running: [el("button", { onClick: () => upload.pause() }, icon("pause"), "Pause"), stop],
-      paused: [el("button.primary", { onClick: () => upload.resume() }, icon("play"), "Resume"), stop],
+      running: [el("button", { onClick: () => upload.stop() }, icon("pause"), "Stop")],
       failed: isFiles ? [correct, change, again, leave] : [again, change, correct, leave],
       stopped: [again, change, leave],
       done: [el("button.primary", { onClick: onLeave }, "Upload another")],
@@ -111,7 +108,6 @@ export function progressView({ onChange, onCorrect, onLeave }) {
 const BADGES = {
   ready: ["", "Ready"],
   running: ["busy", "Uploading"],
-  paused: ["", "Paused"],
   failed: ["error", "Stopped by a problem"],
   stopped: ["", "Stopped"],
   done: ["good", "Done"],

@@ -88,7 +88,7 @@ export function readingForm(drive, before, onChange) {
   function setFiles() {
     fill(
       poseFiles,
-      (drive?.look.pose_files ?? []).map((path) => el("option", { value: path })),
+      (drive?.look.pose_files ?? []).map((/** @type {string} */ path) => el("option", { value: path })),
     );
   }
   setFiles();

@@ -2,7 +2,7 @@
  * Sends the files of one drive: small ones in bundles, some requests at once, again where the connection or the server
  * fails for a while.
  *
- * Reducing scans, pausing, stopping, and digests of what is sent are here, since only the browser can do them.
+ * Reducing scans, stopping, and digests of what is sent are here, since only the browser can do them.
  */
 
 import { ApiError, encodePath, newKey, putFile, request, sha256, sleep } from "../api.js";
@@ -32,9 +32,6 @@ const GIVE_UP_MS = 15 * 60_000;
 const MAX_WAIT_MS = 30_000;
 const DAMAGED_TRIES = 3;
 
-const WINDOW_MS = 15_000;
-const STEP_MS = 500;
-
 /** How much was sent, how fast, and how long the rest will take. */
 export class Meter {
   sent = 0;
@@ -42,26 +39,12 @@ export class Meter {
   total = 0;
   /** Bytes that were there already. */
   skipped = 0;
-  /** Time and bytes sent until then. @type {[number, number][]} */
-  #marks = [];
+  #began;
 
   /** @param {() => number} [now] Milliseconds. */
   constructor(now = () => performance.now()) {
     this.now = now;
-  }
-
-  /** @param {number} bytes Less than nothing takes back what has to be sent again. */
-  add(bytes) {
-    this.sent += bytes;
-    const time = this.now();
-    const last = this.#marks.at(-1);
-    if (!last || time - last[0] >= STEP_MS) this.#marks.push([time, this.sent]);
-    while (this.#marks.length > 2 && time - this.#marks[0][0] > WINDOW_MS) this.#marks.shift();
-  }
-
-  /** Forget the speed: after a pause it means nothing. */
-  restart() {
-    this.#marks = [];
+    this.#began = now();
   }
 
   /** @returns {number} 0..1 */
@@ -72,13 +55,12 @@ export class Meter {
 
   /** @returns {number | null} Bytes per second; null where it is too early to tell. */
   get speed() {
-    const [first] = this.#marks;
-    const seconds = first ? (this.now() - first[0]) / 1000 : 0;
-    return seconds > 1 ? Math.max(0, this.sent - first[1]) / seconds : null;
+    const seconds = (this.now() - this.#began) / 1000;
+    return this.sent > 0 && seconds > 1 ? this.sent / seconds : null;
   }
 
   get secondsLeft() {
-    return this.speed ? Math.max(0, this.total - this.sent) / this.speed : null;
+    return this.speed && Math.max(0, this.total - this.sent) / this.speed;
   }
 }
 
@@ -89,8 +71,6 @@ export class Transfer {
   /** What it waits for, in words; null while all is well. @type {string | null} */
   waiting = null;
   #stopper = new AbortController();
-  /** @type {{opened: Promise<void>, open: () => void} | null} */
-  #gate = null;
 
   /** @param {() => void} onChange Called whenever something is worth showing. */
   constructor(onChange) {
@@ -101,39 +81,9 @@ export class Transfer {
     return this.#stopper.signal;
   }
 
-  get isPaused() {
-    return this.#gate !== null;
-  }
-
-  /** Begin nothing more; what is being sent arrives. */
-  pause() {
-    if (this.#gate) return;
-    let open = () => {};
-    const opened = new Promise((/** @type {(value: void) => void} */ resolve) => (open = resolve));
-    this.#gate = { opened, open };
-    this.onChange();
-  }
-
-  resume() {
-    this.#open();
-    this.meter.restart();
-    this.onChange();
-  }
-
+  /** Send nothing more; what is on its way is given up, and sent again when it goes on. */
   stop() {
     this.#stopper.abort(new DOMException("The upload was stopped.", "AbortError"));
-    this.#open();
-  }
-
-  #open() {
-    this.#gate?.open();
-    this.#gate = null;
-  }
-
-  /** Wait while paused; throws where the upload was stopped. */
-  async waitWhilePaused() {
-    while (this.#gate) await this.#gate.opened;
-    this.signal.throwIfAborted();
   }
 
   /** @returns {Promise<Map<string, {size_bytes: number, digest: string}>>} What the service has of the drive, by path. */
@@ -173,7 +123,7 @@ export class Transfer {
       };
       try {
         for (const item of queue) {
-          await this.waitWhilePaused();
+          this.signal.throwIfAborted();
           if (fault) return;
           if (item.task) worker ??= new Worker(new URL("./worker.js", import.meta.url), { type: "module" });
           const content = await this.#contentOf(item, present.get(item.path), worker);
@@ -234,11 +184,6 @@ export class Transfer {
     return this.send(`drives/${this.drive}/scans`, body, { method: "POST", type, size: sizeOf(contents) });
   }
 
-  /** Send one file that was not counted before. @param {string} path Inside the drive. @param {File} file */
-  async put(path, file) {
-    await this.#send([{ path, size: file.size, ...(await contentOf(file, path)) }]);
-  }
-
   /**
    * Send a body, counting its bytes.
    *
@@ -247,13 +192,13 @@ export class Transfer {
    * @param {{digest?: string | null, method?: string, type?: string, size?: number}} [options] `size`: what counts of it.
    */
   async send(path, data, { size = data instanceof Blob ? data.size : data.byteLength, ...options } = {}) {
-    await this.waitWhilePaused();
+    this.signal.throwIfAborted();
     return this.retry(async () => {
       let counted = 0;
       const count = (/** @type {number} */ sent) => {
         const step = Math.min(sent, size) - counted;
         counted += step;
-        this.meter.add(step);
+        this.meter.sent += step;
         this.onChange();
       };
       try {
@@ -297,7 +242,6 @@ export class Transfer {
         if (!isDamaged && !isPassing) throw error;
         const wait = waitFor(tries, /** @type {ApiError} */ (error).retryAfter);
         this.waiting = `${/** @type {ApiError} */ (error).title}. Trying again in ${Math.ceil(wait / 1000)} s.`;
-        this.meter.restart();
         this.onChange();
         await Promise.race([sleep(wait, this.signal), backOnline(this.signal)]);
       }

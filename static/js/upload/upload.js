@@ -34,7 +34,7 @@ import { Transfer } from "./transfer.js";
 export const madeFolder = ({ labels, model }) => labels ?? (model ? "predictions" : null);
 
 /** @typedef {"plan" | "files" | "archive" | "check" | "run"} Step */
-/** @typedef {"ready" | "running" | "paused" | "failed" | "stopped" | "done"} Status */
+/** @typedef {"ready" | "running" | "failed" | "stopped" | "done"} Status */
 
 const COMMIT_WAIT_S = 3;
 const POLL_MS = 700;
@@ -93,17 +93,7 @@ export class Upload {
   }
 
   get isRunning() {
-    return this.status === "running" || this.status === "paused";
-  }
-
-  pause() {
-    this.transfer.pause();
-    this.#update({ status: "paused" });
-  }
-
-  resume() {
-    this.#update({ status: "running" });
-    this.transfer.resume();
+    return this.status === "running";
   }
 
   /** Leave it as it is; it can go on later. */
@@ -167,10 +157,9 @@ export class Upload {
   /** @param {string} [way] How what is there was made; see `#send`. */
   #remember(way) {
     const { settings, driveId, source } = this;
-    const { fingerprint, drive } = source;
+    const { fingerprint } = source;
     const at = remembered(/** @type {string} */ (driveId))?.at ?? new Date().toISOString();
-    const of = { root: drive?.look.root ?? "", isLoose: drive?.folder.isLoose, name: settings.name };
-    remember({ driveId: /** @type {string} */ (driveId), fingerprint, at, settings, way, ...of });
+    remember({ driveId: /** @type {string} */ (driveId), fingerprint, name: settings.name, at, settings, way });
   }
 
   async #send() {
@@ -198,7 +187,7 @@ export class Upload {
     this.#remember(before === undefined || before === way ? way : "");
     this.#update({ step: "files", message: "", done: 0, total: items.length });
     await this.transfer.sendAll(items, (done) => this.#update({ done }));
-    if (manifest) await this.transfer.put("reduced.json", manifest);
+    if (manifest) await this.transfer.sendAll([asItem(["reduced.json", manifest])], () => {});
     this.#remember(way);
   }
 
@@ -252,7 +241,7 @@ export class Upload {
     const json = { options: this.settings.options, keep_raw: this.settings.keepRaw };
     const headers = { Prefer: `wait=${COMMIT_WAIT_S}` }; // the same commit again joins the one that runs
     for (;;) {
-      await this.transfer.waitWhilePaused();
+      this.transfer.signal.throwIfAborted();
       const path = `drives/${this.driveId}/commit`;
       const { status, body } = await this.transfer.ask(path, { method: "POST", json, headers });
       if (status !== 202) return this.#update({ problems: sorted(body.report?.problems ?? []) });

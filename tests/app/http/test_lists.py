@@ -62,8 +62,6 @@ def _served(data_dir: Path, url: str) -> Iterator[httpx.Client]:
         ({"name": "town_"}, "3"),
         ({"name": "0%"}, "2"),
         ({"name": "\\"}, ""),
-        ({"created_after": "1970-01-01T00:03:20Z"}, "432"),
-        ({"created_before": "1970-01-01T01:03:20+01:00", "state": "ready"}, "1"),
         ({"bbox": "8.45,49.05,9,50"}, "1"),
         ({"bbox": "8.51,49.05,9,50"}, ""),
         ({"bbox": "-180,-90,180,90"}, "21"),
@@ -80,7 +78,6 @@ def test_drives_are_filtered(client: httpx.Client, params: dict[str, str], found
     [
         ({"name": "äpfel"}, ["j1"]),
         ({"name": "town 50"}, ["j2", "j1"]),
-        ({"created_after": "1970-01-01T00:03:20Z"}, ["j2"]),
         ({"bbox": "179,-90,180,90"}, ["j2", "j1"]),
         ({"bbox": "8,49,9,50"}, []),
     ],
@@ -96,9 +93,8 @@ def test_jobs_are_filtered(client: httpx.Client, params: dict[str, str], found: 
         ("/drives?bbox=49,8,50,9,10", 422, "query.bbox", "found '49,8,50,9,10'; expected west,south"),
         ("/drives?bbox=8,50,9,49", 422, "query.bbox", "south not above north"),
         ("/jobs?bbox=8,49,200,50", 422, "query.bbox", "from -180 to 180"),
-        ("/drives?created_after=2026-01-31", 422, "query.created_after", "timezone"),
         ("/drives?state=broken", 422, "query.state", "uploading"),
-        ("/drives?limt=3", 400, "query.limt", "Expected one of after, bbox, created_after"),
+        ("/drives?limt=3", 400, "query.limt", "Expected one of after, bbox, limit"),
         ("/drives/d1?full=1", 400, "query.full", "Expected none"),
         ("/jobs/j1?x", 400, "query.x", "Expected none"),
         ("/presets?a=1", 400, "query.a", "Expected none"),
@@ -121,7 +117,7 @@ def test_deleting_with_an_unknown_parameter_deletes_nothing(client: httpx.Client
 
 
 def test_lists_link_to_their_next_page_with_their_filters(client: httpx.Client) -> None:
-    address, found = "/drives?limit=1&name=town&created_before=1970-01-01T00:10:00%2B00:00", []
+    address, found = "/drives?limit=1&name=town", []
     while True:
         page = client.get(address).raise_for_status()
         found += [drive["name"] for drive in page.json()["drives"]]

@@ -21,7 +21,7 @@ from interloc.drives.scans.las.clouds import BLOCK_POINTS, ROAD_SURFACE, Cloud, 
 from interloc.drives.scans.las.tracks import SurveyTrack, find_tracks, match_clocks, read_track
 from interloc.drives.scans.recorded import Recording, ScanPoints
 from interloc.drives.trajectory import LidarPoses, Trajectory
-from interloc.geometry import WGS84_A_M, enu_from_lonlat, from_first, rigid_transforms, rotation_from_rpy
+from interloc.geometry import WGS84_A_M, enu_from_lonlat, from_first, projection, rigid_transforms, rotation_from_rpy
 
 SLICE_M = 2.1
 """Distance driven from scan to scan. A little more than that of keyframes (2 m), so that each scan is one, and no point
@@ -403,11 +403,11 @@ class Grid:
 
     def from_lonlat(self, lonlat: FloatArray) -> FloatArray:
         """Return (N, 2) easting, northing of (N, 2) longitudes and latitudes; infinite where the system ends."""
-        return _transform("EPSG:4326", self.crs, lonlat)
+        return projection(4326, self.crs)(lonlat)
 
     def to_lonlat(self, xy: FloatArray) -> FloatArray:
         """Return (N, 2) longitudes, latitudes on WGS84 of (N, 2) easting, northing; infinite where there are none."""
-        return _transform(self.crs, "EPSG:4326", xy)
+        return projection(self.crs, 4326)(xy)
 
     def axes(self, xyz: FloatArray) -> FloatArray:
         """Return how the axes lie on the ground near (N, 3) points: (N, 2, 2), ``enu_xy = axes @ grid_xy``.
@@ -422,13 +422,6 @@ class Grid:
             columns.append(there / (2 * _STEP_M))
         axes: FloatArray = np.stack(columns, axis=-1) * (1 + xyz[:, 2] / WGS84_A_M)[:, None, None]
         return axes
-
-
-def _transform(source: Any, target: Any, xy: FloatArray) -> FloatArray:  # noqa: ANN401 - pyproj.CRS
-    from pyproj import Transformer  # noqa: PLC0415 - slow to import
-
-    first, second = Transformer.from_crs(source, target, always_xy=True).transform(xy[:, 0], xy[:, 1])
-    return np.stack([first, second], axis=-1)
 
 
 def grid_of(crs: Any, source: str, file: SourceFile) -> Grid:  # noqa: ANN401 - pyproj.CRS or its name

@@ -11,8 +11,7 @@ import numpy as np
 from interloc.arrays import IntArray
 from interloc.drives.files import SourceFile
 from interloc.drives.findings import DriveFileError, Findings
-from interloc.drives.kinds import ENDINGS
-from interloc.drives.layouts import POSE_FILES, SCAN_FOLDERS, DriveParts
+from interloc.drives.layouts import ENDINGS, POSE_FILES, SCAN_FOLDERS, DriveParts
 from interloc.drives.options import DriveOptions
 from interloc.drives.poses.files import looks_like_tum
 from interloc.drives.scans.deskewed import point_times

@@ -15,7 +15,7 @@ import numpy as np
 
 from interloc.arrays import FloatArray
 from interloc.drives.files import SourceFile, is_number
-from interloc.drives.kinds import TRACK_ENDINGS
+from interloc.drives.layouts import TRACK_ENDINGS
 from interloc.drives.poses.files import looks_like_tum, read_tum
 from interloc.drives.scans.las.clouds import Cloud
 

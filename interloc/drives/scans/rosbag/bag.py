@@ -15,7 +15,7 @@ from interloc.arrays import FloatArray, IntArray
 from interloc.drives.clocks import ClockShift, known_shift
 from interloc.drives.files import SourceFile
 from interloc.drives.findings import DriveFileError, Findings
-from interloc.drives.kinds import ENDINGS
+from interloc.drives.layouts import ENDINGS
 from interloc.drives.scans.recorded import CARLA_FIELD
 from interloc.drives.scans.rosbag.files import (
     CHUNK_START,
