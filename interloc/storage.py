@@ -191,6 +191,11 @@ class Bucket:
                     "AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, or AWS_SKIP_SIGNATURE=true for a public bucket; "
                     "GOOGLE_SERVICE_ACCOUNT; AZURE_STORAGE_ACCOUNT_NAME and AZURE_STORAGE_ACCOUNT_KEY."
                 ) from None
+            if "BadScheme" in text:
+                raise kind(
+                    f"{address} cannot be {done}: the endpoint of the storage is in plain http://, which must be "
+                    "allowed: AWS_ALLOW_HTTP=true (AZURE_ALLOW_HTTP=true)."
+                ) from None
             if isinstance(error, FileNotFoundError):
                 raise DriveError(f"{address} is not there. Usual cause: it was deleted or renamed meanwhile.") from None
             if self.url.startswith("https://") and done == "listed" and status:

@@ -2,9 +2,11 @@
 
 import hashlib
 import os
+import re
 from email.utils import formatdate
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, Literal
+from urllib.parse import quote
 
 from fastapi import Request
 from fastapi.responses import FileResponse, Response
@@ -102,6 +104,14 @@ class _BadRangeError(Exception):
         self.status = status
 
 
+def disposition(name: str, kind: Literal["attachment", "inline"] = "attachment") -> str:
+    """Return the header Content-Disposition of a file name (RFC 6266): plain, and in full where that differs."""
+    plain = re.sub(r"[^A-Za-z0-9._-]+", "_", name)
+    plain = plain if re.match("[A-Za-z0-9]", plain) else f"drive{plain}"
+    full = "" if plain == name else f"; filename*=UTF-8''{quote(name, safe='')}"
+    return f'{kind}; filename="{plain}"{full}'
+
+
 def media_type_of(path: Path) -> str:
     """Return the media type of a file by its name."""
     return MEDIA_TYPES.get(path.suffix.lower(), "application/octet-stream")
@@ -139,7 +149,7 @@ def deliver(
         if known is not None:
             return known
         if name is not None:
-            headers["content-disposition"] = f'{"attachment" if download else "inline"}; filename="{name}"'
+            headers["content-disposition"] = disposition(name, "attachment" if download else "inline")
         if "range" in request.headers or stat.st_size > _MAX_BYTES_AT_ONCE:
             return WholeFile(file, headers=headers, media_type=media_type)
         headers["accept-ranges"] = "bytes"

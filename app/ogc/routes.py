@@ -170,6 +170,14 @@ def _serve_map(map_id: MapId, request: Request, context: ContextDep) -> None:
     request.state.served = _Served(request, context, Source(map=map_id), path, title, description)
 
 
+def _as_json(
+    _format: Annotated[
+        Literal["json", "geojson"] | None, Parameter(alias="f", description="The form that every answer has.")
+    ] = None,
+) -> None:
+    """Take the parameter that many clients send to name the form they want."""
+
+
 def _served(request: Request) -> _Served:
     """Return what the dependency of the router has put there: nothing where an id of the address is refused."""
     return cast("_Served", getattr(request.state, "served", None))
@@ -282,7 +290,7 @@ def _router(prefix: str, name: str, source: Callable[..., None], problems: dict[
             summary=summary,
             operation_id=f"read_{name}{endpoint.__name__}",
             openapi_extra=OF_ITS_DATA if endpoint is _items else None,
-            dependencies=[Depends(source)],
+            dependencies=[Depends(source), Depends(_as_json)],
             response_class=Response,
             responses={**TAGGED, 200: answer, **(_MISSING if "{" in path else {}), **problems},
         )(endpoint)

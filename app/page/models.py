@@ -24,8 +24,6 @@ _LIMITS = (
     "max_file_bytes",
     "max_recording_bytes",
     "max_archive_bytes",
-    "max_batch_bytes",
-    "max_batch_files",
     "max_drive_bytes",
     "max_drive_files",
     "max_queued_jobs",

@@ -52,8 +52,8 @@ class Result:
 
     @property
     def slug(self) -> str:
-        """Name of the drive, fit for file names."""
-        return re.sub(r"[^A-Za-z0-9._-]+", "_", self.drive_name).strip("._")[:80] or "drive"
+        """Name of the drive, fit for file names, in whatever script."""
+        return re.sub(r"[^\w.-]+", "_", self.drive_name).strip("._")[:80] or "drive"
 
     def layer(self, name: str) -> Path:
         """Return the GeoJSON file of a layer by the name in its address, or a 404 that says why there is none."""

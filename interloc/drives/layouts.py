@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import re
 from collections import Counter
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import islice
@@ -430,13 +430,14 @@ class FileNames:
 
     def is_small(self, inside: str) -> bool:
         """Whether a file tells poses, times, calibration or georeference, or may."""
-        return re.fullmatch(f"{_SMALL}|(?i:{self.small})", inside) is not None
+        return re.fullmatch(f"{_SMALL}|{self.small}", inside) is not None
 
 
 def _any(words: tuple[str, ...]) -> str:
     return "|".join(map(re.escape, words))
 
 
+_FOLDERS = ("oxts", *LABEL_FILES, *(folder.partition("/")[0] for folder in SCAN_FOLDERS))
 _LABELS = rf"(?:{_any(LABEL_FILES)})/[^/]+\.label"
 _SMALL = (
     r"(?:poses|cam0_to_world|times|timestamps|calib[^/]*|calibration/[^/]+|velodyne_points/timestamps[^/]*)\.txt"
@@ -449,7 +450,7 @@ KINDS: dict[Kind, FileNames] = {
     "pcd": FileNames(rf"(?:(?:pcd|clouds|{_SCAN_FOLDERS})/)?[^/]+\.pcd(?:\.bin)?", _any(POSE_FILES)),
     "rosbag": FileNames(rf"[^/]+(?i:{_any(ENDINGS['rosbag'])})", r"metadata\.yaml"),
     "las": FileNames(
-        rf"(?:(?:las|laz)/)?[^/]+(?i:{_any(ENDINGS['las'])})", rf"(?:(?:las|laz)/)?[^/]+(?:{_any(TRACK_ENDINGS)})"
+        rf"(?:(?:las|laz)/)?[^/]+(?i:{_any(ENDINGS['las'])})", rf"(?i:(?:(?:las|laz)/)?[^/]+(?:{_any(TRACK_ENDINGS)}))"
     ),
     "reduced": FileNames(
         r"ground/[^/]+/\d+\.ground", r".+\.(?:txt|csv)(?:\.gz)?|reduced\.json", False, r"reduced\.json"
@@ -473,6 +474,19 @@ KITTI360_BESIDE = re.compile(
     r"(?P<place>(?:poses|cam0_to_world|oxts/(?:[^/]+/)?[^/]+)\.txt)"
 )
 """Poses and OXTS that KITTI-360 keeps in folders of their own."""
+
+
+IN_CAPITALS = "is not read: upper and lower case are told apart. Rename it to {}."
+"""Of files that came through Windows or a card reader."""
+
+
+def misnamed(root: Path) -> Iterator[tuple[str, str]]:
+    """Yield what in the folder of a drive would be a part of it but for capitals, and the names that they need."""
+    for entry in root.iterdir():
+        lower = entry.name.lower()
+        is_known = lower in _FOLDERS if entry.is_dir() else is_part(lower) or lower in POSE_FILES
+        if entry.name != lower and is_known and not is_part(entry.name) and not (root / lower).exists():
+            yield entry.name, lower
 
 
 def is_recording(path: str) -> bool:

@@ -21,7 +21,7 @@ from interloc.drives.formats import FORMATS, ScanFormat, find_format, installed_
 from interloc.drives.georeference.geodetic import check_against_poses
 from interloc.drives.ground import LevelScans, check_points, level_of, levelled
 from interloc.drives.labels import SEMANTICKITTI, LabelJudgement
-from interloc.drives.layouts import SCAN_FOLDERS, not_a_drive, recognise_layout
+from interloc.drives.layouts import IN_CAPITALS, SCAN_FOLDERS, misnamed, not_a_drive, recognise_layout
 from interloc.drives.options import LABEL_FILES, ODOMETRY, DriveArguments, DriveOptions, LabelFolder, ReadingOptions
 from interloc.drives.scan_motion import check_scan_motion
 from interloc.drives.scans.deskewed import deskewed, is_to_deskew
@@ -263,6 +263,8 @@ def open_recording(root: Path, options: DriveOptions, findings: Findings) -> Rec
         recordings = (each.open(root, options, findings) for each in asked)
         return next((recording for recording in recordings if recording is not None), None)
 
+    for name, expected in misnamed(root) if root.is_dir() else ():
+        findings.warning(name, IN_CAPITALS.format(expected))
     has_scans = options.layout == "auto" and any((root / folder).is_dir() for folder in SCAN_FOLDERS)
     whole = [each for each in FORMATS if not each.is_folders and not has_scans]  # beside scans, a cloud is a map
     if (recording := first_of(whole)) is not None:

@@ -53,7 +53,7 @@ class FolderCase:
         found: dict[int, tuple[float, float]] = {}
         for path in [own] if own.is_file() else sorted(KNOWN_AXES.glob("*.csv")):
             try:
-                with path.open(newline="") as lines:
+                with path.open(newline="", encoding="utf-8-sig") as lines:
                     rows = [row for row in csv.DictReader(lines) if row["lon"]]
                 found |= {int(row["osm_id"]): (float(row["lon"]), float(row["lat"])) for row in rows}
             except (OSError, ValueError, KeyError, TypeError) as error:

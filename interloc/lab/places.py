@@ -5,12 +5,11 @@ rendered without a scene: rings of points on flat ground, of a class that is loo
 as no house and no car stands before them. Even numbers are to choose by, odd ones to report by: no place is in both.
 """
 
-import heapq
 import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import combinations
+from itertools import combinations, pairwise
 from typing import Literal
 
 import numpy as np
@@ -31,6 +30,7 @@ from interloc.lab.config import LidarConfig
 from interloc.lab.drive import Lidar
 from interloc.lab.ground import Layer, Surface, line_parts, paint
 from interloc.lab.kinds import KINDS, Plan
+from interloc.lab.streets import shortest_path
 from interloc.pipeline import detect
 from interloc.processes import Progress
 
@@ -123,24 +123,15 @@ class Place:
             yield found[i]
 
     def _shortest(self, start: int, goal: int) -> FloatArray | None:
-        steps: dict[int, list[tuple[int, FloatArray]]] = {}
+        steps: dict[int, list[tuple[int, float]]] = {}
+        lines: dict[tuple[int, int], tuple[float, FloatArray]] = {}
         for road in self.plan.roads:
-            steps.setdefault(road.start, []).append((road.end, road.xy))
-            if not road.oneway:
-                steps.setdefault(road.end, []).append((road.start, road.xy[::-1]))
-        queue: list[tuple[float, int, list[FloatArray]]] = [(0.0, start, [])]
-        done: set[int] = set()
-        while queue:
-            length, here, pieces = heapq.heappop(queue)
-            if here == goal:
-                return self._placed(np.concatenate(pieces))
-            if here in done:
-                continue
-            done.add(here)
-            for there, xy in steps.get(here, []):
-                if there not in done:
-                    heapq.heappush(queue, (length + LineString(xy).length + 1e-6 * there, there, [*pieces, xy]))
-        return None
+            length = LineString(road.xy).length
+            for a, b, xy in ((road.start, road.end, road.xy), (road.end, road.start, road.xy[::-1]))[: 2 - road.oneway]:
+                steps.setdefault(a, []).append((b, length + 1e-6 * b))
+                lines[a, b] = min(lines.get((a, b), (np.inf, xy)), (length, xy), key=lambda each: each[0])
+        path = shortest_path(steps, start, goal)
+        return None if path is None else self._placed(np.concatenate([lines[step][1] for step in pairwise(path)]))
 
     @cached_property
     def picture(self) -> tuple[UInt8Array, FloatArray]:

@@ -1,5 +1,6 @@
 """The streets of an OSM file as the simulator sees them: classes, cross-sections, and which pass over each other."""
 
+import heapq
 import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -438,3 +439,19 @@ def visible_lines(
             if i == gone or (own & ends and not own & stays and i != kept):
                 lines[i] = lines[i].difference(crossing.clearing)
     return lines
+
+
+def shortest_path(steps: Mapping[int, Iterable[tuple[int, float]]], start: int, goal: int) -> list[int] | None:
+    """Return the nodes of the shortest path, by the nodes that each leads to and how far; None: there is none."""
+    queue: list[tuple[float, list[int]]] = [(0.0, [start])]
+    done: set[int] = set()
+    while queue:
+        length, path = heapq.heappop(queue)
+        here = path[-1]
+        if here == goal:
+            return path
+        if here not in done:
+            done.add(here)
+            for there, step in steps.get(here, ()):
+                heapq.heappush(queue, (length + step, [*path, there]))
+    return None

@@ -1,6 +1,5 @@
 """Made-up towns, whose maps are their truth."""
 
-import heapq
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -21,6 +20,7 @@ from interloc.lab.streets import (
     find_crossings,
     is_oneway,
     read_ways,
+    shortest_path,
     street_map_of,
     street_profiles,
     visible_lines,
@@ -173,21 +173,12 @@ class Town:
                 continue
             for a, b in _directed(street):
                 roads.setdefault(a, []).append((b, float(np.hypot(*(self._xy[b] - self._xy[a])))))
-        queue: list[tuple[float, list[int]]] = [(0.0, [start])]
-        done: set[int] = set()
-        while queue:
-            length, path = heapq.heappop(queue)
-            here = path[-1]
-            if here == goal:
-                return path
-            if here in done:
-                continue
-            done.add(here)
-            for there, step in roads.get(here, []):
-                is_about_turn = here == start and there == before
-                if not is_about_turn or self._node_tags.get(here, {}).get("highway") == "turning_circle":
-                    heapq.heappush(queue, (length + step, [*path, there]))
-        raise ConfigError(f"The town has no path from {start} to {goal}.")
+        if before is not None and self._node_tags.get(start, {}).get("highway") != "turning_circle":
+            roads[start] = [step for step in roads[start] if step[0] != before]
+        path = shortest_path(roads, start, goal)
+        if path is None:
+            raise ConfigError(f"The town has no path from {start} to {goal}.")
+        return path
 
 
 def hills_m(xy: FloatArray) -> FloatArray:

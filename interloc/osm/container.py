@@ -36,7 +36,19 @@ _PACKED = {
     b"\x28\xb5\x2f\xfd": ("compressed by zstd", "unpack it first: unzstd MAP.osm.zst"),
     b"7z\xbc\xaf\x27\x1c": ("a 7z archive", "unpack the archive first"),
     b"PK\x03\x04": ("a ZIP archive", "unpack the archive first"),
+    b"SQLite format 3\x00": ("a GeoPackage or another database", "take the extract that it was made of"),
+    b"PMTiles": ("tiles to be drawn (PMTiles)", "take an extract: tiles hold no nodes"),
+    b"PAR1": ("a table (Parquet)", "take an extract: tables hold lines without common nodes"),
+    b"fgb\x03": ("a FlatGeobuf", "take an extract: it holds lines without common nodes"),
 }
+_OTHER_ROOTS = {
+    "graphml": "a graph (GraphML), as osmnx.save_graphml writes it: use save_graph_xml, or take an extract",
+    "kml": "KML, which holds lines without common nodes: take an extract of OpenStreetMap",
+    "gpx": "a track (GPX): take an extract of OpenStreetMap around it",
+    "OpenDRIVE": "OpenDRIVE, a map of lanes: take an extract of OpenStreetMap of the same place",
+    "net": "a network of SUMO: take the extract of OpenStreetMap that it was made of",
+}
+_CHECKSUM = re.compile(rb"[0-9a-fA-F]{32,128}\s")
 _REMARK = re.compile(rb"<remark>\s*(runtime error[^<]*?)\s*</remark>")
 _TAIL_BYTES = 4096
 _BLOCK_BYTES = 1 << 20
@@ -234,6 +246,8 @@ class _PrologScanner:
             raise self._html()
         if name in {"osmChange", "osmAugmentedDiff"}:
             raise self._changes(name)
+        if (kind := name.rpartition(":")[2]) in _OTHER_ROOTS:
+            raise MapError(f"{self.path}: is {_OTHER_ROOTS[kind]}.")
         raise self._not_osm(f"the first element is <{name}>, not <osm>")
 
     def _add_bounds(self, attributes: dict[str, str]) -> None:
@@ -258,9 +272,13 @@ class _PrologScanner:
             return MapError(f"{self.path}: is an Overpass query. Expected its answer, saved as .osm.")
         if start[:1] in {b"{", b"["}:
             return MapError(
-                f"{self.path}: is JSON, not OSM XML. Usual cause: an Overpass query with [out:json]; "
-                "ask for [out:xml] instead."
+                f"{self.path}: is JSON, not OSM XML. Usual cause: an Overpass query with [out:json]; ask for [out:xml] "
+                "instead. GeoJSON has no common nodes of streets."
             )
+        if re.match(rb"[^\r\n]{1,80}\r?\n!?\w+\r?\n\s+-?[\d.]+(E[+-]?\d+)?\s+-?[\d.]+", start):
+            return MapError(f"{self.path}: is a border (.poly). Expected the extract that was cut by it.")
+        if _CHECKSUM.match(start + b"\n"):
+            return MapError(f"{self.path}: is a checksum. Expected the file beside it: the same name without .md5.")
         if start[:5].lower() in {b"<html", b"<!doc"}:
             return self._html()
         return MapError(

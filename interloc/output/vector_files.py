@@ -20,6 +20,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Literal, NamedTuple
+from xml.sax.saxutils import escape
 from zipfile import ZIP_DEFLATED, ZipFile, ZipInfo
 
 from interloc.errors import ConfigError, GeoreferenceError, OutputError, install
@@ -337,7 +338,7 @@ def _write_csv(export: _Export, path: Path) -> None:
         shapes = _geometries(layer, rows)
         places = [[each and shapely.to_wkt(each, rounding_precision=7, trim=False)] for each in shapes]
     credit = {} if rows.credit.license is None else {"attribution": rows.credit.attribution}
-    with path.open("w", encoding="utf-8", newline="") as file:
+    with path.open("w", encoding="utf-8-sig", newline="") as file:  # Excel takes it for UTF-8 by the mark
         writer = csv.writer(file)
         writer.writerow([*place, *layer.fields, *credit])
         for feature, where in zip(rows.features, places, strict=True):
@@ -372,15 +373,24 @@ _KML_NAMES = {"id": "number", "name": "street", "time": "timestamp", "first_time
 """Properties that mean something else in KML, or something that KML has a name for -> what they are called there."""
 
 
+_CDATA, _CDATA_END = re.compile(rb"<!\[CDATA\[(.*?)\]\]>", re.DOTALL), "\ue000"
+
+
 def _write_kml(export: _Export, path: Path) -> None:
+    """Write layers by LIBKML; markup in texts is escaped, where it writes it raw, and any `]]>` of it ends a file."""
     for number, (layer, rows) in enumerate(export.layers):
         # GDAL writes integers of 64 bits as text.
         small = {name: "Int32" for name, kind in layer.fields.items() if kind == "int" and name != "osm_id"}
         table = _table(layer, rows).astype(small).rename(columns=_KML_NAMES)
         table.insert(0, "Name", [layer.label.format(**vars(feature.properties)) for feature in rows.features])
+        texts = [name for name in table.columns if table[name].dtype == object]
+        table[texts] = table[texts].replace({"]]>": f"]]{_CDATA_END}"}, regex=True)
         _write_by_gdal(path, "LIBKML", table, layer, append=number > 0, layer_options=_about("NAME", layer, rows))
-    if not path.read_bytes().rstrip().endswith(b"</kml>"):  # GDAL does not report a full disk
+    content = path.read_bytes()
+    if not content.rstrip().endswith(b"</kml>"):  # GDAL does not report a full disk
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    escaped = _CDATA.sub(lambda found: escape(found[1].decode()).encode(), content)
+    path.write_bytes(escaped.replace(_CDATA_END.encode(), b"&gt;"))
 
 
 def _write_kmz(export: _Export, path: Path) -> None:

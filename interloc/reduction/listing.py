@@ -9,7 +9,16 @@ from pathlib import Path
 from typing import cast
 
 from interloc import storage
-from interloc.drives.layouts import CALIBRATION_BESIDE, KINDS, KITTI360_BESIDE, KITTI360_POSES, POSE_FILES, SIGNS, Kind
+from interloc.drives.layouts import (
+    CALIBRATION_BESIDE,
+    KINDS,
+    KITTI360_BESIDE,
+    KITTI360_POSES,
+    POSE_FILES,
+    SCAN_FOLDERS,
+    SIGNS,
+    Kind,
+)
 from interloc.errors import DriveError, InterLocError
 from interloc.storage import MAX_OBJECTS, Bucket, StoredObject
 from interloc.wording import counted
@@ -31,6 +40,8 @@ class ListedDrive:
     """Files of scans (of ground points, of a reduced drive) and of labels."""
     small: dict[str, str] = field(default_factory=dict)
     """Poses, times, calibration and georeference; or what may be such."""
+    misnamed: dict[str, str] = field(default_factory=dict)
+    """What would be a part of it but for capitals: paths in the folder, and the names that they need."""
     borrowed: list[str] = field(default_factory=list)
     """What was taken from beside the drive, in words."""
 
@@ -48,6 +59,10 @@ class ListedDrive:
             self.labels[inside] = path
         elif names.is_small(inside):
             self.small[inside] = path
+        elif inside != (lower := inside.lower()) and (
+            names.is_scan(lower) or names.is_label(lower) or names.is_small(lower)
+        ):
+            self.misnamed[path] = lower
 
 
 def find_drives(listing: Listing, name: str) -> list[ListedDrive]:
@@ -144,6 +159,10 @@ _REASONS = (
     (
         r"(.*/)?data_poses/.*|\d{4}_\d\d_\d\d_drive_\d{4}_sync/(poses|cam0_to_world)\.txt",
         "holds poses but no scans: pick the root of KITTI-360, with data_3d_raw/ in it",
+    ),
+    (
+        rf"(?i:(.*/)?({'|'.join(SCAN_FOLDERS)})/[^/]+\.bin)",
+        "holds scans under names in capitals: upper and lower case are told apart; rename them to velodyne/000000.bin",
     ),
     (r".*\.label", "holds labels but no scans: pick the folder that has velodyne/ too"),
     (r"(?i:[^/]*\.osm(\.\w+)?)", "is a map alone: pick the folder of the drive, and choose the map with it"),

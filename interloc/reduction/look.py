@@ -10,6 +10,7 @@ import shutil
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from itertools import islice
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import MappingProxyType
@@ -26,7 +27,7 @@ from interloc.drives.files import EMPTY, NumberedFiles, SourceFile, each_read_on
 from interloc.drives.findings import Finding, Findings, by_severity
 from interloc.drives.georeference.geodetic import check_against_poses
 from interloc.drives.labels import LabelScheme, judge_labels
-from interloc.drives.layouts import PCD_ENDINGS, POSE_FILES, DriveParts, Kind, find_layout
+from interloc.drives.layouts import IN_CAPITALS, PCD_ENDINGS, POSE_FILES, DriveParts, Kind, find_layout
 from interloc.drives.open import NO_POSES, SAMPLED_SCANS
 from interloc.drives.options import LABEL_FILES, ODOMETRY, DriveOptions, LabelFolder, LayoutName
 from interloc.drives.scans.bin_files import BinScans, open_bin_files
@@ -53,6 +54,7 @@ HEAD_BYTES = 65_536
 
 _MEMORY = Path("/dev/shm")  # noqa: S108 - a folder of a random name is made there
 _PAGE_BYTES = 4096
+_MISNAMED = 5  # files that are named one by one
 _MAX_POSITIONS = 20_000
 _MAX_TRACK_BYTES = 4_000_000  # of what may be the trajectory of a cloud; of a longer one the head is enough
 
@@ -252,6 +254,8 @@ class _Look:
         found, drive = self.found, self.drive
         with each_read_once(), self.findings.stage():
             self._lay_out()
+            for path, expected in islice(drive.misnamed.items(), _MISNAMED):
+                self.findings.warning(path, IN_CAPITALS.format(expected))
             self._want(*drive.small)
             if drive.kind == "reduced":
                 self._read_reduced(options)

@@ -14,6 +14,7 @@ from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree as ET
 
 import geopandas
 import numpy as np
@@ -114,6 +115,22 @@ def test_kml_names_its_features_and_keeps_their_properties(layer: str, scored: P
             properties["osm_id"] = str(properties["osm_id"])
         assert_same(properties, row)
         assert shapely.force_2d(geometry).wkt == shapely.geometry.shape(feature["geometry"]).wkt
+
+
+@pytest.mark.parametrize("name", ["A & B", "]]>", "<img src=x onerror=alert(1)> ]]> &amp; ]]]]>", "<![CDATA[a]]>"])
+def test_markup_in_names_of_streets_is_text(name: str, scored: Path, tmp_path: Path) -> None:
+    result = shutil.copytree(scored, tmp_path / "result")
+    for path in (result / "osm_roads.geojson", result / "intersections.geojson"):
+        collection = json.loads(path.read_text())
+        for feature in collection["features"]:
+            feature["properties"]["name" if "osm_roads" in path.name else "names"] = name
+        path.write_text(json.dumps(collection))
+    for file in (tmp_path / "a.kml", tmp_path / "a.kmz"):
+        write_vector_file(result, file, layer=None if file.suffix == ".kmz" else "osm_roads")
+        content = file.read_bytes() if file.suffix == ".kml" else zipfile.ZipFile(file).read("doc.kml")
+        assert b"<img" not in content
+        texts = [each.text for each in ET.fromstring(content).iter() if "SimpleData" in each.tag]  # noqa: S314 - our own
+        assert name in texts
 
 
 @pytest.mark.parametrize("name", ["a.gpkg", "a.fgb", "a.kml", "a.csv", "a.geojson"])
@@ -220,12 +237,12 @@ def qgz_of(folder: Path, tmp_path: Path) -> bytes:
 def test_csv_is_safe_to_open_in_a_spreadsheet(tmp_path: Path) -> None:
     folder = write_folder(tmp_path / "out", replace(small_result(), drive="=1+cmd|'x'!A1"), scored=False)
     write_vector_file(folder, tmp_path / "a.csv")
-    (row,) = csv.DictReader((tmp_path / "a.csv").read_text().splitlines())
+    (row,) = csv.DictReader((tmp_path / "a.csv").read_text("utf-8-sig").splitlines())
     assert (row["lon"], row["lat"], row["branch_bearings_deg"]) == ("8.4205", "49.011", "[0.5,90.75,180.5]")
     assert (row["drive"], row["osm_id"], row["uid"]) == ("'=1+cmd|'x'!A1", "", "49.01110,8.42063")
     assert "attribution" not in row
     write_vector_file(folder, tmp_path / "a.csv", layer="uncertainty")
-    (row,) = csv.DictReader((tmp_path / "a.csv").read_text().splitlines())
+    (row,) = csv.DictReader((tmp_path / "a.csv").read_text("utf-8-sig").splitlines())
     assert shapely.from_wkt(row["wkt"]).geom_type == "Polygon"
 
 
@@ -294,7 +311,7 @@ def test_what_crosses_the_antimeridian_is_cut_in_every_format(scored: Path, tmp_
     (feature,) = features(folder, "osm_roads", tmp_path)
     assert shapely.geometry.shape(feature["geometry"]).wkt == expected
     write_vector_file(folder, tmp_path / "a.csv", layer="osm_roads")
-    (row,) = csv.DictReader((tmp_path / "a.csv").read_text().splitlines())
+    (row,) = csv.DictReader((tmp_path / "a.csv").read_text("utf-8-sig").splitlines())
     assert shapely.from_wkt(row["wkt"]).wkt == expected
     write_vector_file(folder, tmp_path / "a.pmtiles", layer="osm_roads")
     lines, lengths = rows_of(tmp_path / "a.pmtiles", "osm_roads")

@@ -45,6 +45,7 @@ def test_counts_of_the_legend_are_those_of_the_files(page: Any, done: Done) -> N
     expected = {
         "Right": fused.count("right"),
         "Wrong": fused.count("wrong"),
+        "Not counted": fused.count("not_counted"),
         "Not scored": fused.count("unscored"),
         "True": outcomes.count("TP"),
         "False": len(done.features("detections")) - outcomes.count("TP"),

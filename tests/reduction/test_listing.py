@@ -128,3 +128,13 @@ def test_a_folder_that_is_not_a_drive_is_explained(paths: list[str], words: str)
     files = listing(*paths)
     assert find_drives(files, "picked") == []
     assert words in reason_for_none(files, "picked")
+
+
+def test_what_only_its_capitals_keep_from_being_read_is_named() -> None:
+    files = {"velodyne/000000.bin": 1600, "POSES.TXT": 10, "Geo.csv": 10, "README.TXT": 3, "LABELS/000000.LABEL": 4}
+    (drive,) = find_drives(files, "x")
+    expected = {"POSES.TXT": "poses.txt", "Geo.csv": "geo.csv", "LABELS/000000.LABEL": "labels/000000.label"}
+    assert (drive.misnamed, drive.small) == (expected, {})
+    (cloud,) = find_drives({"000000.pcd": 1600, "Trajectory.TUM": 10}, "x")
+    assert cloud.misnamed == {"Trajectory.TUM": "trajectory.tum"}
+    assert "under names in capitals" in reason_for_none({"VELODYNE/000000.BIN": 1600}, "x")

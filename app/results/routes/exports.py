@@ -6,7 +6,7 @@ from xml.sax.saxutils import escape
 from fastapi import APIRouter, Path, Query, Request, Response
 from fastapi.concurrency import run_in_threadpool
 
-from app.http.delivery import MEDIA_TYPES, answer_tagged, deliver, service_address
+from app.http.delivery import MEDIA_TYPES, answer_tagged, deliver, disposition, service_address
 from app.http.openapi import BINARY, get_and_head, problems
 from app.http.prices import priced
 from app.http.problem_types import FORMAT_NOT_INSTALLED
@@ -128,6 +128,5 @@ async def export(
         return await run_in_threadpool(deliver, request, path, name=file_name, download=True)
     text = await run_in_threadpool(path.read_text, "utf-8")
     address = escape(f"{service_address(request)}{result.address}", {'"': "&quot;"})
-    disposition = f'attachment; filename="{file_name}"'
     content = text.replace(LIVE, address).encode()
-    return answer_tagged(request, content, MEDIA_TYPES[".qgs"], **{"content-disposition": disposition})
+    return answer_tagged(request, content, MEDIA_TYPES[".qgs"], **{"content-disposition": disposition(file_name)})

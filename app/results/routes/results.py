@@ -7,7 +7,7 @@ from fastapi import APIRouter, Path, Query, Request, Response
 from fastapi.responses import StreamingResponse
 from zipstream import ZIP_DEFLATED, ZIP_STORED, ZipStream
 
-from app.http.delivery import REVALIDATE, deliver, media_type_of, not_modified
+from app.http.delivery import REVALIDATE, deliver, disposition, media_type_of, not_modified
 from app.http.headers import prefers_html
 from app.http.openapi import BINARY, Responses, get_and_head, problems
 from app.http.patterns import ID
@@ -205,7 +205,7 @@ def download_archive(job_id: JobId, request: Request, results: ResultsDep) -> Re
     headers = {
         "etag": f'"{hashlib.sha256(repr(files).encode()).hexdigest()[:24]}"',
         "cache-control": REVALIDATE,
-        "content-disposition": f'attachment; filename="{folder}.zip"',
+        "content-disposition": disposition(f"{folder}.zip"),
     }
     known = not_modified(request, headers)
     headers["etag"] = f"W/{headers['etag']}"  # the styles have the time of the request

@@ -3,7 +3,7 @@ import { outLink } from "../controls.js";
 import { medianError } from "../data/results.js";
 import { el, formatDuration, formatMetres, formatPercent, plural } from "../dom.js";
 import { ellipseOf, SIGMAS_95 } from "./ellipse.js";
-import { kindOfNode, layerOfDetection, NODE_OUTCOMES, verdictOf } from "./layers.js";
+import { kindOfNode, layerOfDetection, NODE_OUTCOMES, VERDICTS, verdictOf } from "./layers.js";
 import { coordinates } from "./links.js";
 
 /** @import { Result } from "../data/results.js" */
@@ -26,7 +26,7 @@ export function signOf({ kind, item }) {
 export function titleOf({ kind, item }) {
   if (kind === "intersection") {
     const verdict = verdictOf(item);
-    return `Intersection ${item.properties.id}${verdict === "unscored" ? "" : `: ${verdict}`}`;
+    return `Intersection ${item.properties.id}${verdict === "unscored" ? "" : `: ${VERDICTS[verdict]}`}`;
   }
   if (kind === "node") return `OSM intersection: ${NODE_OUTCOMES[kindOfNode(item)]}`;
   if (kind === "road") return `Road ${item.properties.id}, measured`;

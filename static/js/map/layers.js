@@ -22,6 +22,7 @@ export const LAYERS = [
   layer("keyframes", "Drive", "Keyframes", "Places at which the method looked for intersections."),
   layer("right", "Intersections", "Right", "An OSM intersection of its own lies within 10 m."),
   layer("wrong", "Intersections", "Wrong", "No OSM intersection of its own lies within 10 m."),
+  layer("not_counted", "Intersections", "Not counted", "At a junction of the map that the policy leaves out."),
   layer("unscored", "Intersections", "Not scored", "Found, but not compared with OpenStreetMap."),
   layer("uncertainty", "Intersections", "Uncertainty (95 %)", "It lies in the ellipse with a chance of 95 %."),
   layer("branches", "Intersections", "Branches", "Bearings of the roads that leave an intersection."),
@@ -44,7 +45,12 @@ export const LAYERS = [
 ];
 
 /** What an intersection, and what a node of the map, can be: what is worth a look comes first. */
-export const VERDICTS = { wrong: "wrong", unscored: "not scored", right: "right" };
+export const VERDICTS = {
+  wrong: "wrong",
+  not_counted: "not counted by this policy",
+  unscored: "not scored",
+  right: "right",
+};
 export const NODE_OUTCOMES = { missed: "missed", found: "found", outside: "out of reach" };
 
 /** Titles where nothing is scored: then these are all. */
@@ -104,9 +110,9 @@ export function kindOfNode({ properties }) {
   return properties.in_zone ? "missed" : "outside";
 }
 
-/** @param {{properties: any}} intersection @returns {"right"|"wrong"|"unscored"} */
+/** @param {{properties: any}} intersection @returns {keyof typeof VERDICTS} */
 export function verdictOf({ properties }) {
-  return properties.outcome === "not_counted" ? "unscored" : (properties.outcome ?? "unscored");
+  return properties.outcome ?? "unscored";
 }
 
 const DETECTION_LAYERS = /** @type {const} */ ({ TP: "tp", FP: "fp", none: "detections" });

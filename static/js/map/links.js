@@ -66,6 +66,7 @@ export function noteText({ kind, item }, mapDate = null) {
   const seen = `A LiDAR drive${day} saw a junction at ${place}${std}, ${count}; its roads leave at ${bearings}.`;
   const verdict = verdictOf(item);
   if (verdict === "unscored") return `${seen} It was not compared with OpenStreetMap.`;
+  if (verdict === "not_counted") return `${seen} ${map} has it: ${p.reason}.`;
   const found =
     verdict === "right"
       ? `has it as node ${p.osm_id}, ${p.error_m.toFixed(1)} m away.`

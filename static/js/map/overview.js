@@ -108,7 +108,7 @@ export class OverviewScene {
     fill(context, "--accent");
     stroke(context, "--surface", 2);
     if (view.zoom >= SIGNS_FROM_ZOOM) {
-      for (const name of ["unscored", "right", "wrong"]) {
+      for (const name of ["unscored", "not_counted", "right", "wrong"]) {
         const spots = seen.flatMap(({ points, drive }) =>
           [...drive.intersections.keys()]
             .filter((i) => (drive.outcomes[i] ?? "unscored") === name)

@@ -17,11 +17,11 @@ import { paintSigns, SIGNS } from "./symbols.js";
  */
 
 const RAY_M = 14;
-const VERDICT_PX = { unscored: 8, right: 8, wrong: 10 };
+const VERDICT_PX = { unscored: 8, not_counted: 8, right: 8, wrong: 10 };
 /** From so many pixels per metre on (zoom 18.5) a sign is a ring, in which the detections of a place are seen. */
 const RING_FROM = 3;
 const RING_PX = 13;
-const RINGED = new Set(["right", "wrong", "unscored"]);
+const RINGED = new Set(["right", "wrong", "not_counted", "unscored"]);
 
 export class Scene {
   /** @param {import("../data/results.js").Result} result @param {any} map */
@@ -102,7 +102,7 @@ export class Scene {
       this.#paintPoints(context, view, this.nodes, kind, r, 1, (each) => kindOfNode(each) === kind);
     }
     if (this.on.has("branches")) this.#paintBranches(context, view);
-    for (const verdict of /** @type {const} */ (["unscored", "right", "wrong"])) {
+    for (const verdict of /** @type {const} */ (["unscored", "not_counted", "right", "wrong"])) {
       const r = VERDICT_PX[verdict] * Math.max(0.85, size);
       const isOne = (/** @type {any} */ each) => verdictOf(each) === verdict && passes(each);
       this.#paintPoints(context, view, this.intersections, verdict, r, 1, isOne);

@@ -129,19 +129,21 @@ function scores(names, reports) {
     ["Intersections wrong", of((r) => r.map_level.false), String, -1],
     ["OSM nodes found", of((r) => r.map_level.nodes_in_zone - r.map_level.missed), String, 1],
     ["Median error of intersections", of((r) => r.map_level.median_m), formatMetres, -1],
-    ["Mean error (ACE)", of((r) => r.ace_m), formatMetres, -1],
-    ["Median error", of((r) => r.median_m), formatMetres, -1],
-    ["Precision, D = 5 m", of((r) => at(r, 5).precision), formatPercent, 1],
-    ["Recall, D = 5 m", of((r) => at(r, 5).recall), formatPercent, 1],
-    ["F1, D = 5 m", of((r) => at(r, 5).f1), formatPercent, 1],
+    ["Mean error of detections (ACE)", of((r) => r.ace_m), formatMetres, -1],
+    ["Median error of detections", of((r) => r.median_m), formatMetres, -1],
+    ["Precision of detections, D = 5 m", of((r) => at(r, 5).precision), formatPercent, 1],
+    ["Recall of detections, D = 5 m", of((r) => at(r, 5).recall), formatPercent, 1],
+    ["F1 of detections, D = 5 m", of((r) => at(r, 5).f1), formatPercent, 1],
     ["OSM nodes with a detection within 5 m", of((r) => r.nodes_found), String, 1],
   ];
   const cells = rows.map(([name, values, text, more]) => {
-    const known = values.filter((each) => each !== null).map((each) => /** @type {number} */ (each) * more);
+    // A job that found nothing is the best at nothing: without intersections none is wrong.
+    const gains = values.map((each, i) => (each === null || !reports[i].map_level.true ? null : each * more));
+    const known = gains.filter((each) => each !== null);
     const best = Math.max(...known);
-    const differ = known.some((each) => each !== best);
-    const isBetter = (/** @type {number|null} */ value) => differ && value !== null && value * more === best;
-    return [name, ...values.map((value) => el("td", { class: isBetter(value) ? "better" : "" }, text(value)))];
+    const differ = known.length < values.length || known.some((each) => each !== best);
+    const isBetter = (/** @type {number} */ i) => differ && gains[i] === best;
+    return [name, ...values.map((value, i) => el("td", { class: isBetter(i) ? "better" : "" }, text(value)))];
   });
   return columns("Figure", names, cells);
 }

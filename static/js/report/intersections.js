@@ -133,7 +133,7 @@ const showAll = () => el("button.link", { type: "button", onClick: clearFilter }
 
 /** @param {Result} result */
 function filterFields(result) {
-  const verdicts = /** @type {const} */ (["wrong", "right", "unscored"])
+  const verdicts = /** @type {const} */ (["wrong", "right", "not_counted", "unscored"])
     .map((name) => ({ name, many: result.intersections.filter((each) => verdictOf(each) === name).length }))
     .filter(({ many }) => many > 0);
   const filter = getFilter();

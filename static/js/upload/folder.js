@@ -66,22 +66,9 @@ export async function measure(folder, onCount = () => {}) {
  * @param {OnCount} [onCount]
  * @returns {Promise<{archive: File} | {folder: Folder}>}
  */
-export function readDrop(transfer, onCount = () => {}) {
-  const items = [...transfer.items].filter((item) => item.kind === "file");
-  return readEntries(
-    items.map((item) => item.webkitGetAsEntry()),
-    [...transfer.files],
-    onCount,
-  );
-}
-
-/**
- * @param {(FileSystemEntry | null)[]} entries
- * @param {File[]} plain
- * @param {OnCount} onCount
- * @returns {Promise<{archive: File} | {folder: Folder}>}
- */
-async function readEntries(entries, plain, onCount) {
+export async function readDrop(transfer, onCount = () => {}) {
+  const plain = [...transfer.files];
+  const entries = [...transfer.items].filter(({ kind }) => kind === "file").map((item) => item.webkitGetAsEntry());
   if (plain.length === 1 && isArchive(plain[0].name) && !entries[0]?.isDirectory) return { archive: plain[0] };
   const files = new Map();
   const single = entries.length === 1 && entries[0]?.isDirectory ? entries[0] : null;

@@ -7,7 +7,6 @@ import { keep, recall } from "../storage.js";
  * @property {string} fingerprint Of the files that were picked.
  * @property {string} name
  * @property {string} at When it was begun, ISO.
- * @property {string} root Of the drive inside the folder that was picked.
  * @property {import("./upload.js").Settings} settings
  * @property {string} [way] How all that was sent was made of these files; "" where files of other ways are among it.
  */

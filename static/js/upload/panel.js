@@ -143,17 +143,11 @@ function counter() {
 /** @param {Folder} folder @param {Begun | null} begun */
 async function showFolder(folder, begun) {
   await measure(folder, counter());
-  let { drives, drive, reason } = await lookInto(folder);
+  const { drives, drive, reason } = await lookInto(folder);
   if (!drive) {
     const error = { title: "No drive in this folder", detail: /** @type {string} */ (reason) };
     await showStart(problemNote(error), begun);
     return;
-  }
-  const first = drive.look.root;
-  for (const { root, fingerprint } of rememberedUploads()) {
-    if (root === first || !drives.some((each) => each.root === root)) continue;
-    const other = (await lookInto(folder, { root })).drive;
-    if (other && fingerprintOfDrive(other) === fingerprint) drive = other;
   }
   await showForm({ drive, drives, archive: null }, begun);
 }

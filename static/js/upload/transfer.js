@@ -184,11 +184,6 @@ export class Transfer {
     return this.send(`drives/${this.drive}/scans`, body, { method: "POST", type, size: sizeOf(contents) });
   }
 
-  /** Send one file that was not counted before. @param {string} path Inside the drive. @param {File} file */
-  async put(path, file) {
-    await this.#send([{ path, size: file.size, ...(await contentOf(file, path)) }]);
-  }
-
   /**
    * Send a body, counting its bytes.
    *

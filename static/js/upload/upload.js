@@ -157,10 +157,9 @@ export class Upload {
   /** @param {string} [way] How what is there was made; see `#send`. */
   #remember(way) {
     const { settings, driveId, source } = this;
-    const { fingerprint, drive } = source;
+    const { fingerprint } = source;
     const at = remembered(/** @type {string} */ (driveId))?.at ?? new Date().toISOString();
-    const root = drive?.look.root ?? "";
-    remember({ driveId: /** @type {string} */ (driveId), fingerprint, name: settings.name, at, root, settings, way });
+    remember({ driveId: /** @type {string} */ (driveId), fingerprint, name: settings.name, at, settings, way });
   }
 
   async #send() {
@@ -188,7 +187,7 @@ export class Upload {
     this.#remember(before === undefined || before === way ? way : "");
     this.#update({ step: "files", message: "", done: 0, total: items.length });
     await this.transfer.sendAll(items, (done) => this.#update({ done }));
-    if (manifest) await this.transfer.put("reduced.json", manifest);
+    if (manifest) await this.transfer.sendAll([asItem(["reduced.json", manifest])], () => {});
     this.#remember(way);
   }
 

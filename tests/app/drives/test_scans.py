@@ -2,6 +2,7 @@
 
 import base64
 import hashlib
+import socket
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -11,7 +12,7 @@ import httpx
 import pytest
 
 from app.settings import Settings
-from tests.app.processes import files_below
+from tests.app.processes import files_below, wait_until
 
 Parts = list[tuple[str, tuple[str | None, bytes]]]
 
@@ -163,6 +164,23 @@ def test_a_malformed_body_is_refused(
     assert answer.status_code == status
     assert answer.headers["content-type"] == "application/problem+json"
     assert left(shared_data, drive) == []
+
+
+def test_a_bundle_that_breaks_off_leaves_nothing_and_comes_again(
+    client: httpx.Client, drive: str, shared_data: Path
+) -> None:
+    part = (
+        b'--B\r\nContent-Disposition: form-data; name="files"; filename="%d.txt"\r\n\r\n' + bytes(2_000_000) + b"\r\n"
+    )
+    body = part % 1 + part % 2 + b"--B--\r\n"
+    head = f"Host: localhost\r\nContent-Length: {len(body)}\r\nContent-Type: multipart/form-data; boundary=B"
+    with socket.create_connection((client.base_url.host, client.base_url.port or 80), timeout=30) as link:
+        link.sendall(f"POST {drive}/scans HTTP/1.1\r\n{head}\r\n\r\n".encode() + body[:-1000])
+        wait_until(lambda: left(shared_data, drive), "the first bytes to arrive")
+    wait_until(lambda: not left(shared_data, drive), "the server to see that the sender is gone")
+    assert listed(client, drive) == []
+    assert raw(client, drive, body).status_code == 200
+    assert listed(client, drive) == ["1.txt", "2.txt"]
 
 
 @pytest.mark.parametrize("kind", ["application/json", "multipart/form-data", "multipart/mixed; boundary=B", ""])

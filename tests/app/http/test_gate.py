@@ -91,8 +91,9 @@ def test_headers_for_browsers(serve: Serve) -> None:
     assert "sandbox" in client.get(DRIVES).headers["content-security-policy"]
 
 
-def test_https_behind_a_proxy_stays_https(client: httpx.Client) -> None:
-    headers = client.get(DRIVES, headers={"X-Forwarded-Proto": "https"}).headers
+@pytest.mark.parametrize("protocol", ["https", "HTTPS", "https, http", "https ,http"])
+def test_https_behind_a_proxy_stays_https(client: httpx.Client, protocol: str) -> None:
+    headers = client.get(DRIVES, headers={"X-Forwarded-Proto": protocol}).headers
     assert headers["strict-transport-security"] == "max-age=15552000"
 
 

@@ -313,6 +313,8 @@ def see_unknown_parameters(gis: Gis) -> None:
         ("filter-lang", "sql"),
     ):
         assert gis.get("/ogc/collections/detections/items", **{name: value}).status_code == 400
+    for path, form in (("", "json"), ("/collections", "json"), ("/collections/detections/items", "geojson")):
+        assert gis.get(f"/ogc{path}", f=form).status_code == 200
 
 
 def see_properties(gis: Gis) -> None:

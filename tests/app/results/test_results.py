@@ -177,9 +177,9 @@ def test_the_archive_holds_the_folder(finished: Finished) -> None:
         content = {info.filename: archive.read(info) for info in archive.infolist()}
     styles = {name: content.pop(name) for name in list(content) if name.endswith(".qml")}
     assert len(styles) == 10
-    assert b"categorizedSymbol" in styles["Stra_e_street-default/intersections.qml"]
+    assert b"categorizedSymbol" in styles["Straße_street-default/intersections.qml"]
     expected = files_of(finished.results / "default")
-    assert content == {f"Stra_e_street-default/{name}": data for name, data in expected.items()}
+    assert content == {f"Straße_street-default/{name}": data for name, data in expected.items()}
     known = finished.get("/jobs/default/archive.zip", headers={"if-none-match": answer.headers["etag"]})
     assert known.status_code == 304
 
