@@ -46,7 +46,6 @@ class Surface(IntEnum):
     CAR = 7
     VEGETATION = 8
     FENCE = 9
-    STRUCTURE = 10
 
 
 class Material(NamedTuple):
@@ -76,7 +75,6 @@ MATERIALS: dict[Surface, Material] = {
     Surface.CAR: Material(10, 0.0, 0.02, 0.12, 0.20, 0.8),
     Surface.VEGETATION: Material(70, 0.0, 0.15, 0.35, 0.12, 0.9),
     Surface.FENCE: Material(51, 0.0, 0.04, 0.30, 0.13, 0.7),
-    Surface.STRUCTURE: Material(52, 0.0, 0.02, 0.33, 0.12, 1.0),
 }
 
 MATERIAL_TABLE = np.array([MATERIALS[code] for code in Surface], dtype=np.float64)

@@ -194,7 +194,7 @@ class RawScans:
                 else:
                     ids = labels.of(frame, self.points_of(frame), source.name(frame))
                 counts.update(count_ids(ids))
-                blank += not ids.any()
+                blank += len(ids) > 0 and not ids.any()
         if 0 < blank < len(sample):
             findings.warning(
                 labels.name,

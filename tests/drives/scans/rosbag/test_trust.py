@@ -15,7 +15,7 @@ from interloc.drives.scans.rosbag.open import open_rosbag
 from interloc.drives.trajectory import Trajectory
 from interloc.errors import DriveError
 from interloc.geometry import enu_from_lonlat, rotation_from_rpy
-from tests.bags import BagWriter, cells_of
+from tests.bags import BagWriter, cells_of, write_bag
 from tests.drives.scans.rosbag.test_open import (
     COUNT,
     START,
@@ -185,6 +185,13 @@ def test_empty_and_repeated_scans_are_counted(tmp_path: Path) -> None:
     text = said(opened(tmp_path / "drive")[2])
     assert "3 of 12 scans of /points hold no points" in text
     assert "3 of 12 scans of /points repeat the scan before" in text
+
+
+def test_an_empty_scan_is_not_one_without_labels(tmp_path: Path) -> None:
+    scans = [scans_of()[0][:0], *scans_of()[1:]]
+    labels = [np.full(len(scan), 40, np.uint32) for scan in scans]
+    path = write_bag(tmp_path / "drive", "mcap", scans, times_of(), poses=straight(), labels=labels)
+    assert not [each for each in inspect_drive(path).problems if "no label" in each.message]
 
 
 def test_the_uncertainty_of_fixes_counts(tmp_path: Path) -> None:
