@@ -22,7 +22,7 @@ FAR_M = 300.0
 
 _TILE_M, _REACH_M = 250.0, 600.0  # places of one tile ask the ways so near its middle: borders are not straight
 _STEP_DEG = 5.0
-_ENOUGH = 20  # ways around a place, at least: of fewer nothing follows, as on a map of one street that somebody drew
+_ENOUGH = 8  # ways around a place, at least: of fewer nothing follows, as on a map of one street that somebody drew
 _CROSSING = 5  # ways across a line, at least
 _EXPECTED = 4.0  # whole ways expected beyond a line, by its length of road and the median way
 _ON_LINE_M = 1.0
