@@ -114,7 +114,7 @@ async def export(
     if layer is None and holds == "one":
         layer = "intersections"
     name = layer or "all"
-    path = export_path(result.cache, f"{name}{suffix}")
+    path = export_path(result.cache, f"{name}{suffix}", result.drive_name)
     if not path.exists():
         if suffix == ".qgs":
             result.require_georeference(f"Its files are in {result.address}/files")

@@ -93,6 +93,7 @@ def test_tables_and_layers_that_are_made_of_the_intersections(finished: Finished
     lines = finished.get("/jobs/default/export.geojson?layer=branches").json()
     stored = json.loads((finished.results / "default/intersections.geojson").read_text())["features"]
     assert len(lines["features"]) == sum(each["properties"]["branch_count"] for each in stored)
+    assert {each["properties"]["drive"] for each in lines["features"]} == {"Straße street"}  # as it is named now
     assert finished.get("/jobs/local/export.geojson?layer=uncertainty").status_code == 404
 
 
