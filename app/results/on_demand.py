@@ -57,7 +57,7 @@ class OnDemand:
             raise Problem(
                 NO_SUCH_KEYFRAME,
                 f"Scan {frame} is not a keyframe of job {result.job_id}; the nearest one is {nearest}. "
-                f"GET {result.address}/keyframes lists them.",
+                f"GET {result.address}/layers/keyframes lists them.",
                 nearest=nearest,
             )
         return folder

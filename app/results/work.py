@@ -11,7 +11,6 @@ import numpy as np
 
 import interloc.output
 from app.jobs.work.intersections import open_input
-from app.results.models import collection_id
 from app.work.documents import IntersectionsJob
 from interloc.files import atomic_folder, write_file
 from interloc.output.qgis import Source
@@ -82,10 +81,7 @@ def write_export(folder: Path, path: Path, layer: str | None, drive_name: str) -
     path.parent.mkdir(parents=True, exist_ok=True)
     if path.suffix == ".qgs":
         write_live_project(
-            folder,
-            path,
-            drive_name,
-            lambda layer: Source("OAPIF", f"typename='{collection_id(layer)}' url='{LIVE}/ogc'"),
+            folder, path, drive_name, lambda layer: Source("OAPIF", f"typename='{layer.name}' url='{LIVE}/ogc'")
         )
     else:
         write_vector_file(folder, path, layer=layer, drive=drive_name)

@@ -106,6 +106,7 @@ export class CityScene extends OverviewScene {
       ]);
     };
     const rest = this.isNew ? null : more();
+    rest?.catch(() => {}); // it is told below, where somebody still waits
     const [places, tracks] = await Promise.all([
       this.#places(asked.box, cqlOf(filter), signal),
       featuresIn(id, "drives", asked.box, { limit: MAX_TRACKS, signal }),
