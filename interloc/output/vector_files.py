@@ -60,10 +60,7 @@ class _Export(NamedTuple):
 
     result: Path
     layers: list[tuple[Layer, Rows]]
-
-    @property
-    def name(self) -> str:
-        return _name_of(self.result)
+    name: str
 
     @property
     def origin(self) -> dict[str, str | None]:
@@ -76,13 +73,13 @@ class _Export(NamedTuple):
         return {title: layer.title, "DESCRIPTION": f"{layer.description} {rows.credit.attribution} ({', '.join(told)})"}
 
 
-def write_vector_file(result: Path, out: Path, *, layer: str | None = None) -> list[str]:
+def write_vector_file(result: Path, out: Path, *, layer: str | None = None, drive: str | None = None) -> list[str]:
     """Write a result folder as one vector file, whole or not at all, and return the names of the layers written.
 
     The suffix of `out` says the format. Without georeference it is in metres, without a coordinate system. `layer`
-    None: the main layers of the result where the format holds several, else the intersections; `ALL`: all. What cannot
-    be had is a ConfigError; longitude and latitude of a result in metres a GeoreferenceError; what could not be read or
-    written an OutputError.
+    None: the main layers of the result where the format holds several, else the intersections; `ALL`: all. `drive` is
+    its name where it has another one than when it was run. What cannot be had is a ConfigError; longitude and latitude
+    of a result in metres a GeoreferenceError; what could not be read or written an OutputError.
     """
     suffix = out.suffix.lower()
     if suffix not in FORMATS:
@@ -93,7 +90,7 @@ def write_vector_file(result: Path, out: Path, *, layer: str | None = None) -> l
     if suffix == ".parquet" and not has_parquet():
         raise ConfigError(f"GeoParquet needs pyarrow, which is not installed: {install('parquet')}")
     names = _choose(result, layer, suffix)
-    export = _Export(result, [(EXPORTS[name], _read(result, name)) for name in names])
+    export = _Export(result, [(EXPORTS[name], _read(result, name)) for name in names], drive or _name_of(result))
     with _written_beside(out) as path:
         FORMATS[suffix].write(export, path)
     return names
@@ -109,10 +106,10 @@ def suffixes_here() -> list[str]:
     return [suffix for suffix in FORMATS if suffix != ".parquet" or has_parquet()]
 
 
-def write_live_project(result: Path, out: Path, source_of: Callable[[Layer], Source]) -> None:
+def write_live_project(result: Path, out: Path, name: str, source_of: Callable[[Layer], Source]) -> None:
     """Write a project of QGIS whose layers are read from the service; `source_of` tells where it has each."""
-    layers = [(EXPORTS[name], _read(result, name)) for name in _choose(result, None, ".qgz")]
-    write_file(out, project(layers, _name_of(result), source_of))
+    layers = [(EXPORTS[layer], _read(result, layer)) for layer in _choose(result, None, ".qgz")]
+    write_file(out, project(layers, name, source_of))
 
 
 def is_local(result: Path) -> bool:

@@ -101,7 +101,7 @@ async def export(
     if layer == ALL and holds == "one":
         raise ConfigError(f"A {suffix} file holds one layer: name it, or ask for f=gpkg.")
     name = layer or "layers"
-    path = export_path(result.cache, f"{name}{suffix}")
+    path = export_path(result.cache, f"{name}{suffix}", result.drive_name)
     if not path.exists():
         if suffix == ".qgs":
             result.require_georeference(f"Its files are in {result.address}/files")

@@ -84,6 +84,7 @@ def test_tables_and_layers_that_are_made_of_the_intersections(finished: Finished
     lines = finished.get("/jobs/default/export?f=geojson&layer=branches").json()
     stored = json.loads((finished.results / "default/intersections.geojson").read_text())["features"]
     assert len(lines["features"]) == sum(each["properties"]["branch_count"] for each in stored)
+    assert "drive Straße street" in finished.get("/jobs/default/export?f=kml").text  # as it is named now
     assert finished.get("/jobs/local/export?f=geojson&layer=uncertainty").status_code == 404
 
 
