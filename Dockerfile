@@ -1,6 +1,6 @@
 # The web service with its page, and the command line, in a slim image:
 #   docker build -t interloc .
-#   docker run --rm -v interloc:/data interloc token add me       # prints the token to log in with, once
+#   docker run --rm -v interloc:/data interloc admin token add me       # prints the token to log in with, once
 #   docker run -p 8000:8000 -v interloc:/data interloc
 #   docker run -v "$PWD:/work" -w /work interloc info DRIVE
 FROM node:22-slim AS page

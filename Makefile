@@ -19,7 +19,7 @@ RUN := PYTHONDONTWRITEBYTECODE= $(BIN)/python
 BIOME := static/node_modules/.bin/biome
 BUNDLE := static/bundle/main.js
 
-.PHONY: install serve demo page-tools test coverage test-quick lint format types bench load torture hostile bench-page screenshots attributes image clean
+.PHONY: install serve demo page-tools test coverage test-quick lint format types bench load torture hostile bench-page screenshots image clean
 
 install: $(READY) $(BUNDLE)
 
@@ -130,10 +130,6 @@ bench-page: $(READY_TO_TEST)
 # The pictures of the page in the README; needs Chromium.
 screenshots: $(READY_TO_TEST)
 	$(BIN)/python -m docs.screenshots
-
-# The meaning of every attribute of the result layers, from the models that also make the files.
-attributes: $(READY)
-	$(BIN)/python docs/attributes.py > docs/attributes.md
 
 # The image, by docker, podman or buildah, whichever is there; tests/test_image.py starts it where it was built.
 CONTAINER ?= $(or $(shell command -v docker),$(shell command -v podman),$(shell command -v buildah))

@@ -1,11 +1,13 @@
 """The application: `create_app` puts the parts together, ``uvicorn app.main:create_app --factory`` serves it."""
 
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Sequence
 from contextlib import asynccontextmanager
+from typing import Any
 
 from anyio import to_thread
 from fastapi import APIRouter, Depends, FastAPI
 from fastapi.concurrency import run_in_threadpool
+from fastapi.routing import APIRoute
 
 from app import system
 from app.context import Context
@@ -15,7 +17,7 @@ from app.drives import routes as drives
 from app.drives.commit import finish_drive
 from app.http.gate import client_of
 from app.http.middleware import add_middleware
-from app.http.openapi import DESCRIPTION, TAGS, Description, operation_id, problems
+from app.http.openapi import DESCRIPTION, TAGS, UNLISTED, Description, operation_id, problems
 from app.http.parameters import refuse_unknown_parameters
 from app.http.prices import TURN, Turns
 from app.http.problems import add_handlers
@@ -53,17 +55,24 @@ def _assemble() -> APIRouter:
         generate_unique_id_function=operation_id,
         responses=problems({422: "The request is not valid; `problems` lists where."}),
     )
+    shared = [Depends(client_of), Depends(refuse_unknown_parameters), TURN]
+
+    def include(part: APIRouter, prefix: str = "", *, dependencies: Sequence[Any] = ()) -> None:
+        for route in part.routes:
+            if isinstance(route, APIRoute) and UNLISTED.fullmatch(prefix + route.path):
+                route.include_in_schema = False
+        router.include_router(part, prefix=prefix, dependencies=dependencies)
+
     of_drives = (drives, overview, files, demo, networks)
     of_jobs = (jobs, results, pictures, exports, compare)
-    shared = [Depends(client_of), Depends(refuse_unknown_parameters), TURN]
     for module in (*of_drives, *of_jobs, live, maps, queue, trash):
-        router.include_router(module.router, prefix=API, dependencies=shared)
+        include(module.router, API, dependencies=shared)
     for more in (ogc.of_job, ogc.of_map, trash.of_items):
-        router.include_router(more, prefix=API, dependencies=shared)
-    router.include_router(live.sockets, prefix=API)
-    router.include_router(ogc.of_all, dependencies=shared)
+        include(more, API, dependencies=shared)
+    include(live.sockets, API)
+    include(ogc.of_all, dependencies=shared)
     for module in (system, page):
-        router.include_router(module.router)
+        include(module.router)
     return router
 
 

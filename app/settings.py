@@ -76,7 +76,9 @@ class Settings(BaseSettings):
         description="Origins of other web pages that may read the API (GET only), separated by commas, for example "
         "https://maps.example.",
     )
-    token: SecretStr | None = Field(None, description="An API token; further ones are made with `interloc token add`.")
+    token: SecretStr | None = Field(
+        None, description="An API token; further ones are made with `interloc admin token add`."
+    )
     allow_anonymous: bool = Field(False, description="Serve other machines without any token.")
 
     # Who does the work.

@@ -49,7 +49,7 @@ class Studio:
         done = [ended(server.client, job) for job in jobs]
         assert all(job["state"] == "successful" for job in done), done
         self.job = done[-1]["id"]
-        keyframes = server.client.get(f"{API}/jobs/{self.job}/keyframes").json()["features"]
+        keyframes = server.client.get(f"{API}/jobs/{self.job}/layers/keyframes").json()["features"]
         self.frames = len(keyframes)
         self.frame = max((each["properties"] for each in keyframes), key=lambda each: each["detections"])["frame"]
         self.now = datetime.fromisoformat(done[-1]["finished_at"]) + timedelta(seconds=9)

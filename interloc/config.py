@@ -602,7 +602,7 @@ def _nearest(name: str) -> str:
     last = name.rpartition(".")[2]
     near = [known for known in names if known.rpartition(".")[2] == last] or get_close_matches(name[:100], names, n=3)
     meant = f"; did you mean {' or '.join(near)}?" if near else "."
-    return f"{meant} `interloc config --schema` describes all settings"
+    return f"{meant} `interloc info --settings` describes all settings"
 
 
 def _shown(text: str) -> str:

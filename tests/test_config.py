@@ -98,7 +98,7 @@ def test_later_setting_wins() -> None:
 @pytest.mark.parametrize(
     ("setting", "message"),
     [
-        ("bev.resolution=0.25", "bev.resolution: .*did you mean bev.resolution_m.*interloc config --schema"),
+        ("bev.resolution=0.25", "bev.resolution: .*did you mean bev.resolution_m.*interloc info --settings"),
         ("map.size_m=3", "there is no section 'map'; did you mean bev.size_m?"),
         ("bev.size_m.x=3", "there is no section 'bev.size_m'"),
         ("bev.resolution_m", "expected section.name=value, for example bev.resolution_m=0.25"),

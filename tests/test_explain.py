@@ -158,7 +158,7 @@ def test_the_record_tells_what_was_done(explained: tuple[Path, list[Path]]) -> N
 def test_the_map_is_laid_over_the_pictures_by_the_fix_of_the_keyframe(explained: tuple[Path, list[Path]]) -> None:
     truth = json.loads((explained[0] / "explain.json").read_text())["ground_truth"]
     (node,) = truth["nodes"]
-    assert (truth["policy"], node["osm_id"]) == ("drive", 1)
+    assert (truth["policy"], node["osm_id"]) == ("drive", "1")
     assert math.dist((node["world_x_m"], node["world_y_m"]), CROSSING) < 0.01
 
 

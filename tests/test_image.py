@@ -69,7 +69,7 @@ def service() -> Iterator[Service]:
         port = free.getsockname()[1]
     name = f"interloc-test-{port}"
     volume = ["--volume", f"{name}:/data"]
-    token = container("run", "--rm", *LOCKED, *volume, "interloc", "token", "add", "tests").split()[-1]
+    token = container("run", "--rm", *LOCKED, *volume, "interloc", "admin", "token", "add", "tests").split()[-1]
     settings = ["--env", f"INTERLOC_PORT={port}", "--env", "INTERLOC_WORKERS=1"]
     container("run", "--detach", "--name", name, "--memory", MEMORY, *LOCKED, *volume, *settings, "interloc")
     started = Service(name, port, token)

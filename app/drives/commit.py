@@ -99,7 +99,7 @@ def _compare_files(session: Session, drive: Drive, root: Path, found: set[str]) 
         raise Problem(
             DRIVE_NOT_USABLE,
             f"{gone[0]}{more}: listed, but no longer on the disk of the service. Send what is missing again (PUT), or "
-            "DELETE it; the operator finds all of it with `interloc check`.",
+            "DELETE it; the operator finds all of it with `interloc admin check`.",
         )
 
 

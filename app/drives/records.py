@@ -216,7 +216,7 @@ def open_file(context: Context, drive_id: str, path: str) -> tuple[BinaryIO, str
     raise Problem(
         BUSY,
         f"{path} is being replaced, or its bytes are not those that are listed, as after an upload that was cut off: "
-        "send it again. The operator finds what else is wrong with `interloc check`.",
+        "send it again. The operator finds what else is wrong with `interloc admin check`.",
         headers={"Retry-After": "1"},
     )
 
@@ -240,7 +240,7 @@ def _place_of(context: Context, drive: Drive, path: str) -> Path:
         raise Problem(
             FILE_MISSING,
             f"{path} is listed, but it is no longer on the disk of the service. Send it again if the drive still takes "
-            "files; the operator finds what else is missing with `interloc check`.",
+            "files; the operator finds what else is missing with `interloc admin check`.",
         )
     if file is None:
         raise Problem(

@@ -152,7 +152,8 @@ class Gate:
             context.metrics.refused_tokens.labels("unknown").inc()
             _log.warning("wrong token", extra={"address": scope["client"][0] if scope.get("client") else ""})
             return _unauthorized(
-                "There is no such token, or it was revoked. The operator makes one with `interloc token add NAME`.",
+                "There is no such token, or it was revoked. The operator makes one with "
+                "`interloc admin token add NAME`.",
                 'error="invalid_token"',
                 basic=offers_basic,
             )
@@ -161,7 +162,7 @@ class Gate:
             context.metrics.refused_tokens.labels("expired").inc()
             return _unauthorized(
                 f"The token of {holder.name} expired on {moment(holder.expires_at or 0):%Y-%m-%d %H:%M} UTC. The "
-                "operator makes another one with `interloc token add NAME`.",
+                "operator makes another one with `interloc admin token add NAME`.",
                 'error="invalid_token"',
                 basic=offers_basic,
             )
@@ -209,7 +210,7 @@ def _is_this_machine(name: str) -> bool:
 
 _bearer = HTTPBearer(
     scheme_name="token",
-    description="A token of `interloc token add`; not needed where the service runs for one machine only.",
+    description="A token of `interloc admin token add`; not needed where the service runs for one machine only.",
     auto_error=False,
 )
 
@@ -228,7 +229,7 @@ async def client_of(request: Request, _: Annotated[HTTPAuthorizationCredentials 
             raise Problem(
                 TOKEN_MAY_ONLY_READ,
                 f"The token of {holder.name} has the scope {holder.scope}, and {request.method} {request.url.path} "
-                "changes something. The operator makes one that may with `interloc token add NAME`.",
+                "changes something. The operator makes one that may with `interloc admin token add NAME`.",
                 headers={"WWW-Authenticate": 'Bearer realm="interloc", error="insufficient_scope", scope="write"'},
             )
         request.state.action = route.name
@@ -245,7 +246,8 @@ def check_exposure(context: Context) -> None:
     if settings.is_loopback or settings.allow_anonymous or context.tokens.exist():
         return
     raise ConfigError(
-        f"--host {settings.host} lets other machines in, and there is no token. Make one with `interloc token add "
-        "NAME`, which prints it once (in a container, on the same volume: `docker run --rm -v interloc:/data interloc "
-        "token add NAME`), or set INTERLOC_TOKEN; --allow-anonymous serves everybody who can connect."
+        f"--host {settings.host} lets other machines in, and there is no token. Make one with "
+        "`interloc admin token add NAME`, which prints it once (in a container, on the same volume: `docker run --rm "
+        "-v interloc:/data interloc admin token add NAME`), or set INTERLOC_TOKEN; --allow-anonymous serves everybody "
+        "who can connect."
     )

@@ -1,5 +1,6 @@
 """The OpenAPI document: what FastAPI cannot generate of it."""
 
+import re
 from collections.abc import Callable, Iterator
 from copy import deepcopy
 from typing import Any, ClassVar, TypeVar
@@ -15,6 +16,17 @@ Responses = dict[int | str, dict[str, Any]]
 Endpoint = TypeVar("Endpoint", bound=Callable[..., Any])
 
 
+UNLISTED = re.compile(
+    r".*/ogc/.+|/api/v1/.*/ogc|/problems/.+|/config\.json"
+    r"|/api/v1/(overview|demo|paper|compare|presets/\{name\}|live/\{session\}.*)"
+    r"|/api/v1/drives/(look|\{drive_id\}/(trajectory|scans))"
+    r"|/api/v1/maps/\{map_id\}/(drives|files|deliveries)/?.*"
+    r"|/api/v1/maps/\{map_id\}/queue(/\{finding\}(/picture\.png)?)?"
+    r"|/api/v1/jobs/\{job_id\}/(keyframes/.+|road|road\.png)"
+)
+"""Addresses that the description leaves out: what only the page and `interloc push` call, or what describes itself."""
+
+
 DESCRIPTION = """
 A *drive* is uploaded file by file, checked and reduced by its *commit*; a *job* finds the intersections in it, and
 scores them against OpenStreetMap where a map is given; its *results* are GeoJSON, reports, pictures and exports.
@@ -25,7 +37,7 @@ curl -T velodyne/000000.bin $API/drives/$DRIVE/files/velodyne/000000.bin        
 curl -X POST $API/drives/$DRIVE/commit                                                  # -> what is in it or is wrong
 curl -X POST $API/jobs -H 'Content-Type: application/json' -d '{"drive_id": "'$DRIVE'"}'  # -> id of the job
 curl -N $API/jobs/$JOB/events                                                           # its progress as it happens
-curl $API/jobs/$JOB/intersections                                                       # the map, as GeoJSON
+curl $API/jobs/$JOB/layers/intersections                                                # the map, as GeoJSON
 ```
 
 `interloc push DRIVE --server URL --run -o OUT` does all of that, and sends only what the method needs.
@@ -157,7 +169,21 @@ def _complete(document: dict[str, Any], *, needs_token: bool) -> dict[str, Any]:
             operation["responses"] = dict(sorted(responses.items()))
             if operation.get("security") and not needs_token:
                 operation["security"] = [{}, *operation["security"]]
+    used = _schemas_of(document["paths"], schemas, set())
+    document["components"]["schemas"] = {name: schema for name, schema in schemas.items() if name in used}
     return document
+
+
+def _schemas_of(part: Any, schemas: dict[str, Any], found: set[str]) -> set[str]:  # noqa: ANN401 - JSON
+    """Return the names of the schemas that a part of the document needs, with those found before."""
+    if isinstance(part, dict):
+        name = str(part.get("$ref", "")).rpartition("/")[2]
+        if name in schemas and name not in found:
+            found.add(name)
+            _schemas_of(schemas[name], schemas, found)
+    for each in part.values() if isinstance(part, dict) else part if isinstance(part, list) else ():
+        _schemas_of(each, schemas, found)
+    return found
 
 
 def _common(method: str, operation: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:

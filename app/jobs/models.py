@@ -3,7 +3,7 @@
 from datetime import datetime
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, WithJsonSchema
 
 from app.http.patterns import ID, TEXT, Body, Name, Note, Number, Yes
 from app.http.problems import ProblemDocument
@@ -159,7 +159,7 @@ class PresetModel(BaseModel):
 
     name: str = Field(examples=["default"])
     description: str
-    config: DetectorConfig
+    config: Annotated[DetectorConfig, WithJsonSchema({"description": "By `config_schema`."})]
 
 
 class PresetList(BaseModel):

@@ -28,11 +28,9 @@ from app.store.models import Drive, Job, columns_for
 from interloc.config import PRESETS, flatten
 from interloc.output.layers import LAYERS, PLACES
 from interloc.output.layout import ROAD_LAYERS
-from interloc.output.vector_files import suffixes_here
 
-_LAYERS = [layer.address for layer in LAYERS.values() if not layer.is_osm]
-_ROADS = tuple(LAYERS[name].address for name in ROAD_LAYERS)
-_MAP_LAYERS = [layer.address for layer in LAYERS.values() if layer.is_osm and layer.name != PLACES]
+_LAYERS = [layer.name for layer in LAYERS.values() if not layer.is_osm]
+_MAP_LAYERS = [layer.name for layer in LAYERS.values() if layer.is_osm and layer.name != PLACES]
 _OTHER_KINDS = {JobKind.COMMIT: "check", JobKind.UNPACK: "archive", JobKind.DEMO: "demo drive"}
 _STEADY_S, _STEADY_SHARE = 5.0, 0.05  # the beginning tells nothing: drive and map are read first
 _POLL_S = 0.5
@@ -154,7 +152,6 @@ class _Links:
 
     def __init__(self, root_path: str) -> None:
         self._jobs = f"{root_path}/api/v1/jobs"
-        self._georeferenced = [*_LAYERS, *(f"export{suffix}" for suffix in (*suffixes_here(), ".qgs"))]
 
     def of(self, job: Job) -> dict[str, str]:
         """Return the addresses of a job by name."""
@@ -164,15 +161,18 @@ class _Links:
         if job.state != JobState.SUCCESSFUL or job.kind != JobKind.INTERSECTIONS or summary is None:
             return links
         names = ["run", "files", "archive.zip"]
-        left_out = () if summary.get("has_roads") else _ROADS
+        layers = [name for name in _LAYERS if summary.get("has_roads") or name not in ROAD_LAYERS]
         if summary["georeferenced"]:
-            names += [name for name in self._georeferenced if name not in left_out]
+            names.append("export")
         else:
-            links |= {layer: f"{address}/files/{layer}.local.json" for layer in _LAYERS if layer not in left_out}
+            links |= {layer: f"{address}/files/{layer}.local.json" for layer in layers}
+            layers = []
         if summary["report"] is not None:
-            names += ["report", *_MAP_LAYERS]
+            names.append("report")
+            layers += _MAP_LAYERS
         if summary.get("location") is not None:
-            names += [PLACES]
+            layers.append(PLACES)
+        links |= {layer: f"{address}/layers/{layer}" for layer in layers}
         return links | {name: f"{address}/{name}" for name in names}
 
 

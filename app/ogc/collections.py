@@ -6,13 +6,12 @@ from typing import Any
 
 from sqlalchemy import Table
 
-from app.results.models import collection_id
 from app.store.models import OF_MAPS, OF_RESULTS
 from app.work.layers import RESULT_LAYERS
-from interloc.output.layers import CITY_LAYERS, Layer
-from interloc.output.properties import ORIGIN, Attribute, ResultProperties, attributes_of
+from interloc.output.layers import CITY_LAYERS, DERIVED, MAIN_LAYERS, Layer
+from interloc.output.properties import Attribute, Origin, attributes_of
 
-RESULT = attributes_of(ResultProperties)
+RESULT = attributes_of(Origin)
 """The properties that every feature of a result has beside its own; its table does not hold them."""
 
 GEOMETRY = "geometry"
@@ -20,7 +19,6 @@ GEOMETRY = "geometry"
 
 _KINDS: dict[str, dict[str, Any]] = {
     "int": {"type": "integer"},
-    "id": {"type": "string"},
     "float": {"type": "number"},
     "bool": {"type": "boolean"},
     "text": {"type": "string"},
@@ -43,19 +41,18 @@ class Collection:
 
     @cached_property
     def attributes(self) -> list[Attribute]:
-        """The properties of its features."""
-        if not self.of_results:
-            return self.layer.attributes
-        return [*(each for each in self.layer.attributes if each.name not in ORIGIN), *RESULT]
+        """The properties of its features; `id` is that of the feature itself, of which GDAL would make two fields."""
+        own = (each for each in self.layer.attributes if each.name != "id")
+        return [*own, *(RESULT if self.of_results else ())]
 
     @cached_property
     def kinds(self) -> dict[str, str]:
-        """Its properties -> int, id, float, bool, text, time or list."""
-        return {each.name: _kind_of(each) for each in self.attributes}
+        """Its properties -> int, float, bool, text, time or list."""
+        return {each.name: each.kind for each in self.attributes}
 
     @cached_property
     def queryables(self) -> dict[str, str]:
-        """The properties that filters may name -> int, id, float, bool, text or time; the geometry is none of them."""
+        """The properties that filters may name -> int, float, bool, text or time; the geometry is none of them."""
         return {name: kind for name, kind in self.kinds.items() if kind != "list"}
 
     @property
@@ -108,29 +105,18 @@ class Collection:
         }
 
 
-def _kind_of(attribute: Attribute) -> str:
-    """Return the kind of a property as it is served.
-
-    Ids of OpenStreetMap, of which new ones are beyond 2^31, are texts here, though they are numbers in files: GDAL and
-    QGIS guess the width of numbers from the first features, and cut off silently what comes later.
-    """
-    return "id" if attribute.kind == "int" and attribute.name.startswith("osm_") else attribute.kind
-
-
 def schema_of(attribute: Attribute) -> dict[str, Any]:
     """Return the JSON schema of a property."""
-    described = {"title": attribute.title, "description": attribute.description, **_KINDS[_kind_of(attribute)]}
+    described = {"title": attribute.title, "description": attribute.description, **_KINDS[attribute.kind]}
     if attribute.unit is not None:
         described["x-ogc-unit"] = attribute.unit
     return described
 
 
-OF_JOB = {each.id: each for each in (Collection(collection_id(layer), layer) for layer in RESULT_LAYERS.values())}
+OF_JOB = {name: Collection(name, layer) for name, layer in RESULT_LAYERS.items()}
 """The collections of one job, as far as its result has them, by their ids."""
 
-OF_ALL = {
-    name: OF_JOB[name] for name in ("intersections", "detections", "keyframes", "trajectories", "osm_nodes", "matches")
-}
+OF_ALL = {name: OF_JOB[name] for name in (*MAIN_LAYERS, "detections", "keyframes", *DERIVED, "matches")}
 """The collections of the results that stand for all drives."""
 
 OF_MAP = {name: Collection(name, layer, of_results=False) for name, layer in CITY_LAYERS.items()}

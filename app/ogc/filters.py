@@ -14,7 +14,7 @@ from operator import eq, ge, gt, le, lt, ne
 from typing import Any, Literal
 
 import cql2
-from sqlalchemy import BigInteger, ColumnElement, Text, and_, cast, false, func, literal, not_, or_, true
+from sqlalchemy import ColumnElement, and_, false, func, literal, not_, or_, true
 
 from app.http.parameters import Box, refusal
 from app.http.problem_types import FILTER_NOT_VALID
@@ -264,8 +264,8 @@ class Translator:
 
     def _like(self, node: Any, pattern: Any) -> ColumnElement[bool]:  # noqa: ANN401
         value, like = self._value(node), self._value(pattern)
-        text = cast(value.sql, Text) if value.kind == "id" else value.sql
-        if value.kind not in {"id", "text"} or like.text is None:
+        text = value.sql
+        if value.kind != "text" or like.text is None:
             raise bad_filter("like compares a text with a pattern.")
         pieces = re.findall(r"\\(.?)|([%_])|([^\\])", like.text, re.DOTALL)
         if not self.is_sqlite:
@@ -287,12 +287,8 @@ def _as_other(value: _Value, other: _Value) -> _Value:
     """Return a value that a filter holds as the kind that it is compared with."""
     if other.kind == "bool" and value.number in {0.0, 1.0}:
         return _Value("bool", true() if value.number else false())  # as GDAL writes it
-    if other.kind == "id" and value.kind == "number":
-        is_whole = value.number is not None and value.number.is_integer() and abs(value.number) < 2**53
-        return _Value("id", literal(int(value.number or 0), BigInteger) if is_whole else value.sql)
-    if other.kind == "id" and value.text is not None:
-        number = int(value.text) if re.fullmatch(r"[+-]?\d{1,15}", value.text) else None
-        return _Value("id", literal(number, BigInteger))
+    if other.kind == "text" and value.number is not None and value.number.is_integer():  # an id
+        return _Value("text", literal(str(int(value.number))))
     return _time_of(value.text) if other.kind == "time" and value.text is not None else value
 
 

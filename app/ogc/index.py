@@ -364,7 +364,7 @@ _PRINTED: dict[str, Callable[[Any], str]] = {
     "float": repr,
     "text": encode_basestring,
     "list": str,
-    **dict.fromkeys(("id", "time"), lambda value: f'"{value}"'),
+    "time": lambda value: f'"{value}"',
     "bool": lambda value: "true" if value else "false",
 }
 """A value of a table -> JSON."""

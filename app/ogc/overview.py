@@ -120,7 +120,13 @@ def _properties(drive: Any, job: Job | None) -> dict[str, Any]:  # noqa: ANN401 
 def _own_track(path: Path) -> dict[str, Any] | None:
     try:
         return _read_track(path, path.stat().st_mtime_ns)
-    except (OSError, InterLocError, KeyError, TypeError, AttributeError):  # gone or damaged: `interloc check` finds it
+    except (
+        OSError,
+        InterLocError,
+        KeyError,
+        TypeError,
+        AttributeError,
+    ):  # gone or damaged: `interloc admin check` finds it
         return None
 
 

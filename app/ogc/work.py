@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from app.work.layers import RESULT_LAYERS, own_attributes
+from app.work.layers import RESULT_LAYERS
 from interloc.arrays import FloatArray
 from interloc.output.credits import OWN_CREDIT
 from interloc.output.derived import derived_features
@@ -90,7 +90,7 @@ _VALUES: dict[str, Callable[[Any], Any]] = {
     "int": index,
     "float": float,
     "bool": bool,
-    "text": _text,
+    "text": lambda value: _text(str(value) if isinstance(value, int) else value),  # ids of before 0.3.0
     "time": lambda value: time_text(datetime.fromisoformat(value)),
     "list": encode,
 }
@@ -125,7 +125,7 @@ def _layer_rows(layer: Layer, collection: dict[str, Any], run: dict[str, Any]) -
 
 
 def _rows(layer: Layer, features: list[dict[str, Any]], boxes: FloatArray) -> Iterator[dict[str, Any]]:
-    attributes = [(each.name, _VALUES[each.kind]) for each in own_attributes(layer)]
+    attributes = [(each.name, _VALUES[each.kind]) for each in layer.attributes]
     sides = ("west", "south") if layer.geometry == "Point" else ("west", "south", "east", "north")
     corners = boxes.tolist()
     for number, place in enumerate(_typed_first(layer, features)):

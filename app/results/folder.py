@@ -56,8 +56,7 @@ class Result:
         return re.sub(r"[^\w.-]+", "_", self.drive_name).strip("._")[:80] or "drive"
 
     def layer(self, name: str) -> Path:
-        """Return the GeoJSON file of a layer by the name in its address, or a 404 that says why there is none."""
-        name = name.replace("-", "_")
+        """Return the GeoJSON file of a layer, or a 404 that says why there is none."""
         path = self.folder / f"{name}.geojson"
         local = file_names(georeferenced=False).get(name)
         if local is not None:

@@ -1,81 +1,52 @@
-"""The layers of a result as GeoJSON, for the description of the API: typed features in generated clients."""
+"""What results look like, for the description of the API."""
 
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, create_model
-
-from interloc.output.layers import Geometry, Layer
+from pydantic import BaseModel, ConfigDict, Field
 
 MEDIA_TYPE = "application/geo+json"
 
-Position = Annotated[list[float], Field(min_length=2, max_length=3, description="Longitude and latitude, degrees.")]
+LayerName = Literal[
+    "intersections",
+    "roads",
+    "trajectory",
+    "osm_nodes",
+    "detections",
+    "keyframes",
+    "junctions",
+    "road_surface",
+    "matches",
+    "osm_roads",
+    "osm_buildings",
+    "places",
+]
+"""The layers that are files of a result, as in `interloc.output.layers.LAYERS`."""
 
 
-class PointGeometry(BaseModel):
-    """A place."""
+class Feature(BaseModel):
+    """A feature of a layer."""
 
-    type: Literal["Point"]
-    coordinates: Position
-
-
-class LineGeometry(BaseModel):
-    """A line."""
-
-    type: Literal["LineString"]
-    coordinates: list[Position]
+    type: Literal["Feature"]
+    id: str | int
+    geometry: dict[str, Any] | None = Field(description="Longitude first; lines and areas may have several parts.")
+    properties: dict[str, Any] = Field(description="Those that docs/attributes.md lists.")
+    details: dict[str, Any] = Field({}, description="What InterLoc itself reads again, such as covariances.")
 
 
-class LinesGeometry(BaseModel):
-    """A line across the antimeridian: its parts on both sides (RFC 7946, section 3.1.9)."""
+class FeatureCollection(BaseModel):
+    """A layer of a result."""
 
-    type: Literal["MultiLineString"]
-    coordinates: list[list[Position]]
-
-
-class PolygonGeometry(BaseModel):
-    """An area: its outer ring, then its holes."""
-
-    type: Literal["Polygon"]
-    coordinates: list[list[Position]]
-
-
-class PolygonsGeometry(BaseModel):
-    """An area in several pieces."""
-
-    type: Literal["MultiPolygon"]
-    coordinates: list[list[list[Position]]]
-
-
-_GEOMETRIES: dict[Geometry, Any] = {
-    "Point": PointGeometry,
-    "LineString": LineGeometry | LinesGeometry | None,
-    "Polygon": PolygonGeometry | PolygonsGeometry | None,
-}
-
-
-class _Collection(BaseModel):
     model_config = ConfigDict(json_schema_extra={"x-media-type": MEDIA_TYPE})
 
     type: Literal["FeatureCollection"]
+    drive: str | None = None
+    job: str | None = None
+    preset: str | None = None
+    labels: str | None = Field(None, description="Where the labels of the points came from.")
     attribution: str = Field("", description="Whose data it is.")
     license: str = Field("", description="Address of the licence of OpenStreetMap, where it holds data of it.")
     bbox: list[float] = Field([], description="West, south, east, north of all features; absent where there are none.")
-
-
-def collection_model(layer: Layer) -> type[BaseModel]:
-    """Return the model of the GeoJSON of a layer, named after its properties: IntersectionCollection."""
-    name = layer.properties.__name__.removesuffix("Properties")
-    kind: Any = Literal["Feature"]
-    feature: Any = create_model(
-        f"{name}Feature",
-        __doc__=layer.description,
-        type=(kind, ...),
-        geometry=(_GEOMETRIES[layer.geometry], ...),
-        properties=(layer.properties, ...),
-    )
-    return create_model(
-        f"{name}Collection", __base__=_Collection, __doc__=f"{layer.title}.", features=(list[feature], ...)
-    )
+    features: list[Feature]
 
 
 class ResultFile(BaseModel):
@@ -91,8 +62,3 @@ class ResultFileList(BaseModel):
     """All files of a result: the result folder exactly as the command line writes it."""
 
     files: list[ResultFile]
-
-
-def collection_id(layer: Layer) -> str:
-    """Return the name of a layer in the addresses of OGC API - Features, which are those of several tracks."""
-    return "trajectories" if layer.name == "trajectory" else layer.name

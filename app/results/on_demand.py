@@ -32,7 +32,9 @@ class OnDemand:
 
     async def export(self, result: Result, path: Path, layer: str | None, client: str) -> None:
         """Write a layer of a result, or all, as a file for other programs; 500 where the result is damaged."""
-        write = partial(self._runner.run_in_worker, write_export, result.folder, path, layer, client=client)
+        write = partial(
+            self._runner.run_in_worker, write_export, result.folder, path, layer, result.drive_name, client=client
+        )
         await self._once_of(result, path, write)
 
     async def road(self, result: Result, client: str) -> Path:
@@ -55,7 +57,7 @@ class OnDemand:
             raise Problem(
                 NO_SUCH_KEYFRAME,
                 f"Scan {frame} is not a keyframe of job {result.job_id}; the nearest one is {nearest}. "
-                f"GET {result.address}/keyframes lists them.",
+                f"GET {result.address}/layers/keyframes lists them.",
                 nearest=nearest,
             )
         return folder

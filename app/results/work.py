@@ -11,7 +11,6 @@ import numpy as np
 
 import interloc.output
 from app.jobs.work.intersections import open_input
-from app.results.models import collection_id
 from app.work.documents import IntersectionsJob
 from interloc.files import atomic_folder, write_file
 from interloc.output.qgis import Source
@@ -60,9 +59,10 @@ def _forget_oldest(views: Path) -> None:
             shutil.rmtree(folder, ignore_errors=True)
 
 
-def export_path(cache: Path, name: str) -> Path:
-    """Return where an export is kept in the cache of a job: those that other code has written are not taken for it."""
-    return cache / "exports" / _writer() / name
+def export_path(cache: Path, name: str, drive_name: str) -> Path:
+    """Return where an export is kept in the cache of a job: none of other code, or of another name of the drive."""
+    named = hashlib.sha256(drive_name.encode()).hexdigest()[:8]
+    return cache / "exports" / f"{_writer()}-{named}" / name
 
 
 @cache
@@ -72,19 +72,19 @@ def _writer() -> str:
     return hashlib.sha256(b"".join(path.read_bytes() for path in modules)).hexdigest()[:12]
 
 
-def write_export(folder: Path, path: Path, layer: str | None) -> None:
+def write_export(folder: Path, path: Path, layer: str | None, drive_name: str) -> None:
     """Write a layer of a result, or all of them, as a file for other programs; its suffix says which format.
 
-    What other code has written goes (see `export_path`).
+    What other code has written, or under another name, goes (see `export_path`).
     """
     _forget_others(path.parent)
     path.parent.mkdir(parents=True, exist_ok=True)
     if path.suffix == ".qgs":
         write_live_project(
-            folder, path, lambda layer: Source("OAPIF", f"typename='{collection_id(layer)}' url='{LIVE}/ogc'")
+            folder, path, drive_name, lambda layer: Source("OAPIF", f"typename='{layer.name}' url='{LIVE}/ogc'")
         )
     else:
-        write_vector_file(folder, path, layer=layer)
+        write_vector_file(folder, path, layer=layer, drive=drive_name)
 
 
 def _forget_others(folder: Path) -> None:

@@ -24,7 +24,7 @@ _NOTE = "This folder belongs to the InterLoc database that holds the same id. Ke
 _CAUSES = (
     "Nothing was changed. Usual causes: INTERLOC_DATA_DIR or INTERLOC_DATABASE_URL was changed or mistyped, the volume "
     "of the data folder is not mounted, or the database was lost. Set it back, or mount it; or bring back a backup "
-    "with `interloc restore`, into a new data folder."
+    "with `interloc admin restore`, into a new data folder."
 )
 
 

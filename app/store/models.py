@@ -26,7 +26,7 @@ from sqlalchemy import delete as delete_rows
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 
 from app.states import DriveState, JobState, Scope
-from app.work.layers import RESULT_LAYERS, own_attributes
+from app.work.layers import RESULT_LAYERS
 from interloc.output.layers import CITY_LAYERS, Layer
 
 
@@ -355,7 +355,7 @@ def _table(prefix: str, layer: Layer) -> Table:
     name = f"{prefix}_{layer.name}"
     is_point = layer.geometry == "Point"
     box = ["west", "south"] if is_point else ["west", "south", "east", "north"]
-    attributes = own_attributes(layer)
+    attributes = layer.attributes
     return Table(
         name,
         Base.metadata,

@@ -61,11 +61,11 @@ def add_token(
         if expires_at is not None and expires_at <= now:
             raise ConfigError(f"the token of {name} would have expired already; expected a date to come, or 30d")
         if session.get(Token, name) is not None:
-            raise ConfigError(f"there is a token {name} already; `interloc token revoke {name}` takes it away")
+            raise ConfigError(f"there is a token {name} already; `interloc admin token revoke {name}` takes it away")
         if (session.scalar(select(func.count()).select_from(Token)) or 0) >= MAX_TOKENS:
             raise ConfigError(
                 f"there are {MAX_TOKENS:,} tokens, which each server reads again and again, and no more can be; "
-                "`interloc token revoke` takes away those that nobody uses (`interloc token list`)"
+                "`interloc admin token revoke` takes away those that nobody uses (`interloc admin token list`)"
             )
         session.add(
             Token(
@@ -92,7 +92,7 @@ def revoke_token(database: Database, name: str) -> None:
     with database.writing() as session:
         gone = session.scalar(delete(Token).where(Token.name == name).returning(Token.name))
     if gone is None:
-        raise ConfigError(f"there is no token {name}; `interloc token list` shows those that there are")
+        raise ConfigError(f"there is no token {name}; `interloc admin token list` shows those that there are")
 
 
 @dataclass(frozen=True)

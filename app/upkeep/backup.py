@@ -153,9 +153,9 @@ def restore(settings: Settings, backup: Path, advance: Advance) -> BackupRecord:
     record = BackupRecord.read(backup)
     if record is None or not (backup / DATABASE).is_file():
         lacks = RECORD if record is None else DATABASE
-        raise ConfigError(f"{backup} is not a backup: it has no {lacks}. `interloc backup` makes backups.")
+        raise ConfigError(f"{backup} is not a backup: it has no {lacks}. `interloc admin backup` makes backups.")
     if not record.complete:
-        raise ConfigError(f"the backup {backup} was not made to its end. Make it again with `interloc backup`.")
+        raise ConfigError(f"the backup {backup} was not made to its end. Make it again with `interloc admin backup`.")
     _refuse_unless_empty(folder, "and a backup is restored into a new data folder only")
     with tempfile.TemporaryDirectory() as temporary:
         copy = Path(temporary, DATABASE)

@@ -59,7 +59,7 @@ class Finding:
     """(2,) float64: where to look, in the plane of the map."""
     uid: str | None
     """The place on the map; None: there is none."""
-    osm_node: int | None
+    osm_node: str | None
     """The node that it is about; None where OpenStreetMap lacks something."""
     passes: int
     """Independent passes that say so."""
@@ -486,7 +486,7 @@ class _Auditor:
         uid = None if row is None else self.places.uid[row]
         xy = self.osm.xy[node] if row is None else self.places.xy[row]
         names = drives or (() if row is None else self.places.drives[row])
-        osm_node = None if node is None else int(self.osm.graph.node_id[node])
+        osm_node = None if node is None else str(self.osm.graph.node_id[node])
         ways = self.osm.graph.ways
         tags = ways.tags or ({},) * len(ways)
         around = [

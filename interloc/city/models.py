@@ -13,6 +13,8 @@ from typing import Literal
 
 from pydantic import AwareDatetime, BaseModel, ConfigDict, Field
 
+from interloc.output.properties import OsmIdOrNone
+
 Kind = Literal["missing_junction", "missing_branch", "moved", "not_joined", "no_node", "phantom", "one_junction"]
 """Of a finding against OpenStreetMap."""
 
@@ -128,7 +130,7 @@ class Judgement(BaseModel):
     at: AwareDatetime
     note: str | None = None
     uid: str | None = None
-    osm_id: int | None = None
+    osm_id: OsmIdOrNone = None
     lon: float
     lat: float
 

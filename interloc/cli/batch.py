@@ -59,7 +59,7 @@ def command(
     fresh: bool,
     **given: Any,
 ) -> None:
-    """Work on many DRIVES as `interloc run` does on one, or as `interloc detect` where no map is given.
+    """Work on many DRIVES as `interloc run` does on one.
 
     A drive that fails stops nothing. The same command does what is left, or failed; drives that are done are done
     again only where their options have changed, or all with --fresh. Instead of drives, a LIST.csv names them: its
@@ -138,7 +138,7 @@ def _units(drives: Sequence[str], common: Mapping[str, Any]) -> list[Unit]:
         has_map = values.get("osm") is not None or values.get("overpass", False)
         used = {key: value for key, value in values.items() if has_map or key not in _OF_MAP}
         arguments = [text for key, value in used.items() for text in _written(parameters[key], value)]
-        units.append(Unit(name, row["drive"], "run" if has_map else "detect", tuple(arguments)))
+        units.append(Unit(name, row["drive"], "run", tuple(arguments)))
     return units
 
 

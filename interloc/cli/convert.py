@@ -1,4 +1,4 @@
-"""`interloc convert`, `reduce`, `label` and `odometry`: what is written of a drive, or made for it."""
+"""`interloc convert`, `label` and `odometry`: what is written of a drive, or made for it."""
 
 import time
 from pathlib import Path
@@ -9,13 +9,28 @@ import click
 from interloc.cli import console, options
 
 
-@click.command(cls=options.Command, short_help="Write a drive of any format in SemanticKITTI's layout.")
+@click.command(cls=options.Command, short_help="Write a drive in SemanticKITTI's layout, or a small copy of it.")
 @options.DRIVE
 @click.option("-o", "--out", required=True, type=options.PATH, help="Folder of the new drive.")
-@options.drive_options
+@click.option(
+    "--reduce",
+    "reduces",
+    is_flag=True,
+    help="Write only what the method needs, the ground points of keyframes: every command reads it like the drive.",
+)
+@click.option(
+    "--all-scans",
+    is_flag=True,
+    help="With --reduce: keep every scan, not only the keyframes of the presets, for other settings of keyframes.",
+)
+@options.label_folders_option
+@options.reading_options
+@options.model_options
 @options.QUIET
 @options.JSON
-def convert(drive: Path, out: Path, **reading: Any) -> None:
+def convert(
+    drive: Path, out: Path, reduces: bool, all_scans: bool, label_folders: tuple[Any, ...], **reading: Any
+) -> None:
     """Write DRIVE (a ROS bag, PCD, LAS or LAZ files, KITTI-360, ...) as a SemanticKITTI sequence.
 
     Poses become those of the LiDAR, the georeference becomes a geo.csv, the remission is scaled to 0 to 1. Labels come
@@ -25,12 +40,18 @@ def convert(drive: Path, out: Path, **reading: Any) -> None:
     Examples:
       interloc convert drive.mcap -o drive
       interloc convert scans/ -o drive --poses poses.tum
+      interloc convert sequences/07 -o small --reduce          for the same results with a fraction of the bytes
     """
+    if reduces:
+        return _reduce(drive, out, label_folders, reading, all_scans=all_scans)
+    if all_scans or len(label_folders) > 1:
+        raise click.UsageError("--all-scans, and --labels several times, need --reduce")
     from interloc.drives.options import DriveOptions
     from interloc.reduction.convert import convert_drive
 
+    labels = {"labels": label_folders[0]} if label_folders else {}
     with console.progress("convert", "scan") as bar:
-        done = convert_drive(drive, out, DriveOptions.of(**reading), progress=bar)
+        done = convert_drive(drive, out, DriveOptions.of(**labels, **reading), progress=bar)
     numbers = ", numbered anew from 0" if done.is_renumbered else ""
     facts = [
         ("drive", f"{done.name}: {done.scans:,} scans{numbers}"),
@@ -39,6 +60,40 @@ def convert(drive: Path, out: Path, **reading: Any) -> None:
         ("written to", str(out)),
     ]
     console.say({"out": str(out), **vars(done)}, facts)
+    return None
+
+
+def _reduce(
+    drive: Path, out: Path, label_folders: tuple[Any, ...], reading: dict[str, Any], *, all_scans: bool
+) -> None:
+    from interloc.config import DEFAULT
+    from interloc.drives.options import DriveOptions
+    from interloc.reduction.reduce import reduce_drive
+
+    with console.progress("reduce", "scan") as bar:
+        manifest = reduce_drive(
+            drive,
+            out,
+            DriveOptions.of(**reading),
+            label_folders=label_folders or None,
+            keyframes=None if all_scans else DEFAULT.keyframes,
+            progress=bar,
+        )
+    assert manifest.source is not None
+    labels: list[str] = [part.folder for part in manifest.labels]
+    scans, kept = len(manifest.frames), len(manifest.kept_frames)
+    before = manifest.source.scan_bytes + sum(part.label_bytes or 0 for part in manifest.labels)
+    after = sum(path.stat().st_size for path in out.rglob("*") if path.is_file())
+    outcome = {"out": str(out), "drive": manifest.name, "scans": scans, "kept_scans": kept, "labels": labels}
+    thinning = None if manifest.keyframes is None else manifest.keyframes.model_dump()
+    by = "all kept" if manifest.keyframes is None else f"{kept:,} kept, the {manifest.keyframes}"
+    facts = [
+        ("drive", f"{manifest.name}: {scans:,} scans, {by}"),
+        ("labels", " and ".join(labels)),
+        ("size", f"{console.size(before)} before, {console.size(after)} now"),
+        ("written to", str(out)),
+    ]
+    console.say({**outcome, "keyframes": thinning, "bytes_before": before, "bytes_after": after}, facts)
 
 
 @click.command(cls=options.Command, short_help="Label the scans of a drive by a network, or by geometry.")
@@ -59,7 +114,7 @@ def label(drive: Path, by: str | None, model: Path | None, out: Path | None, **r
     """Write what a network says of every scan of DRIVE to predictions/NNNNNN.label, in ids of SemanticKITTI.
 
     The network is one of the RangeNet++ family, in the folder that it is published in. Without one, --by geometry finds
-    the road as ground that looks like the driven strip and is connected with it. `interloc detect`, `run` and `push`
+    the road as ground that looks like the driven strip and is connected with it. `interloc run` and `push`
     take --model and --labels geometry too: they label the keyframes only, on the way, and write no labels.
 
     \b
@@ -90,65 +145,6 @@ def label(drive: Path, by: str | None, model: Path | None, out: Path | None, **r
         ("written to", str(folder)),
     ]
     console.say({**outcome, "road_share": road}, rows)
-
-
-@click.command(cls=options.Command, short_help="Make a small copy of a drive that gives the same results.")
-@options.DRIVE
-@click.option("-o", "--out", required=True, type=options.PATH, help="Folder of the reduced drive.")
-@click.option(
-    "--all-scans",
-    is_flag=True,
-    help="Keep every scan, not only the keyframes of the presets: needed for other settings of keyframes.",
-)
-@options.label_folders_option
-@options.reading_options
-@options.model_options
-@options.QUIET
-@options.JSON
-def reduce(
-    drive: Path,
-    out: Path,
-    all_scans: bool,
-    label_folders: tuple[Any, ...],
-    **reading: Any,
-) -> None:
-    """Write a copy of DRIVE that holds only what the method needs: the ground points of its keyframes.
-
-    Every command reads it like the drive itself, with the same results.
-
-    \b
-    Example:
-      interloc reduce sequences/07 -o small --oxts 2011_09_30_drive_0027_sync
-      interloc run small -o out --osm map.osm.gz
-    """
-    from interloc.config import DEFAULT
-    from interloc.drives.options import DriveOptions
-    from interloc.reduction.reduce import reduce_drive
-
-    with console.progress("reduce", "scan") as bar:
-        manifest = reduce_drive(
-            drive,
-            out,
-            DriveOptions.of(**reading),
-            label_folders=label_folders or None,
-            keyframes=None if all_scans else DEFAULT.keyframes,
-            progress=bar,
-        )
-    assert manifest.source is not None
-    labels: list[str] = [part.folder for part in manifest.labels]
-    scans, kept = len(manifest.frames), len(manifest.kept_frames)
-    before = manifest.source.scan_bytes + sum(part.label_bytes or 0 for part in manifest.labels)
-    after = sum(path.stat().st_size for path in out.rglob("*") if path.is_file())
-    outcome = {"out": str(out), "drive": manifest.name, "scans": scans, "kept_scans": kept, "labels": labels}
-    thinning = None if manifest.keyframes is None else manifest.keyframes.model_dump()
-    by = "all kept" if manifest.keyframes is None else f"{kept:,} kept, the {manifest.keyframes}"
-    facts = [
-        ("drive", f"{manifest.name}: {scans:,} scans, {by}"),
-        ("labels", " and ".join(labels)),
-        ("size", f"{console.size(before)} before, {console.size(after)} now"),
-        ("written to", str(out)),
-    ]
-    console.say({**outcome, "keyframes": thinning, "bytes_before": before, "bytes_after": after}, facts)
 
 
 @click.command(cls=options.Command, short_help="Compute the poses of a drive from its points.")

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 @options.QUIET
 @options.JSON
 def command(out: Path, osm: Path | None, overpass: bool, policy: Policy, tolerance_m: float) -> None:
-    """Score OUT, the result folder of `interloc detect`, against OpenStreetMap.
+    """Score OUT, the result folder of `interloc run`, against OpenStreetMap.
 
     \b
     Example:

@@ -33,7 +33,7 @@ from interloc.cli import console, options
 @options.QUIET
 @options.JSON
 def command(result: Path, out: Path, layer: str | None, traffic: Literal["right", "left"] | None) -> None:
-    """Write RESULT, the result folder of `interloc detect` or `run`, as one file for other programs.
+    """Write RESULT, the result folder of `interloc run`, as one file for other programs.
 
     A .qgz is a project of QGIS with its data inside, which draws the layers as the page does, as
     QGIS does with a .gpkg; a .kmz is for Google Earth. The layer road is the road seen by LiDAR, a raster; it needs no

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,17 +18,31 @@ _MARK = {"error": "ERROR", "warning": "warning", "note": "note"}
 
 
 @click.command(cls=options.Command, short_help="What is in a drive, and what is wrong with it.")
-@options.DRIVE
+@click.argument("drive", type=options.PATH, required=False)
 @options.drive_options
+@options.config_options
+@click.option("--settings", "shows_settings", is_flag=True, help="List the settings of the method instead.")
 @click.option("--thorough", is_flag=True, help="Read every scan and label, not only some.")
 @options.JSON
-def command(drive: Path, thorough: bool, **drive_: Any) -> None:
+def command(
+    drive: Path | None,
+    thorough: bool,
+    shows_settings: bool,
+    preset: str,
+    settings: tuple[str, ...],
+    **drive_: Any,
+) -> None:
     """Report what is in DRIVE and what is wrong with it; the exit code is 1 if it cannot be used.
 
     \b
     Example:
       interloc info sequences/07
+      interloc info --settings --preset paper
     """
+    if shows_settings:
+        return _say_settings(preset, settings)
+    if drive is None:
+        raise click.UsageError("Missing argument 'DRIVE'.")
     from interloc.drives.inspect import inspect_drive
 
     report = inspect_drive(drive, thorough=thorough, **drive_)
@@ -41,6 +56,27 @@ def command(drive: Path, thorough: bool, **drive_: Any) -> None:
         click.echo("This drive can be used." if report.ok else "This drive cannot be used as it is.")
     if not report.ok:
         raise click.exceptions.Exit(1)
+    return None
+
+
+def _say_settings(preset: str, settings: tuple[str, ...]) -> None:
+    """Print every setting, its value and what it means; as JSON, the values."""
+    config = options.configure(preset, settings)
+    if console.wants_json():
+        click.echo(config.model_dump_json(indent=2))
+        return
+    for section, of_section in type(config).model_fields.items():
+        part = getattr(config, section)
+        described = getattr(type(part), "model_fields", None)
+        rows = (
+            [(section, part, of_section)]
+            if described is None
+            else [(f"{section}.{name}", getattr(part, name), field) for name, field in described.items()]
+        )
+        for name, value, field in rows:
+            shown = value.model_dump_json() if hasattr(value, "model_dump_json") else json.dumps(value)
+            click.echo(f"{name} = {shown}")
+            click.echo(click.wrap_text(field.description or "", 100, "    ", "    "))
 
 
 def _facts(report: DriveReport) -> list[tuple[str, str]]:

@@ -16,35 +16,40 @@ from interloc.processes import GARBAGE_THRESHOLD
 
 COMMANDS = {
     "info": "info",
-    "detect": "detect",
+    "run": "run",
     "evaluate": "evaluate",
     "compare": "compare",
-    "run": "run",
-    "batch": "batch",
-    "locate": "locate",
     "explain": "explain",
-    "live": "live",
-    "ros": "ros",
+    "locate": "locate",
     "export": "export",
     "merge": "merge",
     "audit": "audit",
-    "odometry": "convert:odometry",
+    "batch": "batch",
+    "live": "live",
+    "ros": "ros",
     "label": "convert:label",
+    "odometry": "convert:odometry",
     "convert": "convert:convert",
-    "reduce": "convert:reduce",
     "simulate": "simulate",
     "benchmark": "benchmark",
+    "push": "push",
     "serve": "service:serve",
-    "token": "service:token",
-    "check": "upkeep:check",
-    "trash": "upkeep:trash",
-    "backup": "upkeep:backup",
-    "restore": "upkeep:restore",
-    "push": "push:push",
-    "fetch": "push:fetch",
-    "config": "config",
+    "admin": "upkeep:admin",
 }
 """Name -> module of this package and, after a colon, the name of the click command in it (else `command`)."""
+
+MOVED = {
+    "detect": "`interloc run` without a map does that",
+    "reduce": "`interloc convert --reduce` does that",
+    "fetch": "`interloc push --fetch JOB` does that",
+    "config": "`interloc info --settings` does that",
+    **{name: f"it is `interloc admin {name}` now" for name in ("token", "check", "trash", "backup", "restore")},
+}
+"""Commands of before -> where they are."""
+
+
+class _Moved(click.ClickException):
+    exit_code = 2
 
 
 class _Commands(click.Group):
@@ -54,6 +59,8 @@ class _Commands(click.Group):
         return list(COMMANDS)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:  # noqa: ARG002
+        if cmd_name in MOVED:
+            raise _Moved(f"there is no command {cmd_name}: {MOVED[cmd_name]}")
         if cmd_name not in COMMANDS:
             return None
         module, _, name = COMMANDS[cmd_name].partition(":")
@@ -69,7 +76,7 @@ def cli() -> None:
     \b
     Start with:
       interloc info DRIVE                          what is in a drive, and what is wrong with it
-      interloc run DRIVE -o OUT --osm map.osm.gz   detect, map, evaluate: open OUT/report.html
+      interloc run DRIVE -o OUT --osm map.osm.gz   find, map, evaluate: open OUT/report.html
     """
 
 

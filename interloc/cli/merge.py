@@ -17,7 +17,7 @@ from interloc.wording import counted
 @options.QUIET
 @options.JSON
 def command(results: tuple[str, ...], out: Path, replace: bool, remove: tuple[str, ...]) -> None:
-    """Put RESULTS, result folders of `interloc detect` or `run`, together to one map: one point per intersection.
+    """Put RESULTS, result folders of `interloc run`, together to one map: one point per intersection.
 
     Offsets between the drives are found where they overlap. A map that exists grows by the drives.
     NAME=FOLDER gives a drive another name: no two of a map may have the same.

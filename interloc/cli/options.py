@@ -275,15 +275,15 @@ def open_for_evaluation(
     preset: str,
     settings: tuple[str, ...],
     needs_georeference: bool = True,
+    needs_map: bool = True,
     **reading: Any,
 ) -> tuple[FolderDrive, DetectorConfig, RoadGraph | None]:
     """Check and open all that `evaluation_options` name, before any long work starts.
 
     The drive has a georeference where it needs one; the map is None if it will come from Overpass.
     """
-    if osm is None and not overpass and needs_georeference:
-        raise click.UsageError(_no_map(drive, reading))
-    check_map_choice(osm, overpass=overpass)
+    if needs_map:
+        check_map_choice(osm, overpass=overpass)
     config = configure(preset, settings)
     source = open_drive(drive, reading)
     if not needs_georeference:  # where on the map it was is not known yet
@@ -291,7 +291,7 @@ def open_for_evaluation(
     if source.georeference is None:  # before any long work starts
         raise no_georeference(
             source.name,
-            "place it by its roads (`interloc run --locate`), or use `interloc detect`, which needs none.",
+            "place it by its roads (`interloc run --locate`), or leave the map out: intersections are found without.",
         )
     return source, config, read_map(osm, _keyframe_places(source, config))
 
@@ -308,24 +308,18 @@ def _keyframe_places(drive: Drive, config: DetectorConfig) -> FloatArray:
     return np.stack([fixes.lon_deg[rows], fixes.lat_deg[rows]], axis=-1)
 
 
-def _no_map(drive: Path, reading: dict[str, Any]) -> str:
-    import numpy as np
-
-    from interloc.errors import InterLocError
+def no_map(result: DriveResult) -> str:
+    """Return what a run without a map says of it."""
     from interloc.evaluation.coverage import track_bounds
 
-    text = (
-        "give the map by one of --osm FILE and --overpass, which fetches it; `interloc detect` needs none. "
-        "--osm takes any extract that covers the drive, such as its region from https://download.geofabrik.de"
+    if result.keyframes.lonlat is None or not len(result.keyframes):
+        return "no map was given (--osm FILE or --overpass)"
+    west, south, east, north = track_bounds(result.keyframes.lonlat)
+    return (
+        "no map was given: `interloc evaluate OUT` takes --osm FILE, any extract that covers the drive, such as its "
+        "region from https://download.geofabrik.de, or --overpass; around this drive: "
+        f"--bbox {west:.4f},{south:.4f},{east:.4f},{north:.4f} of `osmium extract`"
     )
-    try:
-        fixes = open_drive(drive, {**reading, "check": False}).georeference
-    except InterLocError:  # what is wrong with the drive is said once there is a map
-        return text
-    if fixes is None:
-        return text
-    west, south, east, north = track_bounds(np.stack([fixes.lon_deg, fixes.lat_deg], axis=-1))
-    return f"{text}; around this drive: --bbox {west:.4f},{south:.4f},{east:.4f},{north:.4f} of `osmium extract`"
 
 
 def check_map_choice(osm: Path | None, *, overpass: bool) -> None:

@@ -1,4 +1,4 @@
-"""`interloc push` and `interloc fetch`: a drive to a server, and its result back."""
+"""`interloc push`: a drive to a server, and its result back."""
 
 from __future__ import annotations
 
@@ -22,8 +22,9 @@ if TYPE_CHECKING:
 _THREADS = 8
 
 
-@click.command(cls=options.Command, short_help="Send a drive to a server, and have it processed there.")
-@options.DRIVE
+@click.command(cls=options.Command, short_help="Send a drive to a server, or fetch a result from it.")
+@click.argument("drive", type=options.PATH, required=False)
+@click.option("--fetch", metavar="JOB", help="Fetch the result of a job to -o instead; wait for it if it still runs.")
 @options.server_options
 @options.label_folders_option
 @options.reading_options
@@ -39,7 +40,7 @@ _THREADS = 8
 )
 @click.option("--run", is_flag=True, help="Have the server find the intersections, and score them if there is a map.")
 @click.option("--fresh", is_flag=True, help="Run the job even if one has done the same before; needs --run.")
-@click.option("-o", "--out", type=options.PATH, help="Write the result to this folder; needs --run.")
+@click.option("-o", "--out", type=options.PATH, help="Write the result to this folder; needs --run or --fetch.")
 @options.config_options
 @click.option("--overpass", is_flag=True, help="Let the server fetch the map; needs --run.")
 @options.POLICY
@@ -49,8 +50,9 @@ _THREADS = 8
 @click.option("--notify", metavar="URL", help="Let the server call this address when the job ends; needs --run.")
 @options.QUIET
 @options.JSON
-def push(
-    drive: Path,
+def command(
+    drive: Path | None,
+    fetch: str | None,
     server: str,
     token: str | None,
     label_folders: tuple[LabelFolder, ...],
@@ -86,7 +88,12 @@ def push(
       interloc push sequences/07 --server https://interloc.example.org
       interloc push sequences/07 --osm karlsruhe.osm.pbf --run -o out     from a drive to a result
       interloc push drive.mcap --overpass --near 49.01,8.43 --run         without GNSS
+      interloc push --fetch 9b1e44f00c7a2d53 -o out                       a result, exactly as the server has it
     """
+    if fetch is not None:
+        return _fetch(fetch, drive, out, server, token)
+    if drive is None:
+        raise click.UsageError("Missing argument 'DRIVE', or --fetch JOB.")
     _check_usage(run=run, fresh=fresh, out=out, osm=osm, overpass=overpass, settings=settings)
     search = options.search_area(near, radius_km)
     _check_placing(run=run, by_map=locate or near is not None, has_map=osm is not None or overpass, notify=notify)
@@ -136,6 +143,7 @@ def push(
     result = {} if job is None else {"job": job.id, "summary": job.summary}
     result |= result_summary(job, out) if job is not None and out is not None else {}
     console.say({**pushed.to_dict(), **result}, _facts(pushed, job, out))
+    return None
 
 
 def _check_usage(
@@ -206,7 +214,7 @@ def _finish(connection: Connection, job: JobAnswer, out: Path | None) -> JobAnsw
 
 
 def _fetch_line(job: JobAnswer, server: str) -> str:
-    return shlex.join(["interloc", "fetch", job.id, "-o", "OUT", "--server", server])
+    return shlex.join(["interloc", "push", "--fetch", job.id, "-o", "OUT", "--server", server])
 
 
 def _facts(pushed: Pushed, job: JobAnswer | None, out: Path | None) -> list[tuple[str, str]]:
@@ -234,19 +242,9 @@ def _facts(pushed: Pushed, job: JobAnswer | None, out: Path | None) -> list[tupl
     return [*rows, ("page", f"{pushed.server}/#panel=result&job={job.id}")]
 
 
-@click.command(short_help="Fetch a result from a server.")
-@click.argument("job")
-@options.OUT
-@options.server_options
-@options.QUIET
-@options.JSON
-def fetch(job: str, out: Path, server: str, token: str | None) -> None:
-    """Fetch the result folder of JOB from a server, exactly as the server has it; wait for the job if it still runs.
-
-    \b
-    Example:
-      interloc fetch 9b1e44f00c7a2d53 -o out --server https://interloc.example.org
-    """
+def _fetch(job: str, drive: Path | None, out: Path | None, server: str, token: str | None) -> None:
+    if drive is not None or out is None:
+        raise click.UsageError("--fetch JOB needs -o OUT, and takes no DRIVE")
     from interloc.client.connection import Connection
 
     with Connection(server, token) as connection:

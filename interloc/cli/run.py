@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from interloc.results import DriveResult
 
 
-@click.command(cls=options.Command, short_help="Detect, map and evaluate in one go.")
+@click.command(cls=options.Command, short_help="Find the intersections along a drive; with a map, score them.")
 @options.evaluation_options
 @options.locate_option
 @options.near_options
@@ -31,24 +31,26 @@ def command(
     radius_km: float | None,
     **given: Any,
 ) -> None:
-    """Detect, map and evaluate DRIVE in one go; the report is OUT/report.html.
+    """Find the intersections along DRIVE. With a map they are scored, and the report is OUT/report.html.
 
     \b
     Example:
+      interloc run sequences/07 -o out                                           without a map
       interloc run sequences/07 -o out --osm karlsruhe.osm.pbf --oxts 2011_09_30_drive_0027_sync
       interloc run sequences/07 -o out --osm karlsruhe.osm.pbf --locate          without GNSS
       interloc run drive.mcap -o out --osm karlsruhe.osm.pbf --near 49.01,8.43   points and poses alone
     """
     from interloc.errors import Beside
-    from interloc.evaluation.evaluate import evaluate
-    from interloc.evaluation.report import write_report
     from interloc.output.layout import result_folder
     from interloc.output.write import write_results
     from interloc.pipeline import detect
 
     search = options.search_area(near, radius_km)
     may_locate = locate or near is not None
-    source, config, graph = options.open_for_evaluation(drive, needs_georeference=not may_locate, **given)
+    has_map = given["osm"] is not None or given["overpass"] or may_locate
+    source, config, graph = options.open_for_evaluation(
+        drive, needs_georeference=has_map and not may_locate, needs_map=has_map, **given
+    )
     if near is not None and not locate:
         locate = source.georeference is None
         if not locate:
@@ -64,13 +66,18 @@ def command(
         if locate and graph is not None:
             result, scored = _place(result, source, graph, policy, tolerance_m, search, folder)
         network = write_results(result, folder, beside=beside)
-        with beside.part("the score"):
-            if graph is None:
-                graph = options.fetch_map(result)
-            roads = network if scored is result else None
-            evaluation = evaluate(scored, graph, policy=policy, tolerance_m=tolerance_m, network=roads)
-            report = write_report(evaluation, folder, result=result, beside=beside)
+        if has_map:
+            with beside.part("the score"):
+                from interloc.evaluation.evaluate import evaluate
+                from interloc.evaluation.report import write_report
+
+                graph = options.fetch_map(result) if graph is None else graph
+                roads = network if scored is result else None
+                evaluation = evaluate(scored, graph, policy=policy, tolerance_m=tolerance_m, network=roads)
+                report = write_report(evaluation, folder, result=result, beside=beside)
     facts = summary.run_facts(result, out)
+    if not has_map:
+        facts += [*summary.doubt_facts(result), ("not scored", options.no_map(result))]
     if report is not None:
         first, *others = summary.report_facts(report, out)
         facts = [first, *facts[:-1], *others]

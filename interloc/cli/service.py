@@ -1,4 +1,4 @@
-"""`interloc serve` and `interloc token`: the web service on this machine, and who may use it."""
+"""`interloc serve` and `interloc admin token`: the web service on this machine, and who may use it."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def serve(**given: Any) -> None:
     \b
     Examples:
       interloc serve                                        for this machine only
-      interloc token add alice && interloc serve --host 0.0.0.0
+      interloc admin token add alice && interloc serve --host 0.0.0.0
     """
     settings = read_settings(given)
     from app.page.files import PageFiles
@@ -99,9 +99,9 @@ def token() -> None:
 
     \b
     Examples:
-      interloc token add alice
-      interloc token add visitor --read-only --expires 30d
-      interloc token add robot --max-bytes 200GB --max-jobs 5
+      interloc admin token add alice
+      interloc admin token add visitor --read-only --expires 30d
+      interloc admin token add robot --max-bytes 200GB --max-jobs 5
     """
 
 

@@ -1,4 +1,4 @@
-"""`interloc check`, `backup`, `restore` and `trash`: what the operator of a service does with its data."""
+"""`interloc admin`: what the operator of a service does with its data; tokens are in `interloc.cli.service`."""
 
 from collections import Counter
 from dataclasses import asdict
@@ -8,7 +8,7 @@ import click
 
 from interloc.cli import console, options
 from interloc.cli.console import size
-from interloc.cli.service import DATA_DIR, open_service, read_settings
+from interloc.cli.service import DATA_DIR, open_service, read_settings, token
 from interloc.errors import ConfigError, InterLocError
 
 _SHOWN = 10  # findings of one kind in one folder
@@ -25,7 +25,7 @@ def check(data_dir: Path | None) -> int:
 
     \b
     Example:
-      interloc check --data-dir /srv/interloc
+      interloc admin check --data-dir /srv/interloc
     """
     with open_service(data_dir) as context:
         from app.upkeep.check import check as check_all
@@ -58,7 +58,7 @@ def backup(out: Path, data_dir: Path | None) -> None:
 
     \b
     Example:
-      interloc backup /srv/backup --data-dir /srv/interloc && restic backup /srv/backup && rm -r /srv/backup
+      interloc admin backup /srv/backup --data-dir /srv/interloc && restic backup /srv/backup && rm -r /srv/backup
     """
     with open_service(data_dir) as context, console.progress("backup", " files") as bar:
         from app.upkeep.backup import back_up
@@ -75,7 +75,7 @@ def backup(out: Path, data_dir: Path | None) -> None:
     if record.missing:
         raise InterLocError(
             f"all that there is was backed up, but files are missing in the service itself: "
-            f"{_some(record.missing)}. `interloc check` names all."
+            f"{_some(record.missing)}. `interloc admin check` names all."
         )
 
 
@@ -91,7 +91,7 @@ def restore(backup: Path, data_dir: Path | None) -> None:
 
     \b
     Example:
-      interloc restore /mnt/backup/interloc --data-dir /srv/interloc
+      interloc admin restore /mnt/backup/interloc --data-dir /srv/interloc
     """
     settings = read_settings({"data_dir": data_dir})
     from app.upkeep.backup import restore as restore_backup
@@ -120,7 +120,7 @@ def trash() -> None:
 
     \b
     Example:
-      interloc trash restore 5f0c2b7d9a41e386
+      interloc admin trash restore 5f0c2b7d9a41e386
     """
 
 
@@ -159,7 +159,7 @@ def restore_item(item: str, data_dir: Path | None) -> None:
         try:
             restored = deletion.restore(context, item)
         except Problem as problem:
-            text = f"{item}: it is not in the trash; `interloc trash list` shows what is"
+            text = f"{item}: it is not in the trash; `interloc admin trash list` shows what is"
             raise ConfigError(text) from problem
     click.echo(f"drive {restored.id} ({restored.name}) is restored")
 
@@ -176,3 +176,18 @@ def empty(older_than: float | None, data_dir: Path | None) -> None:
     for each in purged:
         click.echo(f"{each.kind} {each.id}: {size(each.size_bytes)}")
     click.echo(f"{len(purged)} deleted for good, {size(sum(each.size_bytes for each in purged))}")
+
+
+@click.group(short_help="Operate a service: tokens, check, trash, backups.")
+def admin() -> None:
+    """Operate a service: who may use it, whether rows and files agree, what was deleted, backups.
+
+    \b
+    Examples:
+      interloc admin token add alice
+      interloc admin backup /srv/backup --data-dir /srv/interloc
+    """
+
+
+for _command in (token, check, trash, backup, restore):
+    admin.add_command(_command)

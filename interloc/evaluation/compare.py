@@ -35,7 +35,7 @@ class Figure(BaseModel):
 class ComparedNode(BaseModel):
     """An OpenStreetMap node with different outcomes."""
 
-    osm_id: int
+    osm_id: str
     lon: float
     lat: float
     degree: int
@@ -55,7 +55,7 @@ class Comparison(BaseModel):
     nodes: list[ComparedNode] = Field(description="Nodes with different outcomes.")
     found_by_all: int
     missed_by_all: int
-    found_only_by: list[list[int]] = Field(description="OSM ids of the nodes that only this run found.")
+    found_only_by: list[list[str]] = Field(description="OSM ids of the nodes that only this run found.")
     warnings: list[str] = Field(description="Why figures may not be comparable.")
 
 
@@ -65,7 +65,7 @@ def compare_reports(
     """Put `report.json` and `run.json` of several runs over one drive side by side, in the order of their names."""
     if len(names) < 2 or not len(names) == len(reports) == len(runs):
         raise ConfigError(f"a comparison takes two runs or more, each with its report; {len(names)} given")
-    tables = [{node["osm_id"]: node for node in report["nodes"]} for report in reports]
+    tables = [{str(node["osm_id"]): node for node in report["nodes"]} for report in reports]
     nodes = [_node(osm_id, tables) for osm_id in dict.fromkeys(osm_id for table in tables for osm_id in table)]
     found = [{node.osm_id for node in nodes if node.outcomes[i] == "found"} for i in range(len(names))]
     missed = [{node.osm_id for node in nodes if node.outcomes[i] == "missed"} for i in range(len(names))]
@@ -81,7 +81,7 @@ def compare_reports(
         nodes=[node for node in nodes if len(set(node.outcomes)) > 1],
         found_by_all=len(set.intersection(*found)),
         missed_by_all=len(set.intersection(*missed)),
-        found_only_by=[sorted(each) for each in only],
+        found_only_by=[sorted(each, key=int) for each in only],
         warnings=_warnings(reports, runs),
     )
 
@@ -143,7 +143,7 @@ def _differing(flat: Sequence[Mapping[str, Any]]) -> list[Difference]:
     return [row for row in rows if any(value != row.values[0] for value in row.values)]
 
 
-def _node(osm_id: int, tables: Sequence[Mapping[int, Mapping[str, Any]]]) -> ComparedNode:
+def _node(osm_id: str, tables: Sequence[Mapping[str, Mapping[str, Any]]]) -> ComparedNode:
     rows = [table.get(osm_id) for table in tables]
     known = next(row for row in rows if row is not None)
     return ComparedNode(

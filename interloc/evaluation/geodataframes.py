@@ -30,7 +30,8 @@ def geodataframe(of: DriveResult | Evaluation, layer: str = "intersections") -> 
     Returns
     -------
     geopandas.GeoDataFrame
-        The columns are the properties of the GeoJSON files (`interloc.output.layers`). Coordinates are longitude and
+        The columns are the properties of the GeoJSON files (`interloc.output.layers`) without their details; `attrs`
+        has drive, job, preset and labels. Coordinates are longitude and
         latitude (EPSG:4326); without georeference they are metres in the frame of the first scan, and there is no
         coordinate system.
 
@@ -58,10 +59,11 @@ def geodataframe(of: DriveResult | Evaluation, layer: str = "intersections") -> 
             f"{layer!r} is not a layer. Expected one of "
             f"{', '.join(dict.fromkeys((*TABLE_FEATURES, *ROAD_LAYERS, *LAYER_FEATURES)))}."
         )
-    fields, origin = LAYERS[layer].fields, origin_of(result.run, result.drive)
+    fields = LAYERS[layer].fields
     table = GeoDataFrame(
-        {name: [(feature["properties"] | origin)[name] for feature in features] for name in fields},
+        {name: [feature["properties"][name] for feature in features] for name in fields},
         geometry=[feature["geometry"] and shape(feature["geometry"]) for feature in features],
         crs="EPSG:4326" if result.is_georeferenced else None,
     )
+    table.attrs |= origin_of(result.run, result.drive)
     return table.astype({name: _DTYPES[kind] for name, kind in fields.items() if kind in _DTYPES})

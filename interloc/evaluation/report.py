@@ -26,7 +26,7 @@ from interloc.files import reason_of, write_file
 from interloc.osm.policies import POLICIES
 from interloc.output.credits import map_credit
 from interloc.output.geojson import DEGREE_DECIMALS, METRE_DECIMALS, positions, rounded, write_collection, write_record
-from interloc.output.layers import BUILDINGS, LAYERS
+from interloc.output.layers import BUILDINGS, DETAILS, LAYERS
 from interloc.output.layout import FIGURES, RUN_SETTINGS
 from interloc.output.properties import origin_of
 from interloc.output.roads import building_features, osm_road_features
@@ -76,7 +76,7 @@ def write_report(
     result, out_dir = result or evaluation.result, Path(out_dir)
     if not out_dir.is_dir():
         raise OutputError(
-            f"{out_dir}: no such folder. Expected the result folder of `interloc detect` or `interloc.write_results`."
+            f"{out_dir}: no such folder. Expected the result folder of `interloc run` or `interloc.write_results`."
         )
     with parts.part("the score of the roads"):
         _ = evaluation.roads
@@ -372,7 +372,7 @@ def _node_rows(evaluation: Evaluation) -> list[dict[str, Any]]:
     on_map = dict(zip(level.node.tolist(), level.error_m.tolist(), strict=True))
     rows = []
     for row in np.flatnonzero(table.in_zone | (table.detections > 0)).tolist():
-        properties = features[row]["properties"]
+        properties = features[row]["properties"] | features[row][DETAILS]
         lon, lat = (rounded(degrees, DEGREE_DECIMALS) for degrees in nodes.lonlat[row])
         errors = {
             "best_error_m": _metres(table.best_error_m[row]),
@@ -395,7 +395,7 @@ def _intersection_rows(evaluation: Evaluation) -> list[dict[str, Any]]:
             "lon": lon,
             "lat": lat,
             "outcome": judged.outcome[row],
-            "osm_id": judged.osm_id[row],
+            "osm_id": None if (node := judged.osm_id[row]) is None else str(node),
             "error_m": _metres(judged.error_m[row]),
             "position_std_m": _metres(table.position_std_m[row]),
             "observations": int(table.observations[row]),

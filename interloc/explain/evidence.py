@@ -301,7 +301,7 @@ def _detection(explained: ExplainedKeyframe, candidate: ExplainedCandidate, i: i
 
 def _ground_truth(explained: ExplainedKeyframe, truth: GroundTruth) -> dict[str, Any]:
     nodes = [
-        {"osm_id": osm_id, **_place(explained, around)}
+        {"osm_id": str(osm_id), **_place(explained, around)}
         for osm_id, around in zip(truth.osm_id.tolist(), truth.nodes, strict=True)
     ]
     return {"policy": truth.policy, "nodes": nodes}

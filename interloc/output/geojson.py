@@ -25,7 +25,7 @@ from interloc.results import DriveResult
 DEGREE_DECIMALS = 7  # 1 cm, as OpenStreetMap has it
 METRE_DECIMALS = 4
 LOCAL_UNITS = "metres in W, the frame of the first LiDAR pose (x forward, y left); not longitude and latitude"
-RUN_AGAIN = "Run `interloc detect` again."
+RUN_AGAIN = "Run `interloc run` again."
 
 _DEPTHS = {"Point": 0, "MultiPoint": 1, "LineString": 1, "MultiLineString": 2, "Polygon": 2, "MultiPolygon": 3}
 """Type of a geometry -> how deep its positions are nested."""
@@ -75,12 +75,10 @@ def write_collection(
 ) -> None:
     """Write GeoJSON features, longitude first, or local metres of W, as a FeatureCollection: whole or not at all.
 
-    `credit` says whose data it is (`interloc.output.layers.Layer.credit`), `origin` holds properties that all features
-    have (`interloc.output.properties.origin_of`).
+    `credit` says whose data it is (`interloc.output.layers.Layer.credit`), `origin` of which result
+    (`interloc.output.properties.origin_of`).
     """
-    if origin is not None:
-        features = [{**feature, "properties": feature["properties"] | origin} for feature in features]
-    head: dict[str, Any] = {"type": "FeatureCollection"}
+    head: dict[str, Any] = {"type": "FeatureCollection", **(origin or {})}
     if local:
         head |= {"local": True, "units": LOCAL_UNITS}
     else:

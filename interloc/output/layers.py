@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import re
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -22,25 +22,29 @@ from interloc.arrays import FloatArray, IntArray
 from interloc.output.credits import ATTRIBUTION, OWN_CREDIT, Credit, holds_map_data, map_credit
 from interloc.output.geojson import damaged, joined, read_file, rounded
 from interloc.output.properties import (
-    ORIGIN,
     Attribute,
     BranchProperties,
     ChangeProperties,
+    CityDetails,
     CityDriveProperties,
     CityProperties,
     CityRoadProperties,
+    DetectionDetails,
     DetectionProperties,
     FindingProperties,
+    IntersectionDetails,
     IntersectionProperties,
     JunctionProperties,
+    KeyframeDetails,
     KeyframeProperties,
     MatchProperties,
     OsmBuildingProperties,
+    OsmNodeDetails,
     OsmNodeProperties,
     OsmRoadProperties,
     PlaceProperties,
     Properties,
-    ResultProperties,
+    RoadDetails,
     RoadProperties,
     RoadSurfaceProperties,
     Strict,
@@ -62,7 +66,10 @@ PLACES = "places"
 
 _Position = tuple[float, float]
 
-_IN_PARTS = re.compile(rb'"type"\s*:\s*"Multi')
+DETAILS = "details"
+"""Member of a feature beside its `properties`: what InterLoc itself reads again, and GIS do not show."""
+
+_TO_JOIN = re.compile(rb'"type"\s*:\s*"Multi|"details"\s*:\s*\{')
 
 
 @dataclass(frozen=True)
@@ -70,7 +77,7 @@ class Layer:
     """A layer of a result."""
 
     name: str
-    """Of the layer, and of its GeoJSON file."""
+    """Of the layer, of its GeoJSON file, and in addresses."""
     title: str
     geometry: Geometry
     """Of all its features."""
@@ -82,11 +89,8 @@ class Layer:
     """Whether it holds data of OpenStreetMap."""
     key: str | None = None
     """Property that becomes the `id` of a feature; None where the layer is one feature."""
-
-    @property
-    def address(self) -> str:
-        """Name of the layer in the addresses of the API."""
-        return self.name.replace("_", "-")
+    details: type[Properties] = Properties
+    """Model of what its file has beside the properties; exports and the service's GIS interface have none of it."""
 
     @property
     def attribution(self) -> str:
@@ -117,24 +121,23 @@ class Layer:
         """Return GeoJSON features as they are printed.
 
         Coordinates come as printed (`interloc.output.geojson.positions`), None where there are none; the columns are
-        the properties of the layer, of which those of `ORIGIN` may be left out.
+        the properties and the details of the layer, of which the latter may be left out.
         """
-        coordinates = list(coordinates)
-        names = [each.name for each in self.attributes]
-        if issubclass(self.properties, ResultProperties):
-            columns = dict.fromkeys(ORIGIN, [None] * len(coordinates)) | columns
-        assert columns.keys() == set(names)
-        printed = [_printed(columns[each.name], each.decimals) for each in self.attributes]
-        rows = [dict(zip(names, row, strict=True)) for row in zip(*printed, strict=True)]
-        ids = [self.name] * len(rows) if self.key is None else [row[self.key] for row in rows]
+        details = attributes_of(self.details) if len(columns) > len(self.attributes) else []
+        assert columns.keys() == {each.name for each in (*self.attributes, *details)}
+        rows, more = _rows(self.attributes, columns), _rows(details, columns)
+        ids = [self.name] * len(rows) if self.key is None else _plain(columns[self.key])
+        if self.key == "osm_id":  # a text would be one more field in GDAL, a number is its id of the row
+            ids = [int(each) for each in ids]
         return [
             {
                 "type": "Feature",
                 "id": feature_id,
                 "geometry": None if place is None else {"type": self.geometry, "coordinates": place},
                 "properties": row,
+                **({DETAILS: more[number]} if more else {}),
             }
-            for feature_id, place, row in zip(_unique(ids), coordinates, rows, strict=True)
+            for number, (feature_id, place, row) in enumerate(zip(_unique(ids), coordinates, rows, strict=True))
         ]
 
     def read(self, path: Path) -> Rows:
@@ -164,7 +167,7 @@ class Layer:
             "Feature",
             __base__=Strict,
             geometry=(geometry if is_point else geometry | None, ...),
-            properties=(self.properties, ...),
+            properties=(create_model("All", __base__=(self.properties, self.details)), ...),
             world_xy_m=(tuple[_Position, ...], ()),  # of the trajectory
         )
         collection: Any = Literal["FeatureCollection"]
@@ -181,20 +184,17 @@ class Layer:
 LAYERS = {
     layer.name: layer
     for layer in (
-        Layer("intersections", "Intersections found", "Point", IntersectionProperties, "Intersection {id}", key="id"),
         Layer(
-            "detections",
-            "Detections per keyframe",
+            "intersections",
+            "Intersections found",
             "Point",
-            DetectionProperties,
-            "Detection at frame {frame}",
+            IntersectionProperties,
+            "Intersection {id}",
             key="id",
+            details=IntersectionDetails,
         ),
+        Layer("roads", "Roads seen by LiDAR", "LineString", RoadProperties, "Road {id}", key="id", details=RoadDetails),
         Layer("trajectory", "Track of the LiDAR", "LineString", TrajectoryProperties, "Trajectory"),
-        Layer("keyframes", "Keyframes", "Point", KeyframeProperties, "Keyframe {frame}", key="frame"),
-        Layer("roads", "Roads seen by LiDAR", "LineString", RoadProperties, "Road {id}", key="id"),
-        Layer("junctions", "Junctions of the roads", "Polygon", JunctionProperties, "Node {id}, {kind}", key="id"),
-        Layer("road_surface", "Surface of the roads", "Polygon", RoadSurfaceProperties, "Road surface {id}", key="id"),
         Layer(
             "osm_nodes",
             "Intersections of OpenStreetMap",
@@ -203,7 +203,28 @@ LAYERS = {
             "OSM node {osm_id}",
             is_osm=True,
             key="osm_id",
+            details=OsmNodeDetails,
         ),
+        Layer(
+            "detections",
+            "Detections per keyframe",
+            "Point",
+            DetectionProperties,
+            "Detection at frame {frame}",
+            key="id",
+            details=DetectionDetails,
+        ),
+        Layer(
+            "keyframes",
+            "Keyframes",
+            "Point",
+            KeyframeProperties,
+            "Keyframe {frame}",
+            key="frame",
+            details=KeyframeDetails,
+        ),
+        Layer("junctions", "Junctions of the roads", "Polygon", JunctionProperties, "Node {id}, {kind}", key="id"),
+        Layer("road_surface", "Surface of the roads", "Polygon", RoadSurfaceProperties, "Road surface {id}", key="id"),
         Layer(
             "matches",
             "Detections and the OpenStreetMap nodes that they were matched to",
@@ -242,7 +263,10 @@ LAYERS = {
         ),
     )
 }
-"""The layers that are files of a result."""
+"""The layers that are files of a result; the first ones are what most people want, see `MAIN_LAYERS`."""
+
+MAIN_LAYERS = tuple(LAYERS)[:4]
+"""The layers of a file that holds several, unless all are asked for."""
 
 DERIVED = {
     layer.name: layer
@@ -264,7 +288,15 @@ DERIVED = {
 CITY_LAYERS = {
     layer.name: layer
     for layer in (
-        Layer("city", "Intersections of many drives", "Point", CityProperties, "Intersection {uid}", key="uid"),
+        Layer(
+            "city",
+            "Intersections of many drives",
+            "Point",
+            CityProperties,
+            "Intersection {uid}",
+            key="uid",
+            details=CityDetails,
+        ),
         Layer("changes", "What came or went between drives", "Point", ChangeProperties, "{kind} {uid}", key="id"),
         Layer(
             "findings",
@@ -315,15 +347,19 @@ class Rows:
 
 
 def _whole(content: bytes, path: Path) -> bytes:
-    """Return the content of a file with the parts of lines and polygons joined; few files have any."""
-    if not _IN_PARTS.search(content):
+    """Return the content of a file with details among properties, and the parts of lines and polygons joined."""
+    if not _TO_JOIN.search(content):
         return content
     try:
         collection = json.loads(content)
+    except (ValueError, RecursionError):
+        return content  # what is wrong with it, the model of the file says
+    try:
         for feature in collection["features"]:
             feature["geometry"] = joined(feature["geometry"])
-    except (KeyError, TypeError, IndexError, ValueError, RecursionError) as error:
-        raise damaged(path, f"a line or polygon in parts is not valid ({error})") from error
+            feature["properties"] |= feature.pop(DETAILS, {})
+    except (KeyError, TypeError, IndexError, ValueError) as error:
+        raise damaged(path, f"its details, or a line or polygon in parts, are not valid ({error})") from error
     return json.dumps(collection).encode()
 
 
@@ -340,10 +376,22 @@ def _unique(ids: list[Any]) -> list[Any]:
     return named
 
 
-def _printed(values: Column, decimals: int | None) -> Sequence[Any]:
-    """Return a column as plain values, rounded where its property says so."""
-    plain: Sequence[Any] = values.tolist() if isinstance(values, np.ndarray) else values
-    return plain if decimals is None else [_rounded(value, decimals) for value in plain]
+def _plain(values: Column) -> list[Any]:
+    return values.tolist() if isinstance(values, np.ndarray) else list(values)
+
+
+def _rows(attributes: Sequence[Attribute], columns: Mapping[str, Column]) -> list[dict[str, Any]]:
+    """Return columns as the rows that are printed: ids of OpenStreetMap as text, numbers rounded."""
+    printed = []
+    for each in attributes:
+        values = _plain(columns[each.name])
+        if each.kind == "text":
+            values = [None if value is None else str(value) for value in values]
+        elif each.decimals is not None:
+            values = [_rounded(value, each.decimals) for value in values]
+        printed.append(values)
+    names = [each.name for each in attributes]
+    return [dict(zip(names, row, strict=True)) for row in zip(*printed, strict=True)]
 
 
 def _rounded(value: Any, decimals: int) -> Any:  # noqa: ANN401 - a number or a list of them

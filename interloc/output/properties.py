@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal, get_args, get_origin
 
-from pydantic import BaseModel, ConfigDict, Field, GetJsonSchemaHandler
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, GetJsonSchemaHandler
 from pydantic_core import CoreSchema
 
 from interloc.roadmap.network import NodeKind
@@ -67,7 +67,11 @@ PositionCovariance = Annotated[
         "variance to the north (of x and y of W without georeference); null in results of versions before.",
     ),
 ]
-OsmNode = Annotated[int, Field(title="OSM node", description="Id of the OpenStreetMap node.")]
+_AS_TEXT = BeforeValidator(lambda value: str(value) if type(value) is int else value)
+OsmId = Annotated[str, _AS_TEXT, Field(pattern=r"^-?\d+$")]
+"""Id of OpenStreetMap: text, since programs guess the width of numbers; versions before 0.3.0 wrote numbers."""
+OsmIdOrNone = Annotated[str | None, _AS_TEXT]
+OsmNode = Annotated[OsmId, Field(title="OSM node", description="Id of the OpenStreetMap node.")]
 Scan = Annotated[int, Field(title="Scan", description="Scan number of the keyframe.")]
 Reason = Annotated[
     str | None, Field(title="Reason", description="Why it is wrong or unscored; null where it is right.")
@@ -104,11 +108,11 @@ class Strict(BaseModel):
 
 
 class Properties(Strict):
-    """Properties of the features of a layer."""
+    """Properties of the features of a layer, or the details that its GeoJSON has beside them."""
 
 
-class ResultProperties(Properties):
-    """What tells features of one result from those of others; null in files of older versions."""
+class Origin(Properties):
+    """What tells one result from others: in the head of its files, and beside each feature where several are served."""
 
     drive: DriveName = None
     job: str | None = Field(
@@ -120,33 +124,74 @@ class ResultProperties(Properties):
     )
 
 
-ORIGIN = tuple(ResultProperties.model_fields)
-"""The properties that all features of a result have in common; the last ones of each layer."""
-
-
 def origin_of(run: Mapping[str, Any], drive: str | None) -> dict[str, str | None]:
-    """Return the values of `ORIGIN` of a result, by its `run.json` and the name of its drive."""
+    """Return the values of `Origin` of a result, by its `run.json` and the name of its drive."""
     preset, labels = (run.get("config") or {}).get("preset"), run.get("labels")
     return {"drive": drive, "job": run.get("job"), "preset": preset, "labels": labels or None}
 
 
-class IntersectionProperties(ResultProperties):
+class IntersectionProperties(Properties):
     """A physical intersection, fused from all detections of it."""
 
     id: int = Field(title="Number", description="Number of the intersection, from 1 in the order of first sight.")
-    observations: int = Field(title="Observations", description="Number of detections fused.")
+    uid: str | None = Field(
+        None,
+        title="Name of the place",
+        description="Name of the place, the same in other runs that were scored: n and the id of the OpenStreetMap "
+        "node where there is a junction. Else the cell of a grid of about 22 m, which small moves can change.",
+    )
+    names: Streets = None
+    outcome: PlaceVerdict = Field(
+        "unscored",
+        title="Verdict",
+        description="right: assigned to an OpenStreetMap node, one to one, within 10 m. wrong: to none. "
+        "not_counted: to none, and at a junction that the policy leaves out, such as that of a service road. unscored: "
+        "before `evaluate`, beyond the map, or in the relevant zone of no keyframe.",
+    )
+    reason: Reason = None
+    error_m: MetresOrNone = Field(None, title="Error", description="Distance to that node, metres; null for none.")
+    osm_id: OsmIdOrNone = Field(
+        None,
+        title="OSM node",
+        description="Id of the OpenStreetMap node that it is assigned to; null for none.",
+    )
+    confidence: Ratio = Field(
+        title="Confidence",
+        description="0 to 1: probability that a road junction of the map lies within 10 m, calibrated on drives whose "
+        "truth is known. Without a calibration (preset paper): the share of the keyframes near enough to see it that "
+        "did, lowered by up to 30 % where the scores of its detections are low.",
+    )
     position_std_m: Metres = Field(
         title="Uncertainty",
         description="One-sigma uncertainty of the position along each axis, metres: root of the mean of the two "
         "variances of its covariance.",
     )
+    branch_count: BranchCount
+    branch_bearings_deg: BranchBearings
+    branch_widths_m: BranchWidths
+    first_time: Time = Field(
+        None,
+        title="First seen",
+        description="Time of the first keyframe that saw it, RFC 3339; null where the drive has no times of day.",
+    )
+    last_time: Time = Field(
+        None,
+        title="Last seen",
+        description="Time of the last keyframe that saw it, RFC 3339; null where the drive has no times of day.",
+    )
+
+
+class IntersectionDetails(Properties):
+    """How well an intersection is known, and where it is for InterLoc itself."""
+
+    observations: int = Field(title="Observations", description="Number of detections fused.")
     position_cov_m2: PositionCovariance = None
     fix_std_m: MetresOrNone = Field(
         None,
         title="Uncertainty of the fixes",
         description="Part of the uncertainty along each axis, metres, that the georeference brings: all intersections "
         "of a drive share it. The covariance is the sum of the squares of this and `scatter_std_m`, and of "
-        "`shape_cov_m2`. The three are null in results of versions before, and without a calibration (preset paper).",
+        "`shape_cov_m2`. The three are null without a calibration (preset paper).",
     )
     shape_cov_m2: Annotated[list[float] | None, Decimals(6, "m2")] = Field(
         None,
@@ -160,60 +205,16 @@ class IntersectionProperties(ResultProperties):
         description="Part of the uncertainty along each axis, metres, that the scatter between sightings leaves: "
         "nothing shares it.",
     )
-    branch_count: BranchCount
-    branch_bearings_deg: BranchBearings
-    branch_widths_m: BranchWidths
     first_frame: int = Field(title="First scan", description="Scan number of the first keyframe that saw it.")
     last_frame: int = Field(title="Last scan", description="Scan number of the last keyframe that saw it.")
-    confidence: Ratio = Field(
-        title="Confidence",
-        description="0 to 1: probability that a road junction of the map lies within 10 m, calibrated on drives whose "
-        "truth is known. Without a calibration (preset paper): the share of the keyframes near enough to see it that "
-        "did, lowered by up to 30 % where the scores of its detections are low.",
-    )
     world_x_m: WorldX
     world_y_m: WorldY
-    uid: str | None = Field(
-        None,
-        title="Name of the place",
-        description="Name of the place, the same in other runs that were scored: n and the id of the OpenStreetMap "
-        "node where there is a junction. Else the cell of a grid of about 22 m, which small moves can change.",
-    )
-    first_time: Time = Field(
-        None,
-        title="First seen",
-        description="Time of the first keyframe that saw it, RFC 3339; null where the drive has no times of day.",
-    )
-    last_time: Time = Field(
-        None,
-        title="Last seen",
-        description="Time of the last keyframe that saw it, RFC 3339; null where the drive has no times of day.",
-    )
-    outcome: PlaceVerdict = Field(
-        "unscored",
-        title="Verdict",
-        description="right: assigned to an OpenStreetMap node, one to one, within 10 m. wrong: to none. "
-        "not_counted: to none, and at a junction that the policy leaves out, such as that of a service road. unscored: "
-        "before `evaluate`, beyond the map, or in the relevant zone of no keyframe.",
-    )
-    osm_id: int | None = Field(
-        None,
-        title="OSM node",
-        description="Id of the OpenStreetMap node that it is assigned to; null for none.",
-    )
-    error_m: MetresOrNone = Field(None, title="Error", description="Distance to that node, metres; null for none.")
-    reason: Reason = None
-    names: Streets = None
 
 
-class DetectionProperties(ResultProperties):
+class DetectionProperties(Properties):
     """An intersection as one keyframe saw it, georeferenced by the fix of that keyframe."""
 
     frame: Scan
-    x_m: Metres = Field(title="Forward", description="Position in L, metres forward.")
-    y_m: Metres = Field(title="To the left", description="Position in L, metres to the left.")
-    world_x_m: WorldX
-    world_y_m: WorldY
     branch_count: BranchCount
     branch_bearings_deg: BranchBearings
     branch_widths_m: BranchWidths
@@ -237,7 +238,7 @@ class DetectionProperties(ResultProperties):
         description="right: within 5 m of the nearest OpenStreetMap node of the region of interest. wrong: not. "
         "unscored: before `evaluate`, or beyond the map.",
     )
-    osm_id: int | None = Field(
+    osm_id: OsmIdOrNone = Field(
         None,
         title="OSM node",
         description="Id of the nearest OpenStreetMap node in the region of interest, however far; null for none.",
@@ -246,28 +247,40 @@ class DetectionProperties(ResultProperties):
     reason: Reason = None
 
 
-class TrajectoryProperties(ResultProperties):
+class DetectionDetails(Properties):
+    """Where the keyframe saw it."""
+
+    x_m: Metres = Field(title="Forward", description="Position in L, metres forward.")
+    y_m: Metres = Field(title="To the left", description="Position in L, metres to the left.")
+    world_x_m: WorldX
+    world_y_m: WorldY
+
+
+class TrajectoryProperties(Properties):
     """The track of the LiDAR as one line; beside its geometry `world_xy_m`, the same line in W."""
 
     scans: int = Field(title="Scans", description="Number of scans of the drive.")
-    thinned_to_m: Metres = Field(
-        title="Thinned to", description="Smallest distance between two positions of the line, metres."
-    )
 
 
-class KeyframeProperties(ResultProperties):
+class KeyframeProperties(Properties):
     """The LiDAR at a keyframe."""
 
     frame: int = Field(title="Scan", description="Scan number.")
+    heading_deg: Annotated[float, Decimals(6, "degree")] = Field(
+        title="Heading", description="Heading of the LiDAR, degrees."
+    )
+    detections: int = Field(title="Detections", description="Number of detections.")
+    time: KeyframeTime = None
+
+
+class KeyframeDetails(Properties):
+    """The pose of the LiDAR for InterLoc itself."""
+
     time_s: Seconds = Field(
         title="Seconds",
         description="Time of the scan in seconds, as the drive counts them: since its start, or since 1970; null if "
         "unknown.",
     )
-    heading_deg: Annotated[float, Decimals(6, "degree")] = Field(
-        title="Heading", description="Heading of the LiDAR, degrees."
-    )
-    detections: int = Field(title="Detections", description="Number of detections.")
     world_x_m: WorldX
     world_y_m: WorldY
     world_yaw_rad: Annotated[float, Decimals(9, "rad")] = Field(
@@ -275,36 +288,23 @@ class KeyframeProperties(ResultProperties):
         description="Heading in W, radians counter-clockwise from +x. "
         "The region of interest is aligned with W, not with the heading.",
     )
-    time: KeyframeTime = None
 
 
 RoadWidth = Annotated[float | None, Decimals(2, "m")]
 RoadLength = Annotated[float, Decimals(2, "m")]
 
 
-class RoadProperties(ResultProperties):
+class RoadProperties(Properties):
     """A road between two nodes, as the LiDAR saw it: its centreline, and its width from edge to edge."""
 
     id: int = Field(title="Road", description="Number of the road, from 1.")
     start_node: int = Field(title="From node", description="Number of the node where the line begins; see `junctions`.")
     end_node: int = Field(title="To node", description="Number of the node where it ends.")
-    start_kind: NodeKind = Field(title="Begins at", description=f"What the node is where it begins. {NODE_KINDS}")
-    end_kind: NodeKind = Field(title="Ends at", description="What the node is where it ends, in the same words.")
     length_m: RoadLength = Field(title="Length", description="Length of the line, metres.")
     width_m: RoadWidth = Field(
         title="Width",
         description="Width from edge to edge, metres: median along the road; null where it is too short to be "
         "measured between the mouths of others.",
-    )
-    width_p10_m: RoadWidth = Field(
-        title="Width, 10 %", description="Width that 10 % of the road stay below, metres; null where none is known."
-    )
-    width_p90_m: RoadWidth = Field(
-        title="Width, 90 %", description="Width that 90 % of the road stay below, metres; null where none is known."
-    )
-    width_profile_m: Annotated[list[float | None], Decimals(2, "m")] = Field(
-        title="Widths along it",
-        description="Width every 10 m from the start of the line, metres; null where it was not measured.",
     )
     is_driven: bool = Field(
         title="Driven",
@@ -316,9 +316,6 @@ class RoadProperties(ResultProperties):
         description="0 to 1, share of its length that was seen as road; the rest are gaps of up to 25 m between two "
         "ends that face each other.",
     )
-    keyframes: int = Field(
-        title="Keyframes", description="Median number of keyframes, 10 m apart, that saw the middle of the road."
-    )
     offset_std_m: MetresOrNone = Field(
         title="Uncertainty",
         description="One-sigma uncertainty of the line across its direction, metres, without that of the georeference: "
@@ -327,7 +324,27 @@ class RoadProperties(ResultProperties):
     )
 
 
-class JunctionProperties(ResultProperties):
+class RoadDetails(Properties):
+    """More of a road: how its width changes, how well it was seen."""
+
+    start_kind: NodeKind = Field(title="Begins at", description=f"What the node is where it begins. {NODE_KINDS}")
+    end_kind: NodeKind = Field(title="Ends at", description="What the node is where it ends, in the same words.")
+    width_p10_m: RoadWidth = Field(
+        title="Width, 10 %", description="Width that 10 % of the road stay below, metres; null where none is known."
+    )
+    width_p90_m: RoadWidth = Field(
+        title="Width, 90 %", description="Width that 90 % of the road stay below, metres; null where none is known."
+    )
+    width_profile_m: Annotated[list[float | None], Decimals(2, "m")] = Field(
+        title="Widths along it",
+        description="Width every 10 m from the start of the line, metres; null where it was not measured.",
+    )
+    keyframes: int = Field(
+        title="Keyframes", description="Median number of keyframes, 10 m apart, that saw the middle of the road."
+    )
+
+
+class JunctionProperties(Properties):
     """The ground where roads meet, as far as their mouths; or an open place, on which no lines are drawn."""
 
     id: int = Field(title="Node", description="Number of the node, from 1: `start_node` and `end_node` of roads.")
@@ -339,18 +356,39 @@ class JunctionProperties(ResultProperties):
     area_m2: Annotated[float, Decimals(1, "m2")] = Field(title="Area", description="Area, square metres.")
 
 
-class RoadSurfaceProperties(ResultProperties):
+class RoadSurfaceProperties(Properties):
     """The ground that was seen as road from two keyframes or more, cut at squares of 256 m."""
 
     id: int = Field(title="Piece", description="Number of the piece, from 1.")
     area_m2: Annotated[float, Decimals(1, "m2")] = Field(title="Area", description="Area, square metres.")
 
 
-class OsmNodeProperties(ResultProperties):
+class OsmNodeProperties(Properties):
     """A ground truth intersection of OpenStreetMap."""
 
     osm_id: OsmNode
     degree: int = Field(title="Roads", description="Number of roads that meet there.")
+    outcome: Literal["found", "missed", "outside"] = Field(
+        "outside",
+        title="Verdict",
+        description="found: an intersection of the map is assigned to it, one to one, within 10 m. missed: none is. "
+        "outside: in the relevant zone of no keyframe, so it cannot be missed.",
+    )
+    intersection: int | None = Field(
+        None, title="Intersection", description="Id of the intersection assigned to it; null for none."
+    )
+    reason: str | None = Field(
+        None,
+        title="Reason",
+        description="Why it was missed, and what of its branches was seen; of one that was found, what is odd about it "
+        "on the map (levels, a road drawn twice). Else null.",
+    )
+    names: Streets = None
+
+
+class OsmNodeDetails(Properties):
+    """How the drive saw a node."""
+
     in_zone: bool = Field(
         title="In the zone",
         description="Whether it was in the relevant zone of a keyframe, so it should be found.",
@@ -372,25 +410,9 @@ class OsmNodeProperties(ResultProperties):
     median_error_m: MetresOrNone = Field(
         title="Median error", description="Median distance of these detections, metres; null if there are none."
     )
-    outcome: Literal["found", "missed", "outside"] = Field(
-        "outside",
-        title="Verdict",
-        description="found: an intersection of the map is assigned to it, one to one, within 10 m. missed: none is. "
-        "outside: in the relevant zone of no keyframe, so it cannot be missed.",
-    )
-    intersection: int | None = Field(
-        None, title="Intersection", description="Id of the intersection assigned to it; null for none."
-    )
-    reason: str | None = Field(
-        None,
-        title="Reason",
-        description="Why it was missed, and what of its branches was seen; of one that was found, what is odd about it "
-        "on the map (levels, a road drawn twice). Else null.",
-    )
-    names: Streets = None
 
 
-class MatchProperties(ResultProperties):
+class MatchProperties(Properties):
     """A detection and the OpenStreetMap node that it was matched to."""
 
     frame: Scan
@@ -409,10 +431,10 @@ class MatchProperties(ResultProperties):
     )
 
 
-class OsmRoadProperties(ResultProperties):
+class OsmRoadProperties(Properties):
     """A way of OpenStreetMap around the drive; one that leaves the surroundings and returns is several lines."""
 
-    osm_id: int = Field(title="OSM way", description="Id of the OpenStreetMap way.")
+    osm_id: OsmId = Field(title="OSM way", description="Id of the OpenStreetMap way.")
     highway: str = Field(title="Class of road", description="Value of its tag `highway`.")
     name: str | None = Field(title="Name", description="Name or else reference number; null if it has none.")
     is_drivable: bool = Field(title="Drivable", description="Whether it is a road under policy drive+service.")
@@ -448,16 +470,16 @@ class OsmRoadProperties(ResultProperties):
     )
 
 
-class OsmBuildingProperties(ResultProperties):
+class OsmBuildingProperties(Properties):
     """A building of OpenStreetMap near the track; one of several outlines is several polygons."""
 
-    osm_id: int = Field(title="OSM id", description="Id of the OpenStreetMap way or relation.")
+    osm_id: OsmId = Field(title="OSM id", description="Id of the OpenStreetMap way or relation.")
     osm_type: Literal["way", "relation"] = Field(
         "way", title="OSM element", description="Whether the building is a way or a relation (a multipolygon)."
     )
 
 
-class PlaceProperties(ResultProperties):
+class PlaceProperties(Properties):
     """The track of a drive at a place of the map that it fits; the first is where it was found to be."""
 
     rank: int = Field(title="Rank", description="1 for the best place; the others are those that came next.")
@@ -474,7 +496,7 @@ class PlaceProperties(ResultProperties):
     )
 
 
-class BranchProperties(ResultProperties):
+class BranchProperties(Properties):
     """A branch of an intersection: a line of 20 m from its position along the bearing."""
 
     intersection: int = Field(title="Intersection", description="Id of the intersection.")
@@ -486,7 +508,7 @@ class BranchProperties(ResultProperties):
     )
 
 
-class UncertaintyProperties(ResultProperties):
+class UncertaintyProperties(Properties):
     """The ellipse that holds the true position of an intersection with a probability of 95 %: 2.45 sigma."""
 
     intersection: int = Field(title="Intersection", description="Id of the intersection.")
@@ -526,7 +548,6 @@ class CityProperties(Properties):
         description="One-sigma uncertainty of the position on the Earth along each axis, metres. An offset that all "
         "drives have in common, as of one base station, is not in it.",
     )
-    position_cov_m2: PositionCovariance = None
     relative_std_m: Metres = Field(
         title="Uncertainty in its surroundings",
         description="The same against the intersections around, metres: without what the georeference leaves.",
@@ -547,6 +568,12 @@ class CityProperties(Properties):
     last_time: Time = Field(
         title="Last seen", description="When it was last seen, RFC 3339; null where no drive has times of day."
     )
+
+
+class CityDetails(Properties):
+    """More of an intersection of many drives."""
+
+    position_cov_m2: PositionCovariance = None
 
 
 class CityDriveProperties(Properties):
@@ -634,7 +661,7 @@ class FindingProperties(Properties):
     )
     text: str = Field(title="Question", description="What was found, for a person who looks at it.")
     uid: str | None = Field(title="Name of the place", description="The place in `city`; null for a phantom.")
-    osm_id: int | None = Field(
+    osm_id: OsmIdOrNone = Field(
         title="OSM node", description="The OpenStreetMap node that it is about; null where the map lacks something."
     )
     passes: int = Field(title="Passes", description="Number of independent passes that saw the place.")
@@ -667,10 +694,9 @@ class Attribute:
 
 
 def attributes_of(properties: type[Properties]) -> list[Attribute]:
-    """Return the properties of a layer in their order, those of `ORIGIN` last."""
+    """Return the properties of a layer in their order."""
     attributes = []
-    shared = ORIGIN if issubclass(properties, ResultProperties) else ()
-    for name, field in sorted(properties.model_fields.items(), key=lambda each: each[0] in shared):
+    for name, field in properties.model_fields.items():
         number = next((each for each in field.metadata if isinstance(each, Decimals)), None)
         is_time = any(isinstance(each, Moment) for each in field.metadata)
         assert field.title is not None

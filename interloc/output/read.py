@@ -55,19 +55,19 @@ def read_results(folder: str | os.PathLike[str]) -> DriveResult:
 def read_run(folder: Path) -> dict[str, Any]:
     """Read the `run.json` of a result folder; an OutputError says why the folder is none, or that it is too new."""
     if not folder.is_dir():
-        raise OutputError(f"{folder} is not a folder. Give the folder that `interloc detect -o` wrote.")
+        raise OutputError(f"{folder} is not a folder. Give the folder that `interloc run -o` wrote.")
     if not (folder / RUN_FILE).exists():
         raise OutputError(
-            f"{folder} is not an InterLoc result: it has no {RUN_FILE}. Give the folder of `interloc detect`."
+            f"{folder} is not an InterLoc result: it has no {RUN_FILE}. Give the folder of `interloc run`."
         )
     run = read_json(folder / RUN_FILE)
     version = run.get("format_version")
     if run.get("format") != FORMAT or not isinstance(version, int):
-        raise OutputError(f"{folder / RUN_FILE} is not from InterLoc. Give the folder that `interloc detect -o` wrote.")
+        raise OutputError(f"{folder / RUN_FILE} is not from InterLoc. Give the folder that `interloc run -o` wrote.")
     if version > FORMAT_VERSION:
         raise OutputError(
             f"{folder} was written by a newer InterLoc (format {version}; this one reads up to {FORMAT_VERSION}). "
-            "Update InterLoc, or run `interloc detect` again with this version."
+            "Update InterLoc, or run `interloc run` again with this version."
         )
     if not isinstance(run.get("georeferenced"), bool) or "drive_name" not in run:
         raise damaged(folder / RUN_FILE, "georeferenced or drive_name is missing")

@@ -112,7 +112,7 @@ def read_road(path: Path) -> Mosaic:
         with TiffFile(path) as tiff:
             (raster, epsg), *others = (_read_page(page) for page in tiff.pages)
     except (OSError, ValueError, KeyError, IndexError, TypeError, TiffFileError) as error:
-        raise DamagedResultError(f"{path} is missing or damaged. Run `interloc detect` again.") from error
+        raise DamagedResultError(f"{path} is missing or damaged. Run `interloc run` again.") from error
     return Mosaic(raster, epsg, others[0][0] if others else None)
 
 
@@ -144,7 +144,7 @@ def export_road(result: Path, out: Path) -> None:
     if not source.is_file():
         raise ConfigError(
             f"{result} has no {ROAD_FILE}: no road was seen, or an older version wrote it. "
-            "Run `interloc detect` on the drive again."
+            "Run `interloc run` on the drive again."
         )
     write_file(out, source.read_bytes())
 

@@ -28,13 +28,15 @@ from interloc.files import reason_of, write_file
 from interloc.output.derived import derive
 from interloc.output.geojson import cut, read_file, read_json, write_collection
 from interloc.output.geopackage import add_road, describe
-from interloc.output.layers import BUILDINGS, DERIVED, LAYERS, PLACES, Layer, Rows
+from interloc.output.layers import BUILDINGS, DERIVED, LAYERS, MAIN_LAYERS, PLACES, Layer, Rows
 from interloc.output.layout import ROAD_FILE, ROAD_LAYERS, RUN_FILE, file_names, refuse_result_file
 from interloc.output.properties import origin_of
 from interloc.output.qgis import Source, project, write_qgz
 from interloc.output.road import read_road
 
 EXPORTS = LAYERS | DERIVED
+ALL = "all"
+"""Names all layers of a result, where a file would hold the main ones only."""
 
 PLACE_IT = (
     "Place it: `interloc locate DRIVE --osm MAP -o geo.csv` finds it by its roads, or put a geo.csv into the drive; "
@@ -48,7 +50,7 @@ class Format(NamedTuple):
 
     write: Callable[[_Export, Path], None]
     layers: Literal["one", "any", "all"] = "one"
-    """{"one", "any", "all"}: one layer; all, unless one is named; or always all."""
+    """{"one", "any", "all"}: one layer; the main ones, unless others are named; or always all."""
     only_on_earth: str = ""
     """Its name, where it knows longitude and latitude only."""
 
@@ -58,19 +60,26 @@ class _Export(NamedTuple):
 
     result: Path
     layers: list[tuple[Layer, Rows]]
+    name: str
 
     @property
-    def name(self) -> str:
-        return _name_of(self.result)
+    def origin(self) -> dict[str, str | None]:
+        """Drive, job, preset and labels."""
+        return origin_of(read_json(self.result / RUN_FILE), self.name)
+
+    def about(self, title: str, layer: Layer, rows: Rows) -> dict[str, str]:
+        """Return the options of GDAL that name a layer, by the word that a driver has for its title."""
+        told = [f"{name} {value}" for name, value in self.origin.items() if value]
+        return {title: layer.title, "DESCRIPTION": f"{layer.description} {rows.credit.attribution} ({', '.join(told)})"}
 
 
-def write_vector_file(result: Path, out: Path, *, layer: str | None = None) -> list[str]:
+def write_vector_file(result: Path, out: Path, *, layer: str | None = None, drive: str | None = None) -> list[str]:
     """Write a result folder as one vector file, whole or not at all, and return the names of the layers written.
 
     The suffix of `out` says the format. Without georeference it is in metres, without a coordinate system. `layer`
-    None: all layers of the result where the format holds several, else the intersections. What cannot be had is a
-    ConfigError; longitude and latitude of a result in metres a GeoreferenceError; what could not be read or written an
-    OutputError.
+    None: the main layers of the result where the format holds several, else the intersections; `ALL`: all. `drive` is
+    its name where it has another one than when it was run. What cannot be had is a ConfigError; longitude and latitude
+    of a result in metres a GeoreferenceError; what could not be read or written an OutputError.
     """
     suffix = out.suffix.lower()
     if suffix not in FORMATS:
@@ -81,7 +90,7 @@ def write_vector_file(result: Path, out: Path, *, layer: str | None = None) -> l
     if suffix == ".parquet" and not has_parquet():
         raise ConfigError(f"GeoParquet needs pyarrow, which is not installed: {install('parquet')}")
     names = _choose(result, layer, suffix)
-    export = _Export(result, [(EXPORTS[name], _read(result, name)) for name in names])
+    export = _Export(result, [(EXPORTS[name], _read(result, name)) for name in names], drive or _name_of(result))
     with _written_beside(out) as path:
         FORMATS[suffix].write(export, path)
     return names
@@ -97,10 +106,10 @@ def suffixes_here() -> list[str]:
     return [suffix for suffix in FORMATS if suffix != ".parquet" or has_parquet()]
 
 
-def write_live_project(result: Path, out: Path, source_of: Callable[[Layer], Source]) -> None:
+def write_live_project(result: Path, out: Path, name: str, source_of: Callable[[Layer], Source]) -> None:
     """Write a project of QGIS whose layers are read from the service; `source_of` tells where it has each."""
-    layers = [(EXPORTS[name], _read(result, name)) for name in _choose(result, None, ".qgz")]
-    write_file(out, project(layers, _name_of(result), source_of))
+    layers = [(EXPORTS[layer], _read(result, layer)) for layer in _choose(result, None, ".qgz")]
+    write_file(out, project(layers, name, source_of))
 
 
 def is_local(result: Path) -> bool:
@@ -113,8 +122,8 @@ def is_local(result: Path) -> bool:
 
 def _choose(result: Path, layer: str | None, suffix: str) -> list[str]:
     wanted = None if layer is None else layer.replace("-", "_")
-    if wanted is not None and wanted not in EXPORTS:
-        raise ConfigError(f"{layer!r} is not a layer. Expected one of {', '.join(EXPORTS)}, or road as .tif.")
+    if wanted not in {None, ALL, *EXPORTS}:
+        raise ConfigError(f"{layer!r} is not a layer. Expected one of {', '.join(EXPORTS)}, {ALL}, or road as .tif.")
     local = is_local(result)
     if local and FORMATS[suffix].only_on_earth:
         raise GeoreferenceError(
@@ -124,9 +133,13 @@ def _choose(result: Path, layer: str | None, suffix: str) -> list[str]:
     there = [name for name in LAYERS if _file_of(result, name).exists()]
     if not local:
         there += DERIVED
-    if wanted is None:
-        return ["intersections"] if FORMATS[suffix].layers == "one" else there
-    if FORMATS[suffix].layers == "all":
+    holds = FORMATS[suffix].layers
+    if wanted == ALL and holds == "one":
+        raise ConfigError(f"A {suffix} file holds one layer. Name it, or write a .gpkg.")
+    if wanted is None or wanted == ALL:
+        every = wanted == ALL or holds == "all"
+        return ["intersections"] if holds == "one" else [name for name in there if every or name in MAIN_LAYERS]
+    if holds == "all":
         raise ConfigError(f"A {suffix} file holds {', '.join(there)}; leave --layer out, or write a .gpkg.")
     if wanted not in there:
         raise ConfigError(f"{result} has no {wanted}.geojson. {_why_missing(result, wanted)}")
@@ -139,7 +152,7 @@ def _why_missing(result: Path, layer: str) -> str:
     if layer == PLACES:
         return "Only a drive that was placed on the map by its roads has it: `interloc run --locate` does that."
     if layer in ROAD_LAYERS:
-        return "An older version of InterLoc made it, without a map of the roads; `interloc detect` draws one."
+        return "An older version of InterLoc made it, without a map of the roads; `interloc run` draws one."
     if (result / "report.json").exists():
         if layer == BUILDINGS and "buildings" in read_json(result / "report.json").get("osm", {}):
             return "The map that it was scored against has no buildings near the drive."
@@ -148,16 +161,9 @@ def _why_missing(result: Path, layer: str) -> str:
 
 
 def _read(result: Path, name: str) -> Rows:
-    """Read a layer; what results of older versions, and what is made of them, do not say of themselves is added."""
     if name in DERIVED:
-        rows = derive(name, LAYERS["intersections"].read(result / "intersections.geojson"))
-    else:
-        rows = LAYERS[name].read(_file_of(result, name))
-    origin = origin_of(read_json(result / RUN_FILE), _name_of(result))
-    for feature in rows.features:
-        if feature.properties.drive is None or feature.properties.preset is None:
-            feature.properties.__dict__.update(origin)
-    return rows
+        return derive(name, LAYERS["intersections"].read(result / "intersections.geojson"))
+    return LAYERS[name].read(_file_of(result, name))
 
 
 def _name_of(result: Path) -> str:
@@ -273,11 +279,6 @@ def _write_by_gdal(
         )
 
 
-def _about(title: str, layer: Layer, rows: Rows) -> dict[str, str]:
-    """Return the options of GDAL that name a layer, by the word that a driver has for its title."""
-    return {title: layer.title, "DESCRIPTION": f"{layer.description} {rows.credit.attribution}"}
-
-
 def _write_geopackage(export: _Export, path: Path) -> None:
     for number, (layer, rows) in enumerate(export.layers):
         _write_by_gdal(
@@ -288,7 +289,7 @@ def _write_geopackage(export: _Export, path: Path) -> None:
             append=number > 0,
             # GDAL before 3.7, as in Debian 12, warns of version 1.4.
             dataset_options={"VERSION": "1.3"} if number == 0 else None,
-            layer_options=_about("IDENTIFIER", layer, rows),
+            layer_options=export.about("IDENTIFIER", layer, rows),
         )
     run = read_file(export.result / RUN_FILE).decode()
     describe(path, [(layer, rows.credit) for layer, rows in export.layers], run)
@@ -307,7 +308,7 @@ def _write_project(export: _Export, path: Path) -> None:
 def _write_flatgeobuf(export: _Export, path: Path) -> None:
     ((layer, rows),) = export.layers
     buffer = io.BytesIO()  # GDAL does not report a full disk
-    _write_by_gdal(buffer, "FlatGeobuf", _table(layer, rows), layer, layer_options=_about("TITLE", layer, rows))
+    _write_by_gdal(buffer, "FlatGeobuf", _table(layer, rows), layer, layer_options=export.about("TITLE", layer, rows))
     path.write_bytes(buffer.getvalue())
 
 
@@ -315,7 +316,7 @@ def _write_geojson(export: _Export, path: Path) -> None:
     ((layer, rows),) = export.layers
     places = [None if each.geometry is None else each.geometry.coordinates for each in rows.features]
     features = layer.features(places, **{name: rows.column(name) for name in layer.fields})
-    write_collection(path, features, local=_in_metres(rows), credit=rows.credit)
+    write_collection(path, features, local=_in_metres(rows), credit=rows.credit, origin=export.origin)
 
 
 _FORMULA = re.compile(r"[=+\-@\t\r](?![\d.,+-]*$)")
@@ -365,6 +366,7 @@ def _write_parquet(export: _Export, path: Path) -> None:
     table.astype(texts).to_parquet(buffer, schema_version="1.1.0", write_covering_bbox=True)
     columns = parquet.read_table(buffer)
     told = {"description": layer.description, **rows.credit.members}
+    told |= {name: value for name, value in export.origin.items() if value}
     columns = columns.replace_schema_metadata({**columns.schema.metadata, **told})
     parquet.write_table(columns, path, compression="zstd")
 
@@ -380,12 +382,12 @@ def _write_kml(export: _Export, path: Path) -> None:
     """Write layers by LIBKML; markup in texts is escaped, where it writes it raw, and any `]]>` of it ends a file."""
     for number, (layer, rows) in enumerate(export.layers):
         # GDAL writes integers of 64 bits as text.
-        small = {name: "Int32" for name, kind in layer.fields.items() if kind == "int" and name != "osm_id"}
+        small = {name: "Int32" for name, kind in layer.fields.items() if kind == "int"}
         table = _table(layer, rows).astype(small).rename(columns=_KML_NAMES)
         table.insert(0, "Name", [layer.label.format(**vars(feature.properties)) for feature in rows.features])
         texts = [name for name in table.columns if table[name].dtype == object]
         table[texts] = table[texts].replace({"]]>": f"]]{_CDATA_END}"}, regex=True)
-        _write_by_gdal(path, "LIBKML", table, layer, append=number > 0, layer_options=_about("NAME", layer, rows))
+        _write_by_gdal(path, "LIBKML", table, layer, append=number > 0, layer_options=export.about("NAME", layer, rows))
     content = path.read_bytes()
     if not content.rstrip().endswith(b"</kml>"):  # GDAL does not report a full disk
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))

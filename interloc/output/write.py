@@ -217,9 +217,7 @@ def trajectory_feature(trajectory_world_xy: FloatArray, trajectory_lonlat: Float
     world_xy = trajectory_world_xy[rows]
     line = _coordinates(world_xy, None if trajectory_lonlat is None else trajectory_lonlat[rows])
     line = line * 2 if len(line) == 1 else line
-    (feature,) = LAYERS["trajectory"].features(
-        [line or None], scans=[len(trajectory_world_xy)], thinned_to_m=[TRAJECTORY_STEP_M]
-    )
+    (feature,) = LAYERS["trajectory"].features([line or None], scans=[len(trajectory_world_xy)])
     return feature | {"world_xy_m": positions(world_xy, local=True)}
 
 

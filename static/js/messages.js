@@ -125,7 +125,7 @@ export function askForToken(wrong) {
   return new Promise((resolve) => {
     const input = el("input", { type: "password", autocomplete: "off", spellcheck: false, required: true });
     const refused = "The server refused this token. Was it copied completely, and is it still valid?";
-    const hint = "The operator creates one with “interloc token add NAME”. It is kept until this tab is closed.";
+    const hint = "The operator creates one with “interloc admin token add NAME”. It is kept until this tab is closed.";
     const later = el("button", { type: "button", onClick: () => dialog.close("") }, "Not now");
     const content = [wrong && el("p.note.error", refused), field("API token", input, hint)];
     const dialog = openDialog("This server requires a token", content, {

@@ -177,13 +177,13 @@ def finished(drive: Path, osm: Path, tmp_path_factory: pytest.TempPathFactory) -
 @pytest.fixture(scope="session")
 def detected(drive: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The result folder of the drive before any evaluation. Shared: do not change it."""
-    return once(tmp_path_factory, "detected", lambda out: succeed("detect", drive, "-o", out))
+    return once(tmp_path_factory, "detected", lambda out: succeed("run", drive, "-o", out))
 
 
 @pytest.fixture(scope="session")
 def local_result(local_drive: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The result folder of the drive without a georeference. Shared: do not change it."""
-    return once(tmp_path_factory, "local_result", lambda out: succeed("detect", local_drive, "-o", out))
+    return once(tmp_path_factory, "local_result", lambda out: succeed("run", local_drive, "-o", out))
 
 
 def succeed(*arguments: object) -> None:

@@ -55,9 +55,8 @@ def test_points_that_are_not_numbers_in_the_middle_of_the_run(
 
 def test_a_run_without_a_map_says_how_to_get_one(interloc: Callable, drive: Path, tmp_path: Path) -> None:
     outcome = interloc("run", drive, "-o", tmp_path / "out")
-    assert outcome.code == 2
-    assert "`interloc detect` needs none" in outcome.err
-    west, south, east, north = map(float, re.findall(r"--bbox (\S+) of `osmium extract`", outcome.err)[0].split(","))
+    assert outcome.code == 0
+    west, south, east, north = map(float, re.findall(r"--bbox (\S+) of `osmium extract`", outcome.out)[0].split(","))
     assert (west < 8.4 < east, south < 49.0 < north) == (True, True)
 
 

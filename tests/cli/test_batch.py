@@ -88,7 +88,7 @@ def die(_: Unit, out: str) -> units.Row:
 def test_a_worker_that_dies_stops_nothing_and_costs_another_try(
     short_drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    unit = Unit("short", str(short_drive), "detect", ())
+    unit = Unit("short", str(short_drive), "run", ())
     records = Records(str(tmp_path / "out"))
     with monkeypatch.context() as patched:
         patched.setattr(units, "work", die)

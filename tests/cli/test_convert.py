@@ -13,6 +13,11 @@ from tests.networks import write_model
 from tests.small_drives import lidar_poses, scan_at, write_semantickitti
 
 
+def features_of(path: Path) -> bytes:
+    """The features of a layer: the head names the labels."""
+    return path.read_bytes().partition(b'"features"')[2]
+
+
 @pytest.fixture(scope="module")
 def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_model(tmp_path_factory.mktemp("model") / "flat", height=32, width=512, road_half_width_m=5.0)
@@ -26,16 +31,16 @@ def unlabelled(tmp_path: Path) -> Path:
 
 
 def test_label_then_detect(interloc: Callable, unlabelled: Path, model: Path, tmp_path: Path) -> None:
-    assert "interloc label" in interloc("detect", unlabelled, "-o", tmp_path / "out", "--labels", "labels").complaint
+    assert "interloc label" in interloc("run", unlabelled, "-o", tmp_path / "out", "--labels", "labels").complaint
     labelled = interloc("label", unlabelled, "--model", model)
     assert labelled.code == 0
     assert "12 scans by network flat" in labelled.out
     assert len(list((unlabelled / "predictions").glob("*.label"))) == 12
     assert "was not touched" in interloc("label", unlabelled, "--model", model).complaint
-    ours = interloc("detect", unlabelled, "-o", tmp_path / "a", "--labels", "predictions", "--json").json
-    theirs = interloc("detect", unlabelled, "-o", tmp_path / "b", "--model", model, "--json").json
+    ours = interloc("run", unlabelled, "-o", tmp_path / "a", "--labels", "predictions", "--json").json["run"]
+    theirs = interloc("run", unlabelled, "-o", tmp_path / "b", "--model", model, "--json").json["run"]
     assert ours["keyframes"] == theirs["keyframes"] > 5
-    assert (tmp_path / "a/detections.local.json").read_bytes() == (tmp_path / "b/detections.local.json").read_bytes()
+    assert features_of(tmp_path / "a/detections.local.json") == features_of(tmp_path / "b/detections.local.json")
     assert '"network flat"' in (tmp_path / "b/run.json").read_text()
     elsewhere = interloc("label", unlabelled, "--model", model, "-o", tmp_path / "labels-of-07", "--json").json
     assert elsewhere["out"] == str(tmp_path / "labels-of-07" / "predictions")
@@ -87,10 +92,10 @@ def test_labels_by_geometry(interloc: Callable, unlabelled: Path, tmp_path: Path
     labelled = interloc("label", unlabelled, "--by", "geometry")
     assert labelled.code == 0
     assert "12 scans by geometry" in labelled.out
-    ours = interloc("detect", unlabelled, "-o", tmp_path / "a", "--labels", "geometry", "--json").json
+    ours = interloc("run", unlabelled, "-o", tmp_path / "a", "--labels", "geometry", "--json").json["run"]
     assert ours["keyframes"] > 5
-    assert interloc("detect", unlabelled, "-o", tmp_path / "b", "--labels", "predictions").code == 0
-    assert (tmp_path / "a/detections.local.json").read_bytes() == (tmp_path / "b/detections.local.json").read_bytes()
+    assert interloc("run", unlabelled, "-o", tmp_path / "b", "--labels", "predictions").code == 0
+    assert features_of(tmp_path / "a/detections.local.json") == features_of(tmp_path / "b/detections.local.json")
     assert '"geometry"' in (tmp_path / "a/run.json").read_text()
     assert "geometry, scheme semantickitti" in interloc("info", unlabelled, "--labels", "geometry").out
 
@@ -102,14 +107,14 @@ def test_label_needs_to_know_by_what(interloc: Callable, unlabelled: Path, model
 
 def test_a_reduced_drive_has_no_points_for_geometry(interloc: Callable, tmp_path: Path) -> None:
     root = write_semantickitti(tmp_path / "07")
-    assert interloc("reduce", root, "-o", tmp_path / "reduced").code == 0
-    complaint = interloc("detect", tmp_path / "reduced", "-o", tmp_path / "out", "--labels", "geometry").complaint
+    assert interloc("convert", "--reduce", root, "-o", tmp_path / "reduced").code == 0
+    complaint = interloc("run", tmp_path / "reduced", "-o", tmp_path / "out", "--labels", "geometry").complaint
     assert "holds ground points only" in complaint
     assert "labels" in complaint
 
 
 def test_reduced_by_geometry(interloc: Callable, unlabelled: Path, tmp_path: Path) -> None:
-    assert interloc("reduce", unlabelled, "-o", tmp_path / "reduced", "--labels", "geometry").code == 0
-    assert interloc("detect", tmp_path / "reduced", "-o", tmp_path / "a").code == 0
-    assert interloc("detect", unlabelled, "-o", tmp_path / "b", "--labels", "geometry").code == 0
-    assert (tmp_path / "a/detections.local.json").read_bytes() == (tmp_path / "b/detections.local.json").read_bytes()
+    assert interloc("convert", "--reduce", unlabelled, "-o", tmp_path / "reduced", "--labels", "geometry").code == 0
+    assert interloc("run", tmp_path / "reduced", "-o", tmp_path / "a").code == 0
+    assert interloc("run", unlabelled, "-o", tmp_path / "b", "--labels", "geometry").code == 0
+    assert features_of(tmp_path / "a/detections.local.json") == features_of(tmp_path / "b/detections.local.json")

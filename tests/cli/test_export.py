@@ -8,7 +8,7 @@ import pyogrio
 
 def test_a_result_as_one_file_for_gis(finished: Path, tmp_path: Path, interloc: Callable) -> None:
     told = interloc("export", finished, "-o", tmp_path / "out.gpkg", "--json").json
-    assert told["layers"][:5] == ["intersections", "detections", "trajectory", "keyframes", "roads"]
+    assert told["layers"] == ["intersections", "roads", "trajectory", "osm_nodes"]
     assert pyogrio.list_layers(tmp_path / "out.gpkg")[:, 0].tolist() == [*told["layers"], "layer_styles"]
     said = interloc("export", finished, "-o", tmp_path / "matches.kml", "--layer", "matches")
     assert (said.code, said.out.splitlines()[-1].split()) == (0, ["layers", "matches"])
@@ -23,7 +23,7 @@ def test_complaints_in_one_line(local_result: Path, tmp_path: Path, interloc: Ca
     assert "unknown format '.shp'" in outcome.complaint
     outcome = interloc("export", out, "-o", tmp_path / "out.kml", "--layer", "lanes")
     assert outcome.code == 2
-    assert "Expected one of intersections, detections, trajectory" in outcome.complaint
+    assert "Expected one of intersections, roads, trajectory" in outcome.complaint
     outcome = interloc("export", tmp_path, "-o", tmp_path / "out.kml")
     assert "is not an InterLoc result: it has no run.json" in outcome.complaint
     assert not list(tmp_path.iterdir())
@@ -32,12 +32,8 @@ def test_complaints_in_one_line(local_result: Path, tmp_path: Path, interloc: Ca
     assert not said.err
     assert pyogrio.list_layers(tmp_path / "out.gpkg")[:, 0].tolist() == [
         "intersections",
-        "detections",
-        "trajectory",
-        "keyframes",
         "roads",
-        "junctions",
-        "road_surface",
+        "trajectory",
         "layer_styles",
     ]
-    assert pyogrio.read_info(tmp_path / "out.gpkg", layer="detections")["crs"] in {None, 'LOCAL_CS["Undefined SRS"]'}
+    assert pyogrio.read_info(tmp_path / "out.gpkg", layer="roads")["crs"] in {None, 'LOCAL_CS["Undefined SRS"]'}

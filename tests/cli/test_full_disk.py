@@ -30,7 +30,7 @@ def limited(environment: dict[str, str], tmp_path_factory: pytest.TempPathFactor
 
 
 def test_detect_with_files_limited(limited: Callable, drive: Path, tmp_path: Path) -> None:
-    complaint = limited(10_000, "detect", drive, "-o", tmp_path / "new" / "out")
+    complaint = limited(10_000, "run", drive, "-o", tmp_path / "new" / "out")
     assert complaint == f"interloc: {tmp_path}/new/out/detections.geojson could not be written: file too large."
     assert not list(tmp_path.iterdir())  # not even the folder above
 
@@ -62,9 +62,9 @@ def fill(disk: Path) -> dict[str, bytes]:
 
 def test_a_full_disk(interloc: Callable, drive: Path, short_drive: Path, small_disk: Path) -> None:
     out = small_disk / "out"
-    assert interloc("detect", short_drive, "-o", out).code == 0
+    assert interloc("run", short_drive, "-o", out).code == 0
     before = fill(small_disk)
-    outcome = interloc("detect", drive, "-o", out)
+    outcome = interloc("run", drive, "-o", out)
     assert "could not be written: no space left on device." in outcome.complaint
     assert str(out) in outcome.complaint
     assert contents(small_disk) == before
@@ -73,8 +73,8 @@ def test_a_full_disk(interloc: Callable, drive: Path, short_drive: Path, small_d
 
 def test_a_disk_that_is_the_result_folder(interloc: Callable, drive: Path, short_drive: Path, small_disk: Path) -> None:
     """As the volume of a container is: it cannot be renamed, so it is filled in place."""
-    assert interloc("detect", short_drive, "-o", small_disk).code == 0
+    assert interloc("run", short_drive, "-o", small_disk).code == 0
     before = fill(small_disk)
-    outcome = interloc("detect", drive, "-o", small_disk)
+    outcome = interloc("run", drive, "-o", small_disk)
     assert "could not be written: no space left on device." in outcome.complaint
     assert contents(small_disk) == before

@@ -14,15 +14,15 @@ from pathlib import Path
 
 import pytest
 
+from interloc.cli.main import MOVED
 from tests.app.processes import wait_until
 from tests.forks import Command
 
 COMMANDS = [
     "info",
-    "detect",
+    "run",
     "evaluate",
     "compare",
-    "run",
     "batch",
     "locate",
     "explain",
@@ -32,14 +32,8 @@ COMMANDS = [
     "simulate",
     "benchmark",
     "serve",
-    "token",
-    "check",
-    "trash",
-    "backup",
-    "restore",
+    "admin",
     "push",
-    "fetch",
-    "config",
 ]
 
 
@@ -50,15 +44,25 @@ def test_each_command_explains_itself(command: str, interloc: Callable) -> None:
     assert "Example" in outcome.out or command in {"simulate", "benchmark"}
 
 
+@pytest.mark.parametrize("command", MOVED)
+def test_a_command_that_moved_says_where_in_a_line(command: str, interloc: Callable) -> None:
+    outcome = interloc(command, "drive", "-o", "out")
+    assert outcome.code == 2
+    assert MOVED[command] in outcome.complaint
+
+
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
         (["nonsense"], "No such command 'nonsense'"),
-        (["detect"], "Missing argument 'DRIVE'"),
-        (["detect", "drive"], "Missing option '-o'"),
-        (["detect", "drive", "-o", "out", "--preset", "best"], "'best' is not one of 'default', 'paper'"),
-        (["detect", "drive", "-o", "out", "--workers", "0"], "0 is not in the range"),
-        (["run", "drive", "-o", "out"], "one of --osm FILE and --overpass"),
+        (["run"], "Missing argument 'DRIVE'"),
+        (["info"], "Missing argument 'DRIVE'"),
+        (["push", "--fetch", "job"], "--fetch JOB needs -o OUT"),
+        (["convert", "drive", "-o", "out", "--all-scans"], "need --reduce"),
+        (["run", "drive"], "Missing option '-o'"),
+        (["run", "drive", "-o", "out", "--preset", "best"], "'best' is not one of 'default', 'paper'"),
+        (["run", "drive", "-o", "out", "--workers", "0"], "0 is not in the range"),
+        (["run", "drive", "-o", "out", "--reference", "--overpass"], "--reference takes no map"),
         (["run", "drive", "-o", "out", "--osm", "map.osm", "--overpass"], "one of --osm FILE and --overpass"),
         (["evaluate", "out"], "one of --osm FILE and --overpass"),
         (["evaluate", "out", "--osm", "map.osm", "--policy", "mine"], "'mine' is not one of"),
@@ -106,7 +110,7 @@ def test_the_console_script(tmp_path: Path) -> None:
 
 def test_a_reader_that_went_away_is_no_error(command: tuple[str, ...], environment: dict[str, str]) -> None:
     with subprocess.Popen(
-        [*command, "config", "--schema"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=environment
+        [*command, "info", "--settings"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=environment
     ) as process:
         assert process.stdout is not None
         assert process.stderr is not None
@@ -119,7 +123,12 @@ def test_a_reader_that_went_away_is_no_error(command: tuple[str, ...], environme
 def test_output_that_cannot_be_written(command: tuple[str, ...], environment: dict[str, str]) -> None:
     with Path("/dev/full").open("w") as full:
         process = subprocess.run(
-            [*command, "config"], stdout=full, stderr=subprocess.PIPE, text=True, env=environment, check=False
+            [*command, "info", "--settings"],
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            env=environment,
+            check=False,
         )
     assert process.returncode == 1
     assert process.stderr == "interloc: the output could not be written: no space left on device\n"
@@ -132,7 +141,7 @@ def test_a_run_that_is_stopped_leaves_nothing(
 ) -> None:
     place = tmp_path / "place"
     place.mkdir()
-    arguments = ["detect", drive, "-o", "out", "--workers", "1", "--set", "keyframes.distance_m=0.1"]
+    arguments = ["run", drive, "-o", "out", "--workers", "1", "--set", "keyframes.distance_m=0.1"]
     process = Command(arguments, environment, tmp_path / "said", tmp_path / "err", place)
     # Its temporary folder is there: detection has begun.
     wait_until(lambda: bool(list(place.iterdir())) or process.poll() is not None, "the temporary folder")
@@ -148,13 +157,13 @@ def test_a_run_that_is_stopped_leaves_nothing(
 def test_progress_is_shown_on_a_terminal_only(
     interloc: Callable, environment: dict[str, str], short_drive: Path, tmp_path: Path
 ) -> None:
-    detect = ["detect", str(short_drive), "--workers", "1", "-o", str(tmp_path / "a")]
+    detect = ["run", str(short_drive), "--workers", "1", "-o", str(tmp_path / "a")]
     shown = stderr_on_terminal(detect, environment, tmp_path / "out")
     assert shown.startswith(f"reading {short_drive}")
     assert "detect" in shown
     assert "keyframe" in shown
     assert not stderr_on_terminal([*detect, "--quiet"], environment, tmp_path / "out").strip()
-    piped = interloc("detect", short_drive, "-o", tmp_path / "c")
+    piped = interloc("run", short_drive, "-o", tmp_path / "c")
     assert (piped.code, piped.err) == (0, "")
 
 

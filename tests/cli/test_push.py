@@ -1,4 +1,4 @@
-"""`interloc push` and `interloc fetch`: what is refused before any server is asked (the rest: tests/client)."""
+"""`interloc push`: what is refused before any server is asked (the rest: tests/client)."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -30,7 +30,7 @@ def test_wrong_usage(arguments: list[str], says: str, interloc: Callable) -> Non
 
 def test_the_token_is_not_shown(interloc: Callable, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("INTERLOC_TOKEN", "a b-secret")
-    outcome = interloc("fetch", "9b1e44f00c7a2d53", "-o", tmp_path / "out")
+    outcome = interloc("push", "--fetch", "9b1e44f00c7a2d53", "-o", tmp_path / "out")
     assert outcome.code == 2
     assert outcome.complaint.startswith("interloc: token: ")
     assert "secret" not in outcome.err

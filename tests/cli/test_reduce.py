@@ -1,4 +1,4 @@
-"""`interloc reduce`: a small copy of a drive, with the same results to the last byte."""
+"""`interloc convert --reduce`: a small copy of a drive, with the same results to the last byte."""
 
 import pickle
 from collections.abc import Callable
@@ -34,7 +34,7 @@ def assert_same(interloc: Callable, tmp_path: Path) -> Callable[..., None]:
         labels: str,
         before: Path | None = None,
     ) -> None:
-        command = ("detect",) if osm is None else ("run", "--osm", osm)
+        command = ("run",) if osm is None else ("run", "--osm", osm)
 
         def find(source: Path, name: str, *options: object) -> Path:
             arguments = (*command, source, "-o", tmp_path / name, "--quiet", "--labels", labels, *options)
@@ -42,7 +42,7 @@ def assert_same(interloc: Callable, tmp_path: Path) -> Callable[..., None]:
             return tmp_path / name
 
         reduced = tmp_path / "reduced"
-        assert interloc("reduce", drive, "-o", reduced, "--quiet", *reading, *reducing).code == 0
+        assert interloc("convert", "--reduce", drive, "-o", reduced, "--quiet", *reading, *reducing).code == 0
         before = before or find(drive, "before", *reading)
         after = find(reduced, "after")
         found = sorted(path.name for path in before.glob("*json") if path.name != "run.json")
@@ -87,12 +87,12 @@ def test_real_scans_of_semantickitti(assert_same: Callable[..., None], data: Cal
 
 def test_what_it_says(interloc: Callable, drive: Path, tmp_path: Path) -> None:
     small = tmp_path / "small"
-    facts = interloc("reduce", drive, "-o", small, "--json", "--all-scans").json
+    facts = interloc("convert", "--reduce", drive, "-o", small, "--json", "--all-scans").json
     assert (facts["drive"], facts["scans"], facts["kept_scans"], facts["keyframes"]) == ("crossing", 210, 210, None)
     assert facts["labels"] == ["labels"]
     assert facts["bytes_before"] == size_of(drive / "velodyne") + size_of(drive / "labels")
     assert facts["bytes_after"] == size_of(small)
-    outcome = interloc("reduce", drive, "-o", small)
+    outcome = interloc("convert", "--reduce", drive, "-o", small)
     assert outcome.code == 0
     assert not outcome.err
     said = dict(line.split(maxsplit=1) for line in outcome.out.splitlines())
@@ -100,7 +100,7 @@ def test_what_it_says(interloc: Callable, drive: Path, tmp_path: Path) -> None:
     assert said["labels"] == "labels"
     assert said["size"].endswith(" now")
     assert said["written"].endswith("small")
-    arguments = ("detect", small, "-o", tmp_path / "out", "--set", "keyframes.distance_m=1")
+    arguments = ("run", small, "-o", tmp_path / "out", "--set", "keyframes.distance_m=1")
     complaint = interloc(*arguments).complaint
     assert "was not kept" in complaint
     assert "--all-scans" in complaint
@@ -109,7 +109,7 @@ def test_what_it_says(interloc: Callable, drive: Path, tmp_path: Path) -> None:
 
 def test_the_other_commands_read_it(interloc: Callable, drive: Path, tmp_path: Path) -> None:
     small = tmp_path / "small"
-    facts = interloc("reduce", drive, "-o", small, "--json").json
+    facts = interloc("convert", "--reduce", drive, "-o", small, "--json").json
     assert (facts["kept_scans"], facts["keyframes"]) == (53, {"distance_m": 2.0, "angle_deg": 5.0})
     info = interloc("info", small, "--thorough")
     assert info.code == 0
@@ -127,12 +127,15 @@ def test_the_other_commands_read_it(interloc: Callable, drive: Path, tmp_path: P
 
 def test_bad_input_is_told_in_a_line(interloc: Callable, drive: Path, short_drive: Path, tmp_path: Path) -> None:
     out = tmp_path / "small"
-    assert "does not exist" in interloc("reduce", tmp_path / "gone", "-o", out).complaint
-    assert "predictions: is missing" in interloc("reduce", drive, "-o", out, "--labels", "predictions").complaint
+    assert "does not exist" in interloc("convert", "--reduce", tmp_path / "gone", "-o", out).complaint
+    assert (
+        "predictions: is missing"
+        in interloc("convert", "--reduce", drive, "-o", out, "--labels", "predictions").complaint
+    )
     (short_drive / "velodyne/000004.bin").write_bytes(b"1234567")
-    assert "velodyne/000004.bin: 7 bytes" in interloc("reduce", short_drive, "-o", out).complaint
+    assert "velodyne/000004.bin: 7 bytes" in interloc("convert", "--reduce", short_drive, "-o", out).complaint
     assert not out.exists()
     (tmp_path / "home").mkdir()
     (tmp_path / "home/letter.txt").touch()
-    assert "holds letter.txt" in interloc("reduce", drive, "-o", tmp_path / "home", "--quiet").complaint
-    assert interloc("reduce", drive, "-o", out, "--labels", "else").code == 2
+    assert "holds letter.txt" in interloc("convert", "--reduce", drive, "-o", tmp_path / "home", "--quiet").complaint
+    assert interloc("convert", "--reduce", drive, "-o", out, "--labels", "else").code == 2

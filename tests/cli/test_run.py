@@ -56,10 +56,10 @@ def test_a_run_replaces_an_older_one_and_is_replaced(
     assert outcome.json["run"]["keyframes"] == 53
     assert strict_json(out / "run.json")["config"]["preset"] == "paper"
     (intersection,) = strict_json(out / "intersections.geojson")["features"]
-    facts = intersection["properties"]
+    facts = intersection["details"]
     assert np.hypot(facts["world_x_m"] - CROSSING_M[0], facts["world_y_m"] - CROSSING_M[1]) < 1.0
     assert {path.name for path in out.iterdir()} == FILES
-    quiet = interloc("detect", short_drive, "-o", out, "--quiet")
+    quiet = interloc("run", short_drive, "-o", out, "--quiet")
     assert (quiet.code, quiet.out, quiet.err) == (0, "", "")
     assert not (out / "report.json").exists()  # it was about another run
 

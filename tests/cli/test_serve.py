@@ -1,4 +1,4 @@
-"""`interloc serve` and `interloc token` as processes: what they say, how they start and end."""
+"""`interloc serve` and `interloc admin token` as processes: what they say, how they start and end."""
 
 import json
 import os
@@ -88,7 +88,7 @@ def test_other_machines_need_a_token(environment: dict[str, str], tmp_path: Path
     refused = interloc("serve", "--host", EVERYWHERE, "--data-dir", tmp_path / "interloc-data")
     assert refused.code == 2
     assert "lets other machines in, and there is no token" in refused.complaint
-    token = interloc("token", "add", "alice", "--data-dir", tmp_path / "interloc-data").out.strip()
+    token = interloc("admin", "token", "add", "alice", "--data-dir", tmp_path / "interloc-data").out.strip()
     with serving(environment, tmp_path, "--host", EVERYWHERE) as (_, address):
         drives = f"{address.replace(EVERYWHERE, '127.0.0.1')}api/v1/drives"
         assert httpx.get(drives, verify=NO_TLS).status_code == 401
@@ -142,27 +142,27 @@ def test_a_bad_setting_is_named(
 
 def test_tokens_are_shown_once(interloc: Interloc, tmp_path: Path) -> None:
     data = ("--data-dir", tmp_path)
-    assert "holds no drives of a service" in interloc("token", "list", *data).complaint
-    assert "holds no drives of a service" in interloc("token", "revoke", "alice", *data).complaint
+    assert "holds no drives of a service" in interloc("admin", "token", "list", *data).complaint
+    assert "holds no drives of a service" in interloc("admin", "token", "revoke", "alice", *data).complaint
     assert not list(tmp_path.iterdir())  # a mistyped folder does not become a service
-    token = interloc("token", "add", "alice", *data).out.strip()
+    token = interloc("admin", "token", "add", "alice", *data).out.strip()
     assert token.startswith("interloc_")
-    listed = interloc("token", "list", *data).out
+    listed = interloc("admin", "token", "list", *data).out
     assert listed.startswith("alice ")
     assert token not in listed
-    assert interloc("token", "add", "alice", *data).code == 2
-    assert interloc("token", "revoke", "alice", *data).out == "the token of alice is revoked\n"
-    assert interloc("token", "revoke", "alice", *data).code == 2
-    assert interloc("token", "list", *data).err == "no tokens\n"
+    assert interloc("admin", "token", "add", "alice", *data).code == 2
+    assert interloc("admin", "token", "revoke", "alice", *data).out == "the token of alice is revoked\n"
+    assert interloc("admin", "token", "revoke", "alice", *data).code == 2
+    assert interloc("admin", "token", "list", *data).err == "no tokens\n"
 
 
 def test_tokens_tell_what_they_allow(interloc: Interloc, tmp_path: Path) -> None:
     data = ("--data-dir", tmp_path)
     limits = ("--expires", "30d", "--max-bytes", "1.5GB", "--max-jobs", "5")
-    assert interloc("token", "add", "alice", "--read-only", *limits, *data).code == 0
+    assert interloc("admin", "token", "add", "alice", "--read-only", *limits, *data).code == 0
     few = ("--max-bytes", "1MB", "--max-jobs", "1")
-    assert interloc("token", "add", "bob", "--expires", "2999-12-31T02:00+02:00", *few, *data).code == 0
-    alice, bob = interloc("token", "list", *data).out.splitlines()
+    assert interloc("admin", "token", "add", "bob", "--expires", "2999-12-31T02:00+02:00", *few, *data).code == 0
+    alice, bob = interloc("admin", "token", "list", *data).out.splitlines()
     assert re.fullmatch(
         r"alice +read  since .* UTC, no use noted yet, expires 2\d{3}-\d\d-\d\d .*, 1\.5 GB, 5 jobs", alice
     )
@@ -181,7 +181,7 @@ def test_tokens_tell_what_they_allow(interloc: Interloc, tmp_path: Path) -> None
 def test_limits_of_a_token_that_make_no_sense(
     interloc: Interloc, tmp_path: Path, option: tuple[str, str], says: str
 ) -> None:
-    outcome = interloc("token", "add", "alice", *option, "--data-dir", tmp_path)
+    outcome = interloc("admin", "token", "add", "alice", *option, "--data-dir", tmp_path)
     assert outcome.code == 2
     assert says in outcome.err
 

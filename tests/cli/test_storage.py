@@ -71,7 +71,7 @@ def test_a_result_replaces_an_older_one_and_nothing_else(short_drive: Path, tmp_
     ],
 )
 def test_what_cannot_be_read_is_said_in_one_line(address: str, said: str, interloc: Callable) -> None:
-    complaint = interloc("detect", address, "-o", "never").complaint
+    complaint = interloc("run", address, "-o", "never").complaint
     assert re.search(said, complaint)
     assert "password" not in complaint
 
@@ -123,7 +123,7 @@ def test_drives_of_a_prefix_are_a_batch_whose_results_are_as_by_themselves(
         f"s3://{BUCKET}/many/{name}/short" for name in ("one", "two")
     ]
     storage.clear()
-    assert interloc("detect", short_drive, "-o", tmp_path / "alone").code == 0
+    assert interloc("run", short_drive, "-o", tmp_path / "alone").code == 0
     names = {f"one-short/{path.name}" for path in (tmp_path / "alone").iterdir()}
     assert names | {"batch.csv", ".batch/one-short.json"} <= set(keys_below("batch"))
     for path in (tmp_path / "alone").glob("*.geojson"):

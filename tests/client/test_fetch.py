@@ -46,7 +46,7 @@ def test_a_result_fetched_is_a_result_made_here(here: Any, scored: Any, street: 
 def test_fetched_again_every_byte_is_that_of_the_server(
     here: Any, scored: Any, server: ServerProcess, tmp_path: Path
 ) -> None:
-    outcome = here("fetch", scored["job"], "-o", tmp_path / "out")
+    outcome = here("push", "--fetch", scored["job"], "-o", tmp_path / "out")
     assert outcome.code == 0
     assert "nodes found" in outcome.out
     listed = server.client.get(f"{API}/jobs/{scored['job']}/files").json()["files"]
@@ -68,7 +68,7 @@ def test_real_drives(
 ) -> None:
     given = [options[0], data(options[1]) if "/" in options[1] else options[1]]
     drive = data(name)
-    assert here("detect", drive, *given, "-o", tmp_path / "local").code == 0
+    assert here("run", drive, *given, "-o", tmp_path / "local").code == 0
     ours = layers(tmp_path / "local")
     assert len(ours) == len(LAYERS)
     for number, sending in enumerate(sendings):
@@ -101,7 +101,7 @@ def test_a_job_that_was_cancelled(here: Any, server: ServerProcess, street: Path
     gate = Gate(server.log.parent / "data", drive, 30)  # else the job may be done before it hears of it
     job = server.client.post(f"{API}/jobs", json={"drive_id": drive}).json()["id"]
     server.client.delete(f"{API}/jobs/{job}").raise_for_status()
-    outcome = here("fetch", job, "-o", tmp_path / "out")
+    outcome = here("push", "--fetch", job, "-o", tmp_path / "out")
     gate.open()
     state = server.client.get(f"{API}/jobs/{job}").json()["state"]
     assert state == "dismissed"
@@ -114,16 +114,16 @@ def test_an_older_result_stays_until_the_new_one_is_whole(here: Any, scored: Any
     out = Path(shutil.copytree(scored["out"], tmp_path / "out"))
     (out / "mine.txt").write_text("notes")
     before = {path.name: path.read_bytes() for path in out.iterdir() if path.is_file()}
-    nowhere = here("fetch", "0123456789abcdef", "-o", out)
+    nowhere = here("push", "--fetch", "0123456789abcdef", "-o", out)
     assert (nowhere.code, "0123456789abcdef" in nowhere.err) == (1, True)
     assert {path.name: path.read_bytes() for path in out.iterdir() if path.is_file()} == before
-    assert here("fetch", scored["job"], "-o", out).code == 0
+    assert here("push", "--fetch", scored["job"], "-o", out).code == 0
     assert (out / "mine.txt").read_text() == "notes"
 
 
 def test_a_folder_of_something_else_is_not_touched(here: Any, scored: Any, tmp_path: Path) -> None:
     (tmp_path / "thesis.tex").write_text("precious")
-    outcome = here("fetch", scored["job"], "-o", tmp_path)
+    outcome = here("push", "--fetch", scored["job"], "-o", tmp_path)
     assert outcome.code == 1
     assert "is not an InterLoc result" in outcome.err
     assert [path.name for path in tmp_path.iterdir() if path.is_file()] == ["thesis.tex"]
@@ -138,9 +138,9 @@ def test_stopped_while_it_waits_the_job_goes_on(here: Any, server: ServerProcess
         _, err = process.communicate(timeout=60)
     (job,) = server.client.get(f"{API}/jobs", params={"drive": drive}).json()["jobs"]
     if process.returncode:  # else the job was quicker than the signal
-        assert f"interrupted; the job goes on: interloc fetch {job['id']} -o OUT --server " in err
+        assert f"interrupted; the job goes on: interloc push --fetch {job['id']} -o OUT --server " in err
         assert not (tmp_path / "out").exists()
-    assert here("fetch", job["id"], "-o", tmp_path / "fetched").code == 0
+    assert here("push", "--fetch", job["id"], "-o", tmp_path / "fetched").code == 0
 
 
 @pytest.mark.parametrize("name", ["../../evil", "/etc/evil", "a\\b", "c:evil", "figures/../../evil"])
@@ -148,7 +148,7 @@ def test_names_that_lead_elsewhere_are_not_written(name: str, faulty: Any, make:
     job = {"id": "j1", "drive_id": "d1", "state": "successful"}
     files = [{"name": "run.json", "size_bytes": 2}, {"name": name, "size_bytes": 2}]
     faulty.script = [make.answer(200, job), make.answer(200, {"files": files}), make.answer(200, b"{}")]
-    outcome = make.Here(faulty.address, tmp_path / "cache")("fetch", "j1", "-o", tmp_path / "out")
+    outcome = make.Here(faulty.address, tmp_path / "cache")("push", "--fetch", "j1", "-o", tmp_path / "out")
     assert outcome.code == 1
     assert "which was not written" in outcome.err
     assert not list(tmp_path.rglob("*evil*"))
@@ -158,7 +158,7 @@ def test_a_file_that_does_not_fit_its_size_is_not_kept(faulty: Any, make: Module
     job = {"id": "j1", "drive_id": "d1", "state": "successful"}
     files = {"files": [{"name": "run.json", "size_bytes": 1000}]}
     faulty.script = [make.answer(200, job), make.answer(200, files), make.answer(200, b"{}")]
-    outcome = make.Here(faulty.address, tmp_path / "cache")("fetch", "j1", "-o", tmp_path / "out")
+    outcome = make.Here(faulty.address, tmp_path / "cache")("push", "--fetch", "j1", "-o", tmp_path / "out")
     assert outcome.code == 1
     assert "run.json came with 2 bytes, but is listed with 1,000" in outcome.err
     assert not (tmp_path / "out").exists()
@@ -178,7 +178,7 @@ def test_an_answer_that_breaks_off_is_asked_for_again(faulty: Any, make: ModuleT
     files = {"files": [{"name": "run.json", "size_bytes": len(run)}]}
     nothing = make.answer(200, {"drives": []})
     faulty.script = [make.answer(200, job), make.answer(200, files), break_off, nothing, make.answer(200, run)]
-    outcome = make.Here(faulty.address, tmp_path / "cache")("fetch", "j1", "-o", tmp_path / "out")
+    outcome = make.Here(faulty.address, tmp_path / "cache")("push", "--fetch", "j1", "-o", tmp_path / "out")
     assert outcome.code == 0, outcome.err
     assert (tmp_path / "out" / "run.json").read_bytes() == run
 
@@ -197,6 +197,6 @@ def test_a_job_is_followed_to_its_end(faulty: Any, make: ModuleType, tmp_path: P
             make.answer(200, {"id": "j1", "drive_id": "d1", "state": next(states)})(handler)
 
     faulty.script = [reply]
-    outcome = make.Here(faulty.address, tmp_path / "cache")("fetch", "j1", "-o", tmp_path / "out", "--quiet")
+    outcome = make.Here(faulty.address, tmp_path / "cache")("push", "--fetch", "j1", "-o", tmp_path / "out", "--quiet")
     assert (outcome.code, outcome.err) == (0, "")
     assert next(states, None) is None

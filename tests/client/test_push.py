@@ -268,7 +268,7 @@ def test_a_reduced_drive_is_sent_as_it_is(
     here: Any, server: ServerProcess, street: Path, complete: dict[str, str], tmp_path: Path
 ) -> None:
     small = tmp_path / "small"
-    assert here("reduce", street, "-o", small).code == 0
+    assert here("convert", "--reduce", street, "-o", small).code == 0
     pushed = here("push", small, "--json").json
     assert files_on(server, pushed["drive_id"]) == complete
     refused = here("push", small, "--all-scans")

@@ -43,10 +43,10 @@ def test_outcomes_of_nodes() -> None:
     b = report({1: "found", 2: "missed", 3: "found", 4: "missed"})
     told = compare_reports(["a", "b"], [a, b], [{}, {}])
     assert told["found_by_all"] == told["missed_by_all"] == 1
-    assert told["found_only_by"] == [[2], [3]]
+    assert told["found_only_by"] == [["2"], ["3"]]
     assert [(n["osm_id"], n["outcomes"], n["median_error_m"]) for n in told["nodes"]] == [
-        (2, ["found", "missed"], [1.5, None]),
-        (3, ["missed", "found"], [None, 1.5]),
+        ("2", ["found", "missed"], [1.5, None]),
+        ("3", ["missed", "found"], [None, 1.5]),
     ]
 
 
@@ -55,7 +55,7 @@ def test_a_node_that_one_run_never_came_near_is_outside() -> None:
         ["a", "b", "c"], [report({1: "found"}), report({}), report({1: "outside", 2: "found"})], [{}, {}, {}]
     )
     assert [n["outcomes"] for n in told["nodes"]] == [["found", "outside", "outside"], ["outside", "outside", "found"]]
-    assert told["found_only_by"] == [[1], [], [2]]
+    assert told["found_only_by"] == [["1"], [], ["2"]]
 
 
 def test_settings_that_differ_are_named_by_their_path() -> None:

@@ -70,7 +70,7 @@ def test_the_record_has_the_fields_of_the_contract(folder: Path) -> None:
     assert (record["tp"]["5.0"], record["fp"]["5.0"], record["fn"]["5.0"]) == (2, 1, 2)
     assert list(record["precision"])[:2] == ["0.5", "1.0"]
     assert {"6.9", "13.3"} <= set(record["f1"])
-    assert {node["osm_id"]: node["found"] for node in record["nodes"]} == {100: True, 105: False}
+    assert {node["osm_id"]: node["found"] for node in record["nodes"]} == {"100": True, "105": False}
 
 
 def test_matches_lead_from_detection_to_node(folder: Path) -> None:
@@ -81,7 +81,7 @@ def test_matches_lead_from_detection_to_node(folder: Path) -> None:
     assert first["geometry"]["coordinates"][1] == pytest.approx([8.4, 49.0], abs=1e-9)
     assert first["properties"]["frame"] == 0
     assert first["properties"]["error_m"] == pytest.approx(1.0, abs=1e-2)
-    assert first["properties"]["osm_id"] == 100
+    assert first["properties"]["osm_id"] == "100"
 
 
 class Page(HTMLParser):

@@ -26,11 +26,13 @@ def features(folder: Path, layer: str) -> list[dict[str, Any]]:
 
 def properties(evaluation: Evaluation, layer: str) -> list[dict[str, Any]]:
     """What the features of a layer would say."""
-    return [each["properties"] for each in LAYER_FEATURES[layer](evaluation, evaluation.result)]
+    features = LAYER_FEATURES[layer](evaluation, evaluation.result)
+    return [each["properties"] | each.get("details", {}) for each in features]
 
 
 def told(folder: Path, layer: str, *names: str) -> list[tuple[Any, ...]]:
-    return [tuple(feature["properties"][name] for name in names) for feature in features(folder, layer)]
+    rows = [each["properties"] | each.get("details", {}) for each in features(folder, layer)]
+    return [tuple(row[name] for name in names) for row in rows]
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +54,7 @@ def folder(made: DriveResult, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_an_intersection_is_right_wrong_or_unscored(folder: Path) -> None:
     right, wrong, unscored = told(folder, "intersections", "outcome", "osm_id", "error_m", "reason", "uid")
-    assert right[:2] == ("right", 100)
+    assert right[:2] == ("right", "100")
     assert right[2] == pytest.approx(1.118, abs=1e-3)
     assert right[3:] == (None, "n100")
     assert wrong[:3] == ("wrong", None, None)
@@ -64,9 +66,9 @@ def test_an_intersection_is_right_wrong_or_unscored(folder: Path) -> None:
 def test_a_detection_is_right_or_wrong_and_names_its_node(folder: Path) -> None:
     rows = told(folder, "detections", "id", "outcome", "osm_id", "intersection")
     assert rows == [
-        ("0-1", "right", 100, 1),
-        ("10-1", "right", 100, 1),
-        ("10-2", "wrong", 100, 2),
+        ("0-1", "right", "100", 1),
+        ("10-1", "right", "100", 1),
+        ("10-2", "wrong", "100", 2),
         ("10-3", *rows[3][1:]),
     ]
     assert rows[3][1] == "wrong"
@@ -77,7 +79,7 @@ def test_a_detection_is_right_or_wrong_and_names_its_node(folder: Path) -> None:
 
 def test_a_node_is_found_missed_or_outside(folder: Path) -> None:
     rows = told(folder, "osm_nodes", "osm_id", "outcome", "intersection")
-    assert rows == [(100, "found", 1), (105, "missed", None), (110, "outside", None)]
+    assert rows == [("100", "found", 1), ("105", "missed", None), ("110", "outside", None)]
     reasons = [reason for (reason,) in told(folder, "osm_nodes", "reason")]
     assert reasons[0] is reasons[2] is None
     assert reasons[1]
@@ -93,7 +95,9 @@ def test_service_roads_can_be_counted_without_another_run() -> None:
     assert (report["map_level"]["false"], report["map_level"]["precision"]) == (0, None)
     switched = report["with_service"]
     assert switched["map_line"].startswith("1 of 1 intersection right within 10 m, 1 of 1 node found")
-    assert [(each["id"], each["outcome"], each["osm_id"]) for each in switched["intersections"]] == [(1, "right", 100)]
+    assert [(each["id"], each["outcome"], each["osm_id"]) for each in switched["intersections"]] == [
+        (1, "right", "100")
+    ]
     assert [each["outcome"] for each in switched["nodes"]] == ["found"]
     page = render_html(report, made, dict.fromkeys(("map", "errors", "thresholds"), ""))
     assert "With service roads counted too" in page
@@ -148,12 +152,11 @@ def test_scoring_again_replaces_the_verdicts(folder: Path, tmp_path: Path) -> No
     out = Path(shutil.copytree(folder, tmp_path / "out"))
     other = evaluate(read_results(out), graph([(12, 14)]))
     write_report(other, out)
-    assert told(out, "intersections", "outcome", "osm_id")[:2] == [("wrong", None), ("right", 100)]
+    assert told(out, "intersections", "outcome", "osm_id")[:2] == [("wrong", None), ("right", "100")]
     again = evaluate(read_results(out), graph([(0, 0), (0, -15), (80, 0)], arm_m=15))
     for layer in ("intersections", "detections", "osm_nodes", "matches"):
-        written = [{**each["properties"]} for each in features(folder, layer)]
-        origin = {name: written[0][name] for name in ("drive", "job", "preset", "labels")}
-        assert [each | origin for each in properties(again, layer)] == written
+        written = [each["properties"] | each.get("details", {}) for each in features(folder, layer)]
+        assert properties(again, layer) == written
 
 
 def test_detections_beyond_the_map_are_unscored(made: DriveResult) -> None:
@@ -168,7 +171,7 @@ def test_a_folder_of_an_older_version_opens_and_exports(folder: Path, tmp_path: 
     old = tmp_path / "old"
     old.mkdir()
     new = {
-        "intersections": [*NEW, "uid", "drive", "first_time", "last_time", "names"],
+        "intersections": [*NEW, "uid", "first_time", "last_time", "names"],
         "detections": [*NEW, "id", "time"],
         "osm_nodes": ["outcome", "intersection", "reason", "names"],
         "matches": ["intersection"],
@@ -177,8 +180,11 @@ def test_a_folder_of_an_older_version_opens_and_exports(folder: Path, tmp_path: 
         content = json.loads(path.read_text())
         for feature in content.get("features", []):
             del feature["id"]
+            feature["properties"] |= feature.pop("details", {})
+            if feature["properties"].get("osm_id"):
+                feature["properties"]["osm_id"] = int(feature["properties"]["osm_id"])
             for name in new.get(path.stem, []):
                 del feature["properties"][name]
         (old / path.name).write_text(json.dumps(content))
     assert len(read_results(old).intersections) == 3
-    assert "matches" in write_vector_file(old, tmp_path / "old.gpkg")
+    assert "matches" in write_vector_file(old, tmp_path / "old.gpkg", layer="all")

@@ -76,7 +76,7 @@ def test_positions_beyond_it_are_named_from_the_other_side() -> None:
 
 def test_a_file_has_parts_and_its_layer_is_read_whole(tmp_path: Path) -> None:
     path = tmp_path / "trajectory.geojson"
-    made = LAYERS["trajectory"].features([[[179.9, 0], [-179.9, 1]]], scans=[2], thinned_to_m=[1.0])
+    made = LAYERS["trajectory"].features([[[179.9, 0], [-179.9, 1]]], scans=[2])
     write_collection(path, made, local=False)
     content = json.loads(path.read_text())
     assert content["bbox"] == [179.9, 0, -179.9, 1]

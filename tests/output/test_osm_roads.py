@@ -8,7 +8,6 @@ import shapely
 
 from interloc.osm import reader
 from interloc.osm.reader import read_osm
-from interloc.output.properties import ORIGIN
 from interloc.output.roads import building_features
 
 BOUNDS = (8.39, 48.99, 8.42, 49.02)
@@ -61,7 +60,7 @@ def test_buildings_near_the_track_are_polygons(town: Path) -> None:
     graph = read_osm(town, BOUNDS)
     assert graph.buildings.id.tolist() == [20, 21, 42, 50, 50]  # way 43 is an outline of relation 50
     feature, *_ = building_features(graph, np.array([[8.4, 49.0003], [8.402, 49.0003]]))
-    assert feature["properties"] == {**dict.fromkeys(ORIGIN), "osm_id": 20, "osm_type": "way"}
+    assert feature["properties"] == {"osm_id": "20", "osm_type": "way"}
     outline = shapely.geometry.shape(feature["geometry"])
     assert outline.equals(shapely.Polygon(CORNERS))
     assert outline.exterior.is_ccw
@@ -76,7 +75,7 @@ def test_a_relation_is_put_together_from_its_ways(town: Path, monkeypatch: pytes
     assert annex.equals(shapely.Polygon(SECOND))
     assert house.exterior.is_ccw
     assert not house.interiors[0].is_ccw
-    assert features[2]["properties"] == {**dict.fromkeys(ORIGIN), "osm_id": 50, "osm_type": "relation"}
+    assert features[2]["properties"] == {"osm_id": "50", "osm_type": "relation"}
     monkeypatch.setattr(reader, "MAX_NODES_OF_RELATIONS", 13)  # it has 14
     assert read_osm(town, BOUNDS).buildings.id.tolist() == [20, 21, 42, 43]
 

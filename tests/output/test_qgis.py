@@ -39,7 +39,7 @@ def exported(scored: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("qgis")
     local = write_folder(folder / "local", with_roads(small_result(local=True)), scored=False)
     for path, source in (("a.gpkg", scored), ("project.qgz", scored), ("local.qgz", local)):
-        write_vector_file(source, folder / path)
+        write_vector_file(source, folder / path, layer="all" if path == "a.gpkg" else None)
     database = sqlite3.connect(folder / "a.gpkg")
     styles = database.execute("SELECT f_table_name, useAsDefault FROM layer_styles").fetchall()
     database.close()
@@ -74,7 +74,7 @@ def test_it_reads_layers_fields_and_licence(told: dict[str, Any]) -> None:
     assert layers["osm_roads"]["licenses"] == [ODBL]
     assert layers["trajectory"]["licenses"] == []
     types = layers["detections"]["types"]
-    assert (types["time"], types["osm_id"], types["error_m"]) == ("DateTime", "Integer64", "Real")
+    assert (types["time"], types["osm_id"], types["error_m"]) == ("DateTime", "String", "Real")
 
 
 @pytest.mark.parametrize("source", ["layers", "qml"])

@@ -64,7 +64,8 @@ def test_the_files_of_a_georeferenced_run(tmp_path: Path) -> None:
     write_results(small_result(), tmp_path)
     assert {path.name for path in tmp_path.iterdir()} == set(files)
     detections = load(tmp_path / "detections.geojson")
-    assert list(detections) == ["type", "attribution", "bbox", "features"]  # no crs
+    assert list(detections) == ["type", *origin, "attribution", "bbox", "features"]  # no crs
+    assert {name: detections[name] for name in origin} == origin
     assert detections["bbox"] == [8.4205, 49.0109999, 8.43, 49.02]
     assert detections["features"][1] == {
         "type": "Feature",
@@ -72,10 +73,6 @@ def test_the_files_of_a_georeferenced_run(tmp_path: Path) -> None:
         "geometry": {"type": "Point", "coordinates": [8.4205023, 49.0109999]},
         "properties": {
             "frame": 12,
-            "x_m": 8.0,
-            "y_m": 2.0,
-            "world_x_m": 10.1,
-            "world_y_m": 1.0,
             "branch_count": 3,
             "branch_bearings_deg": [1.0, 91.5, 181.25],
             "branch_widths_m": [None, None, None],
@@ -84,42 +81,37 @@ def test_the_files_of_a_georeferenced_run(tmp_path: Path) -> None:
             "id": "12-1",
             "time": None,
             **unscored,
-            **origin,
         },
+        "details": {"x_m": 8.0, "y_m": 2.0, "world_x_m": 10.1, "world_y_m": 1.0},
     }
     assert detections["features"][2]["properties"]["intersection"] is None
-    assert load(tmp_path / "keyframes.geojson")["features"][1]["properties"] == {
-        "frame": 12,
-        "time_s": None,
-        "heading_deg": 270.0,
-        "detections": 2,
-        "world_x_m": 2.125,
-        "world_y_m": -1.0,
-        "world_yaw_rad": 0.5,
-        "time": None,
-        **origin,
-    }
-    assert load(tmp_path / "intersections.geojson")["features"][0]["properties"] == {
+    keyframe = load(tmp_path / "keyframes.geojson")["features"][1]
+    assert keyframe["properties"] == {"frame": 12, "heading_deg": 270.0, "detections": 2, "time": None}
+    assert keyframe["details"] == {"time_s": None, "world_x_m": 2.125, "world_y_m": -1.0, "world_yaw_rad": 0.5}
+    intersection = load(tmp_path / "intersections.geojson")["features"][0]
+    assert intersection["properties"] == {
         "id": 1,
-        "observations": 2,
+        "uid": "49.01110,8.42063",
         "position_std_m": 0.25,
-        "position_cov_m2": [0.0625, 0.03, 0.0625],
         "branch_count": 3,
         "branch_bearings_deg": [0.5, 90.75, 180.5],
         "branch_widths_m": [6.5, None, 3.25],
+        "confidence": 0.75,
+        **dict.fromkeys(("first_time", "last_time", "names")),
+        **unscored,
+    }
+    assert intersection["details"] == {
+        "observations": 2,
+        "position_cov_m2": [0.0625, 0.03, 0.0625],
         "first_frame": 0,
         "last_frame": 12,
-        "confidence": 0.75,
         "world_x_m": 10.0625,
         "world_y_m": 1.0,
-        "uid": "49.01110,8.42063",
-        **dict.fromkeys(("fix_std_m", "shape_cov_m2", "scatter_std_m", "first_time", "last_time", "names")),
-        **unscored,
-        **origin,
+        **dict.fromkeys(("fix_std_m", "shape_cov_m2", "scatter_std_m")),
     }
     (line,) = load(tmp_path / "trajectory.geojson")["features"]
     assert line["geometry"] == {"type": "LineString", "coordinates": [[8.4203, 49.0109], [8.4204, 49.01095]]}
-    assert line["properties"] == {"scans": 2, "thinned_to_m": 0.5, **origin}
+    assert line["properties"] == {"scans": 2}
     assert load(tmp_path / "run.json") == {
         "format": "interloc-result",
         "format_version": 1,
@@ -326,7 +318,7 @@ def test_what_is_written_is_read_back(result: DriveResult) -> None:
 
 
 def test_a_missing_folder_and_a_folder_of_something_else_are_named(tmp_path: Path) -> None:
-    with pytest.raises(OutputError, match=r"none is not a folder\. Give the folder that `interloc detect -o` wrote"):
+    with pytest.raises(OutputError, match=r"none is not a folder\. Give the folder that `interloc run -o` wrote"):
         read_results(tmp_path / "none")
     with pytest.raises(OutputError, match=r"is not an InterLoc result: it has no run.json"):
         read_results(tmp_path)
@@ -387,7 +379,7 @@ def test_damage_is_named_with_what_to_do(tmp_path: Path, damage: str) -> None:
     with pytest.raises(OutputError, match=message) as caught:
         read_results(tmp_path)
     assert name in str(caught.value)
-    assert "interloc detect" in str(caught.value)
+    assert "interloc run" in str(caught.value)
 
 
 def test_a_file_that_is_gone_is_named(tmp_path: Path) -> None:

@@ -32,7 +32,7 @@ class Done:
         return self.server.log.with_name("data")
 
     def features(self, layer: str) -> list[dict[str, Any]]:
-        answer = self.server.client.get(f"{API}/jobs/{self.job}/{layer}").raise_for_status()
+        answer = self.server.client.get(f"{API}/jobs/{self.job}/layers/{layer}").raise_for_status()
         return list(answer.json()["features"])
 
     def report(self) -> dict[str, Any]:
@@ -47,11 +47,13 @@ class Scored:
     job: str
 
     def features(self, layer: str) -> list[dict[str, Any]]:
-        return list(self.server.client.get(f"{API}/jobs/{self.job}/{layer}").raise_for_status().json()["features"])
+        return list(
+            self.server.client.get(f"{API}/jobs/{self.job}/layers/{layer}").raise_for_status().json()["features"]
+        )
 
     def nodes(self, kind: str) -> list[dict[str, Any]]:
         """Nodes of the map: found, missed, or outside of what the drive could see."""
-        return [node for node in self.features("osm-nodes") if node["properties"]["outcome"] == kind]
+        return [node for node in self.features("osm_nodes") if node["properties"]["outcome"] == kind]
 
     def intersections(self, outcome: str) -> list[dict[str, Any]]:
         """Intersections that are right, wrong or unscored."""

@@ -18,14 +18,14 @@ from tests.page.results import TOKEN, Done, show
 pytestmark = needs_page
 
 FILES = {
-    "GeoPackage": "export.gpkg",
-    "QGIS project": "export.qgz",
+    "GeoPackage": "export?f=gpkg",
+    "QGIS project": "export?f=qgz",
     "Everything (.zip)": "archive.zip",
     "Report": "report?format=html",
-    "Intersections, GeoJSON": "intersections",
-    "Intersections, PMTiles, for web maps": "export.pmtiles",
-    "Detections, FlatGeobuf": "export.fgb?layer=detections",
-    "All layers, KMZ, for Google Earth": "export.kmz",
+    "Intersections, GeoJSON": "export?f=geojson&layer=intersections",
+    "Intersections, PMTiles, for web maps": "export?f=pmtiles",
+    "Detections, FlatGeobuf": "export?f=fgb&layer=detections",
+    "All layers, KMZ, for Google Earth": "export?f=kmz&layer=all",
     "Road seen by LiDAR, GeoTIFF": "road.tif",
     "Report, JSON": "report?format=json",
     "Settings, versions, timings, JSON": "run",
@@ -138,9 +138,9 @@ def test_files_come_by_a_click_and_boxes_by_their_copy_buttons(opened: Open, tmp
     variables = {**os.environ, **({"INTERLOC_TOKEN": opened.token} if opened.token else {})}
     subprocess.run(["bash", "-c", command], cwd=here, env=variables, check=True, capture_output=True, timeout=60)
     (file,) = here.iterdir()
-    assert (file.suffix, file.stat().st_size) == (".gpkg", len(opened.served("export.gpkg")))
+    assert (file.suffix, file.stat().st_size) == (".gpkg", len(opened.served("export")))
     for address in addresses:  # as QGIS reads it: by GDAL
-        count = len(json.loads(opened.served("intersections"))["features"])
+        count = len(json.loads(opened.served("layers/intersections"))["features"])
         assert pyogrio.read_info(f"/vsicurl/{address}")["features"] == count > 0
     if opened.token:
         del variables["INTERLOC_TOKEN"]

@@ -127,7 +127,7 @@ def test_intersections_are_drawn_with_all_that_is_known_of_them(sheet: Any, scor
     drawn = sheet("uncertainty")
     assert_one_sign_each(np.array([part.middle for part in drawn.parts]), drawn.screen(features))
     for feature, place in zip(features, drawn.screen(features), strict=True):
-        east, both, north = feature["properties"]["position_cov_m2"]
+        east, both, north = feature["details"]["position_cov_m2"]
         longest = np.linalg.eigvalsh([[east, both], [both, north]])[1]
         radius = math.sqrt(-2 * math.log(0.05) * longest) * pixels_per_metre(drawn.page)
         assert radius > 2, "too small to be drawn at this scale"
@@ -153,7 +153,7 @@ def test_intersections_are_drawn_with_all_that_is_known_of_them(sheet: Any, scor
 
 
 def test_each_road_is_drawn_along_all_its_points(sheet: Any, scored: Scored) -> None:
-    roads = scored.features("osm-roads")
+    roads = scored.features("osm_roads")
     assert len({road["properties"]["highway"] for road in roads}) >= 3
     drawn = sheet("roads")
     lines = [screen_of(drawn.page, road["geometry"]["coordinates"]) for road in roads]

@@ -40,7 +40,7 @@ def test_each_intersection_is_where_its_coordinates_say(page: Any, done: Done) -
 def test_counts_of_the_legend_are_those_of_the_files(page: Any, done: Done) -> None:
     show(page, done, "panel=result")
     outcomes = [feature["properties"]["outcome"] for feature in done.features("matches")]
-    nodes = [feature["properties"]["outcome"] for feature in done.features("osm-nodes")]
+    nodes = [feature["properties"]["outcome"] for feature in done.features("osm_nodes")]
     fused = [feature["properties"]["outcome"] for feature in done.features("intersections")]
     expected = {
         "Right": fused.count("right"),

@@ -31,9 +31,9 @@ def test_maplibre_shows_a_result_on_a_page_of_another_site(site: Any, done: Done
     known = sorted(each["properties"]["id"] for each in features)
     assert known
     sources: dict[str, Any] = {
-        "layer": {"type": "geojson", "data": f"{job}/intersections"},
-        "tiles": {"type": "vector", "url": f"pmtiles://{job}/export.pmtiles"},
-        "lines": {"type": "vector", "url": f"pmtiles://{job}/export.pmtiles?layer=branches"},
+        "layer": {"type": "geojson", "data": f"{job}/layers/intersections"},
+        "tiles": {"type": "vector", "url": f"pmtiles://{job}/export?f=pmtiles"},
+        "lines": {"type": "vector", "url": f"pmtiles://{job}/export?f=pmtiles&layer=branches"},
     }
     if done.server.client.get("/ogc").status_code == 200:
         address = f"{done.server.address}/ogc/collections/intersections/items"
@@ -55,7 +55,7 @@ def test_maplibre_shows_a_result_on_a_page_of_another_site(site: Any, done: Done
     if "items" in sources:
         assert site.evaluate("map.querySourceFeatures('items').length") >= len(known)
 
-    ranges = [each for each in answers if each.url.endswith("/export.pmtiles")]
+    ranges = [each for each in answers if each.url.endswith("/export?f=pmtiles")]
     assert {each.status for each in ranges} == {206}
     size = int(ranges[0].headers["content-range"].rpartition("/")[2])
     told = site.evaluate(
@@ -63,7 +63,7 @@ def test_maplibre_shows_a_result_on_a_page_of_another_site(site: Any, done: Done
           const { headers } = await fetch(url, { headers: { Range: "bytes=0-6" } });
           return ["content-range", "etag", "accept-ranges", "content-length"].map((name) => headers.get(name));
         }""",
-        f"{job}/export.pmtiles",
+        f"{job}/export?f=pmtiles",
     )
     assert told[0] == f"bytes 0-6/{size}"
     assert told[1].startswith('"')

@@ -501,7 +501,7 @@ def clients(fleet: Fleet, ledger: Ledger, street: Path, reference: dict[str, str
 
 
 class Backups:
-    """`interloc backup`, over and over."""
+    """`interloc admin backup`, over and over."""
 
     def __init__(self, fleet: Fleet, out: Path, ledger: Ledger) -> None:
         self._fleet = fleet

@@ -171,7 +171,7 @@ def _read(netloc: str, path: str, headers: dict[str, str], status: int, counted:
 
 def measure_reads(server: ServerProcess, job: str) -> Iterator[Row]:
     """Requests a second on the detections of a big result."""
-    path = f"{API}/jobs/{job}/detections"
+    path = f"{API}/jobs/{job}/layers/detections"
     answer = server.client.get(path)  # compressed, which has an ETag of its own
     size, detections = len(answer.content), len(answer.json()["features"])
     etag = answer.headers["etag"]

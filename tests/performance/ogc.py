@@ -214,7 +214,7 @@ def main() -> None:
     with running_server(data, **options) as address, httpx.Client(base_url=address, timeout=120) as client:
         items = "/ogc/collections/detections/items"
         measure_queries(client, items, QUERIES)
-        for name in ("", "/collections", "/collections/trajectories/items?bbox=8.43,49.03,8.433,49.032"):
+        for name in ("", "/collections", "/collections/trajectory/items?bbox=8.43,49.03,8.433,49.032"):
             seconds, cpu = measure(lambda name=name: client.get(f"/ogc{name}"))
             click.echo(f"/ogc{name[:40]:40} {1000 * seconds:7.0f} ms {1000 * cpu:7.0f} ms of CPU")
 

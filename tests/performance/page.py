@@ -90,7 +90,7 @@ def main(say: Callable[[str], object] = print) -> None:
         with started(folder / "data", folder / "server.log") as server:
             job = submit(server.client, upload(server.client, street), osm={"file": "map.osm"})
             ended(server.client, job, 300)
-            detections = server.client.get(f"{API}/jobs/{job}/detections").json()["features"]
+            detections = server.client.get(f"{API}/jobs/{job}/layers/detections").json()["features"]
             rows.append(("detections", f"{len(detections):,}"))
             rows += measure(server, job)
     width = max(len(name) for name, _ in rows)

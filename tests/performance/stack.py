@@ -189,14 +189,14 @@ def upgrade(commit: str, folder: Path, street: Path) -> str:
         )
         drive = json.loads(told)["drive_id"]
         (job,) = [each["id"] for each in httpx.get(f"{address}{API}/jobs?drive={drive}").json()["jobs"]]
-        before = httpx.get(f"{address}{API}/jobs/{job}/intersections").raise_for_status().content
+        before = httpx.get(f"{address}{API}/jobs/{job}/layers/intersections").raise_for_status().content
     finally:
         process.terminate()
         process.wait(60)
     with started(data, folder / "upgraded.log") as server:
-        after = server.client.get(f"{API}/jobs/{job}/intersections").raise_for_status().content
+        after = server.client.get(f"{API}/jobs/{job}/layers/intersections").raise_for_status().content
         assert json.loads(after)["features"] == json.loads(before)["features"]
-    return interloc("check", "--data-dir", data).strip()
+    return interloc("admin", "check", "--data-dir", data).strip()
 
 
 def main() -> None:
@@ -216,7 +216,7 @@ def main() -> None:
         known |= {"public_url": f"http://127.0.0.1:{port}{PATH}"}
         known |= {"webhook_hosts": "127.0.0.1", "webhook_secret": SECRET}
         environment = {"INTERLOC_DATABASE_URL": url, "INTERLOC_DATA_DIR": str(data)}
-        token = interloc("token", "add", "stack", **environment).split()[-1]
+        token = interloc("admin", "token", "add", "stack", **environment).split()[-1]
         server = ServerProcess(data, folder / "log", host="0.0.0.0", **known)  # noqa: S104 - as in the image
         ends.callback(server.close)
         say("the service runs", began)
@@ -262,10 +262,14 @@ def main() -> None:
         metrics = httpx.get(f"{stack.address}/metrics", headers=stack.client.headers).raise_for_status().text
         for step, found in check_files(folder, metrics):
             say(step, began, found)
-        interloc("backup", folder / "backup", **environment)
+        interloc("admin", "backup", folder / "backup", **environment)
         restored = folder / "restored"
-        interloc("restore", folder / "backup", "--data-dir", restored)
-        say("backed up, restored into SQLite, checked", began, interloc("check", "--data-dir", restored).strip())
+        interloc("admin", "restore", folder / "backup", "--data-dir", restored)
+        say(
+            "backed up, restored into SQLite, checked",
+            began,
+            interloc("admin", "check", "--data-dir", restored).strip(),
+        )
         assert server.stop() == 0
         say("stopped in good order", began)
         if arguments.before:

@@ -9,8 +9,8 @@ a table at its end:
   locked by somebody else; PostgreSQL: connections cut, or one of its processes killed), at random moments, and of
   servers that make a map, have a live session, or are calling a subscriber. Every file and job that was acknowledged is
   in a ledger. After each kill: how long until every job goes on; nothing in the ledger is lost, no job is there twice,
-  results are, byte by byte, those of an undisturbed run, subscribers are told, and `interloc check` finds nothing but
-  files of uploads that were never acknowledged.
+  results are, byte by byte, those of an undisturbed run, subscribers are told, and `interloc admin check` finds
+  nothing but files of uploads that were never acknowledged.
 - backups: made under load, each restored, on the other kind of database too, checked and compared with the ledger.
 
 Runs for an hour with the default of 500 kills; `--kills`, `--minutes`, `--seed` and `--only` choose another course.
@@ -54,7 +54,7 @@ MENDED_S = 30.0  # time for a server, or the next backup, to remove what one tha
 
 
 def look_through(fleet: Fleet, ledger: Ledger, where: str) -> None:
-    """Write into the ledger what is not as it was acknowledged, and what `interloc check` finds and goes on finding."""
+    """Write into the ledger what is not as it was acknowledged, and what `interloc admin check` goes on finding."""
     context = Context.open(fleet.settings())
     try:
         ledger.compare_files(context, ledger.snapshot(), where)

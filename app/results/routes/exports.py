@@ -3,7 +3,7 @@
 from typing import Annotated, Literal
 from xml.sax.saxutils import escape
 
-from fastapi import APIRouter, Path, Query, Request, Response
+from fastapi import APIRouter, Query, Request, Response
 from fastapi.concurrency import run_in_threadpool
 
 from app.http.delivery import MEDIA_TYPES, answer_tagged, deliver, disposition, service_address
@@ -12,38 +12,22 @@ from app.http.prices import priced
 from app.http.problem_types import FORMAT_NOT_INSTALLED
 from app.http.problems import Problem
 from app.results.folder import ResultsDep
+from app.results.models import LayerName
 from app.results.on_demand import OnDemandDep
 from app.results.routes.results import WORKED_OUT, JobId, answers
 from app.results.work import LIVE, export_path
 from interloc.errors import ConfigError, install
 from interloc.output.layers import DERIVED
-from interloc.output.vector_files import FORMATS, has_parquet
-
-Layer = Literal[
-    "intersections",
-    "detections",
-    "trajectory",
-    "keyframes",
-    "roads",
-    "junctions",
-    "road-surface",
-    "osm-nodes",
-    "matches",
-    "osm-roads",
-    "osm-buildings",
-    "places",
-    "branches",
-    "uncertainty",
-]
+from interloc.output.vector_files import ALL, FORMATS, has_parquet
 
 _FORMATS = {
-    ".gpkg": "all layers as a GeoPackage, EPSG:4326, lists (such as bearings) as JSON text. Fields have titles and "
+    ".gpkg": "layers as a GeoPackage, EPSG:4326, lists (such as bearings) as JSON text. Fields have titles and "
     "descriptions, the metadata hold `run.json`; QGIS draws the layers as the page does (QML in `layer_styles`).",
     ".qgz": "all layers as a project of QGIS 3.22 and newer that holds the data: in groups, drawn as on the page, with "
     "the range of the temporal controller.",
     ".qgs": "the same project without the data: QGIS reads the layers from the service (OGC API - Features). Where it "
     "needs a token, QGIS asks for a user name, which may be any, and a password, which is the token.",
-    ".kmz": "all layers for Google Earth.",
+    ".kmz": "layers for Google Earth.",
     ".pmtiles": "one layer as Mapbox Vector Tiles (zooms 0 to 15) in a PMTiles archive (version 3), which web maps "
     "read by byte ranges.",
     ".fgb": "one layer as FlatGeobuf: compact, with a spatial index.",
@@ -73,7 +57,7 @@ router = APIRouter(tags=["Exports"])
 
 @get_and_head(
     router,
-    "/jobs/{job_id}/export.{file_format}",
+    "/jobs/{job_id}/export",
     summary="Download the result for other programs",
     description=_DESCRIPTION,
     operation_id="read_export",
@@ -87,40 +71,43 @@ router = APIRouter(tags=["Exports"])
 @priced("cheap")
 async def export(
     job_id: JobId,
-    file_format: Annotated[
-        Literal["gpkg", "qgz", "qgs", "kmz", "pmtiles", "fgb", "kml", "csv", "geojson", "parquet"],
-        Path(description="Format, as in names of files."),
-    ],
     request: Request,
     results: ResultsDep,
     on_demand: OnDemandDep,
+    f: Annotated[
+        Literal["gpkg", "qgz", "qgs", "kmz", "pmtiles", "fgb", "kml", "csv", "geojson", "parquet"],
+        Query(description="Format, as in names of files."),
+    ] = "gpkg",
     layer: Annotated[
-        Layer | None,
+        Literal[LayerName, "branches", "uncertainty", "all"] | None,
         Query(
-            description="Layer to export: all by default, or the intersections where a format holds one; `qgz` and "
-            "`qgs` hold all. Branches (lines) and uncertainty (ellipses) are made of the intersections."
+            description="Layer to export, or `all`: by default intersections, roads, trajectory and osm_nodes, or the "
+            "intersections where a format holds one; `qgz` and `qgs` hold all. Branches (lines) and uncertainty "
+            "(ellipses) are made of the intersections."
         ),
     ] = None,
 ) -> Response:
     """Give a file of a result, which workers make when it is asked for first."""
-    suffix = f".{file_format}"
+    suffix = f".{f}"
     result = await run_in_threadpool(results.open, job_id)
     if suffix == ".parquet" and not has_parquet():
         detail = f"GeoParquet needs pyarrow, which the operator installs: {install('parquet')}"
         raise Problem(FORMAT_NOT_INSTALLED, detail)
     holds = "all" if suffix == ".qgs" else FORMATS[suffix].layers
     if layer is not None and holds == "all":
-        raise ConfigError(f"A {suffix} file holds all layers; leave layer out, or ask for export.gpkg.")
+        raise ConfigError(f"A {suffix} file holds all layers; leave layer out, or ask for f=gpkg.")
     if layer is None and holds == "one":
         layer = "intersections"
-    name = layer or "all"
-    path = export_path(result.cache, f"{name}{suffix}")
+    if layer == ALL and holds == "one":
+        raise ConfigError(f"A {suffix} file holds one layer: name it, or ask for f=gpkg.")
+    name = layer or "layers"
+    path = export_path(result.cache, f"{name}{suffix}", result.drive_name)
     if not path.exists():
         if suffix == ".qgs":
             result.require_georeference(f"Its files are in {result.address}/files")
         elif on_earth := FORMATS[suffix].only_on_earth or (layer in DERIVED and "Shapes made of the intersections"):
-            result.require_georeference(f"{on_earth} needs them; export.gpkg and .qgz are in metres of its own frame")
-        if layer is not None:
+            result.require_georeference(f"{on_earth} needs them; f=gpkg and f=qgz are in metres of its own frame")
+        if layer not in {None, ALL}:
             result.layer_file("intersections" if layer in DERIVED else layer)
         await on_demand.export(result, path, layer, request.state.holder.name)
     file_name = f"{result.slug}{suffix}" if layer is None else f"{result.slug}-{name}{suffix}"

@@ -13,8 +13,8 @@ from app.http.openapi import BINARY, Responses, get_and_head, problems
 from app.http.patterns import ID
 from app.http.prices import priced
 from app.results.folder import ResultsDep
-from app.results.models import ResultFile, ResultFileList, collection_model
-from interloc.output.layers import LAYERS, Layer
+from app.results.models import FeatureCollection, LayerName, ResultFile, ResultFileList
+from interloc.output.layers import LAYERS
 from interloc.output.qgis import qml
 
 JobId = Annotated[str, Path(description="Id of a successful job of kind intersections.", pattern=ID)]
@@ -50,31 +50,23 @@ def answers(media_type: str, schema: dict[str, Any], description: str) -> Respon
 router = APIRouter(tags=["Results"])
 
 
-def _add_layer(layer: Layer) -> None:
-    @priced("streaming")
-    def read_layer(job_id: JobId, request: Request, results: ResultsDep) -> Response:
-        result = results.open(job_id)
-        return deliver(request, result.layer(layer.address), name=f"{result.slug}-{layer.address}.geojson")
-
-    properties = "\n".join(f"- `{each.name}`: {each.description}" for each in layer.attributes)
-    get_and_head(
-        router,
-        f"/jobs/{{job_id}}/{layer.address}",
-        summary=layer.title,
-        description=f"{layer.description}\n\n{properties}\n\n{layer.attribution} "
-        "The same bytes as the command line writes: RFC 7946, longitude first.",
-        operation_id=f"read_{layer.name}",
-        response_class=Response,
-        responses={
-            **_CACHED,
-            **PROBLEMS,
-            200: {"model": collection_model(layer), "description": f"{layer.title}."},
-        },
-    )(read_layer)
-
-
-for _layer in LAYERS.values():
-    _add_layer(_layer)
+@get_and_head(
+    router,
+    "/jobs/{job_id}/layers/{name}",
+    summary="A layer as GeoJSON",
+    description="The same bytes as the command line writes: RFC 7946, longitude first.\n\n"
+    + "\n".join(f"- `{each.name}`: {each.title}. {each.attribution}" for each in LAYERS.values()),
+    operation_id="read_layer",
+    response_class=Response,
+    responses={**_CACHED, **PROBLEMS, 200: {"model": FeatureCollection, "description": "The layer."}},
+)
+@priced("streaming")
+def read_layer(
+    job_id: JobId, name: Annotated[LayerName, Path(description="Layer.")], request: Request, results: ResultsDep
+) -> Response:
+    """Give a layer."""
+    result = results.open(job_id)
+    return deliver(request, result.layer(name), name=f"{result.slug}-{name}.geojson")
 
 
 @get_and_head(

@@ -5,9 +5,9 @@ import { Frame } from "./frame.js";
 
 /**
  * @typedef {{lng: number, lat: number, properties: any}} Place A point; metres of W in place of degrees without georeference.
- * @typedef {Place & {row: number, outcome: "TP"|"FP"|"none", error_m: number|null, osm_id: number|null}} Detection
+ * @typedef {Place & {row: number, outcome: "TP"|"FP"|"none", error_m: number|null, osm_id: string|null}} Detection
  *   Outcome "none": there is no evaluation, or the map does not reach there.
- * @typedef {{osm_id: number|null, outcome: string, error_m: number, frame: number, detection: string|null, line: number[][]}} Match
+ * @typedef {{osm_id: string|null, outcome: string, error_m: number, frame: number, detection: string|null, line: number[][]}} Match
  */
 
 /**
@@ -59,16 +59,16 @@ async function load(job) {
   const run = await getJson(`${at}/run`);
   const local = !run.georeferenced;
   /** @param {string} name */
-  const layer = (name) => getJson(local ? `${at}/files/${name}.local.json` : `${at}/${name}`);
+  const layer = (name) => getJson(local ? `${at}/files/${name}.local.json` : `${at}/layers/${name}`);
   /** @param {string} name */
   const evaluated = (name) => (local || !job.request.osm ? Promise.resolve(null) : orNull(getJson(`${at}/${name}`)));
   const isPlaced = Boolean(run.location);
   const [keyframes, detections, intersections, trajectory, report, nodes, matches, roads, places] = await Promise.all([
     ...["keyframes", "detections", "intersections", "trajectory"].map(layer),
-    ...["report", "osm-nodes", "matches", "osm-roads"].map(evaluated),
-    isPlaced ? orNull(getJson(`${at}/places`)) : null,
+    ...["report", "layers/osm_nodes", "layers/matches", "layers/osm_roads"].map(evaluated),
+    isPlaced ? orNull(getJson(`${at}/layers/places`)) : null,
   ]);
-  const buildings = report?.osm?.buildings ? await orNull(getJson(`${at}/osm-buildings`)) : null; // few maps have any
+  const buildings = report?.osm?.buildings ? await orNull(getJson(`${at}/layers/osm_buildings`)) : null; // few maps have any
   const hasRoads = (run.files ?? []).some((/** @type {string} */ name) => name.startsWith("roads.")); // likewise
   const [measured, junctions] = hasRoads
     ? await Promise.all(["roads", "junctions"].map((name) => orNull(layer(name))))
@@ -109,10 +109,10 @@ async function load(job) {
 
 /** @param {any} layer @returns {Array<{line: number[][], properties: any}>} */
 const linesOf = (layer) =>
-  (layer?.features ?? []).map((/** @type {any} */ f) => ({ line: lineOf(f.geometry), properties: f.properties }));
+  (layer?.features ?? []).map((/** @type {any} */ f) => ({ line: lineOf(f.geometry), properties: toldOf(f) }));
 
 /** The roads of the map that a job was scored against. @param {any} job */
-export const loadRoads = async (job) => linesOf(await orNull(getJson(`jobs/${job.id}/osm-roads`)));
+export const loadRoads = async (job) => linesOf(await orNull(getJson(`jobs/${job.id}/layers/osm_roads`)));
 
 /** @param {any} layer Of polygons. @returns {number[][][]} */
 const ringsOf = (layer) =>
@@ -161,9 +161,13 @@ export function lineOf(geometry) {
   return (geometry?.type === "MultiLineString" ? geometry.coordinates.flat() : geometry?.coordinates) ?? [];
 }
 
+/** Its properties, and the details that files of results have beside them. @param {any} feature */
+const toldOf = ({ properties, details }) => ({ ...properties, ...details });
+
 /** @param {any} feature @returns {Place} */
-export function place({ geometry, properties }) {
-  return { lng: geometry.coordinates[0], lat: geometry.coordinates[1], properties };
+export function place(feature) {
+  const [lng, lat] = feature.geometry.coordinates;
+  return { lng, lat, properties: toldOf(feature) };
 }
 
 /** @param {any[]} features @param {Match[]} matches @param {boolean} evaluated @returns {Detection[]} */

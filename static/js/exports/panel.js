@@ -11,13 +11,13 @@ import { permalink, subscribe } from "../state.js";
 /** Layers in a word, in the order of the list; the service has the words that explain them. */
 const LAYERS = /** @type {Record<string, string>} */ ({
   intersections: "Intersections",
+  roads: "Roads seen",
+  trajectory: "Trajectory",
+  osm_nodes: "OSM intersections",
   detections: "Detections",
   keyframes: "Keyframes",
-  trajectory: "Trajectory",
-  roads: "Roads seen",
   junctions: "Junctions of roads",
   road_surface: "Road surface",
-  osm_nodes: "OSM intersections",
   matches: "Matches",
   osm_roads: "OSM roads",
   osm_buildings: "OSM buildings",
@@ -37,6 +37,7 @@ const LAYER_FORMATS = {
   ".csv": "CSV",
   ".parquet": "GeoParquet",
 };
+const MAIN = "Intersections, roads, trajectory and the intersections of OpenStreetMap";
 const OF_DEGREES = new Set([".geojson", ".kml"]);
 const QGZ =
   "All layers in groups, drawn as on this page, in one file that holds the data, too: for QGIS 3.22 and newer.";
@@ -44,6 +45,9 @@ const IN_METRES = "Without a georeference the files hold metres of the drive's o
 const OF_OSM =
   "Report, verdicts, matches, OSM roads and intersections hold data of OpenStreetMap: © OpenStreetMap contributors, " +
   "ODbL. State this where you publish them.";
+
+/** Path of an export, below the job. @param {string} ending @param {string} [layer] */
+const exported = (ending, layer) => `export?f=${ending.slice(1)}${layer ? `&layer=${layer}` : ""}`;
 
 /** @param {HTMLElement} container */
 export function mount(container) {
@@ -81,20 +85,25 @@ function partsOf({ local, surface, buildings, report }, slug) {
   ];
   /** @param {string} name @returns {Format[]} */
   const formatsOf = (name) => {
-    const query = `?layer=${name.replaceAll("_", "-")}`;
     const written = Object.entries(LAYER_FORMATS).filter(([ending]) => exports.includes(ending));
     const fit = written.filter(([ending]) => !(local && OF_DEGREES.has(ending)));
     return [
       ...(local ? file("JSON", `files/${name}.local.json`, `${name}.local.json`) : []),
-      ...fit.flatMap(([ending, title]) => file(title, `export${ending}${query}`, `${name}${ending}`)),
-      ...(name === "intersections" && !local ? file("PMTiles, for web maps", "export.pmtiles", "map.pmtiles") : []),
+      ...fit.flatMap(([ending, title]) => file(title, exported(ending, name), `${name}${ending}`)),
+      ...(name === "intersections" && !local ? file("PMTiles, for web maps", exported(".pmtiles"), "map.pmtiles") : []),
     ];
   };
   const names = Object.entries({ ...LAYERS, ...(local ? {} : DERIVED) }).filter(([name]) => isThere(name));
   return {
     ...Object.fromEntries(names.map(([name, title]) => [name, { title, formats: formatsOf(name) }])),
     ...(surface && { road: { title: "Road seen by LiDAR", formats: file("GeoTIFF", "road.tif", "road.tif") } }),
-    ...(!local && { all: { title: "All layers", formats: file("KMZ, for Google Earth", "export.kmz", "all.kmz") } }),
+    all: {
+      title: "All layers",
+      formats: [
+        ...file("GeoPackage", exported(".gpkg", "all"), "all.gpkg"),
+        ...(local ? [] : file("KMZ, for Google Earth", exported(".kmz", "all"), "all.kmz")),
+      ],
+    },
     ...(report && { report: { title: "Report", formats: file("JSON", "report", "report.json") } }),
     run: { title: "Settings, versions, timings", formats: file("JSON", "run", "run.json") },
   };
@@ -133,12 +142,12 @@ function sections(result, link) {
   const get = (text, path, name, props = {}) =>
     el("button", { ...props, onClick: () => download(`${at}/${path}`, name).catch(showError) }, text);
   const token = getToken() ? ' -H "Authorization: Bearer $INTERLOC_TOKEN"' : "";
-  const live = get("project without data", "export.qgs", `${slug}.qgs`, { class: "link" });
+  const live = get("project without data", exported(".qgs"), `${slug}.qgs`, { class: "link" });
   return [
     el("h2", "Take it along"),
     el("div.row", [
-      get([icon("download"), "GeoPackage"], "export.gpkg", `${slug}.gpkg`, { class: "primary", title: "All layers" }),
-      get([icon("download"), "QGIS project"], "export.qgz", `${slug}.qgz`, { title: QGZ }),
+      get([icon("download"), "GeoPackage"], exported(".gpkg"), `${slug}.gpkg`, { class: "primary", title: MAIN }),
+      get([icon("download"), "QGIS project"], exported(".qgz"), `${slug}.qgz`, { title: QGZ }),
       get([icon("download"), "Everything (.zip)"], "archive.zip", `${slug}.zip`),
       result.report && get([icon("download"), "Report"], "report?format=html", `${slug}-report.html`),
     ]),
@@ -149,8 +158,8 @@ function sections(result, link) {
       el("div.row", el("div.grow", link), copyButton("Copy", permalink)),
       el("p.small", "Drive, job, place, keyframe, layers and filter; for everybody who can reach this server."),
     ),
-    resultSection("The same by curl", codeBox(`curl -fOJ${token} ${address(`${at}/export.gpkg`)}`)),
-    !local && resultSection("In QGIS", qgis(address(`${at}/intersections`), live)),
+    resultSection("The same by curl", codeBox(`curl -fOJ${token} ${address(`${at}/export`)}`)),
+    !local && resultSection("In QGIS", qgis(address(`${at}/layers/intersections`), live)),
     result.report && !result.isMadeUp && el("p.small.section", OF_OSM),
   ];
 }

@@ -44,7 +44,7 @@ export function followCompared() {
     if (!result || !others.length) return set(null);
     if (compared?.jobs.join() === [result.job.id, ...others].join()) return set(compared);
     set(null);
-    const path = result.local ? "files/intersections.local.json" : "intersections";
+    const path = result.local ? "files/intersections.local.json" : "layers/intersections";
     try {
       const layers = await Promise.all(others.map((id) => getJson(`jobs/${id}/${path}`)));
       if (mine !== token) return;

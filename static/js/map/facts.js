@@ -166,5 +166,5 @@ function osmLink(id, result) {
   return outLink(`https://www.openstreetmap.org/node/${id}`, String(id));
 }
 
-/** @param {number|null|undefined} id @param {Result} result @returns {boolean} Whether openstreetmap.org may know it. */
-export const isOsmNode = (id, { isMadeUp }) => typeof id === "number" && id > 0 && !isMadeUp;
+/** @param {string|null|undefined} id @param {Result} result @returns {boolean} Whether openstreetmap.org may know it. */
+export const isOsmNode = (id, { isMadeUp }) => Number(id) > 0 && !isMadeUp;

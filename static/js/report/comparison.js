@@ -246,6 +246,6 @@ function showPlace(item) {
 
 /** @param {any} node */
 function showNode(node) {
-  const item = shown.result?.nodes.find((each) => each.properties.osm_id === node.osm_id);
+  const item = shown.result?.nodes.find((each) => String(each.properties.osm_id) === node.osm_id);
   if (item) goTo({ kind: "node", item });
 }

@@ -2,7 +2,7 @@
  * One scan with its labels, reduced to the points that the method can use, as bytes.
  *
  * Only the browser has the scans, and a hundredth of their bytes is of use: so this is done here, before anything is
- * sent, by the same rules and in the same format as `interloc reduce` (the tests compare the two byte by byte).
+ * sent, by the same rules and in the same format as `interloc convert --reduce` (the tests compare the two byte by byte).
  *
  * A `.ground` file has a header of 16 bytes (magic, version, number of points, number of road points; uint32, little
  * endian), then a zlib stream of twelve planes of bytes: each coordinate's float32 bits as the difference to the point

@@ -47,7 +47,7 @@ def test_the_demo_runs_from_one_click_to_a_report(
     found = summary["report"]["nodes_found"]
     assert 0 < found == summary["report"]["nodes_in_zone"]
     assert client.get(f"{API}/jobs/{job['id']}/report").json()["nodes_found"] == found
-    assert client.get(f"{API}/jobs/{job['id']}/osm-roads").status_code == 200
+    assert client.get(f"{API}/jobs/{job['id']}/layers/osm_roads").status_code == 200
     assert client.get(f"{API}/jobs/{job['id']}/keyframes/20/bev.png?layer=all").status_code == 200
 
     assert client.delete(f"{API}/drives/{drive_id}").status_code == 204

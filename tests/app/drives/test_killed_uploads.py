@@ -128,7 +128,7 @@ def test_a_file_that_is_missing_is_told_where_it_is_asked_for(begun: tuple[Path,
     (data / f"drives/{drive}/files/poses.txt").unlink()
     answer = client.get(f"{API}/drives/{drive}/files/poses.txt")
     assert (answer.status_code, answer.json()["title"]) == (410, "File missing")
-    assert "interloc check" in answer.json()["detail"]
+    assert "interloc admin check" in answer.json()["detail"]
     answer = client.post(f"{API}/drives/{drive}/commit", headers={"Prefer": "wait=60"})
     assert (answer.status_code, answer.json()["detail"].split(":")[0]) == (422, "poses.txt")
     assert client.delete(f"{API}/drives/{drive}/files/poses.txt").status_code == 204

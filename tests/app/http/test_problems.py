@@ -62,7 +62,7 @@ def test_zero_characters_find_nothing(
         client.delete("/api/v1/drives/a%00"),
         client.get("/api/v1/jobs/%00"),
         client.get("/api/v1/jobs/%00/events"),
-        client.get("/api/v1/jobs/%00/intersections"),
+        client.get("/api/v1/jobs/%00/layers/intersections"),
         client.get("/api/v1/jobs", params={"drive": "\0"}),
         client.get(f"{drive}/files", params={"after": "\0"}),
         client.put("/api/v1/drives/%00/files/a", content=b"1"),

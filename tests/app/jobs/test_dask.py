@@ -74,7 +74,7 @@ def test_a_cluster_finds_what_the_command_line_finds(
     gate.open()
     job = ended(client, job_id)
     assert job["state"] == "successful", job
-    for layer in (*LAYERS, "osm-nodes", "matches"):
+    for layer in (*LAYERS, "osm_nodes", "matches"):
         assert (
             as_by_command(client.get(job["links"][layer])) == (out / f"{layer.replace('-', '_')}.geojson").read_bytes()
         )

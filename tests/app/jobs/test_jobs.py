@@ -93,7 +93,7 @@ def test_a_job_finds_what_the_command_line_finds(
     assert run(["run", str(street), "-o", str(out), "--osm", str(street / "map.osm"), "--quiet"]) == 0
     job = scored
     assert job["state"] == "successful", job
-    for layer in (*LAYERS, "osm-nodes", "matches"):
+    for layer in (*LAYERS, "osm_nodes", "matches"):
         answer = client.get(job["links"][layer])
         assert as_by_command(answer) == (out / f"{layer.replace('-', '_')}.geojson").read_bytes(), layer
     report = client.get(job["links"]["report"], headers={"Accept": "application/json"}).json()
@@ -261,7 +261,7 @@ def test_a_job_that_runs_is_cancelled(client: httpx.Client, drive: str, street: 
     assert not (data_dir / "jobs" / job_id).exists()
     gate.open()
     assert client.delete(f"{API}/jobs/{job_id}").status_code == 200
-    assert problem(client.get(f"{API}/jobs/{job_id}/intersections"), 409)
+    assert problem(client.get(f"{API}/jobs/{job_id}/layers/intersections"), 409)
     assert client.delete(f"{API}/jobs/{job_id}?purge=true").status_code == 204
     assert problem(client.get(f"{API}/jobs/{job_id}"), 404)
     job = ended(client, submit(client, drive))

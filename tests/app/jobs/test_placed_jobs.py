@@ -38,11 +38,11 @@ def test_a_job_places_a_drive_as_the_command_line_does(
     out = tmp_path / "out"
     near = ["--near", f"{LAT_DEG},{LON_DEG}", "--radius", "0.6"]
     assert run(["run", str(root), "-o", str(out), "--osm", str(root / "map.osm"), "--locate", *near, "--quiet"]) == 0
-    for layer in ("keyframes", "trajectory", "osm-nodes", "places"):
+    for layer in ("keyframes", "trajectory", "osm_nodes", "places"):
         assert (
             as_by_command(client.get(job["links"][layer])) == (out / f"{layer.replace('-', '_')}.geojson").read_bytes()
         )
-    assert client.get(f"{API}/jobs/{job['id']}/export.kml?layer=places").status_code == 200
+    assert client.get(f"{API}/jobs/{job['id']}/export?f=kml&layer=places").status_code == 200
     told = client.get(job["links"]["run"]).json()["location"]
     assert (told["source"], told["outcome"]) == ("map", "found")
     report = client.get(job["links"]["report"], headers={"Accept": "application/json"}).json()
@@ -64,7 +64,7 @@ def test_what_cannot_be_placed_fails_with_the_places_and_what_would_help(client:
     scored = ended(client, submit(client, drive, osm={"file": "map.osm"}))  # by its GNSS all is as before
     assert scored["state"] == "successful"
     assert "places" not in scored["links"]
-    assert client.get(f"{API}/jobs/{scored['id']}/places").status_code == 404
+    assert client.get(f"{API}/jobs/{scored['id']}/layers/places").status_code == 404
 
 
 @pytest.mark.parametrize(

@@ -344,6 +344,6 @@ def test_a_session_that_is_kept_becomes_a_drive_with_a_job(
     assert job["state"] == "successful"
     drive = client.get(f"{API}/drives/{said[-1]['drive_id']}").json()
     assert (drive["name"], drive["state"], drive["report"]["scans"]) == ("kept", "ready", 48)
-    features = client.get(f"{API}/jobs/{job['id']}/intersections").json()["features"]
+    features = client.get(f"{API}/jobs/{job['id']}/layers/intersections").json()["features"]
     (found,) = said[-1]["intersections"]
     np.testing.assert_allclose(features[0]["geometry"]["coordinates"], [found["lon_deg"], found["lat_deg"]], atol=1e-6)

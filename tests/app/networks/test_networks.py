@@ -68,7 +68,7 @@ def test_a_drive_without_labels_is_labelled(
     manifest = reduce_drive(unlabelled, here, options, keyframes=None)
     summary = client.get(f"/api/v1/jobs/{job['id']}").json()["summary"]
     assert summary["keyframes"] <= len(manifest.frames)
-    detections = client.get(f"/api/v1/jobs/{job['id']}/keyframes").json()["features"]
+    detections = client.get(f"/api/v1/jobs/{job['id']}/layers/keyframes").json()["features"]
     assert len(detections) == summary["keyframes"]
     (network,) = [each for each in client.get("/api/v1/models").json()["models"] if each["name"] == "flat"]
     assert 0 < network["seconds_per_scan"] < 60

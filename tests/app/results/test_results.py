@@ -15,8 +15,9 @@ from app.store.database import Database
 from app.store.models import Job
 from tests.app.results.conftest import Finished, add_job
 
-LAYERS = ["intersections", "detections", "trajectory", "keyframes", "roads", "junctions", "road-surface"]
-LAYERS += ["osm-nodes", "matches", "osm-roads"]
+LAYERS = ["intersections", "detections", "trajectory", "keyframes", "roads", "junctions", "road_surface"]
+LAYERS += ["osm_nodes", "matches", "osm_roads"]
+ADDRESSES = [f"layers/{each}" for each in LAYERS]
 IDENTITY = {"accept-encoding": "identity"}
 
 
@@ -25,7 +26,7 @@ def files_of(folder: Path) -> dict[str, bytes]:
 
 
 def test_a_result_of_an_older_version_is_linked_without_roads(finished: Finished) -> None:
-    roads = {"roads", "junctions", "road-surface"}
+    roads = {"roads", "junctions", "road_surface"}
     database = Database(f"sqlite:///{finished.data_dir}/interloc.sqlite3")
     add_job(database, finished.data_dir, "older", "street", finished.results / "plain")
     for summary, linked in (({}, set()), ({"has_roads": True}, roads)):
@@ -33,15 +34,15 @@ def test_a_result_of_an_older_version_is_linked_without_roads(finished: Finished
             session.get_one(Job, "older").summary = {"georeferenced": True, "report": None, **summary}
         links = finished.get("/jobs/older").json()["links"]
         assert roads & links.keys() == linked
-        assert {"intersections", "export.gpkg"} <= links.keys()
+        assert {"intersections", "export"} <= links.keys()
     folder = finished.data_dir / "jobs/older/result"
     for name in roads:
-        (folder / f"{name.replace('-', '_')}.geojson").unlink()
-        answer = finished.get(f"/jobs/older/{name}")
+        (folder / f"{name}.geojson").unlink()
+        answer = finished.get(f"/jobs/older/layers/{name}")
         assert (answer.status_code, "an older version made its result" in answer.json()["detail"]) == (404, True)
-    answer = finished.get("/jobs/older/export.fgb", params={"layer": "roads"})
+    answer = finished.get("/jobs/older/export?f=fgb&layer=roads")
     assert answer.status_code == 404
-    assert finished.get("/jobs/older/export.gpkg").status_code == 200
+    assert finished.get("/jobs/older/export?f=gpkg").status_code == 200
     with database.writing() as session:
         session.delete(session.get_one(Job, "older"))
     database.close()
@@ -49,9 +50,9 @@ def test_a_result_of_an_older_version_is_linked_without_roads(finished: Finished
 
 @pytest.mark.parametrize("layer", LAYERS)
 def test_layers_are_the_bytes_of_the_command_line(layer: str, finished: Finished) -> None:
-    expected = (finished.results / "default" / f"{layer.replace('-', '_')}.geojson").read_bytes()
+    expected = (finished.results / "default" / f"{layer}.geojson").read_bytes()
     for headers in (IDENTITY, {"accept-encoding": "gzip"}):
-        answer = finished.get(f"/jobs/default/{layer}", headers=headers)
+        answer = finished.get(f"/jobs/default/layers/{layer}", headers=headers)
         assert answer.status_code == 200
         assert answer.headers["content-type"] == "application/geo+json"
         assert answer.content == expected
@@ -61,7 +62,7 @@ def test_layers_are_the_bytes_of_the_command_line(layer: str, finished: Finished
 
 
 @pytest.mark.parametrize("encoding", ["identity", "gzip"])
-@pytest.mark.parametrize("address", [*LAYERS, "report", "report?format=html", "run", "files/figures/map.png"])
+@pytest.mark.parametrize("address", [*ADDRESSES, "report", "report?format=html", "run", "files/figures/map.png"])
 def test_what_the_client_has_is_not_sent_again(address: str, encoding: str, finished: Finished) -> None:
     headers = {"accept-encoding": encoding}
     first = finished.get(f"/jobs/default/{address}", headers=headers)
@@ -82,7 +83,7 @@ def test_what_the_client_has_is_not_sent_again(address: str, encoding: str, fini
 
 
 @pytest.mark.parametrize(
-    "address", ["detections", "report", "report?format=html", "run", "archive.zip", "files", "files/run.json"]
+    "address", ["layers/detections", "report", "report?format=html", "run", "archive.zip", "files", "files/run.json"]
 )
 def test_head_tells_what_get_would(address: str, finished: Finished) -> None:
     path = f"/api/v1/jobs/default/{address}"
@@ -96,13 +97,15 @@ def test_head_tells_what_get_would(address: str, finished: Finished) -> None:
 
 def test_ranges_of_a_file(finished: Finished) -> None:
     whole = (finished.results / "default/detections.geojson").read_bytes()
-    part = finished.get("/jobs/default/detections", headers={"range": "bytes=100-299", "accept-encoding": "gzip"})
+    part = finished.get(
+        "/jobs/default/layers/detections", headers={"range": "bytes=100-299", "accept-encoding": "gzip"}
+    )
     assert part.status_code == 206
     assert part.content == whole[100:300]
     assert part.headers["content-range"] == f"bytes 100-299/{len(whole)}"
-    assert finished.get("/jobs/default/detections", headers={"range": f"bytes={len(whole)}-"}).status_code == 416
+    assert finished.get("/jobs/default/layers/detections", headers={"range": f"bytes={len(whole)}-"}).status_code == 416
     changed = {"range": "bytes=0-9", "if-range": '"something else"'}
-    assert finished.get("/jobs/default/detections", headers=changed).status_code == 200
+    assert finished.get("/jobs/default/layers/detections", headers=changed).status_code == 200
 
 
 def test_report_for_programs_and_for_people(finished: Finished) -> None:
@@ -191,7 +194,7 @@ def test_the_archive_holds_the_folder(finished: Finished) -> None:
     ("upload", 404, "No results", "commit"),
     ("lost", 410, "Result is gone", "no longer on disk"),
 ])  # fmt: skip
-@pytest.mark.parametrize("address", ["detections", "report", "run", "files", "files/run.json", "archive.zip"])
+@pytest.mark.parametrize("address", ["layers/detections", "report", "run", "files", "files/run.json", "archive.zip"])
 def test_why_there_is_no_result(job: str, status: int, title: str, said: str, address: str, finished: Finished) -> None:
     answer = finished.get(f"/jobs/{job}/{address}")
     assert answer.status_code == status
@@ -201,14 +204,14 @@ def test_why_there_is_no_result(job: str, status: int, title: str, said: str, ad
 
 
 def test_why_there_is_no_evaluation(finished: Finished) -> None:
-    for address in ("report", "osm-nodes", "matches", "osm-roads"):
+    for address in ("report", "layers/osm_nodes", "layers/matches", "layers/osm_roads"):
         answer = finished.get(f"/jobs/plain/{address}")
         assert (answer.status_code, answer.json()["title"]) == (404, "Not scored")
         assert '"osm"' in answer.json()["detail"]
         assert finished.get(f"/jobs/local/{address}").json()["title"] == "Not georeferenced"
     for layer in ("intersections", "detections", "trajectory", "keyframes"):
-        assert finished.get(f"/jobs/plain/{layer}").status_code == 200
-        answer = finished.get(f"/jobs/local/{layer}")
+        assert finished.get(f"/jobs/plain/layers/{layer}").status_code == 200
+        answer = finished.get(f"/jobs/local/layers/{layer}")
         assert (answer.status_code, answer.json()["title"]) == (404, "Not georeferenced")
         hint = re.search(r"/api/v1(/jobs/local/files/\S+\.local\.json)", answer.json()["detail"])
         assert hint is not None
@@ -219,9 +222,9 @@ def test_a_job_that_was_removed_has_no_results_any_more(finished: Finished) -> N
     database = Database(f"sqlite:///{finished.data_dir}/interloc.sqlite3")
     add_job(database, finished.data_dir, "shortlived", "street", finished.results / "plain")
     database.close()
-    assert finished.get("/jobs/shortlived/detections").status_code == 200
+    assert finished.get("/jobs/shortlived/layers/detections").status_code == 200
     assert finished.client.delete("/api/v1/jobs/shortlived?purge=true").status_code == 204
-    for address in ("detections", "files", "archive.zip", "keyframes/0/bev", "export.gpkg"):
+    for address in ("layers/detections", "files", "archive.zip", "keyframes/0/bev", "export"):
         answer = finished.get(f"/jobs/shortlived/{address}")
         assert (answer.status_code, answer.json()["title"]) == (404, "Job not found")
     assert not (finished.data_dir / "jobs/shortlived").exists()

@@ -45,4 +45,4 @@ def test_a_result_of_an_older_version_has_none(finished: Finished) -> None:
         answer = finished.get(f"/jobs/older/{address}")
         assert answer.status_code == 404
         assert "older version" in answer.json()["detail"]
-    assert finished.get("/jobs/older/intersections").status_code == 200
+    assert finished.get("/jobs/older/layers/intersections").status_code == 200

@@ -56,7 +56,7 @@ def refuse(data: Path, url: str | None = None) -> str:
     assert contents(data) == before
     message = str(refusal.value)
     assert "Nothing was changed" in message
-    assert "interloc restore" in message
+    assert "interloc admin restore" in message
     assert str(data.resolve()) in message
     assert "\n" not in message
     return message

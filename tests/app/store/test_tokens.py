@@ -77,7 +77,7 @@ def test_a_bad_name_of_a_token_is_refused(database: Database, name: str) -> None
 
 def test_a_name_is_given_once(database: Database) -> None:
     add_token(database, "alice")
-    with pytest.raises(ConfigError, match="interloc token revoke alice"):
+    with pytest.raises(ConfigError, match="interloc admin token revoke alice"):
         add_token(database, "alice")
     with pytest.raises(ConfigError, match="there is no token carol"):
         revoke_token(database, "carol")

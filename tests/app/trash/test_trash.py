@@ -38,7 +38,7 @@ def items(client: httpx.Client, id_: str) -> list[dict[str, Any]]:
 
 
 def result_of(client: httpx.Client, job: str) -> bytes:
-    return client.get(f"{API}/jobs/{job}/keyframes").raise_for_status().content
+    return client.get(f"{API}/jobs/{job}/layers/keyframes").raise_for_status().content
 
 
 def test_a_deleted_drive_is_absent_and_comes_back_with_its_jobs(
@@ -62,7 +62,7 @@ def test_a_deleted_drive_is_absent_and_comes_back_with_its_jobs(
         ("POST", f"/drives/{drive}/commit"),
         ("PUT", f"/drives/{drive}/files/other.osm"),
         ("GET", f"/jobs/{job}"),
-        ("GET", f"/jobs/{job}/keyframes"),
+        ("GET", f"/jobs/{job}/layers/keyframes"),
         ("GET", f"/jobs/{job}/events"),
         ("DELETE", f"/jobs/{job}"),
         ("DELETE", f"/jobs/{job}?purge=true"),
@@ -105,7 +105,7 @@ def test_a_deleted_job_is_gone_for_good(client: httpx.Client, street: Path, shar
     job = client.post(f"{API}/jobs", json={"drive_id": drive}, headers=key).json()["id"]
     assert ended(client, job)["state"] == "successful"
     assert client.delete(f"{API}/jobs/{job}?purge=true").status_code == 204
-    for method, address in (("GET", f"/jobs/{job}/keyframes"), ("DELETE", f"/jobs/{job}?purge=true")):
+    for method, address in (("GET", f"/jobs/{job}/layers/keyframes"), ("DELETE", f"/jobs/{job}?purge=true")):
         assert client.request(method, f"{API}{address}").status_code == 404
     assert items(client, job) == []
     assert not (shared_data / f"jobs/{job}").exists()

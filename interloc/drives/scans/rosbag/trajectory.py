@@ -184,8 +184,10 @@ def _first_that_covers(
         both = on_clock.stamp_s[motion.covers(on_clock.stamp_s) & moves.covers(on_clock.stamp_s)]
         if other is topic or rank != wheels[chosen] or len(both) < 2:
             continue
-        ours, theirs = (from_first(each.at(both))[:, :3, 3] for each in (motion, moves))
-        apart_m = float(np.linalg.norm(ours - theirs, axis=1).max())
+        ours, theirs = (each.at(both)[:, :3, 3] for each in (motion, moves))
+        ends = [0, len(both) // 2, -1]  # distances from these are the same in any world, and of any body nearly so
+        to_ours, to_theirs = (np.linalg.norm(each[:, None] - each[ends], axis=2) for each in (ours, theirs))
+        apart_m = float(np.abs(to_ours - to_theirs).max())
         length_m = float(np.linalg.norm(np.diff(ours, axis=0), axis=1).sum())
         if apart_m > max(_APART_M, _APART * length_m):
             findings.warning(
