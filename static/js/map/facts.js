@@ -159,11 +159,11 @@ export function branchesOf({ branch_count, branch_bearings_deg, branch_widths_m 
   ];
 }
 
-/** @param {number|null|undefined} id @param {Result} result @returns {string|Node} */
+/** @param {string|null|undefined} id @param {Result} result @returns {string|Node} */
 function osmLink(id, result) {
   if (id === null || id === undefined) return "–";
-  if (!isOsmNode(id, result)) return String(id);
-  return outLink(`https://www.openstreetmap.org/node/${id}`, String(id));
+  if (!isOsmNode(id, result)) return id;
+  return outLink(`https://www.openstreetmap.org/node/${id}`, id);
 }
 
 /** @param {string|null|undefined} id @param {Result} result @returns {boolean} Whether openstreetmap.org may know it. */

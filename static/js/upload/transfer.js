@@ -16,6 +16,7 @@ import { readWhole } from "./reduce.js";
  * @property {File} [file] It is sent as it is,
  * @property {() => object} [task] or it is what a worker makes by this.
  */
+/** @typedef {{worker: Worker | null}} Lane What works through the queue, with a worker once it needs one. */
 /** @typedef {{path: string, data: Blob | Uint8Array<ArrayBuffer>, size: number, digest: string | null}} Content To be sent. */
 
 /** One connection less than browsers open to a server, so that the page can still ask for something. */
@@ -114,7 +115,9 @@ export class Transfer {
     let done = 0;
     /** @type {{error: unknown} | null} */
     let fault = null;
-    const lane = async (/** @type {Worker | null} */ worker = null) => {
+    const lane = async () => {
+      /** @type {Lane} */
+      const own = { worker: null };
       /** @type {Content[]} */
       let bundle = [];
       const send = async (/** @type {Content[]} */ contents) => {
@@ -125,8 +128,7 @@ export class Transfer {
         for (const item of queue) {
           this.signal.throwIfAborted();
           if (fault) return;
-          if (item.task) worker ??= new Worker(new URL("./worker.js", import.meta.url), { type: "module" });
-          const content = await this.#contentOf(item, present.get(item.path), worker);
+          const content = await this.#contentOf(item, present.get(item.path), own);
           if (!content) onDone((done += 1));
           else if (content.size > SMALL_BYTES || /["%\\\p{C}]/u.test(content.path)) await send([content]);
           else bundle.push(content);
@@ -139,7 +141,7 @@ export class Transfer {
       } catch (error) {
         fault ??= { error };
       } finally {
-        worker?.terminate();
+        own.worker?.terminate();
       }
     };
     this.meter.total += items.reduce((sum, { size }) => sum + size, 0);
@@ -150,10 +152,10 @@ export class Transfer {
   /**
    * @param {Item} item
    * @param {{size_bytes: number, digest: string} | undefined} there What the service has under its name.
-   * @param {Worker | null} worker
+   * @param {Lane} lane
    * @returns {Promise<Content | null>} null where the service has it.
    */
-  async #contentOf({ path, size: expected, isTrusted, file, task }, there, worker) {
+  async #contentOf({ path, size: expected, isTrusted, file, task }, there, lane) {
     const skip = (/** @type {number} */ bytes) => {
       this.meter.total -= expected;
       this.meter.skipped += bytes;
@@ -161,7 +163,7 @@ export class Transfer {
       return null;
     };
     if (there && isTrusted && (!file || there.size_bytes === expected)) return skip(there.size_bytes);
-    const content = file ? await contentOf(file, path) : await made(/** @type {Worker} */ (worker), task?.());
+    const content = file ? await contentOf(file, path) : await this.retry(() => made(lane, task?.()));
     if (content.digest !== null && content.digest === there?.digest) return skip(there.size_bytes);
     const size = content.data instanceof Blob ? content.data.size : content.data.byteLength;
     this.meter.total += size - expected;
@@ -259,13 +261,20 @@ async function contentOf(file, path) {
   return { data: file.size > SMALL_BYTES ? file : bytes, digest: await sha256(bytes) };
 }
 
-/** @param {Worker} worker @param {any} task @returns {Promise<{data: Uint8Array<ArrayBuffer>, digest: string | null}>} */
-function made(worker, task) {
+/** @param {Lane} lane @param {any} task @returns {Promise<{data: Uint8Array<ArrayBuffer>, digest: string | null}>} */
+function made(lane, task) {
+  lane.worker ??= new Worker(new URL("./worker.js", import.meta.url), { type: "module" });
+  const { worker } = lane;
   return new Promise((resolve, reject) => {
     worker.onmessage = ({ data: answer }) =>
       answer.error === undefined ? resolve(answer) : reject(new Error(answer.error));
-    worker.onerror = ({ message }) =>
-      reject(new Error(`The part of the page that reduces scans stopped: ${message || "it did not load"}.`));
+    worker.onerror = ({ message }) => {
+      lane.worker = null;
+      worker.terminate();
+      const detail = "The part of the page that reduces scans did not load.";
+      if (message) reject(new Error(`The part of the page that reduces scans stopped: ${message}.`));
+      else reject(new ApiError(0, { title: "Server not reached", detail })); // it may be back soon
+    };
     worker.postMessage(task);
   });
 }
