@@ -18,7 +18,7 @@ Endpoint = TypeVar("Endpoint", bound=Callable[..., Any])
 
 UNLISTED = re.compile(
     r".*/ogc/.+|/api/v1/.*/ogc|/problems/.+|/config\.json"
-    r"|/api/v1/(overview|demo|paper|compare|presets/\{name\}|live/\{session\}.*)"
+    r"|/api/v1/(overview|demo|paper|compare|models|presets/\{name\}|live/\{session\}.*)"
     r"|/api/v1/drives/(look|\{drive_id\}/(trajectory|scans))"
     r"|/api/v1/maps/\{map_id\}/(drives|files|deliveries)/?.*"
     r"|/api/v1/maps/\{map_id\}/queue(/\{finding\}(/picture\.png)?)?"
