@@ -34,11 +34,10 @@ from app.maps.records import make_server_map
 from app.networks import routes as networks
 from app.ogc import overview
 from app.ogc import routes as ogc
-from app.ogc.indexing import index_result
+from app.ogc.index import index_result
 from app.page import routes as page
 from app.page.files import PageFiles
-from app.results.folder import Results
-from app.results.on_demand import OnDemand
+from app.results.folder import OnDemand, Results
 from app.results.routes import compare, exports, pictures, results
 from app.settings import Settings
 from app.trash import routes as trash

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from interloc.errors import DriveError
-from interloc.gpx import read_gpx
+from interloc.localization.gpx import read_gpx
 
 
 def gpx_text(points: str) -> str:

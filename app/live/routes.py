@@ -20,8 +20,7 @@ from app.http.prices import priced
 from app.http.problem_types import TOKEN_MAY_ONLY_READ
 from app.http.problems import Problem, respond
 from app.jobs.submission import config_of
-from app.live.models import SENT, Begin, Continue, End, LiveList, LiveModel
-from app.live.sessions import Keeper, LiveEntry, LiveSessions
+from app.live.sessions import SENT, Begin, Continue, End, Keeper, LiveEntry, LiveList, LiveModel, LiveSessions
 from app.states import Scope
 from app.store.tokens import ANONYMOUS, Holder
 from interloc.detection.warm import warm_up

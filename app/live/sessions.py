@@ -11,9 +11,10 @@ from collections import Counter, deque
 from collections.abc import AsyncIterator, Callable
 from contextlib import AbstractContextManager, nullcontext, suppress
 from functools import partial
-from typing import Any, Literal, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
+from pydantic import BaseModel, Field, TypeAdapter
 from sqlalchemy.exc import SQLAlchemyError
 
 from app.context import Context
@@ -23,13 +24,13 @@ from app.drives.records import create_drive
 from app.drives.upload import keep
 from app.http.intake import Arrival, Intake
 from app.http.limits import check_free_space, job_limit
+from app.http.patterns import ID, Body
 from app.http.problem_types import NOT_FOUND, TOO_MANY_SESSIONS
 from app.http.problems import Problem
 from app.jobs.models import NewJob
 from app.jobs.processes import machine_memory
 from app.jobs.queue import submit
 from app.jobs.submission import check_request
-from app.live.models import Begin, LiveModel
 from app.settings import MB
 from app.states import JobKind
 from interloc.config import DetectorConfig
@@ -41,6 +42,63 @@ from interloc.live.scan import LiveScan
 from interloc.live.session import Answer, LiveSession
 from interloc.live.wire import decode_scan
 from interloc.live.worker import LiveWorker
+
+# What a sender says at first, and what is told about a session.
+
+
+class Begin(Body):
+    """Begins a session."""
+
+    type: Literal["begin"]
+    name: str = Field(min_length=1, max_length=200, description="Name of the drive.")
+    preset: Literal["default", "paper"] = Field("default", description="Settings to start from.")
+    config: dict[str, Any] | None = Field(
+        None, description="Settings that differ; `keyframes.lookahead` is the number of keyframes an answer waits for."
+    )
+    label_scheme: str = Field(
+        "semantickitti", max_length=200, description="Scheme of the labels, or the ids of road with commas between."
+    )
+    keep: bool = Field(False, description="Make a drive of the keyframes; at the end it is checked, and a job runs.")
+
+
+class Continue(Body):
+    """Goes on with a session after a broken connection."""
+
+    type: Literal["continue"]
+    session: str = Field(pattern=ID)
+    answered: int = Field(-1, ge=-1, description="Last scan whose answer arrived: those after it come again.")
+
+
+class End(Body):
+    """Ends the session: the last keyframes are answered, then the map."""
+
+    type: Literal["end"]
+
+
+SENT = TypeAdapter[Begin | Continue | End](Annotated[Begin | Continue | End, Field(discriminator="type")])
+"""Texts that a sender may send."""
+
+
+class LiveModel(BaseModel):
+    """A live session."""
+
+    id: str
+    name: str
+    state: Literal["driving", "waiting", "ended"] = Field(
+        description="driving; waiting: the sender is away, and may go on with it; ended."
+    )
+    georeferenced: bool = Field(description="Whether places are longitude and latitude, else metres of W.")
+    keyframes: int
+    dropped: int = Field(description="Scans that were dropped because the session fell behind.")
+    intersections: int
+    links: dict[str, str] = Field(description="`events`: what happens, as server-sent events.")
+
+
+class LiveList(BaseModel):
+    """The live sessions of this server, the newest first."""
+
+    sessions: list[LiveModel]
+
 
 _ROAD, _OTHER = 11, 2  # road surface and ground, by the ids of LAS: they may be all that was sent
 _OF_SESSION = 96 * MB  # that it may hold: no client fills the memory of the server

@@ -22,7 +22,7 @@ from app.jobs.runner import Runner
 from app.maps import work
 from app.maps.records import Standing, map_key, standings_of
 from app.maps.work import Audited, Merged, Register, Source
-from app.ogc.indexing import write_map_rows
+from app.ogc.index import write_map_rows
 from app.store.models import CityMap, Drive, MapDrive, MapPlace
 from interloc.errors import InterLocError
 

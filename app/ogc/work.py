@@ -12,12 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from app.work.layers import RESULT_LAYERS
+from app.work.documents import RESULT_LAYERS
 from interloc.arrays import FloatArray
 from interloc.output.credits import OWN_CREDIT
-from interloc.output.derived import derived_features
 from interloc.output.geojson import cut, damaged, encode, joined, positions, read_json
-from interloc.output.layers import CITY_LAYERS, DERIVED, LAYERS, Layer
+from interloc.output.layers import CITY_LAYERS, DERIVED, LAYERS, Layer, derived_features
 from interloc.output.layout import RUN_FILE, file_names
 
 MAX_OUTLINE = 300

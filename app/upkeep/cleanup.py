@@ -20,7 +20,7 @@ from app.drives.commit import tidy_drive
 from app.http.problems import Problem
 from app.jobs.folders import jobs_with_scratch, tidy
 from app.metrics import Removal
-from app.ogc.indexing import index_missing
+from app.ogc.index import index_missing
 from app.states import FINAL, DriveState, JobKind, JobState
 from app.store.models import CityMap, Drive, Job
 from app.store.storage import INCOMING, is_old, remove_dead, size_of

@@ -11,6 +11,7 @@ from interloc.config import DetectorConfig
 from interloc.drives.inspect import DriveReport
 from interloc.drives.options import LabelChoice, LabelFolder, ReadingOptions
 from interloc.osm.policies import Policy
+from interloc.output.layers import DERIVED, LAYERS
 
 
 class _Document(BaseModel):
@@ -153,3 +154,9 @@ class FilesOutcome(Outcome):
     files: int
     size_bytes: int
     archive_bytes: int | None = None
+
+
+# The layers that the service has of each result, as tables: those of its files, and those made of them.
+
+RESULT_LAYERS = {**LAYERS, **DERIVED}
+"""By name."""

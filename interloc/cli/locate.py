@@ -108,8 +108,7 @@ def _write(out: Path | None, drive: Drive, georeference: Georeference) -> list[t
 
 
 def _place_by_gpx(drive: Drive, gpx: Path, out: Path | None) -> None:
-    from interloc.gpx import read_gpx
-    from interloc.localization.gpx import georeference_by_gpx
+    from interloc.localization.gpx import georeference_by_gpx, read_gpx
 
     placed = georeference_by_gpx(drive, read_gpx(gpx))
     source, std_m = placed.georeference.source, round(_median(placed.georeference.position_std_m), 1)

@@ -15,12 +15,14 @@ from interloc.drives.folder import dropped_in_words
 from interloc.errors import ConfigError, GeoreferenceError, expect
 from interloc.evaluation.coverage import check_coverage, warn_of_border
 from interloc.evaluation.map_level import MapLevel, assign_intersections
-from interloc.evaluation.matching import Matching, match, pairs_in_square
 from interloc.evaluation.metrics import (
     STANDARD_THRESHOLD_M,
     ErrorSummary,
+    Matching,
     NodeTable,
     Scores,
+    match,
+    pairs_in_square,
     score,
     summarize_errors,
     tabulate_nodes,

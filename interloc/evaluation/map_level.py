@@ -8,7 +8,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from interloc.arrays import BoolArray, FloatArray, IntArray
-from interloc.evaluation.matching import UNMATCHED, pairs_in_square, pairs_within
+from interloc.evaluation.metrics import UNMATCHED, pairs_in_square, pairs_within
 from interloc.geometry import enu_from_lonlat
 from interloc.results import IntersectionTable, KeyframeTable
 

@@ -6,8 +6,7 @@ import numpy as np
 
 from interloc.arrays import BoolArray, FloatArray, IntArray
 from interloc.evaluation.map_level import MapLevel, assign_one_to_one
-from interloc.evaluation.matching import UNMATCHED, Matching
-from interloc.evaluation.metrics import STANDARD_THRESHOLD_M
+from interloc.evaluation.metrics import STANDARD_THRESHOLD_M, UNMATCHED, Matching
 from interloc.evaluation.reasons import (
     SAME_PLACE_M,
     FalseKind,

@@ -14,7 +14,7 @@ import numpy as np
 from interloc.arrays import FloatArray
 from interloc.config import PAPER, DetectorConfig, flatten, with_settings
 from interloc.errors import ConfigError
-from interloc.evaluation.matching import UNMATCHED
+from interloc.evaluation.metrics import UNMATCHED
 from interloc.lab.cases import Case, FolderCase, folder_cases, twin_cases
 from interloc.lab.measure import Row
 from interloc.lab.run import NamedConfig

@@ -17,7 +17,7 @@ from interloc.drives.georeference.read import ODOMETRY_OF_RAW, read_oxts_rows
 from interloc.drives.open import open_drive
 from interloc.drives.options import DriveOptions, LabelFolder
 from interloc.errors import ConfigError, DriveError, GeoreferenceError, MapError
-from interloc.evaluation.published import SEQUENCES
+from interloc.evaluation.compare import SEQUENCES
 from interloc.lab.config import SceneConfig, SimulationOptions, StreetConfig
 from interloc.lab.drive import Trip, simulate
 from interloc.lab.streets import read_map

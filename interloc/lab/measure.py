@@ -19,8 +19,7 @@ from interloc.detection.keyframes import select_keyframes
 from interloc.drive import Drive, Georeference, GroundPoints, is_slow
 from interloc.errors import ConfigError, OutputError
 from interloc.evaluation.evaluate import Evaluation, evaluate
-from interloc.evaluation.matching import UNMATCHED
-from interloc.evaluation.metrics import STANDARD_THRESHOLD_M
+from interloc.evaluation.metrics import STANDARD_THRESHOLD_M, UNMATCHED
 from interloc.files import atomic_write, reason_of
 from interloc.geometry import enu_from_lonlat
 from interloc.osm.graph import RoadGraph

@@ -10,8 +10,8 @@ import numpy as np
 import pandas as pd
 
 from interloc.arrays import FloatArray
+from interloc.evaluation.compare import AVERAGE, COMPARISON, LABEL_ERRORS, PERFORMANCE, SEQUENCES, Published
 from interloc.evaluation.metrics import NEAR_PAIR_M, STANDARD_THRESHOLD_M
-from interloc.evaluation.published import AVERAGE, COMPARISON, LABEL_ERRORS, PERFORMANCE, SEQUENCES, Published
 from interloc.lab.measure import Row
 
 MISSING = "–"  # noqa: RUF001 - a dash, not a minus

@@ -20,7 +20,20 @@ from typing import Any, TypeVar
 import numpy as np
 
 from interloc.arrays import BoolArray, FloatArray, IntArray
-from interloc.osm.container import MAX_UNPACKED_BYTES, Prolog, read_prolog, write_plain
+from interloc.osm.container import (
+    MAX_UNPACKED_BYTES,
+    Prolog,
+    history_file,
+    lanelet_map,
+    no_highways,
+    no_nodes,
+    not_read,
+    odd_bounds,
+    oddities,
+    read_prolog,
+    too_many,
+    write_plain,
+)
 from interloc.osm.graph import (
     KEPT_TAGS,
     NO_BUILDINGS,
@@ -31,16 +44,6 @@ from interloc.osm.graph import (
     Ways,
     layer_of,
     within,
-)
-from interloc.osm.mistakes import (
-    history_file,
-    lanelet_map,
-    no_highways,
-    no_nodes,
-    not_read,
-    odd_bounds,
-    oddities,
-    too_many,
 )
 from interloc.osm.multipolygons import Multipolygon, holes_of, rings_of
 

@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 
 from interloc.arrays import FloatArray, UInt8Array
 from interloc.detection.branches import Branches
-from interloc.detection.forks import REACH, _misfit, find_fork
-from interloc.detection.refinement import refine
+from interloc.detection.refinement import REACH, _misfit, find_fork, refine
 from tests.detection.test_refinement import branches
 from tests.images import binary_image
 

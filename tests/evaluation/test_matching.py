@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from interloc.evaluation.matching import UNMATCHED, match, pairs_in_square
+from interloc.evaluation.metrics import UNMATCHED, match, pairs_in_square
 from interloc.geometry import enu_from_lonlat, rotate_2d
 from interloc.results import DriveResult
 from tests.evaluation.made import at, run

@@ -6,8 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from interloc.evaluation.matching import UNMATCHED, Matching
-from interloc.evaluation.metrics import THRESHOLDS_M, score, summarize_errors
+from interloc.evaluation.metrics import THRESHOLDS_M, UNMATCHED, Matching, score, summarize_errors
 
 
 def matching(errors: list[float], zone_found: list[bool]) -> Matching:

@@ -7,7 +7,7 @@ import pytest
 
 from interloc.config import DEFAULT, PAPER
 from interloc.errors import ConfigError, DriveError
-from interloc.evaluation.matching import UNMATCHED
+from interloc.evaluation.metrics import UNMATCHED
 from interloc.geometry import enu_from_lonlat
 from interloc.lab import cases
 from interloc.lab.ablation import NOTHING, SETS, ablation_table, taken_out

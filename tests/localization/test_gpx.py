@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from interloc.errors import LocationError
-from interloc.gpx import GpxTrack
-from interloc.localization.gpx import georeference_by_gpx
+from interloc.localization.gpx import GpxTrack, georeference_by_gpx
 from tests.localization.town import MadeDrive, drive_along, route_xy
 
 START_S = 1.7e9

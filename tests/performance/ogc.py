@@ -22,7 +22,7 @@ import httpx
 import numpy as np
 
 from app.context import Context
-from app.ogc.indexing import write_job_rows, write_map_rows
+from app.ogc.index import write_job_rows, write_map_rows
 from app.ogc.work import rows_of, rows_of_map
 from app.settings import Settings
 from app.store.models import Drive, Job

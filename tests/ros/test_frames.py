@@ -3,7 +3,7 @@
 import numpy as np
 
 from interloc.drives.scans.rosbag.messages import Header, StampedPose
-from interloc.ros.frames import Frames
+from interloc.ros.node import Frames
 
 
 def pose(parent: str, child: str, time_s: float, x_m: float) -> StampedPose:

@@ -111,7 +111,7 @@ class PaperFigures(BaseModel):
 @priced("cheap")
 def read_paper() -> dict[str, Any]:
     """Give the tables of the paper, to stand beside a report of a KITTI sequence."""
-    from interloc.evaluation.published import AVERAGE, COMPARISON, LABEL_ERRORS, PERFORMANCE  # noqa: PLC0415
+    from interloc.evaluation.compare import AVERAGE, COMPARISON, LABEL_ERRORS, PERFORMANCE  # noqa: PLC0415
 
     tables = {"sequences": PERFORMANCE, "comparison": COMPARISON, "noise": LABEL_ERRORS}
     plain = {

@@ -11,9 +11,8 @@ from app.http.openapi import BINARY, get_and_head, problems
 from app.http.prices import priced
 from app.http.problem_types import FORMAT_NOT_INSTALLED
 from app.http.problems import Problem
-from app.results.folder import ResultsDep
+from app.results.folder import OnDemandDep, ResultsDep
 from app.results.models import LayerName
-from app.results.on_demand import OnDemandDep
 from app.results.routes.results import WORKED_OUT, JobId, answers
 from app.results.work import LIVE, export_path
 from interloc.errors import ConfigError, install

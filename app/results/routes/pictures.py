@@ -9,8 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from app.http.delivery import MEDIA_TYPES, deliver
 from app.http.openapi import BINARY, Responses, get_and_head, problems
 from app.http.prices import priced
-from app.results.folder import Results, ResultsDep
-from app.results.on_demand import OnDemand, OnDemandDep
+from app.results.folder import OnDemand, OnDemandDep, Results, ResultsDep
 from app.results.routes.results import PROBLEMS, WORKED_OUT, JobId, answers
 from app.results.work import ROAD_PICTURE, VIEW
 from interloc.output.road import MAX_PICTURE_PX

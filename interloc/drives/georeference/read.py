@@ -11,9 +11,9 @@ import numpy as np
 
 from interloc.arrays import FloatArray, IntArray
 from interloc.drive import Georeference
-from interloc.drives.clocks import known_shift
 from interloc.drives.files import GeoreferenceFile, SourceFile, list_numbered, listed, rows_by_frame, seconds_of
 from interloc.drives.findings import Findings, GeoreferenceFileError
+from interloc.drives.georeference.fixes import known_shift
 from interloc.drives.georeference.geodetic import checked_fixes
 from interloc.drives.layouts import DriveParts
 from interloc.drives.poses.frame import (

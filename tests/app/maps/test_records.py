@@ -11,8 +11,7 @@ from sqlalchemy.orm import Session
 from app.context import Context
 from app.maps.records import SERVER_MAP, Standing, find_map, make_server_map, standings_of
 from app.ogc.collections import OF_MAP
-from app.ogc.index import Query, Source, find_page
-from app.ogc.indexing import write_map_rows
+from app.ogc.index import Query, Source, find_page, write_map_rows
 from app.ogc.work import rows_of_map
 from app.settings import Settings
 from app.store.models import OF_MAPS, CityMap, Drive, Job, MapDrive, MapVerdict

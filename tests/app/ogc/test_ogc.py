@@ -20,8 +20,7 @@ from app.context import Context
 from app.http.parameters import Box
 from app.ogc.collections import OF_ALL
 from app.ogc.filters import MAX_CHARACTERS, Language, read_filter
-from app.ogc.index import Query, Source, extents, find_page
-from app.ogc.indexing import index_missing, write_job_rows
+from app.ogc.index import Query, Source, extents, find_page, index_missing, write_job_rows
 from app.ogc.work import rows_of
 from app.settings import Settings
 from app.store.models import OF_RESULTS, Drive, FeatureLayer, Job

@@ -9,7 +9,7 @@ from typing import Any
 import httpx
 import pytest
 
-from app.ogc.indexing import write_job_rows
+from app.ogc.index import write_job_rows
 from app.ogc.work import rows_of
 from app.store.database import Database
 from app.store.models import Drive, Job

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from interloc.evaluation.published import PERFORMANCE
+from interloc.evaluation.compare import PERFORMANCE
 from tests.app.results.conftest import Finished
 
 

@@ -12,9 +12,9 @@ from typing import TypeVar
 import numpy as np
 
 from interloc.arrays import FloatArray, IntArray
-from interloc.drives.clocks import ClockShift, known_shift
 from interloc.drives.files import SourceFile
 from interloc.drives.findings import DriveFileError, Findings
+from interloc.drives.georeference.fixes import ClockShift, known_shift
 from interloc.drives.layouts import ENDINGS
 from interloc.drives.scans.recorded import CARLA_FIELD
 from interloc.drives.scans.rosbag.files import (
