@@ -224,6 +224,7 @@ def _scale_of_ground(drive: FolderDrive, usable: IntArray) -> float | None:
     starts = np.unique(np.searchsorted(driven_m, np.linspace(0.0, driven_m[-1], _GROUND_PLACES)))
     plans: dict[int, GroundPlan] = {}
     found: list[FloatArray] = []
+    standing: list[float] = []  # what contradicts if nothing moves
     for i in starts.tolist():
         for j in np.unique(np.searchsorted(driven_m, driven_m[i] + _GROUND_APART_M)).tolist():
             told = _planar(poses[i], poses[j]) if j < len(poses) else np.full(3, np.nan)
@@ -231,15 +232,17 @@ def _scale_of_ground(drive: FolderDrive, usable: IntArray) -> float | None:
                 for row in {i, j} - plans.keys():
                     plans[row] = GroundPlan.of(drive.ground_points(int(usable[row])))
                 motions = told * np.stack([_GROUND_SCALES, _GROUND_SCALES, np.ones(len(_GROUND_SCALES))], axis=1)
-                found.append(plans[i].contradiction(plans[j], motions))
+                off = plans[i].contradiction(plans[j], np.vstack([motions, told * [0.0, 0.0, 1.0]]))
+                found.append(off[:-1])
+                standing.append(off[-1])
     shares = np.array(found).reshape(-1, len(_GROUND_SCALES))
     known = np.isfinite(shares).mean(axis=0) > 0.5 if len(shares) else np.zeros(len(_GROUND_SCALES), dtype=np.bool_)
     if not known.any():
         return None
     sums = np.where(known, np.nansum(shares, axis=0) / np.maximum(np.isfinite(shares).sum(axis=0), 1), np.inf)
     best, as_told = int(np.argmin(sums)), len(_GROUND_SCALES) // 2
-    if not _BESIDE <= best < len(sums) - _BESIDE:
-        return None
+    if not _BESIDE <= best < len(sums) - _BESIDE or np.nanmean(standing) < sums[as_told]:
+        return None  # errors of labels that go with the sensor lie on each other where it stands
     beside = shares[:, [best - _BESIDE, best + _BESIDE]].mean(axis=1)
     tell = shares[beside > shares[:, best] + _RISE]
     gain = tell[:, as_told] - tell[:, best]

@@ -13,7 +13,7 @@ import { news } from "./news.js";
  * @property {boolean} drawer Whether the keyframe is shown at large.
  * @property {boolean} service Whether service roads count as roads of the map; it belongs to the job.
  * @property {string|null} intersection Id or uid of the intersection that is chosen; it belongs to the job.
- * @property {number|null} node OSM id of the node that is chosen; it belongs to the job too.
+ * @property {string|null} node OSM id of the node that is chosen; it belongs to the job too.
  * @property {string|null} live Id of the live session that is watched, in the place of a job.
  * @property {string|null} filter Which intersections of the job are looked at, see map/filter.js.
  * @property {string|null} map Id of the map of many drives; null for that of the server.
@@ -40,7 +40,7 @@ const PARTS = {
   frame: NUMBER,
   view: TEXT,
   intersection: TEXT,
-  node: NUMBER,
+  node: TEXT,
   filter: TEXT,
   live: TEXT,
   map: TEXT,

@@ -59,7 +59,7 @@ def make_drive(root: Path, scans: int, *, scored: bool = False) -> None:
     street, small, out = write_street(root / "raw" / "street", scans), root / "street", root / "result"
     reduce_drive(street, small, keyframes=None)
     shutil.copy(street / "map.osm", small)
-    command = ["run", "--osm", str(small / "map.osm")] if scored else ["detect"]
+    command = ["run", "--osm", str(small / "map.osm")] if scored else ["run"]
     assert run([*command, str(small), "-o", str(out), "--quiet"]) == 0
 
 
@@ -88,7 +88,7 @@ def start(tmp_path: Path) -> Iterator[Start]:
 def assert_result(client: httpx.Client, job: dict[str, Any], drive: Drive) -> None:
     assert job["state"] == "successful", job
     for layer, features in drive.expected.items():
-        answer = client.get(f"{API}/jobs/{job['id']}/{layer}")
+        answer = client.get(f"{API}/jobs/{job['id']}/layers/{layer}")
         assert answer.status_code == 200, answer.text
         assert json.dumps(json.loads(as_by_command(answer))["features"]) == json.dumps(features), layer
 

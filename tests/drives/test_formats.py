@@ -77,7 +77,7 @@ def test_a_format_of_another_package(site: Path, tables: Path) -> None:
 
 
 def test_its_name_is_a_layout(site: Path, tables: Path, tmp_path: Path) -> None:
-    done = run_with(site, "reduce", tables, "--layout", "tables", "-o", tmp_path / "reduced", "--quiet")
+    done = run_with(site, "convert", "--reduce", tables, "--layout", "tables", "-o", tmp_path / "reduced", "--quiet")
     assert done.returncode == 0, done.stderr
     assert json.loads((tmp_path / "reduced/reduced.json").read_text())["layout"] == "tables"
 

@@ -27,7 +27,9 @@ def signs(page: Any) -> list[np.ndarray]:
 
 
 def test_the_list_is_a_queue_that_the_map_follows(page: Any, scored: Scored) -> None:
-    wrong, right = ([each["properties"] for each in scored.intersections(kind)] for kind in ("wrong", "right"))
+    wrong, right = (
+        [each["properties"] | each["details"] for each in scored.intersections(kind)] for kind in ("wrong", "right")
+    )
     assert wrong
     assert len(right) >= 2
     layers = "layers=right,wrong,unscored"

@@ -42,7 +42,7 @@ def check_results(
     job = ended(client, job_id)
     assert job["state"] == "successful", job["error"]
     for name in LAYERS:
-        served = as_by_command(client.get(f"{API}/jobs/{job_id}/{name}").raise_for_status())
+        served = as_by_command(client.get(f"{API}/jobs/{job_id}/layers/{name}").raise_for_status())
         assert features(served) == features((out / f"{name}.geojson").read_bytes()), name
     if evaluation is not None:
         report = client.get(f"{API}/jobs/{job_id}/report").raise_for_status().json()

@@ -80,7 +80,8 @@ def test_seen_area_and_picture_lie_where_the_server_says(page: Any, done: Done) 
 
 
 def test_details_stay_while_the_drive_plays_and_lead_to_their_keyframe(page: Any, done: Done) -> None:
-    place = done.features("intersections")[0]["properties"]
+    feature = done.features("intersections")[0]
+    place = feature["properties"] | feature["details"]
     show(page, done, f"intersection={place['id']}")
     popup = page.locator(".leaflet-popup-content")
     popup.wait_for()
@@ -110,7 +111,7 @@ def test_the_report_tells_the_figures_and_leads_to_the_map(page: Any, done: Done
     level = report["map_level"]
     assert f"{level['true']} of {level['intersections_in_zone']}" in text
     assert rows.count() == len(report["nodes"])
-    ids = [int(each) for each in page.locator(".osm-nodes tr.below .number").all_inner_texts()]
+    ids = page.locator(".osm-nodes tr.below .number").all_inner_texts()
     assert sorted(ids) == sorted(node["osm_id"] for node in report["nodes"])
     rows.nth(1).focus()
     page.keyboard.press("Enter")

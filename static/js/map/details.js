@@ -93,11 +93,11 @@ export function goTo(hit) {
   map.setView([hit.item.lat, hit.item.lng], zoom, { animate: !matchMedia("(prefers-reduced-motion: reduce)").matches });
 }
 
-/** @param {Hit} hit @returns {{intersection: string|null, node: number|null}} */
+/** @param {Hit} hit @returns {{intersection: string|null, node: string|null}} */
 function selectionOf({ kind, item }) {
   return {
     intersection: kind === "intersection" ? String(item.properties.id) : null,
-    node: kind === "node" ? item.properties.osm_id : null,
+    node: kind === "node" ? String(item.properties.osm_id) : null,
   };
 }
 
@@ -112,7 +112,7 @@ export function openSelection(open) {
   const own = chosen && selectionOf(chosen);
   if (own?.intersection === intersection && own?.node === node) return;
   const place = result.intersections.find((each) => isNamed(intersection, each));
-  const osm = result.nodes.find(({ properties }) => properties.osm_id === node);
+  const osm = result.nodes.find(({ properties }) => String(properties.osm_id) === node);
   if (place) open({ kind: "intersection", item: place });
   else if (osm) open({ kind: "node", item: osm });
   else if (intersection !== null) showMessage(`This result has no intersection ${intersection}.`);

@@ -55,7 +55,7 @@ export function nodeTable(result) {
       median_m: medianError(result, node),
     })),
   );
-  const mark = () => table.mark(getState().node === null ? null : String(getState().node));
+  const mark = () => table.mark(getState().node);
   const stop = subscribe(["node", "panel"], () => (table.element.isConnected ? requestAnimationFrame(mark) : stop()));
   requestAnimationFrame(mark);
   return el("div.osm-nodes", table.element);

@@ -105,7 +105,7 @@ def results(client: httpx.Client, drive: str, **job: Any) -> dict[str, str]:
 
 def by_command_line(root: Path, out: Path, *options: object) -> dict[str, str]:
     """Return what `interloc run` writes for a folder."""
-    assert run([str(part) for part in ("detect", root, "-o", out, "--quiet", *options)]) == 0
+    assert run([str(part) for part in ("run", root, "-o", out, "--quiet", *options)]) == 0
     return {
         table: next(
             path for ending in ("geojson", "local.json") if (path := out / f"{table}.{ending}").is_file()

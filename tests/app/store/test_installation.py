@@ -197,7 +197,7 @@ def test_a_file_that_is_no_id_is_named(tmp_path: Path) -> None:
 def test_the_command_line_says_it_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     fill(tmp_path / "data")
     (tmp_path / "data/interloc.sqlite3").unlink()
-    for arguments in (["token", "list"], ["trash", "list"]):
+    for arguments in (["admin", "token", "list"], ["admin", "trash", "list"]):
         assert run([*arguments, "--data-dir", str(tmp_path / "data")]) == 2
         said = capsys.readouterr().err
         assert said.startswith("interloc: the data folder")
