@@ -38,7 +38,7 @@ COMMANDS = (
     ("export out -o out.kmz", ""),
     ("merge out -o city", ""),
     ("live street --print", ""),
-    ("config --preset default", ""),
+    ("info --settings --preset paper", ""),
     ("simulate town -o made --max-scans 3", ""),
     ("batch street -o dask --dask tcp://127.0.0.1:1", "dask"),
     ("export out -o out.mcap", "mcap"),
@@ -48,7 +48,7 @@ COMMANDS = (
     ("odometry street -o poses.txt", "odometry"),
     ("info s3://nowhere/drive", "storage"),
     ("live street --server http://127.0.0.1:1", "live"),
-    ("token add me --data-dir data", "service"),
+    ("admin token add me --data-dir data", "service"),
     ("ros /points", "ros2"),
 )
 FAILS_ELSEWHERE = ("s3://", "127.0.0.1:1")  # with the extra too, for a reason that its message tells
