@@ -189,7 +189,8 @@ def upgrade(commit: str, folder: Path, street: Path) -> str:
         )
         drive = json.loads(told)["drive_id"]
         (job,) = [each["id"] for each in httpx.get(f"{address}{API}/jobs?drive={drive}").json()["jobs"]]
-        before = httpx.get(f"{address}{API}/jobs/{job}/layers/intersections").raise_for_status().content
+        # Its address in version 0.2.0.
+        before = httpx.get(f"{address}{API}/jobs/{job}/intersections").raise_for_status().content
     finally:
         process.terminate()
         process.wait(60)
