@@ -23,6 +23,9 @@ from tests.app.processes import wait_until
 from tests.app.street import write_street
 from tests.bags import write_bag
 from tests.las_files import write_scan_files
+from tests.street_points import poses_along, seen
+from tests.street_points import street as street_points
+from tests.street_points import write_scans as write_upright
 
 ROOT = Path(__file__).parents[2]
 EXTRAS = ("", "service", "dask", "label", "live", "mcap", "las", "odometry", "parquet", "ros", "storage")
@@ -45,7 +48,7 @@ COMMANDS = (
     ("export out -o out.parquet", "parquet"),
     ("info bag", "ros"),
     ("info las", "las"),
-    ("odometry street -o poses.txt", "odometry"),
+    ("odometry upright -o poses.txt", "odometry"),
     ("info s3://nowhere/drive", "storage"),
     ("live street --server http://127.0.0.1:1", "live"),
     ("admin token add me --data-dir data", "service"),
@@ -130,6 +133,8 @@ def main() -> None:
             scans = [np.pad(drive.ground_points(at).xyz, ((0, 0), (0, 1))) for at in range(len(drive.frames))]
             write_bag(place / "bag", "mcap", scans, list(times), poses=list(drive.T_world_lidar))
             write_scan_files(drive, place / "las")
+            driven = poses_along(np.full(10, 1.5), turn_rad=0.02)
+            write_upright(place / "upright", [seen(street_points(), pose) for pose in driven])
             found = try_all(python, place, extra)
             if extra == "service":
                 found += serves_the_page(python, place)
