@@ -134,11 +134,11 @@ class _Served:
             return extents(session, self.source)
 
     def collection(self, name: str) -> Collection:
-        """Return a collection; a 404 where there is none."""
+        """Return a collection, empty where no rows were written yet; a 404 where there is none."""
         found = self.source.collections.get(name)
-        if found is None or (not self.source.is_of_all and name not in self.extents()):
-            known = ", ".join(self.extents())
-            raise Problem(NO_SUCH_COLLECTION, f"There is no collection {name[:80]!r}. There are {known}.")
+        known = self.source.collections if self.source.is_of_all else self.extents() or self.source.collections
+        if found is None or name not in known:
+            raise Problem(NO_SUCH_COLLECTION, f"There is no collection {name[:80]!r}. There are {', '.join(known)}.")
         return found
 
     def answer(self, document: dict[str, Any] | str, media_type: str = "application/json") -> Response:

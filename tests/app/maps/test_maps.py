@@ -173,6 +173,15 @@ def test_findings_are_looked_at_one_after_the_other(served: Served) -> None:
     assert served.client.delete(f"{address}/verdict").status_code == 404
 
 
+def test_a_map_that_was_not_merged_yet_has_empty_collections(served: Served) -> None:
+    made = served.client.post(f"{API}/maps", json={"name": "new", "drives": []}).json()["id"]
+    assert served.get(f"/maps/{made}/ogc/collections/city/items")["features"] == []
+    missing = served.client.get(f"{API}/maps/{made}/ogc/collections/cities/items")
+    assert missing.status_code == 404
+    assert "There are city, " in missing.json()["detail"]
+    assert served.client.delete(f"{API}/maps/{made}").status_code == 204
+
+
 def test_maps_come_in_pages_and_a_client_has_no_more_than_it_may(
     served: Served, monkeypatch: pytest.MonkeyPatch
 ) -> None:
