@@ -190,7 +190,7 @@ def start_up(root: Path, times: int) -> Iterator[Row]:
         write_poses(short, drive.T_world_lidar[:FEW])
         yield Row("interloc --help", "s", command_seconds(2 * times, "--help"), at_most=0.5)
         yield Row(f"interloc info, {FEW} scans", "s", command_seconds(times, "info", str(short)), at_most=0.5)
-        detecting = command_seconds(times, "detect", str(short), "-o", out, "--workers", "1", "--quiet")
+        detecting = command_seconds(times, "run", str(short), "-o", out, "--workers", "1", "--quiet")
         yield Row(f"interloc run, {FEW} scans", "s", detecting, at_most=1.0)
 
 

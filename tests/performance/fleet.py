@@ -532,7 +532,7 @@ class Backups:
         while not self._stopping.wait(0.5):
             log.write_bytes(b"")
             shutil.rmtree(self.out, ignore_errors=True)
-            arguments = ["backup", self.out, "--data-dir", self._fleet.data, "--quiet"]
+            arguments = ["admin", "backup", self.out, "--data-dir", self._fleet.data, "--quiet"]
             self._process = forks.Command(arguments, environment, out, log)
             if self._process.wait() == 0:
                 self._ledger.done["backups"] += 1
