@@ -6,7 +6,8 @@ from pathlib import Path
 
 from interloc.errors import ModelError
 from interloc.files import atomic_write
-from interloc.labelling.networks import ModelDescription, describe_networks
+from interloc.labelling import ModelDescription
+from interloc.labelling.networks import describe_networks
 
 _FOLDER = "models"
 _MAX_SCAN_S = 3600.0

@@ -7,9 +7,7 @@ An entry point is named as its kind of network, and leads to a module (or object
     open_labeller(folder: Path, provider: str, threads: int | None) -> ScanLabeller
 """
 
-from dataclasses import dataclass
 from functools import cache
-from importlib import import_module
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any, Protocol
@@ -20,24 +18,10 @@ from numpy.typing import ArrayLike
 from interloc.arrays import Float32Array, UInt32Array
 from interloc.errors import ModelError
 from interloc.files import reason_of
+from interloc.labelling import ModelDescription
 
 GROUP = "interloc.networks"
 MAX_MODELS = 1000
-
-
-@dataclass(frozen=True)
-class ModelDescription:
-    """A network in a list, named as its folder: what can be told of it without loading it."""
-
-    name: str
-    problem: str | None = None
-    """Why it cannot be used; everything else is then as far as it is known."""
-    bytes: int | None = None
-    height: int | None = None
-    width: int | None = None
-    classes: int | None = None
-    identity: str | None = None
-    """The same for the same files, whatever their names and places."""
 
 
 class ScanLabeller(Protocol):
@@ -103,8 +87,10 @@ def _installed_kinds() -> tuple[Any, ...]:
     return tuple(kinds)
 
 
-def _own_kind() -> Any:  # noqa: ANN401 - a module
-    return import_module("interloc.labelling.rangenet")
+def _own_kind() -> Any:  # noqa: ANN401 - a module, as those that other packages bring
+    from interloc.labelling import rangenet  # noqa: PLC0415 - slow to import
+
+    return rangenet
 
 
 def remission_scale(values: ArrayLike) -> float:

@@ -11,7 +11,8 @@ import onnx
 import pytest
 
 from interloc.errors import ModelError
-from interloc.labelling.networks import ModelDescription, describe_networks
+from interloc.labelling import ModelDescription
+from interloc.labelling.networks import describe_networks
 from interloc.labelling.rangenet.model import KnnSettings, read_model
 from tests.networks import LEARNING_MAP_INV, write_model
 

@@ -14,7 +14,7 @@ from pydantic import BeforeValidator, Field, StrictBool, StrictStr, TypeAdapter,
 
 from interloc.errors import ModelError, install
 from interloc.files import reason_of
-from interloc.labelling.networks import ModelDescription
+from interloc.labelling import ModelDescription
 from interloc.labelling.rangenet.graph import Expected, GraphForm, describe_graph, match_graph
 
 GRAPH, ARCH, DATA = "model.onnx", "arch_cfg.yaml", "data_cfg.yaml"
