@@ -180,7 +180,6 @@ class Deliverer(Helper):
             row = session.scalar(due if database.is_sqlite else due.with_for_update(skip_locked=True))
             if row is not None:
                 row.next_at = now + 2 * _CALL_S
-                row.attempts += 1
                 with self._lock:
                     self._at_work[row.host] += 1
         return row
@@ -193,13 +192,14 @@ class Deliverer(Helper):
             error = _call(delivery, self._context.settings.webhook_key, seconds)
             with database.writing(patient=True) as session:
                 now = database.clock(session)
-                is_last = error is None or delivery.attempts > len(RETRIES_S)
-                next_at = None if is_last else now + RETRIES_S[delivery.attempts - 1]
+                is_last = error is None or delivery.attempts == len(RETRIES_S)
+                next_at = None if is_last else now + RETRIES_S[delivery.attempts]
+                attempts = delivery.attempts + 1  # one that a kill cut off is none: its outcome is not known
                 values = {"next_at": next_at, "error": error, "delivered_at": now if error is None else None}
-                session.execute(update(Delivery).where(Delivery.id == delivery.id).values(**values))
+                session.execute(update(Delivery).where(Delivery.id == delivery.id).values(attempts=attempts, **values))
             self._context.metrics.webhooks.labels("delivered" if error is None else "failed").inc()
             extra = {"job": delivery.job_id}
-            _log.info("webhook %s, try %d: %s", delivery.id, delivery.attempts, error or "delivered", extra=extra)
+            _log.info("webhook %s, try %d: %s", delivery.id, attempts, error or "delivered", extra=extra)
         except SQLAlchemyError as failure:  # it is made again when it is not held back any more
             _log.warning("webhook %s: its outcome could not be written: %s", delivery.id, failure)
         finally:
@@ -213,6 +213,7 @@ def _call(delivery: Delivery, secret: bytes, seconds: int) -> str | None:
     headers = {
         "Content-Type": "application/json",
         "User-Agent": "InterLoc",
+        "Accept-Encoding": "identity",
         "webhook-id": delivery.id,
         "webhook-timestamp": str(seconds),
         "webhook-signature": signature(secret, delivery.id, seconds, body),
@@ -224,7 +225,7 @@ def _call(delivery: Delivery, secret: bytes, seconds: int) -> str | None:
         ):
             if answer.is_success:
                 return None
-            told = next(answer.iter_bytes(_TOLD_BYTES), b"")
+            told = next(answer.iter_raw(_TOLD_BYTES), b"")  # as it came: what is packed may unpack to any size
             return f"{answer.status_code} {answer.reason_phrase}: {told.decode(errors='replace')}"[:500]
     except (httpx.HTTPError, httpx.InvalidURL, httpx.StreamError) as error:
         return f"{type(error).__name__}: {error}"[:500]

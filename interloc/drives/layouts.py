@@ -323,7 +323,7 @@ _WRITE = (
     "Write each scan as float32 x y z remission to velodyne/000000.bin, 000001.bin, ... (NumPy: tofile), and the pose "
     "of the LiDAR at each, 12 numbers per line, to poses.txt. "
 )
-_SIGNS = {
+_DATA_SETS = {
     r"lidar/\d+\.pkl(\.gz)?": (
         "PandaSet: pandas.read_pickle reads a scan, which lidar/poses.json brings to the sensor"
     ),
@@ -372,7 +372,7 @@ def known_data_set(root: Path) -> str:
     """Return which public data set lies in a folder, or around it, and the way out, in sentences; "" for none."""
     paths = (path for depth in range(1, 6) for path in root.absolute().glob("/".join("*" * depth)))
     for path in islice(paths, _MAX_LOOKED_AT):
-        for sign, what in _SIGNS.items():
+        for sign, what in _DATA_SETS.items():
             if re.search(f"(^|/)({sign})$", path.as_posix()):
                 return f"It looks like {what}. {_scenes(root)}{'' if 'as they are' in what else _WRITE}"
     return ""
