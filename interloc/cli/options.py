@@ -317,7 +317,7 @@ def no_map(result: DriveResult) -> str:
     west, south, east, north = track_bounds(result.keyframes.lonlat)
     return (
         "no map was given: `interloc evaluate OUT` takes --osm FILE, any extract that covers the drive, such as its "
-        "region from https://download.geofabrik.de, or --overpass; around this drive: "
+        "region by Geofabrik, or --overpass; around this drive: "
         f"--bbox {west:.4f},{south:.4f},{east:.4f},{north:.4f} of `osmium extract`"
     )
 

@@ -286,7 +286,7 @@ class _Sender:
                 self._send(bundle)  # what was read before the fault need not be read again
                 raise
             if content is None:
-                self._count([])
+                self._count(1, [])
             elif content.size > _SMALL_BYTES or '"' in file.path or not file.path.isprintable():
                 self._send([content])
             else:
@@ -343,11 +343,11 @@ class _Sender:
                     "changes bodies."
                 )
             self.log.add(content.file.path, Sent(content.signature, found))
-        self._count([content.size for content in sent])
+        self._count(len(sent), [content.size for content in sent])
 
-    def _count(self, sizes: list[int]) -> None:
+    def _count(self, done: int, sizes: list[int]) -> None:
         with self.lock:
-            self.progress.done += max(1, len(sizes))
+            self.progress.done += done
             self.progress.sent += len(sizes)
             self.progress.bytes_sent += sum(sizes)
 

@@ -31,9 +31,8 @@ def geodataframe(of: DriveResult | Evaluation, layer: str = "intersections") -> 
     -------
     geopandas.GeoDataFrame
         The columns are the properties of the GeoJSON files (`interloc.output.layers`) without their details; `attrs`
-        has drive, job, preset and labels. Coordinates are longitude and
-        latitude (EPSG:4326); without georeference they are metres in the frame of the first scan, and there is no
-        coordinate system.
+        has drive, job, preset and labels. Coordinates are longitude and latitude (EPSG:4326); without georeference
+        they are metres in the frame of the first scan, and there is no coordinate system.
 
     Raises
     ------
