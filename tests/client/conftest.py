@@ -6,10 +6,11 @@ import socket
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from socketserver import BaseRequestHandler, ThreadingTCPServer
 from types import ModuleType
 from typing import Any
 
@@ -55,6 +56,51 @@ class Faulty:
     def close(self) -> None:
         self._server.shutdown()
         self._server.server_close()
+
+
+class Valve:
+    """The way to a server, on which so many bundles of files pass.
+
+    The next one has `reached` it then, and waits until it is `opened`.
+    """
+
+    _BUNDLE = b"/scans HTTP/1.1"
+
+    def __init__(self, server: str, bundles: int) -> None:
+        self.reached, self.opened = threading.Event(), threading.Event()
+        self._left = bundles
+        outer, address = self, ("127.0.0.1", int(server.rpartition(":")[2]))
+
+        class Handler(BaseRequestHandler):
+            def handle(self) -> None:
+                with suppress(OSError), socket.create_connection(address) as there:  # while the server is away, none
+                    back = threading.Thread(target=outer._pass_on, args=(there, self.request))
+                    back.start()
+                    outer._pass_on(self.request, there)
+                    back.join()
+
+        self._server = ThreadingTCPServer(("127.0.0.1", 0), Handler)
+        self.address = f"http://127.0.0.1:{self._server.server_address[1]}"
+        threading.Thread(target=self._server.serve_forever, args=(0.05,), daemon=True).start()
+
+    def close(self) -> None:
+        self.opened.set()
+        self._server.shutdown()
+        self._server.server_close()
+
+    def _pass_on(self, source: socket.socket, target: socket.socket) -> None:
+        before = b""
+        with suppress(OSError):
+            while data := source.recv(65536):
+                self._left -= (before + data).count(self._BUNDLE)
+                before = data[1 - len(self._BUNDLE) :]
+                if self._left < 0:
+                    self.reached.set()
+                    self.opened.wait()
+                target.sendall(data)
+        for end in (source, target):
+            with suppress(OSError):
+                end.shutdown(socket.SHUT_RDWR)
 
 
 def answer(status: int, body: Any = None, *, kind: str = "application/json", **headers: str) -> Reply:

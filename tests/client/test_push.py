@@ -6,7 +6,8 @@ import shutil
 import signal
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing
 from functools import partial
 from pathlib import Path
 from types import ModuleType
@@ -15,7 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.app.processes import ServerProcess, started, wait_until
+from tests.app.processes import ServerProcess, started
 from tests.bags import write_bag
 from tests.networks import write_model
 from tests.small_drives import lidar_poses, scan_at
@@ -38,6 +39,21 @@ def drives_on(server: ServerProcess) -> list[dict[str, Any]]:
 def copy_of(drive: Path, folder: Path) -> Path:
     """A drive that may be changed."""
     return Path(shutil.copytree(drive, folder))
+
+
+Narrow = Callable[[str, int], tuple[Any, Any]]
+
+
+@pytest.fixture
+def narrow(make: ModuleType, tmp_path: Path) -> Iterator[Narrow]:
+    """The command line for a server on the way to which so many bundles pass, and the valve that is there."""
+    with ExitStack() as stack:
+
+        def way(server: str, bundles: int) -> tuple[Any, Any]:
+            valve = stack.enter_context(closing(make.Valve(server, bundles)))
+            return make.Here(valve.address, tmp_path / "cache"), valve
+
+        yield way
 
 
 def files_of_newest(server: ServerProcess, name: str) -> int:
@@ -158,16 +174,18 @@ def spoil_points(drive: Path) -> tuple[Path, bytes]:
 
 @pytest.mark.parametrize("stop", [signal.SIGKILL, signal.SIGINT])
 def test_a_push_that_is_stopped_goes_on_where_it_was(
-    stop: signal.Signals, here: Any, server: ServerProcess, street: Path, complete: dict[str, str], tmp_path: Path
+    stop: signal.Signals, narrow: Narrow, server: ServerProcess, street: Path, complete: dict[str, str], tmp_path: Path
 ) -> None:
     drive = copy_of(street, tmp_path / f"stopped-{stop.name}")
+    here, valve = narrow(server.address, 1)
     with here.start("push", drive, "--jobs", "1") as process:
-        wait_until(lambda: files_of_newest(server, drive.name) >= 10 or process.poll() is not None, "some files")
+        assert valve.reached.wait(60)
         process.send_signal(stop)
         _, err = process.communicate(timeout=60)
     assert process.returncode != 0
     if stop == signal.SIGINT:
         assert "of 44 files are on the server; the same command sends the rest" in err
+    valve.opened.set()
     (begun,) = [each for each in drives_on(server) if each["name"] == drive.name]
     before = files_on(server, begun["id"])
     assert 10 <= len(before) < 44
@@ -182,12 +200,14 @@ def test_a_push_that_is_stopped_goes_on_where_it_was(
 
 
 def test_an_interrupted_push_sends_what_changed_meanwhile(
-    here: Any, server: ServerProcess, street: Path, tmp_path: Path
+    narrow: Narrow, server: ServerProcess, street: Path, tmp_path: Path
 ) -> None:
     drive = copy_of(street, tmp_path / "mended")
+    here, valve = narrow(server.address, 2)
     with here.start("push", drive, "--jobs", "1") as process:
-        wait_until(lambda: files_of_newest(server, drive.name) >= 15 or process.poll() is not None, "some files")
+        assert valve.reached.wait(60)
         process.kill()
+    valve.opened.set()
     (begun,) = [each for each in drives_on(server) if each["name"] == drive.name]
     before = files_on(server, begun["id"])
     assert "ground/labels/000003.ground" in before
@@ -202,14 +222,15 @@ def test_an_interrupted_push_sends_what_changed_meanwhile(
     assert before.keys() - after.keys() == {"times.txt"}
 
 
-def test_the_server_restarts_in_the_middle(street: Path, tmp_path: Path, make: ModuleType) -> None:
+def test_the_server_restarts_in_the_middle(street: Path, tmp_path: Path, narrow: Narrow) -> None:
     drive = copy_of(street, tmp_path / "street")
     data, log = tmp_path / "data", tmp_path / "log"
     with started(data, log, workers=1) as first:
-        here = make.Here(first.address, tmp_path / "cache")
+        here, valve = narrow(first.address, 2)
         with here.start("push", drive, "--jobs", "2", "--json") as process:
-            wait_until(lambda: files_of_newest(first, "street") >= 10 or process.poll() is not None, "some files")
+            assert valve.reached.wait(60)
             first.kill()
+            valve.opened.set()
             assert process.poll() is None
             with started(data, log, workers=1, port=int(first.address.rpartition(":")[2])) as second:
                 out, err = process.communicate(timeout=120)
