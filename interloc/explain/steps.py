@@ -103,6 +103,8 @@ def occupancy(canvas: Canvas, explained: ExplainedKeyframe) -> None:
     ]
     if config.island_m2 > 0:
         canvas.facts.append(f"islands up to {config.island_m2:g} m²")
+    if config.edge_m > 0:
+        canvas.facts.append(f"edges taken back by up to {config.edge_m:g} m")
 
 
 def centerline(canvas: Canvas, explained: ExplainedKeyframe) -> None:
