@@ -1,7 +1,9 @@
 """A live session of a real server: what is sent, answered, watched, broken off, refused."""
 
+import asyncio
 import json
 import threading
+import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
@@ -347,3 +349,18 @@ def test_a_session_that_is_kept_becomes_a_drive_with_a_job(
     features = client.get(f"{API}/jobs/{job['id']}/layers/intersections").json()["features"]
     (found,) = said[-1]["intersections"]
     np.testing.assert_allclose(features[0]["geometry"]["coordinates"], [found["lon_deg"], found["lat_deg"]], atol=1e-6)
+
+
+def test_who_joins_hears_of_each_keyframe_once(config: DetectorConfig, crossing: FolderDrive) -> None:
+    async def join() -> tuple[int, list[dict[str, Any]]]:
+        entry = LiveEntry(sessions.Begin(type="begin", name="a"), "me", config, lambda: None)
+        entry.take(encode_scan(live_scan(crossing, 0)))
+        while not entry._worker.session.keyframes:
+            time.sleep(0.01)  # noqa: ASYNC251 - what it tells waits for this loop
+        said = entry.watch("")
+        heard = [json.loads(await anext(said) or "") for _ in range(2)]
+        entry.refuse("enough")
+        return heard[0]["session"]["keyframes"], heard[1:]
+
+    begun_with, told = asyncio.run(join())
+    assert begun_with + sum(each["is_keyframe"] for each in told) == 1
