@@ -50,6 +50,12 @@ def say(connection: ClientConnection, **word: Any) -> dict[str, Any]:
     return answer
 
 
+def listed(client: httpx.Client, session: str) -> dict[str, Any]:
+    (found,) = (each for each in client.get(f"{API}/live").json()["sessions"] if each["id"] == session)
+    assert isinstance(found, dict)
+    return found
+
+
 @contextmanager
 def begun(client: httpx.Client, name: str = "live", **more: Any) -> Iterator[tuple[ClientConnection, str]]:
     """A session that is ended afterwards, however the test ends."""
@@ -164,7 +170,7 @@ def test_what_is_no_scan_ends_the_session_and_nothing_else(
             connection.recv(timeout=30)
         assert closed.value.rcvd is not None
         assert closed.value.rcvd.code == 1008
-        assert client.get(f"{API}/live/{session}").json()["state"] == "ended"
+        assert listed(client, session)["state"] == "ended"
         other.send(scan)
         assert json.loads(other.recv(timeout=30))["frame"] == 0
 
@@ -236,7 +242,7 @@ def test_memory_is_asked_for_before_a_scan_is_taken(
             if refused["type"] == "refused":
                 break
         assert "may hold 6 MB. Send the points of the ground only" in refused["reason"]
-        assert 0 < client.get(f"{API}/live/{session}").json()["keyframes"] < 48
+        assert 0 < listed(client, session)["keyframes"] < 48
         other.send(scans[0])
         assert json.loads(other.recv(timeout=30))["type"] == "scan"
 
