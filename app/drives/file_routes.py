@@ -17,7 +17,7 @@ from app.http.headers import WaitSeconds
 from app.http.intake import Arrival, Intake, receive, receive_file
 from app.http.limits import declared_length
 from app.http.multipart import BatchReader, Place, bad_part, boundary_of
-from app.http.openapi import BINARY, TAGGED, Responses, body_of, problems
+from app.http.openapi import BINARY, body_of, get_and_head
 from app.http.parameters import answer_page
 from app.http.patterns import TEXT
 from app.http.prices import priced
@@ -38,28 +38,8 @@ FilePath = Annotated[
     ),
 ]
 
-NOT_FOUND = problems({404: "There is no such drive or file."})
-CLOSED = problems({409: "The drive takes no such files in its state, or names are in conflict."})
-UPLOAD: Responses = {
-    **problems({400: "The body ended too soon, or is only a part of a file."}),
-    **NOT_FOUND,
-    **CLOSED,
-    **problems(
-        {
-            413: "The file is too large, or the drive would become too large.",
-            415: "The body is compressed, or of a kind that is not taken.",
-            507: "The disk is full.",
-        }
-    ),
-}
 
-
-@router.get(
-    "/files",
-    responses={**TAGGED, **NOT_FOUND},
-    response_model=FileList,
-    summary="List the files of a drive",
-)
+@get_and_head(router, "/files", response_model=FileList, summary="List the files of a drive")
 @priced("cheap")
 def list_files(
     drive_id: DriveId,
@@ -78,7 +58,7 @@ def list_files(
 
 @router.put(
     "/files/{path:path}",
-    responses={201: {"model": UploadedFile, "description": "The file is new."}, **UPLOAD},
+    responses={201: {"model": UploadedFile, "description": "The file is new."}},
     openapi_extra={
         **body_of({"application/octet-stream": BINARY}),
         "parameters": [
@@ -122,8 +102,6 @@ async def put_file(
     responses={
         200: {"content": {"application/octet-stream": {}}, "description": "The bytes."},
         206: {"content": {"application/octet-stream": {}}, "description": "The range that was asked for."},
-        **NOT_FOUND,
-        **problems({410: "It was reduced to what the method needs.", 416: "There is no such range."}),
     },
     summary="Download a file",
 )
@@ -137,7 +115,7 @@ def get_file(drive_id: DriveId, path: FilePath, context: ContextDep, _client: Cl
         return WholeFile(file, media_type="application/octet-stream", filename=name, headers=headers)
 
 
-@router.delete("/files/{path:path}", status_code=204, responses={**NOT_FOUND, **CLOSED}, summary="Delete a file")
+@router.delete("/files/{path:path}", status_code=204, summary="Delete a file")
 @priced("cheap")
 def delete_file(drive_id: DriveId, path: FilePath, context: ContextDep, _client: ClientDep) -> None:
     """Remove a file of a drive that is not committed yet, or a map of a ready one that no job waits for or reads."""
@@ -192,7 +170,6 @@ _BATCH = {
 
 @router.post(
     "/scans",
-    responses=UPLOAD,
     openapi_extra=body_of({"multipart/form-data": _BATCH}),
     summary="Upload a batch of scans",
 )
@@ -233,7 +210,7 @@ _ARCHIVE = {
 
 @router.post(
     "/archive",
-    responses={202: {"model": UnpackedArchive, "description": "It is still being unpacked."}, **UPLOAD},
+    responses={202: {"model": UnpackedArchive, "description": "It is still being unpacked."}},
     openapi_extra=body_of({"application/octet-stream": BINARY, "multipart/form-data": _ARCHIVE}),
     summary="Upload an archive",
 )

@@ -208,9 +208,8 @@ def test_names_that_other_file_systems_take_for_one_are_refused(
         "",
     ],
 )
-@pytest.mark.parametrize("field", ["Content-Digest", "Repr-Digest"])
-def test_a_wrong_digest_is_refused(client: httpx.Client, drive: str, shared_data: Path, field: str, value: str) -> None:
-    answer = client.put(f"{drive}/files/poses.txt", content=b"data", headers={field: value})
+def test_a_wrong_digest_is_refused(client: httpx.Client, drive: str, shared_data: Path, value: str) -> None:
+    answer = client.put(f"{drive}/files/poses.txt", content=b"data", headers={"Content-Digest": value})
     assert answer.status_code == 422
     assert answer.json()["title"] in {"Wrong digest", "Bad digest"}
     assert stored(shared_data, drive) == []
