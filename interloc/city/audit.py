@@ -28,8 +28,6 @@ WRONG_M = 15.0
 _RAY_AT_M = np.array([12.0, 18.0, 24.0])
 _RAY_SEEN_M = np.arange(8.0, 22.1, 1.0)
 _ROAD_START_M = slice(4, 16)  # nearer to a node is the road that it lies on
-_PHANTOM_M = 45.0
-_BESIDE_M = 8.0  # as far from a node its own junction hides what a side road is
 _LEVEL_M = 25.0
 _PORTAL_M = 50.0
 _EDGE_M = 40.0
@@ -38,7 +36,6 @@ _APART_DEG = 50.0
 _TRACK_M = 15.0
 _ODD_M = 30.0
 _ALSO_ELSEWHERE_M = 60.0
-_GROUP_M = 25.0  # roads between nodes of one junction are no longer than this
 _SLIP_M = 10.0  # a place so near is the junction that a slip of the map hides
 _PAST_M = 100.0  # roads of a node join the track within this
 _ON_TRACK_M = 4.0
@@ -132,8 +129,6 @@ class _Auditor:
             ({"moved"}, self._beside),
             ({"moved"}, self._moved),
             ({"not_joined", "no_node"}, self._unjoined),
-            ({"phantom"}, self._phantoms),
-            ({"one_junction"}, self._groups),
         ]
         wanted = set(self.config.kinds)
         made = (finding for kinds, make in makers if kinds & wanted for finding in make())
@@ -341,67 +336,6 @@ class _Auditor:
                 f"{table.passes[row]} passes of a LiDAR saw a junction here, and on the map {each.text}. "
                 "Should they be joined?",
                 distance_m=_round(metres),
-            )
-
-    def _phantoms(self) -> Iterator[Finding]:
-        """Yield nodes that passes came by where they saw no junction, and other ground where a side road should be."""
-        osm, config = self.osm, self.config
-        nearest, _ = _nearest(osm.xy, self.places.xy[self.places.is_shown])
-        for node in osm.open_junctions.tolist():
-            drives = tuple(self.came_by.get(node, ()))
-            ease = self._ease("phantom", osm.graph.node_id[node])
-            if not self._enough(drives) or nearest[node] <= config.junction_m:
-                continue
-            sides = [road[int(_BESIDE_M) :] for road in osm.roads_from(node, _PHANTOM_M)]
-            shares = [
-                (np.mean([road.mean() for road, _ in seen]), np.mean([other[:12].mean() for _, other in seen]))
-                for seen in (
-                    [self.city.drives[name].ground_at(side, self.city.epsg) for name in drives]
-                    for side in sides
-                    if len(side) >= 12
-                )
-            ]
-            unseen = [
-                share for share in shares
-                if share[0] < config.max_phantom_road / ease and share[1] >= config.min_phantom_other * ease
-            ]  # fmt: skip
-            blind = None if unseen else "side road seen, or not told from what was not seen"
-            if self._is_held_back(blind or self._excuse(osm.xy[node], drives)):
-                continue
-            yield self._finding(
-                "phantom",
-                None,
-                node,
-                f"{len(drives)} passes of a LiDAR came by this node and saw no junction, and other ground where its "
-                "side road begins. Is there a road?",
-                drives,
-                road_share=_round(unseen[0][0]),
-                other_share=_round(unseen[0][1]),
-            )
-
-    def _groups(self) -> Iterator[Finding]:
-        """Yield nodes that short roads join where passes saw one junction: carriageways, islands, a node too many."""
-        osm, table = self.osm, self.places
-        shown = np.flatnonzero(table.is_shown & (table.passes >= self.config.min_passes))
-        for nodes in osm.groups(_GROUP_M):
-            middle = osm.xy[nodes].mean(axis=0)
-            rows = shown[np.hypot(*(table.xy[shown] - middle).T) <= _PARTNER_M]
-            if len(rows) != 1 or self._excuse(middle, table.near[rows[0]]) is not None:
-                continue
-            row, node = int(rows[0]), nodes[0]
-            apart = np.hypot(*(osm.xy[nodes] - table.xy[row]).T)
-            ease = self._ease("one_junction", osm.graph.node_id[node])
-            if table.confidence[row] < self.config.min_confidence * ease or apart.max() > _PARTNER_M:
-                continue
-            ids = [int(each) for each in osm.graph.node_id[nodes]]
-            yield self._finding(
-                "one_junction",
-                row,
-                node,
-                f"{table.passes[row]} passes of a LiDAR saw one junction where the map has {len(nodes)} nodes within "
-                f"{apart.max():.0f} m of it: {', '.join(f'node/{each}' for each in ids)}. Are they one?",
-                distance_m=_round(apart.max()),
-                nodes=ids,
             )
 
     # what they share --------------------------------------------------------------------------------------------------

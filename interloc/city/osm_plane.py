@@ -233,18 +233,3 @@ class OsmPlane:
     def roads_from(self, node: int, length_m: float) -> list[FloatArray]:
         """Return `road_from` of all open roads that leave a node."""
         return [self.road_from(node, each, length_m) for each in self.neighbours.get(node, [])]
-
-    def groups(self, reach_m: float) -> list[list[int]]:
-        """Return the rows of open junctions that roads no longer than this join, two or more each."""
-        from scipy.sparse import coo_array  # noqa: PLC0415 - slow to import
-        from scipy.sparse.csgraph import connected_components  # noqa: PLC0415
-
-        leaving = [(node, each) for node in self.open_junctions.tolist() for each in self.neighbours[node]]
-        roads = [self.along(node, each, reach_m) for node, each in leaving]
-        ends = np.array([(nodes[0], nodes[-1]) for nodes, metres in roads if metres[-1] <= reach_m]).reshape(-1, 2)
-        ends = np.searchsorted(self.open_junctions, ends[np.isin(ends[:, 1], self.open_junctions)])
-        count = len(self.open_junctions)
-        links = coo_array((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(count, count))
-        _, group = connected_components(links, directed=False)
-        found = [self.open_junctions[group == each].tolist() for each in np.flatnonzero(np.bincount(group) > 1)]
-        return sorted(found)
