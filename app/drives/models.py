@@ -113,33 +113,6 @@ class DriveChanges(Body):
 class DriveModel(BaseModel):
     """A drive."""
 
-    model_config = ConfigDict(
-        json_schema_extra={
-            "examples": [
-                {
-                    "id": "5f0c2b7d9a41e386",
-                    "name": "town",
-                    "note": None,
-                    "state": "ready",
-                    "owner": "anonymous",
-                    "keep_raw": False,
-                    "options": {"label_scheme": "auto", "pose_frame": "auto", "layout": "auto"},
-                    "files": 849,
-                    "size_bytes": 701124052,
-                    "stored_bytes": 109221678,
-                    "bbox": [8.412, 49.001, 8.431, 49.014],
-                    "result_job": None,
-                    "pinned_job": None,
-                    "created_at": "2026-01-31T12:00:00Z",
-                    "expires_at": None,
-                    "report": None,
-                    "label_folders": ["labels"],
-                    "maps": ["map.osm.gz"],
-                }
-            ]
-        }
-    )
-
     id: str = Field(examples=["5f0c2b7d9a41e386"])
     name: str
     note: str | None = None
@@ -204,7 +177,6 @@ class CommitRequest(Body):
 
     options: DriveOptionsModel | None = None
     keep_raw: Flag | None = None
-    check_only: Flag = Field(False, description="Check and report, but leave the drive open for more files.")
     subscriber: Subscriber | None = Field(
         None, description="Who is told when the check begins and ends; it fails, too, where the drive has errors."
     )

@@ -16,12 +16,10 @@ from app.http.limits import job_limit
 from app.http.openapi import Responses, get_and_head
 from app.http.parameters import (
     After,
-    BoxFilter,
     NamePart,
     answer_page,
     cursor_of,
     has_part,
-    lies_in,
     newest_first,
     rows_after,
 )
@@ -100,7 +98,6 @@ def list_jobs(
     request: Request,
     context: ContextDep,
     _client: ClientDep,
-    box: BoxFilter,
     drive: Annotated[str | None, Query(pattern=ID, description="Only those of this drive.")] = None,
     state: Annotated[JobState | None, Query(description="Only those in this state.")] = None,
     kind: Annotated[
@@ -122,8 +119,6 @@ def list_jobs(
         query = query.where(Job.state == state)
     if name is not None:
         query = query.where(or_(has_part(Drive.name, name), has_part(Job.name, name)))
-    if box is not None:
-        query = query.where(lies_in(box))
     if after is not None:
         query = query.where(rows_after(Job, after))
     with context.database.reading() as session:

@@ -33,6 +33,9 @@ from interloc.reduction.listing import find_drives
 
 ArchiveKind = Literal["zip", "tar", "tar.gz", "tar.zst"]
 
+ARCHIVE = "archive"
+"""Name of the archive in the scratch folder."""
+
 MAGIC_BYTES = 262
 """Number of bytes at the beginning of a file that determine its kind."""
 
@@ -134,7 +137,8 @@ def finish(task: Task[UnpackJob], plan: Plan) -> FilesOutcome:
 
 
 def _archive(task: Task[UnpackJob]) -> Path:
-    return task.drive / task.request.archive
+    older = task.request.archive
+    return task.scratch / ARCHIVE if older is None else task.drive / older
 
 
 class _Unpacking:
