@@ -58,11 +58,11 @@ TAGS = [
     {
         "name": "Live",
         "description": "Intersections while driving. A sender opens the WebSocket `/api/v1/live` (token as everywhere) "
-        'and begins with the text `{"type": "begin", "name": "07", "preset"?, "config"?, "label_scheme"?}`, or after a '
+        'and begins with the text `{"type": "begin", "name": "07", "preset"?, "config"?}`, or after a '
         'broken connection with `{"type": "continue", "session": ID}`; it is told `{"type": "session", "id", '
         '"last_frame"}`. It sends each scan as one binary message: `ILS1`, the length of a head as uint32, the head as '
-        "JSON (`frame`, `pose`, `points`, ...), points as float32, labels as uint32; all little-endian. Each scan is "
-        "answered by a text: JSON whose `type` is `scan`, `dropped` or `refused`. The text "
+        "JSON (`frame`, `pose`, `points`, `road_count`, ...), points as float32, those of road first; all "
+        "little-endian. Each scan is answered by a text: JSON whose `type` is `scan`, `dropped` or `refused`. The text "
         '`{"type": "end"}` ends the session. docs/live.md has every field. Others watch `/live/{session}/events`.',
     },
     {"name": "Results", "description": "What a successful job found; the same bytes as the command line writes."},

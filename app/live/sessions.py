@@ -35,7 +35,6 @@ from app.settings import MB
 from app.states import JobKind
 from interloc.config import DetectorConfig
 from interloc.drives.folder import DROPPED
-from interloc.drives.labels import SEMANTICKITTI, LabelScheme, named_scheme
 from interloc.errors import DriveError
 from interloc.geometry import rpy_from_rotation
 from interloc.live.scan import LiveScan
@@ -54,9 +53,6 @@ class Begin(Body):
     preset: Literal["default", "paper"] = Field("default", description="Settings to start from.")
     config: dict[str, Any] | None = Field(
         None, description="Settings that differ; `keyframes.lookahead` is the number of keyframes an answer waits for."
-    )
-    label_scheme: str = Field(
-        "semantickitti", max_length=200, description="Scheme of the labels, or the ids of road with commas between."
     )
     keep: bool = Field(False, description="Make a drive of the keyframes; at the end it is checked, and a job runs.")
 
@@ -231,7 +227,6 @@ class LiveEntry:
     ) -> None:
         self.id = secrets.token_hex(8)
         self.name, self.owner = begin.name, owner
-        self.scheme: LabelScheme = named_scheme(begin.label_scheme) or SEMANTICKITTI
         self.sender: asyncio.Queue[str | None] | None = None
         self.quiet_since: float | None = time.monotonic()
         self.last_frame = -1  # of the scans that were handed in
@@ -282,7 +277,7 @@ class LiveEntry:
 
     def take(self, data: bytes) -> None:
         """Hand a scan to the session; a `DriveError` says that it is none."""
-        scan = decode_scan(data, self.scheme)
+        scan = decode_scan(data)
         if scan.frame <= self.last_frame:  # sent again after a broken connection
             self._tell({"type": "repeated", "frame": scan.frame})
         else:

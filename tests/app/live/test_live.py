@@ -190,7 +190,6 @@ def test_a_message_of_a_gigabyte_is_not_waited_for(client: httpx.Client) -> None
         ({"type": "end"}, "has not begun"),
         ({"type": "begin"}, "name"),
         ({"type": "begin", "name": "a", "config": {"bev": {"resolution_m": 99}}}, "bev.resolution_m"),
-        ({"type": "begin", "name": "a", "label_scheme": "none"}, "label scheme"),
         ({"type": "continue", "session": "0123456789abcdef"}, "no live session"),
     ],
 )
