@@ -27,7 +27,7 @@ DATA_POLICY = "default-src 'none'; frame-ancestors 'none'; base-uri 'none'; sand
 """Policy of what lies below the API, should a browser take it for a document: it may be anything that was uploaded."""
 
 _READABLE = (
-    "Accept-Ranges", "Content-Disposition", "Content-Range", "ETag", "Last-Modified", "Link", "Location",
+    "Accept-Ranges", "Content-Disposition", "Content-Range", "ETag", "Last-Modified", "Location",
     "Preference-Applied", "Retry-After", "WWW-Authenticate", "X-Request-ID",
 )  # fmt: skip
 """Headers of answers that pages of other sites may see."""

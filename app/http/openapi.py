@@ -42,9 +42,9 @@ curl $API/jobs/$JOB/layers/intersections                                        
 
 `interloc push DRIVE --server URL --run -o OUT` does all of that, and sends only what the method needs.
 
-Lists come in pages: follow `Link: <...>; rel="next"`, or give `next` of one as `after` of the following. Lists,
-drives, jobs and results carry an `ETag`: ask again with `If-None-Match`, and the answer is 304 while nothing has
-changed. A query parameter that an address does not have is refused. Times are RFC 3339, lengths metres, angles degrees
+Lists come in pages: give `next` of one as `after` of the following. Lists, drives, jobs, results have an `ETag`: ask
+again with `If-None-Match`, and the answer is 304 while nothing has changed. A query parameter that an address lacks
+is refused. Times are RFC 3339, lengths metres, angles degrees
 clockwise from north. Every answer carries an `X-Request-ID`, by which its line in the log is found.
 
 Every error is a problem document (RFC 9457) whose `detail` says what was found, what was expected and what to do. Its

@@ -15,7 +15,6 @@ from sqlalchemy.exc import DataError, OperationalError, SQLAlchemyError
 from sqlalchemy.exc import TimeoutError as PoolTimeout
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
-from starlette.routing import Match
 
 from app.http import problem_types as kinds
 from app.http.patterns import EXPECTED
@@ -169,8 +168,6 @@ async def _handle(request: Request, error: Exception) -> JSONResponse:
     problem = problem_of(error)
     if "GIS" in getattr(request.scope.get("route"), "tags", ()) and problem.status == 422:
         problem.status = HTTPStatus.BAD_REQUEST  # as OGC API - Features wants it
-    if problem.status == HTTPStatus.METHOD_NOT_ALLOWED:  # the framework names the methods of the first route only
-        problem.headers = {"Allow": ", ".join(_methods_at(request))}
     return respond(problem, request.url.path)
 
 
@@ -181,20 +178,9 @@ def _not_json(found: str | None) -> Problem:
     )
 
 
-def _methods_at(request: Request) -> list[str]:
-    routes = request.app.router.routes
-    # Not the scope of this request: routing has noted there what it found.
-    plain = {name: request.scope[name] for name in ("type", "path", "root_path", "headers")}
-
-    def is_there(method: str) -> bool:
-        return any(route.matches({**plain, "method": method})[0] is Match.FULL for route in routes)
-
-    return [method for method in ("GET", "HEAD", "POST", "PUT", "PATCH", "DELETE") if is_there(method)]
-
-
 _DETAILS_OF_FRAMEWORK = {
     "Not Found": "There is nothing at this address. GET /docs shows what there is.",
-    "Method Not Allowed": "This address takes other methods; the header Allow names them.",
+    "Method Not Allowed": "This address takes other methods; GET /docs shows which.",
     "There was an error parsing the body": "The body is not JSON in UTF-8, or is nested too deep.",
 }
 

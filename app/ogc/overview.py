@@ -16,7 +16,7 @@ from app.drives import records
 from app.http.delivery import answer_tagged
 from app.http.gate import ClientDep
 from app.http.openapi import get_and_head
-from app.http.parameters import After, BoxFilter, lies_in, next_link
+from app.http.parameters import After, BoxFilter, lies_in
 from app.http.prices import priced
 from app.jobs.view import choice_of, chosen_results, title_of
 from app.ogc.work import outline_of
@@ -58,7 +58,7 @@ def show_overview(
     with context.database.reading() as session:
         features = list(_features(session, context.storage, page.drives))
     content = encode({"type": "FeatureCollection", "features": features, "next": page.next}).encode()
-    return answer_tagged(request, content, MEDIA_TYPE, **next_link(request, page.next))
+    return answer_tagged(request, content, MEDIA_TYPE)
 
 
 def _features(session: Session, storage: Storage, drives: Sequence[Any]) -> Iterator[dict[str, Any]]:

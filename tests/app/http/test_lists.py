@@ -114,17 +114,15 @@ def test_deleting_with_an_unknown_parameter_deletes_nothing(client: httpx.Client
     assert client.get("/drives/d3").status_code == 200
 
 
-def test_lists_link_to_their_next_page_with_their_filters(client: httpx.Client) -> None:
-    address, found = "/drives?limit=1&name=town", []
+def test_lists_come_in_pages(client: httpx.Client) -> None:
+    query, found = {"limit": "1", "name": "town"}, []
     while True:
-        page = client.get(address).raise_for_status()
-        found += [drive["name"] for drive in page.json()["drives"]]
-        if "next" not in page.links:
+        page = client.get("/drives", params=query).raise_for_status().json()
+        found += [drive["name"] for drive in page["drives"]]
+        if page["next"] is None:
             break
-        assert page.links["next"]["url"].startswith(f"{API}/drives?limit=1&name=town")
-        address = page.links["next"]["url"].removeprefix(API)
+        query["after"] = page["next"]
     assert found == ["Town 5", "town_5", "town 50%"]
-    assert page.json()["next"] is None
 
 
 def test_what_has_not_changed_is_not_sent_again(client: httpx.Client) -> None:
