@@ -22,8 +22,7 @@ from app.drives.records import (
     reduced_key,
 )
 from app.drives.upload import lock_counts, place, refuse_unless_open
-from app.http.intake import Arrival, Placement
-from app.http.limits import check_free_space, check_quota, job_limit
+from app.http.intake import Arrival, Placement, check_free_space, check_quota, job_limit
 from app.http.problem_types import (
     ARCHIVE_IS_BEING_UNPACKED,
     DRIVE_IS_BEING_CHECKED,
@@ -40,7 +39,7 @@ from app.store.database import Database, afterwards
 from app.store.models import Drive, DriveFile, Job
 from app.store.storage import files_below, remove_empty, size_of
 from app.work.documents import CommitOutcome, Outcome
-from app.work.places import REDUCED, TRAJECTORY, UNPACKED, link, read_listing
+from app.work.task import REDUCED, TRAJECTORY, UNPACKED, link, read_listing
 from interloc.drives.inspect import DriveReport
 from interloc.osm.container import is_map
 

@@ -23,7 +23,7 @@ from app.states import ACTIVE, DriveState, JobKind, JobState
 from app.store.database import moment
 from app.store.models import Drive, DriveFile, Job, columns_for
 from app.store.storage import Storage, remove_empty
-from app.work.places import TRAJECTORY
+from app.work.task import TRAJECTORY
 from interloc.drives.inspect import DriveReport
 from interloc.errors import ConfigError, InterLocError
 from interloc.osm.container import MAP_ENDINGS, is_map

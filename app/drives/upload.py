@@ -12,8 +12,7 @@ from app.context import Context
 from app.drives.models import UnpackedArchive
 from app.drives.records import files_key, find_drive, lock_drive
 from app.drives.work.unpack import ARCHIVE, MAGIC_BYTES, archive_kind
-from app.http.intake import Arrival, Placement
-from app.http.limits import check_drive, check_quota, job_limit
+from app.http.intake import Arrival, Placement, check_drive, check_quota, job_limit
 from app.http.problem_types import DRIVE_IS_BEING_CHECKED, DRIVE_IS_CLOSED, NOT_AN_ARCHIVE
 from app.http.problems import Problem
 from app.jobs.failures import raise_failure

@@ -12,7 +12,7 @@ from app.context import Context, ContextDep
 from app.http.delivery import answer_tagged, tag_of
 from app.http.gate import ClientDep
 from app.http.headers import IdempotencyKey, WaitIfAsked
-from app.http.limits import job_limit
+from app.http.intake import job_limit
 from app.http.openapi import Responses, get_and_head
 from app.http.parameters import (
     After,

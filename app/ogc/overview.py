@@ -24,7 +24,7 @@ from app.results.models import MEDIA_TYPE
 from app.states import DriveState
 from app.store.models import OF_RESULTS, Drive, FeatureLayer, Job
 from app.store.storage import Storage
-from app.work.places import TRAJECTORY
+from app.work.task import TRAJECTORY
 from interloc.errors import InterLocError
 from interloc.output.geojson import encode, read_json
 

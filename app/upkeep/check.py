@@ -19,7 +19,7 @@ from app.states import ACTIVE, DriveState, JobKind, JobState
 from app.store.models import CityMap, Drive, DriveFile, Job
 from app.store.storage import files_below
 from app.upkeep.cleanup import unknown_folders
-from app.work.places import TRAJECTORY
+from app.work.task import TRAJECTORY
 from interloc.drives.scans.reduced_format import MANIFEST, ground_path, read_manifest
 from interloc.errors import InterLocError
 from interloc.output.layout import RUN_FILE

@@ -24,7 +24,7 @@ from app.states import FINAL, DriveState, JobKind, JobState
 from app.store.models import CityMap, Drive, Job
 from app.store.storage import INCOMING, is_old, remove_dead
 from app.trash.deletion import delete_drive, empty_trash
-from app.work.places import REDUCED
+from app.work.task import REDUCED
 from interloc.errors import InterLocError
 
 PERIOD_S = 3600.0

@@ -24,8 +24,7 @@ import zstandard
 
 from app.paths import BadNameError, check_path
 from app.work.documents import FilesOutcome, UnpackJob
-from app.work.places import LISTING, UnpackedFile, place_unpacked, read_listing
-from app.work.task import Part, Plan, Report, Task
+from app.work.task import LISTING, Part, Plan, Report, Task, UnpackedFile, place_unpacked, read_listing
 from interloc.drives.layouts import is_part, is_recording
 from interloc.errors import InterLocError, OutputError
 from interloc.osm.container import is_map
