@@ -138,11 +138,3 @@ def has_part(column: Any, part: str) -> ColumnElement[bool]:  # noqa: ANN401 - a
     """Return the condition that a text holds a part, in upper or lower case."""
     found: ColumnElement[bool] = func.lower(column).contains(part.lower(), autoescape=True)
     return found
-
-
-def lies_in(box: Box) -> ColumnElement[bool]:
-    """Return the condition that a drive touches a box; one that is not ready or has no georeference touches none."""
-    join = and_ if box.west <= box.east else or_  # across the 180th meridian
-    return and_(
-        Drive.south <= box.north, Drive.north >= box.south, join(Drive.east >= box.west, Drive.west <= box.east)
-    )

@@ -16,7 +16,7 @@ from app.drives import records
 from app.http.delivery import answer_tagged
 from app.http.gate import ClientDep
 from app.http.openapi import get_and_head
-from app.http.parameters import After, BoxFilter, lies_in
+from app.http.parameters import After
 from app.http.prices import priced
 from app.jobs.view import choice_of, chosen_results, title_of
 from app.ogc.work import outline_of
@@ -42,19 +42,16 @@ def show_overview(
     request: Request,
     context: ContextDep,
     _client: ClientDep,
-    box: BoxFilter,
     after: After = None,
     limit: Annotated[int, Query(ge=1, le=1000, description="Maximum number of drives.")] = 100,
 ) -> Response:
     """Give the track of every ready drive, simplified, and the intersections of the job that stands for it.
 
     That is the job that somebody has pinned, else the best. A drive without georeference has no geometry, unless that
-    job has placed it on the map. `bbox` selects drives by their own georeference. Intersections of a drive are one
-    feature of many points; `outcomes` has the verdict on each, in their order. The newest drives come first; `next` is
-    `after` of the next page.
+    job has placed it on the map. Intersections of a drive are one feature of many points; `outcomes` has the verdict on
+    each, in their order. The newest drives come first; `next` is `after` of the next page.
     """
-    conditions = [Drive.state == DriveState.READY, *([] if box is None else [lies_in(box)])]
-    page = records.list_drives(context, after, limit, conditions)
+    page = records.list_drives(context, after, limit, [Drive.state == DriveState.READY])
     with context.database.reading() as session:
         features = list(_features(session, context.storage, page.drives))
     content = encode({"type": "FeatureCollection", "features": features, "next": page.next}).encode()

@@ -62,10 +62,6 @@ def _served(data_dir: Path, url: str) -> Iterator[httpx.Client]:
         ({"name": "town_"}, "3"),
         ({"name": "0%"}, "2"),
         ({"name": "\\"}, ""),
-        ({"bbox": "8.45,49.05,9,50"}, "1"),
-        ({"bbox": "8.51,49.05,9,50"}, ""),
-        ({"bbox": "-180,-90,180,90"}, "21"),
-        ({"bbox": "179.5,-20,-179,-10"}, "2"),
     ],
 )
 def test_drives_are_filtered(client: httpx.Client, params: dict[str, str], found: str) -> None:
@@ -88,11 +84,8 @@ def test_jobs_are_filtered(client: httpx.Client, params: dict[str, str], found: 
 @pytest.mark.parametrize(
     ("address", "status", "path", "words"),
     [
-        ("/drives?bbox=49,8,50,9,10", 422, "query.bbox", "found '49,8,50,9,10'; expected west,south"),
-        ("/drives?bbox=8,50,9,49", 422, "query.bbox", "south not above north"),
-        ("/drives?bbox=8,49,200,50", 422, "query.bbox", "from -180 to 180"),
         ("/drives?state=broken", 422, "query.state", "uploading"),
-        ("/drives?limt=3", 400, "query.limt", "Expected one of after, bbox, limit"),
+        ("/drives?limt=3", 400, "query.limt", "Expected one of after, limit"),
         ("/drives/d1?full=1", 400, "query.full", "Expected none"),
         ("/jobs/j1?x", 400, "query.x", "Expected none"),
         ("/presets?a=1", 400, "query.a", "Expected none"),

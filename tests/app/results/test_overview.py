@@ -44,7 +44,6 @@ def test_every_drive_is_shown_with_its_newest_result(finished: Finished) -> None
     assert len(found["other/intersections"]["geometry"]["coordinates"]) == len(points)
     assert found["local"]["geometry"] is None, "metres are not put on a map"
     assert found["street"]["properties"]["job"] == "lost", "the newest of those of one rank, though its files are gone"
-    assert features(finished, bbox="0,0,1,1") == {}
 
 
 def test_a_pinned_job_stands_for_its_drive_else_the_best_does(finished: Finished) -> None:
