@@ -196,18 +196,6 @@ class _StrictBase64(Base64Encoder):
 class LookRequest(Body):
     """A folder of a client: all of its files by name and size, and the contents of the small ones."""
 
-    model_config = ConfigDict(
-        json_schema_extra={
-            "examples": [
-                {
-                    "name": "07",
-                    "files": {"velodyne/000000.bin": 1922336, "labels/000000.label": 480584, "poses.txt": 155},
-                    "contents": {"poses.txt": "MSAwIDAgMCAwIDEgMCAwIDAgMCAxIDAK"},
-                }
-            ]
-        },
-    )
-
     name: Name = Field(description="Name of the folder.")
     files: dict[str, Annotated[Whole, Field(ge=0, le=2**50)]] = Field(
         max_length=MAX_LISTED, description="Path in the folder, with slashes -> size in bytes."

@@ -86,7 +86,6 @@ class LiveModel(BaseModel):
     keyframes: int
     dropped: int = Field(description="Scans that were dropped because the session fell behind.")
     intersections: int
-    links: dict[str, str] = Field(description="`events`: what happens, as server-sent events.")
 
 
 class LiveList(BaseModel):
@@ -309,7 +308,7 @@ class LiveEntry:
         self._worker.abandon()
         self._tell({"type": "refused", "frame": None, "reason": reason})
 
-    def model(self, root: str) -> LiveModel:
+    def model(self) -> LiveModel:
         """Return what is told about it."""
         return LiveModel(
             id=self.id,
@@ -319,15 +318,14 @@ class LiveEntry:
             keyframes=self._keyframes,
             dropped=self._dropped,
             intersections=len(self._intersections),
-            links={"events": f"{root}/api/v1/live/{self.id}/events"},
         )
 
-    async def watch(self, root: str) -> AsyncIterator[str | None]:
+    async def watch(self) -> AsyncIterator[str | None]:
         """Yield the session as it is, then what it says; once a second None, so that the caller can leave."""
         queue: asyncio.Queue[str | None] = asyncio.Queue(_UNREAD)
         self._watchers.add(queue)
         try:
-            yield self._everything(root)
+            yield self._everything()
             while not (self.is_over and queue.empty()):
                 text = None
                 with suppress(TimeoutError):
@@ -338,10 +336,10 @@ class LiveEntry:
         finally:
             self._watchers.discard(queue)
 
-    def _everything(self, root: str) -> str:
+    def _everything(self) -> str:
         state = {
             "type": "state",
-            "session": self.model(root).model_dump(mode="json"),
+            "session": self.model().model_dump(mode="json"),
             "vehicle": self._vehicle,
             "track": list(self._track),
             "intersections": list(self._intersections.values()),

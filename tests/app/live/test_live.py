@@ -362,7 +362,7 @@ def test_who_joins_hears_of_each_keyframe_once(config: DetectorConfig, crossing:
         entry.take(encode_scan(live_scan(crossing, 0)))
         while not entry._worker.session.keyframes:
             time.sleep(0.01)  # noqa: ASYNC251 - what it tells waits for this loop
-        said = entry.watch("")
+        said = entry.watch()
         heard = [json.loads(await anext(said) or "") for _ in range(2)]
         entry.refuse("enough")
         return heard[0]["session"]["keyframes"], heard[1:]
