@@ -1,6 +1,5 @@
 """Check whether a requested job can be done: its settings, map and labels are looked at before it is queued."""
 
-import unicodedata
 from typing import Any
 
 from sqlalchemy import select
@@ -29,12 +28,7 @@ def check_request(session: Session, context: Context, new: NewJob) -> dict[str, 
     if context.storage.free_bytes() < context.settings.min_free_bytes:
         raise disk_full()
     if isinstance(new.osm, OsmFile):
-        name = _map_file(session, new.drive_id, new.osm.file)
-        new = new.model_copy(update={"osm": OsmFile(file=name)})
-        if not is_map(name):
-            raise Problem(
-                kinds.NOT_A_MAP, f"osm.file: {name!r}; expected a name that ends in {', '.join(MAP_ENDINGS)}."
-            )
+        _check_map_file(session, new.drive_id, new.osm.file)
     elif new.osm is not None and not context.settings.overpass:
         raise Problem(
             kinds.OVERPASS_SWITCHED_OFF,
@@ -48,22 +42,19 @@ def check_request(session: Session, context: Context, new: NewJob) -> dict[str, 
     return request | {"config": config_of(new.preset, new.config).model_dump(mode="json")}
 
 
-def _map_file(session: Session, drive_id: str, name: str) -> str:
-    """Return the name of a map as it was uploaded; an umlaut may be one letter, or a letter and its dots (macOS)."""
-    if session.get(DriveFile, (drive_id, name)) is not None:
-        return name
-    maps = session.scalars(
-        select(DriveFile.path).where(DriveFile.drive_id == drive_id, DriveFile.path.icontains(".osm", autoescape=True))
-    ).all()
-    for each in maps:
-        if unicodedata.normalize("NFC", each) == unicodedata.normalize("NFC", name):
-            return each
-    known = f"It has {', '.join(map(repr, maps[:5]))}. " if maps else ""
-    raise Problem(
-        kinds.MAP_NOT_FOUND,
-        f"osm.file: there is no {name!r} among the files of drive {drive_id}. {known}Upload it first: "
-        f"PUT /api/v1/drives/{drive_id}/files/{{path}}.",
-    )
+def _check_map_file(session: Session, drive_id: str, name: str) -> None:
+    """Refuse (422) a map that is not among the files of the drive, or has no name of one."""
+    if session.get(DriveFile, (drive_id, name)) is None:
+        of_maps = DriveFile.path.icontains(".osm", autoescape=True)
+        maps = session.scalars(select(DriveFile.path).where(DriveFile.drive_id == drive_id, of_maps).limit(5)).all()
+        known = f"It has {', '.join(map(repr, maps))}. " if maps else ""
+        raise Problem(
+            kinds.MAP_NOT_FOUND,
+            f"osm.file: there is no {name!r} among the files of drive {drive_id}. {known}Upload it first: "
+            f"PUT /api/v1/drives/{drive_id}/files/{{path}}.",
+        )
+    if not is_map(name):
+        raise Problem(kinds.NOT_A_MAP, f"osm.file: {name!r}; expected a name that ends in {', '.join(MAP_ENDINGS)}.")
 
 
 def _check_placing(new: NewJob) -> None:
