@@ -1,7 +1,7 @@
 """Query parameters that several addresses share, the refusal of those that an address does not have, pages of lists."""
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Annotated, Any, Literal, NamedTuple
 
 from fastapi import Depends, Query, Request, Response
@@ -71,11 +71,21 @@ async def _box(
 BoxFilter = Annotated[Box | None, Depends(_box)]
 
 
+OF_ITS_DATA = {"x-parameters-of-its-data": True}
+"""``openapi_extra`` of an operation that has the parameters of its data, too: it calls `refuse_others` itself."""
+
+
 async def refuse_unknown_parameters(request: Request) -> None:
     """Refuse (400) a query parameter that the address does not have: it would be a filter that does nothing."""
+    if not (request.scope["route"].openapi_extra or {}).keys() & OF_ITS_DATA.keys():
+        refuse_others(request, ())
+
+
+def refuse_others(request: Request, names: Iterable[str]) -> None:
+    """Refuse a query parameter that is neither one of the address nor one of these, as `refuse_unknown_parameters`."""
     if not request.query_params:
         return
-    known = sorted(set(_names(request.scope["route"].dependant)))
+    known = sorted({*_names(request.scope["route"].dependant), *names})
     for name in request.query_params:
         if name not in known:
             expected = f"Expected one of {', '.join(known)}" if known else "Expected none"

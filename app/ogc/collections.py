@@ -56,6 +56,11 @@ class Collection:
         return {name: kind for name, kind in self.kinds.items() if kind != "list"}
 
     @property
+    def queryable_types(self) -> dict[str, str]:
+        """The same -> type of JSON."""
+        return {name: _KINDS[kind]["type"] for name, kind in self.queryables.items()}
+
+    @property
     def table(self) -> Table:
         """The table of its features."""
         return (OF_RESULTS if self.of_results else OF_MAPS)[self.layer.name]

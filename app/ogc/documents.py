@@ -72,13 +72,16 @@ class Place:
         Without it they fetch all of a collection, in small pages, and filter by themselves.
         """
         languages = {"type": "string", "enum": ["cql-text", "cql2-text", "cql2-json"]}
-        text = {"type": "string"}
+        texts = dict.fromkeys(("bbox", "datetime", "filter", "after"), "string")
         limit = {"name": "limit", "in": "query", "schema": {"type": "integer", "minimum": 1, "maximum": max_limit}}
-        named = {"filter-lang": languages, **dict.fromkeys(("bbox", "datetime", "filter", "after"), text)}
-        parameters: list[dict[str, Any]] = [{"$ref": "#/components/parameters/limit"}]  # as GDAL looks for it
-        parameters += [{"name": name, "in": "query", "schema": schema} for name, schema in named.items()]
-        items = {"get": {"parameters": parameters, "responses": {"200": {"description": "GeoJSON."}}}}
-        paths = {f"/collections/{each.id}/items": items for each in known}
+        paths = {}
+        for each in known:
+            named = {"filter-lang": languages}
+            named |= {name: {"type": kind} for name, kind in {**texts, **each.queryable_types}.items()}
+            parameters: list[dict[str, Any]] = [{"$ref": "#/components/parameters/limit"}]  # as GDAL looks for it
+            parameters += [{"name": name, "in": "query", "schema": schema} for name, schema in named.items()]
+            answers = {"200": {"description": "GeoJSON."}}
+            paths[f"/collections/{each.id}/items"] = {"get": {"parameters": parameters, "responses": answers}}
         return {
             "openapi": "3.0.3",
             "info": {"title": self.title, "version": "1"},

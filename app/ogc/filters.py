@@ -5,6 +5,7 @@ box of a feature, which is the feature itself where it is a point.
 """
 
 import json
+import math
 import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -71,6 +72,18 @@ def _without_ilike(match: re.Match[str]) -> str:
     if match["name"] is None:
         return match[0]
     return f"CASEI({match['name']}) LIKE CASEI({match['pattern']})"
+
+
+def equals(name: str, text: str, kind: str) -> Any:  # noqa: ANN401 - JSON
+    """Return the filter that a property has a value, which stands in the address; a 400 where it has no such values."""
+    try:
+        value = text if kind in {"text", "time"} else json.loads(text, parse_constant=_no_number)
+        if isinstance(value, str) or (isinstance(value, bool) == (kind == "bool") and math.isfinite(value)):
+            return {"op": "=", "args": [{"property": name}, value]}
+    except (ValueError, TypeError, OverflowError, RecursionError):
+        pass
+    expected = "true or false" if kind == "bool" else "a number"
+    raise bad_filter(f"{name}={_shown(text)} is not valid. Expected {expected}.")
 
 
 def _short(error: Exception) -> str:

@@ -4,6 +4,7 @@ import json
 import math
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from datetime import UTC, datetime
 from typing import Annotated, Any, Literal, cast
 
@@ -13,14 +14,14 @@ from fastapi import Query as Parameter
 from app.context import ContextDep
 from app.http.delivery import answer_tagged, service_address
 from app.http.openapi import get_and_head
-from app.http.parameters import BoxFilter, refusal
+from app.http.parameters import OF_ITS_DATA, BoxFilter, refusal, refuse_others
 from app.http.patterns import ID
 from app.http.prices import priced
 from app.http.problem_types import NO_SUCH_COLLECTION, NO_SUCH_FEATURE, NO_SUCH_MAP, REQUEST_NOT_VALID
 from app.http.problems import Problem
 from app.ogc.collections import Collection
 from app.ogc.documents import GEOJSON, OPENAPI, SCHEMA, Place
-from app.ogc.filters import CRS84, Language, read_filter
+from app.ogc.filters import CRS84, Language, equals, read_filter
 from app.ogc.index import Extent, Interval, Key, Query, Source, extents, find_feature, find_page
 from app.results.folder import ResultsDep
 from app.results.routes.results import JobId
@@ -54,7 +55,8 @@ def _asked(
         str | None,
         Parameter(
             alias="filter",
-            description="Only features for which this CQL2 expression is true, over the queryables of the collection.",
+            description="Only features for which this CQL2 expression is true, over the queryables of the collection. "
+            "A queryable that must have one value can also be a parameter itself: outcome=wrong.",
             examples=["outcome = 'wrong' AND score > 0.9"],
         ),
     ] = None,
@@ -237,6 +239,11 @@ def _items(collection_id: _CollectionId, request: Request, served: _ServedDep, a
     All conditions must hold. A filter that is too large, too deep or takes too long is refused.
     """
     found = served.collection(collection_id)
+    refuse_others(request, found.queryables)
+    named = [(name, value) for name, value in request.query_params.items() if name in found.queryables]
+    if named:  # a property that must have one value
+        parts = [equals(name, value, found.queryables[name]) for name, value in named]
+        asked = replace(asked, filter={"op": "and", "args": [*parts, True if asked.filter is None else asked.filter]})
     with served.database.reading() as session:
         page = find_page(session, served.source, found, asked)
     following = None if page.next is None else str(page.next)
@@ -279,6 +286,7 @@ def _router(prefix: str, name: str, source: Callable[..., None]) -> APIRouter:
             f"{prefix}{path}",
             summary="Where a GIS begins",
             operation_id=f"read_{name}{endpoint.__name__}",
+            openapi_extra=OF_ITS_DATA if endpoint is _items else None,
             dependencies=[Depends(source), Depends(_as_json)],
         )(endpoint)
     return router

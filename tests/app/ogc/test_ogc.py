@@ -198,6 +198,7 @@ def see_api(gis: Gis) -> None:
         assert [each.split("/")[2] for each in api["paths"]] == listed
         operation = api["paths"]["/collections/detections/items"]["get"]
         named = {each["name"]: each["schema"] for each in operation["parameters"] if "name" in each}
+        assert named["frame"] == {"type": "integer"}
         assert api["components"]["parameters"]["limit"]["schema"]["maximum"] == 10_000
         assert "cql-text" in named["filter-lang"]["enum"]
 
@@ -316,8 +317,15 @@ def see_unknown_parameters(gis: Gis) -> None:
 
 
 def see_properties(gis: Gis) -> None:
-    assert gis.matched(filter="outcome = 'wrong'") == 306
-    assert gis.get("/ogc/collections/detections/items", outcome="wrong").status_code == 400
+    assert gis.matched(outcome="wrong") == gis.matched(filter="outcome = 'wrong'") == 306
+    assert gis.matched(outcome="wrong", frame="3", filter="score < 1") == 2
+    assert gis.matched("roads", is_driven="true") == 0
+    assert gis.matched(time=f"{HOUR}00:05Z") == 1
+    next_ = gis.links(gis.items(outcome="wrong", limit=5))["next"]
+    assert {each["properties"]["outcome"] for each in gis.json(next_)["features"]} == {"wrong"}
+    for name, value in (("frame", "x"), ("frame", "true"), ("score", "NaN"), ("frame", "9" * 400), ("geometry", "1")):
+        assert gis.get("/ogc/collections/detections/items", **{name: value}).status_code == 400, name
+    assert gis.get("/ogc/collections/roads/items", is_driven="1").status_code == 400
     for language, status in (("cql-text", 200), ("cql2-text", 200)):  # GDAL writes 1 for true
         query = {"filter": "is_driven = 1 AND is_driven <> 0", "filter-lang": language}
         assert gis.get("/ogc/collections/roads/items", **query).status_code == status

@@ -124,7 +124,6 @@ def test_only_what_is_in_the_trash_is_restored(client: httpx.Client) -> None:
     drive = client.post(f"{API}/drives", json={"name": "alive"}).json()["id"]
     answer = client.post(f"{API}/trash/drives/{drive}/restore")
     assert (answer.status_code, answer.json()["title"]) == (404, "Not in the trash")
-    assert client.post(f"{API}/trash/tokens/{drive}/restore").status_code == 422
 
 
 def test_the_trash_is_listed_in_pages_and_emptied(serve: Callable[..., httpx.Client], tmp_path: Path) -> None:
