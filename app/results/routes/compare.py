@@ -1,12 +1,11 @@
-"""Results side by side, and beside the paper's."""
+"""Results side by side."""
 
-import dataclasses
 import json
 import re
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Query
-from pydantic import BaseModel, Field
+from pydantic import Field
 
 from app.context import ContextDep
 from app.http.prices import priced
@@ -83,38 +82,3 @@ def compare_jobs(
     own = set().union(*(own_settings(run) for run in runs))
     settings = [{**dict(each), "is_own": each.name in own} for each in compared.settings]
     return {**dict(compared), "drive_id": opened[0].drive_id, "names": numbered, "settings": settings}
-
-
-class PublishedFigures(BaseModel):
-    """Figures of the paper."""
-
-    ace_m: float
-    precision: float
-    recall: float
-
-
-class PaperFigures(BaseModel):
-    """What the paper reports."""
-
-    threshold_m: float = Field(5.0, description="D of precision and recall, except in `comparison`.")
-    sequences: dict[str, PublishedFigures] = Field(
-        description="Figures per SemanticKITTI sequence, with RangeNet++ labels."
-    )
-    average: PublishedFigures
-    comparison: dict[str, PublishedFigures] = Field(
-        description="Figures per method: ACE, precision at D = 6.9 m, recall at D = 13.3 m."
-    )
-    noise: dict[str, PublishedFigures] = Field(description="Figures per r-FPR/r-FNR in per cent, with hand labels.")
-
-
-@router.get("/paper", summary="The paper's figures", operation_id="read_paper", response_model=PaperFigures)
-@priced("cheap")
-def read_paper() -> dict[str, Any]:
-    """Give the tables of the paper, to stand beside a report of a KITTI sequence."""
-    from interloc.evaluation.compare import AVERAGE, COMPARISON, LABEL_ERRORS, PERFORMANCE  # noqa: PLC0415
-
-    tables = {"sequences": PERFORMANCE, "comparison": COMPARISON, "noise": LABEL_ERRORS}
-    plain = {
-        table: {name: dataclasses.asdict(figures) for name, figures in rows.items()} for table, rows in tables.items()
-    }
-    return {**plain, "average": dataclasses.asdict(AVERAGE)}

@@ -31,7 +31,7 @@ const DESKEW = { auto: "Taken out where the points show it", on: "Taken out", of
 
 /**
  * @param {DriveFolder | null} drive null: an archive, of which nothing is known yet.
- * @param {import("./upload.js").Settings | null} before
+ * @param {Partial<import("./upload.js").Settings> | null} before
  * @param {() => void} onChange
  */
 export function readingForm(drive, before, onChange) {
@@ -49,7 +49,7 @@ export function readingForm(drive, before, onChange) {
     const schema = reading_schema.properties[name];
     const text = schema.anyOf?.find((/** @type {any} */ { type }) => type === "string") ?? schema;
     const example = schema.examples?.[0];
-    const value = before?.options[name] ?? schema.default ?? "";
+    const value = before?.options?.[name] ?? schema.default ?? "";
     const input = text.enum
       ? select(
           Object.fromEntries(text.enum.map((/** @type {string} */ each) => [each, choices[name]?.[each] ?? each])),
