@@ -250,7 +250,7 @@ def test_settings_labels_and_maps_of_the_form_reach_the_job(
     assert upload.page.get_by_role("button", name="Upload and run").is_disabled()
     upload.choose("With label files of mine")
     upload.page.set_input_files("input[name=prediction-folder]", tmp_path / "network")
-    upload.choose("From elsewhere")
+    upload.open_all()
     upload.page.set_input_files("input[name=georeference-file]", tmp_path / "fixes.csv")
     upload.choose("A file of mine")
     upload.page.set_input_files("input[name=osm-file]", tmp_path / "city.osm")
