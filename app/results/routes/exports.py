@@ -7,23 +7,22 @@ from fastapi import APIRouter, Query, Request, Response
 from fastapi.concurrency import run_in_threadpool
 
 from app.http.delivery import MEDIA_TYPES, answer_tagged, deliver, disposition, service_address
-from app.http.openapi import BINARY, get_and_head, problems
+from app.http.openapi import BINARY, get_and_head
 from app.http.prices import priced
 from app.http.problem_types import FORMAT_NOT_INSTALLED
 from app.http.problems import Problem
 from app.results.folder import OnDemandDep, ResultsDep
 from app.results.models import LayerName
-from app.results.routes.results import WORKED_OUT, JobId, answers
+from app.results.routes.results import JobId, answers
 from app.results.work import LIVE, export_path
 from interloc.errors import ConfigError, install
 from interloc.output.layers import DERIVED
 from interloc.output.vector_files import ALL, FORMATS, has_parquet
 
 _FORMATS = {
-    ".gpkg": "layers as a GeoPackage, EPSG:4326, lists (such as bearings) as JSON text. Fields have titles and "
-    "descriptions, the metadata hold `run.json`; QGIS draws the layers as the page does (QML in `layer_styles`).",
-    ".qgz": "all layers as a project of QGIS 3.22 and newer that holds the data: in groups, drawn as on the page, with "
-    "the range of the temporal controller.",
+    ".gpkg": "layers as a GeoPackage, EPSG:4326, lists (such as bearings) as JSON text; QGIS draws them as the page "
+    "does (QML in `layer_styles`).",
+    ".qgz": "all layers as a project of QGIS 3.22 and newer that holds the data: in groups, drawn as on the page.",
     ".qgs": "the same project without the data: QGIS reads the layers from the service (OGC API - Features). Where it "
     "needs a token, QGIS asks for a user name, which may be any, and a password, which is the token.",
     ".kmz": "layers for Google Earth.",
@@ -61,11 +60,7 @@ router = APIRouter(tags=["Exports"])
     description=_DESCRIPTION,
     operation_id="read_export",
     response_class=Response,
-    responses={
-        **_FILE,
-        **WORKED_OUT,
-        **problems({501: "The service lacks the package that writes this format."}),
-    },
+    responses=_FILE,
 )
 @priced("cheap")
 async def export(

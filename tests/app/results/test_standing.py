@@ -39,7 +39,7 @@ def test_one_answer_holds_all_of_a_result_that_the_page_shows(finished: Finished
     answer = finished.get("/jobs/default/view").raise_for_status()
     told = answer.json()
     assert told["job"] == finished.get("/jobs/default").json()
-    assert told["run"] == finished.get("/jobs/default/run").json()
+    assert told["run"] == finished.get("/jobs/default/files/run.json").json()
     assert told["report"] == finished.get("/jobs/default/report?format=json").json()
     for name in ("intersections", "trajectory", "osm_nodes", "matches"):
         assert told[name] == finished.get(f"/jobs/default/layers/{name}").json()
