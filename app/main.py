@@ -90,7 +90,6 @@ def create_app(settings: Settings | None = None, context: Context | None = None)
         try:
             opened = context or Context.open(settings)
             parts.context = opened
-            await run_in_threadpool(opened.storage.incoming)  # its lock shows that a server is at work here
             await run_in_threadpool(make_server_map, opened)
             parts.runner = runner = Runner(opened, finish_drive=finish_drive, index_result=index_result)
             parts.watcher = JobWatcher(opened)

@@ -182,9 +182,8 @@ def _keep_osm(context: Context, map_id: str, client: str, arrival: Arrival) -> N
     key = f"{map_key(map_id)}/{OSM}"
     with Placement(context.storage, key) as placement, context.database.writing() as session:
         city = find_map(session, map_id, lock=True)
-        known = city.osm_bytes or 0 if city.osm_sender == client else 0
-        check_quota(context, session, client, client, arrival.size_bytes - known)
-        city.osm, city.osm_bytes, city.osm_sender = arrival.path, arrival.size_bytes, client
+        check_quota(context, session, city.owner, client, arrival.size_bytes - (city.osm_bytes or 0))
+        city.osm, city.osm_bytes = arrival.path, arrival.size_bytes
         placement.move([arrival])
         placement.remove_others([arrival])
     context.maps_changed.set()
