@@ -1,7 +1,7 @@
 /** How the files of a drive are read: the options of reading, by their schema, and a georeference from elsewhere. */
 
 import { getConfig } from "../api.js";
-import { field, filePicker, select } from "../controls.js";
+import { field, filePicker, schemaInput } from "../controls.js";
 import { el, fill, plural } from "../dom.js";
 import { folderOfInput } from "./folder.js";
 
@@ -47,35 +47,18 @@ export function readingForm(drive, before, onChange) {
   /** @param {string} name */
   function optionOf(name) {
     const schema = reading_schema.properties[name];
-    const text = schema.anyOf?.find((/** @type {any} */ { type }) => type === "string") ?? schema;
-    const example = schema.examples?.[0];
-    const value = before?.options?.[name] ?? schema.default ?? "";
-    const input = text.enum
-      ? select(
-          Object.fromEntries(text.enum.map((/** @type {string} */ each) => [each, choices[name]?.[each] ?? each])),
-          value,
-        )
-      : el("input", {
-          type: "text",
-          maxLength: text.maxLength,
-          placeholder: `As ${example}`,
-          value,
-        });
-    input.addEventListener("input", onChange);
+    let given = before?.options?.[name] ?? schema.default ?? null;
+    const take = (/** @type {any} */ next) => ((given = next), onChange());
+    const input = schemaInput(schema, given, take, (choice) => choices[name]?.[choice] ?? choice);
     if (name === "poses") input.setAttribute("list", poseFiles.id);
-    const read = () => input.value.trim() || null;
+    if (ONLY_OF[name] === "rosbag") input.pattern = "/.*";
+    const complaint = `${TITLES[name]}: write it as ${schema.examples?.[0]}, or leave it empty.`;
     return {
       name,
-      read,
+      read: () => given,
       element: field(TITLES[name], input, schema.description),
       /** @returns {string | null} */
-      complaint() {
-        const given = read();
-        if (given && ONLY_OF[name] === "rosbag" && !given.startsWith("/"))
-          return `The topic ${given} does not begin with a slash.`;
-        if (!given || !text.pattern || new RegExp(text.pattern, "u").test(given)) return null;
-        return `${TITLES[name]}: write it as ${example}, or leave it empty.`;
-      },
+      complaint: () => (input.validity.valid ? null : complaint),
     };
   }
 
