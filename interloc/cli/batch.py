@@ -11,14 +11,13 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from interloc.cli import console, options
-from interloc.errors import ConfigError, GeoreferenceError, InterLocError, is_interruption
+from interloc.errors import ConfigError, InterLocError, is_interruption
 from interloc.files import write_file
 from interloc.wording import counted
 
 if TYPE_CHECKING:
-    from interloc.cli.units import Records, Row, Unit
+    from interloc.cli.units import Row, Unit
 
-CITY = "city"
 TABLE = "batch.csv"
 _OF_MAP = ("osm", "overpass", "policy", "tolerance_m", "locate", "near", "radius_km")
 _TRUE, _FALSE = ("true", "yes", "1"), ("false", "no", "0")
@@ -43,7 +42,6 @@ def _plain(_: object, __: object, out: str) -> str:
     "--workers", type=click.IntRange(1, 256), show_default="one per core", help="Number of drives worked on at once."
 )
 @click.option("--dask", metavar="ADDRESS", help="Dask scheduler whose workers do it instead, as tcp://host:8786.")
-@click.option("--map", "as_map", is_flag=True, help=f"Put all drives together to one map too, in DIR/{CITY}.")
 @click.option("--fresh", is_flag=True, help="Do drives again that are done already.")
 @options.QUIET
 @options.JSON
@@ -55,7 +53,6 @@ def command(
     out: str,
     workers: int | None,
     dask: str | None,
-    as_map: bool,
     fresh: bool,
     **given: Any,
 ) -> None:
@@ -68,7 +65,7 @@ def command(
 
     \b
     Examples:
-      interloc batch drives/* -o results --osm region.osm.pbf --map
+      interloc batch drives/* -o results --osm region.osm.pbf
       interloc batch drives.csv -o results --osm region.osm.pbf --dask tcp://cluster:8786
       interloc batch s3://bucket/drives -o s3://bucket/results --osm s3://bucket/region.osm.pbf --dask tcp://cluster:8786
     """
@@ -96,7 +93,6 @@ def command(
             raise
         raise InterLocError("interrupted; the drives that are done are kept: the same command does the rest") from error
     rows = [done[unit.name] for unit in units]
-    left_out = _merge(rows, records) if as_map else []
     text = io.StringIO()
     writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
     writer.writeheader()
@@ -104,11 +100,7 @@ def command(
     write_file(records.place / TABLE, text.getvalue())
     storage.send_results()  # now: the table of a batch in which a drive failed is one too
     failed = [row for row in rows if row["error"] is not None]
-    if not console.wants_json():
-        for line in left_out:
-            console.note(f"not on the map: {line}")
-    record = {"out": out, "drives": rows, "failed": len(failed), "not_on_map": left_out}
-    console.say(record, _facts(rows, f"{out}/{TABLE}"))
+    console.say({"out": out, "drives": rows, "failed": len(failed)}, _facts(rows, f"{out}/{TABLE}"))
     if failed:
         first = failed[0]
         raise InterLocError(
@@ -220,38 +212,11 @@ def _names(drives: Sequence[str], given: Sequence[str | None]) -> list[str]:
             f"{twice!r} names two drives of the batch. Give each drive once, or other names in a LIST.csv."
         )
     for name in names:
-        if "/" in name or name.startswith(".") or name == CITY:
+        if "/" in name or name.startswith("."):
             raise ConfigError(
                 f"{name!r} cannot be the name of a drive: it is that of a folder. Give others in a LIST.csv."
             )
     return names
-
-
-def _merge(rows: Sequence[Row], records: Records) -> list[str]:
-    """Put what was found together to one map; return which drives are not on it, and why."""
-    from dataclasses import replace
-
-    from interloc.city.citymap import CityMap
-    from interloc.city.drives import Pass
-    from interloc.city.folder import write_city
-    from interloc.output.read import read_results
-
-    left_out: list[str] = []
-    passes: dict[str, Pass] = {}
-    for name in (row["name"] for row in rows if row["error"] is None):
-        try:
-            one = Pass.of(read_results(options.PATH.convert(f"{records.out}/{name}", None, None)))
-        except GeoreferenceError as error:
-            left_out.append(f"{name}: {error}")
-            continue
-        same = passes.setdefault(one.key, replace(one, name=name))
-        if same.name != name:
-            left_out.append(f"{name}: it holds the same as {same.name}")
-    if passes:
-        city = CityMap()
-        city.add(*passes.values())
-        write_city(city, records.place / CITY)
-    return left_out
 
 
 def _facts(rows: Sequence[Row], table: str) -> list[tuple[str, str]]:

@@ -39,7 +39,6 @@ _THREADS = 8
     "--jobs", type=click.IntRange(1, 64), default=_THREADS, show_default=True, help="Number of files sent at once."
 )
 @click.option("--run", is_flag=True, help="Have the server find the intersections, and score them if there is a map.")
-@click.option("--fresh", is_flag=True, help="Run the job even if one has done the same before; needs --run.")
 @click.option("-o", "--out", type=options.PATH, help="Write the result to this folder; needs --run or --fetch.")
 @options.config_options
 @click.option("--overpass", is_flag=True, help="Let the server fetch the map; needs --run.")
@@ -47,7 +46,6 @@ _THREADS = 8
 @options.TOLERANCE
 @options.locate_option
 @options.near_options
-@click.option("--notify", metavar="URL", help="Let the server call this address when the job ends; needs --run.")
 @options.QUIET
 @options.JSON
 def command(
@@ -64,7 +62,6 @@ def command(
     keep_raw: bool,
     jobs: int,
     run: bool,
-    fresh: bool,
     out: Path | None,
     preset: str,
     settings: tuple[str, ...],
@@ -76,12 +73,9 @@ def command(
     locate: bool,
     near: tuple[float, float] | None,
     radius_km: float | None,
-    notify: str | None,
     **reading: Any,
 ) -> None:
     """Send DRIVE to a server, reduced to what the method needs. After an interruption only what is missing is sent.
-
-    A job that has done the same before, with the same settings, is not repeated, unless with --fresh.
 
     \b
     Examples:
@@ -94,13 +88,13 @@ def command(
         return _fetch(fetch, drive, out, server, token)
     if drive is None:
         raise click.UsageError("Missing argument 'DRIVE', or --fetch JOB.")
-    _check_usage(run=run, fresh=fresh, out=out, osm=osm, overpass=overpass, settings=settings)
+    by_map = locate or near is not None
+    _check_usage(run=run, by_map=by_map, out=out, osm=osm, overpass=overpass, settings=settings)
     search = options.search_area(near, radius_km)
-    _check_placing(run=run, by_map=locate or near is not None, has_map=osm is not None or overpass, notify=notify)
     if locate and overpass and near is None:
         raise click.UsageError("the map of which place is to be fetched? Say it by --near LAT,LON, or give --osm FILE")
     from interloc.client.connection import Connection
-    from interloc.client.jobs import JobRequest, finished, placing, submit
+    from interloc.client.jobs import JobRequest, placing, submit
     from interloc.client.push import PushOptions, prepare
     from interloc.drives.options import ReadingOptions
 
@@ -132,14 +126,7 @@ def command(
             labels = "predictions" if model is not None else label_folders[0] if label_folders else None
             there = None if osm is None else osm.name
             wanted = JobRequest(config, labels, there, overpass, policy, tolerance_m, place)
-            if not pushed.files_sent and not overpass and not fresh:
-                job = finished(connection, pushed.drive_id, wanted)
-            if job is None:
-                told = None if notify is None else {"successUri": notify, "failedUri": notify}
-                job = submit(connection, pushed.drive_id, wanted, subscriber=told)
-            else:
-                console.note(f"job {job.id} has done the same already: it is not repeated (--fresh repeats it)")
-            job = _finish(connection, job, out)
+            job = _finish(connection, submit(connection, pushed.drive_id, wanted), out)
     result = {} if job is None else {"job": job.id, "summary": job.summary}
     result |= result_summary(job, out) if job is not None and out is not None else {}
     console.say({**pushed.to_dict(), **result}, _facts(pushed, job, out))
@@ -147,19 +134,14 @@ def command(
 
 
 def _check_usage(
-    *, run: bool, fresh: bool, out: Path | None, osm: Path | None, overpass: bool, settings: tuple[str, ...]
+    *, run: bool, by_map: bool, out: Path | None, osm: Path | None, overpass: bool, settings: tuple[str, ...]
 ) -> None:
     """Raise a usage error for options that would have no effect."""
-    if not run and (fresh or out is not None or overpass or settings):
-        raise click.UsageError("--fresh, -o, --overpass and --set need --run")
+    if not run and (by_map or out is not None or overpass or settings):
+        raise click.UsageError("-o, --overpass, --set, --locate and --near need --run")
     if osm is not None and overpass:
         raise click.UsageError("give the map by one of --osm FILE and --overpass")
-
-
-def _check_placing(*, run: bool, by_map: bool, has_map: bool, notify: str | None) -> None:
-    if not run and (by_map or notify is not None):
-        raise click.UsageError("--locate, --near and --notify need --run")
-    if by_map and not has_map:
+    if by_map and osm is None and not overpass:
         raise click.UsageError("--locate and --near place the drive on a map: give it by --osm FILE or --overpass")
 
 

@@ -1,8 +1,8 @@
 """Sending a drive: checked here, reduced on the way, complete on the server; an interruption costs nothing."""
 
 import hashlib
+import json
 import os
-import secrets
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
@@ -15,14 +15,9 @@ from pydantic import BaseModel, Field
 
 from interloc.client.connection import Connection, Refusal
 from interloc.client.upload import (
-    FileAnswer,
     OnProgress,
-    Sent,
     UploadFile,
-    UploadLog,
-    file_address,
     files_of,
-    log_folder,
     upload,
 )
 from interloc.config import DEFAULT, KeyframeConfig
@@ -281,36 +276,29 @@ def push(
     options: PushOptions,
     *,
     threads: int = 8,
-    logs: Path | None = None,
     on_stage: OnStage | None = None,
     on_progress: OnProgress | None = None,
 ) -> Pushed:
     """Send a drive to the server as it was prepared with the same options, and have it checked there.
 
-    So many bundles of files as there are threads are read, reduced and sent at once. The logs of what was sent are by
-    default in the user's cache. A `DriveError` says that a scan cannot be read, or why the server finds the drive
-    unusable; after a `NetworkError` the next push goes on where this one stopped; an `OutputError` may mean that
-    another process pushes the same drive.
+    So many bundles of files as there are threads are read, reduced and sent at once. A `DriveError` says that a scan
+    cannot be read, or why the server finds the drive unusable; after a `NetworkError` the next push goes on where this
+    one stopped.
     """
     report_stage = on_stage or (lambda _: None)
-    with UploadLog(logs or log_folder(), _identity(connection, root, options)) as log:
-        drive = _find_drive(connection, log, prepared)
-        files = [*prepared.files, *prepared.maps]
-        if drive is None:
-            report_stage("making the drive")
-            drive = _make_drive(connection, prepared, options)
-            log.begin(drive.id)
-        started = time.monotonic()
-        if drive.state == "ready":  # its files are these; maps may be new
-            progress = upload(connection, drive.id, prepared.maps, log, threads=threads, on_progress=on_progress)
-            progress = replace(progress, total=len(files), done=len(files))
-        else:
-            _remove_others(connection, drive.id, files)
-            progress = upload(connection, drive.id, files, log, threads=threads, on_progress=on_progress)
-        seconds = time.monotonic() - started
-        report_stage("the server checks the drive")
-        drive = commit(connection, drive.id)
-        there = files_of(connection, drive.id)
+    files = [*prepared.files, *prepared.maps]
+    report_stage("making the drive")
+    drive = _drive_for(connection, root, prepared, options)
+    started = time.monotonic()
+    if drive.state == "ready":  # its files are these; maps may be new
+        progress = upload(connection, drive.id, prepared.maps, threads=threads, on_progress=on_progress)
+        progress = replace(progress, total=len(files), done=len(files))
+    else:
+        progress = upload(connection, drive.id, files, threads=threads, on_progress=on_progress)
+    seconds = time.monotonic() - started
+    report_stage("the server checks the drive")
+    drive = commit(connection, drive.id)
+    there = files_of(connection, drive.id)
     return Pushed(
         drive_id=drive.id,
         name=drive.name,
@@ -339,55 +327,20 @@ def commit(connection: Connection, drive_id: str) -> DriveAnswer:
             raise NetworkError(f"{connection.server}: stopped waiting.")
 
 
-def _identity(connection: Connection, root: Path, options: PushOptions) -> dict[str, Any]:
-    """Return what identifies a push: with the same values it continues an earlier one."""
-    chosen = {**vars(options), **dict(options.reading)}
-    chosen = {name: str(value) for name, value in chosen.items() if name not in {"maps", "keyframes", "reading"}}
-    by = options.keyframes
-    thinning = None if by is None or options.raw else [by.distance_m, by.angle_deg]
-    return {"format": 1, "server": connection.server, "drive": os.path.realpath(root), "thinning": thinning, **chosen}
+def _drive_for(connection: Connection, root: Path, prepared: PreparedDrive, options: PushOptions) -> DriveAnswer:
+    """Make a drive, or return the one that an earlier push of the same files by the same options has made.
 
-
-def _find_drive(connection: Connection, log: UploadLog, prepared: PreparedDrive) -> DriveAnswer | None:
-    """Return the drive of an earlier push, if this one can continue it."""
-    if log.drive_id is None:
-        return None
-    try:
-        drive = connection.ask("GET", f"/drives/{log.drive_id}", DriveAnswer)
-        if drive.state == "checking":
-            try:
-                drive = commit(connection, drive.id)
-            except Refusal as error:
-                if error.status != HTTPStatus.UNPROCESSABLE_ENTITY:
-                    raise
-                drive = connection.ask("GET", f"/drives/{log.drive_id}", DriveAnswer)
-        if drive.state == "ready" and not _is_whole(prepared.files, log, files_of(connection, drive.id)):
-            return None  # it has changed here since then, and a ready drive accepts no other files
-    except Refusal as error:
-        if error.status == HTTPStatus.NOT_FOUND:
-            return None  # deleted, or removed because nothing came for too long
-        raise
-    return drive
-
-
-def _is_whole(files: list[UploadFile], log: UploadLog, there: dict[str, FileAnswer]) -> bool:
-    """Tell whether the server has exactly these files, as far as that shows without reading them."""
-    drive_files = {path for path in there if not is_map(path)}
-    return drive_files == {file.path for file in files} and all(
-        log.sent(file.path) == Sent(file.signature, there[file.path].sha256) for file in files
-    )
-
-
-def _make_drive(connection: Connection, prepared: PreparedDrive, options: PushOptions) -> DriveAnswer:
-    """Make a new drive; the key makes it safe to ask again when an answer is lost: there will be one."""
+    The key of the request says which: the service makes one drive per key.
+    """
     new = {"name": prepared.manifest.name, "keep_raw": options.keep_raw, "options": prepared.options}
-    key = {"Idempotency-Key": secrets.token_hex(16)}
-    return connection.ask("POST", "/drives", DriveAnswer, json=new, headers=key)
-
-
-def _remove_others(connection: Connection, drive_id: str, files: list[UploadFile]) -> None:
-    """Remove files that no longer belong to the drive; maps may have been added by others."""
-    wanted = {file.path for file in files}
-    for path in files_of(connection, drive_id):
-        if path not in wanted and not is_map(path):
-            connection.request("DELETE", file_address(drive_id, path))
+    files = [(file.path, file.signature) for file in prepared.files]
+    key = hashlib.sha256(json.dumps([os.path.realpath(root), new, files], default=str).encode()).hexdigest()
+    drive = connection.ask("POST", "/drives", DriveAnswer, json=new, headers={"Idempotency-Key": key})
+    if drive.state == "checking":
+        try:
+            drive = commit(connection, drive.id)
+        except Refusal as error:
+            if error.status != HTTPStatus.UNPROCESSABLE_ENTITY:
+                raise
+            drive = connection.ask("GET", f"/drives/{drive.id}", DriveAnswer)
+    return drive

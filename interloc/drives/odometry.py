@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import os
-import tempfile
 import time
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -25,6 +23,7 @@ from interloc.errors import DriveError
 from interloc.files import atomic_write
 from interloc.odometry import MAX_STEP_M, MIN_INLIER_SHARE, Odometry, Velocity, is_bent, register, require_small_gicp
 from interloc.processes import Progress
+from interloc.storage import temporary_folder
 from interloc.wording import counted
 
 _METHOD = "odometry 9"
@@ -227,19 +226,6 @@ def _kept_as(source: PointSource, frames: IntArray, clock: FloatArray, options: 
     folder = user_cache_path("interloc") / "odometry"
     try:
         folder.mkdir(parents=True, exist_ok=True)
-    except OSError:  # no home, as in some containers
-        folder = _own_temporary_folder()
+    except OSError:  # no home, as in some containers: computed anew by each process
+        folder = temporary_folder()
     return folder / f"{key.hexdigest()[:32]}.txt"
-
-
-def _own_temporary_folder() -> Path:
-    """Return a folder that nobody else can read or write, which stays from one command to the next."""
-    folder = Path(tempfile.gettempdir()) / f"interloc-odometry-{os.getuid() if hasattr(os, 'getuid') else 'tracks'}"
-    folder.mkdir(mode=0o700, exist_ok=True)
-    stat = folder.lstat()
-    if hasattr(os, "getuid") and (folder.is_symlink() or stat.st_uid != os.getuid() or stat.st_mode & 0o077):
-        raise DriveError(
-            f"{folder} is not a folder of this user's own (0700). Tracks are kept there where there is no home; remove "
-            "it, or set XDG_CACHE_HOME."
-        )
-    return folder

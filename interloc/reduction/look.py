@@ -31,7 +31,7 @@ from interloc.drives.layouts import IN_CAPITALS, PCD_ENDINGS, POSE_FILES, DriveP
 from interloc.drives.open import NO_POSES, SAMPLED_SCANS
 from interloc.drives.options import LABEL_FILES, ODOMETRY, DriveOptions, LabelFolder, LayoutName
 from interloc.drives.scans.bin_files import BinScans, open_bin_files
-from interloc.drives.scans.las.tracks import SBET_SUFFIXES, is_track
+from interloc.drives.scans.las.tracks import is_track
 from interloc.drives.scans.pcd import PcdScans, number_scans, open_pcd_files, read_pcd_header
 from interloc.drives.scans.raw import RawScans, trajectory_of
 from interloc.drives.scans.recorded import LABEL_FIELDS, Recording
@@ -439,7 +439,7 @@ class _Look:
                 if folder in found.labels and not found.frames_to_look_into:
                     found.frames_to_look_into = _sample(from_runs(found.labels[folder].runs))
         if self.drive.kind == "rosbag":
-            find_bag(place, required=True, findings=self.findings)
+            find_bag(place, required=True)
         else:
             self._read_clouds(options)
 
@@ -447,12 +447,7 @@ class _Look:
         """Look for the trajectory of LAS files, or for the poses where each holds a scan."""
         found, place = self.found, self.place
         poses = [place / name for name in POSE_FILES if (place / name).is_file()]
-        # Of those whose contents are not there only a binary one can be told, by its size: there may be very many.
-        told = [
-            name.rpartition("/")
-            for name, path in self.drive.small.items()
-            if path in self.contents or Path(name).suffix.lower() in SBET_SUFFIXES
-        ]
+        told = [name.rpartition("/") for name, path in self.drive.small.items() if path in self.contents]
         beside = [place / "".join(parts) for parts in sorted(told) if parts[0] in {"", "las", "laz"}]
         tracks = [path for path in beside if is_track(path)]
         found.pose_files = [path.relative_to(place).as_posix() for path in dict.fromkeys([*poses, *tracks])]
@@ -460,7 +455,7 @@ class _Look:
             self.findings.refuse(
                 "trajectory",
                 "is missing. Expected a file with where the LiDAR was, beside the points: a table with a header "
-                "(time,x,y,z or time,lat,lon,alt; .csv or .txt), SBET (.sbet, .out) or TUM.",
+                "(time,x,y,z or time,lat,lon,alt; .csv or .txt), or TUM.",
             )
         if not poses or found.wanted:
             return

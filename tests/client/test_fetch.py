@@ -78,15 +78,6 @@ def test_real_drives(
         assert {name: data for name, data in layers(out).items() if name in ours} == ours, sending
 
 
-def test_the_same_job_is_not_done_twice(here: Any, street: Path, tmp_path: Path) -> None:
-    push = ("push", street, "--run", "-o", tmp_path / "out", "--set", "bev.resolution_m=0.5")
-    first = here(*push, "--json").json
-    again = here(*push)
-    assert f"job {first['job']} has done the same already" in again.err
-    assert first["job"] in again.out
-    assert here(*push, "--fresh", "--json").json["job"] != first["job"]
-
-
 def test_a_job_that_fails_says_why(here: Any, street: Path, tmp_path: Path) -> None:
     (tmp_path / "broken.osm").write_text("<osm")
     outcome = here("push", street, "--osm", tmp_path / "broken.osm", "--run", "-o", tmp_path / "out")
@@ -130,8 +121,10 @@ def test_a_folder_of_something_else_is_not_touched(here: Any, scored: Any, tmp_p
 
 
 def test_stopped_while_it_waits_the_job_goes_on(here: Any, server: ServerProcess, street: Path, tmp_path: Path) -> None:
-    drive = here("push", street, "--json").json["drive_id"]
-    with here.start("push", street, "--run", "--set", "keyframes.window=40", "-o", tmp_path / "out") as process:
+    drive = here("push", street, "--name", "waits", "--json").json["drive_id"]
+    with here.start(
+        "push", street, "--name", "waits", "--run", "--set", "keyframes.window=40", "-o", tmp_path / "out"
+    ) as process:
         jobs = partial(server.client.get, f"{API}/jobs", params={"drive": drive})
         wait_until(lambda: process.poll() is not None or bool(jobs().json()["jobs"]), "its job")
         process.send_signal(signal.SIGINT)

@@ -1,6 +1,5 @@
 """Drives whose poses are computed from their points."""
 
-import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -172,17 +171,8 @@ def test_a_real_drive_at_speed_has_no_slip_at_its_start(data: Callable[[str], Pa
     np.testing.assert_allclose(found.steps_m, np.linalg.norm(np.diff(given[:, :3, 3], axis=0), axis=1), atol=0.15)
 
 
-def test_without_a_home_tracks_are_kept_where_nobody_else_can_put_any(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_a_home_tracks_are_kept_for_the_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "file").touch()
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
-    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     root = write_scans(tmp_path / "drive", [seen(street(), pose) for pose in poses_along(np.full(2, 1.5))])
-    trajectory_of(root)
-    (folder,) = tmp_path.glob("interloc-odometry-*")
-    assert folder.stat().st_mode & 0o777 == 0o700
-    assert list(folder.glob("*.txt"))
-    folder.chmod(0o777)
-    with pytest.raises(DriveError, match="not a folder of this user's own"):
-        trajectory_of(root)
+    assert trajectory_of(root).poses is not None

@@ -38,7 +38,6 @@ from interloc.drives.scans.reduced_format import MAX_POINTS
 from interloc.drives.trajectory import LidarPoses, Trajectory
 from interloc.errors import InterLocError
 from interloc.geometry import from_first, invert_transform, rigid_transforms
-from interloc.wording import counted
 
 _NO_VIEWPOINT = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
 _MOVED_M, _FAR_M = 1.0, 20.0
@@ -404,8 +403,8 @@ def _from_text(header: PcdHeader, text: bytes, file: SourceFile) -> NDArray[Any]
     columns = sum(int(np.prod(header.dtype[name].shape)) or 1 for name in _names(header))
     try:
         table = np.loadtxt(io.StringIO(text.decode("ascii")), ndmin=2, comments="#")
-    except ValueError:
-        raise _no_point(text, columns, file) from None
+    except ValueError as error:
+        raise file.fault(f"its points cannot be read: {error}. Expected {columns} numbers per line.") from None
     if table.shape != (header.points, columns):
         raise file.fault(
             f"{table.shape[0]:,} lines of {table.shape[1]} numbers; the header promises {header.points:,} points of "
@@ -420,20 +419,6 @@ def _from_text(header: PcdHeader, text: bytes, file: SourceFile) -> NDArray[Any]
             points[name] = piece if header.dtype[name].shape else piece[:, 0]
         at += count
     return points
-
-
-def _no_point(text: bytes, columns: int, file: SourceFile) -> InterLocError:
-    """Return the error about the first line that is not a point."""
-    rows = (line.partition("#")[0].split() for line in text.decode("ascii", errors="replace").splitlines())
-    for number, row in enumerate(filter(None, rows), start=1):
-        if len(row) != columns:
-            return file.fault(
-                f"point {number:,} has {counted(len(row), 'number')}; expected {columns}, as in the header. "
-                "Usual cause: a copy or download that did not finish."
-            )
-        if (wrong := next((field for field in row if not is_number(field)), None)) is not None:
-            return file.fault(f"point {number:,} holds {wrong[:40]!r}, which is not a number.")
-    return file.fault("its points cannot be read as numbers.")
 
 
 def _from_compressed(header: PcdHeader, data: UInt8Array, file: SourceFile) -> NDArray[Any]:

@@ -134,74 +134,26 @@ def _mask_input(others: Sequence[Tensor], expected: Expected) -> GraphInput | No
 
 
 def _wrong_input(inputs: Sequence[Tensor], expected: Expected) -> ModelError:
-    """Name the field that the input contradicts."""
-    height, width, count = expected.height, expected.width, len(expected.channels[0])
-    wanted = f"expected (1, {count}, {height}, {width}) or (1, {height}, {width}, {count}), float or float16"
-    images = [tensor for tensor in inputs if len(tensor.shape) in {3, 4}]
-    if not images:
-        found = ", ".join(str(tensor) for tensor in inputs) or "nothing"
-        return ModelError(
-            f"{expected.graph} takes no image: its inputs are {found}; {wanted}. "
-            "Usual cause: a network that works on points or voxels instead of range images."
-        )
-    tensor = images[0]
-    if tensor.type not in REAL_TYPES:
-        return ModelError(
-            f"{expected.graph}: input {tensor} is not of real numbers; {wanted}. Usual cause: a quantised export."
-        )
-    if len(tensor.shape) == 4 and tensor.shape[0] not in {None, 1}:
-        return ModelError(
-            f"{expected.graph}: input {tensor} takes {tensor.shape[0]} scans at once; {wanted}. "
-            "Usual cause: exported with the batch size of the training; export it with 1, or with a dynamic batch."
-        )
-    axes = tensor.shape[-3:]
-    prefix = f"{expected.arch}: dataset.sensor"
-    begin = f"but input {tensor} of {expected.graph}"
-    channels = {len(each) for each in expected.channels}
-    fits_size = layout_of(axes[1:], ("HW",), expected.sizes()) or layout_of(axes[:2], ("HW",), expected.sizes())
-    if fits_size and not any(layout_of(axes, ("CHW", "HWC"), expected.sizes(n)) for n in channels):
-        names = ", ".join(expected.channels[0])
-        count_found = axes[0] if layout_of(axes[1:], ("HW",), expected.sizes()) else axes[2]
-        return ModelError(
-            f"{prefix}.channels: the settings give {count} ({names}), {begin} takes {count_found}; {wanted}. "
-            "Usual cause: a network with fewer or other channels: list them there in its order, "
-            "for example [x, y, z, remission, range]."
-        )
-    row_axis, column_axis = (0, 1) if axes[2] in channels and axes[0] not in channels else (1, 2)
-    rows, columns = axes[row_axis], axes[column_axis]
-    if (rows, columns) == (width, height):
-        return ModelError(
-            f"{prefix}.img_prop: height {height} and width {width}, {begin} has them the other way round; {wanted}. "
-            "Usual cause: a network exported with width before height."
-        )
-    field, value = ("width", width) if columns not in {None, width} else ("height", height)
+    height, width, channels = expected.height, expected.width, expected.channels[0]
+    count = len(channels)
     return ModelError(
-        f"{prefix}.img_prop.{field}: {value}, {begin} has another size; {wanted}. "
-        "Usual cause: arch_cfg.yaml of another model, or an export with another size of image."
+        f"{expected.graph} takes {', '.join(map(str, inputs)) or 'nothing'}; expected one image of float or float16, "
+        f"(1, {count}, {height}, {width}) or (1, {height}, {width}, {count}), by {expected.arch}: "
+        f"dataset.sensor.img_prop (height {height}, width {width}), dataset.sensor.channels ({', '.join(channels)}). "
+        "Usual cause: arch_cfg.yaml of another model; fewer or other channels, which are listed there in the order of "
+        "the network; a network that works on points; or an export that is quantised, for several scans at once, or "
+        "with width before height."
     )
 
 
 def _wrong_output(outputs: Sequence[Tensor], expected: Expected) -> ModelError:
-    """Name the field that the outputs contradict."""
     height, width, classes = expected.height, expected.width, expected.classes
-    found = ", ".join(str(tensor) for tensor in outputs) or "none"
-    wanted = (
-        f"expected scores (1, {classes}, {height}, {width}) or (1, {height}, {width}, {classes}), "
-        f"or classes (1, {height}, {width}) as whole numbers"
-    )
-    for tensor in outputs:
-        for layout in SCORE_LAYOUTS:
-            if tensor.type in REAL_TYPES and len(tensor.shape) == len(layout):
-                count = tensor.shape[layout.index("K")]
-                if count is not None and layout_of(tensor.shape, [layout], expected.sizes() | {"K": count}):
-                    return ModelError(
-                        f"{expected.data}: learning_map_inv: {classes} classes (0 to {classes - 1}), but output "
-                        f"{tensor} of {expected.graph} has {count}; {wanted}. Usual cause: data_cfg.yaml of another "
-                        "model, or a network trained without a class 0 for points without a class."
-                    )
     return ModelError(
-        f"{expected.graph}: its outputs are {found}; {wanted}. Usual cause: an export of a part of the network only, "
-        f"or arch_cfg.yaml (dataset.sensor.img_prop) of another model."
+        f"{expected.graph} gives {', '.join(map(str, outputs)) or 'nothing'}; expected scores (1, {classes}, {height}, "
+        f"{width}) or (1, {height}, {width}, {classes}), or classes (1, {height}, {width}) as whole numbers, by the "
+        f"{classes} classes of {expected.data}: learning_map_inv. Usual "
+        "cause: settings of another model, a network without a class 0 for points without a class, or an export of a "
+        "part of it."
     )
 
 

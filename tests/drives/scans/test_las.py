@@ -86,17 +86,11 @@ def test_trajectories_in_degrees_are_projected(tmp_path: Path) -> None:
     assert sum(drive.ground_points(index).road_count for index in range(len(drive.frames))) == 6000
 
 
-def test_an_sbet_is_a_trajectory_and_its_heights_are_over_the_ellipsoid(tmp_path: Path) -> None:
+def test_heights_over_the_ellipsoid_are_moved_to_those_of_the_cloud(tmp_path: Path) -> None:
     street(tmp_path)
-    (tmp_path / "trajectory.csv").unlink()
     _, _, track = straight_cloud()
-    lon, lat = Transformer.from_crs(UTM32, "EPSG:4326", always_xy=True).transform(track[:, 1], track[:, 2])
-    records = np.zeros((len(track), 17))
-    records[:, :4] = np.column_stack([track[:, 0], np.radians(lat), np.radians(lon), np.full(len(track), 164.0)])
-    records.astype("<f8").tofile(tmp_path / "sbet_mission.out")
+    write_track(tmp_path / "trajectory.csv", track + np.array([0, 0, 0, 47.0]))
     assert any("the ground lies 49.0 m below the trajectory" in note for note in notes(tmp_path))
-    drive = interloc.open_drive(tmp_path)
-    np.testing.assert_allclose(drive.T_world_lidar[-1, 1, 3], 0, atol=0.05)
 
 
 def test_tum_poses_in_world_coordinates_are_a_trajectory(tmp_path: Path) -> None:
@@ -220,14 +214,18 @@ def test_damaged_trajectories_are_refused_in_words(tmp_path: Path, text: str, co
         interloc.open_drive(tmp_path, poses="trajectory.csv")
 
 
-def test_a_damaged_sbet_is_refused(tmp_path: Path) -> None:
-    street(tmp_path)
-    (tmp_path / "a.sbet").write_bytes(b"x" * 135)
-    with pytest.raises(DriveError, match="135 bytes, which is no multiple of 136"):
-        interloc.open_drive(tmp_path, poses="a.sbet")
-    np.full((5, 17), 50.0).tofile(tmp_path / "a.sbet")
-    with pytest.raises(DriveError, match="are no radians"):
-        interloc.open_drive(tmp_path, poses="a.sbet")
+def test_an_sbet_is_refused_with_what_makes_a_table_of_it(tmp_path: Path) -> None:
+    _, _, track = straight_cloud()
+    lon, lat = Transformer.from_crs(UTM32, "EPSG:4326", always_xy=True).transform(track[:, 1], track[:, 2])
+    records = np.zeros((len(track), 17))
+    records[:, :4] = np.column_stack([track[:, 0], np.radians(lat), np.radians(lon), np.full(len(track), 117.0)])
+    (path := street(tmp_path) / "sbet.out").write_bytes(records.astype("<f8").tobytes())
+    (tmp_path / "trajectory.csv").unlink()
+    with pytest.raises(DriveError, match="is an SBET") as refused:
+        interloc.open_drive(tmp_path)
+    cure = str(refused.value).partition("in degrees: ")[2].rstrip(".").replace("FILE", repr(str(path)))
+    exec(cure.replace('"track.csv"', repr(str(tmp_path / "track.csv"))), {"np": np})  # noqa: S102 - what is advised
+    assert interloc.open_drive(tmp_path, poses="track.csv").georeference is not None
 
 
 def test_local_coordinates_without_a_system_have_no_georeference(tmp_path: Path) -> None:

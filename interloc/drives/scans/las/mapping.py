@@ -108,7 +108,7 @@ def _find_track(clouds: tuple[Cloud, ...], parts: DriveParts, options: DriveOpti
     if not found:
         raise folder.fault(
             f"no trajectory lies beside the cloud. {_NO_SCANS} Expected a table with a header (time,x,y,z or "
-            "time,lat,lon,alt; .csv or .txt), an SBET (.sbet, .out) or TUM poses in world coordinates; or name it "
+            "time,lat,lon,alt; .csv or .txt) or TUM poses in world coordinates; or name it "
             "(--poses)."
         )
     if len(found) > 1:

@@ -1,4 +1,4 @@
-"""The trajectory of a mobile mapping vehicle: a table with a header (CSV), SBET, or TUM poses in world coordinates.
+"""The trajectory of a mobile mapping vehicle: a table with a header (CSV), or TUM poses in world coordinates.
 
 GPS times come as seconds of the week, as seconds since 6 January 1980, as these less 1e9 (adjusted standard time of
 LAS), and as seconds since 1970 with or without leap seconds. Headers name the clock of a cloud, often wrongly, and
@@ -19,13 +19,7 @@ from interloc.drives.layouts import TRACK_ENDINGS
 from interloc.drives.poses.files import looks_like_tum, read_tum
 from interloc.drives.scans.las.clouds import Cloud
 
-SBET_BYTES = 136
-"""17 float64: time, latitude, longitude, altitude, three velocities, roll, pitch, heading, wander angle, ..."""
-
-SBET_SUFFIXES = frozenset({".sbet", ".out"})
-TRACK_SUFFIXES = frozenset(TRACK_ENDINGS)
-
-_MAX_SBET_ROWS = 1_000_000
+_SBET = (".sbet", ".out")
 _HEAD_BYTES = 65536
 
 _NAMES = {  # in lower case, without units
@@ -71,11 +65,9 @@ def find_tracks(folders: list[Path]) -> list[Path]:
 
 def is_track(path: Path) -> bool:
     """Return whether a file looks like a trajectory."""
-    if path.suffix.lower() not in TRACK_SUFFIXES or not path.is_file():
-        return False
-    if path.suffix.lower() in SBET_SUFFIXES:
-        return path.stat().st_size % SBET_BYTES == 0 and path.stat().st_size > 0
-    return looks_like_tum(path) or is_table(path)
+    suffix = path.suffix.lower()
+    is_named_so = suffix in TRACK_ENDINGS and path.is_file()
+    return is_named_so and (suffix in _SBET or looks_like_tum(path) or is_table(path))
 
 
 def is_table(path: Path) -> bool:
@@ -95,10 +87,14 @@ def read_track(file: SourceFile) -> SurveyTrack:
     if not file.path.is_file():
         raise file.fault(
             "is missing. Expected the trajectory of the vehicle: a table with a header "
-            "(time,x,y,z or time,lat,lon,alt), SBET, or TUM poses."
+            "(time,x,y,z or time,lat,lon,alt), or TUM poses."
         )
-    if file.path.suffix.lower() in SBET_SUFFIXES:
-        return _read_sbet(file)
+    if file.path.suffix.lower() in _SBET:
+        raise file.fault(
+            "is an SBET (17 float64 per record) by its name, which is not read. Write its first columns as a table, in "
+            'degrees: np.savetxt("track.csv", np.fromfile(FILE).reshape(-1, 17)[:, :4] * [1, 180 / np.pi, 180 / np.pi, '
+            '1], "%.9f", ",", header="time,lat,lon,alt", comments="").'
+        )
     if looks_like_tum(file.path):
         timed = read_tum(file)
         track = SurveyTrack(file, timed.times_s, timed.poses[:, :3, 3], geographic=False)
@@ -182,32 +178,7 @@ def read_table(file: SourceFile, kinds: Sequence[Sequence[str]], expected: str) 
     return Table({quantity: names[columns[quantity]] for quantity in kind}, np.array(values), at)
 
 
-def _read_sbet(file: SourceFile) -> SurveyTrack:
-    """Read an SBET: smoothed best estimate of trajectory of Applanix, binary."""
-    try:
-        size = file.path.stat().st_size
-        if not size or size % SBET_BYTES:
-            raise file.fault(
-                f"{size:,} bytes, which is no multiple of {SBET_BYTES}. Expected an SBET: 17 float64 per record. "
-                "Usual cause: a file cut short, or another format under this name."
-            )
-        records = np.memmap(file.path, dtype="<f8", mode="r").reshape(-1, SBET_BYTES // 8)
-        step = -(-len(records) // _MAX_SBET_ROWS)
-        table = np.array(records[::step, :4])
-    except OSError as error:
-        raise file.unreadable(error) from error
-    if not np.isfinite(table).all():
-        raise file.fault(f"record {int(np.argmin(np.isfinite(table).all(axis=1))) * step:,} holds no finite numbers.")
-    at = [row * step for row in range(len(table))]
-    table = table[_ascending(table, file, at, "record")]
-    if np.abs(table[:, 1]).max() > np.pi / 2 or np.abs(table[:, 2]).max() > 2 * np.pi:
-        raise file.fault("latitudes and longitudes are no radians. Expected an SBET. Usual cause: degrees, or text.")
-    position = np.stack([np.degrees(table[:, 2]), np.degrees(table[:, 1]), table[:, 3]], axis=1)
-    _check_place(position, file, geographic=True)
-    return SurveyTrack(file, table[:, 0].copy(), position, geographic=True)
-
-
-def _ascending(table: FloatArray, file: SourceFile, at: list[int], what: str = "line") -> FloatArray:
+def _ascending(table: FloatArray, file: SourceFile, at: list[int]) -> FloatArray:
     """Return the rows to keep: those of a time that the row before does not have; refuse times that run backwards."""
     steps = np.diff(table[:, 0])
     if (steps < 0).any():
@@ -215,7 +186,7 @@ def _ascending(table: FloatArray, file: SourceFile, at: list[int], what: str = "
         week = " Usual cause: seconds of the GPS week, which begin anew on Saturday night; split the drive there."
         usual = " Usual cause: two trajectories in one file." if table[row - 1, 0] < 600_000 else week
         before, after = table[row - 1, 0], table[row, 0]
-        raise file.fault(f"{what} {at[row]}: time runs backwards ({before:.3f} s, then {after:.3f} s).{usual}")
+        raise file.fault(f"time runs backwards ({before:.3f} s, then {after:.3f} s).{usual}", at[row])
     kept: FloatArray = np.concatenate([[True], steps > 0])
     return kept
 

@@ -1,23 +1,20 @@
 """Opening of a bag: its topics, and the scans in it."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
-from interloc.arrays import Float32Array, FloatArray, IntArray
+from interloc.arrays import IntArray
 from interloc.drives.files import SourceFile
 from interloc.drives.findings import DriveFileError, Findings
 from interloc.drives.layouts import SCAN_FOLDERS, DriveParts
 from interloc.drives.options import DriveOptions
 from interloc.drives.scans.recorded import CARLA_WORDS, Recording, ScanPoints, Topic
 from interloc.drives.scans.rosbag.bag import (
-    Bag,
     BagTopic,
-    PointsTopic,
-    ScanTimes,
     choose_points,
     find_bag,
     is_static,
@@ -26,7 +23,7 @@ from interloc.drives.scans.rosbag.bag import (
     read_scan_times,
 )
 from interloc.drives.scans.rosbag.files import read_messages
-from interloc.drives.scans.rosbag.messages import TRANSFORMS, Encoding, Wire, WireError, read_header, read_points
+from interloc.drives.scans.rosbag.messages import TRANSFORMS, Encoding, WireError, read_points
 from interloc.drives.scans.rosbag.trajectory import BagMotion, find_motion, read_bag_trajectory
 from interloc.files import reason_of
 
@@ -47,8 +44,6 @@ class BagScans:
     file_numbers: IntArray
     places: IntArray
     """(N,) which file each scan lies in, and (N, 4) where it lies there."""
-    mounts: dict[str, FloatArray] = field(default_factory=dict)
-    """How other frames lie in that of the points, (4, 4), where the scans come from several sensors."""
 
     def _row(self, frame: int) -> int:
         row = int(np.searchsorted(self.frames, frame))
@@ -72,42 +67,11 @@ class BagScans:
         row = self._row(frame)
         try:
             message = next(read_messages(self._file(row), self.places[row : row + 1]))
-            points = read_points(message, self.type, self.encoding)
-            mount = self.mounts.get(read_header(Wire(message, self.encoding)).frame_id) if self.mounts else None
-            return points if mount is None else replace(points, values=_moved(points.values, mount))
+            return read_points(message, self.type, self.encoding)
         except WireError as error:
             raise DriveFileError(
                 self.name(frame), f"{error}. Usual cause: a damaged bag, or a driver that fills its messages wrongly."
             ) from error
-
-
-def _moved(values: Float32Array, mount: FloatArray) -> Float32Array:
-    """Move (N, 4) points with their remission into another frame."""
-    moved = values.copy()
-    moved[:, :3] = values[:, :3] @ mount[:3, :3].T.astype(np.float32) + mount[:3, 3].astype(np.float32)
-    return moved
-
-
-def _mounts(
-    points: PointsTopic, times: ScanTimes, found: BagMotion, bag: Bag, findings: Findings
-) -> dict[str, FloatArray]:
-    """Return how the frames of other scans lie in that of the points."""
-    others = [frame for frame in times.frame_ids if frame != points.frame_id]
-    mounts = {frame: found.tree.between(points.frame_id, frame) for frame in others}
-    if lost := [frame or "no frame" for frame, mount in mounts.items() if mount is None]:
-        findings.refuse(
-            bag.name,
-            f"{points.topic.name} holds scans in {len(others) + 1} frames ({', '.join(times.frame_ids)}), and no "
-            f"transform leads from {', '.join(lost)} to {points.frame_id}. Usual cause: several sensors on one "
-            f"topic; {found.tree.cure('record /tf_static')}, or record each sensor on a topic of its own.",
-        )
-    if others and not lost:
-        findings.note(
-            bag.name,
-            f"{points.topic.name} holds scans in the frames {', '.join(times.frame_ids)}; each is moved to "
-            f"{points.frame_id} by the transforms of the bag.",
-        )
-    return {frame: mount for frame, mount in mounts.items() if mount is not None}
 
 
 def open_rosbag(root: Path, options: DriveOptions, findings: Findings) -> Recording | None:
@@ -121,7 +85,7 @@ def open_rosbag(root: Path, options: DriveOptions, findings: Findings) -> Record
     if options.layout == "auto" and any((root / folder).is_dir() for folder in SCAN_FOLDERS):
         return None
     try:
-        files = find_bag(root, required=options.layout == "rosbag", findings=findings)
+        files = find_bag(root, required=options.layout == "rosbag")
     except OSError as error:
         raise DriveFileError(str(root), f"cannot be read: {reason_of(error)}.") from error
     if files is None:
@@ -150,6 +114,12 @@ def open_rosbag(root: Path, options: DriveOptions, findings: Findings) -> Record
         name=options.name or (root.stem if root.is_file() else root.absolute().name),
     )
     times = read_scan_times(bag, points.topic, findings)
+    if len(times.frame_ids) > 1:
+        findings.refuse(
+            bag.name,
+            f"{points.topic.name} holds scans in {len(times.frame_ids)} frames ({', '.join(times.frame_ids)}). Usual "
+            "cause: several sensors on one topic: record each on a topic of its own, or join their points before.",
+        )
     found = find_motion(bag, points, times, options, findings)
     rows, topic = found.frames, points.topic
     assert topic.encoding is not None
@@ -161,7 +131,6 @@ def open_rosbag(root: Path, options: DriveOptions, findings: Findings) -> Record
         frames=rows,
         file_numbers=topic.files[times.order[rows]],
         places=topic.places[times.order[rows]],
-        mounts=_mounts(points, times, found, bag, findings),
     )
     return Recording(
         parts,
