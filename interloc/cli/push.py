@@ -14,7 +14,7 @@ from interloc.cli import console, options, summary
 if TYPE_CHECKING:
     from interloc.client.connection import Connection
     from interloc.client.jobs import JobAnswer
-    from interloc.client.push import PreparedDrive, Pushed, PushOptions
+    from interloc.client.push import PreparedDrive, Pushed
     from interloc.client.upload import UploadProgress
     from interloc.drives.options import LabelFolder
     from interloc.osm.policies import Policy
@@ -32,9 +32,6 @@ _THREADS = 8
 @click.option("--name", help="Name of the drive on the server.  [default: that of its folder]")
 @click.option("--osm", type=options.PATH, help="OSM file to send too, for the evaluation.")
 @click.option("--all-scans", is_flag=True, help="Send every scan, not only the keyframes of the default preset.")
-@click.option("--raw", is_flag=True, help="Send scans and labels as they are; the server reduces them.")
-@click.option("--network", metavar="NAME", help="Network of the server that labels the scans there; needs --raw.")
-@click.option("--keep-raw", is_flag=True, help="Let the server keep scans and labels; needs --raw.")
 @click.option(
     "--jobs", type=click.IntRange(1, 64), default=_THREADS, show_default=True, help="Number of files sent at once."
 )
@@ -57,9 +54,6 @@ def command(
     name: str | None,
     osm: Path | None,
     all_scans: bool,
-    raw: bool,
-    network: str | None,
-    keep_raw: bool,
     jobs: int,
     run: bool,
     out: Path | None,
@@ -103,9 +97,6 @@ def command(
         name=name,
         label_folders=label_folders,
         keyframes=None if all_scans else config.keyframes,
-        raw=raw,
-        keep_raw=keep_raw,
-        network=network,
         maps=() if osm is None else (osm,),
         reading=ReadingOptions.of(**reading),
         model=model,
@@ -120,7 +111,7 @@ def command(
                 prepared.manifest.name,
                 "place it by its roads (--locate, --near), or leave the map out. Nothing was sent.",
             )
-        pushed = _send(connection, drive, prepared, push_options, threads=jobs)
+        pushed = _send(connection, drive, prepared, threads=jobs)
         job: JobAnswer | None = None
         if run:
             labels = "predictions" if model is not None else label_folders[0] if label_folders else None
@@ -145,14 +136,7 @@ def _check_usage(
         raise click.UsageError("--locate and --near place the drive on a map: give it by --osm FILE or --overpass")
 
 
-def _send(
-    connection: Connection,
-    drive: Path,
-    prepared: PreparedDrive,
-    push_options: PushOptions,
-    *,
-    threads: int,
-) -> Pushed:
+def _send(connection: Connection, drive: Path, prepared: PreparedDrive, *, threads: int) -> Pushed:
     """Push the drive with a progress bar; report what an interruption leaves on the server."""
     from interloc.client.push import push as push_files
     from interloc.errors import InterLocError, is_interruption
@@ -171,9 +155,7 @@ def _send(
                 console.note(stage)
 
         try:
-            return push_files(
-                connection, drive, prepared, push_options, threads=threads, on_stage=show_stage, on_progress=show
-            )
+            return push_files(connection, drive, prepared, threads=threads, on_stage=show_stage, on_progress=show)
         except BaseException as error:
             if not is_interruption(error):
                 raise

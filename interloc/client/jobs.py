@@ -3,14 +3,13 @@
 import secrets
 from collections.abc import Callable
 from dataclasses import dataclass
-from http import HTTPStatus
 from pathlib import Path, PurePosixPath
 from typing import Any, Literal
 from urllib.parse import quote
 
 from pydantic import BaseModel, Field
 
-from interloc.client.connection import Connection, ProblemAnswer, Refusal
+from interloc.client.connection import Connection, ProblemAnswer
 from interloc.config import DetectorConfig, preset
 from interloc.errors import InterLocError, NetworkError
 from interloc.osm.policies import Policy
@@ -20,7 +19,6 @@ OnBytes = Callable[[int, int], None]
 """Called with the bytes fetched and the bytes in all; may raise an exception to stop."""
 
 _POLL_S = 1.0
-_ATTEMPTS = 4
 
 
 class ProgressAnswer(BaseModel):
@@ -144,29 +142,16 @@ def fetch(connection: Connection, job_id: str, out: Path, *, on_bytes: OnBytes |
     with result_folder(out) as folder:
         for file, name in zip(files, names, strict=True):
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
-            _fetch_file(connection, f"{address}/{quote(file.name)}", file, folder / name)
+            written = _write(connection, f"{address}/{quote(file.name)}", folder / name, file.size_bytes)
+            if written != file.size_bytes:
+                raise NetworkError(
+                    f"{connection.server}: {file.name} came with {written:,} bytes, but is listed with "
+                    f"{file.size_bytes:,}. Usual cause: a proxy that changes answers."
+                )
             done += file.size_bytes
             if on_bytes is not None:
                 on_bytes(done, total)
     return names
-
-
-def _fetch_file(connection: Connection, address: str, file: ResultFileAnswer, path: Path) -> None:
-    """Write one file; an answer that breaks off is asked for again."""
-    for attempt in range(1, _ATTEMPTS + 1):
-        try:
-            written = _write(connection, address, path, file.size_bytes)
-        except NetworkError as error:
-            if attempt == _ATTEMPTS or (isinstance(error, Refusal) and error.status < HTTPStatus.INTERNAL_SERVER_ERROR):
-                raise
-            connection.check_server()  # waits for a server that is busy or restarts
-            continue
-        if written == file.size_bytes:
-            return
-    raise NetworkError(
-        f"{connection.server}: {file.name} came with {written:,} bytes, but is listed with {file.size_bytes:,}. "
-        "Usual cause: a proxy that changes answers."
-    )
 
 
 def _write(connection: Connection, address: str, path: Path, size: int) -> int:

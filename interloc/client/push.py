@@ -23,7 +23,6 @@ from interloc.client.upload import (
 from interloc.config import DEFAULT, KeyframeConfig
 from interloc.drives.findings import Findings
 from interloc.drives.folder import DROPPED
-from interloc.drives.formats import find_format
 from interloc.drives.open import read_drive
 from interloc.drives.options import DriveOptions, LabelFolder, ReadingOptions
 from interloc.drives.scans.raw import RawScans
@@ -59,35 +58,21 @@ class PushOptions:
     """How the drive is read."""
     keyframes: KeyframeConfig | None = DEFAULT.keyframes
     """Which scans to send; None: all of them."""
-    raw: bool = False
-    """Send scans and labels as they are; the server reduces them."""
-    keep_raw: bool = False
-    """Let the server keep them; needs `raw`."""
     maps: tuple[Path, ...] = ()
     """OpenStreetMap files that go along."""
     model: Path | None = None
     """Folder of a network that labels the scans here; label files do not count."""
     provider: str = "cpu"
     """What the network runs on."""
-    network: str | None = None
-    """Name of a network of the server that labels the scans there; needs `raw`."""
 
     @property
     def for_drive(self) -> DriveOptions:
         """How the drive is read."""
-        frames = None if self.raw else self.reading.frames  # the server takes the part of what is sent as it is
-        return DriveOptions.of(self.reading, name=self.name, model=self.model, provider=self.provider, frames=frames)
+        return DriveOptions.of(self.reading, name=self.name, model=self.model, provider=self.provider)
 
     def __post_init__(self) -> None:
-        if self.model is not None and (self.raw or self.label_folders):
-            raise ConfigError(
-                "--model labels the scans here: it goes neither with --labels nor with --raw, by which the server "
-                "gets scans without labels."
-            )
-        if self.network is not None and not self.raw:
-            raise ConfigError("--network labels the scans on the server, which needs them as they are: give --raw too.")
-        if self.keep_raw and not self.raw:
-            raise ConfigError("--keep-raw: the server has no raw scans to keep unless they are sent (--raw).")
+        if self.model is not None and self.label_folders:
+            raise ConfigError("--model labels the scans here: it does not go with --labels.")
         if self.name is not None and (not self.name.strip() or len(self.name) > 200 or not _is_plain(self.name)):
             raise ConfigError(f"--name {self.name!r}: expected 1 to 200 characters without slashes and line breaks.")
         for path in self.maps:
@@ -105,8 +90,6 @@ class PreparedDrive:
     is_georeferenced: bool
     files: list[UploadFile]
     """The drive itself."""
-    options: dict[str, Any] = field(default_factory=dict)
-    """How the server is to read what it gets."""
     maps: list[UploadFile] = field(default_factory=list)
     """OpenStreetMap files that go along."""
 
@@ -123,14 +106,13 @@ def prepare(root: Path, options: PushOptions) -> PreparedDrive:
     for path in options.maps:
         if not path.is_file():
             raise DriveError(f"{path}: no such file. Expected an OpenStreetMap file.")
-    by = None if options.raw else options.keyframes
-    folders = options.label_folders or None
+    folders, by = options.label_folders or None, options.keyframes
     try:
         if is_reduced(root):
             prepared = _as_reduced(root, options)
         else:
             reduction = prepare_reduction(root, options.for_drive, label_folders=folders, keyframes=by)
-            prepared = _as_it_is(root, reduction, options) if options.raw else _reduced_on_the_way(reduction)
+            prepared = _reduced_on_the_way(reduction)
     except ConfigError:
         raise
     except InterLocError as error:
@@ -154,40 +136,14 @@ def _reduced_on_the_way(reduction: Reduction) -> PreparedDrive:
     return PreparedDrive(reduction.manifest, len(plan.kept), reduction.is_georeferenced, files)
 
 
-def _as_it_is(root: Path, reduction: Reduction, options: PushOptions) -> PreparedDrive:
-    plan, manifest = reduction.plan, reduction.manifest
-    scan_format = find_format(manifest.layout)
-    if scan_format is None or not scan_format.is_folders:
-        raise ConfigError(
-            f"{root}: --raw sends drives with one file per scan. Leave it out: bags and LAS files are reduced here."
-        )
-    scans = {
-        path.relative_to(root).as_posix(): path
-        for source in reduction.scans.values()
-        for frame in plan.frames
-        for path in source.files(int(frame))
-    }
-    labelled: dict[str, str] = {"labels": "geometry"} if "geometry" in reduction.scans else {}
-    if options.network is not None:
-        labelled = {"model": options.network}
-    given = manifest.files.geo or manifest.files.oxts if options.reading.oxts is not None else None
-    return PreparedDrive(
-        manifest,
-        len(plan.frames),
-        reduction.is_georeferenced,
-        [*_small_files(reduction), *(UploadFile(name, path) for name, path in scans.items())],
-        {**options.reading.model_dump(), "oxts": given, **labelled},
-    )
-
-
 def _as_reduced(root: Path, options: PushOptions) -> PreparedDrive:
     manifest = read_manifest(root)
     thins_otherwise = options.keyframes is None and manifest.keyframes is not None
     is_other = options.reading.oxts is not None or options.reading.frames is not None
-    if is_other or options.model is not None or options.keep_raw or thins_otherwise:
+    if is_other or options.model is not None or thins_otherwise:
         raise ConfigError(
-            f"{root} is a reduced drive: --oxts, --frames, --model, --raw, --keep-raw and --all-scans belong to the "
-            "drive that it was made from. Give that drive, or leave these options out."
+            f"{root} is a reduced drive: --oxts, --frames, --model and --all-scans belong to the drive that it was "
+            "made from. Give that drive, or leave these options out."
         )
     chosen = options.label_folders or tuple(labels.folder for labels in manifest.labels)
     opened = read_drive(root, DriveOptions.of(options.reading), Findings(stop_at_first=True), label_folders=chosen)
@@ -273,7 +229,6 @@ def push(
     connection: Connection,
     root: Path,
     prepared: PreparedDrive,
-    options: PushOptions,
     *,
     threads: int = 8,
     on_stage: OnStage | None = None,
@@ -288,7 +243,7 @@ def push(
     report_stage = on_stage or (lambda _: None)
     files = [*prepared.files, *prepared.maps]
     report_stage("making the drive")
-    drive = _drive_for(connection, root, prepared, options)
+    drive = _drive_for(connection, root, prepared)
     started = time.monotonic()
     if drive.state == "ready":  # its files are these; maps may be new
         progress = upload(connection, drive.id, prepared.maps, threads=threads, on_progress=on_progress)
@@ -327,12 +282,12 @@ def commit(connection: Connection, drive_id: str) -> DriveAnswer:
             raise NetworkError(f"{connection.server}: stopped waiting.")
 
 
-def _drive_for(connection: Connection, root: Path, prepared: PreparedDrive, options: PushOptions) -> DriveAnswer:
+def _drive_for(connection: Connection, root: Path, prepared: PreparedDrive) -> DriveAnswer:
     """Make a drive, or return the one that an earlier push of the same files by the same options has made.
 
     The key of the request says which: the service makes one drive per key.
     """
-    new = {"name": prepared.manifest.name, "keep_raw": options.keep_raw, "options": prepared.options}
+    new = {"name": prepared.manifest.name}
     files = [(file.path, file.signature) for file in prepared.files]
     key = hashlib.sha256(json.dumps([os.path.realpath(root), new, files], default=str).encode()).hexdigest()
     drive = connection.ask("POST", "/drives", DriveAnswer, json=new, headers={"Idempotency-Key": key})

@@ -200,15 +200,32 @@ _LAYOUTS: dict[str, Callable[[Path, Collection[str]], DriveParts | None]] = {  #
     "kitti_raw": _kitti_raw,
 }
 
-_USUAL_MISTAKES: tuple[tuple[str, str], ...] = (
-    (r"ground", "It is a reduced drive without its reduced.json, which is written last: reduce or send it again. "),
-    (r"sequences", "It is the root of a data set: give one sequence, such as sequences/00. "),
-    (r"\d\d", "It holds sequences: give one of them, such as 00. "),
-    (r".*_sync", "It holds drives: give one of them (..._sync). "),
-    (r".*\.bin", "It holds the scans themselves: give the folder above it. "),
-    (r".*\.label", "It holds labels: give the folder above it. "),
-    (r".*\.(zip|tar|tgz|tar\.\w+)", "It holds an archive: unpack it first. "),
+_USUAL_MISTAKES = (
+    (r"ground(/.*)?", "is a reduced drive without its reduced.json, which is written last: reduce or send it again"),
+    (r"sequences", "is the root of a data set: give one sequence, such as sequences/00"),
+    (r"\d\d", "holds sequences: give one of them, such as 00"),
+    (r".*_sync", "holds drives: give one of them (..._sync)"),
+    (r"[^/]+\.bin", "holds the scans themselves: give the folder above it"),
+    (r"[^/]+\.label", "holds labels only: give the folder above it"),
+    (r"(?i:.*\.(bag|db3|mcap)\.(zst|zstd|gz|lz4))", "holds a bag that is compressed as a whole: unpack it first"),
+    (r".*\.bag\.active", "holds a recording that was not ended properly: make a bag of it with rosbag reindex"),
+    (r"(?i:.*\.(zip|tar|tgz|tar\.\w+))", "holds an archive: give the archive itself, or unpack it first"),
+    (
+        r"(.*/)?data_poses/.*|\d{4}_\d\d_\d\d_drive_\d{4}_sync/(poses|cam0_to_world)\.txt",
+        "holds poses but no scans: give the root of KITTI-360, with data_3d_raw/ in it",
+    ),
+    (
+        rf"(?i:(.*/)?({'|'.join(SCAN_FOLDERS)})/[^/]+\.bin)",
+        "holds scans under names in capitals: upper and lower case are told apart; rename them to velodyne/000000.bin",
+    ),
+    (r".*\.label", "holds labels but no scans: give the folder that has velodyne/ too"),
 )
+"""What a path in a folder that is no drive shows, the first that fits."""
+
+
+def usual_mistake(paths: Collection[str]) -> str:
+    """Return what is wrong with a folder that is no drive, by paths in it, in words that follow its name; or ""."""
+    return next((text for sign, text in _USUAL_MISTAKES if any(re.fullmatch(sign, path) for path in paths)), "")
 
 
 _SINGLE_FILES = {
@@ -310,8 +327,8 @@ def not_a_drive(root: Path, options: DriveOptions, *, announced: ScanFolder | No
         return DriveFileError(name, f"is an empty folder. Expected {formats[0].expected}.")
     if (asked := find_format(options.layout)) is not None:
         return DriveFileError(name, f"is not of layout {asked.name}. Expected {asked.expected}.")
-    usual = next((text for pattern, text in _USUAL_MISTAKES if any(re.fullmatch(pattern, each) for each in inside)), "")
-    if seen := known_data_set(root) or usual or _seen_in(root):
+    usual = usual_mistake(inside)
+    if seen := known_data_set(root) or (f"It {usual}. " if usual else _seen_in(root)):
         return DriveFileError(name, f"is not a drive. {seen}docs/own-data.md lists all formats.")
     return DriveFileError(name, f"is not a drive. Expected {', or '.join(each.expected for each in formats)}.")
 

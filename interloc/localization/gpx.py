@@ -145,7 +145,7 @@ def georeference_by_gpx(drive: Drive, gpx: GpxTrack) -> GpxPlacement:
     if late is not None and not late.is_sure:
         raise LocationError(
             f"{drive.name}: the clock of {gpx.source} is off by {abs(late.late):.0f} s or so, which is not sure enough "
-            "to put it right. A longer drive with more curves would help."
+            "to put it right. Usual cause: a track of another day, or a drive with too few curves."
         )
     late_s = 0.0 if late is None else late.late
     target = _by_time(times_s + late_s, track, chain, gpx.time_s[moves], fixes[moves])

@@ -9,7 +9,7 @@ import os
 import shutil
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -32,7 +32,7 @@ from interloc.drives.open import NO_POSES, SAMPLED_SCANS
 from interloc.drives.options import LABEL_FILES, ODOMETRY, DriveOptions, LabelFolder, LayoutName
 from interloc.drives.scans.bin_files import BinScans, open_bin_files
 from interloc.drives.scans.las.tracks import is_track
-from interloc.drives.scans.pcd import PcdScans, number_scans, open_pcd_files, read_pcd_header
+from interloc.drives.scans.pcd import PcdScans, open_pcd_files, read_pcd_header
 from interloc.drives.scans.raw import RawScans, trajectory_of
 from interloc.drives.scans.recorded import LABEL_FIELDS, Recording
 from interloc.drives.scans.reduced import ReducedScans, reduced_trajectory
@@ -45,7 +45,7 @@ from interloc.drives.scans.reduced_format import (
     to_runs,
 )
 from interloc.drives.scans.rosbag.bag import find_bag
-from interloc.drives.trajectory import Trajectory, read_trajectory
+from interloc.drives.trajectory import Trajectory
 from interloc.reduction.listing import ListedDrive, Listing, find_drives, reason_for_none
 from interloc.reduction.reduce import plan_of
 
@@ -457,14 +457,6 @@ class _Look:
                 "is missing. Expected a file with where the LiDAR was, beside the points: a table with a header "
                 "(time,x,y,z or time,lat,lon,alt; .csv or .txt), or TUM.",
             )
-        if not poses or found.wanted:
-            return
-        parts = find_layout(place, DriveOptions.of(options, layout="semantickitti"), announced="velodyne")
-        parts = replace(parts, layout="las", poses=poses[0] if options.poses is None else parts.poses)
-        _, frames, times_s, _ = number_scans([f"{Path(name).stem}.pcd" for name in self.drive.scans])
-        unsure = Findings(stop_at_first=False)  # they may be clouds after all, which only their headers tell
-        self._show(read_trajectory(parts, frames, options, unsure, times_s=times_s))
-        found.georeference_reason = None  # their coordinate system may be one
 
     def _read_reduced(self, options: DriveOptions) -> None:
         """Look into a drive that is reduced already."""

@@ -1,8 +1,6 @@
 """The trajectory of a mobile mapping vehicle: a table with a header (CSV), or TUM poses in world coordinates.
 
-GPS times come as seconds of the week, as seconds since 6 January 1980, as these less 1e9 (adjusted standard time of
-LAS), and as seconds since 1970 with or without leap seconds. Headers name the clock of a cloud, often wrongly, and
-trajectories do not name theirs: so each is tried, and the one taken by which the vehicle was where the points are.
+Its times are in the clock of the cloud.
 """
 
 import re
@@ -32,13 +30,10 @@ _NAMES = {  # in lower case, without units
 }
 _UNIT = re.compile(r"_(s|sec|seconds|m|deg|degrees|rad|radians)$")
 
-MAX_DISTANCE_M = 300.0
-"""Median horizontal distance of the points from the vehicle at their time; scanners of streets see 100 to 200 m."""
+MAX_DISTANCE_M = 100.0
+"""Median horizontal distance of the points from the vehicle at their time; those of streets are 10 to 30 m away."""
 
-_WEEK_S = 604_800.0
-_GPS_EPOCH_UNIX_S = 315_964_800.0
-_FIRST_LEAP_SECONDS = 13  # by which GPS is ahead of UTC before the first of these, and one more from each on (IERS)
-_LEAPS_S = (1_136_073_600.0, 1_230_768_000.0, 1_341_100_800.0, 1_435_708_800.0, 1_483_228_800.0)  # UNIX time
+_LEAP_SECONDS = 18.0  # by which GPS is ahead of UTC since 2017
 _COVERED = 0.5
 
 
@@ -202,63 +197,38 @@ def _check_place(position: FloatArray, file: SourceFile, *, geographic: bool) ->
         raise file.fault("latitude and longitude are 0 somewhere: the receiver had no fix. Leave those rows out.")
 
 
-class ClockMatch(NamedTuple):
-    """How the clock of a trajectory is turned into that of the cloud."""
-
-    distance_m: float
-    """Median horizontal distance of the points from the vehicle."""
-    offset_s: float
-    """To be added to the times of the trajectory."""
-    reason: str
-    """Which clocks these are."""
-
-
-def match_clocks(
+def check_clock(
     times_s: FloatArray, points: FloatArray, cloud: Cloud, track_s: FloatArray, track_xy: FloatArray, file: SourceFile
-) -> ClockMatch:
-    """Find the clock by which the vehicle, (P,) times and (P, 2) places, was where some points of the cloud are."""
-    matches = []
-    for offset, reason in _candidates(float(np.median(times_s)), float(track_s[0]), cloud.time_offset_s).items():
-        shifted = times_s - offset
+) -> float:
+    """Return how far the vehicle, (P,) times and (P, 2) places, was from points of the cloud: the median, metres."""
+
+    def away_m(late_s: float) -> float:
+        shifted = times_s - late_s
         inside = (shifted >= track_s[0]) & (shifted <= track_s[-1])
-        if inside.mean() >= _COVERED:
-            at = np.stack([np.interp(shifted[inside], track_s, axis) for axis in track_xy.T], axis=1)
-            distance = float(np.median(np.linalg.norm(points[inside, :2] - at, axis=1)))
-            matches.append(ClockMatch(distance, offset, reason))
-    if not matches:
+        if inside.mean() < _COVERED:
+            return np.inf
+        at = np.stack([np.interp(shifted[inside], track_s, axis) for axis in track_xy.T], axis=1)
+        return float(np.median(np.linalg.norm(points[inside, :2] - at, axis=1)))
+
+    distance_m, shift_s = away_m(0.0), min((_LEAP_SECONDS, -_LEAP_SECONDS), key=away_m)
+    if away_m(shift_s) < min(distance_m, MAX_DISTANCE_M) / 2:
+        raise file.fault(
+            f"is {shift_s:+g} s off the clock of {cloud.file.name}: so shifted the vehicle was {away_m(shift_s):.0f} m "
+            f"away from the points when they were measured, else {distance_m:.0f} m. Usual cause: UTC beside GPS time. "
+            f"Add {shift_s:+g} to the times of the trajectory."
+        )
+    if distance_m == np.inf:
         raise file.fault(
             f"covers {track_s[0]:.3f} s to {track_s[-1]:.3f} s, and the points of {cloud.file.name} were measured from "
-            f"{times_s.min():.3f} s to {times_s.max():.3f} s. They have nothing in common as seconds of the GPS week, "
-            "adjusted standard time or UNIX time. Usual cause: the trajectory of another drive or day."
+            f"{times_s.min():.3f} s to {times_s.max():.3f} s. Expected the clock of the cloud. Usual cause: another "
+            "clock, or the trajectory of another drive or day. Adjusted standard time, the usual one of clouds, is GPS "
+            "seconds since 1980 less 1e9: add 604800 for every GPS week, and take off 1e9, where the trajectory has "
+            "seconds of the week; take off 1315964782 where it has UNIX time."
         )
-    best = min(matches, key=lambda match: match.distance_m)
-    if best.distance_m > MAX_DISTANCE_M:
+    if distance_m > MAX_DISTANCE_M:
         raise file.fault(
-            f"was {best.distance_m:,.0f} m away from the points of {cloud.file.name} when they were measured (median, "
-            f"in the best clock: {best.reason}); expected at most {MAX_DISTANCE_M:g} m. Usual cause: the trajectory "
-            "of another drive, or a cloud in another coordinate system than stated (--crs)."
+            f"was {distance_m:,.0f} m away from the points of {cloud.file.name} when they were measured (median); "
+            f"expected at most {MAX_DISTANCE_M:g} m. Usual cause: the trajectory of another drive, another clock, or a "
+            "cloud in another coordinate system than stated (--crs)."
         )
-    return best
-
-
-def _candidates(middle_s: float, first_s: float, time_offset_s: float) -> dict[float, str]:
-    """Return offsets that would lead from the clock of a trajectory to that of a cloud, the likeliest first."""
-    leap = float(_FIRST_LEAP_SECONDS + np.searchsorted(_LEAPS_S, first_s, side="right"))
-    clocks = {  # what turns each into the seconds of GPS since 1980
-        "GPS seconds since 1980": 0.0,
-        "adjusted standard time": time_offset_s,
-        "UNIX time (UTC)": leap - _GPS_EPOCH_UNIX_S,
-    }
-    candidates = {0.0: "the same clock"}
-    for seconds in (leap, -leap, 18.0, -18.0):
-        candidates.setdefault(seconds, f"clocks that differ by {seconds:+g} leap seconds")
-    for theirs, to_gps in clocks.items():
-        for ours, of_cloud in clocks.items():
-            candidates.setdefault(to_gps - of_cloud, f"the trajectory in {theirs}, the cloud in {ours}")
-        if 0 <= middle_s <= _WEEK_S + 3600:
-            whole = round((middle_s - first_s - to_gps) / _WEEK_S) * _WEEK_S
-            candidates.setdefault(to_gps + whole, f"the trajectory in {theirs}, the cloud in seconds of the GPS week")
-        if 0 <= first_s <= _WEEK_S + 3600:
-            whole = round((middle_s + to_gps - first_s) / _WEEK_S) * _WEEK_S
-            candidates.setdefault(whole - to_gps, f"the trajectory in seconds of the GPS week, the cloud in {theirs}")
-    return candidates
+    return distance_m

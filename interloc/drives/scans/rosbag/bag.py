@@ -41,7 +41,7 @@ from interloc.drives.scans.rosbag.messages import (
     Header,
     Wire,
     WireError,
-    first_points,
+    is_empty,
     read_header,
     read_layout,
 )
@@ -441,26 +441,22 @@ class ScanTimes:
 def read_scan_times(bag: Bag, topic: BagTopic, findings: Findings) -> ScanTimes:
     """Read the stamps of all scans, from the first bytes of each, and number the scans by them."""
 
-    def decode(head: bytes, encoding: Encoding) -> tuple[Header, bytes | None]:
-        return read_header(Wire(head, encoding)), first_points(head, topic.type, encoding)
+    def decode(head: bytes, encoding: Encoding) -> tuple[Header, bool]:
+        return read_header(Wire(head, encoding)), is_empty(head, topic.type, encoding)
 
     stamps = np.empty(len(topic), dtype=np.int64)
     frame_ids: Counter[str] = Counter()
-    empty = repeated = 0
-    before = b""
-    for row, (header, points) in enumerate(bag.decoded(topic, decode, heads=True)):
+    empty = 0
+    for row, (header, has_none) in enumerate(bag.decoded(topic, decode, heads=True)):
         stamps[row] = header.stamp_ns
         frame_ids[header.frame_id] += 1
-        empty += points == b""
-        repeated += bool(points) and points == before
-        before = points or b""
-    for count, what, usual in (
-        (empty, "hold no points", "a sensor or network that was overloaded"),
-        (repeated, "repeat the scan before under a new stamp", "a driver that hung"),
-    ):
-        if count:
-            say = findings.warning if count > 0.05 * len(topic) else findings.note
-            say(bag.name, f"{count:,} of {len(topic):,} scans of {topic.name} {what}. Usual cause: {usual}.")
+        empty += has_none
+    if empty:
+        (findings.warning if empty > 0.05 * len(topic) else findings.note)(
+            bag.name,
+            f"{empty:,} of {len(topic):,} scans of {topic.name} hold no points. Usual cause: a sensor or network that "
+            "was overloaded.",
+        )
     unset = int(np.count_nonzero(stamps <= 0))
     constant = len(stamps) > 2 and len(np.unique(stamps)) <= len(stamps) // 2
     if unset or constant:
