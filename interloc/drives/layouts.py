@@ -27,8 +27,7 @@ INDEXED_LENGTHS = (13, 17)
 PoseOwner = Literal["camera", "lidar", "imu", "oxts"]
 """Whose poses a drive has; those of OXTS are the LiDAR's, taken from the georeference."""
 
-ScanFolder = Literal["velodyne", "velodyne_points/data"]
-SCAN_FOLDERS: tuple[ScanFolder, ...] = ("velodyne", "velodyne_points/data")
+SCAN_FOLDERS = ("velodyne", "velodyne_points/data")
 """Where the layouts have their scans."""
 
 PCD_ENDINGS = (".pcd", ".pcd.bin")
@@ -283,21 +282,21 @@ def _seen_in(root: Path) -> str:
     )
 
 
-def find_layout(root: Path, options: DriveOptions, *, announced: ScanFolder | None = None) -> DriveParts:
-    """Detect the layout of a drive folder, whose scans may be `announced` to come, and find its parts."""
-    parts = recognise_layout(root, options, announced=announced)
+def find_layout(root: Path, options: DriveOptions) -> DriveParts:
+    """Detect the layout of a drive folder, and find its parts."""
+    parts = recognise_layout(root, options)
     if parts is None:
-        raise not_a_drive(root, options, announced=announced)
+        raise not_a_drive(root, options)
     return parts
 
 
-def recognise_layout(root: Path, options: DriveOptions, *, announced: ScanFolder | None = None) -> DriveParts | None:
+def recognise_layout(root: Path, options: DriveOptions) -> DriveParts | None:
     """Find the parts of a drive folder, as `find_layout`; None where it is not of a layout, or of the one asked for."""
     if not root.is_dir():
         return None
     inside = {entry.name for entry in root.iterdir()}
-    scan_folders = {folder for folder in SCAN_FOLDERS if folder == announced or (root / folder).is_dir()}
-    if options.layout == "auto" and announced is None and {"velodyne", "velodyne_points"} <= inside:
+    scan_folders = {folder for folder in SCAN_FOLDERS if (root / folder).is_dir()}
+    if options.layout == "auto" and {"velodyne", "velodyne_points"} <= inside:
         raise DriveFileError(
             str(root),
             "holds both velodyne/ (KITTI odometry) and velodyne_points/ (KITTI raw), so it could be two drives. "
@@ -313,7 +312,7 @@ def recognise_layout(root: Path, options: DriveOptions, *, announced: ScanFolder
     return parts if parts is None or options.name is None else replace(parts, name=options.name)
 
 
-def not_a_drive(root: Path, options: DriveOptions, *, announced: ScanFolder | None = None) -> DriveFileError:
+def not_a_drive(root: Path, options: DriveOptions) -> DriveFileError:
     """Return the error to raise about a path that is no drive, or not of the layout asked for."""
     name, formats = str(root), (*FORMATS, *installed_formats())
     if not root.exists():
@@ -323,7 +322,7 @@ def not_a_drive(root: Path, options: DriveOptions, *, announced: ScanFolder | No
         hint = _FOREIGN.get(suffix) or _SINGLE_FILES.get(suffix, "unpack an archive first, and give the folder")
         return DriveFileError(name, f"is a file. Expected the folder of one drive, a ROS bag or a LAS file: {hint}.")
     inside = {entry.name for entry in root.iterdir()}
-    if not inside and announced is None:
+    if not inside:
         return DriveFileError(name, f"is an empty folder. Expected {formats[0].expected}.")
     if (asked := find_format(options.layout)) is not None:
         return DriveFileError(name, f"is not of layout {asked.name}. Expected {asked.expected}.")
