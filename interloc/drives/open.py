@@ -13,20 +13,13 @@ from typing import TYPE_CHECKING, Unpack, cast
 import numpy as np
 
 from interloc.arrays import Float32Array
-from interloc.drives.checks import (
-    LevelScans,
-    check_flat_road,
-    check_motion,
-    check_points,
-    level_of,
-    levelled,
-    sample_indices,
-)
+from interloc.drives.checks import check_flat_road, check_motion, sample_indices
 from interloc.drives.files import each_read_once, rows_of_part, scan_once
 from interloc.drives.findings import Findings
 from interloc.drives.folder import DROPPED, FolderDrive, Scans, dropped_in_words
 from interloc.drives.formats import FORMATS, ScanFormat, find_format, installed_formats
 from interloc.drives.georeference.geodetic import check_against_poses
+from interloc.drives.ground import LevelScans, check_points, level_of, levelled
 from interloc.drives.labels import SEMANTICKITTI, LabelJudgement
 from interloc.drives.layouts import IN_CAPITALS, SCAN_FOLDERS, misnamed, not_a_drive, recognise_layout
 from interloc.drives.options import LABEL_FILES, ODOMETRY, DriveArguments, DriveOptions, LabelFolder, ReadingOptions
