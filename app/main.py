@@ -17,7 +17,7 @@ from app.drives import routes as drives
 from app.drives.commit import finish_drive
 from app.http.gate import client_of
 from app.http.middleware import add_middleware
-from app.http.openapi import DESCRIPTION, TAGS, UNLISTED, Description, operation_id, problems
+from app.http.openapi import DESCRIPTION, PROBLEMS, TAGS, UNLISTED, Description, operation_id
 from app.http.parameters import refuse_unknown_parameters
 from app.http.prices import TURN, Turns
 from app.http.problems import add_handlers
@@ -50,10 +50,7 @@ _THREADS = 64  # that answer requests: more than may wait for the database at th
 
 
 def _assemble() -> APIRouter:
-    router = APIRouter(
-        generate_unique_id_function=operation_id,
-        responses=problems({422: "The request is not valid; `problems` lists where."}),
-    )
+    router = APIRouter(generate_unique_id_function=operation_id, responses=PROBLEMS)
     shared = [Depends(client_of), Depends(refuse_unknown_parameters), TURN]
 
     def include(part: APIRouter, prefix: str = "", *, dependencies: Sequence[Any] = ()) -> None:
@@ -93,7 +90,6 @@ def create_app(settings: Settings | None = None, context: Context | None = None)
         try:
             opened = context or Context.open(settings)
             parts.context = opened
-            await run_in_threadpool(opened.storage.incoming)  # its lock shows that a server is at work here
             await run_in_threadpool(make_server_map, opened)
             parts.runner = runner = Runner(opened, finish_drive=finish_drive, index_result=index_result)
             parts.watcher = JobWatcher(opened)

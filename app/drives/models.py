@@ -10,7 +10,7 @@ from pydantic_core import PydanticCustomError
 
 from app.http.patterns import ID, NETWORK, Body, Flag, Name, Note, Whole, strictly
 from app.jobs.webhooks import Subscriber
-from app.paths import MAX_PATH, PATH_PATTERN, BadNameError, check_path
+from app.paths import MAX_PATH, BadNameError, check_path
 from app.states import DriveState
 from app.work.documents import UploadOptions
 from interloc.config import KeyframeConfig
@@ -40,7 +40,7 @@ class DriveOptionsModel(UploadOptions):
         None,
         description="Georeference among the files: a file of OXTS rows, a geo.csv, the folder of a KITTI raw drive.",
         examples=["07.txt.gz"],
-        json_schema_extra={"pattern": PATH_PATTERN, "maxLength": MAX_PATH},
+        json_schema_extra={"maxLength": MAX_PATH},
     )
 
     poses: str | None = Field(

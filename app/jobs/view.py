@@ -160,7 +160,8 @@ class _Links:
         summary = job.summary
         if job.state != JobState.SUCCESSFUL or job.kind != JobKind.INTERSECTIONS or summary is None:
             return links
-        names = ["run", "files", "archive.zip"]
+        links["run"] = f"{address}/files/run.json"
+        names = ["files", "archive.zip"]
         layers = [name for name in _LAYERS if summary.get("has_roads") or name not in ROAD_LAYERS]
         if summary["georeferenced"]:
             names.append("export")

@@ -15,7 +15,7 @@ from app.context import ContextDep
 from app.drives import records
 from app.http.delivery import answer_tagged
 from app.http.gate import ClientDep
-from app.http.openapi import TAGGED, get_and_head
+from app.http.openapi import get_and_head
 from app.http.parameters import After, BoxFilter, lies_in, next_link
 from app.http.prices import priced
 from app.jobs.view import choice_of, chosen_results, title_of
@@ -36,16 +36,7 @@ _DECIMALS = 6  # 0.1 m
 router = APIRouter(tags=["Drives"])
 
 
-@get_and_head(
-    router,
-    "/overview",
-    summary="Show all drives on one map",
-    response_class=Response,
-    responses={
-        **TAGGED,
-        200: {"description": "GeoJSON.", "content": {MEDIA_TYPE: {"schema": {"type": "object"}}}},
-    },
-)
+@get_and_head(router, "/overview", response_class=Response)
 @priced("heavy")
 def show_overview(
     request: Request,

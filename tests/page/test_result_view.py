@@ -160,9 +160,9 @@ def test_a_link_shows_the_same_again(page: Any, done: Done) -> None:
 def test_where_else_a_drive_fits_the_map_is_a_layer(browser: Browser, done: Done) -> None:
     page = browser.new_page()
     track = done.features("trajectory")[0]
-    run = done.server.client.get(f"{API}/jobs/{done.job}/run").json()
+    run = done.server.client.get(f"{API}/jobs/{done.job}/files/run.json").json()
     placed = {"lat_deg": 49.0, "lon_deg": 8.4, "heading_deg": 90.0, "position_std_m": 2.0}
-    page.route("**/run", lambda route: route.fulfill(json=run | {"location": placed}))
+    page.route("**/files/run.json", lambda route: route.fulfill(json=run | {"location": placed}))
     page.route("**/places", lambda route: route.fulfill(json={"features": [track, track, track]}))
     show(page, done, "panel=result")
     assert page.locator(".legend label", has_text="Next best places").inner_text().split()[-1] == "2"

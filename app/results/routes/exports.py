@@ -7,13 +7,13 @@ from fastapi import APIRouter, Query, Request, Response
 from fastapi.concurrency import run_in_threadpool
 
 from app.http.delivery import MEDIA_TYPES, answer_tagged, deliver, disposition, service_address
-from app.http.openapi import BINARY, get_and_head, problems
+from app.http.openapi import BINARY, get_and_head
 from app.http.prices import priced
 from app.http.problem_types import FORMAT_NOT_INSTALLED
 from app.http.problems import Problem
 from app.results.folder import OnDemandDep, ResultsDep
 from app.results.models import LayerName
-from app.results.routes.results import WORKED_OUT, JobId, answers
+from app.results.routes.results import JobId, answers
 from app.results.work import LIVE, export_path
 from interloc.errors import ConfigError, install
 from interloc.output.layers import DERIVED
@@ -61,11 +61,7 @@ router = APIRouter(tags=["Exports"])
     description=_DESCRIPTION,
     operation_id="read_export",
     response_class=Response,
-    responses={
-        **_FILE,
-        **WORKED_OUT,
-        **problems({501: "The service lacks the package that writes this format."}),
-    },
+    responses=_FILE,
 )
 @priced("cheap")
 async def export(

@@ -56,7 +56,7 @@ export function loadResult(job) {
 /** @param {any} job @returns {Promise<Result>} */
 async function load(job) {
   const at = `jobs/${job.id}`;
-  const run = await getJson(`${at}/run`);
+  const run = await getJson(`${at}/files/run.json`);
   const local = !run.georeferenced;
   /** @param {string} name */
   const layer = (name) => getJson(local ? `${at}/files/${name}.local.json` : `${at}/layers/${name}`);

@@ -96,7 +96,7 @@ function partsOf({ local, surface, buildings, report }, slug) {
   const names = Object.entries({ ...LAYERS, ...(local ? {} : DERIVED) }).filter(([name]) => isThere(name));
   return {
     ...Object.fromEntries(names.map(([name, title]) => [name, { title, formats: formatsOf(name) }])),
-    ...(surface && { road: { title: "Road seen by LiDAR", formats: file("GeoTIFF", "road.tif", "road.tif") } }),
+    ...(surface && { road: { title: "Road seen by LiDAR", formats: file("GeoTIFF", "files/road.tif", "road.tif") } }),
     all: {
       title: "All layers",
       formats: [
@@ -105,7 +105,7 @@ function partsOf({ local, surface, buildings, report }, slug) {
       ],
     },
     ...(report && { report: { title: "Report", formats: file("JSON", "report", "report.json") } }),
-    run: { title: "Settings, versions, timings", formats: file("JSON", "run", "run.json") },
+    run: { title: "Settings, versions, timings", formats: file("JSON", "files/run.json", "run.json") },
   };
 }
 
