@@ -213,43 +213,35 @@ def number_scans(names: Sequence[str]) -> tuple[IntArray, IntArray, FloatArray |
     (N,) times in seconds where the names are times, and what was assumed, where that is worth saying.
     """
     stems = [name[: -len(pcd_ending(name))] for name in names]
-    count = len(names)
+    anew = np.arange(len(names))
     if (split := _split_times(stems)) is not None:
         order = np.argsort(split, kind="stable")
-        return order, np.arange(count), split[order], "the names are times in seconds and their fractions."
-    return _by_last_number(names, stems)
-
-
-def _by_last_number(names: Sequence[str], stems: Sequence[str]) -> tuple[IntArray, IntArray, FloatArray | None, str]:
-    """Give numbers to scans by the last number in their names, as `number_scans`."""
-    count = len(names)
+        return order, anew, split[order], "the names are times in seconds and their fractions."
     ends = [re.search(r"(\d+)(\.\d+)?$", stem) for stem in stems]
     if not all(ends):
         order = np.argsort(np.array(names), kind="stable")
-        return order, np.arange(count), None, "the names hold no numbers: the scans are taken in alphabetical order."
-    numbers = [int(end[1]) for end in ends if end]
-    fractions = [end[2] or "" for end in ends if end]
-    before = [
-        [int(group) for group in _DIGITS.findall(stem[: end.start()])]
-        for stem, end in zip(stems, ends, strict=True)
+        return order, anew, None, "the names hold no numbers: the scans are taken in alphabetical order."
+    keys = [
+        ([int(group) for group in _DIGITS.findall(stem[: end.start()])], int(end[1]), float(end[2] or 0), name)
+        for name, stem, end in zip(names, stems, ends, strict=True)
         if end
     ]
+    order = np.array(sorted(range(len(names)), key=keys.__getitem__))
+    before, numbers, fractions, _ = zip(*(keys[row] for row in order), strict=True)
+    are_seconds = any(end[2] for end in ends if end)
     if any(groups != before[0] for groups in before):
-        rows = sorted(range(count), key=lambda row: (before[row], numbers[row], float(fractions[row] or 0), names[row]))
         how = "the names hold several numbers that change: the scans are taken in the order of all of them."
-        return np.array(rows), np.arange(count), None, how
-    order = np.array(sorted(range(count), key=lambda row: (numbers[row], float(fractions[row] or 0), names[row])))
-    smallest = min(numbers)
-    if any(fractions) or smallest > _STAMPS_US:
-        unit = 1.0 if any(fractions) else 1e-6 if smallest < _STAMPS_NS else 1e-9
-        times = np.array([numbers[row] * unit + float(fractions[row] or 0) for row in order])
-        return order, np.arange(count), times, "the names are times; the scans are numbered from 0 in their order."
-    frames = [numbers[row] for row in order]
-    if len(set(frames)) < count:
-        return order, np.arange(count), None, "the numbers in the names come twice: scans in the order of their names."
-    if frames[-1] >= _TOO_LARGE:
-        return order, np.arange(count), None, "the numbers in the names are too large: the scans are numbered from 0."
-    return order, np.array(frames, dtype=np.int64), None, ""
+    elif are_seconds or numbers[0] > _STAMPS_US:
+        unit = 1.0 if are_seconds else 1e-6 if numbers[0] < _STAMPS_NS else 1e-9
+        times = np.array([number * unit + fraction for number, fraction in zip(numbers, fractions, strict=True)])
+        return order, anew, times, "the names are times; the scans are numbered from 0 in their order."
+    elif len(set(numbers)) < len(names):
+        how = "the numbers in the names come twice: scans in the order of their names."
+    elif numbers[-1] >= _TOO_LARGE:
+        how = "the numbers in the names are too large: the scans are numbered from 0."
+    else:
+        return order, np.array(numbers, dtype=np.int64), None, ""
+    return order, anew, None, how
 
 
 def _split_times(stems: Sequence[str]) -> FloatArray | None:
