@@ -63,22 +63,18 @@ class Ways:
 
 @dataclass(frozen=True)
 class Buildings:
-    """The B buildings of a map, for pictures only."""
+    """The B buildings of a map that are ways, for pictures only."""
 
     id: IntArray
-    """(B,) int64: OSM ids; a relation of several outlines is several buildings."""
-    is_relation: BoolArray
-    """(B,) bool: whether the id is that of a relation (a multipolygon), not of a way."""
+    """(B,) int64: ids of OSM ways."""
     outlines: tuple[FloatArray, ...]
     """B (n, 2) float64: closed rings of longitude and latitude, degrees."""
-    holes: tuple[tuple[FloatArray, ...], ...]
-    """B tuples of (n, 2) float64: courtyards: rings within the outline, as they."""
 
     def __len__(self) -> int:
         return len(self.id)
 
 
-NO_BUILDINGS = Buildings(np.empty(0, dtype=np.int64), np.empty(0, dtype=np.bool_), (), ())
+NO_BUILDINGS = Buildings(np.empty(0, dtype=np.int64), ())
 NO_LOOSE_ENDS: IntArray = np.empty((0, 3), dtype=np.int64)
 
 

@@ -9,7 +9,6 @@ import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from datetime import datetime, timedelta
 from itertools import pairwise
 from pathlib import Path
 from xml.etree import ElementTree as ET
@@ -49,12 +48,10 @@ _SHAPES = {  # shape -> that of QGIS, and its half size where ours is 1
     "cross": ("cross2", 0.8),
 }
 _GEOMETRIES = {"Point": ("marker", "0"), "LineString": ("line", "1"), "Polygon": ("fill", "2")}
-_TOLD = ("outcome", "error_m", "reason")  # properties that a tip shows below the name of a feature
 
 _DATA = "result.gpkg"
 _MARGIN = 0.08  # of the extent, around it
 _MIN_EXTENT_M = 50.0
-_STEPS = 200  # frames of a whole drive
 _OSM_CREDIT = "© OpenStreetMap contributors, ODbL 1.0"
 
 Layers = Sequence[tuple[Layer, Rows]]
@@ -71,11 +68,6 @@ def qml(layer: Layer) -> str:
         labelsEnabled=_has_labels(layer),
     )
     return _document(root)
-
-
-def metadata(layer: Layer, credit: Credit) -> str:
-    """Return what QGIS shows as metadata of a layer: what it is, whose data, under which licence."""
-    return ET.tostring(_element("qgis", *_about(layer, credit), version=_VERSION), encoding="unicode")
 
 
 def _element(tag: str, *children: ET.Element | str, **attributes: str) -> ET.Element:
@@ -113,16 +105,7 @@ def _has_labels(layer: Layer) -> str:
 def _style_elements(layer: Layer) -> list[ET.Element]:
     """Return the elements of the style of a layer, as they stand in QML and in projects."""
     style = STYLES[layer.name]
-    parts = []
-    if style.times is not None:
-        seconds = style.times.seconds
-        parts.append(
-            ET.fromstring(  # noqa: S314 - our own
-                f'<temporal enabled="1" mode="1" startField="{style.times.field}" fixedDuration="{seconds or 0:g}"'
-                f' durationUnit="s" accumulate="{1 if seconds is None else 0}" limitMode="0"/>'
-            )
-        )
-    parts.append(_renderer(layer))
+    parts = [_renderer(layer)]
     if style.label is not None:
         parts.append(_labeling(style.label, is_line=layer.geometry == "LineString"))
     aliases = (
@@ -130,7 +113,7 @@ def _style_elements(layer: Layer) -> list[ET.Element]:
         for index, each in enumerate(layer.attributes)
     )
     name = _element("previewExpression", _name_expression(layer))
-    return [*parts, _element("aliases", *aliases), name, _element("mapTip", _tip(layer))]
+    return [*parts, _element("aliases", *aliases), name]
 
 
 # signs ----------------------------------------------------------------------------------------------------------------
@@ -243,7 +226,7 @@ def _rgba(colour: str, opacity: float = 1.0) -> str:
     return f"{red},{green},{blue},{round(255 * opacity)}"
 
 
-# labels and tips ------------------------------------------------------------------------------------------------------
+# labels -----------------------------------------------------------------------------------------------------------
 
 
 _LABELS = """
@@ -282,20 +265,6 @@ def _name_expression(layer: Layer) -> str:
 
 def _shown(name: str) -> str:
     return f'round("{name}", 1)' if name.endswith(("_m", "_deg")) else f'"{name}"'
-
-
-def _tip(layer: Layer) -> str:
-    """Return HTML with expressions in it; texts may come from a map and are no HTML."""
-    lines = [f"<b>[% {_escaped(_name_expression(layer))} %]</b>"]
-    for each in layer.attributes:
-        if each.name in _TOLD:
-            text = f"'<br>{each.title}: ' || {_escaped(_shown(each.name))}" + (" || ' m'" if each.unit == "m" else "")
-            lines.append(f"[% coalesce({text}, '') %]")
-    return "".join(lines)
-
-
-def _escaped(expression: str) -> str:
-    return f"replace(replace({expression}, '&', '&amp;'), '<', '&lt;')"
 
 
 # projects -------------------------------------------------------------------------------------------------------------
@@ -353,7 +322,6 @@ def project(
             tree.append(group)
     if has_road:
         shown.append(_raster(None if local else epsg))
-    times = list(_times(layers))
     credited = any(rows.credit.license == ODBL for _, rows in layers)
     root = _element(
         "qgis",
@@ -361,17 +329,12 @@ def project(
         _element("projectCrs", *_crs(epsg)),
         tree,
         shown,
-        _properties(credited=credited, times=times),
+        _properties(credited=credited),
         _element("projectMetadata", _element("title", name)),
         _view(points, epsg),
         version=_VERSION,
         projectname=name,
     )
-    if times:
-        step = max(1, round((max(times) - min(times)).total_seconds() / _STEPS))
-        ends = _element("start", _iso(min(times))), _element("end", _iso(max(times) + timedelta(seconds=1)))
-        settings = {"timeStep": str(step), "timeStepUnit": "s", "frameRate": "10", "cumulativeTemporalRange": "0"}
-        root.append(_element("ProjectTimeSettings", _element("TemporalRange", *ends), **settings))
     return _document(root)
 
 
@@ -407,13 +370,12 @@ def _raster(epsg: int | None) -> ET.Element:
 
 
 def _vector(layer: Layer, rows: Rows, source: Source, epsg: int | None) -> ET.Element:
-    has_times = any(True for _ in _times([(layer, rows)]))
     return _element(
         "maplayer",
         *_place_of(layer.name, source, STYLES[layer.name].title, epsg),
         _element("resourceMetadata", *_about(layer, rows.credit)),
         _element("provider", source.provider, encoding="UTF-8"),
-        *(each for each in _style_elements(layer) if has_times or each.tag != "temporal"),
+        *_style_elements(layer),
         type="vector",
         geometry=layer.geometry,
         labelsEnabled=_has_labels(layer),
@@ -439,21 +401,11 @@ def _crs(epsg: int | None) -> list[ET.Element]:
     return [_element("spatialrefsys", _element("wkt", wkt), _element("authid", f"EPSG:{epsg}"))]
 
 
-def _times(layers: Layers) -> Iterator[datetime]:
-    for layer, rows in layers:
-        style = STYLES[layer.name]
-        if style.times is not None:
-            yield from (datetime.fromisoformat(each) for each in rows.column(style.times.field) if each is not None)
-
-
-def _properties(*, credited: bool, times: Sequence[datetime]) -> ET.Element:
-    """Return settings by topic: whose map it is, on the map, and the time to play."""
+def _properties(*, credited: bool) -> ET.Element:
+    """Return settings by topic, among them whose map it is, on the map."""
     topics: dict[str, dict[str, tuple[str, str]]] = {"SpatialRefSys": {"ProjectionsEnabled": ("int", "1")}}
     if credited:
         topics["CopyrightLabel"] = {"Enabled": ("bool", "true"), "Label": ("QString", _OSM_CREDIT)}
-    if times:
-        ends = {"StartDateTime": ("QString", _iso(min(times))), "EndDateTime": ("QString", _iso(max(times)))}
-        topics["TemporalControllerWidget"] = {**ends, "NavigationMode": ("int", "0")}
     return _element(
         "properties",
         *(
@@ -474,7 +426,3 @@ def _view(points: FloatArray, epsg: int | None) -> ET.Element:
     corners = zip(("xmin", "ymin", "xmax", "ymax"), (*(low - margin), *(high + margin)), strict=True)
     root.append(_element("DefaultViewExtent", *_crs(epsg), **{name: f"{value:.2f}" for name, value in corners}))
     return root
-
-
-def _iso(time: datetime) -> str:
-    return time.strftime("%Y-%m-%dT%H:%M:%SZ")

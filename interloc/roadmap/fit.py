@@ -288,4 +288,4 @@ def _profiles(raster: Raster, xy: FloatArray, normal: FloatArray, offsets: Float
     window = raster.window(first[1], first[0], size[1], size[0])
     if window is None:
         return np.zeros((len(xy), len(offsets)), np.float32)
-    return np.asarray(cv2.remap(window.astype(np.float32), *at, cv2.INTER_LINEAR), np.float32)
+    return np.asarray(cv2.remap(window.astype(np.float32), at[0], at[1], cv2.INTER_LINEAR), np.float32)

@@ -20,10 +20,9 @@ from interloc.output.layers import DERIVED
 from interloc.output.vector_files import ALL, FORMATS, has_parquet
 
 _FORMATS = {
-    ".gpkg": "layers as a GeoPackage, EPSG:4326, lists (such as bearings) as JSON text. Fields have titles and "
-    "descriptions, the metadata hold `run.json`; QGIS draws the layers as the page does (QML in `layer_styles`).",
-    ".qgz": "all layers as a project of QGIS 3.22 and newer that holds the data: in groups, drawn as on the page, with "
-    "the range of the temporal controller.",
+    ".gpkg": "layers as a GeoPackage, EPSG:4326, lists (such as bearings) as JSON text; QGIS draws them as the page "
+    "does (QML in `layer_styles`).",
+    ".qgz": "all layers as a project of QGIS 3.22 and newer that holds the data: in groups, drawn as on the page.",
     ".qgs": "the same project without the data: QGIS reads the layers from the service (OGC API - Features). Where it "
     "needs a token, QGIS asks for a user name, which may be any, and a password, which is the token.",
     ".kmz": "layers for Google Earth.",
