@@ -173,7 +173,7 @@ def test_what_is_wrong_is_shown_before_anything_is_sent_and_can_be_corrected(
     upload.press("Choose another")
     upload.page.wait_for_selector("#panel-upload .drop")
     upload.pick(broken / "velodyne")
-    assert "the scans themselves: pick the folder above it" in upload.text()
+    assert "the scans themselves: give the folder above it" in upload.text()
 
     (tmp_path / "000007.label").rename(broken / "labels/000007.label")
     (broken / "poses.txt").write_text("\n".join(poses.read_text().splitlines()[:10]) + "\n")
