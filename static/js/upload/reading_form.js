@@ -12,6 +12,7 @@ const PLACE = "georeference";
 
 /** What the form calls the options; one that is not here is asked for elsewhere. */
 const TITLES = /** @type {Record<string, string>} */ ({
+  label_scheme: "What the ids of labels mean",
   pose_frame: "Poses are those of",
   layout: "Layout",
   points: "Topic of the scans",
@@ -35,7 +36,7 @@ const DESKEW = { auto: "Taken out where the points show it", on: "Taken out", of
  * @param {() => void} onChange
  */
 export function readingForm(drive, before, onChange) {
-  const { reading_schema, layouts } = getConfig();
+  const { reading_schema, layouts, label_schemes } = getConfig();
   const own = drive?.look.layout ?? null;
   const georeference = georeferenceField(onChange);
   const { reduced: _, ...ofLayout } = layouts;
@@ -43,6 +44,9 @@ export function readingForm(drive, before, onChange) {
     ...{ pose_frame: POSE_FRAMES, deskew: DESKEW, layout: { auto: "From the folder", ...ofLayout } },
   });
   const poseFiles = el("datalist", { id: "pose-files" });
+  const schemes = el("datalist", { id: "label-schemes" }, [
+    label_schemes.map(({ name, title, road }) => el("option", { value: name }, `${title} (road = ${road.join(", ")})`)),
+  ]);
 
   /** @param {string} name */
   function optionOf(name) {
@@ -51,11 +55,12 @@ export function readingForm(drive, before, onChange) {
     const take = (/** @type {any} */ next) => ((given = next), onChange());
     const input = schemaInput(schema, given, take, (choice) => choices[name]?.[choice] ?? choice);
     if (name === "poses") input.setAttribute("list", poseFiles.id);
+    if (name === "label_scheme") input.setAttribute("list", schemes.id);
     if (ONLY_OF[name] === "rosbag") input.pattern = "/.*";
     const complaint = `${TITLES[name]}: write it as ${schema.examples?.[0]}, or leave it empty.`;
     return {
       name,
-      read: () => given,
+      read: () => given ?? schema.default,
       element: field(TITLES[name], input, schema.description),
       /** @returns {string | null} */
       complaint: () => (input.validity.valid ? null : complaint),
@@ -82,6 +87,7 @@ export function readingForm(drive, before, onChange) {
       georeference.element,
       options.map(({ element }) => element),
       poseFiles,
+      schemes,
     ),
     setFiles,
     /** @returns {Record<string, string | null>} */
