@@ -26,7 +26,7 @@ FILES = {
     "Intersections, PMTiles, for web maps": "export?f=pmtiles",
     "Detections, FlatGeobuf": "export?f=fgb&layer=detections",
     "All layers, KMZ, for Google Earth": "export?f=kmz&layer=all",
-    "Road seen by LiDAR, GeoTIFF": "road.tif",
+    "Road seen by LiDAR, GeoTIFF": "files/road.tif",
     "Report, JSON": "report?format=json",
     "Settings, versions, timings, JSON": "run",
 }
