@@ -11,15 +11,12 @@ there is no other answer.
 from __future__ import annotations
 
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from interloc.arrays import BoolArray, FloatArray
+from interloc.arrays import BoolArray, FloatArray, IntArray
 from interloc.geometry import enu_from_lonlat, middle_of
-
-if TYPE_CHECKING:
-    from interloc.osm.graph import RoadGraph
 
 FAR_M = 300.0
 """Nothing is known of a place that is further from all highways of the file."""
@@ -36,14 +33,23 @@ _AT_LINE_M = 20.0  # the last junction that is whole lies on the line, and what 
 class Content:
     """The ways of a map in a plane, to tell where the file ends."""
 
-    def __init__(self, graph: RoadGraph) -> None:
-        self._is_made_up = graph.is_made_up  # the simulator cuts nothing, and its streets are as long as the town
-        self._lon, self._lat = middle_of(graph.lonlat)
-        self._xy = self._plane(graph.lonlat)
-        self._edges = graph.edges[np.argsort(graph.edge_way, kind="stable")]
-        self._way, self._first = np.unique(np.sort(graph.edge_way), return_index=True)
-        self._loose = graph.loose_ends
-        self._degree = graph.degree()
+    def __init__(
+        self,
+        lonlat: FloatArray,
+        edges: IntArray,
+        edge_way: IntArray,
+        loose_ends: IntArray,
+        degree: IntArray,
+        *,
+        is_made_up: bool,
+    ) -> None:
+        self._is_made_up = is_made_up  # the simulator cuts nothing, and its streets are as long as the town
+        self._lon, self._lat = middle_of(lonlat)
+        self._xy = self._plane(lonlat)
+        self._edges = edges[np.argsort(edge_way, kind="stable")]
+        self._way, self._first = np.unique(np.sort(edge_way), return_index=True)
+        self._loose = loose_ends
+        self._degree = degree
 
     def _plane(self, lonlat: FloatArray) -> FloatArray:
         return enu_from_lonlat(self._lat, self._lon, lonlat)

@@ -136,7 +136,9 @@ class RoadGraph:
     @cached_property
     def content(self) -> Content:
         """What the highways say of the places that the map covers."""
-        return Content(self)
+        return Content(
+            self.lonlat, self.edges, self.edge_way, self.loose_ends, self.degree(), is_made_up=self.is_made_up
+        )
 
     def covers(self, lonlat: FloatArray) -> BoolArray:
         """Return which of (N, 2) degrees the map covers, so that what it lacks there does not exist.
