@@ -131,6 +131,8 @@ class DriveModel(BaseModel):
         description="West, south, east, north of a ready drive, degrees; null without georeference.",
         examples=[[8.412, 49.001, 8.431, 49.014]],
     )
+    scans: int | None = Field(None, description="Scans of a ready drive.")
+    length_m: float | None = Field(None, description="How far a ready drive goes.")
     result_job: str | None = Field(
         None,
         description="The job that stands for the drive on the map of all drives and at /ogc: the pinned one, "

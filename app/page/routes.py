@@ -26,7 +26,6 @@ from app.page.files import (
 from app.paths import ARCHIVE_ENDINGS
 from app.settings import Settings
 from interloc.drives.formats import FORMATS, installed_formats
-from interloc.drives.georeference.read import ODOMETRY_OF_RAW
 from interloc.drives.labels import SCHEMES
 from interloc.drives.layouts import PCD_ENDINGS, RECORDING_ENDINGS, SMALL_ENDINGS, TRACK_ENDINGS
 from interloc.drives.options import ReadingOptions
@@ -36,18 +35,7 @@ from interloc.osm.policies import POLICIES
 from interloc.output.layers import LAYERS
 from interloc.output.vector_files import suffixes_here
 
-# What the page is told about the service: settings, limits, and the words for what a user chooses and sees.
-
-_LIMITS = (
-    "max_file_bytes",
-    "max_recording_bytes",
-    "max_archive_bytes",
-    "max_drive_bytes",
-    "max_drive_files",
-    "max_queued_jobs",
-    "upload_expires_h",
-    "trash_h",
-)
+# What the page is told about the service: settings, and the words for what a user chooses and sees.
 
 
 _SCHEME_TITLES = {
@@ -67,7 +55,7 @@ def page_config(settings: Settings, *, version: str, needs_token: bool) -> dict[
         "tile_attribution": settings.tile_attribution,
         "overpass": settings.overpass,
         "needs_token": needs_token,
-        "limits": {name: getattr(settings, name) for name in _LIMITS},
+        "trash_h": settings.trash_h,
         "policies": [
             {"name": name, "title": wording.title, "description": wording.meaning} for name, wording in POLICIES.items()
         ],
@@ -89,7 +77,6 @@ def page_config(settings: Settings, *, version: str, needs_token: bool) -> dict[
         },
         "layouts": {each.name: each.title for each in (*FORMATS, *installed_formats())} | {"reduced": "reduced drive"},
         "reading_schema": ReadingOptions.model_json_schema(),
-        "raw_sequences": {raw: sequence for raw, (sequence, _, _) in ODOMETRY_OF_RAW.items()},
         "simulator": SIMULATOR,
         "drivable": sorted(DRIVABLE_OR_SERVICE),
         "search_radius_km": {name: radius[name] for name in ("default", "minimum", "maximum")},

@@ -189,7 +189,7 @@ def test_heavy_filters_of_one_client_hold_no_other(
             assert begun.acquire(timeout=60)
             assert begun.acquire(timeout=60)
             wait_until(lambda: sum(each.done() for each in answers) >= 34, "those that are too many to be refused")
-            for path in ("/", f"{API}/drives", "/ogc/collections", f"{API}/overview"):
+            for path in ("/", f"{API}/drives", "/ogc/collections", f"{API}/jobs"):
                 assert client.get(path, headers=ann).status_code == 200, path
             made = client.post(f"{API}/drives", json={"name": "a"}, headers=ann)
             assert made.status_code == 201
