@@ -20,10 +20,6 @@ if TYPE_CHECKING:
 BLUE, VERMILION, GREEN, YELLOW, SKY, PURPLE = "#0072B2", "#D55E00", "#009E73", "#F0E442", "#56B4E9", "#CC79A7"
 INK, MUTED, FAINT, PAPER = "#22262b", "#6b7280", "#d7dbe0", "#ffffff"
 
-_SERIES = (BLUE, VERMILION, GREEN, PURPLE, SKY, INK)
-_DASHES = ("-", "--", "-.", ":")
-_MARKERS = "o^sDvP*X"
-
 ImageFormat = Literal["png", "svg"]
 
 
@@ -34,12 +30,12 @@ def new_figure(width_in: float, height_in: float) -> Figure:
     return Figure(figsize=(width_in, height_in), facecolor=PAPER, layout="constrained")
 
 
-def quiet(axes: Axes, *, grid: Literal["x", "y", "both"] = "y") -> None:
+def quiet(axes: Axes) -> None:
     """Take away what is not data (top and right frame) and draw the rest faintly, with the grid behind."""
     axes.spines[["top", "right"]].set_visible(False)
     axes.spines[["left", "bottom"]].set_color(MUTED)
     axes.tick_params(colors=INK, length=3, color=MUTED, labelsize=9)
-    axes.grid(visible=True, axis=grid, color=FAINT, linewidth=0.7)
+    axes.grid(visible=True, axis="y", color=FAINT, linewidth=0.7)
     axes.set_axisbelow(True)
 
 
@@ -47,17 +43,6 @@ def entitle(axes: Axes, text: str, size: float = 12.0) -> None:
     """Write a title above the left end of axes; `size` in points."""
     # Told where, matplotlib does not look each time whether it must rise above ticks: a tenth of the drawing.
     axes.set_title(text, loc="left", y=1.0, fontsize=size, color=INK)
-
-
-def series_style(number: int) -> dict[str, Any]:
-    """Return how `Axes.plot` draws the n-th line of a figure: told from the others by colour, dashes and marks."""
-    return {
-        "color": _SERIES[number % len(_SERIES)],
-        "linestyle": _DASHES[number % len(_DASHES)],
-        "marker": _MARKERS[number % len(_MARKERS)],
-        "markersize": 4,
-        "linewidth": 1.6,
-    }
 
 
 def mark(axes: Axes, xy: FloatArray, sign: str, size: float, **style: Any) -> None:  # noqa: ANN401 - matplotlib's

@@ -10,7 +10,7 @@ from pydantic_core import PydanticCustomError
 
 from app.http.patterns import ID, NETWORK, Body, Flag, Name, Note, Whole, strictly
 from app.jobs.webhooks import Subscriber
-from app.paths import MAX_PATH, PATH_PATTERN, BadNameError, check_path
+from app.paths import MAX_PATH, BadNameError, check_path
 from app.states import DriveState
 from app.work.documents import UploadOptions
 from interloc.config import KeyframeConfig
@@ -40,7 +40,7 @@ class DriveOptionsModel(UploadOptions):
         None,
         description="Georeference among the files: a file of OXTS rows, a geo.csv, the folder of a KITTI raw drive.",
         examples=["07.txt.gz"],
-        json_schema_extra={"pattern": PATH_PATTERN, "maxLength": MAX_PATH},
+        json_schema_extra={"maxLength": MAX_PATH},
     )
 
     poses: str | None = Field(
@@ -128,6 +128,8 @@ class DriveModel(BaseModel):
                     "size_bytes": 701124052,
                     "stored_bytes": 109221678,
                     "bbox": [8.412, 49.001, 8.431, 49.014],
+                    "scans": 424,
+                    "length_m": 701.3,
                     "result_job": None,
                     "pinned_job": None,
                     "created_at": "2026-01-31T12:00:00Z",
@@ -158,6 +160,8 @@ class DriveModel(BaseModel):
         description="West, south, east, north of a ready drive, degrees; null without georeference.",
         examples=[[8.412, 49.001, 8.431, 49.014]],
     )
+    scans: int | None = Field(None, description="Scans of a ready drive.")
+    length_m: float | None = Field(None, description="How far a ready drive goes.")
     result_job: str | None = Field(
         None,
         description="The job that stands for the drive on the map of all drives and at /ogc: the pinned one, "

@@ -1,12 +1,10 @@
 """Drives in the database: making, finding, listing and removing them and their files."""
 
 import hashlib
-import os
-import time
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 from sqlalchemy import ColumnElement, func, or_, select
 from sqlalchemy.orm import Session, defer
@@ -15,7 +13,6 @@ from app.context import Context
 from app.drives.models import DriveList, DriveModel, FileList, NewDrive, UploadedFile
 from app.http.parameters import cursor_of, newest_first, rows_after
 from app.http.problem_types import (
-    BUSY,
     DRIVE_IS_CLOSED,
     DRIVE_NOT_READY,
     DRIVE_NOT_WHOLE,
@@ -47,8 +44,6 @@ from interloc.storage import check_address, is_within
 
 MAX_UPLOADS = 1000
 """Drives of one client that take files."""
-
-_LOOKS, _LOOK_S = 20, 0.05  # at a file whose row is about to be committed
 
 
 def drive_key(drive_id: str) -> str:
@@ -147,8 +142,11 @@ def list_drives(
         drives = session.scalars(query.limit(limit + 1)).all()
         page = drives[:limit]
         results = _results(session, page)
+        told = (Drive.report["scans"].as_integer(), Drive.report["length_m"].as_float())
+        facts = session.execute(select(Drive.id, *told).where(Drive.id.in_([drive.id for drive in page])))
+        known = {drive_id: {"scans": scans, "length_m": length} for drive_id, scans, length in facts}
     return DriveList(
-        drives=[drive_model(drive, context.settings, report=False, result=results.get(drive.id)) for drive in page],
+        drives=[drive_model(drive, context.settings, known[drive.id], result=results.get(drive.id)) for drive in page],
         next=cursor_of(page[-1]) if len(drives) > limit else None,
     )
 
@@ -191,33 +189,24 @@ def list_files(context: Context, drive_id: str, after: str | None, limit: int) -
     return FileList(files=shown, next=page[-1].path if len(files) > limit else None)
 
 
-def open_file(context: Context, drive_id: str, path: str) -> tuple[BinaryIO, str]:
-    """Open an uploaded file.
-
-    A file has its name a moment before its row is committed: what was opened is compared with the row, and looked up
-    again where they differ.
-    """
-    for pause_s in (0.0, *[_LOOK_S] * _LOOKS):
-        time.sleep(pause_s)
-        with context.database.reading() as session:
-            drive = find_drive(session, drive_id)
-            row = _row_of(session, drive_id, path)
-        place = _place_of(context, drive, path)
-        with suppress(FileNotFoundError):
-            file = place.open("rb")
-            found = os.fstat(file.fileno())
-            if (found.st_size, found.st_mtime_ns) == (row.size_bytes, row.mtime_ns):
-                return file, row.sha256
-            digest = hashlib.file_digest(file, "sha256").hexdigest()
-            file.seek(0)
-            if digest == row.sha256 or drive.state == DriveState.READY:  # what reduction wrote has no row of its own
-                return file, digest
-            file.close()
+def open_file(context: Context, drive_id: str, path: str) -> BinaryIO:
+    """Open an uploaded file; a 404 where there is none, a 410 where it is there no more."""
+    with context.database.reading() as session:
+        drive = find_drive(session, drive_id)
+        _row_of(session, drive_id, path)
+    for key in (files_key, reduced_key):
+        with suppress(FileNotFoundError, NotADirectoryError):
+            return (context.storage.folder(key(drive_id)) / path).open("rb")
+    if stays_uploaded(drive, path):
+        raise Problem(
+            FILE_MISSING,
+            f"{path} is listed, but it is no longer on the disk of the service. Send it again if the drive still takes "
+            "files; the operator finds what else is missing with `interloc admin check`.",
+        )
     raise Problem(
-        BUSY,
-        f"{path} is being replaced, or its bytes are not those that are listed, as after an upload that was cut off: "
-        "send it again. The operator finds what else is wrong with `interloc admin check`.",
-        headers={"Retry-After": "1"},
+        FILE_NOT_KEPT,
+        f"{path} was reduced to what the method needs when the drive was committed. "
+        "Make the drive with keep_raw to keep its scans as they come.",
     )
 
 
@@ -231,24 +220,6 @@ def _row_of(session: Session, drive_id: str, path: str) -> DriveFile:
             FILE_NOT_FOUND, f"The drive has no file {path!r}. GET /api/v1/drives/{drive_id}/files lists them."
         )
     return row
-
-
-def _place_of(context: Context, drive: Drive, path: str) -> Path:
-    folders = (context.storage.folder(key(drive.id)) for key in (files_key, reduced_key))
-    file = next((folder / path for folder in folders if (folder / path).is_file()), None)
-    if file is None and stays_uploaded(drive, path):
-        raise Problem(
-            FILE_MISSING,
-            f"{path} is listed, but it is no longer on the disk of the service. Send it again if the drive still takes "
-            "files; the operator finds what else is missing with `interloc admin check`.",
-        )
-    if file is None:
-        raise Problem(
-            FILE_NOT_KEPT,
-            f"{path} was reduced to what the method needs when the drive was committed. "
-            "Make the drive with keep_raw to keep its scans as they come.",
-        )
-    return file
 
 
 def stays_uploaded(drive: Drive, path: str) -> bool:
@@ -307,17 +278,21 @@ def _refuse_map_in_use(session: Session, drive_id: str, path: str) -> None:
         )
 
 
-def drive_model(drive: Drive, settings: Settings, *, report: bool = True, result: str | None = None) -> DriveModel:
-    """Return a drive as clients see it; `result`: the job that stands for it."""
+def drive_model(
+    drive: Drive, settings: Settings, facts: dict[str, Any] | None = None, *, result: str | None = None
+) -> DriveModel:
+    """Return a drive as clients see it; `facts` of its report in place of it; `result`: the job that stands for it."""
+    report = drive.report if facts is None else None
     expires_at = drive.touched_at + 3600 * settings.upload_expires_h
     return DriveModel(
-        **columns_for(DriveModel, drive, but=("pinned_job", "report")),
+        **columns_for(DriveModel, drive, but=("pinned_job", "report", "scans", "length_m")),
         files=drive.file_count,
         bbox=None if drive.west is None else [drive.west, drive.south, drive.east, drive.north],
         result_job=result,
         pinned_job=drive.pinned_job if drive.pinned_job == result else None,
         expires_at=moment(expires_at) if drive.state == DriveState.UPLOADING else None,
-        report=DriveReport.model_validate(drive.report) if report and drive.report else None,
+        **(facts or {name: (report or {}).get(name) for name in ("scans", "length_m")}),
+        report=DriveReport.model_validate(report) if report else None,
     )
 
 

@@ -1,6 +1,6 @@
 """Limits of uploads: the answer names the limit that was exceeded, and what is allowed."""
 
-from sqlalchemy import func, or_, select
+from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 from starlette.requests import Request
 
@@ -8,8 +8,7 @@ from app.context import Context
 from app.http.problem_types import COMPRESSED_BODY, PART_OF_A_FILE, QUOTA_USED_UP, TOO_LARGE, TOO_MANY_FILES
 from app.http.problems import Problem, disk_full
 from app.settings import MB
-from app.states import DriveState
-from app.store.models import CityMap, Drive, DriveFile, Token
+from app.store.models import CityMap, Drive, Token
 
 CLOSE = {"Connection": "close"}
 """Sent when a body is refused before it is read: the rest of it would be taken for the next request."""
@@ -73,36 +72,28 @@ def check_drive(context: Context, files: int, size: int) -> None:
 
 
 def check_quota(context: Context, session: Session, owner: str, sender: str, more: int) -> None:
-    """Refuse (413) what the owner of a drive, or who sends it, may not store any more by its token.
+    """Refuse (413) what a client may not store any more by its token: a drive or map counts for its owner.
 
-    The transaction is the one that stores it: those of one client come here one after the other.
+    Whose token has a limit sends to its own drives only, or it would have none. The transaction is the one that stores
+    it: those of one client come here one after the other.
     """
-    for client in sorted({owner, sender}):
-        allowed = context.tokens.named(client).max_bytes
-        if allowed is None or more <= 0:
-            continue
-        session.execute(select(Token.name).where(Token.name == client).with_for_update())
-        kept = _kept_bytes(session, client)
-        if kept + more > allowed:
-            raise Problem(
-                QUOTA_USED_UP,
-                f"What {client} has sent takes {kept / MB:,.0f} MB; with {more / MB:,.1f} MB more it would exceed the "
-                f"{allowed / MB:,.0f} MB that its token allows. Nothing was kept; delete drives that are no longer "
-                "needed.",
-                headers=CLOSE,
-            )
-
-
-def _kept_bytes(session: Session, client: str) -> int:
-    """Return the bytes of the drives of a client, but for what others sent there, and of what it sent elsewhere."""
-    own = select(func.sum(Drive.stored_bytes)).where(Drive.owner == client)
-    foreign = select(func.sum(DriveFile.size_bytes)).join(Drive, Drive.id == DriveFile.drive_id)
-    is_there = or_(Drive.state != DriveState.READY, Drive.keep_raw, DriveFile.path.contains(".osm", autoescape=True))
-    by_others = foreign.where(Drive.owner == client, DriveFile.sender.is_not(None), is_there)
-    to_others = foreign.where(DriveFile.sender == client, is_there)
-    of_maps = select(func.sum(CityMap.osm_bytes)).where(CityMap.osm_sender == client)
-    sums = [int(session.scalar(query) or 0) for query in (own, by_others, to_others, of_maps)]
-    return max(0, sums[0] - sums[1]) + sums[2] + sums[3]
+    if sender != owner and context.tokens.named(sender).max_bytes is not None:
+        detail = f"The token of {sender} has a limit of bytes, so it sends to drives and maps of its own only."
+        raise Problem(QUOTA_USED_UP, detail, headers=CLOSE)
+    allowed = context.tokens.named(owner).max_bytes
+    if allowed is None or more <= 0:
+        return
+    session.execute(select(Token.name).where(Token.name == owner).with_for_update())
+    sums = select(func.sum(Drive.stored_bytes)), select(func.sum(CityMap.osm_bytes))
+    owners = Drive.owner, CityMap.owner
+    kept = sum(int(session.scalar(of.where(by == owner)) or 0) for of, by in zip(sums, owners, strict=True))
+    if kept + more > allowed:
+        raise Problem(
+            QUOTA_USED_UP,
+            f"What {owner} keeps takes {kept / MB:,.0f} MB; with {more / MB:,.1f} MB more it would exceed the "
+            f"{allowed / MB:,.0f} MB that its token allows. Nothing was kept; delete drives that are no longer needed.",
+            headers=CLOSE,
+        )
 
 
 def job_limit(context: Context, owner: str) -> int:

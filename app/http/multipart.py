@@ -1,7 +1,5 @@
 """Several files in one request: multipart/form-data, read as it arrives, each part written straight to its own file."""
 
-from collections.abc import Callable, Mapping
-
 from python_multipart.exceptions import MultipartParseError
 from python_multipart.multipart import MultipartParser, parse_options_header
 from starlette.datastructures import Headers
@@ -12,17 +10,10 @@ from app.http.intake import Arrival, Intake
 from app.http.limits import CLOSE, too_large
 from app.http.problem_types import BAD_PART, BODY_MALFORMED, NOT_MULTIPART_FORM_DATA, TOO_MANY_FILES
 from app.http.problems import Problem
+from app.paths import check_path
 
 _MAX_HEADERS, _MAX_HEADER_BYTES = 16, 8192  # of a part
 _PLAIN_ENCODINGS = {b"binary", b"8bit", b"7bit"}
-
-Place = Callable[[str | None], str]
-"""From the filename of a part to the path in the drive; raises `Problem` or `BadNameError`."""
-
-
-def bad_part(what: str) -> Problem:
-    """Return the problem that a part has."""
-    return Problem(BAD_PART, f"{what} Nothing of this request was kept.", headers=CLOSE)
 
 
 def boundary_of(content_type: str | None) -> bytes:
@@ -44,15 +35,8 @@ class BatchReader:
         self,
         context: Context,
         boundary: bytes,
-        fields: Mapping[str, Place],
-        *,
-        max_bytes: int,
-        max_files: int,
-        max_file_bytes: int,
     ) -> None:
-        self._context = context
-        self._fields = fields
-        self._max_bytes, self._max_files, self._max_file_bytes = max_bytes, max_files, max_file_bytes
+        self._context, self._limits = context, context.settings
         self._size = 0
         self._headers: dict[bytes, bytes] = {}
         self._name = self._value = b""  # of the header that is being read
@@ -79,8 +63,8 @@ class BatchReader:
     def take(self, data: bytes) -> None:
         """Take the next bytes of the body."""
         self._size += len(data)
-        if self._size > self._max_bytes:
-            raise too_large("A request with several files", self._max_bytes)
+        if self._size > self._limits.max_batch_bytes:
+            raise too_large("A request with several files", self._limits.max_batch_bytes)
         try:
             self._parser.write(data)
         except MultipartParseError as error:
@@ -91,7 +75,7 @@ class BatchReader:
         if not self._ended:
             raise _malformed("it ends before its last boundary")
         if not self._arrivals:
-            raise bad_part("The request has no parts. Expected one or more files.")
+            raise _bad_part("The request has no parts. Expected one or more files.")
         return list(self._arrivals.values())
 
     def discard(self) -> None:
@@ -100,10 +84,11 @@ class BatchReader:
             intake.discard()
 
     def _begin_part(self) -> None:
-        if len(self._intakes) >= self._max_files:
+        most = self._limits.max_batch_files
+        if len(self._intakes) >= most:
             raise Problem(
                 TOO_MANY_FILES,
-                f"One request may have {self._max_files:,} files at most. Send several. Nothing of this one was kept.",
+                f"One request may have {most:,} files at most. Send several. Nothing of this one was kept.",
                 headers=CLOSE,
             )
         self._headers = {}
@@ -123,16 +108,15 @@ class BatchReader:
         if kind != b"form-data" or b"name" not in options:
             raise _malformed("a part has no Content-Disposition: form-data with a name")
         if self._headers.get(b"content-transfer-encoding", b"binary").strip().lower() not in _PLAIN_ENCODINGS:
-            raise bad_part("A part has a Content-Transfer-Encoding; expected its bytes as they are.")
+            raise _bad_part("A part has a Content-Transfer-Encoding; expected its bytes as they are.")
         field, filename = _text(options[b"name"]), options.get(b"filename")
-        place = self._fields.get(field)
-        if place is None:
-            raise bad_part(f"There is no part {field[:80]!r}; expected {', '.join(self._fields)}.")
-        path = place(None if filename is None else _text(filename))
+        if field != "files" or not filename:
+            raise _bad_part(f"A part {field[:80]!r}; expected `files`, each with its path in the drive as file name.")
+        path = check_path(_text(filename))
         if path in self._arrivals:
-            raise bad_part(f"{path} comes twice.")
+            raise _bad_part(f"{path} comes twice.")
         self._sha256 = sha256_of(Headers(raw=list(self._headers.items())))
-        self._intakes.append(Intake(self._context, path, self._max_file_bytes))
+        self._intakes.append(Intake(self._context, path, self._limits.max_file_bytes))
 
     def _take_data(self, data: bytes, start: int, end: int) -> None:
         self._intakes[-1].write(memoryview(data)[start:end])
@@ -149,7 +133,12 @@ def _text(value: bytes) -> str:
     try:
         return value.decode()
     except UnicodeDecodeError:
-        raise bad_part(f"{value[:80]!r} is not UTF-8.") from None
+        raise _bad_part(f"{value[:80]!r} is not UTF-8.") from None
+
+
+def _bad_part(what: str) -> Problem:
+    """Return the problem that a part has."""
+    return Problem(BAD_PART, f"{what} Nothing of this request was kept.", headers=CLOSE)
 
 
 def _malformed(what: str) -> Problem:

@@ -82,8 +82,8 @@ class ProblemDocument(BaseModel):
 
     type: str = Field(
         UNTYPED,
-        description="Kind of the problem, the same in all versions: one of those that GET /problems lists, or "
-        "about:blank where the HTTP status says all.",
+        description="Kind of the problem, the same in all versions: about:blank where the HTTP status says all, else "
+        f"/problems/ and one of {', '.join(TYPES)}.",
         json_schema_extra={"format": "uri-reference"},
         examples=["/problems/drive-not-found"],
     )
@@ -157,7 +157,7 @@ def stored(document: dict[str, Any]) -> Problem:
     """Make a problem again from its document; what the first versions stored has no type, so its title tells it."""
     members = {name: value for name, value in document.items() if name not in {"type", "instance"}}
     status, title, detail = (members.pop(name) for name in ("status", "title", "detail"))
-    kind = next((kind for kind in TYPES.values() if kind.title == title), ProblemType("", status, title, ""))
+    kind = next((kind for kind in TYPES.values() if kind.title == title), ProblemType("", status, title))
     return Problem(kind, detail, status=status, **members)
 
 
@@ -219,7 +219,7 @@ def _of_http_error(error: HTTPException) -> Problem:
     headers = dict(error.headers) if error.headers else None
     detail = _DETAILS_OF_FRAMEWORK.get(str(error.detail), str(error.detail))
     status = HTTPStatus(error.status_code)
-    return Problem(ProblemType("", status, status.phrase, ""), detail, headers=headers)
+    return Problem(ProblemType("", status, status.phrase), detail, headers=headers)
 
 
 def _of_validation_error(error: RequestValidationError) -> Problem:

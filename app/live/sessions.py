@@ -246,6 +246,7 @@ class LiveEntry:
         self._road_bytes = 0
         self._intersections: dict[int, dict[str, Any]] = {}
         self._vehicle: dict[str, Any] | None = None
+        self._keyframes = self._dropped = 0  # of what was told: the thread may be further, and its answer on the way
         self.keeper: Keeper | None = None
         self._held: dict[str, int] = {}  # bytes by what they are for
         session = LiveSession(config, partial(self.hold, "window"))
@@ -321,8 +322,8 @@ class LiveEntry:
             name=self.name,
             state=self.state,
             georeferenced=self._worker.session.map.has_fixes,
-            keyframes=self._worker.session.keyframes,
-            dropped=self._worker.dropped,
+            keyframes=self._keyframes,
+            dropped=self._dropped,
             intersections=len(self._intersections),
             links={"events": f"{root}/api/v1/live/{self.id}/events"},
         )
@@ -393,6 +394,8 @@ class LiveEntry:
                 _put(self.sender, None)
 
     def _remember(self, document: dict[str, Any]) -> None:
+        self._keyframes += document.get("is_keyframe", False)
+        self._dropped = document.get("dropped", self._dropped)
         vehicle = document.get("vehicle")
         if vehicle is not None:
             self._vehicle = vehicle

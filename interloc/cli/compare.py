@@ -11,24 +11,18 @@ from interloc.wording import counted
 
 @click.command(short_help="Put the reports of several results side by side.")
 @click.argument("results", nargs=-1, required=True, type=options.PATH)
-@click.option(
-    "-o",
-    "--out",
-    type=options.Place(path_type=Path, dir_okay=False),
-    help="Also write a page (.html), or a picture of precision, recall and F1 of all runs over D (.svg, .png).",
-)
 @options.JSON
-def command(results: tuple[Path, ...], out: Path | None) -> None:
+def command(results: tuple[Path, ...]) -> None:
     """Show in which inputs and settings RESULTS differ, their figures, and which intersections only one of them found.
 
     RESULTS are two or more result folders of `interloc run` over one drive.
 
     \b
     Example:
-      interloc compare out_default out_paper -o compare.html
+      interloc compare out_default out_paper
     """
     from interloc.errors import ConfigError
-    from interloc.evaluation.compare import compare_reports, write_comparison
+    from interloc.evaluation.compare import compare_reports
     from interloc.output.geojson import read_json
     from interloc.output.read import read_run
 
@@ -41,8 +35,6 @@ def command(results: tuple[Path, ...], out: Path | None) -> None:
             )
     reports = [read_json(result / "report.json") for result in results]
     comparison = compare_reports(names, reports, runs)
-    if out is not None:
-        write_comparison(comparison, reports, out)
     if console.wants_json():
         console.say_json(comparison.model_dump())
         return

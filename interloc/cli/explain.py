@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 @click.command(cls=options.Command, short_help="Draw the steps of the method for one keyframe.")
 @options.DRIVE
 @click.option("--frame", required=True, type=int, help="Scan number; the nearest keyframe is taken.")
-@click.option("-o", "--out", required=True, type=options.PATH, help="Folder for the pictures.")
+@click.option("-o", "--out", required=True, type=options.PATH, help="Folder for the sheet and explain.json.")
 @click.option("--osm", type=options.PATH, help="OSM file to draw on top.")
 @options.POLICY
 @options.config_options
@@ -33,7 +33,7 @@ def command(
     settings: tuple[str, ...],
     **drive_: Any,
 ) -> None:
-    """Draw the steps of the method for one keyframe of DRIVE, as PNGs.
+    """Draw the steps of the method for one keyframe of DRIVE on one sheet, and write the numbers behind them.
 
     \b
     Example:

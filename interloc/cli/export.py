@@ -16,8 +16,7 @@ from interloc.cli import console, options
     required=True,
     type=options.Place(path_type=Path, dir_okay=False),
     help="File to write; its name ends in .gpkg, .qgz, .kmz, .fgb, .kml, .csv, .geojson, .parquet or .pmtiles, "
-    "in .tif for the layer road, or for the roads in .nav2.geojson (Nav2), .osm (Lanelet2) or .xodr (OpenDRIVE), "
-    "or in .mcap (Foxglove, Lichtblick).",
+    "in .tif for the layer road, or for the roads in .nav2.geojson (Nav2), .osm (Lanelet2) or .xodr (OpenDRIVE).",
 )
 @click.option(
     "--layer",
@@ -49,9 +48,7 @@ def command(result: Path, out: Path, layer: str | None, traffic: Literal["right"
       interloc export out -o map.pmtiles
       interloc export out -o road.tif
       interloc export out -o roads.xodr
-      interloc export out -o out.mcap
     """
-    from interloc.output.foxglove import SUFFIX, write_mcap
     from interloc.output.read import read_run
     from interloc.output.road import RASTER_SUFFIXES, ROAD_LAYER, export_road
     from interloc.output.road_files import road_ending, write_road_file
@@ -62,8 +59,6 @@ def command(result: Path, out: Path, layer: str | None, traffic: Literal["right"
     if layer is None and road_ending(out) is not None:
         assumed = write_road_file(result, out, traffic)
         layers = ["roads"]
-    elif layer is None and out.suffix.lower() == SUFFIX:
-        layers = write_mcap(result, out)
     elif layer == ROAD_LAYER or (layer is None and out.suffix.lower() in RASTER_SUFFIXES):
         export_road(result, out)
         layers = [ROAD_LAYER]

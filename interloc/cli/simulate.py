@@ -30,14 +30,6 @@ EVERY_SCAN = click.option(
     is_flag=True,
     help="Write all scans, ten per second (2.6 MB each), not only the keyframes that the method uses.",
 )
-SPEED = click.option(
-    "--speed",
-    "speed_mps",
-    type=click.FloatRange(0.2, 60),
-    default=8.0,
-    show_default=True,
-    help="Speed in metres per second.",
-)
 scene_options = options.together(
     click.option(
         "--seed",
@@ -97,9 +89,8 @@ def command() -> None:
     "quarter: a town as one knows them, 15 junctions along 2.1 km of curved streets and round a market square.",
 )
 @EVERY_SCAN
-@SPEED
 @scene_options
-def town(drive: Path, part: Part, every_scan: bool, speed_mps: float, **common: Any) -> None:
+def town(drive: Path, part: Part, every_scan: bool, **common: Any) -> None:
     """Drive through a made-up town whose map is its truth.
 
     The full one has oblique, staggered and compound junctions, a roundabout, a dual carriageway and a bridge.
@@ -108,13 +99,12 @@ def town(drive: Path, part: Part, every_scan: bool, speed_mps: float, **common: 
     Example:
       interloc simulate town --part quarter -o drive && interloc run drive -o out --osm drive/map.osm
     """
-    from interloc.lab.config import TrackConfig
     from interloc.lab.drive import simulate
     from interloc.lab.town import MAP_FILE, Town
 
     options = _options(every_scan=every_scan, **common)
     with console.progress("simulate", "scan") as bar:
-        trip = Town(part, seed=options.seed).trip(TrackConfig(speed_mps=speed_mps))
+        trip = Town(part, seed=options.seed).trip()
         scans = simulate(trip, drive, options, progress=bar)
     _go_on(scans, drive, drive / MAP_FILE)
 
@@ -151,6 +141,8 @@ def _options(
     *, every_scan: bool, seed: int, ground_only: bool, max_scans: int | None, sensor: str, columns: int | None
 ) -> SimulationOptions:
     """Return the values of `scene_options` as the simulator takes them."""
+    from dataclasses import replace
+
     from interloc.lab.config import SENSORS, SimulationOptions
 
     lidar = SENSORS[sensor]
@@ -159,7 +151,7 @@ def _options(
         keyframes_only=not every_scan,
         ground_only=ground_only,
         max_scans=max_scans,
-        sensor=lidar if columns is None else lidar.model_copy(update={"columns": columns}),
+        sensor=lidar if columns is None else replace(lidar, columns=columns),
     )
 
 

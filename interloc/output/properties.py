@@ -471,11 +471,11 @@ class OsmRoadProperties(Properties):
 
 
 class OsmBuildingProperties(Properties):
-    """A building of OpenStreetMap near the track; one of several outlines is several polygons."""
+    """A building of OpenStreetMap near the track."""
 
-    osm_id: OsmId = Field(title="OSM id", description="Id of the OpenStreetMap way or relation.")
+    osm_id: OsmId = Field(title="OSM id", description="Id of the OpenStreetMap way.")
     osm_type: Literal["way", "relation"] = Field(
-        "way", title="OSM element", description="Whether the building is a way or a relation (a multipolygon)."
+        "way", title="OSM element", description="way; before 0.3.0 relation, too."
     )
 
 

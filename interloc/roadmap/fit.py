@@ -14,7 +14,7 @@ from scipy.linalg import solveh_banded
 from scipy.ndimage import median_filter, percentile_filter, uniform_filter1d
 from scipy.spatial import cKDTree
 
-from interloc.arrays import BoolArray, FloatArray, IntArray
+from interloc.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from interloc.mapping.mosaic import Raster
 from interloc.roadmap.graph import Edge, Graph
 
@@ -250,37 +250,42 @@ def _sides(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the distance to the left and to the right edge, NaN where none was found, and the count in the middle."""
     offsets = np.arange(-_REACH_M, _REACH_M + _ACROSS_M / 2, _ACROSS_M)
-    zero = len(offsets) // 2
+    zero, middle = len(offsets) // 2, np.flatnonzero(np.abs(offsets) <= _MIDDLE_M)
     sides, level = np.full((2, len(xy)), np.nan), np.zeros(len(xy))
     for begin in range(0, len(xy), _PIECE):
         part = slice(begin, begin + _PIECE)
         counts = _profiles(raster, xy[part], normal[part], offsets)
-        level[part] = np.median(counts[:, np.abs(offsets) <= _MIDDLE_M], axis=1)
+        inner = np.partition(counts[:, middle], len(middle) // 2, axis=1)
+        level[part] = inner[:, len(middle) // 2]  # the median of an odd number
         threshold = _SHARE * level[part]
         for side, outward in ((0, counts[:, zero:]), (1, counts[:, zero::-1])):
             sides[side, part] = np.minimum(_first_fall(outward, threshold), limit[part, side])
     return sides[0], sides[1], level
 
 
-def _first_fall(counts: FloatArray, threshold: FloatArray) -> FloatArray:
+def _first_fall(counts: Float32Array, threshold: FloatArray) -> FloatArray:
     """Return where counts outwards fall below a threshold, metres; infinite where they do not."""
     is_below = counts < threshold[:, None]
     first = np.argmax(is_below, axis=1)
-    rows = np.flatnonzero(is_below.any(axis=1) & (first > 0))
-    place = np.where(is_below.any(axis=1), np.nan, np.inf)  # NaN: below in the middle already
-    here, before = counts[rows, first[rows]], counts[rows, first[rows] - 1]
+    every = np.arange(len(counts))
+    falls = is_below[every, first]
+    rows = every[falls & (first > 0)]
+    place = np.where(falls, np.nan, np.inf)  # NaN: below in the middle already
+    here, before = (counts[rows, at].astype(np.float64) for at in (first[rows], first[rows] - 1))
     place[rows] = (first[rows] - 1 + (before - threshold[rows]) / np.maximum(before - here, 1e-9)) * _ACROSS_M
     return place
 
 
-def _profiles(raster: Raster, xy: FloatArray, normal: FloatArray, offsets: FloatArray) -> FloatArray:
+def _profiles(raster: Raster, xy: FloatArray, normal: FloatArray, offsets: FloatArray) -> Float32Array:
     """Return the counts across some stations, (N, S), between the middles of cells by bilinear look-up."""
-    places = xy[:, None] + offsets[None, :, None] * normal[:, None]
-    cells = places * [1.0, -1.0] / raster.cell_m - 0.5
-    first = np.floor(cells.min(axis=(0, 1))).astype(int)
-    size = np.ceil(cells.max(axis=(0, 1))).astype(int) + 2 - first
-    window = raster.window(int(first[1]), int(first[0]), int(size[1]), int(size[0]))
+    at, first, size = [], [], []
+    for axis, sign in ((0, 1.0), (1, -1.0)):
+        cells = (xy[:, axis, None] + offsets * normal[:, axis, None]) * sign / raster.cell_m - 0.5
+        ends = cells[:, [0, -1]]  # a profile is straight
+        first.append(int(np.floor(ends.min())))
+        size.append(int(np.ceil(ends.max())) + 2 - first[-1])
+        at.append((cells - first[-1]).astype(np.float32))
+    window = raster.window(first[1], first[0], size[1], size[0])
     if window is None:
-        return np.zeros(places.shape[:2])
-    at = (cells - first).astype(np.float32)
-    return np.asarray(cv2.remap(window.astype(np.float32), at[..., 0], at[..., 1], cv2.INTER_LINEAR), np.float64)
+        return np.zeros((len(xy), len(offsets)), np.float32)
+    return np.asarray(cv2.remap(window.astype(np.float32), at[0], at[1], cv2.INTER_LINEAR), np.float32)

@@ -300,7 +300,7 @@ def test_a_ready_drive_takes_maps_only(client: httpx.Client, street: Path) -> No
     for name in ("velodyne/000000.bin", "poses.txt", "notes.txt"):
         answer = client.put(f"{address}/files/{name}", content=b"1")
         assert (answer.status_code, answer.json()["title"]) == (409, "Drive is closed")
-    assert client.post(f"{address}/scans", files={"poses": ("poses.txt", b"1")}).status_code == 409
+    assert client.post(f"{address}/scans", files={"files": ("poses.txt", b"1")}).status_code == 409
     assert client.post(f"{address}/archive", content=b"PK\x05\x06" + bytes(18)).status_code == 409
     assert client.delete(f"{address}/files/poses.txt").status_code == 409
     before = client.get(address).json()

@@ -180,7 +180,7 @@ def test_the_methods_of_an_address_are_all_named(client: httpx.Client) -> None:
         ("/api/v1/drives", "GET, HEAD, POST"),
         ("/api/v1/drives/x/files/y", "GET, PUT, DELETE"),
         ("/api/v1/jobs/x", "GET, HEAD, PATCH, DELETE"),
-        ("/api/v1/jobs/x/run", "GET, HEAD"),
+        ("/api/v1/jobs/x/report", "GET, HEAD"),
         ("/api/v1/demo", "POST"),
         ("/healthz", "GET"),
     ):

@@ -433,9 +433,7 @@ def test_presets_can_be_read(client: httpx.Client) -> None:
     found = client.get(f"{API}/presets").json()
     assert [preset["name"] for preset in found["presets"]] == ["default", "paper"]
     assert "KeyframeConfig" in found["config_schema"]["$defs"]
-    paper = client.get(f"{API}/presets/paper").json()
-    assert paper["config"]["candidates"]["kind"] == "harris"
-    assert client.get(f"{API}/presets/best").status_code == 422
+    assert found["presets"][1]["config"]["candidates"]["kind"] == "harris"
 
 
 def test_a_job_that_waits_for_a_worker_says_so(serve: Serve, street: Path, monkeypatch: pytest.MonkeyPatch) -> None:

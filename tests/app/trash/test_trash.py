@@ -72,7 +72,7 @@ def test_a_deleted_drive_is_absent_and_comes_back_with_its_jobs(
     assert drive not in client.get(f"{API}/drives?limit=1000").text
     assert job not in client.get(f"{API}/jobs?kind=all&limit=1000").text
     (item,) = items(client, drive)
-    assert (item["kind"], item["name"], item["owner"], item["deleted_by"]) == ("drives", "street", *["anonymous"] * 2)
+    assert (item["name"], item["owner"], item["deleted_by"]) == ("street", *["anonymous"] * 2)
     assert item["size_bytes"] == before[f"/drives/{drive}"]["stored_bytes"]
     assert item["purged_at"] > item["deleted_at"]
     assert items(client, job) == []  # it comes and goes with its drive

@@ -97,12 +97,12 @@ def test_drives_in_use_do_not_expire(context: Context) -> None:
 
 
 def test_stale_pieces_of_uploads_go(context: Context) -> None:
-    """As older versions left them, without a lock."""
+    """Those of servers that were killed; what is being received stays."""
     incoming = context.storage.folder("incoming")
-    make_old(incoming / "old")
-    (incoming / "new").write_bytes(b"1")
+    os.utime(make_old(incoming / "dead/old").parent, (0, 0))
+    make_old(incoming / "alive/old")
     assert sweep(context)["incoming"] == 1
-    assert [path.name for path in incoming.iterdir()] == ["new"]
+    assert [path.name for path in incoming.iterdir()] == ["alive"]
 
 
 def test_only_empty_folders_that_no_row_knows_go(context: Context) -> None:
