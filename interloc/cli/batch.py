@@ -236,7 +236,6 @@ def _facts(rows: Sequence[Row], table: str) -> list[tuple[str, str]]:
 # Units of work: the command line of one drive each, so that its result is that of the command by itself. One can be
 # repeated at will: a result folder appears whole or not at all.
 
-
 RECORDS = ".batch"
 """Folder of what is known of each unit: the same batch goes on where it was stopped."""
 

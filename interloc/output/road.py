@@ -169,7 +169,9 @@ def draw_road(mosaic: Mosaic) -> Picture:
     raster = mosaic.raster
     box = _bounds(raster, forward)
     across = max(box[2] - box[0], box[3] - box[1])
-    stretch = across / max(_across(raster), 1e-9)  # Web Mercator makes things larger
+    top, left, bottom, right = raster.extent()
+    own = max(bottom - top + 1, right - left + 1) * TILE * raster.cell_m
+    stretch = across / max(own, 1e-9)  # Web Mercator makes things larger
     while across / (raster.cell_m * stretch) > MAX_PICTURE_PX:
         raster = raster.coarser()
     pixel = raster.cell_m * stretch
@@ -224,12 +226,6 @@ def _projections(epsg: int | None) -> tuple[Projection, Projection]:
     if epsg is None:
         return (lambda xy: xy), (lambda xy: xy)
     return projection(epsg, _WEB_MERCATOR), projection(_WEB_MERCATOR, epsg)
-
-
-def _across(raster: Raster) -> float:
-    """Return the longer side of what is drawn, metres of the raster."""
-    top, left, bottom, right = raster.extent()
-    return max(bottom - top + 1, right - left + 1) * TILE * raster.cell_m
 
 
 def _bounds(raster: Raster, forward: Projection) -> tuple[float, float, float, float]:

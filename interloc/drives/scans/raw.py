@@ -195,7 +195,7 @@ class RawScans:
                     ids = labels.of(frame, self.points_of(frame), source.name(frame))
                 counts.update(count_ids(ids))
                 blank += len(ids) > 0 and not ids.any()
-        if 0 < blank < len(sample):
+        if 0 < blank < len(sample) and isinstance(labels, PointLabels):  # label files were left out before
             findings.warning(
                 labels.name,
                 f"{blank} of {len(sample)} scans looked at have no label (all ids are 0): they count as scans without "
