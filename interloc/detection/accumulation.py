@@ -223,7 +223,7 @@ class RoadAccumulator:
     def _share(self, keyframe: Keyframe) -> float:
         """Return how many of a full window's keyframes lie in the region of interest, as a share."""
         (x, y), reach_m = keyframe.T_world_lidar[:2, 3].tolist(), self._config.size_m / 2
-        near = sum(abs(entry.x - x) < reach_m and abs(entry.y - y) < reach_m for entry in self._window)
+        near: int = sum(abs(entry.x - x) < reach_m and abs(entry.y - y) < reach_m for entry in self._window)
         return near / (self._before + 1 + self._after)
 
 
