@@ -28,7 +28,7 @@ FILES = {
     "All layers, KMZ, for Google Earth": "export?f=kmz&layer=all",
     "Road seen by LiDAR, GeoTIFF": "files/road.tif",
     "Report, JSON": "report?format=json",
-    "Settings, versions, timings, JSON": "run",
+    "Settings, versions, timings, JSON": "files/run.json",
 }
 """Name of a button, or layer and format to choose -> address of what it gives, below the job."""
 # Chromium begins ten downloads of a page within a second, and drops the eleventh without a word.
