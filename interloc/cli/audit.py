@@ -30,8 +30,7 @@ if TYPE_CHECKING:
 @click.option(
     "--passes", type=click.IntRange(1), show_default="2", help="Number of independent passes that must agree."
 )
-@options.QUIET
-@options.JSON
+@options.OUTPUT
 def command(city: Path, osm: Path, out: Path, kinds: tuple[Kind, ...], passes: int | None) -> None:
     """Compare CITY, a map of many drives that `interloc merge` wrote, with OpenStreetMap.
 

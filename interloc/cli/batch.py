@@ -34,19 +34,14 @@ def _plain(_: object, __: object, out: str) -> str:
 @click.option(
     "-o", "--out", required=True, metavar="PATH", callback=_plain, help="Folder of the batch: result folders and table."
 )
-@options.map_options
-@options.config_options
-@options.drive_options
-@options.locate_option
-@options.near_options
+@options.together(*options.RUN)
 @click.option(
     "--workers", type=click.IntRange(1, 256), show_default="one per core", help="Number of drives worked on at once."
 )
 @click.option("--dask", metavar="ADDRESS", help="Dask scheduler whose workers do it instead, as tcp://host:8786.")
 @click.option("--map", "as_map", is_flag=True, help=f"Put all drives together to one map too, in DIR/{CITY}.")
 @click.option("--fresh", is_flag=True, help="Do drives again that are done already.")
-@options.QUIET
-@options.JSON
+@options.OUTPUT
 @click.pass_context
 def command(
     context: click.Context,

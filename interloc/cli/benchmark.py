@@ -12,7 +12,8 @@ from interloc.cli import console, options
 from interloc.errors import require_lab
 
 if TYPE_CHECKING:
-    from interloc.drives.options import LabelFolder
+    from interloc.config import DetectorConfig
+    from interloc.drives.options import DriveOptions, LabelFolder
     from interloc.lab.cases import Case
     from interloc.lab.measure import Row
     from interloc.lab.places import Part
@@ -67,11 +68,9 @@ measuring_options = options.together(
         help="Number of seeds to measure; the tables give mean and spread. In simulated drives with odd "
         "seeds service roads are labelled as road.",
     ),
-    options.POLICY,
-    options.TOLERANCE,
-    options.workers_option,
-    options.QUIET,
-    options.JSON,
+    options.SCORING,
+    options.WORKERS,
+    options.OUTPUT,
 )
 """Options that all benchmarks share."""
 
@@ -123,7 +122,7 @@ def command() -> None:
     require_lab()
 
 
-@command.command()
+@command.command(cls=options.Command)
 @twin_options(SEQUENCES)
 @measuring_options
 def twins(
@@ -155,7 +154,7 @@ def twins(
     )
 
 
-@command.command()
+@command.command(cls=options.Command)
 @click.option(
     "--root",
     required=True,
@@ -208,13 +207,12 @@ def semantickitti(root: Path, oxts: Path, osm: Path, sequences: str, labels: Lab
     type=options.PATH,
     help="OSM file: one for all drives, or repeat the option: one per drive, in their order.",
 )
-@options.drive_options
+@options.INPUT
 @measuring_options
 def drives(
     drives: tuple[Path, ...],
     maps: tuple[Path, ...],
-    labels: LabelFolder,
-    oxts: Path | None,
+    reading: DriveOptions,
     **given: Any,
 ) -> None:
     """Measure any DRIVES that have a georeference.
@@ -223,23 +221,20 @@ def drives(
     Example:
       interloc benchmark drives monday tuesday --osm town.osm.gz -o out
     """
-    from interloc.drives.options import DriveOptions
     from interloc.lab.cases import folder_cases
 
-    if oxts is not None and len(drives) > 1:
+    if reading.oxts is not None and len(drives) > 1:
         raise click.UsageError("--oxts belongs to one drive; put oxts/data or geo.csv into each of several drives")
-    options_of_drive = {name: given.pop(name) for name in DriveOptions.model_fields if name in given}
-    reading = DriveOptions.of(labels=labels, oxts=oxts, **options_of_drive)
     cases = folder_cases(drives, maps, reading)
     _measure(
         cases,
         title=", ".join(case.name for case in cases) if len(cases) <= 4 else f"{len(cases)} drives",
-        labels=labels,
+        labels=reading.labels,
         **given,
     )
 
 
-@command.command()
+@command.command(cls=options.Command)
 @twin_options("")
 @click.option(
     "--part",
@@ -257,9 +252,8 @@ def drives(
 @click.option("--preset", default="default", show_default=True, help="Preset to take settings out of.")
 @click.option("--take-out", "names", multiple=True, callback=_lists, help="Settings to take out alone; all by default.")
 @options.OUT
-@options.workers_option
-@options.QUIET
-@options.JSON
+@options.WORKERS
+@options.OUTPUT
 def ablation(
     kitti: Path,
     sequences: str,
@@ -303,7 +297,7 @@ def ablation(
         click.echo(table.text())
 
 
-@command.command()
+@command.command(cls=options.Command)
 @click.option(
     "--part",
     type=click.Choice(["choosing", "reporting"]),
@@ -322,16 +316,14 @@ def ablation(
     help="Places of each kind. Six have all conditions once: clear, cars and houses, wrong labels, wavering borders, "
     "few keyframes, and all at once.",
 )
-@options.config_options
+@options.METHOD
 @click.option("--rows", type=options.PATH, help="CSV file to write: a line for each node of each drive.")
-@options.QUIET
-@options.JSON
+@options.OUTPUT
 def places(
     part: Part,
     kinds: tuple[str, ...],
     places: int,
-    preset: str,
-    settings: tuple[str, ...],
+    config: DetectorConfig,
     rows: Path | None,
 ) -> None:
     """Measure drawn places, kind by kind: how far intersections are from where the axes of the roads meet.
@@ -345,7 +337,6 @@ def places(
     from interloc.files import write_file
     from interloc.lab.places import measure_places, table_of_kinds
 
-    config = options.configure(preset, settings)
     with console.progress("measure", "place") as bar:
         found = measure_places(config, part, kinds=kinds, places=places, progress=bar)
     if rows is not None:

@@ -3,22 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
 from interloc.cli import console, options, summary
 
-if TYPE_CHECKING:
-    from interloc.osm.policies import Policy
 
-
-@click.command(short_help="Score a result against OpenStreetMap.")
+@click.command(cls=options.Command, short_help="Score a result against OpenStreetMap.")
 @click.argument("out", type=options.PATH)
-@options.map_options
-@options.QUIET
-@options.JSON
-def command(out: Path, osm: Path | None, overpass: bool, policy: Policy, tolerance_m: float) -> None:
+@options.TRUTH
+@options.OUTPUT
+def command(out: Path, truth: options.Truth) -> None:
     """Score OUT, the result folder of `interloc run`, against OpenStreetMap.
 
     \b
@@ -32,12 +27,12 @@ def command(out: Path, osm: Path | None, overpass: bool, policy: Policy, toleran
     from interloc.output.layout import RUN_NAMES, result_folder
     from interloc.output.read import read_results
 
-    options.check_map_choice(osm, overpass=overpass)
+    truth.check()
     result = read_results(out)
-    graph = options.read_map(osm, result.keyframes.lonlat)
+    graph = options.read_map(truth.osm, result.keyframes.lonlat)
     if graph is None:
         graph = options.fetch_map(result)
-    evaluation = evaluate(result, graph, policy=policy, tolerance_m=tolerance_m)
+    evaluation = evaluate(result, graph, **truth.scoring())
     beside = Beside()
     with result_folder(out) as folder:  # the whole new report, or the folder as it was
         for name in filter(lambda name: (out / name).is_file(), RUN_NAMES):

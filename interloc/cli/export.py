@@ -29,8 +29,7 @@ from interloc.cli import console, options
     show_default="that of the place",
     help="Side of traffic, for Nav2, Lanelet2 and OpenDRIVE.",
 )
-@options.QUIET
-@options.JSON
+@options.OUTPUT
 def command(result: Path, out: Path, layer: str | None, traffic: Literal["right", "left"] | None) -> None:
     """Write RESULT, the result folder of `interloc run`, as one file for other programs.
 

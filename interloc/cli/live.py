@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
     from interloc.config import DetectorConfig
     from interloc.drives.folder import FolderDrive
+    from interloc.drives.options import DriveOptions
     from interloc.live.session import Answer
 
 _PAUSE_S = 1.0  # between two lines about scans that were dropped
@@ -39,14 +40,8 @@ _NO_HURRY = 1000.0
     show_default="1 with a server, else as fast as it goes",
     help="How fast it is played: 1 as it was driven, 2 twice as fast, 1000 as fast as it goes without dropping any.",
 )
-@click.option(
-    "--lookahead",
-    type=click.IntRange(0, 500),
-    help="Keyframes that an answer waits for; the same as --set keyframes.lookahead=N. 0 answers at once, and finds "
-    "fewer intersections ahead of the vehicle.",
-)
-@options.config_options
-@options.drive_options
+@options.INPUT
+@options.ONLINE_METHOD
 @options.QUIET
 def command(
     drive: Path,
@@ -56,10 +51,8 @@ def command(
     name: str | None,
     keep: bool,
     speed: float | None,
-    lookahead: int | None,
-    preset: str,
-    settings: tuple[str, ...],
-    **drive_: Any,
+    reading: DriveOptions,
+    config: DetectorConfig,
 ) -> None:
     """Play DRIVE, a folder or a bag, scan by scan, and follow what is found.
 
@@ -73,10 +66,9 @@ def command(
         raise click.UsageError("give --print, to detect right here, or --server URL, or both")
     if server is None and (keep or name is not None):
         raise click.UsageError("--keep and --name need --server")
-    if lookahead is not None:
-        settings = (*settings, f"keyframes.lookahead={lookahead}")
-    config = options.configure(preset, settings)
-    source = options.open_drive(drive, drive_)
+    from interloc.drives.open import open_drive
+
+    source = open_drive(drive, reading)
     if server is None:
         _print_answers(source, config, speed)
     else:

@@ -14,8 +14,7 @@ from interloc.wording import counted
 @click.option("-o", "--out", required=True, type=options.PATH, help="Folder of the map; drives are added to one there.")
 @click.option("--replace", is_flag=True, help="Replace drives that are on the map already under the same name.")
 @click.option("--remove", multiple=True, metavar="NAME", help="Take a drive out of the map; as often as needed.")
-@options.QUIET
-@options.JSON
+@options.OUTPUT
 def command(results: tuple[str, ...], out: Path, replace: bool, remove: tuple[str, ...]) -> None:
     """Put RESULTS, result folders of `interloc run`, together to one map: one point per intersection.
 

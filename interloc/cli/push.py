@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from interloc.client.jobs import JobAnswer
     from interloc.client.push import PreparedDrive, Pushed, PushOptions
     from interloc.client.upload import UploadProgress
+    from interloc.config import DetectorConfig
     from interloc.drives.options import LabelFolder
-    from interloc.osm.policies import Policy
 
 _THREADS = 8
 
@@ -26,11 +26,10 @@ _THREADS = 8
 @click.argument("drive", type=options.PATH, required=False)
 @click.option("--fetch", metavar="JOB", help="Fetch the result of a job to -o instead; wait for it if it still runs.")
 @options.server_options
-@options.label_folders_option
-@options.reading_options
-@options.model_options
+@options.LABEL_FOLDERS
+@options.READING
+@options.NETWORK
 @click.option("--name", help="Name of the drive on the server.  [default: that of its folder]")
-@click.option("--osm", type=options.PATH, help="OSM file to send too, for the evaluation.")
 @click.option("--all-scans", is_flag=True, help="Send every scan, not only the keyframes of the default preset.")
 @click.option("--raw", is_flag=True, help="Send scans and labels as they are; the server reduces them.")
 @click.option("--network", metavar="NAME", help="Network of the server that labels the scans there; needs --raw.")
@@ -41,15 +40,11 @@ _THREADS = 8
 @click.option("--run", is_flag=True, help="Have the server find the intersections, and score them if there is a map.")
 @click.option("--fresh", is_flag=True, help="Run the job even if one has done the same before; needs --run.")
 @click.option("-o", "--out", type=options.PATH, help="Write the result to this folder; needs --run or --fetch.")
-@options.config_options
-@click.option("--overpass", is_flag=True, help="Let the server fetch the map; needs --run.")
-@options.POLICY
-@options.TOLERANCE
-@options.locate_option
-@options.near_options
+@options.METHOD
+@options.TRUTH
+@options.PLACING
 @click.option("--notify", metavar="URL", help="Let the server call this address when the job ends; needs --run.")
-@options.QUIET
-@options.JSON
+@options.OUTPUT
 def command(
     drive: Path | None,
     fetch: str | None,
@@ -57,7 +52,6 @@ def command(
     token: str | None,
     label_folders: tuple[LabelFolder, ...],
     name: str | None,
-    osm: Path | None,
     all_scans: bool,
     raw: bool,
     network: str | None,
@@ -66,16 +60,11 @@ def command(
     run: bool,
     fresh: bool,
     out: Path | None,
-    preset: str,
-    settings: tuple[str, ...],
-    overpass: bool,
-    policy: Policy,
-    tolerance_m: float,
+    config: DetectorConfig,
+    truth: options.Truth,
+    placing: options.Placing,
     model: Path | None,
     provider: str,
-    locate: bool,
-    near: tuple[float, float] | None,
-    radius_km: float | None,
     notify: str | None,
     **reading: Any,
 ) -> None:
@@ -94,17 +83,23 @@ def command(
         return _fetch(fetch, drive, out, server, token)
     if drive is None:
         raise click.UsageError("Missing argument 'DRIVE', or --fetch JOB.")
-    _check_usage(run=run, fresh=fresh, out=out, osm=osm, overpass=overpass, settings=settings)
-    search = options.search_area(near, radius_km)
-    _check_placing(run=run, by_map=locate or near is not None, has_map=osm is not None or overpass, notify=notify)
-    if locate and overpass and near is None:
-        raise click.UsageError("the map of which place is to be fetched? Say it by --near LAT,LON, or give --osm FILE")
+    locate = placing.locate or placing.near is not None
+    if not run and (fresh or out is not None or truth.overpass):
+        raise click.UsageError("--fresh, -o and --overpass need --run")
+    if not run and (locate or notify is not None):
+        raise click.UsageError("--locate, --near and --notify need --run")
+    if truth.is_given:
+        truth.check()
+    elif locate:
+        raise click.UsageError("--locate and --near place the drive on a map: give it by --osm FILE or --overpass")
+    if placing.locate and truth.overpass and placing.near is None:
+        raise click.UsageError(options.UNKNOWN_PLACE)
     from interloc.client.connection import Connection
-    from interloc.client.jobs import JobRequest, finished, placing, submit
+    from interloc.client.jobs import JobRequest, finished, submit
+    from interloc.client.jobs import placing as place_of
     from interloc.client.push import PushOptions, prepare
     from interloc.drives.options import ReadingOptions
 
-    config = options.configure(preset, settings)
     push_options = PushOptions(
         name=name,
         label_folders=label_folders,
@@ -112,7 +107,7 @@ def command(
         raw=raw,
         keep_raw=keep_raw,
         network=network,
-        maps=() if osm is None else (osm,),
+        maps=() if truth.osm is None else (truth.osm,),
         reading=ReadingOptions.of(**reading),
         model=model,
         provider=provider,
@@ -120,8 +115,9 @@ def command(
     with Connection(server, token, connections=jobs) as connection:
         connection.check_server()
         prepared = prepare(drive, push_options)
-        place = placing(*search) if locate or (near is not None and not prepared.is_georeferenced) else None
-        if run and (osm is not None or overpass) and not prepared.is_georeferenced and place is None:
+        is_placed = placing.locate or (placing.near is not None and not prepared.is_georeferenced)
+        place = place_of(placing.near, placing.radius_m) if is_placed else None
+        if run and truth.is_given and not prepared.is_georeferenced and place is None:
             raise options.no_georeference(
                 prepared.manifest.name,
                 "place it by its roads (--locate, --near), or leave the map out. Nothing was sent.",
@@ -130,9 +126,9 @@ def command(
         job: JobAnswer | None = None
         if run:
             labels = "predictions" if model is not None else label_folders[0] if label_folders else None
-            there = None if osm is None else osm.name
-            wanted = JobRequest(config, labels, there, overpass, policy, tolerance_m, place)
-            if not pushed.files_sent and not overpass and not fresh:
+            there = None if truth.osm is None else truth.osm.name
+            wanted = JobRequest(config, labels, there, truth.overpass, truth.policy, truth.tolerance_m, place)
+            if not pushed.files_sent and not truth.overpass and not fresh:
                 job = finished(connection, pushed.drive_id, wanted)
             if job is None:
                 told = None if notify is None else {"successUri": notify, "failedUri": notify}
@@ -144,23 +140,6 @@ def command(
     result |= result_summary(job, out) if job is not None and out is not None else {}
     console.say({**pushed.to_dict(), **result}, _facts(pushed, job, out))
     return None
-
-
-def _check_usage(
-    *, run: bool, fresh: bool, out: Path | None, osm: Path | None, overpass: bool, settings: tuple[str, ...]
-) -> None:
-    """Raise a usage error for options that would have no effect."""
-    if not run and (fresh or out is not None or overpass or settings):
-        raise click.UsageError("--fresh, -o, --overpass and --set need --run")
-    if osm is not None and overpass:
-        raise click.UsageError("give the map by one of --osm FILE and --overpass")
-
-
-def _check_placing(*, run: bool, by_map: bool, has_map: bool, notify: str | None) -> None:
-    if not run and (by_map or notify is not None):
-        raise click.UsageError("--locate, --near and --notify need --run")
-    if by_map and not has_map:
-        raise click.UsageError("--locate and --near place the drive on a map: give it by --osm FILE or --overpass")
 
 
 def _send(

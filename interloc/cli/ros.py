@@ -1,10 +1,16 @@
 """`interloc ros`."""
 
+from __future__ import annotations
+
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from interloc.cli import console, options
+
+if TYPE_CHECKING:
+    from interloc.config import DetectorConfig
 
 
 @click.command(
@@ -16,22 +22,17 @@ from interloc.cli import console, options
 @click.option("--odom", "odometry", metavar="TOPIC", help="Poses as nav_msgs/Odometry.  [default: /tf]")
 @click.option("--world-frame", metavar="FRAME", help="Frame of the map.  [default: the topmost one of the poses]")
 @click.option("--label-scheme", default="semantickitti", show_default=True, help="Scheme of the labels of the points.")
-@click.option(
-    "--lookahead", type=click.IntRange(0, 500), help="Keyframes that an answer waits for, as `interloc live`."
-)
 @click.option("--files", is_flag=True, help="Print the folder of the launch file and the RViz configuration.")
-@options.config_options
-@options.model_options
+@options.ONLINE_METHOD
+@options.NETWORK
 def command(
     points: str | None,
     ros_arguments: tuple[str, ...],
     odometry: str | None,
     world_frame: str | None,
     label_scheme: str,
-    lookahead: int | None,
     files: bool,
-    preset: str,
-    settings: tuple[str, ...],
+    config: DetectorConfig,
     model: Path | None,
     provider: str,
 ) -> None:
@@ -64,8 +65,6 @@ def command(
         raise ConfigError(
             f"rclpy of ROS 2 is not installed ({error}). Source the setup.bash of a ROS, or {install('ros2')}"
         ) from error
-    if lookahead is not None:
-        settings = (*settings, f"keyframes.lookahead={lookahead}")
     label = None
     if model is not None:
         from interloc.labelling.networks import open_network
@@ -73,6 +72,5 @@ def command(
         label = open_network(model, provider)
         label.load()
     scheme = named_scheme(label_scheme) or SEMANTICKITTI
-    config = options.configure(preset, settings)
     chosen = NodeOptions(points, odometry, world_frame, config, scheme, None if label is None else label.label)
     run(chosen, ["interloc", *ros_arguments])

@@ -48,8 +48,7 @@ def check(data_dir: Path | None) -> int:
 @click.command(short_help="Back up the web service while it runs.")
 @click.argument("out", type=click.Path(path_type=Path))
 @DATA_DIR
-@options.QUIET
-@options.JSON
+@options.OUTPUT
 def backup(out: Path, data_dir: Path | None) -> None:
     """Back up drives, jobs, results and tokens of the web service to the new folder OUT, while its servers run.
 
@@ -82,8 +81,7 @@ def backup(out: Path, data_dir: Path | None) -> None:
 @click.command(short_help="Restore a backup of the web service.")
 @click.argument("backup", type=click.Path(path_type=Path))
 @DATA_DIR
-@options.QUIET
-@options.JSON
+@options.OUTPUT
 def restore(backup: Path, data_dir: Path | None) -> None:
     """Restore BACKUP into a new data folder and a new database: SQLite, or PostgreSQL by INTERLOC_DATABASE_URL.
 

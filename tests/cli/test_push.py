@@ -9,7 +9,7 @@ import pytest
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (["-o", "out"], "--fresh, -o, --overpass and --set need --run"),
+        (["-o", "out"], "--fresh, -o and --overpass need --run"),
         (["--run", "--osm", "map.osm", "--overpass"], "one of --osm FILE and --overpass"),
         (["--keep-raw"], "--keep-raw: the server has no raw scans to keep"),
         (["--near", "49,8"], "--locate, --near and --notify need --run"),
