@@ -26,7 +26,7 @@ _MARK = {"error": "ERROR", "warning": "warning", "note": "note"}
 @click.option("--settings", "shows_settings", is_flag=True, help="List the settings of the method instead.")
 @click.option("--thorough", is_flag=True, help="Read every scan and label, not only some.")
 @options.JSON
-def command(
+def info(
     drive: Path | None,
     thorough: bool,
     shows_settings: bool,

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 @click.option("--overwrite", is_flag=True, help="Let -o replace a file that is there already.")
 @click.option("--track-only", is_flag=True, help="Do not look for intersections: the trajectory alone.")
 @options.OUTPUT
-def command(
+def locate(
     drive: Path,
     reading: DriveOptions,
     config: DetectorConfig,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from interloc.cli import console, options, summary
+from interloc.cli import console, options
 
 if TYPE_CHECKING:
     from interloc.client.connection import Connection
@@ -45,7 +45,7 @@ _THREADS = 8
 @options.PLACING
 @click.option("--notify", metavar="URL", help="Let the server call this address when the job ends; needs --run.")
 @options.OUTPUT
-def command(
+def push(
     drive: Path | None,
     fetch: str | None,
     server: str,
@@ -83,17 +83,7 @@ def command(
         return _fetch(fetch, drive, out, server, token)
     if drive is None:
         raise click.UsageError("Missing argument 'DRIVE', or --fetch JOB.")
-    locate = placing.locate or placing.near is not None
-    if not run and (fresh or out is not None or truth.overpass):
-        raise click.UsageError("--fresh, -o and --overpass need --run")
-    if not run and (locate or notify is not None):
-        raise click.UsageError("--locate, --near and --notify need --run")
-    if truth.is_given:
-        truth.check()
-    elif locate:
-        raise click.UsageError("--locate and --near place the drive on a map: give it by --osm FILE or --overpass")
-    if placing.locate and truth.overpass and placing.near is None:
-        raise click.UsageError(options.UNKNOWN_PLACE)
+    _check_usage(truth, placing, run=run, needs_run=fresh or out is not None, notify=notify)
     from interloc.client.connection import Connection
     from interloc.client.jobs import JobRequest, finished, submit
     from interloc.client.jobs import placing as place_of
@@ -140,6 +130,23 @@ def command(
     result |= result_summary(job, out) if job is not None and out is not None else {}
     console.say({**pushed.to_dict(), **result}, _facts(pushed, job, out))
     return None
+
+
+def _check_usage(
+    truth: options.Truth, placing: options.Placing, *, run: bool, needs_run: bool, notify: str | None
+) -> None:
+    """Raise a usage error for options that would have no effect, or that lack something."""
+    locate = placing.locate or placing.near is not None
+    if not run and (needs_run or truth.overpass):
+        raise click.UsageError("--fresh, -o and --overpass need --run")
+    if not run and (locate or notify is not None):
+        raise click.UsageError("--locate, --near and --notify need --run")
+    if truth.is_given:
+        truth.check()
+    elif locate:
+        raise click.UsageError("--locate and --near place the drive on a map: give it by --osm FILE or --overpass")
+    if placing.locate and truth.overpass and placing.near is None:
+        raise click.UsageError(options.UNKNOWN_PLACE)
 
 
 def _send(
@@ -264,9 +271,9 @@ def result_facts(job: JobAnswer, out: Path) -> list[tuple[str, str]]:
     counts = job.summary or {}
     return [
         ("drive", f"{job.drive_name}: {run['scans']} scans, {run['keyframes']} keyframes"),
-        summary.georeference_fact(run),
+        console.georeference_fact(run),
         *((name, str(counts[name])) for name in ("detections", "intersections") if name in counts),
-        *(summary.report_facts(report, out)[:-1] if report else ()),
+        *(console.report_facts(report, out)[:-1] if report else ()),
         ("written to", str(out)),
     ]
 

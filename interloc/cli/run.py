@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from interloc.cli import console, options, summary
+from interloc.cli import console, options
 
 if TYPE_CHECKING:
     from interloc.arrays import FloatArray
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 @options.PLACING
 @options.OUT
 @options.OUTPUT
-def command(
+def run(
     drive: Path,
     reading: DriveOptions,
     config: DetectorConfig,
@@ -86,13 +86,13 @@ def command(
                 roads = network if scored is result else None
                 evaluation = evaluate(scored, graph, **truth.scoring(), network=roads)
                 report = write_report(evaluation, folder, result=result, beside=beside)
-    facts = summary.run_facts(result, out)
+    facts = console.run_facts(result, out)
     if not has_map:
-        facts += [*summary.doubt_facts(result), ("not scored", options.no_map(result))]
+        facts += [*console.doubt_facts(result), ("not scored", options.no_map(result))]
     if report is not None:
-        first, *others = summary.report_facts(report, out)
+        first, *others = console.report_facts(report, out)
         facts = [first, *facts[:-1], *others]
-    console.say({"run": summary.run_summary(result, out), "report": report}, facts)
+    console.say({"run": console.run_summary(result, out), "report": report}, facts)
     beside.check(out)
 
 

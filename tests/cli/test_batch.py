@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from interloc.cli import units
-from interloc.cli.units import Records, Unit, do_all
+from interloc.cli import batch
+from interloc.cli.batch import Records, Unit, do_all
 
 TIMED = {"seconds", "stage_seconds", "peak_memory_bytes"}
 
@@ -80,7 +80,7 @@ def test_mistakes_are_told_before_any_work(drive: Path, tmp_path: Path, interloc
     assert not (tmp_path / "a").exists()
 
 
-def die(_: Unit, out: str) -> units.Row:
+def die(_: Unit, out: str) -> batch.Row:
     os.kill(os.getpid(), signal.SIGKILL)
     raise AssertionError(out)
 
@@ -91,7 +91,7 @@ def test_a_worker_that_dies_stops_nothing_and_costs_another_try(
     unit = Unit("short", str(short_drive), "run", ())
     records = Records(str(tmp_path / "out"))
     with monkeypatch.context() as patched:
-        patched.setattr(units, "work", die)
+        patched.setattr(batch, "work", die)
         row = do_all([unit], records, 1, None, progress=lambda _: None)["short"]
     assert "its process was ended from outside. Usual cause: too little memory" in str(row["error"])
     assert records.done(unit) is None
