@@ -32,7 +32,6 @@ from app.maps import routes as maps
 from app.maps.merging import Merger
 from app.maps.records import make_server_map
 from app.networks import routes as networks
-from app.ogc import overview
 from app.ogc import routes as ogc
 from app.ogc.index import index_result
 from app.page import routes as page
@@ -59,7 +58,7 @@ def _assemble() -> APIRouter:
                 route.include_in_schema = False
         router.include_router(part, prefix=prefix, dependencies=dependencies)
 
-    of_drives = (drives, overview, files, demo, networks)
+    of_drives = (drives, files, demo, networks)
     of_jobs = (jobs, results, pictures, exports, compare)
     for module in (*of_drives, *of_jobs, live, maps, queue, trash):
         include(module.router, API, dependencies=shared)

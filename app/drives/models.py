@@ -128,6 +128,8 @@ class DriveModel(BaseModel):
                     "size_bytes": 701124052,
                     "stored_bytes": 109221678,
                     "bbox": [8.412, 49.001, 8.431, 49.014],
+                    "scans": 424,
+                    "length_m": 701.3,
                     "result_job": None,
                     "pinned_job": None,
                     "created_at": "2026-01-31T12:00:00Z",
@@ -158,6 +160,8 @@ class DriveModel(BaseModel):
         description="West, south, east, north of a ready drive, degrees; null without georeference.",
         examples=[[8.412, 49.001, 8.431, 49.014]],
     )
+    scans: int | None = Field(None, description="Scans of a ready drive.")
+    length_m: float | None = Field(None, description="How far a ready drive goes.")
     result_job: str | None = Field(
         None,
         description="The job that stands for the drive on the map of all drives and at /ogc: the pinned one, "

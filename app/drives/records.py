@@ -4,7 +4,7 @@ import hashlib
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 from sqlalchemy import ColumnElement, func, or_, select
 from sqlalchemy.orm import Session, defer
@@ -142,8 +142,11 @@ def list_drives(
         drives = session.scalars(query.limit(limit + 1)).all()
         page = drives[:limit]
         results = _results(session, page)
+        told = (Drive.report["scans"].as_integer(), Drive.report["length_m"].as_float())
+        facts = session.execute(select(Drive.id, *told).where(Drive.id.in_([drive.id for drive in page])))
+        known = {drive_id: {"scans": scans, "length_m": length} for drive_id, scans, length in facts}
     return DriveList(
-        drives=[drive_model(drive, context.settings, report=False, result=results.get(drive.id)) for drive in page],
+        drives=[drive_model(drive, context.settings, known[drive.id], result=results.get(drive.id)) for drive in page],
         next=cursor_of(page[-1]) if len(drives) > limit else None,
     )
 
@@ -275,17 +278,21 @@ def _refuse_map_in_use(session: Session, drive_id: str, path: str) -> None:
         )
 
 
-def drive_model(drive: Drive, settings: Settings, *, report: bool = True, result: str | None = None) -> DriveModel:
-    """Return a drive as clients see it; `result`: the job that stands for it."""
+def drive_model(
+    drive: Drive, settings: Settings, facts: dict[str, Any] | None = None, *, result: str | None = None
+) -> DriveModel:
+    """Return a drive as clients see it; `facts` of its report in place of it; `result`: the job that stands for it."""
+    report = drive.report if facts is None else None
     expires_at = drive.touched_at + 3600 * settings.upload_expires_h
     return DriveModel(
-        **columns_for(DriveModel, drive, but=("pinned_job", "report")),
+        **columns_for(DriveModel, drive, but=("pinned_job", "report", "scans", "length_m")),
         files=drive.file_count,
         bbox=None if drive.west is None else [drive.west, drive.south, drive.east, drive.north],
         result_job=result,
         pinned_job=drive.pinned_job if drive.pinned_job == result else None,
         expires_at=moment(expires_at) if drive.state == DriveState.UPLOADING else None,
-        report=DriveReport.model_validate(drive.report) if report and drive.report else None,
+        **(facts or {name: (report or {}).get(name) for name in ("scans", "length_m")}),
+        report=DriveReport.model_validate(report) if report else None,
     )
 
 

@@ -35,7 +35,6 @@ MEDIA_TYPES = {
     ".parquet": "application/vnd.apache.parquet",
     ".pmtiles": "application/vnd.pmtiles",
     ".png": "image/png",
-    ".qgs": "application/x-qgis-project",
     ".qgz": "application/x-qgis-project-container",
     ".svg": "image/svg+xml",
     ".tif": "image/tiff; application=geotiff",

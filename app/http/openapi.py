@@ -18,11 +18,11 @@ Endpoint = TypeVar("Endpoint", bound=Callable[..., Any])
 
 UNLISTED = re.compile(
     r".*/ogc/.+|/api/v1/.*/ogc|/config\.json"
-    r"|/api/v1/(overview|demo|paper|compare|models|presets/\{name\}|live/\{session\}.*)"
+    r"|/api/v1/(demo|compare|models|presets/\{name\}|live/\{session\}.*)"
     r"|/api/v1/drives/(look|\{drive_id\}/(trajectory|scans))"
     r"|/api/v1/maps/\{map_id\}/(drives|files|deliveries)/?.*"
     r"|/api/v1/maps/\{map_id\}/queue(/\{finding\}(/picture\.png)?)?"
-    r"|/api/v1/jobs/\{job_id\}/(keyframes/.+|road|road\.png)"
+    r"|/api/v1/jobs/\{job_id\}/(keyframes/.+|road|road\.png|view)"
 )
 """Addresses that the description leaves out: what only the page and `interloc push` call, or what describes itself."""
 

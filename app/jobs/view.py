@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import AsyncIterator, Iterable
 from dataclasses import dataclass
 from functools import cache
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 from fastapi.concurrency import run_in_threadpool
 from sqlalchemy import ColumnElement, Select, and_, case, func, select
@@ -38,9 +38,6 @@ _FIRST_LOOK_S, _LAST_LOOK_S = 0.05, 0.5
 _NO_WORKER = "It waits for a worker: none can be started at present. The service keeps trying; its log says why."
 
 _log = logging.getLogger(__name__)
-
-Choice = Literal["pinned", "best"]
-"""Why a job stands for its drive."""
 
 
 def find_job(session: Session, job_id: str) -> tuple[Job, str]:
@@ -83,11 +80,6 @@ def chosen_results(*conditions: ColumnElement[bool]) -> Select[Job]:
     ranked = select(Job.id, place.label("place")).join(Drive, Drive.id == Job.drive_id).where(*is_result, *conditions)
     found = ranked.subquery()
     return select(Job).join(found, found.c.id == Job.id).where(found.c.place == 1)
-
-
-def choice_of(drive_pinned: str | None, job: str | None) -> Choice | None:
-    """Return why a job stands for a drive, by the job that is pinned; None where there is no job."""
-    return None if job is None else "pinned" if drive_pinned == job else "best"
 
 
 def job_models(session: Session, context: Context, rows: Iterable[tuple[Job, str]]) -> list[JobModel]:

@@ -27,7 +27,6 @@ from app.page.files import (
 from app.paths import ARCHIVE_ENDINGS
 from app.settings import Settings
 from interloc.drives.formats import FORMATS, installed_formats
-from interloc.drives.georeference.read import ODOMETRY_OF_RAW
 from interloc.drives.labels import SCHEMES
 from interloc.drives.layouts import PCD_ENDINGS, RECORDING_ENDINGS, SMALL_ENDINGS, TRACK_ENDINGS
 from interloc.drives.options import ReadingOptions
@@ -37,18 +36,7 @@ from interloc.osm.policies import POLICIES
 from interloc.output.layers import LAYERS
 from interloc.output.vector_files import suffixes_here
 
-# What the page is told about the service: settings, limits, and the words for what a user chooses and sees.
-
-_LIMITS = (
-    "max_file_bytes",
-    "max_recording_bytes",
-    "max_archive_bytes",
-    "max_drive_bytes",
-    "max_drive_files",
-    "max_queued_jobs",
-    "upload_expires_h",
-    "trash_h",
-)
+# What the page is told about the service: settings, and the words for what a user chooses and sees.
 
 
 class PolicyModel(BaseModel):
@@ -106,7 +94,7 @@ class PageConfig(BaseModel):
     tile_attribution: str
     overpass: bool = Field(description="Whether jobs may fetch the map from Overpass.")
     needs_token: bool = Field(description="Whether the API expects `Authorization: Bearer TOKEN`.")
-    limits: dict[str, int | float] = Field(description="Limits of uploads, under the names of the settings.")
+    trash_h: float = Field(description="For how long deleted drives can be restored, hours; 0: not at all.")
     policies: list[PolicyModel] = Field(
         description="Which OSM nodes can count as intersections; the first is the default."
     )
@@ -118,7 +106,6 @@ class PageConfig(BaseModel):
     file_kinds: FileKinds
     layouts: dict[str, str] = Field(description="Titles of the layouts of drives, by name.")
     reading_schema: dict[str, Any] = Field(description="JSON Schema of how a drive can be read (`options` of a drive).")
-    raw_sequences: dict[str, str] = Field(description="Odometry sequence by KITTI raw drive.")
     simulator: str = Field(description="`generator` of OSM files that are made up.", examples=["interloc simulate"])
     drivable: list[str] = Field(description="Values of `highway` that are drawn as roads for cars.")
     search_radius_km: RangeModel = Field(description="How far around a place a drive is searched for on the map.")
@@ -133,7 +120,7 @@ class PageConfig(BaseModel):
             tile_attribution=settings.tile_attribution,
             overpass=settings.overpass,
             needs_token=needs_token,
-            limits={name: getattr(settings, name) for name in _LIMITS},
+            trash_h=settings.trash_h,
             policies=_POLICIES,
             layers=_LAYERS,
             exports=suffixes_here(),
@@ -141,7 +128,6 @@ class PageConfig(BaseModel):
             file_kinds=_FILE_KINDS,
             layouts={each.name: each.title for each in (*FORMATS, *installed_formats())} | {"reduced": "reduced drive"},
             reading_schema=ReadingOptions.model_json_schema(),
-            raw_sequences={raw: sequence for raw, (sequence, _, _) in ODOMETRY_OF_RAW.items()},
             simulator=SIMULATOR,
             drivable=sorted(DRIVABLE_OR_SERVICE),
             search_radius_km=_SEARCH_RADIUS_KM,
@@ -228,7 +214,7 @@ def read_docs_start() -> Response:
 @router.get("/config.json", summary="What the page needs to know", operation_id="read_page_config")
 @priced("cheap")
 def read_config(request: Request, context: ContextDep) -> PageConfig:
-    """Give version, tiles, limits, the words for what a user chooses, and whether a token is needed.
+    """Give version, tiles, the words for what a user chooses, and whether a token is needed.
 
     Open to everybody: it holds no secrets.
     """

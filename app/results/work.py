@@ -13,8 +13,7 @@ import interloc.output
 from app.jobs.work.intersections import open_input
 from app.work.documents import IntersectionsJob
 from interloc.files import atomic_folder, write_file
-from interloc.output.qgis import Source
-from interloc.output.vector_files import write_live_project, write_vector_file
+from interloc.output.vector_files import write_vector_file
 
 VIEW = "view.json"
 """File with the place of pictures and the numbers behind them; it is written last."""
@@ -79,12 +78,7 @@ def write_export(folder: Path, path: Path, layer: str | None, drive_name: str) -
     """
     _forget_others(path.parent)
     path.parent.mkdir(parents=True, exist_ok=True)
-    if path.suffix == ".qgs":
-        write_live_project(
-            folder, path, drive_name, lambda layer: Source("OAPIF", f"typename='{layer.name}' url='{LIVE}/ogc'")
-        )
-    else:
-        write_vector_file(folder, path, layer=layer, drive=drive_name)
+    write_vector_file(folder, path, layer=layer, drive=drive_name)
 
 
 def _forget_others(folder: Path) -> None:

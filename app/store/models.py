@@ -282,8 +282,6 @@ class FeatureLayer(Base):
     """Of the widest feature, degrees of longitude."""
     first_time: Mapped[float | None]
     last_time: Mapped[float | None]
-    outline: Mapped[str | None] = mapped_column(Text)
-    """Of a trajectory: its line for the map of all drives, simplified, as GeoJSON."""
     attribution: Mapped[str] = mapped_column(Text)
     license: Mapped[str | None]
 

@@ -25,12 +25,11 @@ import click
 from interloc import storage
 from interloc.cli import console, options
 from interloc.cli.console import not_right
-from interloc.errors import ConfigError, GeoreferenceError, IncompleteError, InterLocError, is_interruption
+from interloc.errors import ConfigError, IncompleteError, InterLocError, is_interruption
 from interloc.files import write_file
 from interloc.processes import cores, dask_client, in_own_process, stop_processes
 from interloc.wording import counted
 
-CITY = "city"
 TABLE = "batch.csv"
 _OF_MAP = ("osm", "overpass", "policy", "tolerance_m", "locate", "near", "radius_km")
 _TRUE, _FALSE = ("true", "yes", "1"), ("false", "no", "0")
@@ -51,7 +50,6 @@ def _plain(_: object, __: object, out: str) -> str:
     "--workers", type=click.IntRange(1, 256), show_default="one per core", help="Number of drives worked on at once."
 )
 @click.option("--dask", metavar="ADDRESS", help="Dask scheduler whose workers do it instead, as tcp://host:8786.")
-@click.option("--map", "as_map", is_flag=True, help=f"Put all drives together to one map too, in DIR/{CITY}.")
 @click.option("--fresh", is_flag=True, help="Do drives again that are done already.")
 @options.OUTPUT
 @click.pass_context
@@ -62,7 +60,6 @@ def batch(
     out: str,
     workers: int | None,
     dask: str | None,
-    as_map: bool,
     fresh: bool,
     **given: Any,
 ) -> None:
@@ -75,7 +72,7 @@ def batch(
 
     \b
     Examples:
-      interloc batch drives/* -o results --osm region.osm.pbf --map
+      interloc batch drives/* -o results --osm region.osm.pbf
       interloc batch drives.csv -o results --osm region.osm.pbf --dask tcp://cluster:8786
       interloc batch s3://bucket/drives -o s3://bucket/results --osm s3://bucket/region.osm.pbf --dask tcp://cluster:8786
     """
@@ -99,7 +96,6 @@ def batch(
             raise
         raise InterLocError("interrupted; the drives that are done are kept: the same command does the rest") from error
     rows = [done[unit.name] for unit in units]
-    left_out = _merge(rows, records) if as_map else []
     text = io.StringIO()
     writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
     writer.writeheader()
@@ -107,11 +103,7 @@ def batch(
     write_file(records.place / TABLE, text.getvalue())
     storage.send_results()  # now: the table of a batch in which a drive failed is one too
     failed = [row for row in rows if row["error"] is not None]
-    if not console.wants_json():
-        for line in left_out:
-            console.note(f"not on the map: {line}")
-    record = {"out": out, "drives": rows, "failed": len(failed), "not_on_map": left_out}
-    console.say(record, _facts(rows, f"{out}/{TABLE}"))
+    console.say({"out": out, "drives": rows, "failed": len(failed)}, _facts(rows, f"{out}/{TABLE}"))
     if failed:
         first = failed[0]
         raise InterLocError(
@@ -140,7 +132,7 @@ def _units(drives: Sequence[str], common: Mapping[str, Any]) -> list[Unit]:
         has_map = values.get("osm") is not None or values.get("overpass", False)
         used = {key: value for key, value in values.items() if has_map or key not in _OF_MAP}
         arguments = [text for key, value in used.items() for text in _written(parameters[key], value)]
-        units.append(Unit(name, row["drive"], "run", tuple(arguments)))
+        units.append(Unit(name, row["drive"], tuple(arguments)))
     return units
 
 
@@ -222,38 +214,11 @@ def _names(drives: Sequence[str], given: Sequence[str | None]) -> list[str]:
             f"{twice!r} names two drives of the batch. Give each drive once, or other names in a LIST.csv."
         )
     for name in names:
-        if "/" in name or name.startswith(".") or name == CITY:
+        if "/" in name or name.startswith("."):
             raise ConfigError(
                 f"{name!r} cannot be the name of a drive: it is that of a folder. Give others in a LIST.csv."
             )
     return names
-
-
-def _merge(rows: Sequence[Row], records: Records) -> list[str]:
-    """Put what was found together to one map; return which drives are not on it, and why."""
-    from dataclasses import replace
-
-    from interloc.city.citymap import CityMap
-    from interloc.city.drives import Pass
-    from interloc.city.folder import write_city
-    from interloc.output.read import read_results
-
-    left_out: list[str] = []
-    passes: dict[str, Pass] = {}
-    for name in (row["name"] for row in rows if row["error"] is None):
-        try:
-            one = Pass.of(read_results(options.PATH.convert(f"{records.out}/{name}", None, None)))
-        except GeoreferenceError as error:
-            left_out.append(f"{name}: {error}")
-            continue
-        same = passes.setdefault(one.key, replace(one, name=name))
-        if same.name != name:
-            left_out.append(f"{name}: it holds the same as {same.name}")
-    if passes:
-        city = CityMap()
-        city.add(*passes.values())
-        write_city(city, records.place / CITY)
-    return left_out
 
 
 def _facts(rows: Sequence[Row], table: str) -> list[tuple[str, str]]:
@@ -278,10 +243,8 @@ class Unit:
     """Of the drive in the batch, and of its result folder."""
     drive: str
     """Where it is."""
-    command: str
-    """run or detect."""
     arguments: tuple[str, ...]
-    """Of the command, without the result folder: what must be the same for an earlier result to count."""
+    """Of `interloc run`, without the result folder: what must be the same for an earlier result to count."""
 
 
 COLUMNS = (
@@ -313,18 +276,16 @@ Row = dict[str, Any]
 
 def work(unit: Unit, out: str) -> Row:
     """Do a unit, in a worker process, and write its result to its place in the batch."""
-    from interloc.cli.main import cli
+    from interloc.cli.run import run
 
-    command = cli.get_command(click.Context(cli), unit.command)
-    assert command is not None
     began = time.monotonic()
     notes = io.StringIO()
     row: Row = {**dict.fromkeys(COLUMNS), "name": unit.name, "drive": unit.drive}
     arguments = [unit.drive, "-o", f"{out}/{unit.name}", *unit.arguments, "--workers", "1", "--quiet"]
     with redirect_stderr(notes):
         try:
-            with command.make_context(unit.command, arguments) as context:
-                command.invoke(context)
+            with run.make_context("run", arguments) as context:
+                run.invoke(context)
                 row |= _figures(context.params["out"])
             storage.send_results()
         except click.ClickException as failure:

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 @click.option(
     "--gpx",
     type=options.PATH,
-    help="Place the drive by the track of a phone or a watch that was along, by time or else by shape.",
+    help="Place the drive by the track of a phone or a watch that was along, by time.",
 )
 @click.option(
     "-o",
@@ -113,7 +113,6 @@ def _place_by_gpx(drive: Drive, gpx: Path, out: Path | None) -> None:
     uncertainty = f"{std_m} m (one sigma, median; what all fixes of a phone share included)"
     uncertainty += f"; {placed.doubts}" if placed.doubts else ""
     facts = {
-        "matched_by": placed.matched_by,
         "rms_m": round(placed.rms_m, 1),
         "clock_late_s": round(placed.late_s, 2),
         "position_std_m": std_m,

@@ -14,7 +14,7 @@ from interloc.cli import console, options
 if TYPE_CHECKING:
     from interloc.client.connection import Connection
     from interloc.client.jobs import JobAnswer
-    from interloc.client.push import PreparedDrive, Pushed, PushOptions
+    from interloc.client.push import PreparedDrive, Pushed
     from interloc.client.upload import UploadProgress
     from interloc.config import DetectorConfig
     from interloc.drives.options import LabelFolder
@@ -31,19 +31,14 @@ _THREADS = 8
 @options.NETWORK
 @click.option("--name", help="Name of the drive on the server.  [default: that of its folder]")
 @click.option("--all-scans", is_flag=True, help="Send every scan, not only the keyframes of the default preset.")
-@click.option("--raw", is_flag=True, help="Send scans and labels as they are; the server reduces them.")
-@click.option("--network", metavar="NAME", help="Network of the server that labels the scans there; needs --raw.")
-@click.option("--keep-raw", is_flag=True, help="Let the server keep scans and labels; needs --raw.")
 @click.option(
     "--jobs", type=click.IntRange(1, 64), default=_THREADS, show_default=True, help="Number of files sent at once."
 )
 @click.option("--run", is_flag=True, help="Have the server find the intersections, and score them if there is a map.")
-@click.option("--fresh", is_flag=True, help="Run the job even if one has done the same before; needs --run.")
 @click.option("-o", "--out", type=options.PATH, help="Write the result to this folder; needs --run or --fetch.")
 @options.METHOD
 @options.TRUTH
 @options.PLACING
-@click.option("--notify", metavar="URL", help="Let the server call this address when the job ends; needs --run.")
 @options.OUTPUT
 def push(
     drive: Path | None,
@@ -53,24 +48,17 @@ def push(
     label_folders: tuple[LabelFolder, ...],
     name: str | None,
     all_scans: bool,
-    raw: bool,
-    network: str | None,
-    keep_raw: bool,
     jobs: int,
     run: bool,
-    fresh: bool,
     out: Path | None,
     config: DetectorConfig,
     truth: options.Truth,
     placing: options.Placing,
     model: Path | None,
     provider: str,
-    notify: str | None,
     **reading: Any,
 ) -> None:
     """Send DRIVE to a server, reduced to what the method needs. After an interruption only what is missing is sent.
-
-    A job that has done the same before, with the same settings, is not repeated, unless with --fresh.
 
     \b
     Examples:
@@ -83,9 +71,9 @@ def push(
         return _fetch(fetch, drive, out, server, token)
     if drive is None:
         raise click.UsageError("Missing argument 'DRIVE', or --fetch JOB.")
-    _check_usage(truth, placing, run=run, needs_run=fresh or out is not None, notify=notify)
+    _check_usage(truth, placing, run=run, out=out)
     from interloc.client.connection import Connection
-    from interloc.client.jobs import JobRequest, finished, submit
+    from interloc.client.jobs import JobRequest, submit
     from interloc.client.jobs import placing as place_of
     from interloc.client.push import PushOptions, prepare
     from interloc.drives.options import ReadingOptions
@@ -94,9 +82,6 @@ def push(
         name=name,
         label_folders=label_folders,
         keyframes=None if all_scans else config.keyframes,
-        raw=raw,
-        keep_raw=keep_raw,
-        network=network,
         maps=() if truth.osm is None else (truth.osm,),
         reading=ReadingOptions.of(**reading),
         model=model,
@@ -112,35 +97,24 @@ def push(
                 prepared.manifest.name,
                 "place it by its roads (--locate, --near), or leave the map out. Nothing was sent.",
             )
-        pushed = _send(connection, drive, prepared, push_options, threads=jobs)
+        pushed = _send(connection, drive, prepared, threads=jobs)
         job: JobAnswer | None = None
         if run:
             labels = "predictions" if model is not None else label_folders[0] if label_folders else None
             there = None if truth.osm is None else truth.osm.name
             wanted = JobRequest(config, labels, there, truth.overpass, truth.policy, truth.tolerance_m, place)
-            if not pushed.files_sent and not truth.overpass and not fresh:
-                job = finished(connection, pushed.drive_id, wanted)
-            if job is None:
-                told = None if notify is None else {"successUri": notify, "failedUri": notify}
-                job = submit(connection, pushed.drive_id, wanted, subscriber=told)
-            else:
-                console.note(f"job {job.id} has done the same already: it is not repeated (--fresh repeats it)")
-            job = _finish(connection, job, out)
+            job = _finish(connection, submit(connection, pushed.drive_id, wanted), out)
     result = {} if job is None else {"job": job.id, "summary": job.summary}
     result |= result_summary(job, out) if job is not None and out is not None else {}
     console.say({**pushed.to_dict(), **result}, _facts(pushed, job, out))
     return None
 
 
-def _check_usage(
-    truth: options.Truth, placing: options.Placing, *, run: bool, needs_run: bool, notify: str | None
-) -> None:
+def _check_usage(truth: options.Truth, placing: options.Placing, *, run: bool, out: Path | None) -> None:
     """Raise a usage error for options that would have no effect, or that lack something."""
     locate = placing.locate or placing.near is not None
-    if not run and (needs_run or truth.overpass):
-        raise click.UsageError("--fresh, -o and --overpass need --run")
-    if not run and (locate or notify is not None):
-        raise click.UsageError("--locate, --near and --notify need --run")
+    if not run and (locate or out is not None or truth.overpass):
+        raise click.UsageError("-o, --overpass, --locate and --near need --run")
     if truth.is_given:
         truth.check()
     elif locate:
@@ -149,14 +123,7 @@ def _check_usage(
         raise click.UsageError(options.UNKNOWN_PLACE)
 
 
-def _send(
-    connection: Connection,
-    drive: Path,
-    prepared: PreparedDrive,
-    push_options: PushOptions,
-    *,
-    threads: int,
-) -> Pushed:
+def _send(connection: Connection, drive: Path, prepared: PreparedDrive, *, threads: int) -> Pushed:
     """Push the drive with a progress bar; report what an interruption leaves on the server."""
     from interloc.client.push import push as push_files
     from interloc.errors import InterLocError, is_interruption
@@ -175,9 +142,7 @@ def _send(
                 console.note(stage)
 
         try:
-            return push_files(
-                connection, drive, prepared, push_options, threads=threads, on_stage=show_stage, on_progress=show
-            )
+            return push_files(connection, drive, prepared, threads=threads, on_stage=show_stage, on_progress=show)
         except BaseException as error:
             if not is_interruption(error):
                 raise

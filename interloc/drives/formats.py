@@ -70,14 +70,14 @@ FORMATS = (
     ScanFormat(
         "rosbag",
         "a ROS bag (.bag, .db3, .mcap)",
-        "interloc.drives.scans.rosbag.open:open_rosbag",
+        "interloc.drives.scans.rosbag.trajectory:open_rosbag",
         (".bag", ".db3", ".mcap"),
         title="ROS bag",
     ),
     ScanFormat(
         "las",
         "LAS or LAZ files with their trajectory",
-        "interloc.drives.scans.las.open:open_las",
+        "interloc.drives.scans.las.mapping:open_las",
         (".las", ".laz"),
         title="LAS or LAZ files",
     ),

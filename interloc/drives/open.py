@@ -207,7 +207,7 @@ def _open(
 
                 track = track_of(opened, options, findings, progress)
                 options = options.model_copy(update={"poses": str(track.path), "pose_frame": "lidar"})
-                whole = opened = _cut(open_recording(root, options, findings), part).within(track.rows)
+                whole = opened = _cut(open_recording(root, options, findings), part)
                 part = None
             if is_to_deskew(opened, options, findings):
                 opened = deskewed(opened, trajectory(), options, findings)

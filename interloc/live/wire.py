@@ -19,7 +19,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from interloc.drives.labels import SEMANTICKITTI, LabelScheme
 from interloc.errors import DriveError
-from interloc.live.scan import Fix, Label, LiveScan
+from interloc.live.scan import Fix, LiveScan
 
 MAGIC = b"ILS1"
 _START = struct.Struct("<4sI")
@@ -88,10 +88,10 @@ def encode_scan(scan: LiveScan) -> bytes:
     return b"".join(parts)
 
 
-def decode_scan(data: bytes, scheme: LabelScheme = SEMANTICKITTI, label: Label | None = None) -> LiveScan:
+def decode_scan(data: bytes, scheme: LabelScheme = SEMANTICKITTI) -> LiveScan:
     """Read the message of a scan, else raise a `DriveError`; its points are not copied yet.
 
-    The scheme says which labels are road, `label` labels points that come without.
+    The scheme says which labels are road.
     """
     if len(data) < _START.size or data[:4] != MAGIC:
         raise DriveError(
@@ -135,5 +135,4 @@ def decode_scan(data: bytes, scheme: LabelScheme = SEMANTICKITTI, label: Label |
         if fix is None
         else Fix(fix.lat_deg, fix.lon_deg, fix.alt_m, np.array(fix.R_enu_lidar).reshape(3, 3), fix.position_std_m),
         scheme=scheme,
-        label=label,
     )

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from interloc.arrays import BoolArray, FloatArray, IntArray
-from interloc.osm.coverage import Content, covered
+from interloc.osm.coverage import Content
 
 Bounds = tuple[float, float, float, float]
 """West, south, east, north in degrees; west > east where the box crosses the 180th meridian, as in RFC 7946."""
@@ -141,8 +141,16 @@ class RoadGraph:
         )
 
     def covers(self, lonlat: FloatArray) -> BoolArray:
-        """Return which (N, 2) longitudes, latitudes the map covers: `interloc.osm.coverage.covered`."""
-        return covered(self, lonlat)
+        """Return which of (N, 2) degrees the map covers, so that what it lacks there does not exist.
+
+        These lie within the areas that the file declares (anywhere, if it declares none), not far from a highway, and
+        on this side of every line at which the file seems to end (`interloc.osm.coverage`).
+        """
+        inside = self.declares(lonlat)
+        rows = np.flatnonzero(inside)
+        if len(rows):
+            inside[rows] = self.content.covers(lonlat[rows])
+        return inside
 
     @cached_property
     def inside_bounds(self) -> BoolArray:

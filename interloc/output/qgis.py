@@ -7,8 +7,7 @@ shows, as QGIS 3.22 and newer keep attachments: one file, that opens by a double
 
 import math
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
 from xml.etree import ElementTree as ET
@@ -52,6 +51,7 @@ _GEOMETRIES = {"Point": ("marker", "0"), "LineString": ("line", "1"), "Polygon":
 _DATA = "result.gpkg"
 _MARGIN = 0.08  # of the extent, around it
 _MIN_EXTENT_M = 50.0
+_ROAD = f"attachment:{ROAD_FILE}"
 _OSM_CREDIT = "© OpenStreetMap contributors, ODbL 1.0"
 
 Layers = Sequence[tuple[Layer, Rows]]
@@ -270,26 +270,12 @@ def _shown(name: str) -> str:
 # projects -------------------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Source:
-    """Where the data of a layer is."""
-
-    provider: str
-    """The part of QGIS that reads it: ``ogr`` for files, ``OAPIF`` for OGC API - Features."""
-    place: str
-    """In the words of the provider."""
-
-
-_ROAD = Source("gdal", f"attachment:{ROAD_FILE}")
-
-
 def write_qgz(out: Path, database: Path, layers: Layers, name: str, *, local: bool, road: Path | None) -> None:
-    """Write a project (see `project`) with its data: the GeoPackage, and below it `road.tif`, where there is one."""
+    """Write a project with this title and its data: the GeoPackage, and below it `road.tif`, where there is one.
 
-    def source_of(layer: Layer) -> Source:
-        return Source("ogr", f"attachment:{_DATA}|layername={layer.name}")
-
-    text = project(layers, name, source_of, local=local, has_road=road is not None)
+    `local`: the layers are in metres of their own frame.
+    """
+    text = _project(layers, name, local=local, has_road=road is not None)
     with ZipFile(out, "w", ZIP_DEFLATED) as archive:
         archive.writestr(ZipInfo("project.qgs"), text, ZIP_DEFLATED)
         archive.write(database, _DATA)
@@ -297,14 +283,7 @@ def write_qgz(out: Path, database: Path, layers: Layers, name: str, *, local: bo
             archive.write(road, ROAD_FILE)
 
 
-def project(
-    layers: Layers, name: str, source_of: Callable[[Layer], Source], *, local: bool = False, has_road: bool = False
-) -> str:
-    """Return a project with this title as a document of QGIS (``.qgs``).
-
-    `source_of` tells where the data of a layer is; `local`: the layers are in metres of their own frame; `has_road`:
-    the road seen by LiDAR lies beside the project, as `road.tif`.
-    """
+def _project(layers: Layers, name: str, *, local: bool, has_road: bool) -> str:
     there = {layer.name: (layer, rows) for layer, rows in layers}
     points = there["keyframes"][1].points()
     epsg = None if local or not len(points) else utm_zone(*points[0].tolist())
@@ -312,12 +291,12 @@ def project(
     for title, names in GROUPS.items():
         group = ET.Element("layer-tree-group", {"name": title, "checked": "Qt::Checked", "expanded": "1"})
         for layer, rows in (there[each] for each in names if each in there):
-            style, source = STYLES[layer.name], source_of(layer)
-            is_open = len(style.rules) > 1
-            group.append(_tree_layer(layer.name, style.title, source, is_shown=style.is_shown, is_open=is_open))
-            shown.append(_vector(layer, rows, source, None if local else 4326))
+            style, place = STYLES[layer.name], f"attachment:{_DATA}|layername={layer.name}"
+            told = _tree_layer(layer.name, style.title, place, is_shown=style.is_shown, is_open=len(style.rules) > 1)
+            group.append(told)
+            shown.append(_vector(layer, rows, place, None if local else 4326))
         if has_road and title == ROAD_GROUP:
-            group.append(_tree_layer(ROAD_LAYER, ROAD_TITLE, _ROAD, is_shown=True, is_open=False))
+            group.append(_tree_layer(ROAD_LAYER, ROAD_TITLE, _ROAD, is_shown=True, is_open=False, provider="gdal"))
         if len(group):
             tree.append(group)
     if has_road:
@@ -338,14 +317,16 @@ def project(
     return _document(root)
 
 
-def _tree_layer(name: str, title: str, source: Source, *, is_shown: bool, is_open: bool) -> ET.Element:
+def _tree_layer(
+    name: str, title: str, place: str, *, is_shown: bool, is_open: bool, provider: str = "ogr"
+) -> ET.Element:
     return ET.Element(
         "layer-tree-layer",
         {
             "id": _id(name),
             "name": title,
-            "source": source.place,
-            "providerKey": source.provider,
+            "source": place,
+            "providerKey": provider,
             "checked": "Qt::Checked" if is_shown else "Qt::Unchecked",
             "expanded": "1" if is_open else "0",
         },
@@ -363,18 +344,18 @@ def _raster(epsg: int | None) -> ET.Element:
     return _element(
         "maplayer",
         *_place_of(ROAD_LAYER, _ROAD, ROAD_TITLE, epsg),
-        _element("provider", _ROAD.provider),
+        _element("provider", "gdal"),
         _element("pipe", _element("rasterrenderer", _element("rastershader", ramp), **band)),
         type="raster",
     )
 
 
-def _vector(layer: Layer, rows: Rows, source: Source, epsg: int | None) -> ET.Element:
+def _vector(layer: Layer, rows: Rows, place: str, epsg: int | None) -> ET.Element:
     return _element(
         "maplayer",
-        *_place_of(layer.name, source, STYLES[layer.name].title, epsg),
+        *_place_of(layer.name, place, STYLES[layer.name].title, epsg),
         _element("resourceMetadata", *_about(layer, rows.credit)),
-        _element("provider", source.provider, encoding="UTF-8"),
+        _element("provider", "ogr", encoding="UTF-8"),
         *_style_elements(layer),
         type="vector",
         geometry=layer.geometry,
@@ -382,8 +363,8 @@ def _vector(layer: Layer, rows: Rows, source: Source, epsg: int | None) -> ET.El
     )
 
 
-def _place_of(name: str, source: Source, title: str, epsg: int | None) -> Iterable[ET.Element]:
-    texts = {"id": _id(name), "datasource": source.place, "layername": title}
+def _place_of(name: str, place: str, title: str, epsg: int | None) -> Iterable[ET.Element]:
+    texts = {"id": _id(name), "datasource": place, "layername": title}
     return [*(_element(tag, text) for tag, text in texts.items()), _element("srs", *_crs(epsg))]
 
 

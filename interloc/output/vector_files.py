@@ -24,12 +24,12 @@ from xml.sax.saxutils import escape
 from zipfile import ZIP_DEFLATED, ZipFile, ZipInfo
 
 from interloc.errors import ConfigError, GeoreferenceError, OutputError, install
-from interloc.files import reason_of, write_file
+from interloc.files import reason_of
 from interloc.output.geojson import cut, read_json, write_collection
 from interloc.output.layers import BUILDINGS, DERIVED, LAYERS, MAIN_LAYERS, PLACES, Layer, Rows, derive
 from interloc.output.layout import ROAD_FILE, ROAD_LAYERS, RUN_FILE, file_names, refuse_result_file
 from interloc.output.properties import origin_of
-from interloc.output.qgis import Source, project, qml, write_qgz
+from interloc.output.qgis import qml, write_qgz
 
 _STYLES = """
 CREATE TABLE IF NOT EXISTS layer_styles (
@@ -124,12 +124,6 @@ def has_parquet() -> bool:
 def suffixes_here() -> list[str]:
     """Return those of `FORMATS` that this installation writes."""
     return [suffix for suffix in FORMATS if suffix != ".parquet" or has_parquet()]
-
-
-def write_live_project(result: Path, out: Path, name: str, source_of: Callable[[Layer], Source]) -> None:
-    """Write a project of QGIS whose layers are read from the service; `source_of` tells where it has each."""
-    layers = [(EXPORTS[layer], _read(result, layer)) for layer in _choose(result, None, ".qgz")]
-    write_file(out, project(layers, name, source_of))
 
 
 def is_local(result: Path) -> bool:

@@ -389,7 +389,7 @@ function save(url, name) {
  * @property {string} tile_attribution
  * @property {boolean} overpass Whether jobs may fetch the map of today.
  * @property {boolean} needs_token
- * @property {Record<string, number>} limits
+ * @property {number} trash_h For how long what is deleted can be restored.
  * @property {{name: string, title: string, description: string}[]} policies The first is the usual one.
  * @property {{name: string, description: string, is_osm: boolean}[]} layers Of a result.
  * @property {string[]} exports Endings of the formats that it writes: ".gpkg".
@@ -397,7 +397,6 @@ function save(url, name) {
  * @property {Record<"maps" | "archives" | "recordings" | "scans" | "small" | "beside", string[]>} file_kinds Endings of names.
  * @property {Record<string, string>} layouts Titles of the layouts of drives.
  * @property {any} reading_schema JSON Schema of the options of reading.
- * @property {Record<string, string>} raw_sequences Odometry sequences by KITTI raw drive.
  * @property {string} simulator The generator of maps that are made up.
  * @property {string[]} drivable Values of `highway`.
  * @property {{default: number, minimum: number, maximum: number}} search_radius_km

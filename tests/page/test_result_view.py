@@ -103,7 +103,8 @@ def test_the_report_tells_the_figures_and_leads_to_the_map(page: Any, done: Done
     report = done.report()
     show(page, done, "panel=result")
     rows = page.locator(".osm-nodes tbody tr.can")
-    rows.first.wait_for()  # the panel may come after the map
+    rows.first.wait_for(state="attached")  # the panel may come after the map
+    page.locator("#panel-result details").evaluate_all("(all) => all.forEach((each) => (each.open = true))")
     text = page.inner_text("#panel-result").replace("\u00a0", " ")
     assert f"{report['ace_m']:.2f} m" in text
     assert f"{100 * report['precision']['5.0']:.1f} %" in text
@@ -118,9 +119,6 @@ def test_the_report_tells_the_figures_and_leads_to_the_map(page: Any, done: Done
     popup = page.locator(".leaflet-popup-content")
     popup.wait_for()
     assert str(ids[1]) in popup.inner_text()
-    page.locator("#tab-drives").click()
-    popup.locator("summary").click()
-    popup.get_by_role("button", name="In the list").click()
     page.locator(".osm-nodes tbody tr.below.is", has_text=str(ids[1])).wait_for()
 
 
@@ -160,10 +158,8 @@ def test_a_link_shows_the_same_again(page: Any, done: Done) -> None:
 def test_where_else_a_drive_fits_the_map_is_a_layer(browser: Browser, done: Done) -> None:
     page = browser.new_page()
     track = done.features("trajectory")[0]
-    run = done.server.client.get(f"{API}/jobs/{done.job}/files/run.json").json()
-    placed = {"lat_deg": 49.0, "lon_deg": 8.4, "heading_deg": 90.0, "position_std_m": 2.0}
-    page.route("**/files/run.json", lambda route: route.fulfill(json=run | {"location": placed}))
-    page.route("**/places", lambda route: route.fulfill(json={"features": [track, track, track]}))
+    view = done.server.client.get(f"{API}/jobs/{done.job}/view").json()
+    page.route("**/view", lambda route: route.fulfill(json=view | {"places": {"features": [track, track, track]}}))
     show(page, done, "panel=result")
     assert page.locator(".legend label", has_text="Next best places").inner_text().split()[-1] == "2"
 
@@ -229,5 +225,9 @@ def test_the_page_comes_in_few_requests_and_asks_for_nothing_twice(browser: Brow
     files = {address: size for address, size in answers if "/api/" not in address}
     if not any("/bundle/" in address for address in files):
         pytest.skip("the page is not bundled: npm run build in static/")
+    page.goto("about:blank")
+    page.goto(f"{done.server.address}/#job={done.job}")
+    page.wait_for_load_state("networkidle")
+    assert sum("/api/" in address for address in page.evaluate(f"{entries}.map((each) => each.name)")) <= 5
     assert len(files) <= 10
     assert sum(files.values()) < 150_000

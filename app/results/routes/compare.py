@@ -1,6 +1,5 @@
-"""Results side by side, and beside the paper's."""
+"""Results side by side."""
 
-import dataclasses
 import json
 import re
 from typing import Annotated, Any
@@ -60,16 +59,3 @@ def compare_jobs(
     own = set().union(*(own_settings(run) for run in runs))
     settings = [{**dict(each), "is_own": each.name in own} for each in compared.settings]
     return {**dict(compared), "drive_id": opened[0].drive_id, "names": numbered, "settings": settings}
-
-
-@router.get("/paper")
-@priced("cheap")
-def read_paper() -> dict[str, Any]:
-    """Give the tables of the paper, to stand beside a report of a KITTI sequence."""
-    from interloc.evaluation.compare import AVERAGE, COMPARISON, LABEL_ERRORS, PERFORMANCE  # noqa: PLC0415
-
-    tables = {"sequences": PERFORMANCE, "comparison": COMPARISON, "noise": LABEL_ERRORS}
-    plain = {
-        table: {name: dataclasses.asdict(figures) for name, figures in rows.items()} for table, rows in tables.items()
-    }
-    return {**plain, "average": dataclasses.asdict(AVERAGE)}

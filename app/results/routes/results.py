@@ -7,13 +7,17 @@ from fastapi import APIRouter, Path, Query, Request, Response
 from fastapi.responses import StreamingResponse
 from zipstream import ZIP_DEFLATED, ZIP_STORED, ZipStream
 
-from app.http.delivery import REVALIDATE, deliver, disposition, media_type_of, not_modified
+from app.context import ContextDep
+from app.http.delivery import REVALIDATE, answer_tagged, deliver, disposition, media_type_of, not_modified
 from app.http.openapi import BINARY, Responses, get_and_head
 from app.http.patterns import ID
 from app.http.prices import priced
+from app.jobs.view import find_job, job_models
 from app.results.folder import ResultsDep
 from app.results.models import FeatureCollection, LayerName, ResultFile, ResultFileList
+from app.states import JobKind, JobState
 from interloc.output.layers import LAYERS
+from interloc.output.layout import RUN_FILE, file_names
 from interloc.output.qgis import qml
 
 JobId = Annotated[str, Path(description="Id of a successful job of kind intersections.", pattern=ID)]
@@ -79,6 +83,24 @@ def read_report(
     result = results.open(job_id)
     path = result.evaluation_file(f"report.{format}")
     return deliver(request, path, name=f"{result.slug}-{path.name}")
+
+
+@get_and_head(router, "/jobs/{job_id}/view", response_class=Response)
+@priced("heavy", bound="the files of one result")
+def read_view(job_id: JobId, request: Request, context: ContextDep, results: ResultsDep) -> Response:
+    """Give a job and, where it is successful, all that the page shows of its result: one answer, not a dozen."""
+    with context.database.reading() as session:
+        (job,) = job_models(session, context, [find_job(session, job_id)])
+    parts = {"job": job.model_dump_json().encode(), "run": b"null"}
+    if job.state == JobState.SUCCESSFUL and job.kind == JobKind.INTERSECTIONS:
+        result = results.open(job_id)
+        layers = {name: f"{name}.geojson" for name in LAYERS} | file_names(georeferenced=result.is_georeferenced)
+        del layers["road_surface"]  # the picture of the road shows more of it, in fewer bytes
+        for name, file in {"run": RUN_FILE, "report": "report.json", **layers}.items():
+            path = result.folder / file
+            parts[name] = path.read_bytes() if path.is_file() else b"null"
+    content = b",".join(b'"%s":%s' % (name.encode(), part) for name, part in parts.items())
+    return answer_tagged(request, b"{%s}" % content)
 
 
 @get_and_head(

@@ -142,7 +142,6 @@ function sections(result, link) {
   const get = (text, path, name, props = {}) =>
     el("button", { ...props, onClick: () => download(`${at}/${path}`, name).catch(showError) }, text);
   const token = getToken() ? ' -H "Authorization: Bearer $INTERLOC_TOKEN"' : "";
-  const live = get("project without data", exported(".qgs"), `${slug}.qgs`, { class: "link" });
   return [
     el("h2", "Take it along"),
     el("div.row", [
@@ -159,21 +158,18 @@ function sections(result, link) {
       el("p.small", "Drive, job, place, keyframe, layers and filter; for everybody who can reach this server."),
     ),
     resultSection("The same by curl", codeBox(`curl -fOJ${token} ${address(`${at}/export`)}`)),
-    !local && resultSection("In QGIS", qgis(address(`${at}/layers/intersections`), live)),
+    !local && resultSection("In QGIS", qgis(address(`${at}/layers/intersections`))),
     result.report && !result.isMadeUp && el("p.small.section", OF_OSM),
   ];
 }
 
-/**
- * @param {string} geojson Address of a layer.
- * @param {HTMLElement} live Button of the project that reads the layers from the service.
- */
-function qgis(geojson, live) {
+/** @param {string} geojson Address of a layer. */
+function qgis(geojson) {
   const words = "Double-click the project, or drag the GeoPackage into QGIS: the layers are drawn as on this page.";
   const open = el("p.small", words);
   if (getToken()) return open;
   const path = "Layer › Add Layer › Add Vector Layer, source type “Protocol: HTTP(S)”, type GeoJSON, URI:";
-  const here = el("p.small", "Read from this server, nothing to download: the ", live, ". One layer: ", path);
+  const here = el("p.small", "Read from this server, nothing to download: one layer by ", path);
   return el("div.stack", open, el("div", here, codeBox(geojson)));
 }
 

@@ -51,14 +51,14 @@ const UNSEEN = /** @type {Record<string, {title: string, hint: string}>} */ ({
  * @param {object} known
  * @param {DriveFolder | null} known.drive null: an archive, of which nothing is known yet.
  * @param {Network[]} known.networks
- * @param {import("./upload.js").Settings | null} known.before
+ * @param {Partial<import("./upload.js").Settings> | null} known.before
  * @param {{onChange: () => void, onFolder: (files: FileList) => void}} listeners `onFolder`: labels from elsewhere.
  */
 export function labelForm({ drive, networks, before }, { onChange, onFolder }) {
   const rows = el("div.stack-s");
   /** @type {Map<string, HTMLInputElement>} */
   const boxes = new Map();
-  const meaning = meaningField(before?.options.label_scheme ?? "auto", onChange);
+  const meaning = meaningField(before?.options?.label_scheme ?? "auto", onChange);
   const elsewhere = { folder: true, class: "link", name: "prediction-folder" };
   const picker = el("div", filePicker("Labels from another folder …", onFolder, elsewhere));
 
@@ -112,7 +112,7 @@ export function labelForm({ drive, networks, before }, { onChange, onFolder }) {
       const wasOff = new Set([...boxes].filter(([, box]) => !box.checked).map(([name]) => name));
       boxes.clear();
       const items = names.map((name) => {
-        const isOn = before ? before.folders.includes(name) || !boxes.size : !wasOff.has(name);
+        const isOn = before?.folders ? before.folders.includes(name) || !boxes.size : !wasOff.has(name);
         const isOnly = names.length === 1;
         const box = el("input", { type: "checkbox", checked: isOn || isOnly, disabled: isOnly, onChange });
         boxes.set(name, box);

@@ -1,7 +1,7 @@
 /** How the files of a drive are read: the options of reading, by their schema, and a georeference from elsewhere. */
 
 import { getConfig } from "../api.js";
-import { field, filePicker, radios, select } from "../controls.js";
+import { field, filePicker, select } from "../controls.js";
 import { el, fill, plural } from "../dom.js";
 import { folderOfInput } from "./folder.js";
 
@@ -31,13 +31,13 @@ const DESKEW = { auto: "Taken out where the points show it", on: "Taken out", of
 
 /**
  * @param {DriveFolder | null} drive null: an archive, of which nothing is known yet.
- * @param {import("./upload.js").Settings | null} before
+ * @param {Partial<import("./upload.js").Settings> | null} before
  * @param {() => void} onChange
  */
 export function readingForm(drive, before, onChange) {
   const { reading_schema, layouts } = getConfig();
   const own = drive?.look.layout ?? null;
-  const georeference = georeferenceField(own, onChange);
+  const georeference = georeferenceField(onChange);
   const { reduced: _, ...ofLayout } = layouts;
   const choices = /** @type {Record<string, Record<string, string>>} */ ({
     ...{ pose_frame: POSE_FRAMES, deskew: DESKEW, layout: { auto: "From the folder", ...ofLayout } },
@@ -49,7 +49,7 @@ export function readingForm(drive, before, onChange) {
     const schema = reading_schema.properties[name];
     const text = schema.anyOf?.find((/** @type {any} */ { type }) => type === "string") ?? schema;
     const example = schema.examples?.[0];
-    const value = before?.options[name] ?? schema.default ?? "";
+    const value = before?.options?.[name] ?? schema.default ?? "";
     const input = text.enum
       ? select(
           Object.fromEntries(text.enum.map((/** @type {string} */ each) => [each, choices[name]?.[each] ?? each])),
@@ -105,52 +105,42 @@ export function readingForm(drive, before, onChange) {
     read: () => Object.fromEntries(options.map(({ name, read }) => [name, read()])),
     georeference: georeference.file,
     /** @returns {string | null} */
-    complaint: () => options.map(({ complaint }) => complaint()).find(Boolean) ?? georeference.complaint(),
+    complaint: () => options.map(({ complaint }) => complaint()).find(Boolean) ?? null,
   };
 }
 
-/** @param {string | null} layout @param {() => void} onChange */
-function georeferenceField(layout, onChange) {
+/** @param {() => void} onChange */
+function georeferenceField(onChange) {
   /** @type {Georeference | null} */
   let fix = null;
-  const status = el("span.small.quiet", "None chosen yet");
-  /** @param {File} file */
-  function takeFile(file) {
-    const isGood = /\.(txt|csv)(\.gz)?$/i.test(file.name);
-    const path = `${PLACE}/${file.name}`;
-    fix = isGood ? { path, files: new Map([[path, file]]) } : null;
-    status.textContent = isGood
-      ? file.name
-      : `${file.name}: expected a file of OXTS rows (.txt, .txt.gz) or a geo.csv.`;
+  const status = el("span.small.quiet", { role: "status" });
+  /** @param {string} name @param {[string, File][]} files By path; none: it is no georeference. @param {string} text */
+  function take(name, files, text) {
+    fix = files.length ? { path: `${PLACE}/${name}`, files: new Map(files) } : null;
+    status.textContent = text;
     onChange();
   }
-  /** @param {FileList} list */
-  function takeFolder(list) {
+  const takeFile = (/** @type {FileList} */ [file]) => {
+    const isGood = /\.(txt|csv)(\.gz)?$/i.test(file.name);
+    const text = isGood ? file.name : `${file.name}: expected a file of OXTS rows (.txt, .txt.gz) or a geo.csv.`;
+    take(file.name, isGood ? [[`${PLACE}/${file.name}`, file]] : [], text);
+  };
+  const takeFolder = (/** @type {FileList} */ list) => {
     const { name, files } = folderOfInput(list);
-    const path = `${PLACE}/${name}`;
     const texts = [...files].filter(
       ([inside]) => /\.txt$/.test(inside) && !/(^|\/)(image_\d\d|velodyne_points)\//.test(inside),
     );
-    fix = texts.length ? { path, files: new Map(texts.map(([inside, file]) => [`${path}/${inside}`, file])) } : null;
-    status.textContent = `${name}: ${texts.length ? plural(texts.length, "file") : "no OXTS file is in it"}.`;
-    onChange();
-  }
+    const text = `${name}: ${texts.length ? plural(texts.length, "file") : "no OXTS file is in it"}.`;
+    const named = texts.map(([inside, file]) => /** @type {[string, File]} */ ([`${PLACE}/${name}/${inside}`, file]));
+    take(name, named, text);
+  };
   const ofFile = { accept: ".txt,.csv,.gz", name: "georeference-file" };
-  const asFile = filePicker("A file …", ([file]) => takeFile(file), ofFile);
-  const asFolder = filePicker("A KITTI raw drive …", takeFolder, { folder: true, name: "raw-drive" });
-  const pickers = el("div.stack-s", el("div.row", asFile, asFolder), status);
-  const inFiles = /** @type {Record<string, {title: string, hint: string}>} */ ({
-    rosbag: { title: "From the bag", hint: "Its GNSS fixes; without them, local metres only." },
-    las: { title: "From the files", hint: "Their coordinate system." },
-  });
-  const inFolder = { title: "From the folder", hint: "oxts/ or geo.csv; without them, local metres only." };
+  const pickers = el("div.row", [
+    filePicker("A file …", takeFile, ofFile),
+    filePicker("A KITTI raw drive …", takeFolder, { folder: true, name: "raw-drive" }),
+    status,
+  ]);
   const hint = "One row of OXTS per frame, a geo.csv, or the KITTI raw drive of an odometry sequence.";
-  const choices = [
-    { value: "drive", ...(inFiles[layout ?? ""] ?? inFolder) },
-    { value: "other", title: "From elsewhere", hint, more: pickers },
-  ];
-  const source = radios("Georeference", choices, "drive", onChange);
-  const file = () => (source.value() === "other" ? fix : null);
-  const missing = "Choose the georeference from elsewhere, or use that of the folder.";
-  return { element: source.element, file, complaint: () => (source.value() === "other" && !fix ? missing : null) };
+  const title = el("span.field-name", "Georeference from elsewhere");
+  return { element: el("div", title, pickers, el("small", hint)), file: () => fix };
 }

@@ -16,7 +16,7 @@ from interloc.drives.findings import Findings
 from interloc.drives.folder import FolderDrive
 from interloc.drives.options import DriveOptions
 from interloc.drives.scans.recorded import Recording
-from interloc.drives.scans.rosbag.open import open_rosbag
+from interloc.drives.scans.rosbag.trajectory import open_rosbag
 from interloc.drives.trajectory import Trajectory
 from interloc.errors import DriveError
 from interloc.geometry import enu_from_lonlat, lonlat_from_enu, rotation_from_rpy, wrap_angle, yaw_of
@@ -201,13 +201,6 @@ def test_a_split_bag_is_one_drive_and_static_transforms_are_in_its_first_part(tm
     assert np.allclose(poses_of(trajectory)[:, 1, 3], -np.arange(11), atol=1e-9)  # to the right of a turned LiDAR
     assert np.array_equal(recording.points.read(10).values, scans_of()[10])
     assert recording.points.name(10) == "drive_10.db3, /points, message 10"
-    assert "is one of 11 files of a bag; only this one is read" in lone_file_notes(folder / "drive_3.db3")
-
-
-def lone_file_notes(path: Path) -> str:
-    findings = Findings(stop_at_first=False)
-    open_rosbag(path, DriveOptions(), findings)
-    return said(findings)
 
 
 def test_scans_without_a_pose_are_left_out_and_keep_their_numbers(tmp_path: Path) -> None:
