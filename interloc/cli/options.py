@@ -403,11 +403,11 @@ def read_map(osm: Path | None, lonlat: FloatArray | None = None) -> RoadGraph | 
 
     Only what lies around the keyframes, (K, 2) degrees, is read.
     """
+    if osm is None:
+        return None
     from interloc.evaluation.coverage import map_bounds
     from interloc.osm.reader import read_osm
 
-    if osm is None:
-        return None
     return read_osm(osm, None if lonlat is None or not len(lonlat) else map_bounds(lonlat))
 
 

@@ -130,6 +130,7 @@ class Connection:
         json: object = None,
         params: Mapping[str, str | int] | None = None,
         body: Callable[[], bytes | Iterator[bytes]] | None = None,
+        files: Any = None,  # noqa: ANN401 - parts of multipart/form-data, as httpx takes them
         headers: Mapping[str, str] | None = None,
     ) -> httpx.Response:
         """Send a request to a path below ``/api/v1``, and repeat it while the server cannot be reached or is busy.
@@ -141,8 +142,9 @@ class Connection:
         while True:
             asked_s: float | None = None
             try:
+                content = body and body()
                 response = self._client.request(
-                    method, path.lstrip("/"), json=json, params=params, content=body and body(), headers=headers
+                    method, path.lstrip("/"), json=json, params=params, content=content, files=files, headers=headers
                 )
             except httpx.TransportError as error:
                 reason = _reason(error)

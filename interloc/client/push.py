@@ -27,9 +27,9 @@ from interloc.drives.open import read_drive
 from interloc.drives.options import DriveOptions, LabelFolder, ReadingOptions
 from interloc.drives.scans.raw import RawScans
 from interloc.drives.scans.reduced_format import MANIFEST, ReducedManifest, ground_path, is_reduced, read_manifest
-from interloc.errors import ConfigError, DriveError, InterLocError, NetworkError
+from interloc.errors import ConfigError, DriveError, NetworkError
 from interloc.osm.container import MAP_ENDINGS, is_map
-from interloc.reduction.reduce import Reduction, label_folders_in, prepare_reduction, reduce_scan
+from interloc.reduction.reduce import Reduction, prepare_reduction, reduce_scan
 
 OnStage = Callable[[str], None]
 """Called with what begins, in words."""
@@ -102,21 +102,15 @@ class PreparedDrive:
 
 
 def prepare(root: Path, options: PushOptions) -> PreparedDrive:
-    """Check a drive as `interloc info` does, and get it ready; the error of an unusable one names all problems."""
+    """Check a drive as `interloc info` does, and get it ready; the first error is raised."""
     for path in options.maps:
         if not path.is_file():
             raise DriveError(f"{path}: no such file. Expected an OpenStreetMap file.")
-    folders, by = options.label_folders or None, options.keyframes
-    try:
-        if is_reduced(root):
-            prepared = _as_reduced(root, options)
-        else:
-            reduction = prepare_reduction(root, options.for_drive, label_folders=folders, keyframes=by)
-            prepared = _reduced_on_the_way(reduction)
-    except ConfigError:
-        raise
-    except InterLocError as error:
-        raise _with_all_problems(error, root, options) from error
+    if is_reduced(root):
+        prepared = _as_reduced(root, options)
+    else:
+        folders, by = options.label_folders or None, options.keyframes
+        prepared = _reduced_on_the_way(prepare_reduction(root, options.for_drive, label_folders=folders, keyframes=by))
     return replace(prepared, maps=[UploadFile(path.name, path) for path in options.maps])
 
 
@@ -178,16 +172,6 @@ def _mark_of(source: RawScans) -> str:
     """Tell label schemes, and networks, apart."""
     ids = (sorted(source.scheme.road), sorted(source.scheme.confusable), *source.sources[1].identity)
     return hashlib.sha256(repr(ids).encode()).hexdigest()[:12]
-
-
-def _with_all_problems(error: InterLocError, root: Path, options: PushOptions) -> InterLocError:
-    folders = options.label_folders or label_folders_in(root, options.for_drive)
-    findings = Findings(stop_at_first=False)
-    read_drive(root, options.for_drive, findings, label_folders=folders)
-    problems = [f"{each.path}: {each.message}" for each in findings.found if each.severity == "error"]
-    if len(problems) < 2:
-        return error
-    return DriveError("\n  ".join([f"{root} cannot be used as it is; nothing was sent:", *problems]))
 
 
 def _is_plain(name: str) -> bool:

@@ -3,7 +3,6 @@
 import base64
 import hashlib
 import math
-import secrets
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
@@ -205,10 +204,12 @@ class _Sender:
         first, *others = contents
         try:
             if others:
-                body, boundary = _bundle(contents)
-                headers = {"Content-Type": f"multipart/form-data; boundary={boundary}"}
-                address = f"/drives/{self.drive_id}/scans"
-                answers = self.connection.ask("POST", address, FilesAnswer, body=lambda: body, headers=headers).files
+                kind, address = "application/octet-stream", f"/drives/{self.drive_id}/scans"
+                parts = [
+                    ("files", (each.file.path, each.body(), kind, {"Content-Digest": each.digest_header}))
+                    for each in contents
+                ]
+                answers = self.connection.ask("POST", address, FilesAnswer, files=parts).files
             else:
                 headers = {"Content-Type": "application/octet-stream", "Content-Length": str(first.size)}
                 headers["Content-Digest"] = first.digest_header
@@ -237,17 +238,6 @@ class _Sender:
             self.progress.done += done
             self.progress.sent += len(sizes)
             self.progress.bytes_sent += sum(sizes)
-
-
-def _bundle(contents: list[_Content]) -> tuple[bytes, str]:
-    """Return some files as multipart/form-data, and what separates them."""
-    boundary = secrets.token_hex(16)
-    pieces: list[bytes] = []
-    for each in contents:
-        name = f'Content-Disposition: form-data; name="files"; filename="{each.file.path}"'
-        pieces.append(f"--{boundary}\r\n{name}\r\nContent-Digest: {each.digest_header}\r\n\r\n".encode())
-        pieces += [each.body(), b"\r\n"]
-    return b"".join([*pieces, f"--{boundary}--\r\n".encode()]), boundary
 
 
 def _content_of(file: UploadFile) -> tuple[int, bytes, Body]:

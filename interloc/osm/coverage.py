@@ -4,8 +4,8 @@ Extracts are cut by boxes and by borders, mostly with whole ways: a way that tou
 end, and one that does not is missing. Beyond the cut, therefore, roads go on bare: every way there comes across the
 cut, and no way lies there as a whole. Where a file has so much road beyond a line that several whole ways would be
 expected, and has none, it ends at that line. Files whose ways were cut at the border have ways that lack nodes there,
-or several dead ends on one line. The score, its reasons, and the audit ask
-`RoadGraph.covers`; there is no other answer.
+or several dead ends on one line. The score, its reasons, and the audit ask `RoadGraph.covers`;
+there is no other answer.
 """
 
 from __future__ import annotations

@@ -353,7 +353,11 @@ def _collect_ways(stream: _OsmStream, bounds: Bounds | None, inside: IntArray) -
             refs = np.fromiter(chain.from_iterable(way.refs for way in batch), np.int64)
             first = np.cumsum([0, *(len(way.refs) for way in batch[:-1])])
             is_near = np.logical_or.reduceat(_is_in(refs, inside), first).tolist()
-            near = [way for way, keep in zip(batch, is_near, strict=True) if keep or _comes_into(bounds, way.places)]
+            near = [
+                way
+                for way, keep in zip(batch, is_near, strict=True)
+                if keep or (way.places is not None and within(bounds, way.places).any())
+            ]
         left_out += len(batch) - len(near)
         for way in near:
             known = found.setdefault(way.id, [way])
@@ -365,10 +369,6 @@ def _collect_ways(stream: _OsmStream, bounds: Bounds | None, inside: IntArray) -
             raise too_many(stream.path, "highways", MAX_WAYS)
     replaced = stream.replaced({id_: pieces[0].version for id_, pieces in found.items()}) if found else set()
     return [way for id_, pieces in found.items() if id_ not in replaced for way in pieces], left_out
-
-
-def _comes_into(bounds: Bounds, places: FloatArray | None) -> bool:
-    return places is not None and bool(within(bounds, places).any())
 
 
 def _buildings(stream: _OsmStream, nodes: _Nodes) -> Buildings:

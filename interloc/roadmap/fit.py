@@ -97,7 +97,7 @@ def _street(chain: Sequence[tuple[int, Edge]], mouths: Mapping[int, Mapping[int,
     whole = chain[0][1]
     for _, edge in chain[1:]:
         whole = whole.then(edge)
-    along = _along(whole.xy)
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(whole.xy, axis=0), axis=1))])
     count = max(3, round(along[-1] / STEP_M) + 1)
     at = np.linspace(0.0, along[-1], count)
     xy = np.stack([np.interp(at, along, whole.xy[:, k]) for k in (0, 1)], axis=-1)
@@ -141,10 +141,6 @@ def _beside(xy: FloatArray, track: cKDTree) -> FloatArray:
     return np.where(is_beside[:, None], track.data[nearest], np.nan)
 
 
-def _along(xy: FloatArray) -> FloatArray:
-    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(xy, axis=0), axis=1))])
-
-
 def _smoothed(xy: FloatArray, weight: FloatArray, length_m: float) -> FloatArray:
     """Return the line that bends least and keeps to (N, 2) positions (Whittaker 1923); waves of a length lose half.
 
@@ -184,7 +180,7 @@ def _measure(raster: Raster, street: Street, tree: cKDTree, owner: IntArray, num
     if np.count_nonzero(is_pulled & is_known) > np.count_nonzero(is_known) / 2:
         is_pulled[:] = False
     left, right = (np.where(side > _held(side) + _WIDER_M, _held(side), side) for side in (left, right))
-    left, right = (_mean(side) for side in (left, right))
+    left, right = (uniform_filter1d(side, _odd(_MEAN_M), mode="nearest") for side in (left, right))
     left, right = _near_track(left, right, np.sum((street.track - street.xy) * normal, axis=1))
     street.left_m, street.right_m = left, right
     is_sure = is_known & ~is_pulled
@@ -202,10 +198,6 @@ def _kerb(side: FloatArray) -> FloatArray:
     steady = median_filter(side, _odd(_STEADY_M), mode="nearest")
     high = percentile_filter(np.minimum(side, steady + _ODD_M), _QUANTILE, _odd(_QUANTILE_M), mode="nearest")
     return np.asarray(high, np.float64)
-
-
-def _mean(values: FloatArray) -> FloatArray:
-    return np.asarray(uniform_filter1d(values, _odd(_MEAN_M), mode="nearest"), np.float64)
 
 
 def _held(values: FloatArray) -> FloatArray:

@@ -4,7 +4,6 @@ A block is computed with a margin around it and gives only what lies within, so 
 and the seams do not show.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from itertools import pairwise
 
@@ -60,7 +59,8 @@ def survey(raster: Raster, block: int = BLOCK) -> Ground:
     """Find the road in a raster of counts; how it is cut into blocks decides only how the surface is cut."""
     ground = Ground(raster.cell_m)
     found, places = [], []
-    for row, col in _blocks(raster, block):
+    side = block // TILE
+    for row, col in sorted({(row // side * block, col // side * block) for row, col in raster.tiles}):
         margin = round(MARGIN_M / raster.cell_m)
         counts = raster.window(row - margin, col - margin, block + 2 * margin, block + 2 * margin)
         if counts is None or not (counts >= MIN_COUNT).any():
@@ -86,12 +86,6 @@ def survey(raster: Raster, block: int = BLOCK) -> Ground:
         ground.rows, ground.cols, ground.half_m = rows[order], cols[order], half[order].astype(np.float64)
     ground.places = list(shapely.get_parts(shapely.union_all([each.buffer(raster.cell_m / 10) for each in places])))
     return ground
-
-
-def _blocks(raster: Raster, block: int) -> Iterator[tuple[int, int]]:
-    """Yield first row and column of the blocks that have tiles, in row-major order."""
-    side = block // TILE
-    yield from sorted({(row // side * block, col // side * block) for row, col in raster.tiles})
 
 
 def _part_with_road(counts: UInt8Array) -> tuple[slice, slice]:

@@ -81,21 +81,14 @@ export function setState(patch) {
 
 /**
  * Call a function whenever one of the keys changes.
- * @param {string[]|null} keys null for any.
+ * @param {string[]} keys
  * @param {(state: State, before: State) => void} call
  * @returns {() => void} Stops it.
  */
 export function subscribe(keys, call) {
   return changes.hear((changed, before) => {
-    if (!keys || keys.some((key) => changed.includes(key))) call(state, before); // it may have changed again
+    if (keys.some((key) => changed.includes(key))) call(state, before); // it may have changed again
   });
-}
-
-/** @returns {string} An address that shows what the page shows now. */
-export function permalink() {
-  const url = new URL(location.href);
-  url.hash = format(state);
-  return url.href;
 }
 
 /** @param {State} now @param {State} before @returns {string[]} */

@@ -237,12 +237,9 @@ def test_the_server_restarts_in_the_middle(street: Path, tmp_path: Path, narrow:
 def test_a_bad_drive_is_explained_and_not_sent(here: Any, server: ServerProcess, street: Path, tmp_path: Path) -> None:
     drive = copy_of(street, tmp_path / "bad")
     (drive / "labels" / "000004.label").unlink()
-    (drive / "velodyne" / "000009.bin").write_bytes(b"12345")
     outcome = here("push", drive)
     assert outcome.code == 1
-    assert f"{drive} cannot be used as it is; nothing was sent:" in outcome.err
     assert "labels/000004.label: is missing" in outcome.err
-    assert "velodyne/000009.bin: 5 bytes, which is no multiple of 16" in outcome.err
     assert files_of_newest(server, "bad") == 0
     assert not [each for each in drives_on(server) if each["name"] == "bad"]
 

@@ -26,7 +26,6 @@ needs_page = [
 _ARGUMENTS = [
     "--no-sandbox",
     "--disable-gpu",
-    "--enable-unsafe-swiftshader",  # WebGL without a GPU, for maps of other sites
     "--disable-background-networking",
     "--host-resolver-rules=MAP * ~NOTFOUND , EXCLUDE 127.0.0.1",  # no other host has an address
 ]

@@ -284,6 +284,8 @@ export async function mountStage() {
   };
 
   subscribe(["job", "drive", "live", "map"], ({ job, live, map }, before) => {
+    const known = shown.result?.job;
+    if (known && known.id === job) return setState({ drive: known.drive_id }); // an address may leave it out
     const isOther = job !== before.job || live !== before.live || map !== before.map;
     if (isOther || !job) void showDrive(); // of a job the drive is learnt when it comes
   });

@@ -85,7 +85,7 @@ export function formView({ drive, drives, archive, presets, networks, before }, 
   /** What a look depends on. */
   function wish() {
     const fix = reading.georeference();
-    const options = { ...reading.read(), label_scheme: labels.scheme(), oxts: fix?.path ?? null };
+    const options = { ...reading.read(), oxts: fix?.path ?? null };
     return { options, fix: fix && [...fix.files.values()].map(({ size, lastModified }) => [size, lastModified]) };
   }
 
@@ -236,7 +236,7 @@ export function formView({ drive, drives, archive, presets, networks, before }, 
         folders: isOpen ? labels.folders() : [],
         sending: isReduced ? "raw" : sending(),
         keepRaw: isRaw && keepRaw.checked,
-        options: { label_scheme: labels.scheme(), ...reading.read(), oxts, ...labels.made()?.options },
+        options: { ...reading.read(), oxts, ...labels.made()?.options },
         keyframes: job.keyframes(),
         job: withJob ? request : null,
       },

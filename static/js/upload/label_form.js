@@ -1,10 +1,9 @@
 /**
  * Where the labels of a drive come from: its label folders, its points, or the service, which makes them by geometry or by
- * a network; and what they mean.
+ * a network.
  */
 
-import { getConfig } from "../api.js";
-import { field, filePicker, radios, section, select } from "../controls.js";
+import { filePicker, radios, section } from "../controls.js";
 import { LABEL_FOLDERS } from "../data/lists.js";
 import { el, fill, formatBytes, formatCount, formatDuration, formatPercent, plural } from "../dom.js";
 
@@ -58,7 +57,7 @@ export function labelForm({ drive, networks, before }, { onChange, onFolder }) {
   const rows = el("div.stack-s");
   /** @type {Map<string, HTMLInputElement>} */
   const boxes = new Map();
-  const meaning = meaningField(before?.options?.label_scheme ?? "auto", onChange);
+  const meaning = el("small");
   const elsewhere = { folder: true, class: "link", name: "prediction-folder" };
   const picker = el("div", filePicker("Labels from another folder …", onFolder, elsewhere));
 
@@ -98,16 +97,19 @@ export function labelForm({ drive, networks, before }, { onChange, onFolder }) {
   }
   function show() {
     offered.hidden = hasFolders();
-    meaning.element.hidden = made() !== null;
+    meaning.hidden = made() !== null;
   }
 
   show();
 
   return {
-    element: section("Labels", drive && rows, offered, hasPlace && picker, meaning.element),
+    element: section("Labels", drive && rows, offered, hasPlace && picker, meaning),
     /** @param {import("./drive_folder.js").DriveLook["labels"]} folders */
     setFolders(folders) {
-      meaning.setVerdict(folders);
+      const texts = Object.entries(folders).flatMap(([folder, { scheme: name, road_share }]) =>
+        name ? `${folder}: read as ${name === "custom" ? "given" : name}, ${formatPercent(road_share)} road.` : [],
+      );
+      meaning.textContent = texts.join(" ");
       const names = Object.keys(folders);
       const wasOff = new Set([...boxes].filter(([, box]) => !box.checked).map(([name]) => name));
       boxes.clear();
@@ -129,7 +131,6 @@ export function labelForm({ drive, networks, before }, { onChange, onFolder }) {
     folders: () => [...boxes].filter(([, box]) => box.checked).map(([name]) => name),
     /** The labels that the service makes; null: the drive has labels. */
     made,
-    scheme: () => (made() === null ? meaning.scheme() : "auto"),
   };
 }
 
@@ -141,35 +142,4 @@ function factsOf({ size_bytes, height, width, seconds_per_scan: seconds }) {
     seconds !== null && `${seconds < 0.05 ? "less than 0.1 s" : formatDuration(seconds)} per scan on one core`,
   ];
   return facts.filter(Boolean).join(", ");
-}
-
-/**
- * What the ids of labels mean.
- *
- * @param {string} chosen Name of a scheme, or ids of road.
- * @param {() => void} onChange
- */
-function meaningField(chosen, onChange) {
-  const { label_schemes } = getConfig();
-  const schemes = label_schemes.map(({ name, title, road }) => [name, `${title} (road = ${road.join(", ")})`]);
-  const choices = { auto: "From the ids", ...Object.fromEntries(schemes), custom: "My own ids of road …" };
-  const isCustom = !(chosen in choices);
-  const words = { placeholder: "40, 60", value: isCustom ? chosen : "", "aria-label": "Ids of road" };
-  const ids = el("input", { type: "text", ...words, hidden: !isCustom, onInput: onChange });
-  const scheme = select(choices, isCustom ? "custom" : chosen, (value) => {
-    ids.hidden = value !== "custom";
-    onChange();
-  });
-  const verdict = el("small");
-  return {
-    element: el("div.stack-s", field("What their ids mean", scheme), ids, verdict),
-    scheme: () => (scheme.value === "custom" ? ids.value.trim() || "custom" : scheme.value),
-    /** @param {import("./drive_folder.js").DriveLook["labels"]} labels */
-    setVerdict(labels) {
-      const texts = Object.entries(labels).flatMap(([folder, { scheme: name, road_share }]) =>
-        name ? `${folder}: read as ${name === "custom" ? "given" : name}, ${formatPercent(road_share)} road.` : [],
-      );
-      verdict.textContent = texts.join(" ");
-    },
-  };
 }

@@ -1,7 +1,7 @@
 /** How the files of a drive are read: the options of reading, by their schema, and a georeference from elsewhere. */
 
 import { getConfig } from "../api.js";
-import { field, filePicker, select } from "../controls.js";
+import { field, filePicker, schemaInput } from "../controls.js";
 import { el, fill, plural } from "../dom.js";
 import { folderOfInput } from "./folder.js";
 
@@ -12,6 +12,7 @@ const PLACE = "georeference";
 
 /** What the form calls the options; one that is not here is asked for elsewhere. */
 const TITLES = /** @type {Record<string, string>} */ ({
+  label_scheme: "What the ids of labels mean",
   pose_frame: "Poses are those of",
   layout: "Layout",
   points: "Topic of the scans",
@@ -35,7 +36,7 @@ const DESKEW = { auto: "Taken out where the points show it", on: "Taken out", of
  * @param {() => void} onChange
  */
 export function readingForm(drive, before, onChange) {
-  const { reading_schema, layouts } = getConfig();
+  const { reading_schema, layouts, label_schemes } = getConfig();
   const own = drive?.look.layout ?? null;
   const georeference = georeferenceField(onChange);
   const { reduced: _, ...ofLayout } = layouts;
@@ -43,39 +44,26 @@ export function readingForm(drive, before, onChange) {
     ...{ pose_frame: POSE_FRAMES, deskew: DESKEW, layout: { auto: "From the folder", ...ofLayout } },
   });
   const poseFiles = el("datalist", { id: "pose-files" });
+  const schemes = el("datalist", { id: "label-schemes" }, [
+    label_schemes.map(({ name, title, road }) => el("option", { value: name }, `${title} (road = ${road.join(", ")})`)),
+  ]);
 
   /** @param {string} name */
   function optionOf(name) {
     const schema = reading_schema.properties[name];
-    const text = schema.anyOf?.find((/** @type {any} */ { type }) => type === "string") ?? schema;
-    const example = schema.examples?.[0];
-    const value = before?.options?.[name] ?? schema.default ?? "";
-    const input = text.enum
-      ? select(
-          Object.fromEntries(text.enum.map((/** @type {string} */ each) => [each, choices[name]?.[each] ?? each])),
-          value,
-        )
-      : el("input", {
-          type: "text",
-          maxLength: text.maxLength,
-          placeholder: `As ${example}`,
-          value,
-        });
-    input.addEventListener("input", onChange);
+    let given = before?.options?.[name] ?? schema.default ?? null;
+    const take = (/** @type {any} */ next) => ((given = next), onChange());
+    const input = schemaInput(schema, given, take, (choice) => choices[name]?.[choice] ?? choice);
     if (name === "poses") input.setAttribute("list", poseFiles.id);
-    const read = () => input.value.trim() || null;
+    if (name === "label_scheme") input.setAttribute("list", schemes.id);
+    if (ONLY_OF[name] === "rosbag") input.pattern = "/.*";
+    const complaint = `${TITLES[name]}: write it as ${schema.examples?.[0]}, or leave it empty.`;
     return {
       name,
-      read,
+      read: () => given ?? schema.default,
       element: field(TITLES[name], input, schema.description),
       /** @returns {string | null} */
-      complaint() {
-        const given = read();
-        if (given && ONLY_OF[name] === "rosbag" && !given.startsWith("/"))
-          return `The topic ${given} does not begin with a slash.`;
-        if (!given || !text.pattern || new RegExp(text.pattern, "u").test(given)) return null;
-        return `${TITLES[name]}: write it as ${example}, or leave it empty.`;
-      },
+      complaint: () => (input.validity.valid ? null : complaint),
     };
   }
 
@@ -99,6 +87,7 @@ export function readingForm(drive, before, onChange) {
       georeference.element,
       options.map(({ element }) => element),
       poseFiles,
+      schemes,
     ),
     setFiles,
     /** @returns {Record<string, string | null>} */

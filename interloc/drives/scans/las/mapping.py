@@ -1,4 +1,4 @@
-"""Mobile mapping: LAS files in a projected system with times, cut into scans along the trajectory of the vehicle."""
+"""LAS and LAZ files as drives: a scan each, or clouds of mobile mapping that are cut along the vehicle's trajectory."""
 
 from __future__ import annotations
 
@@ -449,7 +449,7 @@ def grid_of(crs: Any, source: str, file: SourceFile) -> Grid:  # noqa: ANN401 - 
     return Grid(horizontal.to_2d(), source)
 
 
-# LAS and LAZ files as drives: which there are, and whether they are one per scan, in the coordinates of the sensor.
+# Which files there are, and whether they hold a scan each, in the coordinates of the sensor.
 
 SENSOR_RANGE_M = 1000.0
 """No LiDAR of a vehicle sees further; coordinates beyond are those of a map."""

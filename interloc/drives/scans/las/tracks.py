@@ -34,7 +34,7 @@ MAX_DISTANCE_M = 100.0
 """Median horizontal distance of the points from the vehicle at their time; those of streets are 10 to 30 m away."""
 
 _LEAP_SECONDS = 18.0  # by which GPS is ahead of UTC since 2017
-_COVERED = 0.5
+_COVERED, _USUAL_M = 0.5, 40.0
 
 
 @dataclass(frozen=True)
@@ -211,7 +211,7 @@ def check_clock(
         return float(np.median(np.linalg.norm(points[inside, :2] - at, axis=1)))
 
     distance_m, shift_s = away_m(0.0), min((_LEAP_SECONDS, -_LEAP_SECONDS), key=away_m)
-    if away_m(shift_s) < min(distance_m, MAX_DISTANCE_M) / 2:
+    if distance_m > _USUAL_M and away_m(shift_s) < min(distance_m, MAX_DISTANCE_M) / 2:
         raise file.fault(
             f"is {shift_s:+g} s off the clock of {cloud.file.name}: so shifted the vehicle was {away_m(shift_s):.0f} m "
             f"away from the points when they were measured, else {distance_m:.0f} m. Usual cause: UTC beside GPS time. "

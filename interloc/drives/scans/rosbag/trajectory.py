@@ -1,4 +1,4 @@
-"""Where the LiDAR was at every scan of a bag: its poses and GNSS fixes, or a file of poses."""
+"""A bag as a drive: where the LiDAR was at every scan, by poses and GNSS fixes or a file of poses; and its scans."""
 
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -498,7 +498,7 @@ def _distances(times_s: FloatArray, positions: FloatArray) -> FloatArray:
     return distances
 
 
-# Opening of a bag: its topics, and the scans in it.
+# The scans of a bag, and its opening.
 
 
 @dataclass(frozen=True)

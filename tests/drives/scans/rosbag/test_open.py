@@ -475,6 +475,16 @@ def test_a_lone_file_is_a_drive(tmp_path: Path) -> None:
     assert {topic.name: topic.role for topic in report.topics} == {"/odom": "poses", "/points": "points"}
 
 
+def test_scans_whose_points_have_no_label_are_counted(tmp_path: Path) -> None:
+    road = np.column_stack([np.random.default_rng(1).uniform(-20, 20, (400, 2)), np.full((400, 2), -1.7)])
+    labels = [np.full(400, 40 if row else 0, np.uint32) for row in range(COUNT)]
+    path = write_bag(
+        tmp_path / "d", "mcap", [road.astype(np.float32)] * COUNT, times_of(), labels=labels, poses=straight()
+    )
+    report = interloc.inspect_drive(path)
+    assert any("1 of 5 scans looked at have no label" in each.message for each in report.problems)
+
+
 def test_a_missing_package_is_named_with_its_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = write_bag(tmp_path / "drive", "db3", scans_of(), times_of(), poses=straight())
     find = util.find_spec
