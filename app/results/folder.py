@@ -147,14 +147,15 @@ class Results:
             detail = f"Job {job_id} is {job.state}. {_STATES[JobState(job.state)].format(job=address)}"
             raise Problem(kinds.RESULT_NOT_READY, detail, state=job.state)
         storage = self._context.storage
+        own = storage.folder(f"jobs/{job_id}")
         result = Result(
             job_id=job_id,
             drive_id=job.drive_id,
             drive_name=drive_name,
             address=address,
-            folder=storage.folder(f"jobs/{job_id}/result"),
+            folder=own / "result",
             drive=storage.folder(f"drives/{job.drive_id}"),
-            cache=storage.folder(f"jobs/{job_id}/cache"),
+            cache=own / "cache",
             request=job.request,
         )
         if not (result.folder / RUN_FILE).exists():

@@ -370,7 +370,7 @@ def read_labels(file: SourceFile) -> UInt32Array:
         labels: UInt32Array = np.fromfile(file.path, dtype="<u4")
     except OSError as error:
         raise file.unreadable(error) from error
-    if np.min(labels, initial=_FLOAT_1, where=labels > 0) >= _FLOAT_1 and labels.any():
+    if labels.max(initial=0) >= _FLOAT_1 and np.min(labels, initial=_FLOAT_1, where=labels > 0) >= _FLOAT_1:
         raise file.fault(
             f"holds floating-point numbers ({labels[labels > 0].view('<f4')[0]:g}, ...). Expected uint32 ids. "
             + _CONVERT.format(type="float32")
