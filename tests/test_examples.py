@@ -40,7 +40,7 @@ def _no_windows(
     """Draw without a screen, and make the town that both simulate once."""
 
     def simulate_once(trip: Trip, out: Path, options: SimulationOptions) -> None:
-        name = f"example-{crc32(options.model_dump_json().encode())}"
+        name = f"example-{crc32(repr(options).encode())}"
         made = once(tmp_path_factory, name, lambda place: simulate(trip, place, options))
         shutil.copytree(made, out)
 

@@ -1,4 +1,9 @@
-"""`interloc batch`."""
+"""`interloc batch`: drives of a batch, each a unit of work of its own, `interloc run` in a process of its own.
+
+A unit is the command line of one drive, so its result is that of the command by itself. It can be repeated at will: a
+result folder appears whole or not at all. Units are done on this machine, or by the workers of a Dask cluster. The
+same command does those again that failed, or whose options are others.
+"""
 
 from __future__ import annotations
 
@@ -19,10 +24,10 @@ import click
 
 from interloc import storage
 from interloc.cli import console, options
-from interloc.cli.summary import not_right
+from interloc.cli.console import not_right
 from interloc.errors import ConfigError, IncompleteError, InterLocError, is_interruption
 from interloc.files import write_file
-from interloc.processes import dask_client, in_own_process, stop_processes
+from interloc.processes import cores, dask_client, in_own_process, stop_processes
 from interloc.wording import counted
 
 TABLE = "batch.csv"
@@ -40,20 +45,15 @@ def _plain(_: object, __: object, out: str) -> str:
 @click.option(
     "-o", "--out", required=True, metavar="PATH", callback=_plain, help="Folder of the batch: result folders and table."
 )
-@options.map_options
-@options.config_options
-@options.drive_options
-@options.locate_option
-@options.near_options
+@options.together(*options.RUN)
 @click.option(
     "--workers", type=click.IntRange(1, 256), show_default="one per core", help="Number of drives worked on at once."
 )
 @click.option("--dask", metavar="ADDRESS", help="Dask scheduler whose workers do it instead, as tcp://host:8786.")
 @click.option("--fresh", is_flag=True, help="Do drives again that are done already.")
-@options.QUIET
-@options.JSON
+@options.OUTPUT
 @click.pass_context
-def command(
+def batch(
     context: click.Context,
     /,
     drives: tuple[str, ...],
@@ -76,8 +76,6 @@ def command(
       interloc batch drives.csv -o results --osm region.osm.pbf --dask tcp://cluster:8786
       interloc batch s3://bucket/drives -o s3://bucket/results --osm s3://bucket/region.osm.pbf --dask tcp://cluster:8786
     """
-    from interloc.processes import cores
-
     options.configure(given["preset"], given["settings"])  # a mistake in it would fail every drive
     units = _units(drives, {name: given[name] for name in given if _is_given(context, name)})
     records = Records(out)
@@ -120,7 +118,7 @@ def _is_given(context: click.Context, name: str) -> bool:
 
 def _units(drives: Sequence[str], common: Mapping[str, Any]) -> list[Unit]:
     """Return what is to be done for each drive, or each row of a list."""
-    from interloc.cli.run import command as run
+    from interloc.cli.run import run
 
     params = run.get_params(click.Context(run))
     parameters = {str(param.name): param for param in params if isinstance(param, click.Option)}
@@ -233,9 +231,6 @@ def _facts(rows: Sequence[Row], table: str) -> list[tuple[str, str]]:
     ]
 
 
-# Units of work: the command line of one drive each, so that its result is that of the command by itself. One can be
-# repeated at will: a result folder appears whole or not at all.
-
 RECORDS = ".batch"
 """Folder of what is known of each unit: the same batch goes on where it was stopped."""
 
@@ -281,7 +276,7 @@ Row = dict[str, Any]
 
 def work(unit: Unit, out: str) -> Row:
     """Do a unit, in a worker process, and write its result to its place in the batch."""
-    from interloc.cli.run import command as run
+    from interloc.cli.run import run
 
     began = time.monotonic()
     notes = io.StringIO()

@@ -12,16 +12,13 @@ import cv2
 import numpy as np
 
 from interloc.arrays import FloatArray, UInt8Array
-from interloc.errors import ConfigError, DamagedResultError
+from interloc.errors import DamagedResultError
 from interloc.files import write_file
 from interloc.geometry import projection
 from interloc.mapping.mosaic import TILE, Mosaic, Raster, build_mosaic
-from interloc.output.geojson import read_json
-from interloc.output.layout import ROAD_FILE, RUN_FILE, refuse_result_file
 from interloc.results import DriveResult
 
 ROAD_LAYER = "road"
-RASTER_SUFFIXES = (".tif", ".tiff")
 ROAD_TITLE = "Road seen by LiDAR"
 
 MAX_PICTURE_PX = 4096
@@ -132,21 +129,6 @@ def _read_page(page: Any) -> tuple[Raster, int | None]:  # noqa: ANN401 - of tif
 def mosaic_of(result: DriveResult) -> Mosaic:
     """Return the road that a run saw: from its patches, or from `road.tif` where it was read from a folder."""
     return build_mosaic(result) if result.road_file is None else read_road(result.road_file)
-
-
-def export_road(result: Path, out: Path) -> None:
-    """Copy the GeoTIFF of a result folder; a ConfigError says why there is none, or why `out` cannot be it."""
-    if out.suffix.lower() not in RASTER_SUFFIXES:
-        raise ConfigError(f"{out}: the layer road is a raster, which is written as GeoTIFF. Give a name in .tif.")
-    refuse_result_file(out)
-    read_json(result / RUN_FILE)  # or say that it is no result
-    source = result / ROAD_FILE
-    if not source.is_file():
-        raise ConfigError(
-            f"{result} has no {ROAD_FILE}: no road was seen, or an older version wrote it. "
-            "Run `interloc run` on the drive again."
-        )
-    write_file(out, source.read_bytes())
 
 
 @dataclass(frozen=True)

@@ -104,7 +104,8 @@ def write_vector_file(result: Path, out: Path, *, layer: str | None = None, driv
     suffix = out.suffix.lower()
     if suffix not in FORMATS:
         raise ConfigError(
-            f"{out}: unknown format {out.suffix!r}. Expected one of {', '.join(FORMATS)}, or .tif of the layer road."
+            f"{out}: unknown format {out.suffix!r}. Expected one of {', '.join(FORMATS)}; the raster of the road seen "
+            f"by LiDAR is {result / ROAD_FILE}."
         )
     refuse_result_file(out)
     if suffix == ".parquet" and not has_parquet():
@@ -137,7 +138,7 @@ def is_local(result: Path) -> bool:
 def _choose(result: Path, layer: str | None, suffix: str) -> list[str]:
     wanted = None if layer is None else layer.replace("-", "_")
     if wanted not in {None, ALL, *EXPORTS}:
-        raise ConfigError(f"{layer!r} is not a layer. Expected one of {', '.join(EXPORTS)}, {ALL}, or road as .tif.")
+        raise ConfigError(f"{layer!r} is not a layer. Expected one of {', '.join(EXPORTS)}, {ALL}.")
     local = is_local(result)
     if local and FORMATS[suffix].only_on_earth:
         raise GeoreferenceError(

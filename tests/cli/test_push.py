@@ -9,9 +9,9 @@ import pytest
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (["-o", "out"], "-o, --overpass, --set, --locate and --near need --run"),
+        (["-o", "out"], "-o, --overpass, --locate and --near need --run"),
         (["--run", "--osm", "map.osm", "--overpass"], "one of --osm FILE and --overpass"),
-        (["--near", "49,8"], "--locate and --near need --run"),
+        (["--near", "49,8"], "-o, --overpass, --locate and --near need --run"),
         (["--run", "--locate"], "place the drive on a map: give it by --osm FILE or --overpass"),
         (["--run", "--locate", "--overpass"], "Say it by --near LAT,LON"),
         (["--osm", "map.txt"], "is not an OpenStreetMap file by its name"),

@@ -161,9 +161,9 @@ def test_a_name_may_use_hyphens_and_an_older_file_is_replaced(scored: Path, tmp_
 
 
 def test_what_cannot_be_is_said(scored: Path, tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"\.shp.*Expected one of \.gpkg, \.qgz, \.fgb, .*\.tif of the layer road"):
+    with pytest.raises(ConfigError, match=r"\.shp.*Expected one of \.gpkg, \.qgz, \.fgb, .*by LiDAR is .*road\.tif"):
         write_vector_file(scored, tmp_path / "a.shp")
-    with pytest.raises(ConfigError, match=r"'streets' is not a layer.*road as \.tif"):
+    with pytest.raises(ConfigError, match=r"'streets' is not a layer.*uncertainty, all"):
         write_vector_file(scored, tmp_path / "a.fgb", layer="streets")
     with pytest.raises(ConfigError, match=r"no osm_buildings\.geojson. The map .* has no buildings near the drive"):
         write_vector_file(scored, tmp_path / "a.fgb", layer="osm_buildings")
